@@ -6,7 +6,6 @@ import pytest
 
 from twin._common import families
 from twin.controls import kinematics_formats, table_formats
-from twin.machine.machine import Machine
 from twin.measurement.formats import FORMATS as MEASURED_FORMATS
 from twin.measurement.instruments import INSTRUMENTS
 from twin.model.effects import MACHINE_EFFECTS
@@ -39,10 +38,3 @@ def test_a_wrong_name_is_found() -> None:
 
 def test_names_refer_to_members() -> None:
     assert set(families.SEQUENCE_INSTRUMENTS) == set(SET_UPS) <= set(families.INSTRUMENTS)
-    assert {*families.TABLE_TOLERANCES_UM, *families.TABLE_COUNTS, *families.PRODUCT_FORMATS} <= set(
-        families.TABLE_FORMATS
-    )
-
-
-def test_effects_without_places_are_curves(dmu50: Machine) -> None:
-    assert {one.name for one in MACHINE_EFFECTS if not one.places(dmu50)} == families.ERROR_MOTIONS

@@ -114,3 +114,13 @@ def test_a_large_cause_does_not_leak_into_the_discrepancy(monkeypatch: pytest.Mo
         sizes.append({part.direction: part.size_um for part in found.task.discrepancy.parts})
     assert set(sizes[0]) == {"along the beam", "across the beam"}
     assert sizes[1] == pytest.approx(sizes[0], rel=0.025)
+
+
+def test_a_cause_keeps_a_size_where_its_largest_plausible_one_would_not_show() -> None:
+    """1 mm without a model: 450 readings show 1 mm of a cause with less than five standard uncertainties, but its size is not 0 ± 0."""
+    _, _, small, _ = sized(measured(1, along=0.1, across=0.1))
+    _, _, found, _ = sized(measured(1, along=1.0, across=1.0))
+    for ours, other in zip(found.quantities, small.quantities, strict=True):
+        # The same draws times ten: the estimate is linear but for the noise (0.01 mm) and the turns of the set-up (some mrad).
+        assert ours[0].u == pytest.approx(10.0 * other[0].u, rel=0.05)
+        assert ours[0].value == pytest.approx(10.0 * other[0].value, abs=0.2 * ours[0].u)

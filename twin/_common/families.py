@@ -41,13 +41,6 @@ TABLE_FORMATS: Final = {
     "siemens_eec": "siemens_eec:SiemensEec",
 }
 """Formats of compensation tables: `twin.controls.formats`."""
-USUAL_TOLERANCE_UM: Final = 1.0
-TABLE_TOLERANCES_UM: Final = {"grid": 5.0}
-"""Default tolerances of the interpolation of those formats whose default is not `USUAL_TOLERANCE_UM`."""
-TABLE_COUNTS: Final = {"siemens": (62, "828D: 8")}
-"""Default number of tables (not checked; two for each of 31 axes), and controls that have fewer, of formats that limit the number."""
-PRODUCT_FORMATS: Final = ("siemens",)
-"""Formats that can multiply two tables."""
 KINEMATICS_FORMATS: Final = {
     "linuxcnc-trt": "linuxcnc_trt:LinuxCncTrt",
     "siemens-chain": "siemens_chain:SiemensChain",
@@ -82,8 +75,6 @@ EFFECTS: Final = {
     "carried_load": "gravity_compliance:CARRIED_LOAD",
 }
 """Effects of a machine: `twin.model.effects`."""
-ERROR_MOTIONS: Final = frozenset({"positioning", "straightness", "angular_error_motion", "error_motion"})
-"""Effects among them that are curves of a calibration: they have no places of their own."""
 SEQUENCES: Final = {
     "best": "moves:BEST",
     "turns": "moves:TURNS",

@@ -65,14 +65,17 @@ AT_HELP = (
     "zero of the rotary axes."
 )
 At = Annotated[list[str] | None, typer.Option("--at", help=AT_HELP)]
-TOLERANCE_HELP = "Largest interpolation error between nodes, mm; default: 0.001{other_tolerances}."
+TOLERANCE_HELP = "Largest interpolation error between nodes, mm; default: that of the format (twin doc control)."
 Tolerance = Annotated[float | None, typer.Option("--tolerance", help=TOLERANCE_HELP), POSITIVE]
 STEP_HELP = "Distance between nodes, mm or degrees; default: as large as --tolerance allows."
 Step = Annotated[float | None, typer.Option("--step", help=STEP_HELP), POSITIVE]
 Tables = Annotated[
-    int | None, typer.Option("--tables", min=1, help="Number of tables in the control ({table_counts}).")
+    int | None,
+    typer.Option(
+        "--tables", min=1, help="Number of tables in the control; default: that of the format (twin doc control)."
+    ),
 ]
-PRODUCTS_HELP = "Use products of two tables for angular errors ({product_formats})."
+PRODUCTS_HELP = "Use products of two tables for angular errors, in formats that have them (twin doc control)."
 Products = Annotated[bool, typer.Option("--products/--no-products", help=PRODUCTS_HELP)]
 ADD_HELP = "Add to the tables that were active when the calibration was measured."
 Add = Annotated[bool, typer.Option("--add", help=ADD_HELP)]

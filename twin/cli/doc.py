@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from importlib import resources
-from typing import Annotated, Final
+from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
 from twin._common.errors import InputError, closest_name
 from twin.cli.shared.command import CommandResult, JsonOption, command
+
+if TYPE_CHECKING:
+    from twin.model.effects import Specification
 
 PAGES: Final = (
     *(
@@ -24,7 +27,7 @@ PAGES: Final = (
         "compare",
         "watch",
     ),
-    *("control", "interferometer", "paths", "many", "files", "datum", "curves", "speed"),
+    *("control", "interferometer", "paths", "many", "files", "effects", "instruments", "datum", "curves", "speed"),
 )
 """Names of the pages: `manual/NAME.md` beside this file."""
 
@@ -83,7 +86,10 @@ def _listed(page: str) -> dict[str, list[str]]:
         from twin.controls import kinematics_formats, table_formats
 
         return {
-            "FORMATS": [f"| `{form.name}` {form.what} | {form.carries} | {form.leaves} |" for form in table_formats()],
+            "FORMATS": [
+                f"| `{form.name}` {form.what} | {form.carries} | {form.leaves} | {form.defaults} |"
+                for form in table_formats()
+            ],
             "KINEMATICS": [
                 f"| `{form.name}` {form.title}: {form.what} | {form.carries} | {form.leaves} |"
                 for form in kinematics_formats()
@@ -111,8 +117,41 @@ def _listed(page: str) -> dict[str, list[str]]:
         return {
             "VOCABULARY": [f"- {name}: {', '.join(sorted(filter(None, words)))}" for name, words in phrases.items()]
         }
+    if page == "effects":
+        from twin.model.effects import MACHINE_EFFECTS
+
+        return {"EFFECTS": [_effect_row(one) for one in MACHINE_EFFECTS]}
+    if page == "instruments":
+        from twin.measurement.instruments import INSTRUMENTS
+
+        readers = [one.specification for one in INSTRUMENTS]
+        return {
+            "INSTRUMENTS": [
+                f"| `{one.name}` | {one.title} | {', '.join(one.columns) or '(axis positions)'} | {', '.join(one.rides_on)} | "
+                f"{one.source} |"
+                for one in readers
+            ]
+        }
     if page == "curves":
         from twin.numerics.curves import BASES
 
         return {"BASES": [f"- `{basis.name}`: {basis.formula}" for basis in BASES]}
     return {}
+
+
+def _effect_row(one: Specification) -> str:
+    fitted = ", ".join(name for name in one.parameters if name not in one.fixed)
+    stated = ", ".join(f"{name}{_unit(unit)}" for name, unit in one.fixed.items())
+    limits = []
+    for unit, largest in one.limits.items():
+        first = f"{one.least[unit]:g} to " if unit in one.least else "0 to " if one.non_negative else "±"
+        limits.append(
+            f"{first}{largest:.0f}{_unit(unit)}" if largest >= 100.0 else f"{first}{largest:.3g}{_unit(unit)}"
+        )
+    return f"| `{one.name}` | {one.plural} | {fitted or '—'} | {stated or '—'} | {', '.join(limits)} |"
+
+
+def _unit(unit: str) -> str:
+    from twin.diagnosis.result import readable_unit
+
+    return "" if unit == "1" else f" {readable_unit(unit)}"

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar, Final, Generic, TypeVar, final
 
-from twin._common import families
 from twin._common.errors import InputError
 from twin._common.families import BasicClass
 from twin._common.files import read_lines, scratch_folder
@@ -39,6 +38,10 @@ class TableFormat(ABC, Generic[C]):
         knows_machine: whether the control uses a model of the machine: it corrects errors of all axes at the functional point, with the
             active tool.
         unread: files that are written but not needed to read the tables.
+        tolerance_um: default tolerance of the interpolation.
+        tables: default number of tables in the control; None if it is not limited.
+        fewer_tables: controls with fewer tables, as ``828D: 8``.
+        products: whether two tables can be multiplied.
         unchecked: assumptions that could not be checked against a public description; listed in every file and report.
     """
 
@@ -58,22 +61,21 @@ class TableFormat(ABC, Generic[C]):
     crossed_directions: ClassVar[bool] = False
     knows_machine: ClassVar[bool] = False
     unread: ClassVar[tuple[str, ...]] = ()
+    tolerance_um: ClassVar[float] = 1.0
+    tables: ClassVar[int | None] = None
+    fewer_tables: ClassVar[str] = ""
+    products: ClassVar[bool] = False
     unchecked: ClassVar[tuple[str, ...]] = ()
 
     @property
-    def tolerance_um(self) -> float:
-        """Default tolerance of the interpolation."""
-        return families.TABLE_TOLERANCES_UM.get(self.name, families.USUAL_TOLERANCE_UM)
-
-    @property
-    def tables(self) -> int | None:
-        """Default number of tables in the control; None if it is not limited."""
-        return families.TABLE_COUNTS[self.name][0] if self.name in families.TABLE_COUNTS else None
-
-    @property
-    def products(self) -> bool:
-        """Whether two tables can be multiplied."""
-        return self.name in families.PRODUCT_FORMATS
+    def defaults(self) -> str:
+        """Default tolerance and number of tables in words."""
+        count = (
+            ""
+            if self.tables is None
+            else f"; {self.tables} tables" + f" ({self.fewer_tables})" * bool(self.fewer_tables)
+        )
+        return f"{1e-3 * self.tolerance_um:g} mm{count}{'; products of two' if self.products else ''}"
 
     def files(self, machine: Machine) -> tuple[str, ...]:
         """Return the names of all files that may be written."""

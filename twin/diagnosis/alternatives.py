@@ -285,7 +285,8 @@ ALIKE: Final = 9.0
 def evidence(form: Form, found: Estimate, k: int) -> str:
     """Return the effect of the k-th cause in words, with its size in standard uncertainties."""
     specification = form.candidate.specification
-    sizes = [q for q in found.quantities[k] if q.name not in {*specification.nonlinear, *form.variant.fixed}]
+    others = {*specification.nonlinear, *specification.fixed, *form.variant.fixed}
+    sizes = [q for q in found.quantities[k] if q.name not in others]
     size = max(sizes, key=lambda q: abs(q.value) / q.u if q.u > 0.0 else 0.0)
     numbers = {q.name: q.value for q in found.quantities[k]}
     what = FittedCause(form.candidate.where, size.value, readable_unit(size.unit), numbers, found.effects[k])
@@ -346,22 +347,23 @@ def between_positions(candidates: Candidates, forms: Sequence[Form], form: Form)
 
 
 def _other_periods(candidates: Candidates, forms: Sequence[Form], form: Form) -> list[float]:
-    """Return other periods, mm, at which a pitch error fits the readings equally well (aliases)."""
-    if "period" not in form.variant.fixed:
+    """Return other periods, mm, at which an effect whose period was sought fits the readings equally well (aliases)."""
+    name = form.candidate.specification.period
+    if not name:
         return []
     network = candidates.problem.network
     q = network.data.positions[:, network.machine.names.index(form.candidate.where)]
     span, even = float(np.ptp(q)), sampling_frequency(q)
     if even is not None:
-        own = 1.0 / form.variant.fixed["period"]
+        own = 1.0 / form.variant.fixed[name]
         aliases = (1.0 / max(abs(even - own), 1e-9), 1.0 / (even + own))
         return [float(one) for one in aliases if one >= SHORTEST_PERIOD]
     tried = [one for one in candidates.forms if one.key == form.key and one is not form]
-    periods = np.array([one.variant.fixed["period"] for one in tried])
+    periods = np.array([one.variant.fixed[name] for one in tried])
     explained = candidates.scores([one for one in forms if one is not form], [one.index for one in (form, *tried)])[
         :, 0
     ]
-    away = np.abs(1.0 / periods - 1.0 / form.variant.fixed["period"]) * span
+    away = np.abs(1.0 / periods - 1.0 / form.variant.fixed[name]) * span
     found: list[float] = []
     for i in largest_first(explained[1:]):
         if explained[1 + i] < explained[0] - ALIKE:

@@ -232,14 +232,22 @@ def _without_impossible(sized: SizedCauses) -> SizedCauses:
 
 
 def _is_impossible(form: Form, quantities: Sequence[Quantity], effects: Sequence[Effect]) -> bool:
-    """Return whether a size is beyond its physical limit by more than its uncertainty allows, or a load is impossible."""
+    """Return whether a size is beyond its physical limit, or a load is impossible."""
     if any(isinstance(effect, AddedLoad) and not effect.payload.plausible for effect in effects):
         return True
-    candidate = form.candidate
-    linear = [q for q in quantities if q.name not in {*candidate.specification.nonlinear, *form.variant.fixed}]
-    if candidate.reported is None and any(abs(q.value) > candidate.largest + DOUBTED * q.u for q in linear):
+    specification, sizes = form.candidate.specification, _sizes(form, quantities)
+    if not all(specification.is_plausible(size.value, size.unit) for size in sizes):
         return True
-    return bool(candidate.specification.non_negative and linear and linear[0].value < -DOUBTED * linear[0].u)
+    return bool(specification.non_negative and sizes and sizes[0].value < -DOUBTED * sizes[0].u)
+
+
+def _sizes(form: Form, quantities: Sequence[Quantity]) -> list[Quantity]:
+    """Return the estimated parameters of a cause; in place of the coefficients of a curve its largest value over its domain."""
+    space, coefficients = form.candidate.space, [q.value for q in quantities if q.coefficient]
+    if space is None or not coefficients:
+        return [q for q in quantities if q.name not in form.candidate.specification.fixed]
+    values = space.basis.value(space.grid()[0], space.domain, tuple(coefficients))
+    return [Quantity("largest", float(np.abs(values).max()), quantities[0].unit, 0.0)]
 
 
 def _cause(sized: SizedCauses, k: int, calibration: Calibration) -> Cause:
@@ -307,12 +315,16 @@ def _approach_axes(form: Form) -> list[str]:
 
 def _bounded(form: Form, quantities: Sequence[Quantity]) -> bool:
     """Return whether a parameter is at its bound."""
-    candidate = form.candidate
-    limits = {name: candidate.range(name) for name in candidate.specification.nonlinear}
-    if candidate.drift is not None and not candidate.drift.straight:
+    candidate, specification = form.candidate, form.candidate.specification
+    tried = {name: candidate.range(name) for name in specification.nonlinear}
+    drift = candidate.drift
+    if drift is not None and not drift.straight:
         # A straight line: the time constant is longer than the record.
-        return not any(q.name == "time_constant" and q.value < AT_BOUND * limits[q.name] for q in quantities)
-    return any(abs(q.value) >= AT_BOUND * limits.get(q.name, candidate.largest) for q in quantities)
+        return not any(q.name == drift.name and q.value < AT_BOUND * tried[q.name] for q in quantities)
+    return any(
+        abs(size.value) >= AT_BOUND * tried.get(size.name, specification.limits.get(size.unit, np.inf))
+        for size in _sizes(form, quantities)
+    )
 
 
 def _insignificant_notice(sized: SizedCauses) -> list[str]:

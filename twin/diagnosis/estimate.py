@@ -25,7 +25,7 @@ from twin._common.arrays import read_only
 from twin._common.distributions import chi2_sf, f_sf
 from twin.diagnosis.candidates.candidate import STRAIGHT, Column, effect_columns
 from twin.diagnosis.drift_fit import fit_drift, over_forms
-from twin.diagnosis.forms import Form, pseudo_inverse
+from twin.diagnosis.forms import LEAST_NONCENTRALITY, Form, pseudo_inverse
 from twin.diagnosis.problem import Problem, rewhitened, unwhiten
 from twin.diagnosis.readings import DiagnosisTask
 from twin.diagnosis.result import Quantity
@@ -225,6 +225,7 @@ def estimate(
     forms: Sequence[Form],
     noise_dof: float = float("inf"),
     random_effects: RandomEffects | None = None,
+    least: float = LEAST_NONCENTRALITY,
 ) -> Estimate:
     """Estimate all parameters of the causes by Gauss-Newton iteration, with the set-up projected out.
 
@@ -233,11 +234,12 @@ def estimate(
         forms: the causes.
         noise_dof: degrees of freedom of the noise variance.
         random_effects: patterns without a name; they are not fitted but increase the covariance.
+        least: noncentrality at the largest plausible size below which a direction is not identifiable.
     """
     if not forms:
         return Estimate((), (), Covariance.none(), np.zeros((len(problem.residual), 0)), 0.0)
     state = machine_state(problem.network.data, problem.network.machine)
-    parts, inverse, signature = _fitted(problem, forms, state)
+    parts, inverse, signature = _fitted(problem, forms, state, least)
     columns = np.concatenate([part.columns for part in parts], axis=1)
     scales = np.concatenate([part.scales for part in parts])
     residual = problem.residual - signature.sum(axis=1)
@@ -265,19 +267,19 @@ def fitted_effects(problem: Problem, forms: Sequence[Form]) -> tuple[list[tuple[
 
 
 def _fitted(
-    problem: Problem, forms: Sequence[Form], state: Mapping[str, Any]
+    problem: Problem, forms: Sequence[Form], state: Mapping[str, Any], least: float = LEAST_NONCENTRALITY
 ) -> tuple[list[_Part], np.ndarray, np.ndarray]:
     """Return the fitted causes, the covariance of all parameters, and the (3n, k) signature of each cause."""
-    parts = _initial_parts(problem, forms)
-    inverse = _gauss_newton(problem, parts, state)
+    parts = _initial_parts(problem, forms, least)
+    inverse = _gauss_newton(problem, parts, state, least)
     return parts, inverse, np.stack([part.signature(problem, state) for part in parts], axis=1)
 
 
-def _initial_parts(problem: Problem, forms: Sequence[Form]) -> list[_Part]:
+def _initial_parts(problem: Problem, forms: Sequence[Form], least: float) -> list[_Part]:
     """Return all causes with parameters from a linear fit, and each drift with its most likely time constant given the others."""
     scales = [np.array([column.scale for column in form.variant.columns]) for form in forms]
     columns = [problem.signature(form.variant.columns) / own for form, own in zip(forms, scales, strict=True)]
-    _, start = _least_squares(problem, np.concatenate(columns, axis=1), problem.residual, np.concatenate(scales))
+    _, start = _least_squares(problem, np.concatenate(columns, axis=1), problem.residual, np.concatenate(scales), least)
     values = np.split(start, np.cumsum([len(own) for own in scales])[:-1])
     parts = []
     for form, own, signature, found in zip(forms, scales, columns, values, strict=True):
@@ -300,17 +302,16 @@ def _fit_drift_of(problem: Problem, part: _Part, others: Sequence[Column]) -> No
     if drift is None:
         return
     found = fit_drift(problem, drift, others)
-    straight = found.time_constant == STRAIGHT
-    unit = drift.columns(found.time_constant)
-    part.fixed = {} if straight else {"time_constant": found.time_constant}
-    part.scales = np.array([column.scale for column in unit])
-    part.columns, part.values = problem.signature(unit) / part.scales, found.values
+    variant = drift.variant(found.time_constant)
+    part.fixed = dict(variant.fixed)
+    part.scales = np.array([column.scale for column in variant.columns])
+    part.columns, part.values = problem.signature(variant.columns) / part.scales, found.values
     part.effects = _effects(part.form, found.values, part.fixed)
     part.moments = found.moments
-    part.nonlinear = found.moments is None and not straight
+    part.nonlinear = found.moments is None and found.time_constant != STRAIGHT
 
 
-def _gauss_newton(problem: Problem, parts: Sequence[_Part], state: Mapping[str, Any]) -> np.ndarray:
+def _gauss_newton(problem: Problem, parts: Sequence[_Part], state: Mapping[str, Any], least: float) -> np.ndarray:
     """Iterate until convergence and return the covariance of all parameters at the last step."""
     longest = [_longest_scale(part.form) for part in parts]
     for _ in range(STEPS if any(part.nonlinear for part in parts) else 1):
@@ -319,7 +320,7 @@ def _gauss_newton(problem: Problem, parts: Sequence[_Part], state: Mapping[str, 
         residual = problem.residual - np.sum([part.signature(problem, state) for part in parts], axis=0)
         sizes = np.concatenate([part.scales for part in parts])
         inverse, step = _least_squares(
-            problem, np.concatenate([part.columns for part in parts], axis=1), residual, sizes
+            problem, np.concatenate([part.columns for part in parts], axis=1), residual, sizes, least
         )
         change = float(np.sqrt(max(step @ np.linalg.pinv(inverse, hermitian=True) @ step, 0.0)))
         ends = np.cumsum([len(part.values) for part in parts])[:-1]
@@ -430,12 +431,12 @@ def _parameters(effects: Sequence[Effect]) -> dict[str, float]:
 
 
 def _least_squares(
-    problem: Problem, columns: np.ndarray, residual: np.ndarray, scale: np.ndarray
+    problem: Problem, columns: np.ndarray, residual: np.ndarray, scale: np.ndarray, least: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return covariance and least-squares step; both are zero along directions that are not identifiable; overwrites ``columns``."""
     scaled = np.multiply(columns, scale, out=columns)
     gram, slope = problem.normal_equations(scaled, residual)
-    inverse = pseudo_inverse(gram)
+    inverse = pseudo_inverse(gram, least)
     return inverse * np.outer(scale, scale), (inverse @ slope) * scale
 
 
@@ -498,42 +499,57 @@ def _converted(
 def _quantities(
     form: Form, fixed: Mapping[str, float], effects: Sequence[Effect], values: np.ndarray, covariance: np.ndarray
 ) -> tuple[Quantity, ...]:
-    if form.candidate.reported is not None:
-        values, covariance = _converted(form.candidate.reported, values, covariance)
+    """Return the estimated parameters of a cause and the numbers that its specification states, in the order of an entry."""
+    stated = {**form.variant.fixed, **(effects[0].numbers if effects else {})}
+    specification = form.candidate.specification
+    found = {
+        name: Quantity(name, float(stated[name]), unit, 0.0)
+        for name, unit in specification.fixed.items()
+        if name in stated
+    }
+    found |= {one.name: one for one in _estimated(form, fixed, effects, values, covariance)}
+    order = [name for name in specification.parameters if name in found]
+    return tuple(found[name] for name in (*order, *(name for name in found if name not in order)))
+
+
+def _estimated(
+    form: Form, fixed: Mapping[str, float], effects: Sequence[Effect], values: np.ndarray, covariance: np.ndarray
+) -> list[Quantity]:
+    candidate, drift = form.candidate, form.candidate.drift
+    if candidate.reported is not None:
+        values, covariance = _converted(candidate.reported, values, covariance)
     u = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     if _is_nonlinear(form, effects):
-        return tuple(
+        return [
             Quantity(p.name.rsplit(".", 1)[-1], p.value, p.unit, float(one))
             for p, one in zip(effects[0].parameters, u, strict=True)
-        )
-    if effects and form.candidate.space is not None:
-        return tuple(
-            Quantity(f"c{k}", p.value, p.unit, float(one))
+        ]
+    if effects and candidate.space is not None:
+        return [
+            Quantity(f"c{k}", p.value, p.unit, float(one), coefficient=True)
             for k, (p, one) in enumerate(zip(effects[0].parameters, u, strict=True))
-        )
-    if effects and form.candidate.drift is not None:
+        ]
+    if effects and drift is not None:
         # A time constant longer than the record: only the rate is identifiable, and from it the drift over the record.
-        hours = form.candidate.drift.constants[-1] / 3600.0
-        rate = effects[0].parameters[0].value
-        return (
-            Quantity("amplitude", rate * hours, "um", float(u[0]) * hours),
-            Quantity("rate", rate, "um/h", float(u[0])),
-        )
-    found = tuple(
+        hours = drift.constants[-1] / 3600.0
+        (rate,), (name, unit) = effects[0].parameters, candidate.names[0]
+        return [
+            Quantity(name, rate.value * hours, unit, float(u[0]) * hours),
+            Quantity(rate.name.rsplit(".", 1)[-1], rate.value, rate.unit, float(u[0])),
+        ]
+    found = [
         Quantity(name, float(value), unit, float(one))
-        for (name, unit), value, one in zip(form.candidate.names, values, u, strict=False)
+        for (name, unit), value, one in zip(candidate.names, values, u, strict=False)
         if one > 1e-9 * u.max()  # a parameter that is not identifiable is left out
-    )
-    if "order" in form.variant.fixed:
-        found = (Quantity("order", form.variant.fixed["order"], "1", 0.0), *found)
+    ]
     # Parameters that the search fixed within their bounds, such as a centre that the readings do not determine.
-    found += tuple(
+    found += [
         Quantity(name, form.variant.fixed[name], unit, float("nan"))
-        for name, unit in form.candidate.names[len(values) :]
+        for name, unit in candidate.names[len(values) :]
         if name in form.variant.fixed
-    )
-    if form.candidate.drift is not None and "time_constant" in fixed:
-        found = (*found, Quantity("time_constant", fixed["time_constant"], "s", float(u[-1])))
+    ]
+    if drift is not None and drift.name in fixed:
+        found.append(Quantity(drift.name, fixed[drift.name], "s", float(u[-1])))
     return found
 
 
@@ -541,6 +557,8 @@ def _quantities(
 
 REWEIGHTINGS: Final = 4
 """Number of estimates with other weights, at most."""
+LOST: Final = 1e-6
+"""Share of its earlier standard uncertainty below which that of a parameter is rounding: its direction was left out."""
 
 
 def remaining_discrepancy(
@@ -588,10 +606,25 @@ def reweighted(
             break
         weighted = weighted.with_discrepancy(further)
         again = estimate(weighted.problem, forms, np.inf, random_effects)
+        if not _has_sizes(again, found):
+            # Named by the readings, a cause has a size, even if these weights would no longer show its largest plausible one.
+            again = estimate(weighted.problem, forms, np.inf, random_effects, least=0.0)
     signature = rewhitened(again.signature, weighted.problem.network, task.problem.network)
     return (
         replace(again, signature=read_only(signature), explained=found.explained, wald=found.wald),
         weighted.discrepancy,
+    )
+
+
+def _has_sizes(again: Estimate, found: Estimate) -> bool:
+    """Return whether no cause has lost its uncertainty, and with it its size, against an earlier estimate."""
+
+    def largest_u(quantities: Sequence[Quantity]) -> float:
+        return max((q.u for q in quantities if np.isfinite(q.u)), default=0.0)
+
+    return all(
+        largest_u(one) > LOST * largest_u(before) or largest_u(before) == 0.0
+        for one, before in zip(again.quantities, found.quantities, strict=True)
     )
 
 

@@ -77,9 +77,9 @@ class Form:
         }
 
     @property
-    def slot(self) -> tuple[str, str, float]:
-        """Key that at most one selected form may have: effect, place and, for a harmonic, its order."""
-        return *self.key, self.variant.fixed.get("order", 0.0)
+    def slot(self) -> tuple[str | float, ...]:
+        """Key that at most one selected form may have: effect, place and stated numbers (of a harmonic its order)."""
+        return *self.key, *(self.variant.fixed.get(name, 0.0) for name in self.candidate.specification.fixed)
 
 
 @final
@@ -571,25 +571,30 @@ def columns_of(forms: Sequence[Form]) -> np.ndarray:
     return np.unique(np.concatenate(found)) if found else np.zeros(0, dtype=int)
 
 
-def pseudo_inverse(gram: np.ndarray) -> np.ndarray:
+def pseudo_inverse(gram: np.ndarray, least: float = LEAST_NONCENTRALITY) -> np.ndarray:
     """Return the pseudo-inverse of inner products over the identifiable directions."""
-    root = inverse_root(gram)
+    root = inverse_root(gram, least)
     return np.asarray(root @ root.T)
 
 
-def inverse_root(gram: np.ndarray) -> np.ndarray:
-    """Return a root R (n, n) with RRᵀ the pseudo-inverse of inner products (n, n) over the identifiable directions."""
+def inverse_root(gram: np.ndarray, least: float = LEAST_NONCENTRALITY) -> np.ndarray:
+    """Return a root R (n, n) with RRᵀ the pseudo-inverse of inner products (n, n) over the identifiable directions.
+
+    Args:
+        gram: inner products.
+        least: noncentrality at the largest plausible size below which a direction is not identifiable; rounding is excluded always.
+    """
     if len(gram) == 0:
         return gram
     # If the matrix less the limit has a Cholesky factor, all eigenvalues are above the limit.
     trace = float(np.trace(gram))
-    limit = max(LEAST_NONCENTRALITY, 1e-9 * trace)
+    limit = max(least, 1e-9 * trace)
     if scipy.linalg.lapack.dpotrf(gram - limit * np.eye(len(gram)), lower=1)[1] == 0:
         return _inverse_factor(gram).T
     # Usually a few eigenvalues are below it: their vectors alone take half the time of all.
     values, vectors = scipy.linalg.eigh(gram, subset_by_value=(-np.inf, limit), driver="evx", check_finite=False)
-    if np.any(values > LEAST_NONCENTRALITY):
-        limit = max(LEAST_NONCENTRALITY, 1e-9 * float(np.linalg.norm(gram, 2)))
+    if np.any(values > least):
+        limit = max(least, 1e-9 * float(np.linalg.norm(gram, 2)))
     hidden = vectors[:, values <= limit]
     root = _inverse_factor(gram + ((limit + trace / len(gram)) * hidden) @ hidden.T).T
     return root - hidden @ (hidden.T @ root)

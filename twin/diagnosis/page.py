@@ -104,4 +104,4 @@ def _listed_causes(keys: Sequence[tuple[str, str]]) -> Html:
 
 def _listed_parameters(cause: Cause) -> list[Quantity]:
     """Return the parameters of a cause without coefficients of curves, which mean nothing to a reader."""
-    return [quantity for quantity in cause.parameters if not text.coefficient(quantity.name)]
+    return [quantity for quantity in cause.parameters if not quantity.coefficient]

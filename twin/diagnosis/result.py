@@ -22,12 +22,19 @@ Verdict = Literal["consistent", "explained", "ambiguous", "unexplained"]
 @final
 @dataclass(frozen=True)
 class Quantity:
-    """An estimated parameter: value, unit and standard uncertainty."""
+    """A number of a cause: an estimated parameter, or one that its effect states.
+
+    Attributes:
+        name, value, unit: as in an entry of a calibration.
+        u: standard uncertainty; 0 if the number is stated.
+        coefficient: whether it is a coefficient of a curve, which means nothing by itself.
+    """
 
     name: str
     value: float
     unit: str
     u: float
+    coefficient: bool = False
 
 
 @final

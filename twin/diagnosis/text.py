@@ -216,11 +216,6 @@ def percent(share: float) -> str:
     return "less than 1 %" if share < 0.005 else f"{100.0 * share:.0f} %"
 
 
-def coefficient(name: str) -> bool:
-    """Return whether a parameter is a coefficient of a curve, which means nothing by itself."""
-    return name[:1] in ("c", "g") and name[1:].isdigit()
-
-
 def held_out_words(of: str) -> str:
     """Return in words what was held out: rounds, positions, poses, or blocks of time."""
     return "blocks of time" if of == "blocks" else of
@@ -616,7 +611,7 @@ def _numbers(cause: Cause) -> str:
     values = [
         f"{q.name.replace('_', ' ')} {measured(q.value, q.u, readable_unit(q.unit))}"
         for q in cause.parameters
-        if not coefficient(q.name)
+        if not q.coefficient
     ]
     curve = len(cause.parameters) - len(values)
     numbers = [f"{', '.join(values)} (95 %)"] if values else []

@@ -292,15 +292,16 @@ def _functions(effect: Effect, axis: str, positions: np.ndarray) -> np.ndarray:
 def _numbers(one: Effect, two: Effect, axis: str, covariances: tuple[Covariance, Covariance]) -> Pair:
     """Pair the numbers of a squareness, a location or an effect."""
     named = one.name.startswith("E_")
-    turns = [_positive_amplitude(effect) for effect in (one, two)]
+    forms = [effect.normal_form for effect in (one, two)]
     sides = [
-        _side(effect, np.diag(sign), covariance)
-        for effect, (sign, _), covariance in zip((one, two), turns, covariances, strict=True)
+        _side(effect, np.diag(signs), covariance)
+        for effect, (signs, _), covariance in zip((one, two), forms, covariances, strict=True)
     ]
-    change = (sides[1].transform @ sides[1].values + turns[1][1]) - (sides[0].transform @ sides[0].values + turns[0][1])
+    values = [side.transform @ side.values + shifts for side, (_, shifts) in zip(sides, forms, strict=True)]
+    change = values[1] - values[0]
     labels = tuple((number.name.rpartition(".")[2], number.unit) for number in one.parameters)
-    for i, (label, _) in enumerate(labels):
-        if label == "phase":
+    for i, (_, unit) in enumerate(labels):
+        if unit == "rad":  # a phase: small angles of the machine are in µrad
             change[i] = (change[i] + pi) % (2.0 * pi) - pi
     return Pair(
         name=one.name,
@@ -315,16 +316,6 @@ def _numbers(one: Effect, two: Effect, axis: str, covariances: tuple[Covariance,
         shape=read_only(np.eye(len(change))),
         labels=labels,
     )
-
-
-def _positive_amplitude(effect: Effect) -> tuple[np.ndarray, np.ndarray]:
-    """Return signs and shifts of the parameters that make the amplitude of a wave positive: −A sin φ = A sin(φ + π)."""
-    names = [number.name.rpartition(".")[2] for number in effect.parameters]
-    sign, shift = np.ones(len(names)), np.zeros(len(names))
-    if "phase" in names and "amplitude" in names and effect.parameters[names.index("amplitude")].value < 0.0:
-        sign[names.index("amplitude")] = -1.0
-        shift[names.index("phase")] = pi
-    return sign, shift
 
 
 def _side(effect: Effect, transform: np.ndarray, covariance: Covariance) -> Side:

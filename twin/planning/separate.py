@@ -47,6 +47,8 @@ WARM_K: Final = 5.0
 """Temperature rise of a sensor in its session, K."""
 SETUP_PRECISION: Final = 1e-4
 """Prior precision of the set-up, relative to that of its plausible size."""
+SIZE: Final = "size"
+"""Word for the size of any cause."""
 LATER_S: Final = 4.0 * 3600.0
 """Seconds after a cold start when most of a drift has passed."""
 
@@ -282,7 +284,7 @@ def _in_sessions(plain: Measurements, sessions: tuple[Session, ...]) -> Candidat
 def cause_form(one: NamedCause, machine: Machine, plan: Measurements, calibration: Calibration) -> CauseForm:
     """Return the form of a cause with the given non-linear parameters; the simplest form if none are given.
 
-    A drift is exponential if its ``amplitude`` or ``time_constant`` is given, else linear with a ``rate``.
+    A drift is exponential if a parameter of its entry is given (``amplitude``, ``time_constant``), else linear with a ``rate``.
 
     Raises:
         InputError: there is no such cause, or no plan can separate it.
@@ -304,17 +306,21 @@ def cause_form(one: NamedCause, machine: Machine, plan: Measurements, calibratio
             nearest=closest_name(one.text, texts),
         )
     names = {name for cell in found.variants for name in cell.fixed}
-    linear = {name for name, _ in found.names} | {"size", "amplitude", "phase", "cos", "sin"}
-    exponential = found.drift is not None and not one.numbers.keys().isdisjoint(("amplitude", "time_constant"))
-    if found.drift is not None and not exponential:
-        linear = {"rate", "amplitude", "size"}
-    strange = [name for name in one.numbers if name not in names | linear]
+    drift, specification = found.drift, found.specification
+    # The parameters of a drift's entry are those of an exponential.
+    exponential = drift is not None and not one.numbers.keys().isdisjoint(specification.parameters)
+    cells = [cell for cell in found.variants if drift is None or bool(cell.fixed) == exponential]
+    plainest = min(cells, key=lambda cell: len(cell.columns))
+    known = {SIZE, *(name for name, _ in found.names), *names, *specification.parameters, *_built(found, plainest)}
+    if drift is not None and not exponential:
+        known -= {*specification.parameters, *names}
+    strange = [name for name in one.numbers if name not in known]
     if strange:
         raise InputError(
             f"{one.text} has no such parameter",
-            expected=", ".join(sorted(names | linear)),
+            expected=", ".join(sorted(known)),
             value=strange[0],
-            nearest=closest_name(strange[0], names | linear),
+            nearest=closest_name(strange[0], known),
         )
 
     def off(cell: Variant) -> float:
@@ -323,14 +329,19 @@ def cause_form(one: NamedCause, machine: Machine, plan: Measurements, calibratio
         wanted = {name: value for name, value in one.numbers.items() if name in cell.fixed}
         return sum(abs(np.log(abs(cell.fixed[name]) / abs(value))) for name, value in wanted.items() if value)
 
-    cells = [cell for cell in found.variants if found.drift is None or bool(cell.fixed) == exponential]
-    plainest = min(len(cell.columns) for cell in cells)
-    return found, min(cells, key=lambda cell: (off(cell), len(cell.columns) - plainest))
+    return found, min(cells, key=lambda cell: (off(cell), len(cell.columns) - len(plainest.columns)))
+
+
+def _built(candidate: Candidate, cell: Variant) -> set[str]:
+    """Return the names of the numbers of the effect that a form of a candidate builds."""
+    effects = () if candidate.build is None else candidate.build(np.ones(len(cell.columns)), cell.fixed)
+    return {name for effect in effects for name in effect.numbers}
 
 
 def _given_size(one: NamedCause, cell: CauseForm) -> float:
     """Return the given size of a cause; NaN if none was given."""
-    linear = [value for name, value in one.numbers.items() if name not in cell[1].fixed and name != "phase"]
+    others = {*cell[1].fixed, *cell[0].specification.nonlinear}
+    linear = [value for name, value in one.numbers.items() if name not in others]
     return float(np.sqrt(np.sum(np.square(linear)))) if linear else float("nan")
 
 

@@ -17,7 +17,8 @@ from twin.display.numbers import COVERAGE_FACTOR
 from twin.machine.error_names import DIRECTIONS
 from twin.model.conditions import APPROACH
 from twin.model.display import combined_uncertainty
-from twin.model.effects import Effect, PitchError, split_name, unit_of
+from twin.model.effects import Effect, split_name, unit_of
+from twin.model.effects.entries import drawn_period
 from twin.model.iso16907 import error_motion_of, iso_class
 from twin.model.unknown_errors import unknown_effects
 from twin.reporting.identified import curve_ranges, is_motion, sum_of_effects
@@ -381,7 +382,7 @@ def _motion(kinematics: Kinematics, name: str) -> Motion | None:
 def _positions(kinematics: Kinematics, axis: str, effects: Sequence[Effect]) -> np.ndarray:
     """Return positions over the domain of the curves, dense enough for periodic errors."""
     low, high = curve_ranges(kinematics)[kinematics.machine.names.index(axis)]
-    periods = [abs(effect.period) for effect in effects if isinstance(effect, PitchError)]
+    periods = [period for effect in effects if (period := abs(drawn_period(effect)))]
     count = max([FINE, *(int((high - low) / period * A_PERIOD) + 1 for period in periods)])
     return np.linspace(low, high, min(count, MOST))
 

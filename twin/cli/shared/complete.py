@@ -36,16 +36,11 @@ LISTS: Final[Mapping[str, Sequence[str]]] = MappingProxyType(
         "measured_formats": tuple(families.MEASURED_FORMATS),
         "table_formats": tuple(families.TABLE_FORMATS),
         "kinematics_formats": tuple(families.KINEMATICS_FORMATS),
-        "product_formats": families.PRODUCT_FORMATS,
-        "other_tolerances": ("", *(f"{name} {1e-3 * um:g}" for name, um in families.TABLE_TOLERANCES_UM.items())),
-        "table_counts": tuple(
-            f"{name}: default {most}; {fewer}" for name, (most, fewer) in families.TABLE_COUNTS.items()
-        ),
         "control_formats": (*families.TABLE_FORMATS, *families.KINEMATICS_FORMATS),
-        "effects": tuple(name for name in families.EFFECTS if name not in families.ERROR_MOTIONS),
+        "effects": tuple(families.EFFECTS),
     }
 )
-"""Lists by their name: values of options, and facts about formats."""
+"""Lists by their name: values of options."""
 
 
 def one_of(which: str) -> dict[str, Any]:

@@ -39,6 +39,7 @@ class SpatialGrid(TableFormat[CorrectionGrid]):
     written = (FILE,)
     classes = ("L-POS", "L-STR", "L-SQU", "L-ANG")
     points = 101
+    tolerance_um = 5.0
     rounding = (0.5 * 10.0**-_DIGITS, 0.0)
 
     def write(self, correction: CorrectionGrid, notes: Sequence[str] = ()) -> dict[str, str]:

@@ -170,6 +170,9 @@ class Siemens(TableFormat[TableSum]):
     correction = TableSum
     classes = ("L-POS", "L-STR", "L-SQU", "L-ANG", "R-POS")
     points = 200
+    tables = 62  # not checked: two for each of 31 axes
+    fewer_tables = "828D: 8"
+    products = True
     """Points of a table of the 828D; on the 840D sl MD18342 sets the number."""
     rounding = (0.0005, 0.0088)
     directions = True

@@ -414,17 +414,22 @@ class Drift:
         columns: function from time constant (s; `STRAIGHT` for a straight line) to columns, one for each linear parameter.
         constants: time constants tried, s, ascending.
         straight: whether a straight line is the usual form: an exponential is reported only where it fits significantly better.
+        name: name of the time constant among the fixed parameters of a variant; a straight line has none.
     """
 
     columns: Callable[[float], tuple[Column, ...]]
     constants: tuple[float, ...]
     straight: bool
+    name: str
 
     @property
     def variants(self) -> tuple[Variant, ...]:
         """Variants: a straight line, then exponentials."""
-        bent = (Variant(self.columns(constant), {"time_constant": constant}) for constant in self.constants)
-        return (Variant(self.columns(STRAIGHT)), *bent)
+        return tuple(self.variant(constant) for constant in (STRAIGHT, *self.constants))
+
+    def variant(self, constant: float) -> Variant:
+        """Return the variant with a time constant, s; `STRAIGHT` for a straight line."""
+        return Variant(self.columns(constant), {} if constant == STRAIGHT else {self.name: constant})
 
 
 @final

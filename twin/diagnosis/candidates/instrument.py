@@ -298,7 +298,10 @@ def drift_of_station(time_s: np.ndarray, mask: np.ndarray) -> Drift:
     every = (STRAIGHT, *tried)
     known = dict(zip(every, columns_at(every), strict=True))
     return Drift(
-        lambda constant: known[constant] if constant in known else columns_at([constant])[0], tried, straight=True
+        lambda constant: known[constant] if constant in known else columns_at([constant])[0],
+        tried,
+        straight=True,
+        name=STATION_DRIFT.nonlinear[0],
     )
 
 

@@ -96,7 +96,7 @@ def _effect_candidate(
     else:
         forms = _single(specification, where, inputs)
     if forms.is_drift:
-        drift = _drift(forms, inputs)
+        drift = _drift(forms, specification.nonlinear[0], inputs)
         return Candidate(
             specification, where, forms.names, drift.variants, forms.tests or 1.0, forms.build, forms.units, drift=drift
         )
@@ -126,7 +126,7 @@ def variant_at(candidate: Candidate, fixed: Mapping[str, float], machine: Machin
         state: positions and channels of all readings.
     """
     if candidate.drift is not None:
-        return Variant(candidate.drift.columns(fixed.get("time_constant", STRAIGHT)), fixed)
+        return candidate.drift.variant(fixed.get(candidate.drift.name, STRAIGHT))
     if candidate.units is None:
         raise TypeError(f"{candidate.effect}: columns exist only at the values tried")
     return Variant(tuple(unit_columns(candidate.units(fixed), machine, state)), fixed)
@@ -148,23 +148,24 @@ def _columns(forms: Forms, inputs: CandidateInputs) -> list[tuple[Column, ...]]:
     ]
 
 
-def _drift(forms: Forms, inputs: CandidateInputs) -> Drift:
+def _drift(forms: Forms, name: str, inputs: CandidateInputs) -> Drift:
+    """Return the drift of some forms, with the name of its time constant."""
     made = forms.units
     if made is None:
         raise TypeError("a drift needs columns at any time constant")
 
     def columns_at(constants: Sequence[float]) -> list[Column]:
-        fixed = [{} if constant == STRAIGHT else {"time_constant": constant} for constant in constants]
+        fixed = [{} if constant == STRAIGHT else {name: constant} for constant in constants]
         return unit_columns([unit for values in fixed for unit in made(values)], inputs.machine, inputs.state)
 
-    tried = tuple(fixed["time_constant"] for fixed in forms.trials if fixed)
+    tried = tuple(fixed[name] for fixed in forms.trials if fixed)
     # The functions of all time constants tried are evaluated together.
     known = dict(zip(tried, columns_at(tried), strict=True))
 
     def columns(constant: float) -> tuple[Column, ...]:
         return (known[constant] if constant in known else columns_at([constant])[0],)
 
-    return Drift(columns, tried, straight=False)
+    return Drift(columns, tried, straight=False, name=name)
 
 
 MACHINE_EFFECTS_SOURCE: Final = CandidateSource(TRIED, machine_effects)

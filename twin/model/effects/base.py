@@ -93,6 +93,11 @@ class Effect(ABC):
         """Parameters by the names used in an entry of a calibration file."""
         return {parameter.name.rpartition(".")[2]: float(parameter.value) for parameter in self.parameters}
 
+    @property
+    def normal_form(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """Signs and shifts, sign · value + shift of each parameter, that give the same effect with the parameters usual for it."""
+        return (1.0,) * len(self.parameters), (0.0,) * len(self.parameters)
+
     def _number(self, name: str, unit: str, value: float) -> Parameter:
         return Parameter(f"{self.name}.{name}", unit, value)
 

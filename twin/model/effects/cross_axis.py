@@ -89,6 +89,8 @@ CROSS_AXIS: Final = Specification(
     ),
     evidence=lambda fit: f"{fit.where}: the error of one axis grows with the position of another",
     parameters=("coefficient",),
+    # 10 mrad per metre: a guideway that turns by more over the travel of another axis jams. For a translation, µm/m² is µrad/m.
+    limits={"um/m2": 10_000.0, "urad/m": 10_000.0},
     places=_places,
     open_places=True,
     expected=lambda machine: "an error motion and an axis, such as E_ZY by Z",

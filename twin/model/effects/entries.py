@@ -99,6 +99,12 @@ def payload_entries(effects: Sequence[Effect]) -> list[dict[str, Any]]:
     ]
 
 
+def drawn_period(effect: Effect) -> float:
+    """Return the period of an effect along the position of its axis, mm or degrees; 0 if it has none."""
+    name = effect.name.partition(":")[0]
+    return next((one.drawing.period(effect.numbers) for one in MACHINE_EFFECTS if one.name == name), 0.0)
+
+
 def entry_of(effect: Effect) -> dict[str, Any]:
     """Return the entry of an effect, as `effect_named` reads it."""
     name, _, where = effect.name.partition(":")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, Final, final
 
-from twin.machine.machine import Axis
+from twin.machine.machine import Axis, Machine
 from twin.model.effects.base import Effect, Frame, Parameter, direction_of, split_name, unit_of
 from twin.model.effects.specification import EXTENDED, Advice, Specification
 from twin.numerics.curves import Basis
@@ -58,12 +58,25 @@ class ErrorMotion(Effect):
         return q
 
 
+def _places(machine: Machine, name: str) -> tuple[str, ...]:
+    """Return the error motions of one of the kinds below."""
+    motions = [(motion, *split_name(motion)) for motion in machine.motion_names]
+    return tuple(
+        motion
+        for motion, component, _, axis in motions
+        if specification_of(machine.by_name[axis], component).name == name
+    )
+
+
 _REMEASURE: Final = Advice(
     "Check that the calibration still applies to this machine: its date, and what has been repaired, moved or levelled since. Then "
     "service: guideway and bearings of {axis}.",
     f"{EXTENDED}, or identify the errors again with this error motion included (twin identify).",
     "Do not correct it with a zero offset: the error changes along the travel, an offset does not.",
 )
+
+_LIMITS: Final = {"um": 20_000.0, "urad": 20_000.0}
+"""Largest error motions: those of a location. Beyond 20 mm or 20 mrad the machine description is wrong, not the machine."""
 
 POSITIONING: Final = Specification(
     name="positioning",
@@ -75,6 +88,8 @@ POSITIONING: Final = Specification(
         "Do not also enter it in the control's pitch-error table: it would be corrected twice.",
     ),
     evidence=lambda fit: f"{fit.where}: the positioning error of the axis differs from the model",
+    limits=_LIMITS,
+    places=lambda machine: _places(machine, "positioning"),
     curve=True,
 )
 
@@ -84,6 +99,8 @@ STRAIGHTNESS: Final = Specification(
     title=lambda where: f"straightness error of {split_name(where)[2]} in {direction_of(where)}",
     advice=_REMEASURE,
     evidence=lambda fit: f"{fit.where}: the straightness error of the axis differs from the model",
+    limits=_LIMITS,
+    places=lambda machine: _places(machine, "straightness"),
     curve=True,
 )
 
@@ -94,6 +111,8 @@ ANGULAR_ERROR_MOTION: Final = Specification(
     family="tilts of axes along their travel",
     advice=_REMEASURE,
     evidence=lambda fit: f"{fit.where}: the tilt of the axis along its travel differs from the model",
+    limits=_LIMITS,
+    places=lambda machine: _places(machine, "angular_error_motion"),
     curve=True,
 )
 
@@ -112,6 +131,8 @@ ROTARY_ERROR_MOTION: Final = Specification(
     family="error motions of rotary axes",
     advice=_REMEASURE,
     evidence=lambda fit: f"{fit.where}: the error motion of the axis differs from the model",
+    limits=_LIMITS,
+    places=lambda machine: _places(machine, "error_motion"),
     curve=True,
     rare=True,
     plain_forms=0,

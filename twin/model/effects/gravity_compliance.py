@@ -16,6 +16,9 @@ from twin.machine.chain import gravity_load
 from twin.machine.machine import Axis, Machine
 from twin.model.effects.base import (
     CENTRE_RANGE_MM,
+    FARTHEST_MM,
+    HEAVIEST_KG,
+    LARGEST_RATIO,
     LOAD,
     LOAD_NUMBERS,
     MASS,
@@ -337,6 +340,7 @@ PAYLOAD: Final = Specification(
     ),
     evidence=lambda fit: f"the {fit.where} side carries a mass that is missing from the URDF; joints deflect under it",
     parameters=NUMBERS,
+    limits={"kg": HEAVIEST_KG, "mm": FARTHEST_MM},
     non_negative=True,
     places=lambda machine: SIDES,
     expected=lambda machine: "tool or work",
@@ -356,6 +360,7 @@ CARRIED_LOAD: Final = Specification(
     evidence=lambda fit: f"joints deflect under the mass in the column {LOAD}, carried on the {fit.where} side",
     parameters=LOAD_NUMBERS,
     required=lambda names: LOAD_NUMBERS if LOAD_NUMBERS[0] in names else NUMBERS[1:],
+    limits={"1": LARGEST_RATIO, "mm": FARTHEST_MM},
     non_negative=True,
     places=lambda machine: SIDES,
     expected=lambda machine: "tool or work",

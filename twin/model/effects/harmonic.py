@@ -143,6 +143,9 @@ HARMONIC: Final = Specification(
     ),
     evidence=lambda fit: f"{fit.where}: the error repeats with the rotation of the axis",
     parameters=("order", "cos", "sin"),
+    fixed={"order": "1"},
+    # As for the location of the axis: an eccentric or inclined part is the largest harmonic, once per turn.
+    limits={"um": 20_000.0, "urad": 20_000.0},
     places=_places,
     expected=lambda machine: "an error motion of a rotary axis",
     make=_make,

@@ -21,7 +21,7 @@ from twin.model.effects.specification import (
     State,
     linear_axes,
 )
-from twin.numerics.functions import cached_in_state, cos, highest_frequency, sin, waves
+from twin.numerics.functions import SHORTEST_PERIOD, cached_in_state, cos, highest_frequency, sin, waves
 
 LONGEST_PERIOD: Final = 0.5
 """Longest period tried, as a fraction of the measured travel: fewer than two periods cannot be distinguished from a smooth curve."""
@@ -69,6 +69,11 @@ class PitchError(AlongAxis):
             along(self.axis, slope * (-2.0 * pi / self.period**2) * q),
             along(self.axis, slope),
         )
+
+    @property
+    def normal_form(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """See `Effect.normal_form`: −A sin φ = A sin(φ + π)."""
+        return ((-1.0, 1.0, 1.0), (0.0, 0.0, pi)) if self.amplitude < 0.0 else super().normal_form
 
     def _angle(self, positions: Mapping[str, Any]) -> Any:
         return (2.0 * pi / self.period) * positions[self.axis.name] + self.phase
@@ -142,12 +147,15 @@ PITCH_ERROR: Final = Specification(
     ),
     evidence=lambda fit: f"{fit.where} has a periodic positioning error along its travel",
     parameters=("amplitude", "period", "phase"),
-    limits={"um": 500.0},
+    # 10 m is half the travel of the longest gantry. A fit below half the shortest period sought has left the period that was found.
+    limits={"um": 500.0, "mm": 10_000.0, "rad": pi},
+    least={"mm": 0.5 * SHORTEST_PERIOD},
     places=linear_axes,
     make=lambda machine, where, numbers, payloads: PitchError(machine.by_name[where], *numbers.values()),
     forms=_forms,
     candidates=_candidates,
     nonlinear=("period", "phase"),
+    period="period",
     constrain=_constrain,
     curve=True,
     plain_forms=0,

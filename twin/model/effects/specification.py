@@ -163,7 +163,10 @@ class Specification:
         evidence: fitted values → what the effect does, a sentence without a full stop.
         parameters: their names in a calibration file.
         required: names of the parameters in an entry → the names that it must have; ``parameters`` if None.
-        limits: unit → largest magnitude of its linear parameters that is physically plausible.
+        fixed: name → unit of the numbers in an entry that are stated and not estimated; every fit reports them. Effects at one place
+            that differ in them are causes of their own, such as harmonics.
+        limits: unit → largest magnitude of a parameter that is physically plausible; a fit beyond it is not an answer.
+        least: unit → smallest magnitude that is plausible, of units whose parameters cannot be zero (periods, time constants).
         non_negative: whether its parameter cannot be negative.
         places: machine → places where it can act; a channel that is part of the place is left out.
         open_places: whether `places` is incomplete and `make` checks the place.
@@ -174,7 +177,8 @@ class Specification:
             None, the single form of `make` with its one parameter.
         candidates: machine and state → places that these data can show, and (place, what is missing) of the others; if None, `places`
             whose `channels` exist.
-        nonlinear: names of the non-linear parameters, which are tried at a set of values and then fitted.
+        nonlinear: names of the non-linear parameters, which are tried at a set of values and then fitted; of a drift the time constant.
+        period: the one of them that is a period along the axis of its place, mm: at the measured positions another may fit as well.
         constrain: effect, its parameters after a step of the fit, and the largest value tried → the effect with parameters within
             their limits.
         varies: whether two readings of one point can differ: with time, or from one alignment of the instrument to another.
@@ -196,7 +200,9 @@ class Specification:
     family: str = ""
     parameters: tuple[str, ...] = ()
     required: Callable[[Sequence[str]], tuple[str, ...]] | None = None
+    fixed: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
     limits: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
+    least: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
     non_negative: bool = False
     places: Callable[[Machine], tuple[str, ...]] = lambda machine: ()
     open_places: bool = False
@@ -206,6 +212,7 @@ class Specification:
     forms: Callable[[Machine, str, State, Sequence[Payload] | None], Forms] | None = None
     candidates: Callable[[Machine, State], tuple[list[str], list[tuple[str, str]]]] | None = None
     nonlinear: tuple[str, ...] = ()
+    period: str = ""
     constrain: Callable[[Any, Sequence[float], float], Effect] | None = None
     varies: Varies = "never"
     curve: bool = False
@@ -229,6 +236,10 @@ class Specification:
             units: units of the parameters; only effects with one unit have a limit.
         """
         return min((self.limits.get(unit, inf) for unit in units[:1]), default=inf)
+
+    def is_plausible(self, value: float, unit: str) -> bool:
+        """Return whether the magnitude of a parameter is within its limits; a unit without limits allows any."""
+        return self.least.get(unit, 0.0) <= abs(value) <= self.limits.get(unit, inf)
 
     def numbers_of(self, where: str, numbers: Mapping[str, float]) -> dict[str, float]:
         """Return the parameters of an entry in a file, in order.

@@ -12,7 +12,7 @@ from twin._common.records import SPEED, TIME
 from twin.machine.machine import Machine
 from twin.model.effects.base import HistoryShift, Parameter, Payload, ToolSide, channel, directions, tool_side
 from twin.model.effects.specification import EXTENDING, Advice, Drawing, Forms, Specification, State
-from twin.model.effects.thermal_drift import drift_time_constants, one_step
+from twin.model.effects.thermal_drift import LONGEST_S, SHORTEST_S, drift_time_constants, one_step
 from twin.numerics.functions import lagged
 
 EXPONENTS: Final = (1.0, 1.5, 2.0)
@@ -140,7 +140,9 @@ SPINDLE_GROWTH: Final = Specification(
         f"{fit.numbers['time_constant']:.3g} s"
     ),
     parameters=("amplitude", "exponent", "time_constant", "highest_rpm"),
-    limits={"um": 500.0},
+    fixed={"highest_rpm": "rpm"},
+    limits={"um": 500.0, "1": LARGEST_EXPONENT, "s": LONGEST_S},
+    least={"1": LEAST_EXPONENT, "s": SHORTEST_S},
     places=directions,
     expected=lambda machine: "X, Y or Z of the base frame",
     channels=lambda where: (SPEED, TIME),

@@ -158,6 +158,7 @@ TABLE_LOAD: Final = Specification(
     ),
     evidence=lambda fit: f"the cradle on {fit.where} sags by {fit.measure} when turned by 90°",
     parameters=("tilt",),
+    fixed={MOMENT: "N.m"},
     limits={"urad": 2000.0},
     places=rotary_axes,
     required=lambda names: ("tilt", MOMENT) if MOMENT in names else ("tilt",),

@@ -18,6 +18,12 @@ TIME_CONSTANTS: Final = 36
 """Number of time constants tried."""
 SHORTEST: Final = 1.0 / 40.0
 """Shortest time constant tried, as a fraction of the record."""
+LARGEST_DRIFT_UM: Final = 2000.0
+"""10 m of cast iron (12 µm/(m·K)) warmed by 17 K; most machine tools drift by less than a tenth of this."""
+SHORTEST_S: Final = 1.0
+"""Shortest plausible time constant: no part of a machine warms up in less than a second."""
+LONGEST_S: Final = 1e6
+"""Longest plausible time constant, 12 days: castings take hours, a foundation or a hall days."""
 STEP_FACTORS: Final = (0.3, 3.0)
 """Smallest and largest factor by which one step of a fit may change a time constant."""
 
@@ -153,6 +159,8 @@ THERMAL_DRIFT: Final = Specification(
     required=lambda names: (
         STEADY_PARAMETERS if set(names) == set(STEADY_PARAMETERS) else ("amplitude", "time_constant")
     ),
+    limits={"um": LARGEST_DRIFT_UM, "um/h": LARGEST_DRIFT_UM, "s": LONGEST_S},
+    least={"s": SHORTEST_S},
     places=directions,
     expected=lambda machine: "X, Y or Z of the base frame",
     channels=lambda where: ("time_s",),

@@ -131,7 +131,7 @@ SCALE_GROWTH: Final = Specification(
     ),
     evidence=_evidence,
     parameters=("coefficient", "offset"),
-    limits={"um/(m.K)": 100.0},
+    limits={"um/(m.K)": 100.0, "um/K": 500.0},
     places=linear_axes,
     channels=lambda where: (f"T_{where}_degC",),
     make=lambda machine, where, numbers, payloads: ScaleGrowth(machine.by_name[where], *numbers.values()),

@@ -28,7 +28,7 @@ from twin.model.effects.specification import (
     State,
     single_parameter_form,
 )
-from twin.model.effects.thermal_drift import drift_time_constants, one_step
+from twin.model.effects.thermal_drift import LONGEST_S, SHORTEST_S, drift_time_constants, one_step
 from twin.model.effects.thermal_expansion import REFERENCE_DEGC
 from twin.numerics.functions import lagged
 
@@ -217,7 +217,8 @@ THERMAL_LAG: Final = Specification(
         f"{fit.numbers['time_constant']:.3g} s"
     ),
     parameters=("coefficient", "time_constant"),
-    limits={"um/K": 500.0},
+    limits={"um/K": 500.0, "s": LONGEST_S},
+    least={"s": SHORTEST_S},
     places=lambda machine: tuple(f"{way} by" for way in directions(machine)),
     open_places=True,
     channels=lambda where: (f"T_{where.partition(' by ')[2]}_degC", TIME),
