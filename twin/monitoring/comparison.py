@@ -258,6 +258,12 @@ class Changes(DisplayedResult):
         whole = self.tool.everything_aligned
         return f"{whole.rms_um:.3g} µm RMS, {whole.max_um:.3g} µm largest"
 
+    def to_text(self) -> str:
+        """Return the text report."""
+        from twin.monitoring.comparison_words import comparison_text  # imports this module
+
+        return comparison_text(self)
+
     def display(self) -> Display:
         """Return the meaning and the errors, the significant ones first."""
         other = [error for error in self.errors if error.status != "same"]

@@ -328,6 +328,12 @@ class Watch(DisplayedResult):
         alarms = count_with_noun(len(self.alarms), "alarm")
         return f"watch of {self.machine}: {self.verdict}, {alarms} in {count_with_noun(len(self.checks), 'check')} of {self.folder}"
 
+    def to_text(self) -> str:
+        """Return the text report."""
+        from twin.monitoring.watch_page import watch_text  # imports this module
+
+        return watch_text(self)
+
     def display(self) -> Display:
         """Return verdict and all errors."""
         rows = [
