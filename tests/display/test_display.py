@@ -8,7 +8,7 @@ import re
 import subprocess
 import sys
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import fields, replace
 from datetime import UTC, datetime
 from html.parser import HTMLParser
 from pathlib import Path
@@ -51,7 +51,7 @@ from twin.samples import thesis_plan
 from twin.tool.forward import Kinematics
 from twin.tool.inverse import Inverse
 from twin.tool.population import draw_machines
-from twin.tool.uncertainty import ToolUncertainty
+from twin.tool.uncertainty import ToolUncertainty, UncertaintyMap
 
 DRAWN_FILE = Path(__file__).resolve().parents[2] / "urdf" / "dmu50.calibration.yaml"
 LASER = next(iter(CASES.values()))
@@ -422,6 +422,23 @@ def test_every_result_is_one_short_line(name: str, results: Mapping[str, Any]) -
         assert 20 < len(text) < 300 and "\n" not in text and "array(" not in text, text
     assert type(one).__str__ is Result.__str__ and type(one).__repr__ is Result.__repr__
     assert getattr(type(one), "_repr_html_", None) is (DisplayedResult._repr_html_ if name in DISPLAYED else None)
+
+
+def test_empty_and_unknown_results_have_a_line(dmu50: Machine, drawn: Calibration, executed: Execution) -> None:
+    real, none = Kinematics(dmu50, drawn), np.zeros((0, 5))
+    tool, poses = ToolUncertainty(real), real.forward(none)
+    empty = UncertaintyMap(dmu50.names, none, tool.at(none))
+    nothing = {
+        one.name: getattr(executed, one.name)[:0] for one in fields(executed) if one.name not in ("left_out", "unknown")
+    }
+    lines = [str(one) for one in (poses, Inverse(real).solve(poses, none), empty, replace(executed, **nothing))]
+    assert lines == [
+        "no poses",
+        "commands for 0 poses",
+        "U of the tool point at 0 poses",
+        "no point within the axis ranges",
+    ]
+    assert str(tool.over_volume(50)) == "U of the tool point at 50 poses: unknown"
 
 
 def test_a_long_line_is_cut(found: Identification, readings: Measurements) -> None:

@@ -551,10 +551,11 @@ class Solution(Result):
     def brief(self) -> str:
         """Number of poses by status, and the largest residual."""
         counts = {status: int(self.where(status).sum()) for status in Status}
-        parts = [f"{status.value} {count:,}" for status, count in counts.items() if count]
+        parts = [f"commands for {count_with_noun(len(self.code), 'pose')}"]
+        parts += [f"{status.value} {count:,}" for status, count in counts.items() if count]
         if len(self.code):
             parts.append(f"largest residual {self.point_residual_mm.max() * 1e3:.1e} µm")
-        return f"commands for {count_with_noun(len(self.code), 'pose')}: {', '.join(parts)}"
+        return ", ".join(parts)
 
 
 @final
