@@ -206,7 +206,6 @@ def _columns(path: Path) -> None:
 def _shown(found: ImportedTable) -> None:
     found.to_text()
     found.mapping.to_yaml(found.remarks, found.to_confirm)
-    found._repr_html_()
     json.dumps(found.to_dict(), allow_nan=False)
 
 

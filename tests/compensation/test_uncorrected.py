@@ -392,7 +392,7 @@ def test_nothing_corrected_in_html(dmu50: Machine) -> None:
     text = "G90\nG0 X100 Y100 Z-100\nG1 X120 F500\n"
     program = Iso().read(text.encode(), "p.nc")
     result = Compensator(dmu50, Calibration.zero(dmu50), Options(setup=Setup())).compensate(program, Iso())
-    assert "NOTHING CORRECTED" in result._repr_html_()
+    assert "NOTHING CORRECTED" in result.display().html().text and "NOTHING CORRECTED" in str(result)
 
 
 @pytest.mark.slow

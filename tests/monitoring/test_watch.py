@@ -18,7 +18,6 @@ from tests.truth.machine import TruthMachine
 from twin import cli
 from twin.machine.machine import Machine
 from twin.model.calibration import Calibration
-from twin.monitoring import watch_text
 from twin.monitoring.watch_page import news_text
 from twin.monitoring.watched import date_text
 
@@ -69,14 +68,14 @@ def test_the_error_that_changed_is_found_with_date_and_size(watched: twin.monito
     assert one.change.earliest_day <= true[0] and true[1] <= one.change.latest_day
     assert one.change.latest_day - one.change.earliest_day < 21.0
     assert abs(one.change.size - STEP_URAD) <= one.change.expanded < 4.0
-    assert "E_C0Y (squareness of Y about z) changed by" in watch_text(watched)
+    assert "E_C0Y (squareness of Y about z) changed by" in watched.to_text()
 
 
 def test_what_follows_a_temperature_is_no_change(watched: twin.monitoring.Watch) -> None:
     (one,) = watched.following
     assert one.series.name == "E_X0C" and one.temperatures[0].sensor == "bed"
     assert abs(one.temperatures[0].per_kelvin - PER_KELVIN_UM) <= one.temperatures[0].expanded
-    assert "follows T_bed" in watch_text(watched)
+    assert "follows T_bed" in watched.to_text()
 
 
 def test_what_the_checks_do_not_show_is_named(watched: twin.monitoring.Watch) -> None:
@@ -106,7 +105,7 @@ def test_calibration_for_a_tolerance(
     assert left.rms_um == pytest.approx(float(np.sqrt(np.mean(aligned**2) * 3)), rel=0.15)
     assert left.max_um < left.surely_um < 40.0
     tight = twin.watch(made, dmu50, calibration, settings=twin.WatchSettings(tolerance_mm=0.02))
-    assert tight.good is None and "cannot be decided" in watch_text(tight)
+    assert tight.good is None and "cannot be decided" in tight.to_text()
 
 
 def test_a_calibration_far_off_is_no_longer_good(made: Path, dmu50: Machine, tmp_path: Path) -> None:
@@ -121,7 +120,7 @@ def test_a_calibration_far_off_is_no_longer_good(made: Path, dmu50: Machine, tmp
     found = twin.watch(folder, dmu50, Calibration.load(tmp_path / "off.yaml", dmu50), settings=SETTINGS)
     assert found.verdict == "steady" and found.good is False and not found.met
     assert found.named("E_B0Z").level == pytest.approx(-300.0, abs=30.0)
-    assert "no longer good" in watch_text(found)
+    assert "no longer good" in found.to_text()
 
 
 def test_the_same_folder_again_is_no_look(
@@ -132,7 +131,7 @@ def test_the_same_folder_again_is_no_look(
     again = twin.watch(copy, dmu50, calibration, settings=SETTINGS)
     assert memory.read_bytes() == before, "nothing was written"
     assert again.spent == watched.spent and again.statements == watched.statements
-    assert watch_text(again).replace(str(copy), "") == watch_text(watched).replace(str(watched.folder), "")
+    assert again.to_text().replace(str(copy), "") == watched.to_text().replace(str(watched.folder), "")
     assert "nothing new" in news_text(again) and "18 new files" in news_text(watched)
 
 
@@ -177,7 +176,7 @@ def test_an_sqlite_that_does_not_serialize_writes_the_same_memory(
         with sqlite3.connect(memory) as opened:
             found.append(list(opened.iterdump()))
             assert opened.execute("PRAGMA integrity_check").fetchone() == ("ok",)
-    assert found[1] == found[3] and watch_text(found[0]) == watch_text(found[2]) and len(found[2].checks) == 19
+    assert found[1] == found[3] and found[0].to_text() == found[2].to_text() and len(found[2].checks) == 19
     assert sorted(path.name for path in copy.parent.iterdir()) == sorted([copy.name, memory.name]), (
         "no temporary file is left"
     )

@@ -142,7 +142,6 @@ def test_a_calibration_file_keeps_every_digit(basis: Basis, count: int, dmu50: M
     assert read.family == basis
     assert loaded.to_yaml() == path.read_text()
     assert ("knots" in path.read_text()) is basis.takes_knots
-    assert "E_XC" in read._repr_html_()
 
 
 @pytest.mark.parametrize(("basis", "other"), list(product(MEMBERS, MEMBERS)), ids=lambda basis: basis.name)

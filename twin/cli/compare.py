@@ -52,7 +52,6 @@ def compare(
     """
     from twin.model.calibration import Calibration
     from twin.monitoring import compare as compared
-    from twin.monitoring import comparison_text
 
     loaded = options.machine(machine)
     older, newer = (Calibration.load(path, loaded) for path in (first, second))
@@ -65,6 +64,4 @@ def compare(
             tolerance_mm=tolerance,
             progress=bar,
         )
-    return CommandResult(
-        comparison_text(found), found.to_dict, met=not found.unjudged and found.good_enough is not False
-    )
+    return CommandResult(found.to_text(), found.to_dict, met=not found.unjudged and found.good_enough is not False)

@@ -199,7 +199,7 @@ def _summary(
     outcomes_done = [found[program] for program in programs if program in found]
     wide = max((len(str(program)) for program in programs), default=0)
     count = Counter(outcome.verdict for outcome in outcomes_done)
-    lines = [*warnings, *(f"{outcome.program!s:<{wide}}  {outcome.line}" for outcome in outcomes_done)]
+    lines = [*warnings, *(f"{outcome.program!s:<{wide}}  {outcome.brief}" for outcome in outcomes_done)]
     lines.append(
         f"\n{count_with_noun(len(programs), 'program')}: {count['done']} done, {count['not met']} done in part, "
         f"{count['failed']} failed" + (f", {len(programs) - len(outcomes_done)} not finished" if interrupted else "")

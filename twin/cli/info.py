@@ -90,7 +90,7 @@ def info(
     if urdf is not None:
         calibrated = calibrated_urdf(errors)
         calibrated.save(urdf)
-        after.append(calibrated.summary)
+        after.append(calibrated.brief)
     found = _Info(given, errors, kinematics, missing, rows, classes, over, list(uncertainty.without_uncertainty))
     return CommandResult("", found.to_dict, show=found.show, after=after)
 

@@ -60,7 +60,7 @@ def watch(
     from twin.monitoring import WatchSettings
     from twin.monitoring import watch as run_watch
     from twin.monitoring.check import parsed_date
-    from twin.monitoring.watch_page import news_text, watch_text
+    from twin.monitoring.watch_page import news_text
 
     if html_file is not None:
         options.need_pictures("the HTML page")
@@ -79,7 +79,7 @@ def watch(
         from twin.monitoring.watch_page import watch_html  # imports matplotlib, which is slow and needed only here
 
         write_atomic(html_file, watch_html(found))
-    return CommandResult(watch_text(found) + news_text(found), found.to_dict, met=found.met)
+    return CommandResult(found.to_text() + news_text(found), found.to_dict, met=found.met)
 
 
 def dates(entries: Sequence[str]) -> dict[str, datetime]:

@@ -30,8 +30,9 @@ from twin.diagnosis.problem import Problem, in_um, rewhitened, rms, unwhiten
 from twin.diagnosis.readings import ReadingNoise
 from twin.diagnosis.result import DiagnosisResult, Trend, Unexplained, Verdict
 from twin.diagnosis.structure import Findings
-from twin.diagnosis.text import diagnosis_brief, diagnosis_text
+from twin.diagnosis.text import diagnosis_display, diagnosis_text, symbol
 from twin.display.numbers import listed
+from twin.display.results import Display, DisplayedResult
 from twin.identification.network import Network
 from twin.identification.result import FEWEST_DOF
 from twin.identification.solve import setup_unknowns
@@ -46,16 +47,26 @@ from twin.numerics.observability import Unknown, determinability
 
 
 @final
-@dataclass(frozen=True)
-class Diagnosis(DiagnosisResult):
+@dataclass(frozen=True, repr=False)
+class Diagnosis(DisplayedResult, DiagnosisResult):
     """The errors that measured data show beyond the model, and their causes; see `DiagnosisResult` for the numbers."""
 
     def to_text(self) -> str:
         """Return the diagnosis in words, in lines of at most 100 characters."""
         return diagnosis_text(self)
 
-    def _repr_html_(self) -> str:
-        return diagnosis_brief(self)
+    @property
+    def brief(self) -> str:
+        """Verdict, residuals and causes."""
+        residuals = (
+            f"RMS residual {self.rms_um:.3g} µm per coordinate, {self.expected_rms_um:.3g} µm expected from noise"
+        )
+        causes = listed([symbol(one.effect, one.where) for one in self.causes])
+        return f"{self.verdict}: {residuals}{f'; {causes}' if causes else ''}"
+
+    def display(self) -> Display:
+        """Return verdict, causes and advice."""
+        return diagnosis_display(self)
 
 
 # --- The limits of the extended calibration, as it states them: errors that remain unknown, residuals, instruments and set-up

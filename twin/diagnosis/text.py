@@ -5,7 +5,6 @@ The report, the text and the notebook all take their words from here. The symbol
 
 from __future__ import annotations
 
-import html
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -18,7 +17,9 @@ import numpy as np
 from twin._common.provenance import warning_texts
 from twin.diagnosis.candidates.catalogue import SPECIFICATIONS
 from twin.diagnosis.result import Cause, DiagnosisResult, Extension, readable_unit
+from twin.display import note, table
 from twin.display.numbers import COVERAGE_FACTOR, capital, figure, listed, lower, p_value_text, with_joined_units
+from twin.display.results import Display
 from twin.measurement.checks import assumptions, grouped_notes
 from twin.model.effects.base import axis_of
 from twin.model.effects.specification import Advice, Kind, title_of
@@ -556,33 +557,25 @@ def diagnosis_text(diagnosis: DiagnosisResult) -> str:
     return "\n".join(lines) + "\n"
 
 
-def diagnosis_brief(diagnosis: DiagnosisResult) -> str:
-    """Return the verdict and a table of the causes, as HTML for a notebook.
+def diagnosis_display(diagnosis: DiagnosisResult) -> Display:
+    """Return the verdict, a table of the causes and the advice, for a notebook.
 
     Args:
         diagnosis: the result of `twin.diagnosis.diagnose`.
     """
     title, mood = headline(diagnosis)
-    edge = {"well": "#009e73", "wrong": "#e69f00", "unknown": "#d55e00", "disturbed": "#0072b2"}[mood]
-    rows = [("cause", "size", "share of the excess", "alternatives")] if diagnosis.causes else []
-    rows += [
+    rows = [
         (
-            f"<b>{_e(cause_title(one.effect, one.where))}</b> <small>{_e(symbol(one.effect, one.where))}</small>",
-            _e(_numbers(one)),
+            f"{cause_title(one.effect, one.where)} ({symbol(one.effect, one.where)})",
+            _numbers(one),
             percent(one.share),
-            _e(listed([cause_title(*key) for key in one.equivalent], most=3)) or "none",
+            listed([cause_title(*key) for key in one.equivalent], most=3) or "none",
         )
         for one in diagnosis.causes
     ]
-    left = "text-align:left"
-    body = "".join("<tr>" + "".join(f"<td style='{left}'>{cell}</td>" for cell in row) + "</tr>" for row in rows)
-    table = f"<table>{body}</table>" if rows else ""
-    advice = "".join(f"<div><b>{_e(name)}:</b> {_e(text)}</div>" for name, text in facts(diagnosis))
-    warnings = "".join(f"<div><b>{_e(one.title)}</b>: {_e(one.sentence)}</div>" for one in diagnosis.warnings)
-    return (
-        f"<div style='border-left:.4em solid {edge};padding:.2em 1em'><p><b>{_e(title)}</b> <small>{diagnosis.verdict}</small></p>"
-        f"{warnings}{table}{advice}</div>"
-    )
+    warnings = [note(text, loud=True) for text in warning_texts(diagnosis.warnings)]
+    causes = table(("cause", "size", "share of the excess", "alternatives"), rows)
+    return Display(title, facts(diagnosis), above=(*warnings, causes), small=diagnosis.verdict, wrong=mood != "well")
 
 
 def _cause(cause: Cause) -> list[str]:
@@ -645,7 +638,3 @@ def _wrapped(text: str, *, start: int = 0, hang: int = 0) -> list[str]:
     indents = {"initial_indent": " " * start, "subsequent_indent": " " * hang}
     lines = wrap(with_joined_units(text, HARD), WIDTH, **indents, break_long_words=False, break_on_hyphens=False)  # type: ignore[arg-type]
     return [line.replace(HARD, " ") for line in lines]
-
-
-def _e(text: str) -> str:
-    return html.escape(text)

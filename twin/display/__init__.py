@@ -1,15 +1,14 @@
-"""Display of results in notebooks and pages: tables, numbers with their uncertainty, small pictures, as self-contained HTML and SVG.
+"""Display of results in notebooks and pages: tables and numbers with their uncertainty, as self-contained HTML.
 
-All `_repr_html_` methods use these functions. `render` fills in page templates; `twin.display.figures` (extra ``plots``) holds the
-common style of matplotlib pictures. Displays use the surrounding text colour (``currentColor``), light or dark, and two accent colours
-that are legible on both. Text is escaped unless it is `Html`. This package is independent of the objects that it displays.
+`twin.display.results` shows every result with them; `render` fills in page templates; `twin.display.figures` (extra ``plots``) holds
+the common style of matplotlib pictures. Displays use the surrounding text colour (``currentColor``), light or dark, and two accent
+colours that are legible on both. Text is escaped unless it is `Html`. This package is independent of the objects that it displays.
 """
 
 from twin.display.markup import (
     Cell,
     Html,
     bar,
-    card,
     chain,
     chips,
     first_rows,
@@ -36,14 +35,12 @@ from twin.display.numbers import (
     span,
     with_half,
 )
-from twin.display.pictures import graph, histogram, strip
 
 __all__ = [
     "UNKNOWN",
     "Cell",
     "Html",
     "bar",
-    "card",
     "chain",
     "chips",
     "compact",
@@ -52,8 +49,6 @@ __all__ = [
     "finite_or_none",
     "first_rows",
     "fixed",
-    "graph",
-    "histogram",
     "in_iframe",
     "joined",
     "measured",
@@ -66,7 +61,6 @@ __all__ = [
     "rounded",
     "span",
     "spans",
-    "strip",
     "table",
     "with_half",
 ]

@@ -112,19 +112,6 @@ def joined(*parts: Cell) -> Html:
     return part("joined", parts)
 
 
-def card(title: str, *parts: Cell, small: str = "", illustrative: bool = False, wrong: bool = False) -> Html:
-    """Return a display with title and parts.
-
-    Args:
-        title: title of the display.
-        parts: content below the title, `Html` or plain text.
-        small: small text next to the title.
-        illustrative: whether some numbers are assumed, not measured; adds a warning under the title.
-        wrong: whether a requirement was not met; sets the warning colour.
-    """
-    return part("card", title, parts, small, illustrative, WARNING if wrong or illustrative else ACCENT)
-
-
 def table(
     headers: Sequence[str], rows: Iterable[Sequence[Cell]], *, right: Iterable[int] = (), title: str = ""
 ) -> Html:

@@ -110,18 +110,6 @@ def readable(unit: str) -> str:
     return "°" if plain == "deg" else plain
 
 
-def ticks(low: float, high: float, most: int = 5) -> Sequence[float]:
-    """Return between two and ``most`` tick positions between two ends, in steps of 1, 2 or 5 · 10ⁿ."""
-    span = high - low
-    for power in range(floor(log10(span)) - 2, floor(log10(span)) + 2):
-        for digit in (1, 2, 5):
-            step = digit * 10.0**power
-            first, last = -floor(-low / step + 1e-9), floor(high / step + 1e-9)
-            if last - first + 1 <= most:
-                return [k * step for k in range(first, last + 1)]
-    return [low, high]
-
-
 def ceiling(value: float) -> float:
     """Return the next round number at or above a value, less than a third larger; 1 for zero or no number."""
     if not isfinite(value) or value <= 0.0:

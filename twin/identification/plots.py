@@ -22,7 +22,7 @@ from twin._common.distributions import chi2_isf
 from twin._common.errors import InputError
 from twin._common.provenance import warning_texts
 from twin._common.units import DEG, TURN, count_with_noun
-from twin.display import Html, readable, render
+from twin.display import readable, render
 from twin.display.figures import (
     BACKWARD,
     BOTH,
@@ -499,7 +499,7 @@ def identification_html(found: Identification) -> str:
         source=", ".join(Path(name).name for name in found.data.source.split(", ")),
         points=count_with_noun(int(found.used.sum()), "point"),
         badges=warning_texts(calibration.warnings),
-        card=Html(found._repr_html_()),
+        card=found.display().html(),
         residuals=embedded(plot_residuals(found), "Residuals over the readings and over each axis", kind="big"),
         axes=axes,
         motions=lambda axis: embedded(

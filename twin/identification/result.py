@@ -14,8 +14,9 @@ from twin._common.arrays import read_only
 from twin._common.provenance import warning_texts, warnings_to_json
 from twin._common.records import json_form
 from twin._common.units import MM, URAD, count_with_noun
-from twin.display import card, note, pairs, table
+from twin.display import Cell, note, table
 from twin.display.numbers import COVERAGE_FACTOR
+from twin.display.results import Display, DisplayedResult
 from twin.identification.discrepancy import Discrepancy
 from twin.identification.inputs import NoiseOfReadings
 from twin.identification.network import Network, SetUp
@@ -133,8 +134,8 @@ THESIS_FUNCTIONS = 9
 
 
 @final
-@dataclass(frozen=True)
-class Identification:
+@dataclass(frozen=True, repr=False)
+class Identification(DisplayedResult):
     """An estimate of a machine's errors from measured points.
 
     Attributes:
@@ -346,10 +347,17 @@ class Identification:
             "discrepancy": self.discrepancy.to_dict(),
         }
 
-    def _repr_html_(self) -> str:
+    @property
+    def brief(self) -> str:
+        """Numbers of points and errors, residuals and verdict."""
+        points = f"{count_with_noun(int(self.used.sum()), 'point')}, {count_with_noun(len(self.unidentified), 'error')} not identified"
+        return f"{self.calibration.machine.name}: {points}; {self.rms_um:.3g} µm RMS per coordinate; {self.verdict}"
+
+    def display(self) -> Display:
+        """Return verdict, residuals, all errors, and those that are not identifiable."""
         fit, tilt = self.misfit, TableTilt.of(self.calibration)
         residuals = f"{self._rms_text()}; {_fit_text(fit)}"
-        rows = [
+        rows: list[tuple[str, Cell]] = [
             ("data", self.data.source),
             ("points", f"{int(self.used.sum()):,} used, {len(self.set_aside):,} set aside"),
             ("residuals", residuals),
@@ -371,8 +379,8 @@ class Identification:
         unseen = table(("not identifiable", "why"), hidden)
         doubted = not self.complete or self.verdict != CONSISTENT
         title = f"Identification of {self.calibration.machine.name}"
-        parts = (note(self.verdict, loud=doubted), pairs(rows), errors, unseen, *notes)
-        return card(title, *parts, wrong=doubted).text
+        above, below = (note(self.verdict, loud=doubted),), (errors, unseen, *notes)
+        return Display(title, rows, above=above, below=below, wrong=doubted)
 
     def to_text(self) -> str:
         """Return the report as text."""

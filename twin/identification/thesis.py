@@ -43,6 +43,7 @@ from numpy.polynomial import Polynomial, polynomial
 from twin._common.arrays import read_only
 from twin._common.errors import InputError
 from twin._common.units import DEG, MM, UM, URAD
+from twin.display.results import Result
 from twin.machine.error_names import DIRECTIONS
 from twin.machine.machine import Machine
 from twin.measurement.columns import CARRIERS
@@ -147,8 +148,8 @@ class PointwiseMotion:
 
 
 @final
-@dataclass(frozen=True)
-class ThesisIdentification:
+@dataclass(frozen=True, repr=False)
+class ThesisIdentification(Result):
     """Result of the thesis's method.
 
     Attributes:
@@ -158,6 +159,12 @@ class ThesisIdentification:
 
     calibration: Calibration
     motions: Mapping[str, PointwiseMotion]
+
+    @property
+    def brief(self) -> str:
+        """Numbers of curves and points."""
+        points = sum(len(one.mean) for one in self.motions.values())
+        return f"{self.calibration.machine.name}, by the thesis's method: {len(self.motions)} error motions, {points:,} values"
 
 
 @final

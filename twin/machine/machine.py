@@ -26,7 +26,8 @@ from twin._common.bundled import DEFAULT, bundled_folder, find_bundled, is_file
 from twin._common.errors import InputError
 from twin._common.units import DEG, MM
 from twin._common.yaml_files import EntryPath, line_of, load_yaml
-from twin.display import Cell, card, chain, pairs, span, table
+from twin.display import Cell, chain, span, table
+from twin.display.results import Display, DisplayedResult
 from twin.machine.error_names import NamedAxis, Vector, component_names, location_names, squareness_names
 from twin.machine.machine_file import (
     SCHEMA,
@@ -93,9 +94,6 @@ class Axis:
         least = f"{self.increment:g} mm" if self.linear else f"{self.increment:g}°"
         return self.name, "linear" if self.linear else "rotary", reach, least, self.side, self.joint
 
-    def _repr_html_(self) -> str:
-        return card(f"Axis {self.name}", table(AXIS_HEADERS, [self.cells()])).text
-
 
 @final
 @dataclass(frozen=True)
@@ -114,7 +112,7 @@ class ErrorFrame:
 
 
 @final
-class Machine:
+class Machine(DisplayedResult):
     """A machine as loaded from its files; immutable, so that it can be shared.
 
     Attributes:
@@ -291,7 +289,13 @@ class Machine:
                 configuration[start + 3 : start + 7] = pin.Quaternion(pin.exp3(error[3:])).coeffs()
         return configuration
 
-    def _repr_html_(self) -> str:
+    @property
+    def brief(self) -> str:
+        """Name, axes and tool length."""
+        return f"{self.name}: axes {' '.join(self.names)}, tool length {self.tool_length_mm:g} mm"
+
+    def display(self) -> Display:
+        """Return kinematic chain, axes and files."""
         ordered = [axis for _, axis in sorted(zip(self._axis_joints, self.axes, strict=True), key=lambda pair: pair[0])]
         tool = [(axis.name, "axis") for axis in ordered if axis.side == "tool"]
         work = [(axis.name, "axis") for axis in reversed(ordered) if axis.side == "work"]
@@ -303,7 +307,7 @@ class Machine:
         rows = [("machine file", str(self.path)), ("URDF", str(self.urdf)), ("error parameters", numbers)]
         rows.append(("tool length", f"{self.tool_length_mm:g} mm, unless another is given"))
         axes = table(AXIS_HEADERS, [axis.cells() for axis in self.axes])
-        return card(self.name, links, axes, pairs(rows), small=f"{len(self.axes)} axes, in command order").text
+        return Display(self.name, rows, above=(links, axes), small=f"{len(self.axes)} axes, in command order")
 
     def _axis(self, entry: AxisEntry, source: pin.Model, orientation: np.ndarray) -> Axis:
         joint = source.joints[source.getJointId(entry.joint)]

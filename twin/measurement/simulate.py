@@ -12,6 +12,7 @@ import numpy as np
 from twin._common.arrays import read_only
 from twin._common.errors import InputError
 from twin._common.units import DEG, MM, UM
+from twin.display.results import Result
 from twin.machine.machine import Machine
 from twin.measurement.checks import outside_axis_range
 from twin.measurement.instruments import SIDES, STANDARD_AIR, Air, Instrument, instrument_named, length_scale
@@ -54,8 +55,8 @@ class Station:
 
 
 @final
-@dataclass(frozen=True)
-class Placement:
+@dataclass(frozen=True, repr=False)
+class Placement(Result):
     """Stations and places of the reflectors: known in a simulation, to be identified in an evaluation.
 
     Attributes:
@@ -97,6 +98,11 @@ class Placement:
             places[target] = (float(radius * np.cos(azimuth)), float(radius * np.sin(azimuth)), height)
             counts[side] += 1
         return cls(stations, places)
+
+    @property
+    def brief(self) -> str:
+        """Names of stations and targets."""
+        return f"stations {', '.join(self.stations)}; targets {', '.join(self.places_mm)}"
 
     def describe(self) -> str:
         """Return the comment lines of a simulated file that state the stations and places."""

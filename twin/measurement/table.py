@@ -20,7 +20,8 @@ from twin._common.csv_tables import Cells, read_table, unused_column_note
 from twin._common.errors import InputError, closest_name
 from twin._common.files import write_atomic
 from twin._common.units import count_with_noun
-from twin.display import Cell, card, note, pairs, spans
+from twin.display import Cell, note, spans
+from twin.display.results import Display, DisplayedResult
 from twin.machine.machine import Machine
 from twin.measurement.checks import (
     LARGEST_MM,
@@ -159,8 +160,8 @@ CHANNEL: Final = re.compile(r"[A-Za-z]\w*_(rpm|kg|N|Nm|A|V|W|bar|percent|Hz|l_mi
 
 
 @final
-@dataclass(frozen=True)
-class Measurements:
+@dataclass(frozen=True, repr=False)
+class Measurements(DisplayedResult):
     """Measured points and the state of the machine at each of them; arrays are read-only and have n rows.
 
     Attributes:
@@ -341,7 +342,14 @@ class Measurements:
     def __len__(self) -> int:
         return len(self.lines)
 
-    def _repr_html_(self) -> str:
+    @property
+    def brief(self) -> str:
+        """Numbers of readings, targets and stations, and the file."""
+        of = f"{count_with_noun(len(set(self.target)), 'target')} from {count_with_noun(len(set(self.station)), 'station')}"
+        return f"{count_with_noun(len(self), 'reading')} of {of}, {self.source}"
+
+    def display(self) -> Display:
+        """Return counts, names, ranges and notices."""
         ends = [(float(q.min()), float(q.max())) for q in self.positions.T] if len(self) else []
         reach = spans((f"axis {i + 1}:", low, high, "") for i, (low, high) in enumerate(ends))
         by_side = {
@@ -365,7 +373,7 @@ class Measurements:
         ]
         aside = [note(f"set aside, {text}", loud=True) for text in grouped_notes(self.set_aside)]
         notices = [note(notice) for notice in self.notices]
-        return card(count_with_noun(len(self), "reading"), pairs(rows), *aside, *notices, small=self.source).text
+        return Display(count_with_noun(len(self), "reading"), rows, below=(*aside, *notices), small=self.source)
 
     def error(
         self,

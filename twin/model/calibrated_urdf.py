@@ -21,7 +21,7 @@ from twin._common.errors import InputError
 from twin._common.files import write_atomic
 from twin._common.provenance import warning_texts
 from twin._common.units import MM
-from twin.display import note
+from twin.display.results import Result
 from twin.machine.machine import Axis, Machine
 from twin.machine.machine_file import read_urdf
 from twin.model.calibration import Calibration
@@ -36,8 +36,8 @@ _NOTHING: Final = 1e-13
 
 
 @final
-@dataclass(frozen=True)
-class CalibratedUrdf:
+@dataclass(frozen=True, repr=False)
+class CalibratedUrdf(Result):
     """A URDF with constant geometric errors.
 
     Attributes:
@@ -53,13 +53,10 @@ class CalibratedUrdf:
     path: Path
 
     @property
-    def summary(self) -> str:
+    def brief(self) -> str:
         """Sentence on what the file contains."""
         without = f"; without {', '.join(self.left_out)}, which a URDF cannot contain" if self.left_out else ""
         return f"the URDF contains {', '.join(self.included) or 'no errors'}{without}"
-
-    def _repr_html_(self) -> str:
-        return note(self.summary).text
 
     def save(self, path: str | Path) -> None:
         """Write the file atomically, after it was read back; meshes are named relative to it."""

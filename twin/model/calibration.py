@@ -24,9 +24,11 @@ from twin._common.provenance import (
     SourceWarning,
     warning_texts,
 )
+from twin._common.units import count_with_noun
 from twin._common.yaml_files import MAX_VALUE, EntryPath, line_of, load_yaml, yaml_text
 from twin.controls import ControlSection, TableEntry
-from twin.display import card, note
+from twin.display import note
+from twin.display.results import Display, DisplayedResult
 from twin.machine.machine import Machine
 from twin.model.calibration_file import (
     CalibrationFile,
@@ -43,7 +45,7 @@ from twin.model.calibration_file import (
     measurement_entries,
 )
 from twin.model.datum import AS_GIVEN, DATUMS, Datum, Numbers, convert, datum_of, violation
-from twin.model.display import about_html, errors_html
+from twin.model.display import about_rows, errors_html
 from twin.model.effects import AxisLocation, ControlCorrection, Effect, Empirical, ErrorMotion, Squareness, split_name
 from twin.model.effects.base import RecordingState
 from twin.model.effects.control import kinematics_of, tables_of
@@ -61,8 +63,8 @@ LARGEST_ANGLE_URAD = 1e5
 
 
 @final
-@dataclass(frozen=True)
-class Calibration:
+@dataclass(frozen=True, repr=False)
+class Calibration(DisplayedResult):
     """Errors of one machine; a curve, squareness or location that is absent is zero.
 
     Attributes:
@@ -426,19 +428,28 @@ class Calibration:
             found.append(PARTLY_UNKNOWN_UNCERTAINTY if known else UNKNOWN_UNCERTAINTY)
         return tuple(found)
 
-    def _repr_html_(self) -> str:
+    @property
+    def brief(self) -> str:
+        """Numbers of errors and warnings."""
+        constants = count_with_noun(len(self.squareness) + len(self.location), "constant error")
+        parts = [count_with_noun(len(self.curves), "error motion"), constants]
+        parts += [count_with_noun(len(self.extra), "other effect")] if self.extra else []
+        return "; ".join(
+            [f"calibration of {self.machine.name}: {', '.join(parts)}", *(one.title for one in self.warnings)]
+        )
+
+    def display(self) -> Display:
+        """Return warnings, all errors and their origin."""
         drawn = tuple(curve.name for curve in self.curves.values() if curve.illustrative)
         errors = errors_html(self.machine, self.effects, self.covariance, drawn)
         unknown = self.without_uncertainty if self.covariance.names or self.empty else ("all of it",)
-        about = about_html(self.source, self.path, self.control, drawn, unknown)
+        about = about_rows(self.source, self.path, self.control, drawn, unknown)
         small = "no errors (nominal machine)" if self.empty else ""
         title = f"Calibration of {self.machine.name}"
         # The card itself marks illustrative numbers, and `about` lists what has no uncertainty.
-        warnings = (
-            note(text, loud=True)
-            for text in warning_texts([w for w in self.warnings if w not in (ILLUSTRATIVE, UNKNOWN_UNCERTAINTY)])
-        )
-        return card(title, *warnings, errors, about, small=small, illustrative=self.illustrative).text
+        others = [one for one in self.warnings if one not in (ILLUSTRATIVE, UNKNOWN_UNCERTAINTY)]
+        warnings = (note(text, loud=True) for text in warning_texts(others))
+        return Display(title, about, above=(*warnings, errors), small=small, illustrative=self.illustrative)
 
     @cached_property
     def empirical(self) -> tuple[Empirical, ...]:

@@ -19,7 +19,7 @@ import numpy as np
 from twin._common.errors import InputError, closest_name
 from twin._common.records import SPEED, TIME, is_temperature, read_log, sensor_of
 from twin._common.units import count_with_noun
-from twin.display import card, pairs
+from twin.display.results import Result
 from twin.machine.machine import Machine
 from twin.model.calibration import Calibration
 from twin.model.effects import Effect
@@ -27,8 +27,8 @@ from twin.model.effects.base import HEAVIEST_KG, LOAD, RecordingState
 
 
 @final
-@dataclass(frozen=True)
-class MachineLog:
+@dataclass(frozen=True, repr=False)
+class MachineLog(Result):
     """A record of a machine.
 
     Attributes:
@@ -56,16 +56,12 @@ class MachineLog:
         found = {sensor_of(name): values for name, values in numbers.items() if is_temperature(name)}
         return MachineLog(cells.path, numbers[TIME], MappingProxyType(found), numbers.get(SPEED), notices)
 
-    def _repr_html_(self) -> str:
-        rows = [
-            ("time", f"{self.time_s[0]:g} to {self.time_s[-1]:g} s"),
-            *((name, f"{values.min():.1f} to {values.max():.1f} °C") for name, values in self.temperature_degC.items()),
-            (
-                "spindle",
-                "" if self.speed_rpm is None else f"{self.speed_rpm.min():g} to {self.speed_rpm.max():g} 1/min",
-            ),
-        ]
-        return card(f"Log {self.path.name}", pairs(rows), small=count_with_noun(len(self.time_s), "row")).text
+    @property
+    def brief(self) -> str:
+        """File, number of rows, times and sensors."""
+        times = f"{count_with_noun(len(self.time_s), 'row')} from {self.time_s[0]:g} to {self.time_s[-1]:g} s"
+        columns = [*self.temperature_degC, *([] if self.speed_rpm is None else ["spindle speed"])]
+        return f"{self.path.name}: {times}, {', '.join(columns)}"
 
 
 # --- Inputs of the error model besides the positions ----------------------------------------------

@@ -11,25 +11,21 @@ from typing import Any, Final
 
 import numpy as np
 
-from twin._common.units import count_with_noun
 from twin.controls import ControlSection
 from twin.display import (
     UNKNOWN,
     Cell,
     Html,
-    card,
     chips,
-    graph,
     joined,
     measured,
     note,
-    pairs,
     plain,
     readable,
     span,
-    strip,
     table,
 )
+from twin.display.markup import part
 from twin.display.numbers import COVERAGE_FACTOR, ceiling
 from twin.machine.error_names import DIRECTIONS
 from twin.machine.machine import Machine
@@ -80,31 +76,9 @@ def combined_uncertainty(
     return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
 
 
-def motion_html(motion: ErrorMotion, covariance: np.ndarray | None, *, source: str, illustrative: bool) -> Html:
-    """Return a graph of one error motion.
-
-    Args:
-        motion: the error motion.
-        covariance: (k, k) covariance of its coefficients; None if unknown.
-        source: origin of its numbers.
-        illustrative: whether they are illustrative instead of measured.
-    """
-    names = tuple(parameter.name for parameter in motion.parameters)
-    known = Covariance.none() if covariance is None else Covariance(names, covariance)
-    axis, q = motion.frame.axis, np.linspace(*motion.domain, 201)
-    across = "mm" if axis[0] in "XYZUVW" else "°" if axis[0] in "ABC" else "mm or °"  # letters of ISO 841
-    half = COVERAGE_FACTOR * standard_uncertainty(motion, known, q)
-    drawn = graph(
-        q, _values(motion, q), half, f"{axis} ({across})", f"{motion.name} ({readable(unit_of(motion.name))})"
-    )
-    band = "band: 95 % interval" if covariance is not None else f"uncertainty {UNKNOWN}: no covariance"
-    small = f"{motion.basis.name}, {count_with_noun(len(names), 'coefficient')}"
-    return card(motion.name, drawn, note(band), note(source), small=small, illustrative=illustrative)
-
-
-def about_html(
+def about_rows(
     source: str, path: Path | None, control: ControlSection | None, drawn: Sequence[str], unknown: Sequence[str]
-) -> Html:
+) -> list[tuple[str, Cell]]:
     """Return the origin of a calibration, its control tables and the names of its illustrative and uncertain errors.
 
     Args:
@@ -114,7 +88,7 @@ def about_html(
         drawn: names of illustrative errors.
         unknown: names of errors of unknown uncertainty.
     """
-    rows = [("source", source), ("file", "" if path is None else str(path))]
+    rows: list[tuple[str, Cell]] = [("source", source), ("file", "" if path is None else str(path))]
     if control is not None:
         tables = ", ".join(f"{table.file.name} ({table.format})" for table in control.tables)
         if tables:
@@ -123,7 +97,7 @@ def about_html(
         rows.append(("kinematics of the control, in tool centre point mode", held))
     rows.append((f"{DRAWN} illustrative, not measured", ", ".join(drawn)))
     rows.append((f"uncertainty {UNKNOWN} of", ", ".join(unknown)))
-    return pairs(rows)
+    return rows
 
 
 def errors_html(
@@ -189,7 +163,7 @@ def _row(
         )
         says = f"{effect.name} over {axis_name}: largest {text}"
         shown = f"{effect.name}{DRAWN if effect.name in drawn else ''}"
-        cells.append(joined(shown, strip(value, half, limit, says), Html(f"<small>{text}</small>")))
+        cells.append(joined(shown, _strip(value, half, limit, says), Html(f"<small>{text}</small>")))
     return cells
 
 
@@ -197,6 +171,26 @@ def _curve(effect: ErrorMotion, covariance: Covariance) -> tuple[np.ndarray, np.
     """Return the values of a strip and the half widths of their 95 % intervals."""
     q = np.linspace(*effect.domain, POINTS)
     return _values(effect, q), COVERAGE_FACTOR * standard_uncertainty(effect, covariance, q)
+
+
+def _strip(values: np.ndarray, half: np.ndarray, limit: float, says: str) -> Html:
+    """Return a curve as a narrow strip with a zero line and its 95 % band; the caller states the scale.
+
+    Args:
+        values: (n,) at equal steps.
+        half: (n,) half widths of its 95 % interval; NaN if unknown.
+        limit: value at the upper edge; the lower edge is its negative.
+        says: alternative text.
+    """
+    x = np.linspace(0.0, 100.0, len(values))
+
+    def points(edges: Sequence[np.ndarray]) -> str:
+        y = [18.0 - 17.0 * np.clip(edge / limit, -1.0, 1.0) for edge in edges]
+        places = [*zip(x, y[0], strict=True), *(zip(x[::-1], y[1][::-1], strict=True) if len(y) > 1 else ())]
+        return " ".join(f"{across:.2f},{up:.2f}" for across, up in places)
+
+    band = points([values + half, values - half]) if np.isfinite(half).all() else ""
+    return part("strip", points([values]), band, says)
 
 
 def _values(effect: ErrorMotion, q: np.ndarray) -> np.ndarray:

@@ -14,7 +14,6 @@ import numpy as np
 
 from twin._common.errors import InputError, closest_name
 from twin._common.families import BASIC, COMBINED, NAMES
-from twin.display import card, pairs
 from twin.machine.error_names import DIRECTIONS
 from twin.machine.machine import Machine
 from twin.model.effects import ControlCorrection, Effect, split_name
@@ -138,13 +137,6 @@ class Scope:
                 value=str(self),
             )
         return bool(found)
-
-    def _repr_html_(self) -> str:
-        rows = [
-            ("at the functional point", ", ".join(name for name in BASIC if name in self.classes) or "none"),
-            ("functional orientation", "corrected by the rotary axes (FOR)" if self.orientation else "not corrected"),
-        ]
-        return card(f"Scope {self}", pairs(rows), small="chosen" if self.explicit else "the default").text
 
     def __str__(self) -> str:
         parts: list[str] = [name for name in BASIC if name in self.classes]

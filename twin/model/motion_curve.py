@@ -9,14 +9,16 @@ import numpy as np
 
 from twin._common.arrays import read_only
 from twin._common.errors import InputError
-from twin.model.display import motion_html
+from twin._common.units import count_with_noun
+from twin.display import readable, span
+from twin.display.results import Result
 from twin.model.effects import ErrorMotion, unit_of
 from twin.numerics.curves import POWER, Basis, basis_of, conversion
 
 
 @final
-@dataclass(frozen=True)
-class Curve:
+@dataclass(frozen=True, repr=False)
+class Curve(Result):
     """The curve of one error motion.
 
     Attributes:
@@ -75,10 +77,13 @@ class Curve:
             )
         return np.asarray(self.family.value(positions, self.domain, self.coefficients))
 
-    def _repr_html_(self) -> str:
-        return motion_html(
-            self.motion(wrapped=False), self.covariance, source=self.source, illustrative=self.illustrative
-        ).text
+    @property
+    def brief(self) -> str:
+        """Name, basis, number of coefficients and domain."""
+        known = "" if self.covariance is not None else ", uncertainty unknown"
+        drawn = ", illustrative" if self.illustrative else ""
+        count = count_with_noun(len(self.coefficients), "coefficient")
+        return f"{self.name}: {self.basis}, {count} in {readable(self.unit)}, {span(*self.domain, '').strip()}{known}{drawn}"
 
     def in_powers(self) -> Curve | None:
         """Return the same curve in powers of u; None if it is not a polynomial."""

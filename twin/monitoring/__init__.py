@@ -11,10 +11,8 @@ from twin.monitoring.change import Change, ErrorSeries, TemperatureEffect, Watch
 from twin.monitoring.check import Check
 from twin.monitoring.compare import compare
 from twin.monitoring.comparison import Changes, Culprits, ErrorChange
-from twin.monitoring.comparison_words import comparison_text
 from twin.monitoring.tool import DisplacementSize, Remaining, ToolChange, ToolDisplacement
 from twin.monitoring.watch import WatchSettings, watch
-from twin.monitoring.watch_page import watch_text
 from twin.monitoring.watched import Watch
 
 __all__ = [
@@ -33,7 +31,5 @@ __all__ = [
     "WatchSettings",
     "WatchedError",
     "compare",
-    "comparison_text",
     "watch",
-    "watch_text",
 ]

@@ -11,7 +11,8 @@ import numpy as np
 
 from twin._common.provenance import ILLUSTRATIVE, SourceWarning, warnings_to_json
 from twin._common.records import json_form
-from twin.display import card, finite_or_none, first_rows, measured, note, pairs, readable, table
+from twin.display import finite_or_none, first_rows, measured, note, readable, table
+from twin.display.results import Display, DisplayedResult
 from twin.machine.machine import Machine
 from twin.monitoring.pairs import FALSE_ALARMS, SHARE, NotCompared, Status
 from twin.monitoring.tool import ToolChange
@@ -113,8 +114,8 @@ class Culprits:
 
 
 @final
-@dataclass(frozen=True)
-class Changes:
+@dataclass(frozen=True, repr=False)
+class Changes(DisplayedResult):
     """The changes between two calibrations of one machine.
 
     Attributes:
@@ -247,27 +248,41 @@ class Changes:
             "notices": list(self.notices),
         }
 
-    def _repr_html_(self) -> str:
+    @property
+    def brief(self) -> str:
+        """Verdict and change at the tool."""
+        return f"{self.second} less {self.first}: {self.verdict}; at the tool {self._at_tool}"
+
+    @property
+    def _at_tool(self) -> str:
+        whole = self.tool.everything_aligned
+        return f"{whole.rms_um:.3g} µm RMS, {whole.max_um:.3g} µm largest"
+
+    def to_text(self) -> str:
+        """Return the text report."""
+        from twin.monitoring.comparison_words import comparison_text  # imports this module
+
+        return comparison_text(self)
+
+    def display(self) -> Display:
+        """Return the meaning and the errors, the significant ones first."""
         other = [error for error in self.errors if error.status != "same"]
         other.sort(key=lambda error: (not error.significant, -self._alone_um(error)))
         shown, more = first_rows(len(other), lambda i: self._cells(other[i]))
-        whole = self.tool.everything_aligned
         headers = ("error", "class", "largest change", "significant", "at the tool, µm RMS")
-        return card(
+        rows = [
+            ("at the tool, workpiece aligned", self._at_tool),
+            ("could not be compared or tested", ", ".join(self.unjudged)),
+        ]
+        return Display(
             self.verdict.upper(),
-            *(note(sentence) for sentence in self.meaning),
-            pairs(
-                [
-                    ("at the tool, workpiece aligned", f"{whole.rms_um:.3g} µm RMS, {whole.max_um:.3g} µm largest"),
-                    ("could not be compared or tested", ", ".join(self.unjudged)),
-                ]
-            ),
-            table(headers, shown, right=(4,)),
-            more,
+            rows,
+            above=[note(sentence) for sentence in self.meaning],
+            below=(table(headers, shown, right=(4,)), more),
             small=f"{self.second} less {self.first}",
             illustrative=self.illustrative,
             wrong=bool(self.unjudged),
-        ).text
+        )
 
     def _cells(self, error: ErrorChange) -> tuple[str, ...]:
         return (

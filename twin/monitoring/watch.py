@@ -30,7 +30,7 @@ from twin.monitoring.check import (
     remaining_error,
     unit_of_constant,
 )
-from twin.monitoring.watch_page import headline, watch_text
+from twin.monitoring.watch_page import headline
 from twin.monitoring.watched import Remembered, Watch, WatchKey, WatchStatement, memory_path, recall, remember
 
 TESTS: Final = 2
@@ -158,7 +158,7 @@ def _remembered(found: Watch, key: WatchKey, new: Sequence[Check], looked: str) 
     if not new:
         return found
     said = WatchStatement(
-        looked, len(found.checks), found.spent, found.verdict, f"{headline(found)}.\n{watch_text(found)}"
+        looked, len(found.checks), found.spent, found.verdict, f"{headline(found)}.\n{found.to_text()}"
     )
     remember(found.memory, key, new, said)
     return replace(found, statements=(*found.statements, said))

@@ -27,7 +27,9 @@ from twin._common.errors import InputError
 from twin._common.files import check_writable, scratch_folder, write_atomic
 from twin._common.provenance import SourceWarning, warning_texts, warnings_to_json
 from twin._common.records import json_form
-from twin.display import card, figure, note, pairs, readable, table
+from twin._common.units import count_with_noun
+from twin.display import figure, note, readable, table
+from twin.display.results import Display, DisplayedResult
 from twin.monitoring.change import DATES, PRIOR_VARIANCES, Change, WatchedError
 from twin.monitoring.check import SECONDS_PER_DAY, Check, from_json, to_json
 from twin.monitoring.tool import Remaining
@@ -234,8 +236,8 @@ def date_text(day: float) -> str:
 
 
 @final
-@dataclass(frozen=True)
-class Watch:
+@dataclass(frozen=True, repr=False)
+class Watch(DisplayedResult):
     """The result of a watch.
 
     Attributes:
@@ -320,7 +322,20 @@ class Watch:
                 return one
         raise KeyError(name)
 
-    def _repr_html_(self) -> str:
+    @property
+    def brief(self) -> str:
+        """Verdict and the checks that it rests on."""
+        alarms = count_with_noun(len(self.alarms), "alarm")
+        return f"watch of {self.machine}: {self.verdict}, {alarms} in {count_with_noun(len(self.checks), 'check')} of {self.folder}"
+
+    def to_text(self) -> str:
+        """Return the text report."""
+        from twin.monitoring.watch_page import watch_text  # imports this module
+
+        return watch_text(self)
+
+    def display(self) -> Display:
+        """Return verdict and all errors."""
         rows = [
             (one.series.name, figure(one.level, readable(one.series.unit)), figure(one.repeatability), one.verdict)
             for one in self.errors
@@ -334,10 +349,9 @@ class Watch:
         ]
         warnings = [note(text, loud=True) for text in warning_texts(self.warnings)]
         heads = ("error", "deviation now", "repeatability", "verdict")
+        errors = table(heads, rows, right=(1, 2))
         title, small = f"Watch of {self.machine}", str(self.folder)
-        return card(
-            title, *warnings, pairs(facts), table(heads, rows, right=(1, 2)), small=small, wrong=not self.met
-        ).text
+        return Display(title, facts, above=warnings, below=(errors,), small=small, wrong=not self.met)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the content of the JSON (``schema: twin.watch/1``)."""

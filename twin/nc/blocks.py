@@ -27,6 +27,8 @@ from typing import Final, NamedTuple, final, overload
 import numpy as np
 
 from twin._common.arrays import MadeOnAccess
+from twin._common.units import count_with_noun
+from twin.display.results import Result
 
 Rows = tuple[tuple[float, ...], ...]
 _AXES: Final = "XYZ"
@@ -200,8 +202,8 @@ class Origin:
 
 
 @final
-@dataclass(frozen=True)
-class Program:
+@dataclass(frozen=True, repr=False)
+class Program(Result):
     """A program as read: its lines hold every byte, decoded as latin-1 so that any byte is preserved.
 
     Attributes:
@@ -215,6 +217,11 @@ class Program:
     dialect: str
     texts: Sequence[str]
     origins: tuple[Origin, ...] = ()
+
+    @property
+    def brief(self) -> str:
+        """File, dialect and number of lines."""
+        return f"{self.source}: {self.dialect}, {count_with_noun(len(self.texts), 'line')}"
 
     @cached_property
     def numbers(self) -> np.ndarray:

@@ -10,7 +10,8 @@ from typing import Any, final
 import numpy as np
 
 from twin._common.records import json_form
-from twin.display import UNKNOWN, Html, card, chips, note, pairs, readable, table
+from twin.display import UNKNOWN, Html, chips, expanded, note, pairs, readable, table
+from twin.display.results import Result
 from twin.model.calibration import Calibration
 from twin.model.effects import split_name, unit_of
 from twin.numerics.observability import Determinability, Observability, observability
@@ -22,8 +23,8 @@ from twin.tool.uncertainty import DEFINITION, ToolUncertainty, UncertaintyMap, v
 
 
 @final
-@dataclass(frozen=True)
-class Forecast:
+@dataclass(frozen=True, repr=False)
+class Forecast(Result):
     """Predicted uncertainties of a planned measurement.
 
     Attributes:
@@ -94,8 +95,11 @@ class Forecast:
                 found[name] = float(np.sqrt(self._of(self.model.unknowns.of(name))[0, 0]))
         return found
 
-    def _repr_html_(self) -> str:
-        return card("Predicted uncertainties", *self.shown(), small=f"{self.readings:,} coordinates to be read").text
+    @property
+    def brief(self) -> str:
+        """Predicted U of the tool point."""
+        u = f"{expanded(self.at_tool.rms_um)} RMS, {expanded(self.at_tool.max_um)} largest"
+        return f"U of the tool point predicted from {self.readings:,} coordinates: {u}; {len(self.hidden)} errors not identifiable"
 
     def shown(self) -> list[Html]:
         """Return the parts of the HTML display."""

@@ -27,6 +27,8 @@ from twin._common.bundled import find_bundled
 from twin._common.errors import InputError, closest_name
 from twin._common.units import DEG, MM
 from twin._common.yaml_files import EntryPath, load_yaml
+from twin.display.numbers import listed
+from twin.display.results import Result
 from twin.identification.network import CHUNK, Network, SetUp
 from twin.identification.solve import all_unknowns, free_directions
 from twin.identification.unknowns import Unknowns, axes_with_known_places, least_determined_offset, spaces_for
@@ -142,8 +144,8 @@ class Target:
 
 
 @final
-@dataclass(frozen=True)
-class Kit:
+@dataclass(frozen=True, repr=False)
+class Kit(Result):
     """Equipment for a measurement.
 
     Attributes:
@@ -167,6 +169,16 @@ class Kit:
     speeds: np.ndarray
     ranges: np.ndarray
     opaque: bool
+
+    @property
+    def brief(self) -> str:
+        """Origin, and names of instruments, stations and targets."""
+        names = (
+            listed([one.name for one in self.instruments]),
+            listed(list(self.stations)),
+            listed(list(self.targets)),
+        )
+        return f"{self.source}: {names[0]}; stations {names[1]}; targets {names[2]}"
 
     @property
     def known(self) -> frozenset[str]:

@@ -13,7 +13,7 @@ import numpy as np
 from twin._common.errors import InputError
 from twin._common.resources import one_blas_thread
 from twin._common.units import count_with_noun
-from twin.display import card, note, pairs, table
+from twin.display.results import Result
 from twin.machine.machine import Machine
 from twin.measurement.instruments import Instrument, instrument_named
 from twin.measurement.table import Measurements
@@ -40,8 +40,8 @@ MOST_MINUTES: Final = 24.0 * 60.0
 
 
 @final
-@dataclass(frozen=True)
-class SequencePlan:
+@dataclass(frozen=True, repr=False)
+class SequencePlan(Result):
     """A measuring sequence on one machine.
 
     Attributes:
@@ -112,8 +112,7 @@ class SequencePlan:
         """Return the text report."""
         others = {} if self.best is None else {BEST_COLUMN: self.best.unknown.u}
         lines = [
-            f"{self.machine.name}: sequence {self.sequence.name} with {self.task.instrument.specification.title}, "
-            f"{count_with_noun(len(self.table), 'pose')}, {self.minutes:.0f} minutes",
+            self.brief,
             f"{self.sequence.title}; {self.sequence.source}",
             "",
             *self.expected.lines(others),
@@ -140,14 +139,12 @@ class SequencePlan:
             "seed": self.task.seed,
         }
 
-    def _repr_html_(self) -> str:
-        facts = [("instrument", self.task.instrument.name), ("source", self.sequence.source)]
-        facts += [(f"cannot tell, {title}", "; ".join(one.lost)) for title, one in self.expected.by_knowledge.items()]
-        small = f"{count_with_noun(len(self.table), 'pose')}, {self.minutes:.0f} minutes"
-        notes = [note(text) for text in self.notices()]
-        headers, rows = self.expected.rows({} if self.best is None else {BEST_COLUMN: self.best.unknown.u})
-        shown = table(headers, rows, right=tuple(range(1, len(headers))))
-        return card(f"Sequence {self.sequence.name}", pairs(facts), shown, *notes, small=small).text
+    @property
+    def brief(self) -> str:
+        """Sequence, instrument, number of poses and duration."""
+        with_what = f"{self.sequence.name} with {self.task.instrument.specification.title}"
+        poses = count_with_noun(len(self.table), "pose")
+        return f"{self.machine.name}: sequence {with_what}, {poses}, {self.minutes:.0f} minutes"
 
 
 def measuring_sequence(

@@ -17,7 +17,8 @@ from twin._common.provenance import SourceWarning, warning_texts
 from twin._common.records import json_form
 from twin._common.resources import Progress, one_blas_thread, silent
 from twin._common.units import count_with_noun
-from twin.display import bar, card, note, pairs, table
+from twin.display import bar, note, table
+from twin.display.results import Display, DisplayedResult
 from twin.machine.machine import Machine
 from twin.measurement.instruments import INSTRUMENTS, Instrument
 from twin.measurement.simulate import Placement
@@ -108,8 +109,8 @@ class Separation:
 
 
 @final
-@dataclass(frozen=True)
-class Plan:
+@dataclass(frozen=True, repr=False)
+class Plan(DisplayedResult):
     """Plan of a measurement.
 
     Attributes:
@@ -224,7 +225,16 @@ class Plan:
         ]
         return "\n".join(lines)
 
-    def _repr_html_(self) -> str:
+    @property
+    def brief(self) -> str:
+        """Number of readings, duration and aim."""
+        readings = count_with_noun(len(self.table), "reading")
+        return (
+            f"{self.machine.name}: {readings} with {self.instrument.name}, {self.minutes:.0f} minutes, aim: {self.aim}"
+        )
+
+    def display(self) -> Display:
+        """Return durations, predicted uncertainties, alternatives and instructions."""
         parts = ((words, self.route.spent[key]) for key, words in SPENT.items())
         whole = max(self.route.seconds, 1.0)
         rows = [(words, f"{seconds / 60:.0f}", bar(seconds / whole)) for words, seconds in parts]
@@ -237,22 +247,16 @@ class Plan:
         separation = [] if self.separation is None else [note(line) for line in self.separation.lines()]
         forecast = [] if self.forecast is None else self.forecast.shown()
         headers = ("instrument", "stations", "readings", "uncertainty to minimise")
-        return card(
-            f"Plan for {self.machine.name}",
-            pairs(facts),
+        title = "stations compared (after a first choice of readings), best first"
+        below = (
             table(("time for", "minutes", ""), rows, right=(1,)),
             *separation,
             *forecast,
-            table(
-                headers,
-                tried,
-                right=(2, 3),
-                title="stations compared (after a first choice of readings), best first",
-            ),
+            table(headers, tried, right=(2, 3), title=title),
             *(note(notice, loud=notice.startswith(("RETRACT", "THE URDF"))) for notice in self.notices()),
-            small=f"{count_with_noun(len(self.table), 'reading')}, {self.minutes:.0f} minutes",
-            wrong=not self.complete,
-        ).text
+        )
+        small = f"{count_with_noun(len(self.table), 'reading')}, {self.minutes:.0f} minutes"
+        return Display(f"Plan for {self.machine.name}", facts, below=below, small=small, wrong=not self.complete)
 
     def to_text(self) -> str:
         """Return the text report."""

@@ -20,7 +20,9 @@ from twin._common.resources import Progress, silent
 from twin._common.units import count_with_noun
 from twin.compute.parallel import versions
 from twin.controls import ControlSection, file_sha256
+from twin.display import figure
 from twin.display.numbers import COVERAGE_FACTOR
+from twin.display.results import Result
 from twin.machine.machine import Axis, Machine
 from twin.measurement.table import Measurements
 from twin.model.calibration import Calibration
@@ -202,8 +204,8 @@ class Gaps:
 
 
 @final
-@dataclass(frozen=True)
-class MachineReport:
+@dataclass(frozen=True, repr=False)
+class MachineReport(Result):
     """Content of the report of a machine.
 
     Attributes:
@@ -235,6 +237,15 @@ class MachineReport:
     tables: tuple[TablesLeft, ...]
     advice: MachineAdvice
     sources: Sources
+
+    @property
+    def brief(self) -> str:
+        """Error at the tool before compensation."""
+        before = self.compensation.before
+        error = "no errors known"
+        if before is not None:
+            error = f"error at the tool {figure(before.rms_um, 'µm')} RMS, {figure(before.max_um, 'µm')} largest"
+        return f"report of {self.machine.name}: {error}"
 
     @property
     def control(self) -> ControlSection | None:

@@ -24,7 +24,6 @@ from twin.display import UNKNOWN
 from twin.display.numbers import capital, with_joined_units
 from twin.machine.machine import Machine
 from twin.model.effects import MACHINE_EFFECTS, split_name
-from twin.model.effects.base import motion_in_words
 from twin.model.effects.specification import title_of
 
 CLASSES: Final[Mapping[str, str]] = MappingProxyType(
@@ -84,22 +83,9 @@ def motion_kind(name: str, machine: Machine) -> str:
     return "axial" if component == along else "radial"
 
 
-_MOTIONS: Final = {
-    "positioning": "Positioning of {axis}",
-    "straightness": "Straightness of {axis} in {direction}",
-    "pitch": "Angular error motion of {axis} about {direction}",
-    "angular_positioning": "Angular positioning of {axis}",
-    "tilt": "Tilt error motion of {axis} about {direction}",
-    "axial": "Axial error motion of {axis} in {direction}",
-    "radial": "Radial error motion of {axis} in {direction}",
-}
-
-
 def _of_motion(name: str, machine: Machine) -> str:
-    component, average, axis = split_name(name)
-    if average:
-        return _title("squareness", name) if machine.by_name[axis].linear else capital(motion_in_words(name))
-    return _MOTIONS[motion_kind(name, machine)].format(axis=axis, direction="xyz"[component % 3])
+    kind = motion_kind(name, machine)
+    return _title("squareness", name) if kind == "square" else wording(Language.en).of_kind(kind, name)
 
 
 def _title(effect: str, where: str) -> str:
@@ -155,9 +141,12 @@ class Wording:
             return named(name, machine)
         if f"item_{name}" in self.texts:
             return self(f"item_{name}")
-        component, _, axis = split_name(name)
         kind = motion_kind(name, machine)
-        key = "square_about" if kind == "square" and not to else kind
+        return self.of_kind("square_about" if kind == "square" and not to else kind, name, to)
+
+    def of_kind(self, key: str, name: str, to: str = "") -> str:
+        """Return the words of a key for an ISO 230-1 name; ``to``: the reference axis of a squareness."""
+        component, _, axis = split_name(name)
         return self(key, axis=axis, direction="xyz"[component % 3], to=to)
 
 

@@ -14,8 +14,9 @@ from twin._common.errors import InputError
 from twin._common.provenance import SourceWarning, warning_texts, warnings_to_json
 from twin._common.records import json_form
 from twin._common.units import count_with_noun
-from twin.display import card, figure, note, readable, table
+from twin.display import figure, note, readable, table
 from twin.display.numbers import COVERAGE_FACTOR, with_joined_units
+from twin.display.results import Display, DisplayedResult
 from twin.measurement.checks import RowNote, grouped_notes
 from twin.standards.drift.iso230_3 import DriftSeries
 from twin.standards.iso230_1 import AngularError, SquarenessError, Straightness
@@ -230,8 +231,8 @@ class ToleranceCheck:
 
 
 @final
-@dataclass(frozen=True)
-class EvaluationResult:
+@dataclass(frozen=True, repr=False)
+class EvaluationResult(DisplayedResult):
     """The standard tests of a measurement table.
 
     Attributes:
@@ -310,7 +311,14 @@ class EvaluationResult:
                 lines += wrap(entry, WIDTH, initial_indent="  ", subsequent_indent="    ")
         return "\n".join(lines) + "\n"
 
-    def _repr_html_(self) -> str:
+    @property
+    def brief(self) -> str:
+        """Number of tests, and whether the tolerances are met."""
+        met = "" if not self.checks else "; tolerances met" if self.met else "; TOLERANCES NOT MET"
+        return f"{self.machine}: {count_with_noun(len(self.tests), 'standard test')} from {self.data.source}{met}"
+
+    def display(self) -> Display:
+        """Return all tests with their values."""
         rows = [
             (test.title, test.place, "   ".join(value.text for value in test.values), test.standard)
             for test in self.tests
@@ -319,7 +327,8 @@ class EvaluationResult:
         warnings = [note(text, loud=True) for text in warning_texts(self.warnings)]
         missing = [note(f"not evaluated: {one.test}: {one.why}") for one in self.not_evaluated]
         shown = table(("test", "at", "values", "standard"), rows)
-        return card("Standard tests", *warnings, *loud, shown, *missing, small=self.machine, wrong=not self.met).text
+        above = (*warnings, *loud, shown, *missing)
+        return Display("Standard tests", above=above, small=self.machine, wrong=not self.met)
 
 
 def check_limits(tolerances: Mapping[str, float]) -> None:

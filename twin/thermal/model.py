@@ -10,6 +10,9 @@ import numpy as np
 from twin._common.arrays import read_only
 from twin._common.errors import InputError
 from twin._common.records import SPEED, json_form
+from twin._common.units import count_with_noun
+from twin.display import figure
+from twin.display.results import Result
 from twin.thermal.evidence import Inputs, TermCandidate, drivers, features, lagged
 from twin.thermal.record import ThermalRecord
 
@@ -89,8 +92,8 @@ class DisplacementModel:
 
 
 @final
-@dataclass(frozen=True)
-class ThermalPrediction:
+@dataclass(frozen=True, repr=False)
+class ThermalPrediction(Result):
     """Displacements predicted for a record.
 
     Attributes:
@@ -110,6 +113,11 @@ class ThermalPrediction:
     residual_um: np.ndarray
 
     @property
+    def brief(self) -> str:
+        """Displacements and number of rows."""
+        return f"{', '.join(self.displacements)} predicted for {count_with_noun(len(self.time_s), 'row')}"
+
+    @property
     def expected_rms_um(self) -> np.ndarray:
         """RMS error that the model expects over these rows (displacements,)."""
         return read_only(np.sqrt((self.standard_uncertainty_um**2).mean(axis=0)))
@@ -121,8 +129,8 @@ class ThermalPrediction:
 
 
 @final
-@dataclass(frozen=True)
-class ThermalModel:
+@dataclass(frozen=True, repr=False)
+class ThermalModel(Result):
     """Displacements as sums of lagged temperatures, lagged speed, immediate speed and drift.
 
     Attributes:
@@ -154,6 +162,15 @@ class ThermalModel:
     end_input: np.ndarray
     unsettled: np.ndarray
     notices: tuple[str, ...] = ()
+
+    @property
+    def brief(self) -> str:
+        """Terms and held-out error of every displacement."""
+        parts = [
+            f"{one.name}: {len(one.listed)} terms, {figure(one.held_out_um, 'µm')} held-out RMS"
+            for one in self.displacements
+        ]
+        return f"thermal model of {self.source}; {'; '.join(parts)}"
 
     @property
     def needs_speed(self) -> bool:

@@ -13,14 +13,17 @@ from twin._common.arrays import read_only
 from twin._common.csv_tables import Cells
 from twin._common.errors import InputError
 from twin._common.records import SPEED, TIME, is_temperature, read_log, sensor_of
+from twin._common.units import count_with_noun
+from twin.display.numbers import listed
+from twin.display.results import Result
 
 MAX_GAP: Final = 5.0
 """Longest interval between two rows, in median intervals: a lag cannot be followed over a longer one."""
 
 
 @final
-@dataclass(frozen=True)
-class ThermalRecord:
+@dataclass(frozen=True, repr=False)
+class ThermalRecord(Result):
     """Rows of one thermal test, in the order of time.
 
     Attributes:
@@ -42,6 +45,12 @@ class ThermalRecord:
     displacements: tuple[str, ...]
     speed_rpm: np.ndarray | None
     notices: tuple[str, ...] = ()
+
+    @property
+    def brief(self) -> str:
+        """File, number of rows, sensors and displacements."""
+        rows = f"{self.path}: {count_with_noun(len(self), 'row')}"
+        return f"{rows}, sensors {listed(self.sensors)}, displacements {listed(self.displacements) or 'none'}"
 
     def __len__(self) -> int:
         return len(self.time_s)

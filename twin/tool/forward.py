@@ -16,9 +16,10 @@ import numpy as np
 
 from twin._common.arrays import read_only
 from twin._common.errors import InputError, require_type
-from twin._common.units import MM, URAD
+from twin._common.units import MM, URAD, count_with_noun
 from twin.compute.along import BatchFunction
-from twin.display import card, first_rows, fixed, note, pairs, table
+from twin.display import fixed
+from twin.display.results import Result
 from twin.machine.chain import chain_function, sparse, tip_function
 from twin.machine.machine import Machine
 from twin.machine.machine_file import LONGEST_TOOL_MM
@@ -30,8 +31,8 @@ from twin.numerics.spatial import tilt
 
 
 @final
-@dataclass(frozen=True)
-class Poses:
+@dataclass(frozen=True, repr=False)
+class Poses(Result):
     """Poses of the tool in the work frame.
 
     Attributes:
@@ -70,18 +71,21 @@ class Poses:
     def __len__(self) -> int:
         return len(self.point_mm)
 
-    def _repr_html_(self) -> str:
-        rows, rest = first_rows(
-            len(self), lambda i: [fixed(v, 4) for v in self.point_mm[i]] + [fixed(v, 6) for v in self.axis[i]]
+    @property
+    def brief(self) -> str:
+        """Number of poses, and the first of them."""
+        if not len(self):
+            return "no poses"
+        point, axis = (
+            ", ".join(fixed(v, digits) for v in row[0]) for row, digits in ((self.point_mm, 4), (self.axis, 6))
         )
-        headers = ("x (mm)", "y (mm)", "z (mm)", "i", "j", "k")
-        caption = note("tool tip and unit vector of the tool axis (tip to spindle), in the work frame")
-        return card(f"Poses: {len(self):,}", table(headers, rows, right=range(6)), rest, caption).text
+        more = f", the first of {len(self):,}" if len(self) > 1 else ""
+        return f"tool tip x, y, z = {point} mm, tool axis i, j, k = {axis}{more}"
 
 
 @final
-@dataclass(frozen=True)
-class Sensitivities:
+@dataclass(frozen=True, repr=False)
+class Sensitivities(Result):
     """First derivatives of the tool pose in the work frame, in metres and radians per metre or radian.
 
     Attributes:
@@ -92,6 +96,12 @@ class Sensitivities:
 
     command: np.ndarray
     error: np.ndarray
+
+    @property
+    def brief(self) -> str:
+        """Numbers of poses, axes and error components."""
+        poses = count_with_noun(len(self.command), "pose")
+        return f"derivatives of {poses} by {self.command.shape[2]} axes and {self.error.shape[2]} error components"
 
 
 @final
@@ -167,19 +177,6 @@ class Kinematics:
         found.calibration, found._terms = calibration, self._terms
         found._set_errors()
         return found
-
-    def _repr_html_(self) -> str:
-        known = ", ".join(f"{name} {value:g}" for name, value in self.conditions.channels.items())
-        sides = "backlash: errors depend on the approach direction" if self.directed else ""
-        rows = [
-            ("errors", "none" if self.calibration.empty else self.calibration.source),
-            ("tool length", f"{self.tool_length_mm:g} mm"),
-            ("conditions", known),
-            ("approach", sides),
-        ]
-        small = f"axes {' '.join(self.machine.names)}, mm and degrees"
-        title = f"Kinematics of {self.machine.name}"
-        return card(title, pairs(rows), small=small, illustrative=self.calibration.illustrative).text
 
     def symbols(self) -> list[Any]:
         """Return new symbols of the arguments of a pose: q (metres, radians), and the approach directions if directed."""

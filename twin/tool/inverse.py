@@ -36,7 +36,7 @@ from twin._common.bundled import DEFAULT_ROTARY_LIMIT_DEG
 from twin._common.errors import InputError
 from twin._common.units import DEG, MM, count_with_noun
 from twin.compute.native import CONVERGED, OUT_OF_RANGE, SINGULAR, Batch, InverseProblem, Solver
-from twin.display import card, first_rows, fixed, note, pairs, table
+from twin.display.results import Result
 from twin.machine.chain import Branch, branches
 from twin.machine.machine import Machine
 from twin.tool.forward import Kinematics, Poses
@@ -516,8 +516,8 @@ _STATUS: Final = np.array(sorted(_CODE, key=lambda status: _CODE[status]), dtype
 
 
 @final
-@dataclass(frozen=True)
-class Solution:
+@dataclass(frozen=True, repr=False)
+class Solution(Result):
     """Commands for a batch of poses.
 
     Attributes:
@@ -547,29 +547,15 @@ class Solution:
         """Return (n,) whether each pose has that status."""
         return np.asarray(self.code == _CODE[status])
 
-    def _repr_html_(self) -> str:
+    @property
+    def brief(self) -> str:
+        """Number of poses by status, and the largest residual."""
         counts = {status: int(self.where(status).sum()) for status in Status}
-        met = counts[Status.CONVERGED] == len(self.code)
-        axes = self.positions.shape[1]
-        rows, rest = first_rows(
-            len(self.code), lambda i: [*(fixed(v, 4) for v in self.positions[i]), str(self.status[i].value)]
-        )
-        residuals = ""
+        parts = [f"commands for {count_with_noun(len(self.code), 'pose')}"]
+        parts += [f"{status.value} {count:,}" for status, count in counts.items() if count]
         if len(self.code):
-            residuals = (
-                f"{self.point_residual_mm.max() * 1e3:.1e} µm, {self.orientation_residual_rad.max() * 1e6:.1e} µrad"
-            )
-        summary = pairs(
-            [
-                ("status", ", ".join(f"{status.value} {count:,}" for status, count in counts.items() if count)),
-                ("largest residual", residuals),
-                ("Newton steps", str(self.iterations)),
-            ]
-        )
-        headers = [*(f"axis {i + 1}" for i in range(axes)), "status"]
-        caption = note("commands in command order, mm and degrees")
-        title = f"Solution for {count_with_noun(len(self.code), 'pose')}"
-        return card(title, summary, table(headers, rows, right=range(axes)), rest, caption, wrong=not met).text
+            parts.append(f"largest residual {self.point_residual_mm.max() * 1e3:.1e} µm")
+        return ", ".join(parts)
 
 
 @final

@@ -30,8 +30,8 @@ from twin._common.units import UM, count_with_noun
 from twin.compute.along import BatchFunction
 from twin.compute.native import equal_portions
 from twin.compute.parallel import Workers, map_in_order
-from twin.display import card, histogram, note, pairs, table
 from twin.display.numbers import COVERAGE, COVERAGE_FACTOR
+from twin.display.results import Result
 from twin.machine.machine import Machine
 from twin.model.calibration import Calibration
 from twin.model.conditions import Conditions
@@ -354,8 +354,8 @@ class Spread:
 
 
 @final
-@dataclass(frozen=True)
-class Population:
+@dataclass(frozen=True, repr=False)
+class Population(Result):
     """Result of a Monte Carlo simulation of machines.
 
     Attributes:
@@ -398,36 +398,13 @@ class Population:
     not_identified: tuple[str, ...] = ()
     identified_um: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
-    def _repr_html_(self) -> str:
-        spread = [
-            (words, of, f"{one.mean:.3g}", f"{one.low:.3g} … {one.high:.3g}", f"{one.largest:.3g}")
-            for words, pair in (
-                ("uncompensated", self.as_it_is),
-                ("compensated with this calibration", self.compensated),
-            )
-            for of, one in zip(("RMS over the poses", "maximum over the poses"), pair, strict=True)
-        ]
+    @property
+    def brief(self) -> str:
+        """U by Monte Carlo, and the error left when compensated."""
         u = self.by_draws_um
-        place = ", ".join(f"{name} {value:.0f}" for name, value in self.where.items()).replace("-", "−")
-        rows = [
-            ("U by Monte Carlo", f"{np.sqrt(np.mean(u**2)):.3g} µm RMS, {u.max():.3g} µm largest at {place}"),
-            ("U to first order", f"{np.sqrt(np.mean(self.first_order_um**2)):.3g} µm RMS"),
-            ("first order sufficient (JCGM 101, 8.1)", _sufficiency_text(self.validated)),
-            ("not identified, drawn from the plausible size", ", ".join(self.not_identified)),
-            (
-                "the same in all machines",
-                f"{', '.join(self.without_uncertainty)} (no covariance)" if self.without_uncertainty else "",
-            ),
-        ]
-        headers = ("machines", "error at the tool, µm", "mean", "95 % of the machines", "maximum")
-        small = f"{self.machines:,} drawn at {count_with_noun(len(self.positions), 'pose')}, seed {self.seed}"
-        parts = (
-            pairs(rows),
-            table(headers, spread, right=(2, 3, 4)),
-            histogram(u, "U by Monte Carlo (µm)"),
-            note(DEFINITION),
-        )
-        return card("Machines drawn from the calibration", *parts, small=small).text
+        drawn = f"{self.machines:,} machines at {count_with_noun(len(self.positions), 'pose')}"
+        left = f"{self.compensated[0].mean:.3g} µm RMS left when compensated"
+        return f"{drawn}: U by Monte Carlo {np.sqrt(np.mean(u**2)):.3g} µm RMS, {u.max():.3g} µm largest; {left}"
 
     @property
     def where(self) -> dict[str, float]:

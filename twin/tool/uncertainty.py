@@ -27,7 +27,8 @@ import numpy as np
 from twin._common.arrays import read_only
 from twin._common.errors import InputError, closest_name
 from twin._common.units import count_with_noun
-from twin.display import UNKNOWN, Html, card, histogram, note, pairs
+from twin.display import UNKNOWN, expanded, place
+from twin.display.results import Result
 from twin.machine.machine import Machine
 from twin.model.calibration import Calibration
 from twin.model.conditions import APPROACH, Conditions
@@ -289,8 +290,8 @@ def radius_95(covariance: np.ndarray) -> np.ndarray:
 
 
 @final
-@dataclass(frozen=True)
-class PoseUncertainty:
+@dataclass(frozen=True, repr=False)
+class PoseUncertainty(Result):
     """Uncertainty of poses of the tool in the work frame.
 
     Attributes:
@@ -340,27 +341,15 @@ class PoseUncertainty:
         lever = np.stack([zero, z, -y, -z, zero, x, y, -x, zero], axis=1).reshape(-1, 3, 3)
         return read_only(radius_95(lever @ self.covariance[:, 3:, 3:] @ lever.transpose(0, 2, 1)))
 
-    def _repr_html_(self) -> str:
-        return card("Uncertainty of the tool point", *self.shown(), small=count_with_noun(len(self.axis), "pose")).text
-
-    def shown(self, *more: tuple[str, str]) -> list[Html]:
-        """Return the parts of the HTML display: U, its distribution, and the errors not included."""
-        if not len(self.axis):
-            return []
-        if not self.known:
-            return [note(f"U {UNKNOWN}: no covariance in the calibration", loud=True)]
-        u, s = self.expanded_um, self.standard_um
-        least = "" if self.complete else "at least "
-        rms = ", ".join(
-            f"{name} {value:.2g}" for name, value in zip("xyz", np.sqrt(np.mean(s**2, axis=0)), strict=True)
-        )
-        rows = [
-            ("U", f"{least}{np.sqrt(np.mean(u**2)):.2g} µm RMS, {least}{u.max():.2g} µm largest"),
-            ("u (k = 1), RMS", f"{rms} µm"),
-            *more,
-            ("not included", f"{', '.join(self.without_uncertainty)} (no covariance)" if not self.complete else ""),
-        ]
-        return [pairs(rows), histogram(u, f"{least}U (µm)".strip()), note(DEFINITION)]
+    @property
+    def brief(self) -> str:
+        """U of the tool point over the poses."""
+        poses = f"U of the tool point at {count_with_noun(len(self.axis), 'pose')}"
+        if not self.known or not len(self.axis):
+            return f"{poses}: {UNKNOWN}" if len(self.axis) else poses
+        u = self.expanded_um
+        rms, largest = (expanded(float(one), complete=self.complete) for one in (np.sqrt(np.mean(u**2)), u.max()))
+        return f"{poses}: {rms} RMS, {largest} largest"
 
     def where(self, keep: np.ndarray) -> PoseUncertainty:
         """Return the uncertainty of the selected poses, (n,) booleans."""
@@ -374,8 +363,8 @@ class PoseUncertainty:
 
 
 @final
-@dataclass(frozen=True)
-class UncertaintyMap:
+@dataclass(frozen=True, repr=False)
+class UncertaintyMap(Result):
     """U of the tool point over many poses.
 
     Attributes:
@@ -406,11 +395,10 @@ class UncertaintyMap:
         row = self.positions[int(np.argmax(self.uncertainty.expanded_um))]
         return dict(zip(self.axes, row.tolist(), strict=True))
 
-    def _repr_html_(self) -> str:
-        place = ", ".join(f"{name} {value:.0f}" for name, value in self.where.items()).replace("-", "−")
-        small = count_with_noun(len(self.positions), "pose")
-        shown = self.uncertainty.shown(("largest at (mm, °)", place))
-        return card("U of the tool point over the volume", *shown, small=small).text
+    @property
+    def brief(self) -> str:
+        """U of the tool point over the poses, and where it is largest."""
+        return f"{self.uncertainty.brief}{f' at {place(self.where)}' if self.where else ''}"
 
     def to_dict(self) -> dict[str, Any]:
         """Return the JSON object: summary and every pose; unknown numbers are null."""
@@ -475,22 +463,6 @@ class ToolUncertainty:
     def parameters(self) -> tuple[str, ...]:
         """Names of the parameters that have an uncertainty."""
         return self.covariance.names
-
-    def _repr_html_(self) -> str:
-        known = (
-            count_with_noun(len(self.parameters), "parameter")
-            if self.parameters
-            else f"{UNKNOWN}: no covariance in the calibration"
-        )
-        rows = [
-            ("from", f"{known} of the calibration" if self.parameters else known),
-            ("unknown uncertainty of", ", ".join(self.without_uncertainty)),
-            ("not identified, plausible size", ", ".join(self.unknown)),
-            ("tool length", f"{self.kinematics.tool_length_mm:g} mm"),
-        ]
-        hint = note("`.over_volume()`, `.on_grid(…)` and `.at(…)` give U in µm")
-        machine, drawn = self.kinematics.machine.name, self.kinematics.calibration.illustrative
-        return card(f"Uncertainty at the tool of {machine}", pairs(rows), hint, illustrative=drawn).text
 
     def at(self, positions: Any, approach: Any = None) -> PoseUncertainty:
         """Return the uncertainty at given poses, by first-order propagation about the calibration's values.

@@ -395,10 +395,3 @@ def test_an_ambiguous_sign_is_stated(machine: Machine, tmp_path: Path) -> None:
     path.write_text(header + "".join(f"{i},25;10;-10;0;0;K;tool;{i}.500;1;2\n" for i in range(1, 9)))
     (assumption,) = import_table(path, machine).assumptions
     assert assumption == "the decimal sign is the comma: '1.500' is read as 1500"
-
-
-def test_a_notebook_shows_the_import(machine: Machine, tmp_path: Path) -> None:
-    path = tmp_path / "cmm.csv"
-    path.write_bytes(shop_files.cmm_report())
-    html = twin.import_table(path, machine)._repr_html_()
-    assert "Imported table: 24 rows" in html and "all rows are of one target" in html

@@ -36,6 +36,7 @@ from twin.compensation.programs.motions import ToolPath, increments_hinted
 from twin.compensation.programs.prepared import Options, PreparedMachine
 from twin.compensation.programs.report import LineNote, Report
 from twin.compensation.programs.uncorrected import of_unknown
+from twin.display.results import Result
 from twin.machine.machine import Machine
 from twin.model.calibration import Calibration
 from twin.nc import DIALECTS, dialect_for, read_program
@@ -189,8 +190,8 @@ def _contributions(runs: tuple[RunReport, ...], compensation: Report | None) -> 
 
 
 @final
-@dataclass(frozen=True)
-class Refit:
+@dataclass(frozen=True, repr=False)
+class Refit(Result):
     """A refitted program.
 
     Attributes:
@@ -201,8 +202,10 @@ class Refit:
     text: str
     report: PathReport
 
-    def _repr_html_(self) -> str:
-        return self.report._repr_html_()
+    @property
+    def brief(self) -> str:
+        """That of its report."""
+        return self.report.brief
 
 
 @final

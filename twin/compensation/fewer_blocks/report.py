@@ -17,7 +17,7 @@ from twin._common.provenance import ILLUSTRATIVE, SourceWarning, warning_texts
 from twin._common.records import json_form
 from twin._common.units import count_with_noun
 from twin.compensation.programs.report import NO_ERRORS, LineNote, Report, grouped
-from twin.display import UNKNOWN, bar, card, note, pairs, table
+from twin.display.results import Result
 
 SCHEMA = "twin.path/1"
 SHOWN = 8
@@ -108,8 +108,8 @@ class RunReport:
 
 
 @final
-@dataclass(frozen=True)
-class PathReport:
+@dataclass(frozen=True, repr=False)
+class PathReport(Result):
     """Report of one refitted program; every field is in the JSON report under its name.
 
     Attributes:
@@ -208,30 +208,12 @@ class PathReport:
         }
         return dict(json_form(found))
 
-    def _repr_html_(self) -> str:
-        used, shares = self.used(), self.shares
-        rows = [
-            ("blocks from input path", shares.path, used["path"]),
-            ("compensation between end points, rounding", shares.compensation + shares.rounding, used["machine"]),
-            ("executed path from input path", shares.tolerance, used["total"]),
-        ]
-        cells = [(words, f"{share:.3f}", f"{most:.3f}", bar(most / shares.tolerance)) for words, share, most in rows]
-        u = self.expanded_um
-        facts = [
-            ("blocks", f"{self.blocks:,} in {count_with_noun(len(self.runs), 'run')}, now {self.blocks_out:,}"),
-            (
-                "U of a point of the path (k = 2)",
-                f"{u:.2g} µm" if u == u else f"{UNKNOWN}: the calibration has no covariance",
-            ),
-        ]
-        lists = (("not met", self.not_met, True), ("note", self.notes, False))
-        notes = [
-            note(f"{of}, line {one.line}: {one.text}", loud=loud) for of, those, loud in lists for one in those[:SHOWN]
-        ]
-        title = f"{Path(self.program).name} on {self.machine} with fewer blocks"
-        headers = (f"of {shares.tolerance:g} µm", "share, µm", "used, µm", "")
-        parts = (pairs(facts), table(headers, cells, right=(1, 2)), *notes)
-        return card(title, *parts, illustrative=self.illustrative, wrong=not self.complete).text
+    @property
+    def brief(self) -> str:
+        """Numbers of blocks before and after, and the part of the tolerance used."""
+        used = f"{self.used()['total']:.3g} of {self.shares.tolerance:g} µm used"
+        blocks = f"{count_with_noun(self.blocks, 'block')}, now {self.blocks_out:,}; {used}"
+        return f"{Path(self.program).name} on {self.machine}: {blocks}{'; NOT MET' if self.not_met else ''}"
 
     def used(self) -> dict[str, float]:
         """Return by step the largest part of the tolerance used, over all runs, µm."""

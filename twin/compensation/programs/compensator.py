@@ -28,6 +28,7 @@ from twin.compensation.programs.prepared import Options, PreparedMachine
 from twin.compensation.programs.report import Report
 from twin.compensation.programs.stream import Streamed, check, unreadable
 from twin.compensation.programs.uncorrected import frame_uses
+from twin.display.results import Display, DisplayedResult
 from twin.machine.machine import Machine
 from twin.model.calibration import Calibration
 from twin.nc import dialect_for, dialect_of, read_program
@@ -38,8 +39,8 @@ from twin.nc.modal import UNKNOWN_AFTER
 
 
 @final
-@dataclass(frozen=True)
-class Compensation:
+@dataclass(frozen=True, repr=False)
+class Compensation(DisplayedResult):
     """A compensated program.
 
     Attributes:
@@ -68,8 +69,14 @@ class Compensation:
     lines: np.ndarray
     backlash_move: np.ndarray
 
-    def _repr_html_(self) -> str:
-        return self.report._repr_html_()
+    @property
+    def brief(self) -> str:
+        """That of its report."""
+        return self.report.brief
+
+    def display(self) -> Display:
+        """Return that of its report."""
+        return self.report.display()
 
 
 @final

@@ -25,7 +25,7 @@ from twin.compensation.programs.motions import (
 )
 from twin.compensation.programs.pieces import check_one_mode
 from twin.compensation.programs.words import Setup, WordSpace, check_domains, outside_range
-from twin.display import card, histogram, note, pairs
+from twin.display.results import Result
 from twin.machine.machine import Machine
 from twin.model.calibration import Calibration
 from twin.model.conditions import Conditions
@@ -39,8 +39,8 @@ SAME_POSITION: Final = 1e-6
 
 
 @final
-@dataclass(frozen=True)
-class Execution:
+@dataclass(frozen=True, repr=False)
+class Execution(Result):
     """Result of executing a program once.
 
     Attributes:
@@ -84,23 +84,16 @@ class Execution:
         ]
         return "; ".join([*([points] if points else []), *blocks])
 
-    def _repr_html_(self) -> str:
+    @property
+    def brief(self) -> str:
+        """Error of the tool point."""
         off = np.linalg.norm(self.reached_mm - self.meant_mm, axis=1) * 1e3
         if not len(off):
-            return card("Executed", note("no point within the axis ranges", loud=True), wrong=True).text
+            return "no point within the axis ranges"
         worst = int(np.argmax(off))
-        rows = [
-            (
-                "error of the tool point",
-                f"{np.sqrt(np.mean(off**2)):.2f} µm RMS, {off[worst]:.2f} µm largest (line {self.lines[worst]})",
-            ),
-            ("tilt of the tool axis", f"{np.sqrt(np.mean(np.sum(self.tilt_urad**2, axis=1))):.1f} µrad RMS"),
-            ("left out", self.omitted),
-        ]
-        small = f"{count_with_noun(len(off), 'point')}, {self.ends.sum():,} of them block end points"
-        return card(
-            "Executed", pairs(rows), histogram(off, "error (µm)", "points"), small=small, wrong=not self.complete
-        ).text
+        error = f"{np.sqrt(np.mean(off**2)):.2f} µm RMS, {off[worst]:.2f} µm largest (line {self.lines[worst]})"
+        left_out = f"; left out: {self.omitted}" if self.omitted else ""
+        return f"{count_with_noun(len(off), 'point')}: error of the tool point {error}{left_out}"
 
 
 def execute_file(

@@ -21,6 +21,7 @@ from twin.compensation.programs.compensator import Compensator
 from twin.compensation.programs.prepared import Options
 from twin.compute.native import equal_portions
 from twin.compute.parallel import Workers, map_as_completed
+from twin.display.results import Result
 from twin.machine.machine import Machine
 from twin.model.calibration import Calibration
 from twin.nc import DIALECTS
@@ -33,8 +34,8 @@ Verdict = Literal["done", "not met", "failed"]
 
 
 @final
-@dataclass(frozen=True)
-class ProgramOutcome:
+@dataclass(frozen=True, repr=False)
+class ProgramOutcome(Result):
     """Result of compensating one program.
 
     Attributes:
@@ -59,7 +60,7 @@ class ProgramOutcome:
         return "done" if self.summary["strictly_complete" if self.strict else "complete"] else "not met"
 
     @property
-    def line(self) -> str:
+    def brief(self) -> str:
         """Summary in one line."""
         if self.error is not None:
             return f"failed: {self.error}"

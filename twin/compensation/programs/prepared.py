@@ -18,7 +18,6 @@ from twin.compensation.programs.backlash import Backlash
 from twin.compensation.programs.block_conditions import channels_by_block
 from twin.compensation.programs.comparison import PoseComparison, ThesisMethod
 from twin.compensation.programs.words import Setup, WordSpace, outside_range
-from twin.display import Html, card, pairs
 from twin.machine.machine import Machine
 from twin.model.calibration import Calibration
 from twin.model.conditions import Conditions, values_in_words
@@ -57,23 +56,6 @@ class Options:
     rotary_limit_deg: float = DEFAULT_ROTARY_LIMIT_DEG
     method: Literal["exact", "thesis"] = "exact"
     conditions: Conditions = field(default_factory=Conditions)
-
-    def _repr_html_(self) -> str:
-        length = "the machine file's own" if self.tool_length_mm is None else f"{self.tool_length_mm:g} mm"
-        at = ", ".join(f"{name} {value:g}" for name, value in self.conditions.channels.items())
-        rows = [
-            ("tool length", length),
-            ("scope", "everything the program can carry" if self.scope is None else str(self.scope)),
-            (
-                "tool-centre-point mode",
-                "on from the start (tcp)" if self.tcp else "off until the program switches it on",
-            ),
-            ("tolerance between block end points", f"{self.tolerance_mm * 1e3:g} µm"),
-            ("rotary motion to correct an orientation", f"{self.rotary_limit_deg:g}° at most"),
-            ("method", self.method),
-            ("conditions", at),
-        ]
-        return card("Options", pairs(rows), Html(self.setup._repr_html_())).text
 
 
 @final

@@ -12,7 +12,8 @@ from twin._common.records import json_form
 from twin._common.units import count_with_noun
 from twin.compensation.programs.uncertainty import CompensationTally, Corrections
 from twin.compensation.programs.uncorrected import SHOWN, FrameUse, Shortfall, line_numbers
-from twin.display import bar, card, note, pairs, readable, table
+from twin.display import bar, note, readable, table
+from twin.display.results import Display, DisplayedResult
 from twin.model.conditions import values_in_words
 from twin.tool.uncertainty import DEFINITION
 
@@ -149,8 +150,8 @@ class ControlNote:
 
 
 @final
-@dataclass(frozen=True)
-class Report:
+@dataclass(frozen=True, repr=False)
+class Report(DisplayedResult):
     """Report of a compensation; every field is in the JSON report under its name.
 
     Attributes:
@@ -273,7 +274,14 @@ class Report:
             for name, (value, unit) in self.largest_correction.items()
         )
 
-    def _repr_html_(self) -> str:
+    @property
+    def brief(self) -> str:
+        """Result, and the error at the tool before and after."""
+        change = f"{self.before.rms_um:.2f} → {self.after.rms_um:.2f} µm RMS at the tool"
+        return f"{Path(self.program).name} on {self.machine}: {self.headline}; {change}"
+
+    def display(self) -> Display:
+        """Return errors before and after, the classes of errors, and what was not corrected."""
         worst = max(self.before.max_um, self.after.max_um, 1e-9)
         headers = (
             f"error at the tool over {self.before.points:,} poses",
@@ -309,16 +317,14 @@ class Report:
             ("largest shift of an axis", self._largest_moves),
             ("error of rounding", f"up to {self.rounding_um:.2f} µm at a block end point"),
         ]
-        parts = (
-            note(self.headline, loud=not self.complete),
-            table(headers, errors, right=range(1, 5)),
-            pairs(rows),
+        above = note(self.headline, loud=not self.complete), table(headers, errors, right=range(1, 5))
+        below = (
             table(by_class, classes, right=(1, 2)),
             *(note(f"not corrected: {one.text}", loud=bool(one.missed)) for one in self.not_corrected),
             *(note(text) for text in grouped(self.notes)),
         )
         title = f"{Path(self.program).name} on {self.machine}, compensated"
-        return card(title, *parts, illustrative=self.illustrative, wrong=not self.complete).text
+        return Display(title, rows, above=above, below=below, illustrative=self.illustrative, wrong=not self.complete)
 
     def to_text(self) -> str:
         """Return the report as text."""

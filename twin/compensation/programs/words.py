@@ -22,7 +22,6 @@ from twin._common.errors import InputError
 from twin._common.units import MM
 from twin.compute.along import BatchFunction
 from twin.controls.offsets import OffsetTable, ToolTable
-from twin.display import card, pairs
 from twin.machine.machine import Machine
 from twin.model.calibration import Calibration
 from twin.model.effects.empirical import check_ranges
@@ -61,18 +60,6 @@ class Setup:
                 file=self.offsets.path,
                 setting="work offset",
             )
-
-    def _repr_html_(self) -> str:
-        x, y, z = self.work_origin_mm
-        offsets = ", ".join(f"{name} {value:g}" for name, value in self.work_offset.items())
-        rows = [
-            ("work offset of axis words (mm, °)", offsets or "none"),
-            ("program zero in the work frame", f"x {x:g}, y {y:g}, z {z:g} mm"),
-            ("rotary axes start at", ", ".join(f"{name} {value:g}°" for name, value in self.start_deg.items()) or "0°"),
-            ("table of work offsets", "none" if self.offsets is None else str(self.offsets.path)),
-            ("table of tools", "none" if self.tools is None else str(self.tools.path)),
-        ]
-        return card("Setup", pairs(rows)).text
 
 
 def axis_words(machine: Machine) -> AxisWords:

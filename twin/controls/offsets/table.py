@@ -13,13 +13,14 @@ import numpy as np
 
 from twin._common.csv_tables import Cells, read_table
 from twin._common.errors import InputError, closest_name
-from twin.display import card, pairs
+from twin.display.numbers import listed
+from twin.display.results import Result
 from twin.nc.text import number
 
 
 @final
-@dataclass(frozen=True)
-class OffsetTable:
+@dataclass(frozen=True, repr=False)
+class OffsetTable(Result):
     """Work offsets of a machine.
 
     Attributes:
@@ -58,16 +59,15 @@ class OffsetTable:
             value=name or None,
         )
 
-    def _repr_html_(self) -> str:
-        rows = [
-            (name, ", ".join(f"{axis} {value:g}" for axis, value in row.items())) for name, row in self.rows.items()
-        ]
-        return card(f"Work offsets of {self.path.name} (mm, °)", pairs(rows)).text
+    @property
+    def brief(self) -> str:
+        """File and names."""
+        return f"work offsets of {self.path.name}: {listed(list(self.rows))}"
 
 
 @final
-@dataclass(frozen=True)
-class ToolTable:
+@dataclass(frozen=True, repr=False)
+class ToolTable(Result):
     """Tool lengths of a machine.
 
     Attributes:
@@ -101,9 +101,10 @@ class ToolTable:
             nearest=closest_name(name, known),
         )
 
-    def _repr_html_(self) -> str:
-        rows = [(name, f"{length:g} mm") for name, length in self.lengths_mm.items()]
-        return card(f"Tools of {self.path.name}", pairs(rows)).text
+    @property
+    def brief(self) -> str:
+        """File and names."""
+        return f"tools of {self.path.name}: {listed(list(self.lengths_mm))}"
 
 
 class TableForm(ABC):

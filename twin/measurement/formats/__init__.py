@@ -19,6 +19,7 @@ from twin._common.errors import InputError, closest_name
 from twin._common.files import read_bytes
 from twin._common.provenance import SIMULATED, SourceWarning, warning_texts, warnings_to_json
 from twin._common.units import count_with_noun
+from twin.display.results import Result
 from twin.machine.machine import Machine
 from twin.measurement.checks import check_ranges
 from twin.measurement.contacts import SphereCentre
@@ -31,8 +32,8 @@ FORMATS: Final[tuple[MeasuredFormat, ...]] = families.members("twin.measurement.
 
 
 @final
-@dataclass(frozen=True)
-class ConvertedFiles:
+@dataclass(frozen=True, repr=False)
+class ConvertedFiles(Result):
     """A measurement table made from files of another program.
 
     Attributes:
@@ -69,14 +70,16 @@ class ConvertedFiles:
         """Write the table atomically, with its origin in comments."""
         self.measurements.save(path, machine, comment=self.comment)
 
+    @property
+    def brief(self) -> str:
+        """Format, numbers of rows and rounds, and what the rows are."""
+        rounds = count_with_noun(len(dict.fromkeys(self.measurements.round)), "round")
+        rows = count_with_noun(len(self.measurements), "row")
+        return f"{self.specification.title}: {rows}, {rounds}; {self.specification.gives}"
+
     def to_text(self) -> str:
         """Return rows, assumptions and what is not verified as text."""
-        rounds = count_with_noun(len(dict.fromkeys(self.measurements.round)), "round")
-        lines = [
-            f"{self.specification.title}: {count_with_noun(len(self.measurements), 'row')}, {rounds}; "
-            f"{self.specification.gives}",
-            *(f"  {text}" for text in self.remarks),
-        ]
+        lines = [self.brief, *(f"  {text}" for text in self.remarks)]
         return "\n".join(lines) + "\n"
 
     def to_dict(self) -> dict[str, Any]:

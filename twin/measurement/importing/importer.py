@@ -15,7 +15,7 @@ from twin._common.errors import InputError, printable
 from twin._common.files import other_kind, read_bytes, scratch_folder, write_atomic
 from twin._common.provenance import SIMULATED, SourceWarning, warning_texts, warnings_to_json
 from twin._common.units import count_with_noun
-from twin.display import card, note, table
+from twin.display.results import Result
 from twin.machine.machine import Machine
 from twin.measurement.columns import SIMULATED as SIMULATED_WORD
 from twin.measurement.columns import comment_lines, csv_text, table_columns
@@ -37,8 +37,8 @@ SIMULATION: Final = re.compile(r"\bsimul(ated|iert)", re.IGNORECASE)
 
 
 @final
-@dataclass(frozen=True)
-class ImportedTable:
+@dataclass(frozen=True, repr=False)
+class ImportedTable(Result):
     """A table of another program as a measurement table, with its mapping.
 
     Attributes:
@@ -159,13 +159,11 @@ class ImportedTable:
             "warnings": warnings_to_json(self._warnings),
         }
 
-    def _repr_html_(self) -> str:
-        names, rows = self.preview()
-        notes = [note(f"assumed: {text}", loud=True) for text in self.assumptions]
-        notes += [note(f"found, not applied: {text}", loud=True) for text in self.findings]
-        notes += [note(text) for text in (*warning_texts(self._warnings), *self.notes)]
-        count = count_with_noun(len(next(iter(self.columns.values()), ())), "row")
-        return card(f"Imported table: {count}", table(names, rows), *notes, small=self.origin).text
+    @property
+    def brief(self) -> str:
+        """File, number of rows, and what is to be confirmed."""
+        rows = count_with_noun(len(next(iter(self.columns.values()), ())), "row")
+        return f"{self.source}: {rows}, {count_with_noun(len(self.to_confirm), 'item')} to confirm"
 
 
 def origin_text(entry: OriginEntry | None) -> str:

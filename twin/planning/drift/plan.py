@@ -16,7 +16,8 @@ from twin._common.errors import InputError
 from twin._common.families import DRIFT_INSTRUMENTS
 from twin._common.files import write_atomic
 from twin._common.units import count_with_noun
-from twin.display import card, note, pairs, readable
+from twin.display import readable
+from twin.display.results import Result
 from twin.machine.machine import Machine
 from twin.measurement.columns import comment_lines, csv_text, number_cells
 from twin.measurement.instruments import instrument_named
@@ -50,8 +51,8 @@ SENSORS: Final = ("X1", "X2", "Y1", "Y2", "Z")
 
 
 @final
-@dataclass(frozen=True)
-class DriftPlan:
+@dataclass(frozen=True, repr=False)
+class DriftPlan(Result):
     """A drift test on one machine.
 
     Attributes:
@@ -132,10 +133,8 @@ class DriftPlan:
 
     def to_text(self) -> str:
         """Return the text report."""
-        machine = self.task.base.machine.name
         lines = [
-            f"{machine}: drift test {self.sequence.name} with {self.task.instrument}, {count_with_noun(len(self.table), 'reading')}, "
-            f"{self.minutes:.0f} minutes without setting up",
+            self.brief,
             f"{self.sequence.title}; {STANDARD}",
             *self._speeds(),
             "",
@@ -168,14 +167,12 @@ class DriftPlan:
         parts = [f"from {time[i - 1] / 60.0:.0f} min {speed[i]:g}" for i in starts]
         return [f"spindle speeds, 1/min: {', '.join(parts)}"]
 
-    def _repr_html_(self) -> str:
-        facts = [
-            ("instrument", self.task.instrument),
-            ("duration", f"{self.minutes:.0f} minutes"),
-            ("source", STANDARD),
-        ]
-        small = count_with_noun(len(self.table), "reading")
-        return card(f"Drift test {self.sequence.name}", pairs(facts), *map(note, self.notices()), small=small).text
+    @property
+    def brief(self) -> str:
+        """Test, instrument, number of readings and duration."""
+        test = f"{self.task.base.machine.name}: drift test {self.sequence.name} with {self.task.instrument}"
+        readings = count_with_noun(len(self.table), "reading")
+        return f"{test}, {readings}, {self.minutes:.0f} minutes without setting up"
 
 
 def make_drift_plan(

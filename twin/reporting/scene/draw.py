@@ -40,6 +40,7 @@ from twin._common.units import MM
 from twin.compensation.programs.execute import Execution, execute_file
 from twin.compensation.programs.words import Setup
 from twin.display import compact, in_iframe, render
+from twin.display.results import Display, DisplayedResult
 from twin.machine.machine import Machine
 from twin.model.calibration import Calibration
 from twin.model.conditions import Conditions
@@ -563,8 +564,8 @@ HEIGHT_PX: Final = 600
 
 
 @final
-@dataclass(frozen=True)
-class Scene:
+@dataclass(frozen=True, repr=False)
+class Scene(DisplayedResult):
     """Animation of a machine running a program; displayed by a notebook.
 
     Attributes:
@@ -579,8 +580,14 @@ class Scene:
         """Write the page atomically."""
         write_atomic(Path(path), self.html)
 
-    def _repr_html_(self) -> str:
-        return in_iframe(self.html, HEIGHT_PX).text
+    @property
+    def brief(self) -> str:
+        """Size of the page, and the execution that it shows."""
+        return f"animation, {len(self.html) / 1e6:.1f} MB: {self.execution.brief}"
+
+    def display(self) -> Display:
+        """Return the page in a frame."""
+        return Display("Animation", below=(in_iframe(self.html, HEIGHT_PX),), small=self.execution.brief)
 
 
 def draw_program(
