@@ -10,11 +10,10 @@ import numpy as np
 from twin._common.arrays import read_only
 from twin._common.errors import InputError
 from twin._common.units import MM
-from twin.identification.fitting import WRONG_COLUMN_SHARE, agreeing_rows, miss_limit, other_unit
-from twin.identification.network import SetUp, stated_covariance
+from twin.identification.network import stated_covariance
 from twin.identification.solve import Repeats, Spread, covariance_from_repeats, noise_text, repeats_of
-from twin.identification.start import initial_setup, nominal_carriers
 from twin.machine.machine import Machine
+from twin.measurement.agreement import WRONG_COLUMN_SHARE, agreeing_rows, fit_of, other_unit
 from twin.measurement.checks import ASSUMED
 from twin.measurement.columns import POINT_COLUMNS
 from twin.measurement.instruments import (
@@ -26,6 +25,7 @@ from twin.measurement.instruments import (
     others_alike,
 )
 from twin.measurement.observation import CarriedTargets, at_origin
+from twin.measurement.set_up import SetUp, nominal_carriers
 from twin.measurement.table import Measurements
 
 FEWEST_ROWS: Final = 3
@@ -317,11 +317,10 @@ def _instrument(
 def _follows_as_coordinate(machine: Machine, data: Measurements) -> bool:
     """Return whether a single column follows the commands as a coordinate along one line."""
     try:
-        points = StationInstruments.same(default_instrument("point"), data.station)
-        _, miss = initial_setup(machine, data, points)
+        fit = fit_of(machine, data, StationInstruments.same(default_instrument("point"), data.station))
     except InputError:
         return False
-    return float(np.mean(miss > miss_limit(data, miss))) <= WRONG_COLUMN_SHARE
+    return fit.share <= WRONG_COLUMN_SHARE
 
 
 def _may_be_length(machine: Machine, data: Measurements) -> bool:

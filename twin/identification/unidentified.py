@@ -17,12 +17,13 @@ import numpy as np
 
 from twin._common.units import count_with_noun
 from twin.identification.inputs import PreparedData
-from twin.identification.network import Network, SetUp
+from twin.identification.network import Network
 from twin.identification.solve import FitSolution, solve
 from twin.identification.unknowns import Unknowns
 from twin.machine.machine import Machine
 from twin.measurement.instruments import StationInstruments
 from twin.measurement.instruments.base import SetUpWords
+from twin.measurement.set_up import SetUp
 from twin.measurement.table import Measurements
 from twin.model.effects import split_name
 from twin.model.unknown_errors import NO_REFERENCE, at_rest

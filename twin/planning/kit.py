@@ -27,11 +27,12 @@ from twin._common.bundled import find_bundled
 from twin._common.errors import InputError, closest_name
 from twin._common.units import DEG, MM
 from twin._common.yaml_files import EntryPath, load_yaml
-from twin.identification.network import CHUNK, Network, SetUp
+from twin.identification.network import CHUNK, Network
 from twin.identification.solve import all_unknowns, free_directions
 from twin.identification.unknowns import Unknowns, axes_with_known_places, least_determined_offset, spaces_for
 from twin.machine.machine import Machine
 from twin.measurement.instruments import INSTRUMENTS, Instrument, StationInstruments
+from twin.measurement.set_up import SetUp
 from twin.measurement.simulate import Placement, Station, simulate
 from twin.measurement.table import Measurements
 from twin.model.calibration import Calibration

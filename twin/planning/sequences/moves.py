@@ -21,9 +21,9 @@ from typing import Final, Literal
 import numpy as np
 
 from twin._common.errors import InputError
-from twin.identification.network import SetUp
 from twin.identification.unidentified import constant_rows
 from twin.measurement.instruments import StationInstruments
+from twin.measurement.set_up import SetUp
 from twin.planning.design import Exchange
 from twin.planning.sequences.contacts import reach
 from twin.planning.sequences.specification import (

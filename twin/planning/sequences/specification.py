@@ -15,11 +15,11 @@ from twin._common.families import SEQUENCE_INSTRUMENTS
 from twin._common.records import json_form
 from twin._common.units import MM
 from twin.display import readable
-from twin.identification.network import SetUp
 from twin.identification.unidentified import ConstantErrors, constant_errors
 from twin.machine.machine import Machine
 from twin.measurement.instruments import Instrument, StationInstruments
 from twin.measurement.observation import Observation
+from twin.measurement.set_up import SetUp
 from twin.measurement.simulate import Station
 from twin.measurement.table import Measurements
 from twin.model.calibration import Calibration
