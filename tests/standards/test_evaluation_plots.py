@@ -83,10 +83,10 @@ def test_positioning(tmp_path: Path) -> None:
 
 
 def test_positioning_of_a_rotary_axis_short_of_the_standard(tmp_path: Path) -> None:
-    result = rotary_axis(np.linspace(0, 90, 3), *runs(2, (3, 3))).in_arcsec()
+    result = rotary_axis(np.linspace(0, 90, 3), *runs(2, (3, 3)))
     figure = plot_positioning(result, title="Table")
     assert figure.axes[0].get_xlabel() == "target position [°]"
-    assert figure.axes[0].get_ylabel().endswith("[arcsec]")
+    assert figure.axes[0].get_ylabel().endswith("[µrad]")
     assert figure.axes[0].get_title(loc="left") == "Table"
     assert any("Not by the standard (4.3): 3 cycles" in text for text in texts(figure))
     rendered(figure, tmp_path / "p.png", FORWARD, BACKWARD)
