@@ -247,6 +247,23 @@ def nominal_carriers(machine: Machine, data: Measurements) -> CarriedTargets:
     return observation_of(machine).carried(q, errors, data.carrier, places, data.station_carrier, angles)
 
 
+def least_motion(points: np.ndarray, rotation: np.ndarray, place: np.ndarray) -> np.ndarray:
+    """Return (n, 3) the deviation of a target from its mean, m; for an unknown place, the one on the carrier that moves least.
+
+    Args:
+        points: (n, 3) origin of the carrier.
+        rotation: (n, 3, 3) of the carrier.
+        place: (3,) of the target; NaN where unknown.
+    """
+    if np.isfinite(place).all():
+        found = points + rotation @ place
+        return np.asarray(found - found.mean(axis=0))
+    turn = (rotation - rotation.mean(axis=0)).reshape(-1, 3)
+    off = (points - points.mean(axis=0)).reshape(-1)
+    best = np.linalg.lstsq(turn, -off, rcond=1e-9)[0]
+    return np.asarray((off + turn @ best).reshape(-1, 3))
+
+
 def _by_kind(
     machine: Machine, data: Measurements, instruments: StationInstruments, initial: SetUp, kinds: np.ndarray
 ) -> InitialSetUp:

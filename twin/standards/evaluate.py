@@ -12,7 +12,7 @@ from twin._common.errors import InputError, require_type
 from twin._common.provenance import SIMULATED
 from twin.machine.machine import Machine
 from twin.measurement.instruments import Instrument
-from twin.measurement.observation import Observation, of_angles
+from twin.measurement.observation import of_angles
 from twin.measurement.table import Measurements, with_length
 from twin.standards.iso230_1 import Straightness
 from twin.standards.linear_axes import angular_tests, linear_positioning, squareness_tests, straightness_tests
@@ -80,13 +80,10 @@ def evaluate(
     _single_axes(runs, machine, uncertainty_mm, tests, missing)
     if angles.any():
         _angles(data.select(angles), machine, uncertainty_mm, tests, missing)
-    observation = Observation(machine)
     for run in runs.circles:
         _attempt(_title("circular", run, machine), tests, missing, circle_test, run, machine, uncertainty_mm(run))
     for run in runs.mixed:
-        _attempt(
-            _title("kinematic", run, machine), tests, missing, kinematic_test, run, observation, uncertainty_mm(run)
-        )
+        _attempt(_title("kinematic", run, machine), tests, missing, kinematic_test, run, machine, uncertainty_mm(run))
     checked = check_tolerances(tolerances or {}, tests)
     return EvaluationResult(
         data=data,

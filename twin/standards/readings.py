@@ -24,6 +24,7 @@ from twin._common.units import DEG, MM, UM
 from twin.machine.machine import Axis, Machine
 from twin.measurement.instruments import Instrument
 from twin.measurement.table import Measurements
+from twin.numerics.spatial import algebraic_sphere
 
 MOVED: Final = 1e-6
 """Difference of two commands, mm or degrees, above which an axis has moved."""
@@ -229,7 +230,7 @@ def _arcs(q: np.ndarray) -> Iterator[tuple[int, int]]:
 
 def _on_circle(q: np.ndarray) -> bool:
     """Return whether positions are on a circle, and not on a line."""
-    centre, radius = fit_circle(q)
+    centre, radius = algebraic_sphere(q)
     return bool(radius < LARGEST_RADIUS_MM and np.abs(np.hypot(*(q - centre).T) - radius).max() < CIRCLE_MM)
 
 
@@ -237,7 +238,7 @@ def _joined(circles: Sequence[MeasuredRun], machine: Machine) -> tuple[MeasuredR
     """Return the circles with those of the same station, target, axes, place, radius and feed joined; a feed of 0 is unknown."""
     groups: dict[tuple[Any, ...], list[MeasuredRun]] = {}
     for run in circles:
-        centre, radius = fit_circle(run.positions)
+        centre, radius = algebraic_sphere(run.positions)
         feed = float(np.median(run.data.feed_mm_min)) if np.isfinite(run.data.feed_mm_min).all() else 0.0
         key = (
             run.station,
@@ -256,18 +257,6 @@ def _joined(circles: Sequence[MeasuredRun], machine: Machine) -> tuple[MeasuredR
         numbers = np.concatenate([np.full(len(run.data), k) for k, run in enumerate(runs)])
         joined.append(MeasuredRun(data, runs[0].axes, read_only(numbers), runs[0].where))
     return tuple(joined)
-
-
-def fit_circle(points: np.ndarray) -> tuple[np.ndarray, float]:
-    """Return centre (2,) and radius of the circle through (n, 2) points by algebraic least squares; infinite for a line."""
-    middle = points.mean(axis=0)
-    x, y = (points - middle).T
-    columns = np.column_stack([2.0 * x, 2.0 * y, np.ones(len(x))])
-    solution, _, rank, _ = np.linalg.lstsq(columns, x**2 + y**2, rcond=1e-9)
-    if rank < 3:
-        return middle, float("inf")
-    centre = solution[:2]
-    return middle + centre, float(np.sqrt(max(solution[2] + centre @ centre, 0.0)))
 
 
 def directions(run: MeasuredRun) -> tuple[np.ndarray, bool]:
