@@ -20,8 +20,7 @@ from tests.conftest import SHARED, beside
 from twin._common.errors import InputError
 from twin.standards.iso230_2 import (
     Positioning,
-    linear_axis,
-    rotary_axis,
+    bidirectional,
     unidirectional,
 )
 
@@ -116,7 +115,7 @@ def stage(request: pytest.FixtureRequest) -> Stage:
         assert np.abs(file_backward - forward).max() < 1e-9
         forward, backward = file_backward, file_forward
     deviations = (1e3 * (positions - target[:, None]) for positions in (forward, backward))
-    return Stage(report, target, forward, backward, linear_axis(target, *deviations, axis=request.param.upper()))
+    return Stage(report, target, forward, backward, bidirectional(target, *deviations, axis=request.param.upper()))
 
 
 def printed(value_mm: float) -> str:
@@ -315,7 +314,7 @@ def drawn(seed: int, targets: int, cycles: int) -> tuple[np.ndarray, np.ndarray,
 @given(seed=st.integers(0, 2**32 - 1), targets=st.integers(2, 12), cycles=st.integers(2, 7))
 def test_second_formulation(seed: int, targets: int, cycles: int) -> None:
     target, forward, backward = drawn(seed, targets, cycles)
-    result = linear_axis(target, forward, backward)
+    result = bidirectional(target, forward, backward)
     for name, value in second_formulation(forward, backward).items():
         assert getattr(result, name) == pytest.approx(value, abs=1e-10), name  # sums of some 100 µm in doubles
 
@@ -329,12 +328,12 @@ def test_second_formulation(seed: int, targets: int, cycles: int) -> None:
 )
 def test_properties(seed: int, targets: int, cycles: int, shift: float, factor: float) -> None:
     target, forward, backward = drawn(seed, targets, cycles)
-    result = linear_axis(target, forward, backward)
-    shifted = linear_axis(target, forward + shift, backward + shift)
-    scaled = linear_axis(target, forward * factor, backward * factor)
-    turned = linear_axis(target, backward, forward)
+    result = bidirectional(target, forward, backward)
+    shifted = bidirectional(target, forward + shift, backward + shift)
+    scaled = bidirectional(target, forward * factor, backward * factor)
+    turned = bidirectional(target, backward, forward)
     order = np.random.default_rng(seed).permutation(targets)
-    mixed = linear_axis(target[order], forward[order][:, ::-1], backward[order])
+    mixed = bidirectional(target[order], forward[order][:, ::-1], backward[order])
     for name in AXIS_VALUES:
         value = getattr(result, name)
         assert getattr(shifted, name) == pytest.approx(value, abs=1e-9), name  # 1000 µm more in doubles
@@ -356,7 +355,7 @@ def test_properties(seed: int, targets: int, cycles: int, shift: float, factor: 
 
 
 def test_worked_by_hand() -> None:
-    result = linear_axis([0, 100], [[1, 3], [4, 4]], [[0, 0], [5, 9]], axis="X")
+    result = bidirectional([0, 100], [[1, 3], [4, 4]], [[0, 0], [5, 9]], axis="X")
     assert list(result.mean_forward) == [2, 4]
     assert list(result.mean_backward) == [0, 7]
     assert list(result.B_i) == [2, -3]
@@ -383,7 +382,7 @@ def test_worked_by_hand() -> None:
 )
 def test_short_of_the_standard_linear(travel: float, targets: int, cycles: int, words: tuple[str, ...]) -> None:
     runs = np.arange(targets * cycles).reshape(targets, cycles)
-    result = linear_axis(np.linspace(0, travel, targets), runs, runs)
+    result = bidirectional(np.linspace(0, travel, targets), runs, runs)
     assert len(result.shortfalls) == len(words)
     assert all(word in said for word, said in zip(words, result.shortfalls, strict=True))
 
@@ -392,12 +391,12 @@ def test_short_of_the_standard_linear(travel: float, targets: int, cycles: int, 
 def test_short_of_the_standard_rotary(travel: float, enough: int) -> None:
     for targets, words in ((enough, 0), (enough - 1, 1)):
         runs = np.arange(targets * 5).reshape(targets, 5)
-        assert len(rotary_axis(np.linspace(0, travel, targets), runs, runs).shortfalls) == words
+        assert len(bidirectional(np.linspace(0, travel, targets), runs, runs, "deg").shortfalls) == words
 
 
 def test_results_do_not_change() -> None:
     runs = np.arange(10.0).reshape(2, 5)
-    result = linear_axis([0, 1], runs, runs)
+    result = bidirectional([0, 1], runs, runs)
     runs[0, 0] = 99.0
     assert result.forward[0, 0] == 0.0
     with pytest.raises(ValueError, match="read-only"):
@@ -427,14 +426,14 @@ GOOD = np.arange(10.0).reshape(2, 5)
 )
 def test_bad_input(target: object, forward: object, backward: object, words: str) -> None:
     with pytest.raises(InputError, match=words):
-        linear_axis(target, forward, backward)  # type: ignore[arg-type]
+        bidirectional(target, forward, backward)  # type: ignore[arg-type]
 
 
 def test_rounding_asks_for_no_target_more() -> None:
     """One metre, from 24.3 mm: in double precision a little more than one."""
     target = np.linspace(24.300000000164687, 1024.300000000164687, 5)
     assert np.ptp(target) > 1000.0
-    assert linear_axis(target, np.zeros((5, 5)), np.zeros((5, 5))).shortfalls == ()
+    assert bidirectional(target, np.zeros((5, 5)), np.zeros((5, 5))).shortfalls == ()
 
 
 @pytest.mark.parametrize("direction", [1, -1])
@@ -444,7 +443,7 @@ def test_one_direction_alone_has_the_values_of_that_direction(direction: int) ->
         np.arange(0.0, 500.0, 50.0),
         rng.normal(0.0, 2.0, (2, 10, 5)) + np.linspace(0.0, 8.0, 10)[:, None],
     )
-    both = linear_axis(target, deviations[0], deviations[1])
+    both = bidirectional(target, deviations[0], deviations[1])
     own = deviations[0 if direction > 0 else 1]
     alone = unidirectional(target, own, "mm", direction, axis="X")
     side = "forward" if direction > 0 else "backward"

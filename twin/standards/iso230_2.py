@@ -158,68 +158,29 @@ def unidirectional(
     )
 
 
-def linear_axis(
-    target_mm: ArrayLike, forward_um: ArrayLike, backward_um: ArrayLike, *, axis: str = "", fewest_cycles: int = 2
+def bidirectional(
+    target: ArrayLike,
+    forward: ArrayLike,
+    backward: ArrayLike,
+    target_unit: Literal["mm", "deg"] = "mm",
+    *,
+    axis: str = "",
+    fewest_cycles: int = 2,
 ) -> Positioning:
-    """Evaluate a linear axis according to ISO 230-2:2014.
+    """Evaluate a linear or rotary axis according to ISO 230-2:2014.
 
     Args:
-        target_mm: (m,) target positions, each once.
-        forward_um: (m, n) deviations, approached in the positive direction.
-        backward_um: (m, n) deviations, approached in the negative direction.
+        target: (m,) target positions, each once.
+        forward: (m, n) deviations, approached in the positive direction, µm or µrad.
+        backward: (m, n) deviations, approached in the negative direction.
+        target_unit: ``mm`` or ``deg``.
         axis: its name.
         fewest_cycles: 1 to evaluate a single cycle too; its s, R and A are then NaN.
 
     Raises:
         InputError: shapes that do not match, a missing value, a target given twice, fewer than two targets, or too few cycles.
     """
-    return _evaluate(axis, "mm", *_checked(target_mm, forward_um, backward_um, fewest_cycles))
-
-
-def rotary_axis(
-    target_deg: ArrayLike, forward_urad: ArrayLike, backward_urad: ArrayLike, *, axis: str = "", fewest_cycles: int = 2
-) -> Positioning:
-    """Evaluate a rotary axis according to ISO 230-2:2014, in µrad.
-
-    Args:
-        target_deg: (m,) target positions, each once.
-        forward_urad: (m, n) deviations, approached in the positive direction.
-        backward_urad: (m, n) deviations, approached in the negative direction.
-        axis: its name.
-        fewest_cycles: as for `linear_axis`.
-
-    Raises:
-        InputError: as `linear_axis`.
-    """
-    return _evaluate(axis, "deg", *_checked(target_deg, forward_urad, backward_urad, fewest_cycles))
-
-
-def _checked(
-    target: ArrayLike, forward: ArrayLike, backward: ArrayLike, fewest_cycles: int
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    targets = finite_array("targets", target, 1)
-    up, down = finite_array("forward deviations", forward, 2), finite_array("backward deviations", backward, 2)
-    check_same_length("forward deviations", up, "the targets", targets)
-    if up.shape != down.shape:
-        raise InputError(
-            "backward deviations do not match the forward ones", expected=f"the same shape {up.shape}", value=down.shape
-        )
-    if len(targets) < 2 or up.shape[1] < fewest_cycles:
-        expected = f"at least 2 targets and {fewest_cycles} cycles"
-        raise InputError("too few targets or cycles", expected=expected, value=up.shape)
-    found, times = np.unique(targets, return_counts=True)
-    if len(found) < len(targets):
-        raise InputError(
-            "a target occurs twice",
-            expected="each target once, its approaches in one row",
-            value=float(found[times > 1][0]),
-        )
-    return targets, up, down
-
-
-def _evaluate(
-    axis: str, target_unit: Literal["mm", "deg"], target: np.ndarray, forward: np.ndarray, backward: np.ndarray
-) -> Positioning:
+    target, forward, backward = _checked(target, forward, backward, fewest_cycles)
     mean_up, mean_down = forward.mean(axis=1), backward.mean(axis=1)
     s_up, s_down = _estimator(forward), _estimator(backward)
     mean, reversal = (mean_up + mean_down) / 2.0, mean_up - mean_down
@@ -282,3 +243,26 @@ def _shortfalls(target_unit: str, target: np.ndarray, cycles: int) -> tuple[str,
     if cycles < CYCLES:
         found.append(f"{cycles} cycles, {CYCLES} required")
     return tuple(found)
+
+
+def _checked(
+    target: ArrayLike, forward: ArrayLike, backward: ArrayLike, fewest_cycles: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    targets = finite_array("targets", target, 1)
+    up, down = finite_array("forward deviations", forward, 2), finite_array("backward deviations", backward, 2)
+    check_same_length("forward deviations", up, "the targets", targets)
+    if up.shape != down.shape:
+        raise InputError(
+            "backward deviations do not match the forward ones", expected=f"the same shape {up.shape}", value=down.shape
+        )
+    if len(targets) < 2 or up.shape[1] < fewest_cycles:
+        expected = f"at least 2 targets and {fewest_cycles} cycles"
+        raise InputError("too few targets or cycles", expected=expected, value=up.shape)
+    found, times = np.unique(targets, return_counts=True)
+    if len(found) < len(targets):
+        raise InputError(
+            "a target occurs twice",
+            expected="each target once, its approaches in one row",
+            value=float(found[times > 1][0]),
+        )
+    return targets, up, down

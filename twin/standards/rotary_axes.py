@@ -22,7 +22,7 @@ from twin.measurement.set_up import least_motion, nominal_carriers
 from twin.numerics.spatial import algebraic_sphere
 from twin.standards.iso230_4 import WIDEST_GAP_DEG, CircularTest, RotaryMotion, circular_test, error_motion
 from twin.standards.linear_axes import positioning
-from twin.standards.readings import DECIMALS, MeasuredRun, NotPossible, carried_sides, place_of
+from twin.standards.readings import DECIMALS, MeasuredRun, NotPossible, carried_sides, place_of, rms_um
 from twin.standards.result import StandardTest, StandardValue
 
 KINEMATIC: Final = "after ISO 10791-6:2014 (not verified)"
@@ -294,7 +294,7 @@ def circle_test(run: MeasuredRun, machine: Machine, u_mm: np.ndarray) -> Standar
     if np.isfinite(feed).all():
         place += f", feed {np.median(feed):g} mm/min"
     column = u_mm[:, :1] if length_only else u_mm
-    u = float(np.sqrt(np.nanmean(column**2))) * (MM / UM) if np.isfinite(column).any() else float("nan")
+    u = rms_um(column)
     values = _values(found, u, len(run.data), absolute=absolute)
     return StandardTest("circular", "".join(names), CIRCULAR, names, place, values, tuple(remarks), found)
 

@@ -123,7 +123,9 @@ class ImportedTable:
     def to_text(self) -> str:
         """Return origin, columns, first rows, assumptions and findings as text."""
         count = count_with_noun(len(next(iter(self.columns.values()), ())), "row")
-        lines = [f"{self.source}: {count}; {self.layout}", "", *self._origins(), ""]
+        entries, longest = self.mapping.entries.columns, max(map(len, self.columns), default=0)
+        origins = [f"  {name.ljust(longest)}  {origin_text(entries.get(name))}" for name in self.columns]
+        lines = [f"{self.source}: {count}; {self.layout}", "", *origins, ""]
         names, rows = self.preview()
         shown = [names, *rows]
         widths = [max(len(row[i]) for row in shown) for i in range(len(names))]
@@ -137,11 +139,6 @@ class ImportedTable:
             if texts:
                 lines += ["", f"{title}:", *(f"  {text}" for text in texts)]
         return printable("\n".join(lines) + "\n")
-
-    def _origins(self) -> list[str]:
-        names = self.mapping.entries.columns
-        width = max(map(len, self.columns), default=0)
-        return [f"  {name.ljust(width)}  {origin_text(names.get(name))}" for name in self.columns]
 
     def to_dict(self) -> dict[str, Any]:
         """Return JSON data (``schema: twin.import/1``)."""

@@ -37,7 +37,7 @@ from twin.standards.drift.iso230_3 import (
     turning_axis,
 )
 from twin.standards.drift.record import DriftRecord, SensorMap, is_displacement_record, load_displacements
-from twin.standards.readings import SAME_AS_MACHINE, NotPossible, reading_uncertainty_mm
+from twin.standards.readings import SAME_AS_MACHINE, NotPossible, reading_uncertainty_mm, rms_um
 from twin.standards.result import (
     EvaluationResult,
     NotEvaluated,
@@ -257,7 +257,7 @@ def relative_displacements(
         temperature_degC=data.temperature_degC,
         ambient=ambient,
         speed_rpm=read_only(np.abs(speed)) if np.isfinite(speed).any() else None,
-        u_um=float(np.sqrt(np.nanmean(u**2))) * (MM / UM) if np.isfinite(u).any() else float("nan"),
+        u_um=rms_um(u),
         remarks=tuple(remarks),
         notices=data.notices,
         set_aside=data.set_aside,
