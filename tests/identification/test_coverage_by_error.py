@@ -25,11 +25,11 @@ from twin.identification.fitting import RobustStart, prior_precision, robust_sta
 from twin.identification.inputs import prepare
 from twin.identification.network import Network
 from twin.identification.solve import Spread, solve
-from twin.identification.start import initial_setup
 from twin.identification.unidentified import DeterminedModel, determined_models
 from twin.identification.unknowns import Unknowns
 from twin.machine.machine import Machine
 from twin.measurement.instruments import LaserTracker, StationInstruments
+from twin.measurement.set_up import initial_setup
 from twin.measurement.simulate import simulate
 from twin.measurement.table import Measurements
 from twin.model.calibration import Calibration

@@ -27,7 +27,6 @@ from twin.identification.inputs import prepare
 from twin.identification.network import Network, stated_covariance
 from twin.identification.orders import _Fold, choose
 from twin.identification.solve import covariance_from_repeats, misfit, repeats_of
-from twin.identification.start import initial_setup
 from twin.identification.unidentified import determined_models
 from twin.identification.unknowns import Unknowns
 from twin.machine.machine import Machine
@@ -38,6 +37,7 @@ from twin.measurement.instruments import (
     TrackingInterferometer,
 )
 from twin.measurement.observation import repeat_groups
+from twin.measurement.set_up import initial_setup
 from twin.measurement.simulate import simulate
 from twin.measurement.table import Measurements
 from twin.model.calibration import Calibration

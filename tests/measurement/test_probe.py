@@ -14,10 +14,10 @@ from tests.real.probe_sphere import MACHINE as HEAD_HEAD
 from tests.truth.machine import carried, written
 from twin._common.errors import InputError
 from twin.identification import identify
-from twin.identification.network import SetUp
 from twin.identification.unidentified import ConstantErrors, constant_errors
 from twin.machine.machine import Machine
 from twin.measurement.instruments import StationInstruments, TouchProbe
+from twin.measurement.set_up import SetUp
 from twin.measurement.simulate import simulate
 from twin.measurement.table import Measurements
 from twin.model.calibration import Calibration

@@ -17,10 +17,10 @@ from twin.identification import Identification, identify
 from twin.identification.discrepancy import covariance_of
 from twin.identification.network import Network
 from twin.identification.solve import FitSolution, Spread, solve
-from twin.identification.start import initial_setup
 from twin.identification.unknowns import Unknowns
 from twin.machine.machine import Machine
 from twin.measurement.instruments import LaserTracker, StationInstruments, default_instrument
+from twin.measurement.set_up import initial_setup
 from twin.measurement.table import Measurements
 from twin.model.calibration import Calibration
 from twin.numerics.curves import POWER, CurveSpace

@@ -30,7 +30,6 @@ def test_squareness_is_an_ellipse_at_45_degrees() -> None:
         assert value == pytest.approx(expected, abs=1e-5)
     assert found.forward.F_max_um == pytest.approx(expected / 2.0, abs=1e-3)
     assert found.forward.F_min_um == pytest.approx(-expected / 2.0, abs=1e-3)
-    assert DEGREES[int(np.argmax(found.forward.centred_um))] in (45.0, 225.0)
     assert found.H_um == 0.0 and found.D_um == pytest.approx(0.0, abs=1e-3)
     assert found.shortfalls == ()
 

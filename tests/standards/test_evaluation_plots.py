@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 from twin.display.figures import BACKWARD, FORWARD, save
 from twin.standards.iso230_1 import straightness
-from twin.standards.iso230_2 import linear_axis, rotary_axis
+from twin.standards.iso230_2 import bidirectional
 from twin.standards.iso230_4 import error_motion
 from twin.standards.plots import plot_error_motion, plot_positioning, plot_straightness
 
@@ -59,7 +59,7 @@ def runs(seed: int, shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
 def test_positioning(tmp_path: Path) -> None:
     target = np.array([300.0, 0.0, 100.0, 200.0, 400.0])  # not in order: the plot is
     forward, backward = runs(1, (5, 5))
-    result = linear_axis(target, forward, backward, axis="X")
+    result = bidirectional(target, forward, backward, axis="X")
     figure = plot_positioning(result)
     plot, order = figure.axes[0], np.argsort(target)
     assert plot.get_xlabel() == "target position [mm]"
@@ -83,10 +83,10 @@ def test_positioning(tmp_path: Path) -> None:
 
 
 def test_positioning_of_a_rotary_axis_short_of_the_standard(tmp_path: Path) -> None:
-    result = rotary_axis(np.linspace(0, 90, 3), *runs(2, (3, 3))).in_arcsec()
+    result = bidirectional(np.linspace(0, 90, 3), *runs(2, (3, 3)), "deg")
     figure = plot_positioning(result, title="Table")
     assert figure.axes[0].get_xlabel() == "target position [°]"
-    assert figure.axes[0].get_ylabel().endswith("[arcsec]")
+    assert figure.axes[0].get_ylabel().endswith("[µrad]")
     assert figure.axes[0].get_title(loc="left") == "Table"
     assert any("Not by the standard (4.3): 3 cycles" in text for text in texts(figure))
     rendered(figure, tmp_path / "p.png", FORWARD, BACKWARD)
@@ -140,7 +140,7 @@ def test_error_motion(tmp_path: Path, kind: str, turns: int) -> None:
 def test_a_perfect_axis_can_be_drawn(tmp_path: Path) -> None:
     rendered(plot_error_motion(error_motion(np.arange(0, 360, 30), np.zeros(12), "axial")), tmp_path / "e.png")
     rendered(plot_straightness(straightness([0, 1, 2], [0, 0, 0])), tmp_path / "s.png")
-    rendered(plot_positioning(linear_axis([0, 1], np.zeros((2, 5)), np.zeros((2, 5)))), tmp_path / "p.png")
+    rendered(plot_positioning(bidirectional([0, 1], np.zeros((2, 5)), np.zeros((2, 5)))), tmp_path / "p.png")
 
 
 def test_only_the_plots_need_matplotlib() -> None:

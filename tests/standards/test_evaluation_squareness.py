@@ -102,18 +102,6 @@ def test_uncertainty_is_the_spread_over_many_measurements() -> None:
     assert stated.u_urad == pytest.approx(np.sqrt(2.0) * alone[0], rel=1e-12)  # both axes have the same positions
 
 
-def test_artefact_is_taken_off() -> None:
-    """A square whose second leg is rotated by 7 µrad shows an axis that follows it as square: its error is 7 µrad."""
-    travel = np.linspace(0.0, 300.0, 7)
-    along_x, along_y = (straightness(travel, 0.0 * travel, name=name, u_um=0.3) for name in ("E_YX", "E_XY"))
-    found = squareness(along_x, along_y, artefact_urad=7.0, u_artefact_urad=2.0)
-    without = squareness(along_x, along_y)
-    assert (found.value_urad, without.value_urad) == (7.0, 0.0)
-    assert found.u_urad is not None
-    assert without.u_urad is not None
-    assert found.u_urad == pytest.approx(np.hypot(without.u_urad, 2.0), rel=1e-14)
-
-
 def test_every_kind_of_line() -> None:
     path = curves(3)
     datum, other = (
@@ -135,8 +123,6 @@ def test_every_kind_of_line() -> None:
         ("E_YX", "E_XZ", {}, "E_YX and E_XY"),
         ("", "", {}, "one plane"),
         ("E_YX", "E_XY", {"line": "middle"}, "least squares, end point, minimum zone"),
-        ("E_YX", "E_XY", {"u_artefact_urad": -1.0}, "u not negative"),
-        ("E_YX", "E_XY", {"artefact_urad": np.nan}, "finite"),
     ],
 )
 def test_bad_input(first: str, second: str, more: dict[str, float], words: str) -> None:

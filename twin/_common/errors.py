@@ -112,18 +112,19 @@ def closest_name(name: str, known: Iterable[str]) -> str | None:
     return max(alike, key=lambda candidate: SequenceMatcher(None, name, candidate).ratio(), default=None)
 
 
-def require_name(what: str, name: str, known: Iterable[str]) -> None:
+def require_name(what: str, name: str, known: Iterable[str], **place: Any) -> None:
     """Raise `InputError` unless a name is known.
 
     Args:
         what: what it is the name of, in words.
         name: the name.
         known: all names.
+        place: file, line or setting of the name.
     """
     names = list(known)
     if name not in names:
         expected = f"one of {', '.join(names)}"
-        raise InputError(f"no such {what}", expected=expected, value=name, nearest=closest_name(name, names))
+        raise InputError(f"no such {what}", expected=expected, value=name, nearest=closest_name(name, names), **place)
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:

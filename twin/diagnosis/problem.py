@@ -19,8 +19,9 @@ import numpy as np
 from twin.diagnosis.candidates.candidate import Column, effect_columns
 from twin.diagnosis.nuisance import Nuisance
 from twin.diagnosis.signature_products import PointBlock, Signatures, side_by_side
-from twin.identification.network import LinearisedReadings, Network, SetUp
+from twin.identification.network import LinearisedReadings, Network
 from twin.measurement.observation import machine_state
+from twin.measurement.set_up import SetUp
 from twin.model.calibration import Calibration
 from twin.numerics.covariance import symmetric_root
 from twin.numerics.functions import Rows, pieces

@@ -23,7 +23,7 @@ from twin.diagnosis.problem import Problem
 from twin.diagnosis.signature_products import signatures_of
 from twin.identification.discrepancy import Discrepancy, no_discrepancy, outlier_notes, outliers
 from twin.identification.inputs import prepare
-from twin.identification.network import LinearisedReadings, Network, SetUp, stated_covariance
+from twin.identification.network import LinearisedReadings, Network, stated_covariance
 from twin.identification.solve import SIGNIFICANCE, repeats_of, solve
 from twin.identification.unknowns import Unknowns
 from twin.machine.machine import Machine
@@ -31,6 +31,7 @@ from twin.measurement.checks import RowNote
 from twin.measurement.instruments import Instrument, StationInstruments
 from twin.measurement.instruments.base import along_and_across
 from twin.measurement.observation import repeat_groups
+from twin.measurement.set_up import SetUp
 from twin.measurement.table import Measurements
 from twin.model.calibration import Calibration
 

@@ -10,11 +10,10 @@ import numpy as np
 from twin._common.arrays import read_only
 from twin._common.errors import InputError
 from twin._common.units import MM
-from twin.identification.fitting import WRONG_COLUMN_SHARE, agreeing_rows, miss_limit, other_unit
-from twin.identification.network import SetUp, stated_covariance
+from twin.identification.network import stated_covariance
 from twin.identification.solve import Repeats, Spread, covariance_from_repeats, noise_text, repeats_of
-from twin.identification.start import initial_setup, nominal_carriers
 from twin.machine.machine import Machine
+from twin.measurement.agreement import WRONG_COLUMN_SHARE, agreeing_rows, fit_of, other_unit
 from twin.measurement.checks import ASSUMED
 from twin.measurement.columns import POINT_COLUMNS
 from twin.measurement.instruments import (
@@ -26,6 +25,7 @@ from twin.measurement.instruments import (
     others_alike,
 )
 from twin.measurement.observation import CarriedTargets, at_origin
+from twin.measurement.set_up import SetUp, least_motion, nominal_carriers
 from twin.measurement.table import Measurements
 
 FEWEST_ROWS: Final = 3
@@ -121,7 +121,7 @@ def _check_sensors(machine: Machine, data: Measurements) -> Measurements:
             read = np.isfinite(data.point_mm[rows]).any(axis=0)
             if not np.any(read) or not np.array_equal(constant, read):
                 continue
-            off = _least_motion(points.points[rows], points.rotation[rows], data.place_mm[rows[0]] * MM)
+            off = least_motion(points.points[rows], points.rotation[rows], data.place_mm[rows[0]] * MM)
             far = int(np.argmax(np.linalg.norm(off - off[0], axis=1)))
             moved = float(np.linalg.norm(off[far] - off[0]))
             value = ", ".join(f"{POINT_COLUMNS[i]} {data.point_mm[rows[0], i]:g}" for i in np.flatnonzero(read))
@@ -144,7 +144,7 @@ def _check_spheres(data: Measurements, points: CarriedTargets, station: str) -> 
     at = data.station == station
     for target in dict.fromkeys(data.target[at]):
         rows = np.flatnonzero(at & (data.target == target))
-        off = _least_motion(points.points[rows], points.rotation[rows], data.place_mm[rows[0]] * MM)
+        off = least_motion(points.points[rows], points.rotation[rows], data.place_mm[rows[0]] * MM)
         distance = np.linalg.norm(off, axis=1)
         if distance.max() > NOT_PROBED_M:
             raise data.error(
@@ -189,23 +189,6 @@ def _constant_coordinates(data: Measurements, points: np.ndarray, station: str) 
         f"while its targets move by {moved / MM:.3g} mm: a dead channel, unless they move in a plane and are noise-free"
         for i in np.flatnonzero(constant)
     ]
-
-
-def _least_motion(points: np.ndarray, rotation: np.ndarray, place: np.ndarray) -> np.ndarray:
-    """Return (n, 3) the deviation of a target from its mean, m; for an unknown place, the one on the carrier that moves least.
-
-    Args:
-        points: (n, 3) origin of the carrier.
-        rotation: (n, 3, 3) of the carrier.
-        place: (3,) of the target; NaN where unknown.
-    """
-    if np.isfinite(place).all():
-        found = points + rotation @ place
-        return np.asarray(found - found.mean(axis=0))
-    turn = (rotation - rotation.mean(axis=0)).reshape(-1, 3)
-    off = (points - points.mean(axis=0)).reshape(-1)
-    best = np.linalg.lstsq(turn, -off, rcond=1e-9)[0]
-    return np.asarray((off + turn @ best).reshape(-1, 3))
 
 
 def _unobserved_axes(machine: Machine, data: Measurements) -> list[str]:
@@ -317,11 +300,10 @@ def _instrument(
 def _follows_as_coordinate(machine: Machine, data: Measurements) -> bool:
     """Return whether a single column follows the commands as a coordinate along one line."""
     try:
-        points = StationInstruments.same(default_instrument("point"), data.station)
-        _, miss = initial_setup(machine, data, points)
+        fit = fit_of(machine, data, StationInstruments.same(default_instrument("point"), data.station))
     except InputError:
         return False
-    return float(np.mean(miss > miss_limit(data, miss))) <= WRONG_COLUMN_SHARE
+    return fit.share <= WRONG_COLUMN_SHARE
 
 
 def _may_be_length(machine: Machine, data: Measurements) -> bool:
@@ -331,7 +313,7 @@ def _may_be_length(machine: Machine, data: Measurements) -> bool:
         rows = (data.station == station) & (data.target == target) & np.isfinite(data.point_mm[:, 0])
         if np.count_nonzero(rows) < 2:
             continue
-        off = _least_motion(points.points[rows], points.rotation[rows], data.place_mm[rows][0] * MM)
+        off = least_motion(points.points[rows], points.rotation[rows], data.place_mm[rows][0] * MM)
         moved = float(np.linalg.norm(np.ptp(off, axis=0)))
         if np.ptp(data.point_mm[rows, 0]) * MM >= LENGTH_SHARE * moved:
             return True

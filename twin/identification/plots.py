@@ -110,7 +110,9 @@ def plot_orders(found: Identification, names: Sequence[str] = (), *, title: str 
         title: a heading.
     """
     choice = found.choice
-    shown = list(names) or sorted(choice.by_curve, key=lambda name: -_loss(choice.by_curve[name]))[:4]
+    # By the increase of a curve's held-out error by degree 8.
+    loss = {name: own.get(THESIS_FUNCTIONS, 0.0) - min(own.values()) for name, own in choice.by_curve.items()}
+    shown = list(names) or sorted(loss, key=lambda name: -loss[name])[:4]
     figure = new_figure(12.0, 4.8)
     left, right = figure.subplots(1, 2, width_ratios=(1.0, 1.15))
     style_axes(left)
@@ -473,11 +475,6 @@ def _inverse_root(covariance: np.ndarray) -> np.ndarray:
     values, vectors = np.linalg.eigh(covariance)
     keep = values > 1e-9 * values[-1]
     return np.asarray((vectors[:, keep] / np.sqrt(values[keep])).T)
-
-
-def _loss(scores: Mapping[int, float]) -> float:
-    """Return the increase of one curve's held-out error by degree 8."""
-    return scores.get(THESIS_FUNCTIONS, 0.0) - min(scores.values())
 
 
 # --- An identification as one HTML file: verdict, errors with intervals, residuals and curves. Needs the extra ``plots``

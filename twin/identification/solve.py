@@ -26,12 +26,12 @@ from twin._common.arrays import read_only
 from twin._common.distributions import chi2_isf, chi2_sf, f_sf
 from twin._common.resources import map_chunks
 from twin._common.units import MM, URAD
-from twin.identification.network import Network, SetUp
-from twin.identification.start import nominal_carriers
+from twin.identification.network import Network
 from twin.identification.unknowns import UnknownNumber, Unknowns
 from twin.machine.machine import Machine
 from twin.measurement.instruments import Instrument, StationInstruments
 from twin.measurement.observation import FEWEST_REPEATS, at_origin, repeat_groups
+from twin.measurement.set_up import SetUp, nominal_carriers
 from twin.measurement.table import Measurements
 from twin.model.effects import unit_of
 from twin.numerics.observability import SINGULAR_VALUE_TOLERANCE, Determinability, Spectrum, Unknown, decompose

@@ -52,7 +52,7 @@ from twin.model.calibration import Calibration
 from twin.model.calibration_file import MeasuredWith, MisfitEntry
 from twin.model.motion_curve import Curve
 from twin.model.unknown_errors import not_measured
-from twin.numerics.spatial import rotation_exp
+from twin.numerics.spatial import algebraic_sphere, rigid_rates, rotation_exp
 
 SIX: Final = {
     "X": ("Px", "Py", "Qx", "Qz", "Ky", "Kz"),
@@ -88,14 +88,7 @@ def three_point(
     deviations = np.asarray(deviations, dtype=float)
     where = np.broadcast_to(np.asarray(places, dtype=float), deviations.shape)
     m = len(deviations)
-    matrix = np.zeros((m, 9, 6))
-    for k in range(3):
-        x, y, z = where[:, k].T
-        block = matrix[:, 3 * k : 3 * k + 3]
-        block[:, range(3), range(3)] = 1.0
-        block[:, 0, 4], block[:, 0, 5] = z, -y
-        block[:, 1, 3], block[:, 1, 5] = -z, x
-        block[:, 2, 3], block[:, 2, 4] = y, -x
+    matrix = rigid_rates(where.reshape(-1, 3)).reshape(m, 9, 6)
     right = deviations.reshape(m, 9)
     if equations == "six":
         rows = [3 * REFLECTORS.index(name[0]) + "xyz".index(name[1]) for name in SIX[axis]]
@@ -338,7 +331,7 @@ def _circle(run: _AxisPoints, machine: Machine, x: np.ndarray) -> _Frame:
     z = np.linalg.svd(points - centroid)[2][2]
     x = _unit(x - (x @ z) * z)
     flat = (points - centroid) @ np.column_stack([x, np.cross(z, x)])
-    found, *_ = np.linalg.lstsq(np.column_stack([2.0 * flat, np.ones(len(flat))]), np.sum(flat**2, axis=1), rcond=None)
+    found, _ = algebraic_sphere(flat)
     centre = centroid + found[0] * x + found[1] * np.cross(z, x)
     arms = run.points[0, np.argsort(run.position), 0] - centre
     sense = np.sum(np.cross(arms[:-1], arms[1:]) @ z) * machine.by_name[run.axis].direction[2]

@@ -17,12 +17,13 @@ import numpy as np
 
 from twin._common.units import count_with_noun
 from twin.identification.inputs import PreparedData
-from twin.identification.network import Network, SetUp
+from twin.identification.network import Network
 from twin.identification.solve import FitSolution, solve
 from twin.identification.unknowns import Unknowns
 from twin.machine.machine import Machine
 from twin.measurement.instruments import StationInstruments
 from twin.measurement.instruments.base import SetUpWords
+from twin.measurement.set_up import SetUp
 from twin.measurement.table import Measurements
 from twin.model.effects import split_name
 from twin.model.unknown_errors import NO_REFERENCE, at_rest
@@ -218,14 +219,8 @@ def constant_errors(
     if found is None:
         return None
     unknowns, rows = found
-    jacobian = rows.reshape(-1, rows.shape[-1])
-    own, nuisance = jacobian[:, : len(unknowns)], jacobian[:, len(unknowns) :]
     scales, constants = unknowns.curves, list(unknowns.constants)
-    # The prior of the set-up is so wide that it only regularises what the readings do not determine.
-    prior = np.concatenate([np.eye(len(setup)), np.zeros((len(setup), own.shape[1]))], axis=1)
-    whole = np.concatenate([np.concatenate([nuisance, own], axis=1), prior])
-    triangle = np.asarray(np.linalg.qr(whole, mode="r"))[len(setup) :, len(setup) :]
-    _, size, directions = np.linalg.svd(triangle)
+    size, directions = without_setup(rows, len(unknowns))
     seen = size > 1.0
     variance = np.sum((directions[seen] / size[seen, None]) ** 2, axis=0)
     lost = directions[~seen]
@@ -237,6 +232,21 @@ def constant_errors(
     return ConstantErrors(
         dict(zip(labels, (float(v) for v in u), strict=True)), int(np.sum(seen)), _lost(labels, lost, within, slopes)
     )
+
+
+def without_setup(rows: np.ndarray, machine: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the strengths (machine,) and directions (machine, machine) of the machine's unknowns, the set-up eliminated.
+
+    Args:
+        rows: (n, 3, machine + set-up) whitened derivatives per plausible size.
+        machine: number of unknowns of the machine.
+    """
+    flat, setup = rows.reshape(-1, rows.shape[-1]), rows.shape[-1] - machine
+    # The prior of the set-up is so wide that it only regularises what the readings do not determine.
+    whole = np.concatenate([np.roll(flat, setup, axis=1), np.eye(setup, rows.shape[-1])])
+    triangle = np.asarray(np.linalg.qr(whole, mode="r"))[setup:, setup:]
+    _, size, directions = np.linalg.svd(triangle)
+    return size, directions
 
 
 def constant_rows(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Final, final
@@ -42,7 +42,7 @@ class Station:
     @classmethod
     def at(cls, pose: np.ndarray) -> Station:
         """Return the station of a row of `Measurements.station_pose`: (6,) mm and degrees."""
-        return cls(_three(pose[:3]), _three(pose[3:] * DEG))
+        return cls(three_floats(pose[:3]), three_floats(pose[3:] * DEG))
 
     @property
     def pose(self) -> np.ndarray:
@@ -89,7 +89,7 @@ class Placement(Result):
             side = str(plan.carrier[plan.target == target][0])
             place = plan.place_mm[plan.target == target][0]
             if np.isfinite(place).all():
-                places[target] = _three(place)
+                places[target] = three_floats(place)
                 continue
             azimuth = np.radians(30.0 + 120.0 * counts[side] + rng.uniform(-15.0, 15.0))
             radius, height = (
@@ -312,7 +312,8 @@ def at_centres(
     return replace(plan, positions=read_only(positions.copy()))
 
 
-def _three(values: np.ndarray) -> tuple[float, float, float]:
+def three_floats(values: Iterable[float]) -> tuple[float, float, float]:
+    """Return three numbers as Python floats."""
     x, y, z = (float(value) for value in values)
     return x, y, z
 

@@ -17,6 +17,7 @@ import scipy
 from twin._common.arrays import first_largest, read_only
 from twin._common.errors import InputError
 from twin._common.units import count_with_noun
+from twin.numerics.spatial import algebraic_sphere
 
 FEWEST: Final = 4
 """Least number of contacts. Three on a sphere of known radius still have two centres, one on either side of their plane."""
@@ -107,10 +108,8 @@ def fit_sphere_algebraic(
     _, singular, directions = np.linalg.svd(local, full_matrices=False)
     if singular[-1] <= SMALLEST_SINGULAR_VALUE * singular[0] or singular[0] == 0.0:
         raise _undetermined(f"all in one plane with the normal {_direction(directions[-1])}", file, line)
-    design = np.column_stack([2.0 * local, np.ones(len(local))])
-    solution = np.linalg.lstsq(design, (local**2).sum(axis=1), rcond=None)[0]
-    centre = solution[:3]
-    return middle + size * centre, size * float(np.sqrt(max(solution[3] + centre @ centre, 0.0)))
+    centre, radius = algebraic_sphere(local)
+    return middle + size * centre, size * radius
 
 
 def fit_sphere(

@@ -47,9 +47,9 @@ from dataclasses import dataclass
 from typing import Final, Literal, final
 
 import numpy as np
-import scipy
 
 from twin._common.arrays import first_largest, largest_first, read_only
+from twin._common.distributions import student_isf
 from twin.display.numbers import COVERAGE
 
 PRIOR_VARIANCES: Final = (1.0, 10.0, 100.0)
@@ -457,7 +457,7 @@ def _with_best_sensor(series: ErrorSeries, levels: np.ndarray, sensors: Mapping[
     both = {name: np.column_stack([levels, values]) for name, values in sensors.items()}
     rss = {name: min(p.min() for p in _profile(series, columns).values()) for name, columns in both.items()}
     best = _best(rss)
-    needed = float(scipy.stats.t.ppf(1.0 - 0.005 / len(sensors), dof)) ** 2
+    needed = float(student_isf(0.005 / len(sensors), dof)) ** 2
     significant = (plain - rss[best]) * dof > needed * max(rss[best], 1e-300)
     return both[best] if significant else levels
 
@@ -497,7 +497,7 @@ def _change(series: ErrorSeries, least: float, nuisance: np.ndarray) -> Change:
     first, final_ = int(inside[0]), int(inside[-1])
     whole = 1.0 if shape == "step" else float(_shape(series, shape, after)[-1])
     variance = max(fit.rss / dof, least)
-    expanded = float(scipy.stats.t.ppf((1.0 + COVERAGE) / 2.0, dof) * np.sqrt(variance * fit.cofactor[-1, -1]))
+    expanded = float(student_isf((1.0 - COVERAGE) / 2.0, dof) * np.sqrt(variance * fit.cofactor[-1, -1]))
     return Change(
         shape=shape,
         sure_shape=bool(0.5 * dof * np.log(other.min() / own[after]) >= np.log(RATIO)),
@@ -524,7 +524,7 @@ def _temperatures(series: ErrorSeries, least: float) -> tuple[TemperatureEffect,
             TemperatureEffect(
                 name,
                 float(fit.value[-1]),
-                float(scipy.stats.t.ppf((1.0 + COVERAGE) / 2.0, dof) * u),
+                float(student_isf((1.0 - COVERAGE) / 2.0, dof) * u),
                 float(0.5 * dof * np.log(change / (fit.rss + least))),
             )
         )

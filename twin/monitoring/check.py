@@ -19,13 +19,14 @@ from twin._common.files import folder_entries, read_bytes
 from twin._common.resources import Progress, one_blas_thread, silent
 from twin._common.units import MM
 from twin.identification.inputs import prepare
-from twin.identification.network import Network, SetUp
+from twin.identification.network import Network
 from twin.identification.solve import FitSolution, solve
 from twin.identification.unidentified import NEGLIGIBLE, constant_errors, constant_unknowns, scale_unit
 from twin.identification.unknowns import Unknowns
 from twin.machine.machine import Machine
 from twin.measurement.checks import grouped_notes
 from twin.measurement.observation import observation_of
+from twin.measurement.set_up import SetUp
 from twin.measurement.table import Measurements
 from twin.model.calibration import Calibration
 from twin.model.effects import unit_of

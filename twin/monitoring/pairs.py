@@ -30,6 +30,7 @@ import numpy as np
 
 from twin._common.arrays import read_only
 from twin._common.distributions import chi2_log_sf, chi2_sf, normal_isf
+from twin.display.numbers import COVERAGE_FACTOR
 from twin.machine.machine import Axis
 from twin.model.calibration import Calibration
 from twin.model.effects import Effect, unit_of
@@ -464,7 +465,7 @@ def simultaneous_factor(shape: np.ndarray, covariance: np.ndarray) -> float:
     factor = shape @ turn @ symmetric_root(turn.T @ covariance @ turn)
     size = np.linalg.norm(factor, axis=1)
     if not np.any(size):
-        return 1.959964
+        return COVERAGE_FACTOR
     seen = size > 1e-9 * size.max()
     drawn = np.random.default_rng(SEED).standard_normal((count, DRAWS))
     return float(np.quantile(np.abs(factor[seen] @ drawn / size[seen, None]).max(axis=0), 0.95))

@@ -24,6 +24,7 @@ from twin.display.numbers import COVERAGE
 from twin.model.calibration import Calibration
 from twin.model.conditions import Conditions
 from twin.model.effects import Frame
+from twin.numerics.spatial import rigid_rates
 from twin.tool.forward import Kinematics, Poses
 from twin.tool.inverse import Inverse, Status
 from twin.tool.uncertainty import ToolUncertainty, inside_domains, radius_95, random_approach, state_at, volume
@@ -143,13 +144,7 @@ class Alignment:
     """
 
     def __init__(self, point_mm: np.ndarray) -> None:
-        x, y, z = (point_mm - point_mm.mean(axis=0)).T / max(float(np.abs(point_mm).max(initial=0.0)), 1.0)
-        rates = np.zeros((len(point_mm), 3, 6))
-        rates[:, :, :3] = np.eye(3)
-        # ω × p
-        rates[:, 1, 3], rates[:, 2, 3] = -z, y
-        rates[:, 0, 4], rates[:, 2, 4] = z, -x
-        rates[:, 0, 5], rates[:, 1, 5] = -y, x
+        rates = rigid_rates((point_mm - point_mm.mean(axis=0)) / max(float(np.abs(point_mm).max(initial=0.0)), 1.0))
         left, size, _ = np.linalg.svd(rates.reshape(-1, 6), full_matrices=False)
         self._basis = left[:, size > 1e-9 * size[0]]
 

@@ -304,7 +304,9 @@ class Watch(DisplayedResult):
     def alarms(self) -> tuple[WatchedError, ...]:
         """The findings that are alarms, changes first, then by date."""
         found = [one for one in self.errors if one.alarming]
-        return tuple(sorted(found, key=lambda one: (one.verdict != "changed", _day(one.change))))
+        return tuple(
+            sorted(found, key=lambda one: (one.verdict != "changed", one.change.day if one.change else np.inf))
+        )
 
     @property
     def following(self) -> tuple[WatchedError, ...]:
@@ -382,10 +384,6 @@ class Watch(DisplayedResult):
             "statements": [json_form(one) for one in self.statements],
             "notices": list(self.notices),
         }
-
-
-def _day(change: Change | None) -> float:
-    return np.inf if change is None else change.day
 
 
 def _finding(found: WatchedError, checks: tuple[Check, ...]) -> dict[str, Any]:

@@ -150,6 +150,26 @@ def cross_matrix(vectors: np.ndarray) -> np.ndarray:
     return found
 
 
+def rigid_rates(points: np.ndarray) -> np.ndarray:
+    """Return the derivatives (n, 3, 6) of (n, 3) points by a small shift and rotation of them all: e + ω × p."""
+    return np.concatenate([np.broadcast_to(np.eye(3), (len(points), 3, 3)), -cross_matrix(points)], axis=2)
+
+
+def algebraic_sphere(points: np.ndarray) -> tuple[np.ndarray, float]:
+    """Return centre (k,) and radius of the circle (k = 2) or sphere (k = 3) through (n, k) points by algebraic least squares (Kåsa).
+
+    The radius is infinite for points on a line or plane.
+    """
+    middle = points.mean(axis=0)
+    local = points - middle
+    design = np.column_stack([2.0 * local, np.ones(len(local))])
+    solution, _, rank, _ = np.linalg.lstsq(design, (local**2).sum(axis=1), rcond=1e-9)
+    if rank < design.shape[1]:
+        return middle, float("inf")
+    centre = solution[:-1]
+    return middle + centre, float(np.sqrt(max(solution[-1] + centre @ centre, 0.0)))
+
+
 def _sine(square: Any) -> Any:
     """Return sin t / t as a function of t²."""
     if isinstance(square, ca.SX):

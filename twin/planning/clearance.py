@@ -493,24 +493,14 @@ def plan_table(
         source: name of the table in messages.
     """
     n = len(target)
-
-    def nothing(*more: int) -> np.ndarray:
-        return read_only(np.full((n, *more), np.nan))
-
     return Measurements(
         source=source,
         lines=read_only(np.arange(1, n + 1)),
         positions=read_only(np.array(positions, dtype=float).reshape(n, len(machine.axes))),
-        readback=nothing(len(machine.axes)),
         target=read_only(np.array(target, dtype=object)),
         carrier=read_only(np.array([kit.targets[name].carrier for name in target], dtype=object)),
         station=read_only(np.array(station, dtype=object)),
-        round=read_only(np.full(n, "1", dtype=object)),
-        point_mm=nothing(3),
-        u_mm=nothing(3),
-        time_s=nothing(),
         approach=read_only(np.array(approach, dtype=float).reshape(n, len(machine.axes))),
         place_mm=read_only(np.array([kit.targets[name].place_mm for name in target]).reshape(n, 3)),
         station_pose=read_only(np.array([kit.stations[name].pose for name in station]).reshape(n, 6)),
-        temperature_degC=MappingProxyType({}),
     )

@@ -29,12 +29,13 @@ from twin._common.units import DEG, MM
 from twin._common.yaml_files import EntryPath, load_yaml
 from twin.display.numbers import listed
 from twin.display.results import Result
-from twin.identification.network import CHUNK, Network, SetUp
+from twin.identification.network import CHUNK, Network
 from twin.identification.solve import all_unknowns, free_directions
 from twin.identification.unknowns import Unknowns, axes_with_known_places, least_determined_offset, spaces_for
 from twin.machine.machine import Machine
 from twin.measurement.instruments import INSTRUMENTS, Instrument, StationInstruments
-from twin.measurement.simulate import Placement, Station, simulate
+from twin.measurement.set_up import SetUp
+from twin.measurement.simulate import Placement, Station, simulate, three_floats
 from twin.measurement.table import Measurements
 from twin.model.calibration import Calibration
 from twin.model.effects import split_name
@@ -84,7 +85,7 @@ class _StationEntry(_KitEntries):
         """Return the station; without ``turn_deg`` it faces the middle of the working volume."""
         if self.turn_deg is None:
             return station_facing(self.origin_mm, middle)
-        return Station(self.origin_mm, _triple(np.array(self.turn_deg) * DEG))
+        return Station(self.origin_mm, three_floats(np.array(self.turn_deg) * DEG))
 
 
 class _TargetEntry(_KitEntries):
@@ -107,7 +108,7 @@ class _TargetEntry(_KitEntries):
         facing = None
         if self.facing != "aimed":
             way = np.array(self.facing, dtype=float)
-            facing = _triple(way / np.linalg.norm(way))
+            facing = three_floats(way / np.linalg.norm(way))
         return Target(self.carrier, self.place_mm, self.known, facing, self.acceptance_deg * DEG)
 
 
@@ -264,13 +265,13 @@ class Kit(Result):
         stations = {}
         for name, way in corners.items():
             direction = np.array(way) / np.linalg.norm(way)
-            stations[name] = station_facing(_triple(np.round(middle + DISTANCE_MM * direction, -1)), middle)
+            stations[name] = station_facing(three_floats(np.round(middle + DISTANCE_MM * direction, -1)), middle)
         reflectors = {}
         for k in range(3):
             angle = np.radians(30.0 + 120.0 * k)
             across = np.array([np.cos(angle), np.sin(angle)])
             for letter, radius, height in (("T", 110.0, -40.0 - 35.0 * k), ("W", 170.0, 30.0 + 30.0 * k)):
-                place = _triple(np.round([*(radius * across), height]) + 0.0)
+                place = three_floats(np.round([*(radius * across), height]) + 0.0)
                 carrier: Literal["tool", "work"] = "tool" if letter == "T" else "work"
                 reflectors[f"{letter}{k + 1}"] = Target(carrier, place, False, None, ACCEPTANCE_DEG * DEG)
         return cls(
@@ -319,11 +320,6 @@ def _middle(machine: Machine) -> np.ndarray:
 
 def _speed(linear: bool) -> float:
     return TRAVEL_MM_S if linear else TRAVEL_DEG_S
-
-
-def _triple(values: Any) -> tuple[float, float, float]:
-    x, y, z = (float(value) for value in values)
-    return x, y, z
 
 
 # --- Linear model of planned readings: their derivatives with respect to every unknown, and the prior

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final, final
@@ -183,17 +182,13 @@ class Plan(DisplayedResult):
         """Whether every pose can be reached by a straight move with clearance from the one before."""
         return not self.route.blocked
 
-    @cached_property
-    def _clearance(self) -> Clearance:
-        return Clearance(self.machine, self.kit)
-
     def notices(self) -> list[str]:
         """Return the instructions for carrying out the plan."""
         found = [
             "approach_… is the direction of approach of each axis: overrun the position by more than the reversal value and return",
             "planned_… are approximate positions, which no evaluation treats as known; place_… and station_… count as exactly known",
         ]
-        if self._clearance.has_shapes:
+        if Clearance(self.machine, self.kit).has_shapes:
             found.append(
                 "poses and straight moves keep the tool side clear of the work side for the shapes in the URDF and the reflectors. "
                 "Holders, clamps and workpiece are not checked: make a dry run first"

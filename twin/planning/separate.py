@@ -25,11 +25,12 @@ from twin.diagnosis.candidates.candidate import Candidate, Variant
 from twin.diagnosis.candidates.catalogue import SPECIFICATIONS, catalogue
 from twin.diagnosis.nuisance import RANK_TOLERANCE
 from twin.diagnosis.problem import Problem
-from twin.identification.fitting import agreeing_rows
-from twin.identification.network import Network, SetUp
+from twin.identification.network import Network
 from twin.identification.unknowns import Unknowns
 from twin.machine.machine import Machine
+from twin.measurement.agreement import agreeing_rows
 from twin.measurement.instruments import Instrument, Reads, StationInstruments, default_instrument
+from twin.measurement.set_up import SetUp
 from twin.measurement.simulate import simulate
 from twin.measurement.table import Measurements
 from twin.model.calibration import Calibration

@@ -12,7 +12,7 @@ from twin._common.errors import InputError, require_type
 from twin._common.provenance import SIMULATED
 from twin.machine.machine import Machine
 from twin.measurement.instruments import Instrument
-from twin.measurement.observation import Observation, of_angles
+from twin.measurement.observation import of_angles
 from twin.measurement.table import Measurements, with_length
 from twin.standards.iso230_1 import Straightness
 from twin.standards.linear_axes import angular_tests, linear_positioning, squareness_tests, straightness_tests
@@ -66,8 +66,14 @@ def evaluate(
         InputError: a tolerance that is negative or not finite; a length that is not positive, or differs from that of the table.
         TypeError: arguments of another type.
     """
-    _check_arguments(data, machine, tolerances or {}, length_mm)
-    data = data if length_mm is None else _with_bar_length(data, length_mm)
+    require_type("data", data, Measurements)
+    require_type("machine", machine, Machine)
+    check_limits(tolerances or {})
+    if length_mm is not None:
+        if not (np.isfinite(length_mm) and length_mm > 0.0):
+            raise InputError("the length of the ball bar must be positive", expected="mm, above 0", value=length_mm)
+        changed, notes = with_length(data.arrays(), length_mm)
+        data = replace(data, **changed, notices=(*data.notices, *notes))
     angles = of_angles(data)
     runs = find_runs(data.select(~angles), machine)
 
@@ -80,40 +86,22 @@ def evaluate(
     _single_axes(runs, machine, uncertainty_mm, tests, missing)
     if angles.any():
         _angles(data.select(angles), machine, uncertainty_mm, tests, missing)
-    observation = Observation(machine)
     for run in runs.circles:
         _attempt(_title("circular", run, machine), tests, missing, circle_test, run, machine, uncertainty_mm(run))
     for run in runs.mixed:
-        _attempt(
-            _title("kinematic", run, machine), tests, missing, kinematic_test, run, observation, uncertainty_mm(run)
-        )
-    checked = check_tolerances(tolerances or {}, tests)
+        _attempt(_title("kinematic", run, machine), tests, missing, kinematic_test, run, machine, uncertainty_mm(run))
+    stated = bool(np.isfinite(data.u_mm).any())
+    source = "in the table" if stated else f"of the instrument ({instrument.specification.title})" if instrument else ""
     return EvaluationResult(
         data=data,
         machine=machine.name,
         tests=tuple(tests),
         not_evaluated=(*_without_duplicates(missing), *_absent(tests, missing, machine)),
         assumptions=_assumptions(runs, tests, machine),
-        uncertainty=_budget(data, instrument),
-        checks=checked,
+        uncertainty=BUDGET.format(source=source) if source else "",
+        checks=check_tolerances(tolerances or {}, tests),
         warnings=(SIMULATED,) if data.simulated else (),
     )
-
-
-def _check_arguments(
-    data: Measurements, machine: Machine, tolerances: Mapping[str, float], length_mm: float | None
-) -> None:
-    require_type("data", data, Measurements)
-    require_type("machine", machine, Machine)
-    check_limits(tolerances)
-    if length_mm is not None and not (np.isfinite(length_mm) and length_mm > 0.0):
-        raise InputError("the length of the ball bar must be positive", expected="mm, above 0", value=length_mm)
-
-
-def _with_bar_length(data: Measurements, length_mm: float) -> Measurements:
-    """Return the table with the given length of its ball bar."""
-    changed, notes = with_length(data.arrays(), length_mm)
-    return replace(data, **changed, notices=(*data.notices, *notes))
 
 
 def _single_axes(
@@ -231,11 +219,3 @@ def _assumptions(runs: TableRuns, tests: Iterable[StandardTest], machine: Machin
     if runs.circles:
         found.append(f"direction of travel on circles from the order of {order}")
     return tuple(found)
-
-
-def _budget(data: Measurements, instrument: Instrument | None) -> str:
-    stated = bool(np.isfinite(data.u_mm).any())
-    if not stated and instrument is None:
-        return ""
-    source = "in the table" if stated else f"of the instrument ({instrument.specification.title})" if instrument else ""
-    return BUDGET.format(source=source)

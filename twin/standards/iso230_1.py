@@ -230,7 +230,6 @@ def straightness(
     *,
     name: str = "",
     u_um: float | None = None,
-    covariance_um2: ArrayLike | None = None,
 ) -> Straightness:
     """Evaluate the straightness of a motion from deviations measured along it (ISO 230-1:2012, 3.4 and 8.2).
 
@@ -239,18 +238,18 @@ def straightness(
         deviation_um: (n,) deviations.
         name: ISO 230-1 name of the error motion; `squareness` needs it.
         u_um: standard uncertainty of each deviation, independent of each other; None if unknown.
-        covariance_um2: (n, n) their covariance instead, in the order given.
 
     Raises:
-        InputError: arrays that do not match, a missing value, a position given twice, fewer than three points, both kinds of
-            uncertainty, or an invalid uncertainty.
+        InputError: arrays that do not match, a missing value, a position given twice, fewer than three points, or an
+            invalid uncertainty.
     """
     position, deviation = finite_array("positions", position_mm, 1), finite_array("deviations", deviation_um, 1)
     check_same_length("deviations", deviation, "the positions", position)
     if len(position) < 3:
         raise InputError("too few points for a straightness", expected="at least 3 points", value=len(position))
     order = np.argsort(position)
-    spread = _covariance(len(position), u_um, covariance_um2)
+    if u_um is not None and not (np.isfinite(u_um) and u_um >= 0.0):
+        raise InputError("not a standard uncertainty", expected="a finite number of µm, not negative", value=u_um)
     position, deviation = read_only(position[order]), read_only(deviation[order])
     same = np.flatnonzero(np.diff(position) == 0.0)
     if len(same):
@@ -259,34 +258,15 @@ def straightness(
             expected="each position once, with the mean of its deviations",
             value=float(position[same[0]]),
         )
-    spread = None if spread is None else spread[np.ix_(order, order)]
     zone_weights, contacts = _minimum_zone(position, deviation)
     return Straightness(
         name=name,
         position_mm=position,
         deviation_um=deviation,
-        least_squares=_line("least squares", position, deviation, _least_squares(position), (), spread),
-        end_point=_line("end point", position, deviation, _end_point(position), (0, len(position) - 1), spread),
-        minimum_zone=_line("minimum zone", position, deviation, zone_weights, contacts, spread),
+        least_squares=_line("least squares", position, deviation, _least_squares(position), (), u_um),
+        end_point=_line("end point", position, deviation, _end_point(position), (0, len(position) - 1), u_um),
+        minimum_zone=_line("minimum zone", position, deviation, zone_weights, contacts, u_um),
     )
-
-
-def _covariance(count: int, u_um: float | None, covariance_um2: ArrayLike | None) -> np.ndarray | None:
-    if covariance_um2 is not None:
-        if u_um is not None:
-            raise InputError("two uncertainties given", expected="u_um or covariance_um2, not both", value=u_um)
-        matrix = finite_array("covariances", covariance_um2, 2)
-        if matrix.shape != (count, count):
-            raise InputError("covariance has the wrong size", expected=f"({count}, {count})", value=matrix.shape)
-        lowest, *_, highest = np.linalg.eigvalsh((matrix + matrix.T) / 2.0)
-        if not np.allclose(matrix, matrix.T, rtol=1e-9, atol=1e-12 * highest) or lowest < -1e-9 * max(highest, 0.0):
-            raise InputError("not a covariance", expected="a symmetric matrix, no negative eigenvalue", value=lowest)
-        return matrix
-    if u_um is None:
-        return None
-    if not (np.isfinite(u_um) and u_um >= 0.0):
-        raise InputError("not a standard uncertainty", expected="a finite number of µm, not negative", value=u_um)
-    return np.eye(count) * u_um**2
 
 
 def _line(
@@ -295,7 +275,7 @@ def _line(
     deviation: np.ndarray,
     weights: np.ndarray,
     contacts: tuple[int, ...],
-    spread: np.ndarray | None,
+    u_um: float | None,
 ) -> ReferenceLine:
     """Return the line of (2, n) weights: height at the middle of the positions, and slope in µm/mm."""
     middle = position.mean()
@@ -310,7 +290,7 @@ def _line(
         residual_um=read_only(residual),
         value_um=float(max(residual.max(), 0.0) - min(residual.min(), 0.0)),
         contacts=contacts,
-        covariance=None if spread is None else read_only(to_user @ spread @ to_user.T),
+        covariance=None if u_um is None else read_only(u_um**2 * to_user @ to_user.T),
     )
 
 
@@ -414,8 +394,6 @@ def squareness(
     other: Straightness,
     *,
     line: LineKind = "least squares",
-    artefact_urad: float = 0.0,
-    u_artefact_urad: float = 0.0,
 ) -> SquarenessError:
     """Evaluate the squareness of an axis relative to its datum axis. The two measurements are taken as independent.
 
@@ -423,11 +401,9 @@ def squareness(
         datum: straightness of the datum axis: ``E_YX`` or ``E_ZX`` of X, ``E_ZY`` of Y.
         other: straightness of the other axis: ``E_XY``, ``E_XZ`` or ``E_YZ``.
         line: kind of the reference lines.
-        artefact_urad: the artefact's own squareness error with the same sign, from its certificate.
-        u_artefact_urad: standard uncertainty of that.
 
     Raises:
-        InputError: names that are not a pair, or invalid values of the artefact.
+        InputError: names that are not a pair.
     """
     name = next(
         (name for name, (first, second, _) in PAIRS.items() if (first, second) == (datum.name, other.name)), None
@@ -439,18 +415,12 @@ def squareness(
             expected=pairs,
             value=f"{datum.name} and {other.name}",
         )
-    if not (np.isfinite(artefact_urad) and np.isfinite(u_artefact_urad) and u_artefact_urad >= 0.0):
-        raise InputError(
-            "invalid error of the artefact",
-            expected="finite µrad, u not negative",
-            value=(artefact_urad, u_artefact_urad),
-        )
     first, second = _of_kind(datum, line), _of_kind(other, line)
     u_first, u_second = first.u_slope_urad, second.u_slope_urad
-    u = None if u_first is None or u_second is None else float(np.sqrt(u_first**2 + u_second**2 + u_artefact_urad**2))
+    u = None if u_first is None or u_second is None else float(np.hypot(u_first, u_second))
     return SquarenessError(
         name=name,
-        value_urad=PAIRS[name][2] * (first.slope_urad + second.slope_urad) + artefact_urad,
+        value_urad=PAIRS[name][2] * (first.slope_urad + second.slope_urad),
         u_urad=u,
         line=line,
         datum_slope_urad=first.slope_urad,

@@ -7,7 +7,7 @@ uncertainty (annex A) is not included, because it depends on the instrument.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final, Literal, final
 
 import numpy as np
@@ -15,10 +15,9 @@ from numpy.typing import ArrayLike
 
 from twin._common.arrays import read_only
 from twin._common.errors import InputError
-from twin._common.units import DEG, MM, UM, URAD, count_with_noun
+from twin._common.units import MM, count_with_noun
 from twin.standards.iso230_1 import check_same_length, finite_array
 
-ARCSEC: Final = DEG / 3600.0
 CYCLES: Final = 5
 TARGETS: Final = 5
 TARGETS_PER_METRE: Final = 5
@@ -26,8 +25,8 @@ LONGEST_MM: Final = 2000.0
 ROTARY_TARGETS: Final = ((90.0, 3), (180.0, 5), (360.0, 8))
 """Travel up to this many degrees → least number of targets."""
 
-Unit = Literal["um", "urad", "arcsec"]
-_SIGNS: Final = {"um": "µm", "urad": "µrad", "arcsec": "″", "mm": "mm", "deg": "°"}
+Unit = Literal["um", "urad"]
+_SIGNS: Final = {"mm": "mm", "deg": "°"}
 
 
 @final
@@ -40,7 +39,7 @@ class Positioning:
 
     Attributes:
         axis: its name, for tables and plots.
-        unit: ``um``, ``urad`` or ``arcsec``.
+        unit: ``um`` or ``urad``.
         target_unit: ``mm`` or ``deg``.
         target: (m,) target positions, in `target_unit`.
         forward, backward: (m, n) deviations x_ij↑ and x_ij↓.
@@ -92,67 +91,9 @@ class Positioning:
     shortfalls: tuple[str, ...]
 
     @property
-    def by_standard(self) -> bool:
-        """Whether the test has the targets and cycles that clause 4.3 requires."""
-        return not self.shortfalls
-
-    @property
     def cycles(self) -> int:
         """Number of approaches of each target from each side."""
         return self.forward.shape[1]
-
-    def in_arcsec(self) -> Positioning:
-        """Return the result in seconds of arc.
-
-        Raises:
-            InputError: a linear axis.
-        """
-        if self.unit == "um":
-            raise InputError("deviations of a linear axis are not angles", expected="a rotary axis", value=self.axis)
-        factor = URAD / ARCSEC if self.unit == "urad" else 1.0
-        deviations = (read_only(self.forward * factor), read_only(self.backward * factor))
-        return replace(_evaluate(self.axis, self.target_unit, self.target, *deviations), unit="arcsec")
-
-    def to_text(self, decimals: int = 1) -> str:
-        """Return the tables of a report: by target, and for the axis.
-
-        Args:
-            decimals: number of decimals of every deviation.
-        """
-        unit, target_unit = _SIGNS[self.unit], _SIGNS[self.target_unit]
-        name = f"Axis {self.axis}" if self.axis else "Axis"
-        kind = "linear" if self.target_unit == "mm" else "rotary"
-        low, high = float(self.target.min()), float(self.target.max())
-        space = " " if target_unit == "mm" else ""
-        count = f"{count_with_noun(len(self.target), 'target')} from {low:g} to {high:g}{space}{target_unit}, {self.cycles} cycles"
-        lines = [f"{name} ({kind}), positioning by ISO 230-2:2014", f"{count}, deviations in {unit}"]
-        lines += [f"Not by the standard (4.3): {shortfall}" for shortfall in self.shortfalls]
-        columns = {
-            f"P [{target_unit}]": self.target,
-            "x̄↑": self.mean_forward,
-            "x̄↓": self.mean_backward,
-            "x̄": self.mean,
-            "B": self.B_i,
-            "s↑": self.s_i_forward,
-            "s↓": self.s_i_backward,
-            "R↑": self.R_i_forward,
-            "R↓": self.R_i_backward,
-            "R": self.R_i,
-        }
-        lines += ["", *_table(columns, decimals)]
-        lines += ["", f"{'':<44}{'↑':>10}{'↓':>10}{'both':>10}"]
-        for label, *values in (
-            ("Reversal error B", None, None, self.B),
-            ("Mean reversal error B̄", None, None, self.B_mean),
-            ("Repeatability R", self.R_forward, self.R_backward, self.R),
-            ("Systematic deviation E", self.E_forward, self.E_backward, self.E),
-            ("Mean bidirectional deviation M", None, None, self.M),
-            ("Accuracy A", self.A_forward, self.A_backward, self.A),
-        ):
-            shown = "".join(f"{'':>10}" if value is None else f"{_fixed(value, decimals):>10}" for value in values)
-            pad = 44 - _width(label)
-            lines.append(f"{label}{'':<{pad}}{shown}".rstrip())
-        return "\n".join(lines) + "\n"
 
 
 @final
@@ -217,93 +158,29 @@ def unidirectional(
     )
 
 
-def linear_deviations_um(target_mm: ArrayLike, position_mm: ArrayLike) -> np.ndarray:
-    """Return the deviations of a linear axis, actual minus target (3.5).
-
-    Args:
-        target_mm: (m,) target positions.
-        position_mm: (m, n) actual positions.
-    """
-    target, position = finite_array("targets", target_mm, 1), finite_array("positions", position_mm, 2)
-    check_same_length("positions", position, "the targets", target)
-    return read_only((position - target[:, None]) * (MM / UM))
-
-
-def rotary_deviations_urad(target_deg: ArrayLike, position_deg: ArrayLike) -> np.ndarray:
-    """Return the deviations of a rotary axis, actual minus target (3.5), the short way round: 359.999° is −1 millidegree from 0°.
-
-    Args:
-        target_deg: (m,) target positions.
-        position_deg: (m, n) actual positions.
-    """
-    target, position = finite_array("targets", target_deg, 1), finite_array("positions", position_deg, 2)
-    check_same_length("positions", position, "the targets", target)
-    difference = position - target[:, None]
-    return read_only((difference - 360.0 * np.round(difference / 360.0)) * (DEG / URAD))
-
-
-def linear_axis(
-    target_mm: ArrayLike, forward_um: ArrayLike, backward_um: ArrayLike, *, axis: str = "", fewest_cycles: int = 2
+def bidirectional(
+    target: ArrayLike,
+    forward: ArrayLike,
+    backward: ArrayLike,
+    target_unit: Literal["mm", "deg"] = "mm",
+    *,
+    axis: str = "",
+    fewest_cycles: int = 2,
 ) -> Positioning:
-    """Evaluate a linear axis according to ISO 230-2:2014.
+    """Evaluate a linear or rotary axis according to ISO 230-2:2014.
 
     Args:
-        target_mm: (m,) target positions, each once.
-        forward_um: (m, n) deviations, approached in the positive direction.
-        backward_um: (m, n) deviations, approached in the negative direction.
+        target: (m,) target positions, each once.
+        forward: (m, n) deviations, approached in the positive direction, µm or µrad.
+        backward: (m, n) deviations, approached in the negative direction.
+        target_unit: ``mm`` or ``deg``.
         axis: its name.
         fewest_cycles: 1 to evaluate a single cycle too; its s, R and A are then NaN.
 
     Raises:
         InputError: shapes that do not match, a missing value, a target given twice, fewer than two targets, or too few cycles.
     """
-    return _evaluate(axis, "mm", *_checked(target_mm, forward_um, backward_um, fewest_cycles))
-
-
-def rotary_axis(
-    target_deg: ArrayLike, forward_urad: ArrayLike, backward_urad: ArrayLike, *, axis: str = "", fewest_cycles: int = 2
-) -> Positioning:
-    """Evaluate a rotary axis according to ISO 230-2:2014, in µrad; `Positioning.in_arcsec` converts to seconds of arc.
-
-    Args:
-        target_deg: (m,) target positions, each once.
-        forward_urad: (m, n) deviations, approached in the positive direction.
-        backward_urad: (m, n) deviations, approached in the negative direction.
-        axis: its name.
-        fewest_cycles: as for `linear_axis`.
-
-    Raises:
-        InputError: as `linear_axis`.
-    """
-    return _evaluate(axis, "deg", *_checked(target_deg, forward_urad, backward_urad, fewest_cycles))
-
-
-def _checked(
-    target: ArrayLike, forward: ArrayLike, backward: ArrayLike, fewest_cycles: int
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    targets = finite_array("targets", target, 1)
-    up, down = finite_array("forward deviations", forward, 2), finite_array("backward deviations", backward, 2)
-    check_same_length("forward deviations", up, "the targets", targets)
-    if up.shape != down.shape:
-        raise InputError(
-            "backward deviations do not match the forward ones", expected=f"the same shape {up.shape}", value=down.shape
-        )
-    if len(targets) < 2 or up.shape[1] < fewest_cycles:
-        expected = f"at least 2 targets and {fewest_cycles} cycles"
-        raise InputError("too few targets or cycles", expected=expected, value=up.shape)
-    found, times = np.unique(targets, return_counts=True)
-    if len(found) < len(targets):
-        raise InputError(
-            "a target occurs twice",
-            expected="each target once, its approaches in one row",
-            value=float(found[times > 1][0]),
-        )
-    return targets, up, down
-
-
-def _evaluate(
-    axis: str, target_unit: Literal["mm", "deg"], target: np.ndarray, forward: np.ndarray, backward: np.ndarray
-) -> Positioning:
+    target, forward, backward = _checked(target, forward, backward, fewest_cycles)
     mean_up, mean_down = forward.mean(axis=1), backward.mean(axis=1)
     s_up, s_down = _estimator(forward), _estimator(backward)
     mean, reversal = (mean_up + mean_down) / 2.0, mean_up - mean_down
@@ -368,23 +245,24 @@ def _shortfalls(target_unit: str, target: np.ndarray, cycles: int) -> tuple[str,
     return tuple(found)
 
 
-def _fixed(value: float, decimals: int) -> str:
-    """Return a number with fixed decimals, without a minus sign before zero."""
-    return f"{round(value, decimals) + 0.0:.{decimals}f}"
-
-
-def _width(text: str) -> int:
-    """Return the number of printed characters: the macron of x̄ and B̄ has no width."""
-    return sum(character != "\u0304" for character in text)
-
-
-def _table(columns: dict[str, np.ndarray], decimals: int) -> list[str]:
-    first, *_ = columns
-    cells = {
-        head: [f"{value:g}" if head == first else _fixed(float(value), decimals) for value in values]
-        for head, values in columns.items()
-    }
-    widths = {head: max(_width(head), *(len(cell) for cell in column)) for head, column in cells.items()}
-    rows = [[" " * (widths[head] - _width(head)) + head for head in columns]]
-    rows += [[f"{cells[head][i]:>{widths[head]}}" for head in columns] for i in range(len(columns[first]))]
-    return ["  ".join(row) for row in rows]
+def _checked(
+    target: ArrayLike, forward: ArrayLike, backward: ArrayLike, fewest_cycles: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    targets = finite_array("targets", target, 1)
+    up, down = finite_array("forward deviations", forward, 2), finite_array("backward deviations", backward, 2)
+    check_same_length("forward deviations", up, "the targets", targets)
+    if up.shape != down.shape:
+        raise InputError(
+            "backward deviations do not match the forward ones", expected=f"the same shape {up.shape}", value=down.shape
+        )
+    if len(targets) < 2 or up.shape[1] < fewest_cycles:
+        expected = f"at least 2 targets and {fewest_cycles} cycles"
+        raise InputError("too few targets or cycles", expected=expected, value=up.shape)
+    found, times = np.unique(targets, return_counts=True)
+    if len(found) < len(targets):
+        raise InputError(
+            "a target occurs twice",
+            expected="each target once, its approaches in one row",
+            value=float(found[times > 1][0]),
+        )
+    return targets, up, down

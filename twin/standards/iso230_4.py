@@ -36,6 +36,7 @@ UNITS: Final[dict[Kind, Literal["um", "urad"]]] = {"radial": "um", "axial": "um"
 WIDEST_GAP_DEG: Final = 60.0
 """Largest gap between neighbouring angles of a full turn."""
 HARMONICS: Final = 12
+"""Highest order that is fitted; k angles resolve (k − 1)/2."""
 
 
 @final
@@ -57,11 +58,6 @@ class MotionHarmonic:
         """Amplitude (half of the range) in the motion's unit."""
         return float(np.hypot(self.cos, self.sin))
 
-    @property
-    def phase_deg(self) -> float:
-        """Angle of the axis at the first maximum, 0° up to 360°/order."""
-        return float(np.arctan2(self.sin, self.cos) / DEG / self.order % (360.0 / self.order))
-
 
 @final
 @dataclass(frozen=True)
@@ -78,7 +74,7 @@ class RotaryMotion:
         readings: (turns, k) as measured.
         constant: mean of the synchronous motion (the radius of the least-squares circle).
         once_per_turn: its first harmonic; for ``radial`` and ``tilt`` the centre of the least-squares circle.
-        harmonics: orders 1 up to the highest requested, fitted together.
+        harmonics: orders 1 up to `HARMONICS`, fitted together.
         total: (turns, k) total error motion: the readings about their centre.
         synchronous: (k,) synchronous (average) error motion: mean over the turns.
         residual: (k,) residual synchronous error motion: without the first harmonic, also for an axial motion.
@@ -106,33 +102,8 @@ class RotaryMotion:
     residual_value: float
     asynchronous_value: float | None
 
-    def to_text(self, decimals: int = 2) -> str:
-        """Return the values and harmonics as a table.
 
-        Args:
-            decimals: number of decimals.
-        """
-        sign = "µm" if self.unit == "um" else "µrad"
-        turns, count = self.readings.shape
-        lines = [f"{self.name or 'Rotary axis'}, {self.kind} error motion by ISO 230-7:2015"]
-        lines += [f"{count} angles, {turns} turn{'' if turns == 1 else 's'}, values in {sign}", ""]
-        fundamental = "Fundamental" if self.kind == "axial" else "Once per turn (artefact, removed)"
-        for label, value in (
-            ("Total error motion", self.total_value),
-            ("Synchronous", self.synchronous_value),
-            (fundamental, self.fundamental_value),
-            ("Residual synchronous", self.residual_value),
-            ("Asynchronous", self.asynchronous_value),
-        ):
-            lines.append(f"{label:<36}" + ("needs two turns" if value is None else f"{value:>10.{decimals}f}"))
-        lines += ["", f"{'Order':>5}{'Amplitude':>12}{'Max. at [°]':>14}"]
-        lines += [f"{h.order:>5}{h.amplitude:>12.{decimals}f}{h.phase_deg:>14.1f}" for h in self.harmonics]
-        return "\n".join(lines) + "\n"
-
-
-def error_motion(
-    angle_deg: ArrayLike, readings: ArrayLike, kind: Kind, *, name: str = "", harmonics: int = HARMONICS
-) -> RotaryMotion:
+def error_motion(angle_deg: ArrayLike, readings: ArrayLike, kind: Kind, *, name: str = "") -> RotaryMotion:
     """Evaluate an error motion of a rotary axis in a fixed sensitive direction from readings over whole turns.
 
     Args:
@@ -140,15 +111,12 @@ def error_motion(
         readings: (k,) or (turns, k): radial and axial in µm, tilt in µrad.
         kind: ``radial``, ``axial`` or ``tilt``.
         name: ISO 230-1 name, for tables and plots.
-        harmonics: highest order; at most (k − 1)/2, which k angles can resolve.
 
     Raises:
         InputError: arrays that do not match, a missing value, an angle given twice, less than a turn, an unknown kind.
     """
     if kind not in UNITS:
         raise InputError("unknown kind of error motion", expected=", ".join(UNITS), value=kind)
-    if harmonics < 1:
-        raise InputError("harmonics must be positive", expected="at least 1", value=harmonics)
     angle = finite_array("angles", angle_deg, 1) % 360.0
     measured = finite_array("readings", readings, 1, 2)
     measured = measured.reshape(-1, measured.shape[-1])
@@ -179,7 +147,7 @@ def error_motion(
         readings=read_only(measured),
         constant=constant,
         once_per_turn=once,
-        harmonics=fit_harmonics(angle, mean, min(harmonics, (len(angle) - 1) // 2))[1],
+        harmonics=fit_harmonics(angle, mean, min(HARMONICS, (len(angle) - 1) // 2))[1],
         total=read_only(total),
         synchronous=read_only(synchronous),
         residual=read_only(residual),
@@ -242,11 +210,6 @@ class CircularPath:
     mean_um: float
     F_max_um: float
     F_min_um: float
-
-    @property
-    def centred_um(self) -> np.ndarray:
-        """(n,) radial deviations about the centre of the least-squares circle."""
-        return self.radius_um - _limacon(self.angle_deg, self.centre_um)
 
 
 @final

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import Final
+from typing import Final, Literal
 
 import numpy as np
-import scipy
 
-from twin._common.units import DEG, MM, UM
+from twin._common.units import MM, UM
 from twin.machine.machine import Machine
 from twin.standards.iso230_1 import PAIRS, LineKind, Straightness, angular_error, squareness, straightness
-from twin.standards.iso230_2 import Positioning, UnidirectionalPositioning, linear_axis, rotary_axis, unidirectional
+from twin.standards.iso230_2 import Positioning, UnidirectionalPositioning, bidirectional, unidirectional
 from twin.standards.readings import (
     DECIMALS,
     SAME_AS_MACHINE,
@@ -23,6 +22,8 @@ from twin.standards.readings import (
     carried_sides,
     directions,
     place_of,
+    rms_um,
+    station_rotation,
 )
 from twin.standards.result import StandardTest, StandardValue
 
@@ -78,16 +79,14 @@ def positioning(
     targets, up, down = _approaches(run.positions[:, 0], deviation, approach, notes)
     if len(targets) < 2:
         raise NotPossible("fewer than two target positions were approached from the same direction")
+    unit: Literal["mm", "deg"] = "mm" if axis.linear else "deg"
     found: Positioning | UnidirectionalPositioning
     if up.shape[1] and down.shape[1]:
-        evaluate = linear_axis if axis.linear else rotary_axis
-        found = evaluate(targets, up, down, axis=axis.name, fewest_cycles=1)
+        found = bidirectional(targets, up, down, unit, axis=axis.name, fewest_cycles=1)
         values = _values(found, u)
     else:
         direction = 1 if up.shape[1] else -1
-        found = unidirectional(
-            targets, up if direction > 0 else down, "mm" if axis.linear else "deg", direction, axis=axis.name
-        )
+        found = unidirectional(targets, up if direction > 0 else down, unit, direction, axis=axis.name)
         values = _values_of_one_direction(found, u)
     notes += [f"not by the standard (4.3): {text}" for text in found.shortfalls]
     if max(up.shape[1], down.shape[1]) < 2:
@@ -194,7 +193,7 @@ def straightness_tests(
     if len(targets) < 3:
         raise NotPossible("fewer than three positions")
     axis = machine.axes[run.axes[0]].name
-    u = float(np.sqrt(np.nanmean(u_mm**2))) * (MM / UM) if np.isfinite(u_mm).any() else float("nan")
+    u = rms_um(u_mm)
     u_mean = u / float(np.sqrt(visits.min()))
     for name, deviation in across.items():
         mean = np.bincount(which, deviation) / visits
@@ -286,7 +285,7 @@ def angular_tests(run: MeasuredRun, machine: Machine, u_mm: np.ndarray) -> Itera
     if not found:
         raise NotPossible("the station's pose has no axis of rotation parallel to an axis of the machine")
     known = "as given by the station's pose" if np.isfinite(run.data.station_pose[0]).all() else SAME_AS_MACHINE
-    u = float(np.sqrt(np.nanmean(u_mm[:, :2] ** 2))) * (MM / UM) if np.isfinite(u_mm).any() else float("nan")
+    u = rms_um(u_mm[:, :2])
     position = np.round(run.positions[:, 0], DECIMALS)
     visits = np.unique(np.stack([position, approach]), axis=1, return_counts=True)[1]
     range_u = float(np.sqrt(2.0 / visits.min())) * u
@@ -310,12 +309,7 @@ def angular_tests(run: MeasuredRun, machine: Machine, u_mm: np.ndarray) -> Itera
 
 def _about_machine_axes(run: MeasuredRun) -> dict[str, np.ndarray]:
     """Return the rotations (n,) of the target relative to the station, µrad, about the machine's axes: ``A``, ``B``, ``C``."""
-    pose = run.data.station_pose[0]
-    turn = (
-        scipy.spatial.transform.Rotation.from_rotvec(pose[3:] * DEG).as_matrix()
-        if np.isfinite(pose).all()
-        else np.eye(3)
-    )
+    turn = station_rotation(run.data.station_pose[0])
     # A reading is the shift (b, −a) of the end of a line of 1 m.
     read = np.column_stack([-run.data.point_mm[:, 1], run.data.point_mm[:, 0]]) * (MM / UM)
     angles = read @ turn[:, :2].T

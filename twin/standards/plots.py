@@ -230,15 +230,12 @@ def plot_error_motion(result: ErrorMotion, *, title: str = "") -> Figure:
         result: the evaluation.
         title: a heading; the error motion's name if empty.
     """
-    figure = new_figure(9.5, 6.8, layout=None)
-    polar: Any = figure.add_subplot(projection="polar", position=(0.05, 0.07, 0.6, 0.8))
     unit, turns, axial = readable(result.unit), len(result.total), result.kind == "axial"
-    _turns(polar, result)
     kind = f"{result.kind} error motion"
     heading = f"{result.name}: {kind}" if result.name else kind.capitalize()
-    figure.text(0.04, 0.95, title or f"{heading} by ISO 230-7:2015", fontweight="bold", fontsize=12)
     about = f"{len(result.angle_deg)} angles, {turns} turn{'' if turns == 1 else 's'}; radial scale [{unit}]"
-    figure.text(0.04, 0.915, about, fontsize=9, color=RUN)
+    figure, polar = _polar(title or f"{heading} by ISO 230-7:2015", about)
+    _turns(polar, result)
     rows = [
         ("total", result.total_value),
         ("synchronous", result.synchronous_value),
@@ -246,14 +243,28 @@ def plot_error_motion(result: ErrorMotion, *, title: str = "") -> Figure:
         ("residual synchronous", result.residual_value),
         ("asynchronous", result.asynchronous_value),
     ]
+    _list_values(figure, polar, rows, unit, 0.97)
+    _bars(figure.add_axes((0.74, 0.09, 0.23, 0.2)), result, unit)
+    return figure
+
+
+def _polar(title: str, about: str) -> tuple[Figure, Any]:
+    """Return a figure with polar axes, its title, and a line below the title."""
+    figure = new_figure(9.5, 6.8, layout=None)
+    polar: Any = figure.add_subplot(projection="polar", position=(0.05, 0.07, 0.6, 0.8))
+    figure.text(0.04, 0.95, title, fontweight="bold", fontsize=12)
+    figure.text(0.04, 0.915, about, fontsize=9, color=RUN)
+    return figure, polar
+
+
+def _list_values(figure: Figure, polar: Any, rows: list[tuple[str, float | None]], unit: str, right: float) -> None:
+    """Write the legend and the values that are known beside polar axes."""
     figure.text(0.70, 0.60, f"values [{unit}]", fontsize=9, color=RUN)
     for i, (label, value) in enumerate((label, value) for label, value in rows if value is not None):
         figure.text(0.70, 0.56 - 0.037 * i, label)
-        figure.text(0.97, 0.56 - 0.037 * i, f"{value:.2f}", horizontalalignment="right", fontweight="bold")
-    _bars(figure.add_axes((0.74, 0.09, 0.23, 0.2)), result, unit)
+        figure.text(right, 0.56 - 0.037 * i, f"{value:.2f}", horizontalalignment="right", fontweight="bold")
     place = {"bbox_to_anchor": (0.69, 0.88), "bbox_transform": figure.transFigure}
     polar.legend(**place, loc="upper left", frameon=False, fontsize=9)
-    return figure
 
 
 def _turns(polar: PolarAxes, result: ErrorMotion) -> None:
@@ -295,8 +306,8 @@ def plot_circular(result: CircularTest, *, title: str = "") -> Figure:
         result: the evaluation.
         title: a heading; the axes and the standard if empty.
     """
-    figure = new_figure(9.5, 6.8, layout=None)
-    polar: Any = figure.add_subplot(projection="polar", position=(0.05, 0.07, 0.6, 0.8))
+    about = f"radius {result.radius_mm:g} mm, about the centre of the least-squares circle; radial scale [µm]"
+    figure, polar = _polar(title or f"{result.name}: circular test by ISO 230-4", about)
     centre = result.centre_um
     shown = [
         (arrow, path, path.radius_um - centre @ np.array([np.cos(path.angle_deg * DEG), np.sin(path.angle_deg * DEG)]))
@@ -311,17 +322,9 @@ def plot_circular(result: CircularTest, *, title: str = "") -> Figure:
     around = np.linspace(0.0, 2.0 * np.pi, 361)
     polar.plot(around, np.zeros(361), color=BOTH, linewidth=0.9, label="nominal circle")
     _radial_scale(polar, extent)
-    figure.text(0.04, 0.95, title or f"{result.name}: circular test by ISO 230-4", fontweight="bold", fontsize=12)
-    about = f"radius {result.radius_mm:g} mm, about the centre of the least-squares circle; radial scale [µm]"
-    figure.text(0.04, 0.915, about, fontsize=9, color=RUN)
     rows = [("G(b)", result.G_b_um), ("H", result.H_um), ("D", result.D_um)]
     rows += [(f"G{arrow}", path.G_um) for arrow, path in result.paths]
-    figure.text(0.70, 0.60, "values [µm]", fontsize=9, color=RUN)
-    for i, (label, value) in enumerate((label, value) for label, value in rows if value is not None):
-        figure.text(0.70, 0.56 - 0.037 * i, label)
-        figure.text(0.85, 0.56 - 0.037 * i, f"{value:.2f}", horizontalalignment="right", fontweight="bold")
-    place = {"bbox_to_anchor": (0.69, 0.88), "bbox_transform": figure.transFigure}
-    polar.legend(**place, loc="upper left", frameon=False, fontsize=9)
+    _list_values(figure, polar, rows, "µm", 0.85)
     return figure
 
 

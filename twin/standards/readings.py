@@ -24,6 +24,7 @@ from twin._common.units import DEG, MM, UM
 from twin.machine.machine import Axis, Machine
 from twin.measurement.instruments import Instrument
 from twin.measurement.table import Measurements
+from twin.numerics.spatial import algebraic_sphere, rotation_exp
 
 MOVED: Final = 1e-6
 """Difference of two commands, mm or degrees, above which an axis has moved."""
@@ -229,7 +230,7 @@ def _arcs(q: np.ndarray) -> Iterator[tuple[int, int]]:
 
 def _on_circle(q: np.ndarray) -> bool:
     """Return whether positions are on a circle, and not on a line."""
-    centre, radius = fit_circle(q)
+    centre, radius = algebraic_sphere(q)
     return bool(radius < LARGEST_RADIUS_MM and np.abs(np.hypot(*(q - centre).T) - radius).max() < CIRCLE_MM)
 
 
@@ -237,7 +238,7 @@ def _joined(circles: Sequence[MeasuredRun], machine: Machine) -> tuple[MeasuredR
     """Return the circles with those of the same station, target, axes, place, radius and feed joined; a feed of 0 is unknown."""
     groups: dict[tuple[Any, ...], list[MeasuredRun]] = {}
     for run in circles:
-        centre, radius = fit_circle(run.positions)
+        centre, radius = algebraic_sphere(run.positions)
         feed = float(np.median(run.data.feed_mm_min)) if np.isfinite(run.data.feed_mm_min).all() else 0.0
         key = (
             run.station,
@@ -256,18 +257,6 @@ def _joined(circles: Sequence[MeasuredRun], machine: Machine) -> tuple[MeasuredR
         numbers = np.concatenate([np.full(len(run.data), k) for k, run in enumerate(runs)])
         joined.append(MeasuredRun(data, runs[0].axes, read_only(numbers), runs[0].where))
     return tuple(joined)
-
-
-def fit_circle(points: np.ndarray) -> tuple[np.ndarray, float]:
-    """Return centre (2,) and radius of the circle through (n, 2) points by algebraic least squares; infinite for a line."""
-    middle = points.mean(axis=0)
-    x, y = (points - middle).T
-    columns = np.column_stack([2.0 * x, 2.0 * y, np.ones(len(x))])
-    solution, _, rank, _ = np.linalg.lstsq(columns, x**2 + y**2, rcond=1e-9)
-    if rank < 3:
-        return middle, float("inf")
-    centre = solution[:2]
-    return middle + centre, float(np.sqrt(max(solution[2] + centre @ centre, 0.0)))
 
 
 def directions(run: MeasuredRun) -> tuple[np.ndarray, bool]:
@@ -337,6 +326,11 @@ def reading_uncertainty_mm(data: Measurements, instrument: Instrument | None) ->
     return np.where(np.isfinite(data.u_mm), data.u_mm, np.where(np.isfinite(data.point_mm), model, np.nan))
 
 
+def rms_um(u_mm: np.ndarray) -> float:
+    """Return the RMS of standard uncertainties in mm, µm; NaN if none is known."""
+    return float(np.sqrt(np.nanmean(u_mm**2))) * (MM / UM) if np.isfinite(u_mm).any() else float("nan")
+
+
 @final
 @dataclass(frozen=True)
 class StationFrame:
@@ -349,6 +343,11 @@ class StationFrame:
 
     rotation: np.ndarray
     known: str
+
+
+def station_rotation(pose: np.ndarray) -> np.ndarray:
+    """Return (3, 3) the rotation of a row of `Measurements.station_pose`; the identity if the pose is unknown."""
+    return np.asarray(rotation_exp(pose[3:] * DEG)) if np.isfinite(pose).all() else np.eye(3)
 
 
 def relative_direction(run: MeasuredRun, machine: Machine) -> np.ndarray:
@@ -382,26 +381,17 @@ def station_frame(runs: Sequence[MeasuredRun], machine: Machine) -> StationFrame
     ]
     pairs = [(d / np.linalg.norm(d), e) for d, e in pairs if abs(np.linalg.norm(d) - 1.0) < SLOPE_TOLERANCE and e.any()]
     pose = runs[0].data.station_pose[0] if runs else np.full(6, np.nan)
-    base = (
-        scipy.spatial.transform.Rotation.from_rotvec(pose[3:] * DEG)
-        if np.isfinite(pose).all()
-        else scipy.spatial.transform.Rotation.identity()
-    )
+    base = station_rotation(pose)
     if not pairs:
-        return StationFrame(base.as_matrix(), SAME_AS_MACHINE)
+        return StationFrame(base, SAME_AS_MACHINE)
     measured, nominal = (np.array(side) for side in zip(*pairs, strict=True))
     if np.linalg.matrix_rank(nominal, tol=0.5) >= 2:
         turned, _ = scipy.spatial.transform.Rotation.align_vectors(nominal, measured)
         off = np.arccos(np.clip(np.sum(turned.apply(measured) * nominal, axis=1), -1.0, 1.0)).max() / DEG
-        return StationFrame(
-            turned.as_matrix(),
-            "parallel to the machine's axes, found from the runs of two or more of them"
-            if off < LARGEST_ANGLE_DEG
-            else "",
-        )
-    off = np.arccos(np.clip(base.apply(measured[0]) @ nominal[0], -1.0, 1.0)) / DEG
+        return StationFrame(turned.as_matrix(), FROM_AXES if off < LARGEST_ANGLE_DEG else "")
+    off = np.arccos(np.clip(base @ measured[0] @ nominal[0], -1.0, 1.0)) / DEG
     words = "as given by the station's pose" if np.isfinite(pose).all() else SAME_AS_MACHINE
-    return StationFrame(base.as_matrix(), words if off < LARGEST_ANGLE_DEG else "")
+    return StationFrame(base, words if off < LARGEST_ANGLE_DEG else "")
 
 
 def measured_direction(run: MeasuredRun) -> np.ndarray:

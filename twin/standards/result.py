@@ -361,12 +361,9 @@ def check_tolerances(tolerances: Mapping[str, float], tests: Sequence[StandardTe
         for test, value in values:
             size, expanded = abs(value.value), value.expanded
             verdict = decide(size, expanded, limit)
+            conformity = CONFORMITY[verdict] if np.isfinite(expanded) and np.isfinite(size) else "unknown"
             title = f"{test.title} ({test.place})" if test.place else test.title
-            found.append(
-                ToleranceCheck(
-                    asked, limit, title, value, is_accepted(verdict, size, limit), _conformity(verdict, size, expanded)
-                )
-            )
+            found.append(ToleranceCheck(asked, limit, title, value, is_accepted(verdict, size, limit), conformity))
     return tuple(found)
 
 
@@ -381,9 +378,3 @@ def _grouped_remarks(tests: Sequence[StandardTest]) -> list[str]:
         f"{', '.join(title if count == 1 else f'{title} ({count} runs)' for title, count in titles.items())}: {remark}"
         for remark, titles in found.items()
     ]
-
-
-def _conformity(verdict: Verdict, size: float, expanded: float) -> Conformity:
-    if not (np.isfinite(expanded) and np.isfinite(size)):
-        return "unknown"
-    return CONFORMITY[verdict]

@@ -18,11 +18,11 @@ import scipy
 from twin._common.errors import InputError
 from twin._common.units import DEG, MM, UM, URAD
 from twin.machine.machine import Axis, Machine
-from twin.measurement.observation import Observation
-from twin.model.calibration import Calibration
+from twin.measurement.set_up import least_motion, nominal_carriers
+from twin.numerics.spatial import algebraic_sphere
 from twin.standards.iso230_4 import WIDEST_GAP_DEG, CircularTest, RotaryMotion, circular_test, error_motion
 from twin.standards.linear_axes import positioning
-from twin.standards.readings import DECIMALS, MeasuredRun, NotPossible, carried_sides, fit_circle, place_of
+from twin.standards.readings import DECIMALS, MeasuredRun, NotPossible, carried_sides, place_of, rms_um
 from twin.standards.result import StandardTest, StandardValue
 
 KINEMATIC: Final = "after ISO 10791-6:2014 (not verified)"
@@ -31,22 +31,23 @@ STANDS_STILL_MM: Final = 1.0
 LEAST_TURN_DEG: Final = 5.0
 
 
-def kinematic_test(run: MeasuredRun, observation: Observation, u_mm: np.ndarray) -> StandardTest | None:
+def kinematic_test(run: MeasuredRun, machine: Machine, u_mm: np.ndarray) -> StandardTest | None:
     """Evaluate an interpolated motion of linear and rotary axes; None if the nominal point does not stand still.
 
     Args:
         run: a run in which linear and rotary axes move.
-        observation: the nominal positions of the targets.
+        machine: the machine.
         u_mm: (n, 3) standard uncertainties of its readings.
 
     Raises:
         NotPossible: no coordinate was read in every row.
     """
-    machine, data = observation.machine, run.data
+    data = run.data
     turning = [i for i in run.axes if not machine.axes[i].linear]
     if max(float(np.ptp(data.positions[:, i])) for i in turning) < LEAST_TURN_DEG:
         return None
-    nominal, free = _nominal_motion(run, observation)
+    carried = nominal_carriers(machine, data)
+    nominal = least_motion(carried.points, carried.rotation, data.place_mm[0] * MM) / MM
     if float(np.abs(nominal).max()) > STANDS_STILL_MM:
         return None
     if not run.read.any():
@@ -61,8 +62,8 @@ def kinematic_test(run: MeasuredRun, observation: Observation, u_mm: np.ndarray)
         "what was evaluated: the range (largest minus smallest) of the deviation in each direction of the station's frame; the name of "
         "the test and the quantity are not verified against the text of the standard",
         "the directions are those of the station's frame; the zero of the readings and the place of the target have no influence"
-        if free is None
-        else free,
+        if np.isfinite(data.place_mm[0]).all()
+        else "the place of the target is the one that keeps the nominal point most nearly at rest",
     ]
     if constant:
         remarks.append(
@@ -88,27 +89,6 @@ def kinematic_test(run: MeasuredRun, observation: Observation, u_mm: np.ndarray)
         values=tuple(values),
         remarks=tuple(remarks),
         detail=deviation,
-    )
-
-
-def _nominal_motion(run: MeasuredRun, observation: Observation) -> tuple[np.ndarray, str | None]:
-    """Return the motion (n, 3) of the nominal point, mm, and a remark if the target's place was fitted to the positions."""
-    machine, data = observation.machine, run.data
-    zero = Calibration.zero(machine)
-    errors = observation.errors(zero, data, check=False)
-    q = np.asarray(data.positions) * machine.scale
-    known = bool(np.isfinite(data.place_mm).all())
-    place = data.place_mm * MM if known else np.zeros((len(q), 3))
-    carried = observation.carried(q, errors, data.carrier, place, data.station_carrier)
-    points = carried.points / MM
-    if known:
-        return points - points.mean(axis=0), None
-    turned = carried.rotation - carried.rotation.mean(axis=0)
-    centred = points - points.mean(axis=0)
-    fitted, *_ = np.linalg.lstsq(turned.reshape(-1, 3), -centred.reshape(-1), rcond=1e-9)
-    return (
-        centred + turned @ fitted,
-        "the place of the target is the one that keeps the nominal point most nearly at rest",
     )
 
 
@@ -221,7 +201,7 @@ def _circle(points: np.ndarray, theta: np.ndarray) -> Circle:
     centred = points - points.mean(axis=0)
     _, _, directions = np.linalg.svd(centred, full_matrices=False)
     plane = centred @ directions[:2].T
-    centre, radius = fit_circle(plane)
+    centre, radius = algebraic_sphere(plane)
     x, y = (plane - centre).T
     angle, normal = np.arctan2(y, x) / DEG, np.cross(directions[0], directions[1])
     step = np.exp(1j * (angle - theta) * DEG), np.exp(1j * (-angle - theta) * DEG)
@@ -279,7 +259,7 @@ def circle_test(run: MeasuredRun, machine: Machine, u_mm: np.ndarray) -> Standar
         NotPossible: too little of the circle was read.
     """
     names = tuple(machine.axes[i].name for i in run.axes)
-    centre, commanded = fit_circle(run.positions)
+    centre, commanded = algebraic_sphere(run.positions)
     angle = np.arctan2(*(run.positions - centre).T[::-1]) / DEG
     length_only = run.read.tolist() == [True, False, False]
     remarks = [NOT_VERIFIED]
@@ -314,7 +294,7 @@ def circle_test(run: MeasuredRun, machine: Machine, u_mm: np.ndarray) -> Standar
     if np.isfinite(feed).all():
         place += f", feed {np.median(feed):g} mm/min"
     column = u_mm[:, :1] if length_only else u_mm
-    u = float(np.sqrt(np.nanmean(column**2))) * (MM / UM) if np.isfinite(column).any() else float("nan")
+    u = rms_um(column)
     values = _values(found, u, len(run.data), absolute=absolute)
     return StandardTest("circular", "".join(names), CIRCULAR, names, place, values, tuple(remarks), found)
 

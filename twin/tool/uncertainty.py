@@ -37,6 +37,7 @@ from twin.model.effects import Effect, assemble, unit_of
 from twin.model.iso16907 import error_motion_of, iso_class
 from twin.model.unknown_errors import prior_covariance, unknown_effects
 from twin.numerics.covariance import Covariance, symmetric_root
+from twin.numerics.spatial import cross_matrix
 from twin.tool.forward import Kinematics, Poses, rms_and_max
 
 POSES: Final = 2000
@@ -335,10 +336,8 @@ class PoseUncertainty(Result):
     @cached_property
     def axis_expanded_urad(self) -> np.ndarray:
         """U (n,) of the tool axis, µrad: angle within which its direction lies with 95 % probability."""
-        x, y, z = self.axis.T
-        zero = np.zeros_like(x)
         # δa = ω × a: a rotation about the tool axis has no effect.
-        lever = np.stack([zero, z, -y, -z, zero, x, y, -x, zero], axis=1).reshape(-1, 3, 3)
+        lever = -cross_matrix(self.axis)
         return read_only(radius_95(lever @ self.covariance[:, 3:, 3:] @ lever.transpose(0, 2, 1)))
 
     @property

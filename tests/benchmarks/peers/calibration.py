@@ -19,10 +19,11 @@ from tests.benchmarks.timing import timed
 from tests.identification.plans import volumetric
 from twin.identification import identify
 from twin.identification.inputs import prepare
-from twin.identification.network import Network, SetUp
+from twin.identification.network import Network
 from twin.identification.solve import FitSolution, solve
 from twin.machine.machine import Machine
 from twin.measurement.instruments import LaserTracker
+from twin.measurement.set_up import SetUp
 from twin.measurement.simulate import simulate
 from twin.measurement.table import Measurements
 from twin.model.calibration import Calibration

@@ -15,7 +15,7 @@ import numpy as np
 
 from twin._common import families
 from twin._common.arrays import read_only
-from twin._common.errors import InputError, closest_name
+from twin._common.errors import InputError, require_name
 from twin._common.files import read_bytes
 from twin._common.provenance import SIMULATED, SourceWarning, warning_texts, warnings_to_json
 from twin._common.units import count_with_noun
@@ -104,13 +104,7 @@ def format_named(name: str) -> MeasuredFormat:
         InputError: there is no such format.
     """
     names = [form.name for form in FORMATS]
-    if name not in names:
-        raise InputError(
-            "no such format of measured data",
-            expected=f"one of {', '.join(names)}",
-            value=name,
-            nearest=closest_name(name, names),
-        )
+    require_name("format of measured data", name, names)
     return FORMATS[names.index(name)]
 
 

@@ -108,9 +108,8 @@ def _converted(records: list[_Record], rounds: np.ndarray, path: Path, machine: 
             ContactRow(record.line, dict(zip("XYZ", point, strict=True)) | angles, "sphere", round=str(name))
             for point in record.contacts
         ]
-    found = Conversion(Measurements.join([])) if not rows and not centres else None
-    if rows:
-        found = reduced(rows, path, machine, given)
+    found = reduced(rows, path, machine, given) if rows else None
+    if found is not None:
         tables.append(found.measurements)
         notes += list(found.notes)
     if centres:

@@ -482,13 +482,16 @@ def layout_of(raw: RawTable) -> Layout:
         )
     counts = Counter(i for mask in candidates for i, is_number in enumerate(mask) if is_number)
     columns = {i for i, count in counts.items() if count >= SHARE * len(candidates)} or set(counts)
-    is_data = [_is_point(mask, columns) for mask in numeric]
+    # A row of data has numbers in at least half of the columns of numbers.
+    is_data = [2 * sum(i < len(mask) and mask[i] for i in columns) >= len(columns) for mask in numeric]
     first = is_data.index(True) if any(is_data) else numeric.index(candidates[0])
     header, units, titles = _header(raw.rows[:first], len(columns))
     width = max(len(row) for (_, row), used in zip(raw.rows, is_data, strict=True) if used)
     rows, left_out = [], []
     for line, row in raw.rows[first:]:
-        if any(looks_like_number(cell) for cell in row[:1000]) and not _is_repeated(row, header):
+        if any(looks_like_number(cell) for cell in row[:1000]) and not (
+            header and list(row) == list(header)[: len(row)]
+        ):
             rows.append((line, row))
         else:
             left_out.append((line, " ".join(filter(None, row))))
@@ -511,15 +514,6 @@ def layout_of(raw: RawTable) -> Layout:
         titles=tuple(" ".join(filter(None, row)) for _, row in titles),
         left_out=tuple(left_out),
     )
-
-
-def _is_point(mask: Sequence[bool], columns: set[int]) -> bool:
-    """Return whether a row has numbers in at least half of the columns of numbers."""
-    return 2 * sum(i < len(mask) and mask[i] for i in columns) >= len(columns)
-
-
-def _is_repeated(row: Sequence[str], header: Sequence[str]) -> bool:
-    return bool(header) and list(row) == list(header)[: len(row)]
 
 
 def _header(above: Sequence[Row], numbers: int) -> tuple[list[str], list[str], Sequence[Row]]:

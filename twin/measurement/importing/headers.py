@@ -276,7 +276,8 @@ def meaning_of(header: str, machine: Machine) -> Meaning:
     axes = {axis.casefold(): axis for axis in machine.names}
     found = [word for word in words if word in axes or word in ("x", "y", "z")]
     rest = [word for word in words if word not in found and word not in NOISE]
-    temperature = ROLES["temperature"] & {*rest} or table_unit(f"_{_table_unit(unit)}") == "degC"
+    known = unit_named(unit)
+    temperature = ROLES["temperature"] & {*rest} or (known is not None and known.table_unit == "degC")
     if temperature:
         name = "_".join(word for word in [*found, *rest] if word not in ROLES["temperature"]) or "air"
         return Meaning("temperature", axes.get(name, name), unit)
@@ -299,11 +300,6 @@ def meaning_of(header: str, machine: Machine) -> Meaning:
         return Meaning("bare" if is_rotary else "", axis, unit, certain=not is_rotary)
     role = roles[0]
     return Meaning(role, axis, unit, certain=len(roles) == 1 and all(word in ROLES[role] for word in rest))
-
-
-def _table_unit(text: str) -> str:
-    unit = unit_named(text)
-    return "" if unit is None else unit.table_unit
 
 
 def _without_unit(header: str) -> tuple[str, str]:

@@ -17,12 +17,12 @@ from twin._common.provenance import SIMULATED, SourceWarning, warning_texts, war
 from twin._common.units import count_with_noun
 from twin.display.results import Result
 from twin.machine.machine import Machine
+from twin.measurement.agreement import Change, wrong_columns
 from twin.measurement.columns import SIMULATED as SIMULATED_WORD
 from twin.measurement.columns import comment_lines, csv_text, table_columns
 from twin.measurement.formats import other_format
 from twin.measurement.importing.cells import MAX_BYTES, Layout, layout_of, read_cells
-from twin.measurement.importing.frames import FrameFinding, FrameRows, PlanPoints, findings
-from twin.measurement.importing.mapping import ColumnMapping, OriginEntry
+from twin.measurement.importing.mapping import ColumnMapping, OriginEntry, PlanPoints
 from twin.measurement.importing.propose import TIME, Applied, Proposal, moment_in, proposed
 from twin.measurement.instruments import default_instrument, others_alike
 from twin.measurement.observation import FEWEST_REPEATS, repeats_dof
@@ -123,7 +123,9 @@ class ImportedTable(Result):
     def to_text(self) -> str:
         """Return origin, columns, first rows, assumptions and findings as text."""
         count = count_with_noun(len(next(iter(self.columns.values()), ())), "row")
-        lines = [f"{self.source}: {count}; {self.layout}", "", *self._origins(), ""]
+        entries, longest = self.mapping.entries.columns, max(map(len, self.columns), default=0)
+        origins = [f"  {name.ljust(longest)}  {origin_text(entries.get(name))}" for name in self.columns]
+        lines = [f"{self.source}: {count}; {self.layout}", "", *origins, ""]
         names, rows = self.preview()
         shown = [names, *rows]
         widths = [max(len(row[i]) for row in shown) for i in range(len(names))]
@@ -137,11 +139,6 @@ class ImportedTable(Result):
             if texts:
                 lines += ["", f"{title}:", *(f"  {text}" for text in texts)]
         return printable("\n".join(lines) + "\n")
-
-    def _origins(self) -> list[str]:
-        names = self.mapping.entries.columns
-        width = max(map(len, self.columns), default=0)
-        return [f"  {name.ljust(width)}  {origin_text(names.get(name))}" for name in self.columns]
 
     def to_dict(self) -> dict[str, Any]:
         """Return JSON data (``schema: twin.import/1``)."""
@@ -264,7 +261,7 @@ def _finished(applied: Applied, machine: Machine, plan: PlanPoints | None, propo
         PlanPoints.check_commands(cells, from_plan, layout, machine)
         cells = from_plan | cells
     cells = _in_order(cells, machine)
-    found = findings(machine, _rows(cells, machine))
+    found = wrong_columns(machine, _unchecked(cells, machine))
     comments = _comments(layout, mapping, cells)
     assumptions = () if proposal is None else tuple(proposal.assumptions)
     notes = [] if proposal is None else list(proposal.notes)
@@ -303,7 +300,7 @@ def _finished(applied: Applied, machine: Machine, plan: PlanPoints | None, propo
     )
 
 
-def _remarks(proposal: Proposal, found: Sequence[FrameFinding]) -> dict[str, str]:
+def _remarks(proposal: Proposal, found: Sequence[Change]) -> dict[str, str]:
     """Return the comments for the entries of a mapping file: assumptions and findings."""
     remarks = dict(proposal.remarks)
     for one in found:
@@ -318,8 +315,8 @@ def _in_order(cells: dict[str, list[str]], machine: Machine) -> dict[str, list[s
     return {name: cells[name] for name in (*order, *sorted(cells.keys() - {*order})) if name in cells}
 
 
-def _rows(cells: Mapping[str, Sequence[str]], machine: Machine) -> FrameRows:
-    """Return commands and readings of a table as numbers, NaN where a cell holds none."""
+def _unchecked(cells: Mapping[str, Sequence[str]], machine: Machine) -> Measurements:
+    """Return commands and readings of a table before it is checked, NaN where a cell holds no number."""
     count = len(next(iter(cells.values())))
 
     def numbers(names: Sequence[str]) -> np.ndarray:
@@ -329,13 +326,15 @@ def _rows(cells: Mapping[str, Sequence[str]], machine: Machine) -> FrameRows:
     def words(name: str, default: str) -> np.ndarray:
         return np.array([cell or default for cell in cells.get(name, [""] * count)], dtype=object)
 
-    return FrameRows(
-        numbers([f"{axis.name}_{axis.unit}" for axis in machine.axes]),
-        numbers(("x_mm", "y_mm", "z_mm")),
-        words("carrier", ""),
-        words("station_carrier", "base"),
-        words("station", "1"),
-        words("target", ""),
+    return Measurements(
+        source="",
+        lines=np.arange(count),
+        positions=numbers([f"{axis.name}_{axis.unit}" for axis in machine.axes]),
+        point_mm=numbers(("x_mm", "y_mm", "z_mm")),
+        carrier=words("carrier", ""),
+        station_carrier=words("station_carrier", "base"),
+        station=words("station", "1"),
+        target=words("target", ""),
     )
 
 

@@ -23,7 +23,6 @@ from twin.measurement.importing.cells import (
     decimal_value,
     looks_like_number,
 )
-from twin.measurement.importing.frames import PlanPoints, unit_by_size
 from twin.measurement.importing.headers import (
     CARRIER_WORDS,
     ROLES,
@@ -36,7 +35,8 @@ from twin.measurement.importing.headers import (
     unit_named,
     units_of,
 )
-from twin.measurement.importing.mapping import ColumnMapping, ColumnsFile, OriginEntry, PlanEntry, entry_of
+from twin.measurement.importing.mapping import ColumnMapping, ColumnsFile, OriginEntry, PlanEntry, PlanPoints, entry_of
+from twin.measurement.importing.units import unit_by_size
 
 
 @final

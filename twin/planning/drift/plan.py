@@ -12,7 +12,7 @@ from typing import Any, Final, final
 import numpy as np
 
 from twin._common.arrays import read_only
-from twin._common.errors import InputError
+from twin._common.errors import InputError, require_name
 from twin._common.families import DRIFT_INSTRUMENTS
 from twin._common.files import write_atomic
 from twin._common.units import count_with_noun
@@ -239,10 +239,7 @@ def _task(
     Raises:
         InputError: an unknown instrument or axis, an impossible number, a wrong number of parts on the table.
     """
-    if instrument not in DRIFT_INSTRUMENTS:
-        raise InputError(
-            "no such instrument for a drift test", expected=f"one of {', '.join(DRIFT_INSTRUMENTS)}", value=instrument
-        )
+    require_name("instrument for a drift test", instrument, DRIFT_INSTRUMENTS)
     sizes.check()
     axis = _axis(machine, options.get("axis"))
     moved, own = machine.axes[axis], Kit.default(machine) if kit is None else kit

@@ -119,10 +119,6 @@ ALONG: Final = 0.5
 """Direction cosine with the spindle above which an axis moves along it."""
 
 
-def _axes_schedule(task: DriftTask) -> DriftSchedule:
-    return _linear(task) if task.moved.linear else _rotary(task)
-
-
 def _linear(task: DriftTask) -> DriftSchedule:
     places = np.array(list(task.base.places_mm.values()))
     stroke = float(np.linalg.norm(places[1] - places[0]))
@@ -198,7 +194,7 @@ AXES: Final = DriftSequence(
     minutes=240.0,
     targets=2,
     limits="It shows one axis, at the positions of the readings only: let the machine cool before the next axis.",
-    make=_axes_schedule,
+    make=lambda task: _linear(task) if task.moved.linear else _rotary(task),
 )
 
 # --- Environmental temperature variation error: the machine at rest, readings over hours ----------

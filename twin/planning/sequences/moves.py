@@ -21,9 +21,9 @@ from typing import Final, Literal
 import numpy as np
 
 from twin._common.errors import InputError
-from twin.identification.network import SetUp
-from twin.identification.unidentified import constant_rows
+from twin.identification.unidentified import constant_rows, without_setup
 from twin.measurement.instruments import StationInstruments
+from twin.measurement.set_up import SetUp
 from twin.planning.design import Exchange
 from twin.planning.sequences.contacts import reach
 from twin.planning.sequences.specification import (
@@ -148,10 +148,7 @@ def _problem(task: SequenceTask, candidates: SequencePoints) -> tuple[np.ndarray
         raise InputError("no axis with constant errors moves", expected="poses that differ")
     unknowns, rows = found
     own, size = len(unknowns), rows.shape[-1]
-    flat = rows.reshape(-1, size)
-    whole = np.concatenate([np.concatenate([flat[:, own:], flat[:, :own]], axis=1), np.eye(size - own, size)])
-    triangle = np.asarray(np.linalg.qr(whole, mode="r"))[size - own :, size - own :]
-    _, strength, directions = np.linalg.svd(triangle)
+    strength, directions = without_setup(rows, own)
     seen = np.zeros((int(np.sum(strength > 1.0)), size))
     seen[:, :own] = directions[strength > 1.0]
     return rows, np.eye(size), LinearAim(seen[None], "constant errors", "of the plausible size")

@@ -15,11 +15,11 @@ from twin._common.families import SEQUENCE_INSTRUMENTS
 from twin._common.records import json_form
 from twin._common.units import MM
 from twin.display import readable
-from twin.identification.network import SetUp
 from twin.identification.unidentified import ConstantErrors, constant_errors
 from twin.machine.machine import Machine
 from twin.measurement.instruments import Instrument, StationInstruments
 from twin.measurement.observation import Observation
+from twin.measurement.set_up import SetUp
 from twin.measurement.simulate import Station
 from twin.measurement.table import Measurements
 from twin.model.calibration import Calibration
@@ -218,7 +218,8 @@ RETRACT_MM: Final = 100.0
 def sequence_table(task: SequenceTask, points: SequencePoints) -> Measurements:
     """Return the measurement table of points whose linear positions are known, with the readings of the nominal machine."""
     n, words = len(points), task.words
-    on_tool = probing = task.instrument.specification.reads == "null"
+    reads = task.instrument.specification.reads
+    on_tool = probing = reads == "null"
     place = np.array([task.places_mm[str(name)] for name in points.place]).reshape(n, 3)
     tip = np.tile(np.array(task.tip_mm), (n, 1))
     reader, target = (tip, place) if on_tool else (place, tip)
@@ -237,7 +238,7 @@ def sequence_table(task: SequenceTask, points: SequencePoints) -> Measurements:
         approach=read_only(approach_of(task.machine, points.positions, linear=not probing)),
         place_mm=read_only(target),
         station_pose=read_only(np.concatenate([reader, np.zeros((n, 3))], axis=1)),
-        feed_mm_min=read_only(np.full(n, task.sizes.feed_mm_min if _along_path(task.instrument) else np.nan)),
+        feed_mm_min=read_only(np.full(n, task.sizes.feed_mm_min if reads == "length" else np.nan)),
         bar_mm=read_only(np.full(n, task.sizes.bar_mm if task.instrument.specification.nominal_length else np.nan)),
     )
     return replace(table, time_s=read_only(np.round(np.cumsum(seconds_of(task.machine, task.kit, table)), 1)))
@@ -282,10 +283,6 @@ def minutes_of(machine: Machine, kit: Kit, table: Measurements) -> float:
     """Return the minutes that a plan takes, set-up of each part on the table included."""
     parts = len({*table.target, *table.station}) - 1
     return (float(seconds_of(machine, kit, table).sum()) + parts * SET_UPS[str(table.instrument[0])].set_up_s) / 60.0
-
-
-def _along_path(instrument: Instrument) -> bool:
-    return instrument.specification.reads == "length"
 
 
 @final

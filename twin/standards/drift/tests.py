@@ -17,18 +17,27 @@ import numpy as np
 import scipy
 
 from twin._common.arrays import read_only
+from twin._common.distributions import normal_isf
 from twin._common.errors import InputError, require_type
 from twin._common.provenance import SIMULATED
 from twin._common.records import SPEED
 from twin._common.units import DEG, MM, UM
 from twin.machine.machine import Machine
 from twin.measurement.instruments import Instrument
-from twin.measurement.observation import Observation, of_angles
+from twin.measurement.observation import of_angles
+from twin.measurement.set_up import nominal_carriers
 from twin.measurement.table import Measurements
-from twin.model.calibration import Calibration
-from twin.standards.drift.iso230_3 import FIRST_S, AxisDesign, DriftSeries, axis_design, drift_series, spread
+from twin.standards.drift.iso230_3 import (
+    FIRST_S,
+    AxisDesign,
+    DriftSeries,
+    axis_design,
+    drift_series,
+    spread,
+    turning_axis,
+)
 from twin.standards.drift.record import DriftRecord, SensorMap, is_displacement_record, load_displacements
-from twin.standards.readings import SAME_AS_MACHINE, NotPossible, reading_uncertainty_mm
+from twin.standards.readings import SAME_AS_MACHINE, NotPossible, reading_uncertainty_mm, rms_um
 from twin.standards.result import (
     EvaluationResult,
     NotEvaluated,
@@ -248,7 +257,7 @@ def relative_displacements(
         temperature_degC=data.temperature_degC,
         ambient=ambient,
         speed_rpm=read_only(np.abs(speed)) if np.isfinite(speed).any() else None,
-        u_um=float(np.sqrt(np.nanmean(u**2))) * (MM / UM) if np.isfinite(u).any() else float("nan"),
+        u_um=rms_um(u),
         remarks=tuple(remarks),
         notices=data.notices,
         set_aside=data.set_aside,
@@ -291,16 +300,13 @@ def _deviation_um(data: Measurements, machine: Machine) -> np.ndarray:
 
     Where the station stands on the base without a pose, along those of the station; the nominal motion is then left in.
     """
-    q = np.asarray(data.positions) * machine.scale
-    observation = Observation(machine)
-    errors = observation.errors(Calibration.zero(machine), data, check=False)
-    places = np.nan_to_num(np.asarray(data.place_mm)) * MM
-    carried = observation.carried(q, errors, data.carrier, places, data.station_carrier)
     posed = np.isfinite(data.station_pose).all(axis=1)
     if data.station_carrier[0] == "base" and not posed.all():
         return np.asarray(data.point_mm) * (MM / UM)
     turn = scipy.spatial.transform.Rotation.from_rotvec(np.where(posed[:, None], data.station_pose[:, 3:], 0.0) * DEG)
-    deviation = turn.apply(np.array(data.point_mm)) * MM - carried.points
+    carried = nominal_carriers(machine, data)
+    places = np.einsum("nij,nj->ni", carried.rotation, np.nan_to_num(data.place_mm) * MM)
+    deviation = turn.apply(np.array(data.point_mm)) * MM - carried.points - places
     return np.asarray(np.einsum("nij,nj->ni", carried.ride, deviation)) / UM
 
 
@@ -395,9 +401,9 @@ def _moving_axis(positions: np.ndarray, machine: Machine) -> int | None:
     travel = np.ptp(positions, axis=0)
     if travel.max() <= LEAST_TRAVEL:
         return None
-    turned = [i for i in machine.rotary if travel[i] > LEAST_TRAVEL]
-    if len(turned) == 1:
-        return turned[0]
+    turned = turning_axis(positions, machine)
+    if turned is not None:
+        return machine.names.index(turned.name)
     axis = int(np.argmax(travel))
     others = np.delete(travel, axis)
     two = _target_positions(positions[:, axis])[1]
@@ -576,7 +582,7 @@ def _noise_remark(record: DriftRecord, found: DriftSeries) -> list[str]:
     n = int(np.count_nonzero(found.target == 1))
     if not (np.isfinite(record.u_um) and n > 1):
         return []
-    expected = 2.0 * float(scipy.stats.norm.ppf((n - 0.375) / (n + 0.25))) * record.u_um
+    expected = 2.0 * float(normal_isf(0.625 / (n + 0.25))) * record.u_um
     return [
         f"noise alone gives a range of about {expected:.1f} µm over {n} readings; U of a range does not contain this"
     ]

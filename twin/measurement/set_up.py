@@ -1,5 +1,6 @@
-"""Initial values of the set-up from the nominal machine, by a robust loss that a few wrong rows do not affect.
+"""Poses of the stations and places of the targets, and their initial values from the nominal machine.
 
+The initial values are estimated by a robust loss that a few wrong rows do not affect.
 A tracker's reading y of a target at place t, carried to b + A·t, from a station with pose (R, o) satisfies R·y + o − A·t = b. That is
 linear in the nine entries of R, in o and in t; the nearest rotation is taken, and the final estimate refines it. The lengths of a
 tracking interferometer (eq. 26 of the thesis, multilateration) are linear in the station's parameters after squaring.
@@ -8,18 +9,186 @@ tracking interferometer (eq. 26 of the thesis, multilateration) are linear in th
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Final, NamedTuple, final
+from functools import cached_property
+from typing import Final, Literal, NamedTuple, final
 
 import numpy as np
 
 from twin._common.arrays import read_only
-from twin._common.units import MM
-from twin.identification.network import VERTICAL_M, SetUp
+from twin._common.units import DEG, MM
 from twin.machine.machine import Machine
-from twin.measurement.instruments import StationInstruments
+from twin.measurement.instruments import InstrumentSpecification, StationInstruments
 from twin.measurement.observation import CarriedTargets, observation_of, of_angles
 from twin.measurement.table import Measurements
 from twin.numerics.spatial import cross_matrix, rotation_exp
+
+PLACE_PLAUSIBLE: Final = 0.2
+"""Prior standard deviation of a target's place on its carrier if it is not given, m."""
+STATION_PLAUSIBLE: Final = 10.0
+"""Prior standard deviation of a station's position, m."""
+VERTICAL_M: Final = (0.0, 0.0, 1.0)
+"""The line that turns with a level, metres."""
+TURN_PLAUSIBLE: Final = 1.0
+"""Prior standard deviation of a station's rotation about its initial value, rad."""
+
+
+class Slot(NamedTuple):
+    """Unknown parameters of one kind of one station or target.
+
+    Attributes:
+        kind: ``turn``, ``origin`` and ``dead path`` of a station, ``place`` of a target.
+        number: index of the station or target.
+        at: their slice of the set-up's unknowns.
+    """
+
+    kind: Literal["turn", "origin", "dead path", "place"]
+    number: int
+    at: slice
+
+
+@final
+@dataclass(frozen=True)
+class SetUp:
+    """Poses of stations and places of targets; metres and radians, in the frame on which each station rides (usually the base frame).
+
+    Attributes:
+        stations: names.
+        rotation: (stations, 3, 3) station frame in that frame.
+        origin: (stations, 3).
+        dead: (stations,) dead path of an interferometer, at which its counter was zeroed; zero where lengths are absolute.
+        targets: names.
+        place: (targets, 3) on their carriers.
+        station_known, target_known: whether the table gives the pose or place.
+        reads: what the instrument of each station reads.
+        lines: (targets,) whether a target is a line of 1 m that turns with a level; its unknowns are x and y of its end.
+        shift: (unknowns,) change of each parameter by `moved` since its initial value, metres and radians; None for zero.
+    """
+
+    stations: tuple[str, ...]
+    rotation: np.ndarray
+    origin: np.ndarray
+    dead: np.ndarray
+    targets: tuple[str, ...]
+    place: np.ndarray
+    station_known: np.ndarray
+    target_known: np.ndarray
+    reads: tuple[InstrumentSpecification, ...]
+    lines: np.ndarray
+    shift: np.ndarray | None = None
+
+    @classmethod
+    def from_table(cls, data: Measurements, instruments: StationInstruments) -> SetUp:
+        """Return the poses and places given in a table; identity and zero for the others."""
+        stations, first = _first_rows(data.station)
+        targets, first_target = _first_rows(data.target)
+        pose, place = data.station_pose[first], data.place_mm[first_target] * MM
+        station_known, target_known = (np.asarray(np.isfinite(given).all(axis=1)) for given in (pose, place))
+        rotation = np.tile(np.eye(3), (len(stations), 1, 1))
+        for i in np.flatnonzero(station_known):
+            rotation[i] = rotation_exp(pose[i, 3:] * DEG)
+        origin = np.where(station_known[:, None], pose[:, :3] * MM, 0.0)
+        place = np.where(target_known[:, None], place, 0.0)
+        dead = np.zeros(len(stations))
+        reads = tuple(instruments.by_station[name].specification for name in stations)
+        lines = np.isin(targets, data.target[of_angles(data)].astype(str))
+        place[lines & ~target_known] = VERTICAL_M
+        return cls(stations, rotation, origin, dead, targets, place, station_known, target_known, reads, lines)
+
+    def of(self, data: Measurements) -> SetUp:
+        """Return the stations and targets of other data, with the values of this set-up.
+
+        Raises:
+            KeyError: a station or target that is not in this set-up.
+        """
+        named = dict.fromkeys(data.station.tolist()), dict.fromkeys(data.target.tolist())
+        for name in (*(set(named[0]) - set(self.stations)), *(set(named[1]) - set(self.targets))):
+            raise KeyError(name)
+        stations = [self.stations.index(name) for name in named[0]]
+        targets = [self.targets.index(name) for name in named[1]]
+        return replace(
+            self,
+            stations=tuple(named[0]),
+            rotation=self.rotation[stations],
+            origin=self.origin[stations],
+            dead=self.dead[stations],
+            reads=tuple(self.reads[i] for i in stations),
+            lines=self.lines[targets],
+            targets=tuple(named[1]),
+            place=self.place[targets],
+            station_known=self.station_known[stations],
+            target_known=self.target_known[targets],
+            shift=None,
+        )
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    @cached_property
+    def slots(self) -> tuple[Slot, ...]:
+        """Unknown parameters of each station, then of each target."""
+        found: list[Slot] = []
+
+        def add(kind: Literal["turn", "origin", "dead path", "place"], number: int, count: int = 3) -> None:
+            start = found[-1].at.stop if found else 0
+            found.append(Slot(kind, number, slice(start, start + count)))
+
+        for i, (known, reads) in enumerate(zip(self.station_known.tolist(), self.reads, strict=True)):
+            if reads.turns and not known:
+                add("turn", i)
+            if not known:
+                add("origin", i)
+            if reads.free_start:
+                add("dead path", i, 1)
+        for i in np.flatnonzero(~self.target_known).tolist():
+            add("place", i, 2 if self.lines[i] else 3)
+        return tuple(found)
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Names of the unknown parameters, in the order of `moved`."""
+        found: list[str] = []
+        for kind, i, at in self.slots:
+            if kind == "dead path":
+                found.append(f"station {self.stations[i]} dead path")
+                continue
+            what = f"target {self.targets[i]}" if kind == "place" else f"station {self.stations[i]}"
+            axes = "xyz"[: at.stop - at.start]
+            found += [f"{what} turn {axis}" if kind == "turn" else f"{what} {axis}" for axis in axes]
+        return tuple(found)
+
+    @property
+    def plausible(self) -> np.ndarray:
+        """Prior standard deviation of each unknown parameter, (unknowns,), metres and radians."""
+        # The factor allows for a common shift of all targets of that size.
+        place = PLACE_PLAUSIBLE * float(np.sqrt(max(int(np.count_nonzero(~self.target_known)), 1)))
+        kinds = {"place": place, "turn": TURN_PLAUSIBLE}
+        return np.array(
+            [kinds.get(kind, STATION_PLAUSIBLE) for kind, _, at in self.slots for _ in range(at.stop - at.start)]
+        )
+
+    def moved(self, step: np.ndarray) -> SetUp:
+        """Return the set-up after a step; rotations are rotation vectors in the station's own frame."""
+        rotation = np.array(self.rotation)
+        shifted = {"origin": np.array(self.origin), "dead path": np.array(self.dead), "place": np.array(self.place)}
+        for kind, i, at in self.slots:
+            if kind == "turn":
+                rotation[i] = rotation[i] @ rotation_exp(step[at])
+            else:
+                shifted[kind].reshape(len(shifted[kind]), -1)[i, : at.stop - at.start] += step[at]
+        shift = step if self.shift is None else self.shift + step
+        origin, dead, place = shifted.values()
+        return replace(self, rotation=rotation, origin=origin, dead=dead, place=place, shift=shift)
+
+
+def _first_rows(names: np.ndarray) -> tuple[tuple[str, ...], list[int]]:
+    """Return the names in order of appearance, and the first row of each."""
+    first: dict[str, int] = {}
+    for row, name in enumerate(names):
+        first.setdefault(name, row)
+    return tuple(first), list(first.values())
+
+
+# --- Initial values from the nominal machine -----------------------------------------------------------
 
 FLOOR: Final = 1e-4
 """Misfit, m, below which all rows have the same weight: the order of the machine's own errors."""
@@ -40,13 +209,16 @@ class InitialSetUp(NamedTuple):
     miss: np.ndarray
 
 
-def initial_setup(machine: Machine, data: Measurements, instruments: StationInstruments) -> InitialSetUp:
+def initial_setup(
+    machine: Machine, data: Measurements, instruments: StationInstruments, *, mirrored: bool = False
+) -> InitialSetUp:
     """Estimate the set-up with the nominal machine.
 
     Args:
         machine: the machine.
         data: the measurements.
         instruments: those of its stations. Stations that read lengths and others are estimated independently.
+        mirrored: whether readings in a left-handed frame are accepted; they agree poorly.
 
     Raises:
         InputError: a station with fewer than three points, or one whose readings are in a left-handed frame.
@@ -63,7 +235,7 @@ def initial_setup(machine: Machine, data: Measurements, instruments: StationInst
     if kinds[0] == "length":
         length = np.where(np.isfinite(data.point_mm[:, 0]), data.point_mm[:, 0], 0.0) * MM
         return _by_lengths(initial, _Lengths(carried.points, carried.rotation, length, station, target))
-    return _by_points(initial, carried, data, station, target)
+    return _by_points(initial, carried, data, station, target, mirrored=mirrored)
 
 
 def nominal_carriers(machine: Machine, data: Measurements) -> CarriedTargets:
@@ -73,6 +245,23 @@ def nominal_carriers(machine: Machine, data: Measurements) -> CarriedTargets:
     angles = of_angles(data)
     places[angles] = VERTICAL_M
     return observation_of(machine).carried(q, errors, data.carrier, places, data.station_carrier, angles)
+
+
+def least_motion(points: np.ndarray, rotation: np.ndarray, place: np.ndarray) -> np.ndarray:
+    """Return (n, 3) the deviation of a target from its mean, m; for an unknown place, the one on the carrier that moves least.
+
+    Args:
+        points: (n, 3) origin of the carrier.
+        rotation: (n, 3, 3) of the carrier.
+        place: (3,) of the target; NaN where unknown.
+    """
+    if np.isfinite(place).all():
+        found = points + rotation @ place
+        return np.asarray(found - found.mean(axis=0))
+    turn = (rotation - rotation.mean(axis=0)).reshape(-1, 3)
+    off = (points - points.mean(axis=0)).reshape(-1)
+    best = np.linalg.lstsq(turn, -off, rcond=1e-9)[0]
+    return np.asarray((off + turn @ best).reshape(-1, 3))
 
 
 def _by_kind(
@@ -173,7 +362,13 @@ class _Equations:
 
 
 def _by_points(
-    initial: SetUp, carried: CarriedTargets, data: Measurements, station: np.ndarray, target: np.ndarray
+    initial: SetUp,
+    carried: CarriedTargets,
+    data: Measurements,
+    station: np.ndarray,
+    target: np.ndarray,
+    *,
+    mirrored: bool,
 ) -> InitialSetUp:
     point = _zero_for_unread(initial, data.point_mm, station)
     whole = np.isfinite(point).all(axis=1)
@@ -186,7 +381,7 @@ def _by_points(
             )
     equations = _equations(initial, np.where(whole[:, None], point, 0.0) * MM, whole, carried, station, target)
     found, weight = equations.solve()
-    rotation = _nearest_rotations(initial, found, data, station)
+    rotation = _nearest_rotations(initial, found, data, station, mirrored=mirrored)
     return _with_fitted_rotations(equations, rotation, weight)
 
 
@@ -213,17 +408,19 @@ def _equations(
     return _Equations(initial, y, centre, carried.points, matrix, known, values, whole, station)
 
 
-def _nearest_rotations(initial: SetUp, found: np.ndarray, data: Measurements, station: np.ndarray) -> np.ndarray:
+def _nearest_rotations(
+    initial: SetUp, found: np.ndarray, data: Measurements, station: np.ndarray, *, mirrored: bool
+) -> np.ndarray:
     """Return (stations, 3, 3) the rotations nearest to the estimated entries; known rotations unchanged.
 
     Raises:
-        InputError: a station whose readings are in a left-handed frame.
+        InputError: a station whose readings are in a left-handed frame, if these are not accepted.
     """
     rotation = np.array(initial.rotation)
     for i in np.flatnonzero(~initial.station_known):
         raw = found[12 * i : 12 * i + 9].reshape(3, 3)
         u, s, v = np.linalg.svd(raw)
-        if np.linalg.det(raw) < 0.0 and s[2] > 0.5:
+        if not mirrored and np.linalg.det(raw) < 0.0 and s[2] > 0.5:
             raise data.error(
                 f"readings of station {initial.stations[i]} are in a left-handed frame",
                 expected="right-handed x_mm, y_mm, z_mm; two of the columns may be swapped, or one has the wrong sign",

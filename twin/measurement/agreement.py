@@ -1,0 +1,475 @@
+"""Agreement of commands and readings: rows that do not fit, and columns that are swapped, of wrong sign or in another unit.
+
+The nominal machine and a robustly estimated set-up predict every reading. If the readings do not follow the commands, single changes of
+the columns are tried on some of the rows, and those after which they do are reported. A mirrored reading and a mirrored linear command
+differ by a rotation of the station: which of them is wrong is not determined, except by a station that is aligned with the machine's
+axes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import replace
+from itertools import combinations
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from twin._common.arrays import read_only
+from twin._common.errors import InputError
+from twin._common.units import MM, count_with_noun
+from twin.machine.machine import Axis, Machine
+from twin.measurement.checks import SYSTEMATIC_ROWS, RowNote, outside_axis_range
+from twin.measurement.columns import CARRIERS, POINT_COLUMNS
+from twin.measurement.instruments import SIDES, StationInstruments, default_instrument
+from twin.measurement.set_up import LARGEST_MISFIT_M, SetUp, initial_setup, nominal_carriers
+from twin.measurement.table import Measurements
+
+WRONG_COLUMN_SHARE: Final = 0.2
+"""Share of rows with misfits of centimetres above which a column is wrong, not single rows."""
+SUSPECT_COLUMN_SHARE: Final = 0.02
+"""Share of such rows above which swapped or mirrored columns are tried."""
+NOMINAL_SHARE: Final = 0.01
+"""Largest deviation of a machine from its nominal geometry, as a share of the measured motion."""
+OUTLYING_FACTOR: Final = 10.0
+"""Multiple of the median misfit above which a row is wrong."""
+SUSPECT_RATIO: Final = 0.1
+"""Ratio of misfit to motion above which other units are tried."""
+UNRELATED_RATIO: Final = 0.5
+"""Ratio of misfit to motion above which the readings do not follow the commands at all."""
+CLEAR_MOTION_M: Final = 5e-4
+"""Motion, m, below which drift and noise may be as large, so that readings need not follow the commands."""
+LEAST_MOTION_M: Final = 1e-5
+"""Motion, m, below which readings are not compared with commands."""
+GOOD_RATIO: Final = 0.05
+"""Ratio of misfit to motion below which a change of unit explains the readings."""
+IMPROVEMENT: Final = 5.0
+"""Factor by which a change must reduce the misfit, or the number of wrong rows, to be reported."""
+TRIAL_ROWS: Final = 200
+"""Number of rows on which changes of columns are tried."""
+FEWEST_ROWS: Final = 8
+"""Number of rows of a station below which its columns are not judged."""
+MOST_FINDINGS: Final = 3
+"""Number of changes that are found one after the other in the rows of a station."""
+ALIGNED: Final = 0.25
+"""Largest deviation of a rotation from identity up to which a station counts as aligned with the machine's axes."""
+UNITS: Final = (("metres", "m", 1000.0), ("inches", "inch", 25.4))
+READING_UNITS: Final = (*UNITS, ("micrometres", "um", 1e-3), ("centimetres", "cm", 10.0))
+RADIANS: Final = ("radians", "rad", 180.0 / np.pi)
+"""Units that are tried: in words, as a mapping file names them, factor to mm or degrees."""
+
+
+class Change(NamedTuple):
+    """A change of the columns of a table: another order of them, and a factor for each.
+
+    Attributes:
+        field: ``positions`` or ``point_mm``.
+        order: index of the column from which each column is taken.
+        factor: of each column.
+        columns: names of the columns that change.
+        text: what seems to be wrong with them.
+        advice: comment for the entries of these columns in a mapping file.
+    """
+
+    field: str
+    order: list[int]
+    factor: list[float]
+    columns: tuple[str, ...]
+    text: str
+    advice: str
+
+    def of(self, data: Measurements) -> Measurements:
+        """Return the changed data."""
+        changed: dict[str, Any] = {self.field: read_only(getattr(data, self.field)[:, self.order] * self.factor)}
+        return replace(data, **changed)
+
+
+class Fit(NamedTuple):
+    """Agreement of readings with commands on the nominal machine.
+
+    Attributes:
+        setup: the estimated set-up.
+        miss: (n,) misfit of each reading, metres.
+        limit: misfit above which a row is wrong, metres.
+        ratio: mean misfit over mean motion.
+        motion: largest motion of a target, metres.
+    """
+
+    setup: SetUp
+    miss: np.ndarray
+    limit: float
+    ratio: float
+    motion: float
+
+    @property
+    def share(self) -> float:
+        """Share of wrong rows."""
+        return float(np.mean(self.miss > self.limit))
+
+    @property
+    def rms_mm(self) -> float:
+        """RMS misfit."""
+        return float(np.sqrt(np.mean(self.miss**2))) / MM
+
+    @property
+    def is_suspect(self) -> bool:
+        """Whether a column may be wrong."""
+        return self.share > SUSPECT_COLUMN_SHARE or self.ratio > SUSPECT_RATIO
+
+
+def fit_of(machine: Machine, data: Measurements, instruments: StationInstruments, *, mirrored: bool = False) -> Fit:
+    """Return the agreement of some data; arguments and errors as `initial_setup`."""
+    setup, miss = initial_setup(machine, data, instruments, mirrored=mirrored)
+    return Fit(setup, miss, miss_limit(data, miss), *misfit_ratio(machine, data, setup, miss))
+
+
+def agreeing_rows(machine: Machine, data: Measurements, instruments: StationInstruments) -> tuple[Measurements, SetUp]:
+    """Return the rows whose command agrees with the measured motion, and the set-up estimated with the nominal machine.
+
+    Args:
+        machine: the machine.
+        data: the measurements.
+        instruments: those of its stations.
+
+    Raises:
+        InputError: more than a fifth of the rows do not agree, or fewer that agree after one change of the columns, or readings that
+            do not follow the commands; with the change that would make them agree, if there is one.
+    """
+    follows = f"readings that follow the commands of {machine.name}"
+    try:
+        fit = fit_of(machine, data, instruments)
+    except InputError:
+        # Readings in a left-handed frame may be due to one wrong command column; if several would explain them, the frame is wrong.
+        texts = [change.text for change in _one_change(machine, data, 1.0, np.inf, instruments)]
+        if len(texts) != 1:
+            raise
+        raise data.error(f"commands and readings do not agree: {texts[0]}", expected=follows, row=0) from None
+    bad = fit.miss > fit.limit
+    changes = _one_change(machine, data, fit.share, fit.ratio, instruments) if fit.is_suspect else []
+    unrelated = fit.ratio > UNRELATED_RATIO and fit.motion > CLEAR_MOTION_M
+    if changes or fit.share > WRONG_COLUMN_SHARE or unrelated:
+        worst = int(np.argmax(fit.miss))
+        raise data.error(
+            f"commands and readings do not agree: {changes[0].text if changes else _description(machine, data, fit)}",
+            expected=f"{follows} within {min(fit.limit, fit.motion) / MM:.2g} mm",
+            row=worst,
+            value=f"deviation {fit.miss[worst] / MM:.3g} mm",
+        )
+    if not np.any(bad):
+        return data, fit.setup
+    notes = _notes_of_disagreement(data, bad, fit.miss)
+    agreeing = replace(data.select(~bad), set_aside=(*data.set_aside, *notes))
+    if set(agreeing.target) != set(data.target) or set(agreeing.station) != set(data.station):
+        without_rows = sorted({*data.target, *data.station} - {*agreeing.target, *agreeing.station})
+        raise InputError(
+            f"no reading of {', '.join(without_rows)} agrees with its command",
+            expected="readings that follow the commands",
+            file=data.source,
+            line=notes[0].line,
+        )
+    return agreeing, initial_setup(machine, agreeing, instruments)[0]
+
+
+def _notes_of_disagreement(data: Measurements, bad: np.ndarray, miss: np.ndarray) -> tuple[RowNote, ...]:
+    """Return a note for each of the bad rows."""
+    causes = "wrong position, wrong target or lost beam"
+    return tuple(
+        RowNote(
+            int(data.lines[row]),
+            f"the reading disagrees with the command by {miss[row] / MM:.1f} mm (target {data.target[row]}, "
+            f"round {data.round[row]}): {causes}",
+            kind=f"the reading disagrees with the command: {causes}",
+            size=float(miss[row]),
+        )
+        for row in np.flatnonzero(bad)
+    )
+
+
+def miss_limit(data: Measurements, miss: np.ndarray) -> float:
+    """Return the largest misfit with the nominal machine that is accepted, metres.
+
+    A machine that differs from its nominal geometry everywhere (an uncalibrated robot) has misfits of millimetres in every row,
+    of similar size; wrong rows stand out from them. A median misfit that is a large part of the motion is neither case.
+    """
+    typical = float(np.median(miss))
+    read = data.point_mm[:, np.isfinite(data.point_mm).any(axis=0)]
+    span = float(np.linalg.norm(np.nanmax(read, axis=0) - np.nanmin(read, axis=0))) * MM
+    return max(LARGEST_MISFIT_M, OUTLYING_FACTOR * typical) if typical < NOMINAL_SHARE * span else LARGEST_MISFIT_M
+
+
+def misfit_ratio(machine: Machine, data: Measurements, setup: SetUp, miss: np.ndarray) -> tuple[float, float]:
+    """Return mean misfit over mean commanded motion of the targets (for lengths, over their change), and the largest motion.
+
+    A row's misfit is limited to the largest motion, so that a lost beam does not dominate. Zero if hardly anything moves. Metres.
+    """
+    carried = nominal_carriers(machine, data)
+    index = {name: i for i, name in enumerate(setup.targets)}
+    place = setup.place[[index[name] for name in data.target]]
+    points = carried.points + np.einsum("nij,nj->ni", carried.rotation, place)
+    kind = np.array([setup.reads[setup.stations.index(name)].reads for name in data.station])
+    lengths = np.zeros_like(points)
+    lengths[:, 0] = np.nan_to_num(data.point_mm[:, 0]) * MM
+    points = np.where((kind == "length")[:, None], lengths, points)
+    if np.any(kind == "null"):  # the target is always at the station's origin: the motion is that of the linear axes
+        linear = np.array([axis.linear for axis in machine.axes])
+        travel = np.linalg.norm(np.where(linear, data.positions - np.median(data.positions, axis=0), 0.0), axis=1) * MM
+        points = np.where((kind == "null")[:, None], travel[:, None] * np.array([1.0, 0.0, 0.0]), points)
+    moved = np.empty(len(points))
+    for station, target in dict.fromkeys(zip(data.station, data.target, strict=True)):
+        rows = (data.station == station) & (data.target == target)
+        moved[rows] = np.linalg.norm(points[rows] - np.median(points[rows], axis=0), axis=1)
+    largest = float(moved.max())
+    if largest <= LEAST_MOTION_M:
+        return 0.0, largest
+    return float(np.minimum(miss, largest).sum() / moved.sum()), largest
+
+
+def other_unit(machine: Machine, data: Measurements, instruments: StationInstruments) -> str | None:
+    """Return, in words, which columns would agree in another unit; None if none would, or if all agree as given."""
+    try:
+        ratio = fit_of(machine, data, instruments).ratio
+    except InputError:
+        return None
+    changes = _in_units(machine, data, 1.0, ratio, instruments) if ratio > SUSPECT_RATIO else []
+    return changes[0].text if changes else None
+
+
+def wrong_columns(machine: Machine, data: Measurements) -> list[Change]:
+    """Return a change for each sign, order or unit of columns that seems to be wrong; empty if the data show none.
+
+    Args:
+        machine: the machine.
+        data: a table before it is checked: NaN, unknown sides and positions outside the ranges of their axes are allowed.
+    """
+    found = [
+        _scaled(data, "positions", [i], -1.0, (_columns(machine)[i],), text, "sign: -1?")
+        for i, q in enumerate(data.positions.T)
+        if (text := _mirrored_by_range(machine.axes[i], q))
+    ]
+    sides = np.isin(data.carrier, CARRIERS) & np.isin(data.station_carrier, SIDES)
+    data = data.select(np.isfinite(data.positions).all(axis=1) & np.isfinite(data.point_mm).all(axis=1) & sides)
+    for change in found:
+        data = change.of(data)
+    stations = list(dict.fromkeys(data.station))
+    for station in stations:
+        own = _wrong_columns_of_station(machine, data.select(data.station == station))
+        found += [one._replace(text=f"station {station}: {one.text}") if len(stations) > 1 else one for one in own]
+    return found
+
+
+def _mirrored_by_range(axis: Axis, q: np.ndarray) -> str:
+    """Return a sentence if the positions of an axis are within its range with the opposite sign only; empty otherwise."""
+    q = q[np.isfinite(q)]
+    count = np.count_nonzero(outside_axis_range(axis, q))
+    if len(q) < SYSTEMATIC_ROWS or not count or 2 * count < len(q) or np.any(outside_axis_range(axis, -q)):
+        return ""
+    return (
+        f"{axis.name} seems to be mirrored: {count} of {count_with_noun(len(q), 'row')} are outside the range of {axis.name}, "
+        f"{axis.lower:g} … {axis.upper:g} {axis.unit}, and none with −{axis.name}"
+    )
+
+
+def _wrong_columns_of_station(machine: Machine, data: Measurements) -> list[Change]:
+    """Return the changes after which the points of one station agree with the commands, found one after the other."""
+    found: list[Change] = []
+    instruments = StationInstruments.same(default_instrument("point"), data.station)
+    while len(data) >= FEWEST_ROWS and np.any(data.point_mm) and len(found) < MOST_FINDINGS:
+        try:
+            before = fit_of(machine, data, instruments, mirrored=True)
+        except InputError:
+            break
+        if not before.is_suspect:
+            break
+        mirror = _scaled(data, "point_mm", [0], -1.0)
+        tried = [mirror], _swapped_or_mirrored(machine, data), _two_mirrored(machine, data)
+        changes = _one_change(machine, data, before.share, before.ratio, instruments, tried)
+        if not changes:
+            break
+        data = changes[0].of(data)
+        after = fit_of(machine, data, instruments)
+        change = _mirror(after) if changes[0] is mirror else changes[0]
+        size = f"RMS residual {after.rms_mm:.3g} mm instead of {before.rms_mm:.3g} mm"
+        found.append(change._replace(text=f"{change.text}; {size}"))
+    return found
+
+
+def _mirror(after: Fit) -> Change:
+    """Return the change that mirrors readings, named by its column if the station is then aligned with the machine's axes.
+
+    Args:
+        after: the fit of the readings with −x.
+    """
+    agreeing = np.count_nonzero(after.miss <= after.limit)
+    rows = f"{agreeing} of {count_with_noun(len(after.miss), 'row')} agree"
+    turn = after.setup.rotation[0] @ np.diag([-1.0, 1.0, 1.0])
+    for i, name in enumerate("xyz"):
+        sign = np.where(np.arange(3) == i, -1.0, 1.0)
+        if np.max(np.abs(turn * sign - np.eye(3))) < ALIGNED:
+            text = f"{name} seems to be mirrored: {rows} with −{name}"
+            return Change("point_mm", [0, 1, 2], sign.tolist(), (POINT_COLUMNS[i],), text, "sign: -1?")
+    for i, j in combinations(range(3), 2):
+        order = _exchanged(3, i, j)
+        if np.max(np.abs(turn[:, order] - np.eye(3))) < ALIGNED:
+            text = f"{'xyz'[i]} and {'xyz'[j]} seem to be exchanged: {rows} with exchanged columns"
+            return Change("point_mm", order, [1.0] * 3, (POINT_COLUMNS[i], POINT_COLUMNS[j]), text, "exchanged?")
+    text = (
+        f"the coordinates seem to be mirrored: {rows} in a frame of the other hand. The data do not show which one: one "
+        "of x, y, z (or of the commanded linear axes) has the opposite sign, or two are exchanged"
+    )
+    return Change("point_mm", [0, 1, 2], [-1.0, 1.0, 1.0], POINT_COLUMNS, text, "sign: -1 on one of them?")
+
+
+def _one_change(
+    machine: Machine,
+    data: Measurements,
+    share: float,
+    ratio: float,
+    instruments: StationInstruments,
+    families: Sequence[Iterable[Change]] = (),
+) -> list[Change]:
+    """Return the changes that make the readings agree, the best first: commands swapped or of opposite sign, columns in another unit.
+
+    Args:
+        machine: the machine.
+        data: the measurements.
+        share: share of rows that do not agree.
+        ratio: misfit over motion.
+        instruments: those of its stations.
+        families: changes, each family tried if none before explains the readings; `_swapped_or_mirrored` if there are none.
+    """
+
+    def explains(fit: Fit) -> bool:
+        if share > SUSPECT_COLUMN_SHARE:
+            return fit.share < share / IMPROVEMENT
+        return fit.ratio < min(GOOD_RATIO, ratio / IMPROVEMENT)
+
+    for changes in families or (_swapped_or_mirrored(machine, data),):
+        found = _explaining(machine, data, changes, explains, instruments)
+        if found:
+            return [change for _, change in sorted(found, key=lambda one: one[0])]
+    return _in_units(machine, data, share, ratio, instruments)
+
+
+def _in_units(
+    machine: Machine, data: Measurements, share: float, ratio: float, instruments: StationInstruments
+) -> list[Change]:
+    """Return the change of unit that explains the readings, as `_one_change`; equivalent changes are joined in its text."""
+
+    def explains(fit: Fit) -> bool:
+        return fit.ratio < min(GOOD_RATIO, ratio / IMPROVEMENT) and fit.share <= share / IMPROVEMENT
+
+    for single in (False, True):
+        found = _explaining(machine, data, _units(machine, data, single=single), explains, instruments)
+        if found:
+            best = min(found, key=lambda one: one[0])
+            texts = [change.text for size, change in found if size <= 2.0 * best[0]]
+            return [best[1]._replace(text=", or ".join(texts))]
+    return []
+
+
+def _explaining(
+    machine: Machine,
+    data: Measurements,
+    changes: Iterable[Change],
+    explains: Callable[[Fit], bool],
+    instruments: StationInstruments,
+) -> list[tuple[float, Change]]:
+    """Return the changes after which some rows agree, each with misfit over motion."""
+    found = []
+    rows = data.select(np.linspace(0, len(data) - 1, min(len(data), TRIAL_ROWS)).astype(int))
+    for change in changes:
+        try:
+            fit = fit_of(machine, change.of(rows), instruments)
+        except InputError:  # no station can be placed
+            continue
+        # Swapped with an axis that did not move, anything fits.
+        if fit.motion > LEAST_MOTION_M and explains(fit):
+            found.append((fit.ratio, change))
+    return found
+
+
+def _swapped_or_mirrored(machine: Machine, data: Measurements) -> Iterator[Change]:
+    """Yield the changes that swap two command columns, and those that reverse the sign of one."""
+    names, moving = _columns(machine), _moving(data)
+    for i, j in combinations(range(len(names)), 2):
+        if i in moving or j in moving:
+            text = f"columns {names[i]} and {names[j]} look swapped"
+            order = _exchanged(len(names), i, j)
+            yield Change("positions", order, [1.0] * len(names), (names[i], names[j]), text, "exchanged?")
+    for i in moving:
+        text = f"column {names[i]} appears to have the wrong sign"
+        yield _scaled(data, "positions", [i], -1.0, (names[i],), text, "sign: -1?")
+
+
+def _two_mirrored(machine: Machine, data: Measurements) -> Iterator[Change]:
+    """Yield the changes that reverse the signs of two rotary axes."""
+    names = _columns(machine)
+    for i, j in combinations([i for i in _moving(data) if not machine.axes[i].linear], 2):
+        text = f"columns {names[i]} and {names[j]} appear to have the wrong sign"
+        yield _scaled(data, "positions", [i, j], -1.0, (names[i], names[j]), text, "sign: -1?")
+
+
+def _units(machine: Machine, data: Measurements, *, single: bool) -> Iterator[Change]:
+    """Yield the changes that convert commands or readings from another unit: single columns, or all columns."""
+    names, moving = _columns(machine), _moving(data)
+    linear = [i for i in moving if machine.axes[i].linear]
+    rotary = [i for i in moving if not machine.axes[i].linear]
+    read = [i for i in range(3) if np.isfinite(data.point_mm[:, i]).any()]
+    tried = [
+        *(("positions", names, linear, unit) for unit in UNITS),
+        ("positions", names, rotary, RADIANS),
+        *(("point_mm", POINT_COLUMNS, read, unit) for unit in READING_UNITS),
+    ]
+    for field, labels, columns, (unit, word, factor) in tried:
+        groups = [[i] for i in columns] if single and len(columns) > 1 else [] if single or not columns else [columns]
+        for some in groups:
+            q = data.positions * factor
+            if field == "positions" and any(np.any(outside_axis_range(machine.axes[i], q[:, i])) for i in some):
+                continue
+            named = tuple(labels[i] for i in some)
+            look = f"columns {', '.join(named)} look" if len(named) > 1 else f"column {named[0]} looks"
+            meant = "degrees" if unit == RADIANS[0] else "millimetres"
+            text = f"{look} like {unit}, not {meant} (factor {factor:.4g})"
+            yield _scaled(data, field, some, factor, named, text, f"unit: {word}?")
+
+
+def _scaled(
+    data: Measurements,
+    field: str,
+    some: Sequence[int],
+    factor: float,
+    columns: tuple[str, ...] = (),
+    text: str = "",
+    advice: str = "",
+) -> Change:
+    """Return the change that multiplies some columns of a field by a factor."""
+    count = getattr(data, field).shape[1]
+    return Change(
+        field, list(range(count)), [factor if i in some else 1.0 for i in range(count)], columns, text, advice
+    )
+
+
+def _exchanged(count: int, i: int, j: int) -> list[int]:
+    """Return the order of columns in which two are exchanged."""
+    order = list(range(count))
+    order[i], order[j] = j, i
+    return order
+
+
+def _description(machine: Machine, data: Measurements, fit: Fit) -> str:
+    """Return the share of wrong rows, and the axis whose motion most of them share, in words."""
+    if fit.share <= WRONG_COLUMN_SHARE:
+        return "the readings change, but not as the commands do"
+    by_axis = [
+        (float(np.median(fit.miss[data.positions[:, i] != np.median(data.positions[:, i])])), i) for i in _moving(data)
+    ]
+    axis = _columns(machine)[max(by_axis, default=(0.0, 0))[1]]
+    return f"{fit.share:.0%} of the readings deviate by more than {fit.limit / MM:.2g} mm, mostly where {axis} changes"
+
+
+def _columns(machine: Machine) -> list[str]:
+    return [f"{axis.name}_{axis.unit}" for axis in machine.axes]
+
+
+def _moving(data: Measurements) -> list[int]:
+    return [i for i in range(data.positions.shape[1]) if np.ptp(data.positions[:, i]) > 0.0]
