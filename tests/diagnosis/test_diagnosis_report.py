@@ -322,7 +322,7 @@ def test_the_json_is_the_contracts(found: Mapping[str, Diagnosis]) -> None:
     """Contract §4, without the arrays for the pictures."""
     result = json.loads(json.dumps(found["reversal"].to_dict()))
     contract = "schema verdict residual causes unexplained unidentifiable gain next_measurement".split()
-    ours = ["not_evaluated", "trends", "scatter", "set_aside", "notices", "warnings"]
+    ours = ["not_evaluated", "trends", "noise_source", "set_aside", "notices", "warnings"]
     assert set(result) == {*contract, *ours}
     keys = "effect where origin parameters p_value share equivalent evidence probability bounded".split()
     assert set(result["causes"][0]) == {*keys, "promised", "credible"}

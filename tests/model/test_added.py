@@ -212,5 +212,5 @@ def test_an_added_instrument_is_complete(run: Run, tmp_path: Path) -> None:
     run("simulate", "thesis_plan.csv", "-o", table, "--instrument", "camera", "--seed", "3")
     text = run("diagnose", table, "--instrument", "camera", "--json", found, "--html", page)
     assert "camera" in text
-    assert "camera" in json.loads(found.read_text())["scatter"]
+    assert "camera" in json.loads(found.read_text())["noise_source"]
     assert "camera" in page.read_text()

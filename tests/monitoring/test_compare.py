@@ -477,7 +477,7 @@ def test_draws_do_not_depend_on_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
         tool = twin.compare(older, newer, tool_length_mm=120.0, poses=20).tool
         sizes = [tool.everything, tool.everything_aligned, tool.judged, *tool.by_class.values()]
         found.append([(one.u_max_um, one.limit_um, one.p_value) for one in sizes])
-        found[-1].append((tool.left.u_max_um, tool.left.surely_um, tool.left.at_least_um))
+        found[-1].append((tool.left.u_max_um, tool.left.upper_95_um, tool.left.lower_95_um))
     assert len(found[0]) > 4
     np.testing.assert_allclose(found[0], found[1], rtol=1e-5)
 

@@ -103,7 +103,7 @@ def test_calibration_for_a_tolerance(
     off = (points[1] - points[0]).reshape(-1) * 1e3
     aligned = off - design @ np.linalg.lstsq(design, off, rcond=None)[0]
     assert left.rms_um == pytest.approx(float(np.sqrt(np.mean(aligned**2) * 3)), rel=0.15)
-    assert left.max_um < left.surely_um < 40.0
+    assert left.max_um < left.upper_95_um < 40.0
     tight = twin.watch(made, dmu50, calibration, settings=twin.WatchSettings(tolerance_mm=0.02))
     assert tight.good is None and "cannot be decided" in tight.to_text()
 

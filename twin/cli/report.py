@@ -165,7 +165,7 @@ def _first_screen(found: MachineReport) -> list[str]:
     return [
         *([*warning_texts(found.warnings), ""] if found.warnings else []),
         found.advice.headline,
-        *(f"  {line}" for line in found.advice.wrong),
+        *(f"  {line}" for line in found.advice.largest_errors),
         *(f"{names[step.kind]}: {step.title}. {step.text}" for step in found.advice.steps),
         found.datum,
     ]

@@ -386,7 +386,7 @@ class DiagnosisResult:
                 {"column": t.column, "carrier": t.carrier, "explains": t.explains, "p_value": t.p_value}
                 for t in self.trends
             ],
-            "scatter": self.noise_source,
+            "noise_source": self.noise_source,
             "set_aside": [{"line": note.line, "reason": note.text} for note in self.data.set_aside],
             "notices": list(self.data.notices),
             "warnings": warnings_to_json(self.warnings),

@@ -286,17 +286,17 @@ def _verdict_on_tolerance(found: Changes) -> list[str]:
     if answer is True:
         return [
             f"The older calibration is good enough for {limit}: it leaves {most}, and no more than "
-            f"{number(left.surely_um)} µm with uncertainty (95 %)."
+            f"{number(left.upper_95_um)} µm with uncertainty (95 %)."
         ]
     if answer is False:
         return [
             f"The older calibration is not good enough for {limit}: it leaves {most} (at {place(left.where)}), and no less "
-            f"than {number(left.at_least_um)} µm with uncertainty (95 %)."
+            f"than {number(left.lower_95_um)} µm with uncertainty (95 %)."
         ]
-    if np.isfinite(left.surely_um):
+    if np.isfinite(left.upper_95_um):
         return [
             f"It cannot be decided whether the older calibration is good enough for {limit}: it leaves {most}, with uncertainty "
-            f"{number(max(left.at_least_um, 0.0))} to {number(left.surely_um)} µm (95 %)."
+            f"{number(max(left.lower_95_um, 0.0))} to {number(left.upper_95_um)} µm (95 %)."
         ]
     return [
         f"It cannot be decided whether the older calibration is good enough for {limit}: it leaves {most}, with unknown uncertainty."

@@ -83,8 +83,8 @@ class Remaining:
         rms_um, max_um, where: deviation of the tool point from its nominal position, after aligning the workpiece.
         as_it_is: the same before aligning.
         u_max_um: U at ``where``; NaN if unknown.
-        surely_um: upper 95 % limit of the largest deviation over all poses; NaN if unknown.
-        at_least_um: lower 95 % limit of the largest deviation over all poses; NaN if unknown.
+        upper_95_um: upper 95 % limit of the largest deviation over all poses; NaN if unknown.
+        lower_95_um: lower 95 % limit of the largest deviation over all poses; NaN if unknown.
         poses: number of poses.
         out_of_reach: poses not included, because their compensation leaves a travel range or a curve's domain.
     """
@@ -94,8 +94,8 @@ class Remaining:
     where: Mapping[str, float]
     as_it_is: DisplacementSize
     u_max_um: float
-    surely_um: float
-    at_least_um: float
+    upper_95_um: float
+    lower_95_um: float
     poses: int
     out_of_reach: int
 
@@ -104,7 +104,7 @@ class Remaining:
 
         Decision rule of ISO 14253-1: within the uncertainty neither conformance nor non-conformance is stated.
         """
-        return {"pass": True, "fail": False}.get(decide_interval(self.at_least_um, self.surely_um, tolerance_um))
+        return {"pass": True, "fail": False}.get(decide_interval(self.lower_95_um, self.upper_95_um, tolerance_um))
 
 
 @final
@@ -418,8 +418,8 @@ def _remaining(scene: _CommonPoses, chance: _Simulated) -> Remaining:
         where=scene.place(int(np.flatnonzero(keep)[row])),
         as_it_is=DisplacementSize.of(off),
         u_max_um=float(u[row]),
-        surely_um=float(np.max(aligned + chance.factor * u)),
-        at_least_um=float(np.max(aligned - chance.factor * u)),
+        upper_95_um=float(np.max(aligned + chance.factor * u)),
+        lower_95_um=float(np.max(aligned - chance.factor * u)),
         poses=int(np.count_nonzero(keep)),
         out_of_reach=int(np.count_nonzero(~keep)),
     )

@@ -148,16 +148,16 @@ def calibration_sentences(watch: Watch) -> list[str]:
     most = f"the deviations cause at most {figure(left.max_um, 'µm')} at the tool (at {place(left.where)})"
     if watch.good is True:
         return [
-            f"The calibration is still good for {limit}: {most}, and {figure(left.surely_um, 'µm')} with their uncertainty (95 %)."
+            f"The calibration is still good for {limit}: {most}, and {figure(left.upper_95_um, 'µm')} with their uncertainty (95 %)."
         ]
     if watch.good is False:
         return [
-            f"The calibration is no longer good for {limit}: {most}, and no less than {figure(left.at_least_um, 'µm')} with their "
+            f"The calibration is no longer good for {limit}: {most}, and no less than {figure(left.lower_95_um, 'µm')} with their "
             "uncertainty (95 %). Measure and identify again."
         ]
     return [
         f"It cannot be decided whether the calibration is still good for {limit}: {most}, with their uncertainty "
-        f"{figure(max(left.at_least_um, 0.0), 'µm')} to {figure(left.surely_um, 'µm')} (95 %)."
+        f"{figure(max(left.lower_95_um, 0.0), 'µm')} to {figure(left.upper_95_um, 'µm')} (95 %)."
     ]
 
 

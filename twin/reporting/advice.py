@@ -123,18 +123,18 @@ class MachineAdvice:
     Attributes:
         headline: the main result in one sentence.
         rating: overall rating, which selects the colour.
-        wrong: the largest errors, one line each.
+        largest_errors: the largest errors, one line each.
         steps: actions to take, to measure and to avoid.
     """
 
     headline: str
     rating: Rating
-    wrong: tuple[str, ...]
+    largest_errors: tuple[str, ...]
     steps: tuple[Step, ...]
 
     def to_dict(self) -> dict[str, Any]:
         """Return the content for JSON."""
-        return json_form(self, rename={"wrong": "wrong_most"}, leave_out=("rating",))
+        return json_form(self, leave_out=("rating",))
 
 
 def advise(

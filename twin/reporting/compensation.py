@@ -342,7 +342,7 @@ def compare_points(data: Measurements, machine: Machine, calibration: Calibratio
         far=int(np.count_nonzero(placed.bad)),
         rms_before_um=_rms(nominal_residual, read),
         rms_after_um=_rms(residual, read),
-        scatter=placed.noise.source,
+        noise_source=placed.noise.source,
         before_um=read_only(np.linalg.norm(nominal_residual, axis=1) / UM),
         after_um=read_only(np.linalg.norm(residual, axis=1) / UM),
         stops=MappingProxyType(_estimates(network, placed.setup, held)),

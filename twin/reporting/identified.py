@@ -232,7 +232,7 @@ class PointComparison:
         far: number of outliers with this calibration; the set-up was fitted to the other points.
         rms_before_um: RMS residual per coordinate with the nominal machine.
         rms_after_um: RMS residual per coordinate with the calibration.
-        scatter: description of the measurement noise (key of the JSON).
+        noise_source: description of the measurement noise (key of the JSON).
         before_um, after_um: (n,) distance of each point, or of its length, from the predicted one.
         stops: estimates by error motion.
         rows: excluded rows: line and reason.
@@ -245,7 +245,7 @@ class PointComparison:
     far: int
     rms_before_um: float
     rms_after_um: float
-    scatter: str
+    noise_source: str
     before_um: np.ndarray
     after_um: np.ndarray
     stops: Mapping[str, tuple[PositionEstimates, ...]]
