@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+import re
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -18,9 +19,7 @@ from twin.compute.native import compiler
 from twin.nc import dialect_for
 from twin.nc.blocks import AxisWords, Kind, NewPositions
 from twin.nc.heidenhain import vocabulary as heidenhain_vocabulary
-from twin.nc.iso import vocabulary as iso_vocabulary
 from twin.nc.lines import chunks
-from twin.nc.writer import NOTHING, SimpleBlocks
 
 ISO, PLAIN, APT = (dialect_for(Path(name)) for name in ("a.nc", "a.h", "a.cls"))
 SWAPPED = AxisWords(("X", "Y", "Z"), ("C", "A"), {"X": 0.001, "Y": 0.005, "Z": 0.0001, "A": 0.001, "C": 0.01})
@@ -34,6 +33,7 @@ GOOD = st.one_of(
 )
 BAD = st.sampled_from(["1234567890", "1.2.3", ".", "", "- 5", "+ 1.5", "5,5", "1e3", ".5", "-.5", "1000000000.5", "+"])
 EOL = st.sampled_from(["\n", "\r\n", "\r"])
+NO_BLOCKS = heidenhain_vocabulary.SimpleBlocks(re.compile(r"(?!)"))
 
 
 def rarely(draw, chances=12):
@@ -339,11 +339,10 @@ def new_positions(reading, seed, width):
 
 @contextmanager
 def way(name):
-    """Read and write token by token, by the patterns of simple blocks, or all simple blocks of a run together."""
+    """Read and write token by token, by the pattern of simple blocks (plain language), or all simple blocks of a run together."""
     with pytest.MonkeyPatch.context() as patch:
         if name == "tokens":
-            for vocabulary in (iso_vocabulary, heidenhain_vocabulary):
-                patch.setattr(vocabulary, "simple_pattern", lambda names: SimpleBlocks(NOTHING, (), ()))
+            patch.setattr(heidenhain_vocabulary, "simple_pattern", lambda names: NO_BLOCKS)
         patch.setattr(chunks, "SHORTEST_RUN", 1 if name in ("runs", "compiled") else 10**9)
         patch.setattr(compiler, "WORTH_COMPILING", 1 if name == "compiled" else 10**9)
         yield
@@ -512,46 +511,18 @@ def test_programs_of_others(suffix):
         check(ISO, path.read_bytes().decode("latin-1"), seed)
 
 
-@pytest.mark.parametrize(
-    ("plain", "yes", "no"),
-    [
-        (
-            iso_vocabulary.simple_pattern(AXES.names),
-            [
-                "G1 X1.5\n",
-                "X1",
-                "N10G01X-.5Y+5.F500\r\n",
-                "x1 c2",
-                "G2 X1 Y1 I5 J0",
-                "G1 X1 TURN=1",
-                "X1 I0 J0 K1",
-                "X1 (c) (d);e",
-            ],
-            [
-                "\n",
-                "G1",
-                "F5",
-                "X",
-                "X1.2.3",
-                "X1 X2",
-                "Y1 X1",
-                "X1 M3",
-                "X1 (c) Y1",
-                "/X1",
-                "X 1",
-                "G91 X1",
-                "X1234567890",
-            ],
-        ),
-        (
-            heidenhain_vocabulary.simple_pattern(AXES.names),
-            ["L X+1\n", "10 L X+1,5 Y-2 R0 FMAX", "l c+5 F500", "LN X+1 TX+0 TY+0 TZ+1"],
-            ["L", "L F5", "LX+1", "L IX+1", "L X+1 M3", "L X+Q1", "C X+1 DR+", "L X+1 RL", "X+1", "L X+1 ~"],
-        ),
-    ],
-    ids=["iso", "plain language"],
-)
-def test_what_is_plain(plain, yes, no):
-    """The patterns do match; otherwise every other test here would pass without the faster path."""
-    assert [text for text in yes if not plain.pattern.fullmatch(text)] == []
-    assert [text for text in no if plain.pattern.fullmatch(text)] == []
+def test_what_is_plain():
+    """The pattern does match; otherwise every other test here would pass without the faster path."""
+    plain = heidenhain_vocabulary.simple_pattern(AXES.names).pattern
+    yes = ["L X+1\n", "10 L X+1,5 Y-2 R0 FMAX", "l c+5 F500", "LN X+1 TX+0 TY+0 TZ+1"]
+    no = ["L", "L F5", "LX+1", "L IX+1", "L X+1 M3", "L X+Q1", "C X+1 DR+", "L X+1 RL", "X+1", "L X+1 ~"]
+    assert [text for text in yes if not plain.fullmatch(text)] == []
+    assert [text for text in no if plain.fullmatch(text)] == []
+
+
+def test_lines_with_nothing_but_motion():
+    """Positions, paths, tool vectors and feeds may be thinned out together; lines with anything else stay."""
+    yes = ["G1 X1.5\n", "X1", "N10G01X-.5Y+5.F500\r\n", "x1 c2", "G2 X1 Y1 I5 J0", "G1 X1 TURN=1", "X1 A3=0 B3=0 C3=1"]
+    no = ["X1 M3", "X1 (c)", "X1 ;c", "G91 X1", "G4 F1", "/X1", "X=IC(5)", "X#1", "X1.2.3", "X1 S500", "X1 A1", "R1=5"]
+    assert [text for text in yes if not ISO.is_motion_only(text, AXES.names)] == []
+    assert [text for text in no if ISO.is_motion_only(text, AXES.names)] == []

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -56,6 +57,19 @@ def _word(match: re.Match[str]) -> tuple[str, str]:
     name, value = {"word": (2, 3), "given": (6, 8), "late": (14, 15)}.get(kind or "", (0, 0))
     letter = match[name].upper() if name else ""
     return (letter[:1], match[value]) if len(letter) == 1 or letter[1:].isdigit() else ("", "")
+
+
+_OF_POSITIONS: Final = frozenset({"N", "F", "I", "J", "K", "R", "CR", "TURN", "A3", "B3", "C3"})
+
+
+def _is_of_position(match: re.Match[str], axes: frozenset[str]) -> bool:
+    """Return whether a token is the end of a line, or a word of a path or a feed with a number."""
+    if match.lastgroup == "note":
+        return not match["note"].strip()
+    name, value = (match[2] or match[6] or "").upper(), match[3] or match[8] or ""
+    if name == "G":
+        return vocabulary.canonical(f"G{value}") in ("G0", "G1", "G2", "G3")
+    return (name in axes or name in _OF_POSITIONS) and not math.isnan(number(value))
 
 
 def _number(values: Mapping[str, str], name: str) -> float | None:
@@ -280,8 +294,8 @@ class Iso(Dialect):
 
     def is_motion_only(self, text: str, names: tuple[str, ...]) -> bool:
         """See `Dialect.is_motion_only`."""
-        found = vocabulary.simple_pattern(names).pattern.fullmatch(text)
-        return found is not None and found[found.re.groups] is None
+        axes = frozenset(name.upper() for name in names)
+        return all(_is_of_position(match, axes) for match in vocabulary.TOKEN.finditer(text))
 
     def line_words(self, text: str) -> LineWords:
         """See `Dialect.line_words`."""

@@ -12,8 +12,8 @@ from twin.nc.iso import vocabulary
 from twin.nc.iso.cycles import SINUMERIK
 from twin.nc.iso.frame import IsoBlock, Item
 from twin.nc.iso.motion import CENTRE, SPINDLE_VECTOR, IsoMotion
-from twin.nc.modal import AxisWord, Block, Span
-from twin.nc.text import BLANK, BOM, MM_PER_INCH, number
+from twin.nc.modal import Block, Span
+from twin.nc.text import BLANK, BOM, number
 
 _AXIS_LETTERS: Final = frozenset("XYZABCUVW")
 _LENGTH_WORDS: Final = frozenset({"", "G43.4", "G43.5", "G234"})
@@ -41,7 +41,6 @@ class IsoInterpreter(IsoMotion):
 
     def __init__(self, source: str, axes: AxisWords, *, tcp: bool) -> None:
         super().__init__(source, axes, tcp=tcp)
-        self._simple = vocabulary.simple_pattern(self.names)
         self._codes: dict[str, str] = {}
         self._started = False
 
@@ -58,9 +57,6 @@ class IsoInterpreter(IsoMotion):
             InputError: with file, line and value.
         """
         self._line, self._block_text = line, text
-        found = self._simple.pattern.fullmatch(text)
-        if found is not None and not (self.code and self._changes_cycle(found)):
-            return self._simple_block(found)
         begin = len(BOM) if line == 0 and text.startswith(BOM) else 0
         stripped = text[begin:].strip(" \t\r\n\f\x1a")
         if not stripped or stripped[0] in "%;":
@@ -80,41 +76,6 @@ class IsoInterpreter(IsoMotion):
         """See `Interpreter.moves`."""
         block = None if text in BLANK else self.step(line, text)
         return () if block is None else block.moves
-
-    def _changes_cycle(self, match: re.Match[str]) -> bool:
-        """Return whether a simple block ends the cycle of Fanuc in force by a motion word, or has a word that belongs to it."""
-        groups = [group for group, axis in self._simple.axes if self.names[axis].upper() == "Z"]
-        return any(match[i] is not None for i in (2, *groups, *dict(self._simple.others)))
-
-    def _simple_block(self, match: re.Match[str]) -> IsoBlock:
-        """Interpret a simple block from the groups of its pattern."""
-        text = match.string
-        block = IsoBlock(text, max(match.end(1), 0))
-        spans = match.regs
-        start, end = spans[2]
-        if end >= 0:
-            self.motion = int(match.group(2))
-            block.motion_word = Span(start - 1, end)
-        unit = MM_PER_INCH if self.inch else 1.0
-        for group, axis in self._simple.axes:
-            start, end = spans[group]
-            if end >= 0:
-                value = float(text[start:end])
-                if axis < self.linear:
-                    value *= unit
-                block.axis_bits |= 1 << axis
-                block.words.append(_new(AxisWord, (axis, start - 1, end, start, end, "", self.incremental, value)))
-        others = []
-        if (match.lastindex or 0) > 2 + len(self._simple.axes):
-            for group, name in self._simple.others:
-                start, end = spans[group]
-                if end >= 0:
-                    others.append(Item(name, start - len(name) - (len(name) > 1), end, start, end, text[start:end]))
-            start, end = spans[-2]
-            block.feed = Span(start, end) if end >= 0 else None
-        self._state_to(block)
-        self.move(block, others, machine=False)
-        return block
 
     def _state_to(self, block: IsoBlock) -> None:
         block.motion, block.inch, block.incremental = self.motion, self.inch, self.incremental

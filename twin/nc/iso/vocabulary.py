@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import re
-from functools import lru_cache
 
 from twin.nc.text import number
-from twin.nc.writer import VALUE, SimpleBlocks, simple_blocks
 
 _STRING = r'"[^"\r\n]*+"'
 _ARGS = rf'\((?:[^()"\r\n]++|{_STRING}|\((?:[^()"\r\n]++|{_STRING}|\([^()"\r\n]*+\))*+\))*+\)'
@@ -203,17 +201,6 @@ TCP_OFF: frozenset[str] = frozenset({"G49", "TRAFOOF"})
 """Words that switch tool centre point control on and off."""
 DIRECTION_FORMS: frozenset[str] = frozenset({"DC", "ACP", "ACN"})
 """Forms that give the direction in which a rotary axis turns to its value."""
-
-
-@lru_cache(maxsize=16)
-def simple_pattern(names: tuple[str, ...]) -> SimpleBlocks:
-    """Return the pattern of simple blocks: ``N10 G1 X1.5 Y-2. F500``, arcs, tool vectors and trailing comments included.
-
-    Groups: N word, motion code, .., value of F, comment.
-    """
-    head = r"[ \t]*+(N\d++)?+[ \t]*+(?:G(0?[0-3])[ \t]*+)?+"
-    others = ("I", "J", "K", "R", "CR", "TURN", "A3", "B3", "C3")
-    return simple_blocks(names, head, VALUE, others, "=", rf"(?:F({VALUE})[ \t]*+)?+{_NOTES}")
 
 
 def canonical(word: str) -> str:

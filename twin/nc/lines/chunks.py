@@ -32,8 +32,8 @@ from twin.nc.modal import Interpreter
 from twin.nc.text import MM_PER_INCH
 from twin.nc.writer import LARGEST_STEPS, Formatting, Segments, WordWriter
 
-SHORTEST_RUN: Final = 12
-"""Smallest number of simple lines processed together; fewer are faster one by one."""
+SHORTEST_RUN: Final = 8
+"""Smallest number of simple lines processed together; fewer are faster one by one (measured without a compiler)."""
 CHUNK_LINES: Final = 4096
 """Lines per chunk of a program in memory, few enough to fit in cache."""
 DELETED_LINE: Final = ";\0\n"

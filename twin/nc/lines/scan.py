@@ -1,6 +1,6 @@
 """Simple lines of an ISO program found and read all at once, with the bytes in arrays and no object per line or word.
 
-The simple lines here are a subset of those of `twin.nc.writer`: a block number, ``G0`` or ``G1``, axis words in the usual
+Simple lines have a block number, ``G0`` or ``G1``, axis words in the usual
 order and a feed. Numbers have at most 15 digits, so that the digits form an exact whole number and the division by an exact power
 of ten rounds once, as a correctly rounded conversion does. All other lines go through the interpreter of blocks.
 
@@ -21,12 +21,14 @@ import numpy as np
 
 from twin.nc.blocks import line_ends
 from twin.nc.text import Style
-from twin.nc.writer import SAME_NUMBER, Formatting, Grids, OutputState, formatted_words, simple_axis_letters
+from twin.nc.writer import SAME_NUMBER, Formatting, Grids, OutputState, formatted_words
 
 MOST_DIGITS: Final = 15
 """Number of decimal digits up to which a double holds every whole number."""
 _WHOLE_DIGITS: Final = 9
-"""As in `twin.nc.writer.VALUE`."""
+"""Number of digits before the point of a number of plausible size."""
+_ORDER: Final = "XYZABCUVW"
+"""The order in which nearly all programs write their words; other orders go through the tokeniser."""
 _OTHER, _LETTER, _DIGIT, _SIGN, _POINT, _BLANK, _END = range(7)
 _FOLLOWS: Final = {
     _LETTER: (_DIGIT, _SIGN, _POINT),
@@ -102,6 +104,12 @@ class Scan:
     def line(self, index: int) -> str:
         """Return one line as text."""
         return self.data[self.start[index] : self.end[index]].decode("latin-1")
+
+
+def simple_axis_letters(names: tuple[str, ...]) -> str:
+    """Return the axes a simple line can name, in order; none if an axis has a letter with another meaning."""
+    letters = [name.upper() for name in names if len(name) == 1]
+    return "".join(sorted(letters, key=_ORDER.index)) if all(letter in _ORDER for letter in letters) else ""
 
 
 @lru_cache(maxsize=16)
