@@ -170,9 +170,9 @@ def _best(candidates: Candidates, key: tuple[str, str], others: Sequence[Form]) 
 POSES: Final = 400
 """Number of candidate poses."""
 SEED: Final = 1975
-WANTED: Final = 3
+POINTS_PER_PAIR: Final = 3
 """Number of points suggested per pair of causes."""
-APART: Final = 0.15
+LEAST_POSE_DISTANCE: Final = 0.15
 """Smallest distance of two suggested poses, relative to the ranges of the axes."""
 
 
@@ -269,16 +269,16 @@ def _well_separated(problem: Problem, positions: np.ndarray, gain: np.ndarray) -
     span = np.maximum(np.ptp(positions, axis=0), MM)
     taken: list[int] = []
     for row in largest_first(gain):
-        if all(np.linalg.norm((positions[row] - positions[k]) / span) > APART for k in taken):
+        if all(np.linalg.norm((positions[row] - positions[k]) / span) > LEAST_POSE_DISTANCE for k in taken):
             taken.append(int(row))
-        if len(taken) == WANTED:
+        if len(taken) == POINTS_PER_PAIR:
             break
     return taken
 
 
 # --- Evidence for a cause in a sentence, and likely mistakes in the making of the calibration -----
 
-ALIKE: Final = 9.0
+ALIAS_CHI2: Final = 9.0
 """χ² (three standard deviations) by which a period must fit worse than the best to be ruled out."""
 
 
@@ -366,7 +366,7 @@ def _other_periods(candidates: Candidates, forms: Sequence[Form], form: Form) ->
     away = np.abs(1.0 / periods - 1.0 / form.variant.fixed[name]) * span
     found: list[float] = []
     for i in largest_first(explained[1:]):
-        if explained[1 + i] < explained[0] - ALIKE:
+        if explained[1 + i] < explained[0] - ALIAS_CHI2:
             break
         if away[i] > 1.0 and all(abs(1.0 / periods[i] - 1.0 / one) * span > 1.0 for one in found):
             found.append(float(periods[i]))

@@ -33,7 +33,7 @@ from twin.diagnosis.forms import Candidates, Form, log_p_value
 from twin.diagnosis.payload import CARRY, CENTRE_PRIOR, Load, axis_of_form, loaded_joints, weights
 from twin.diagnosis.problem import in_um
 from twin.diagnosis.result import Cause, Next, Quantity, readable_unit
-from twin.diagnosis.search import DOUBTED, TOO_LARGE
+from twin.diagnosis.search import LIMIT_SIGMA, TOO_LARGE
 from twin.diagnosis.second_opinion import Comparison, SingleEffect, compare_with_search, second_opinion
 from twin.diagnosis.structure import Findings
 from twin.identification.discrepancy import Discrepancy
@@ -238,7 +238,7 @@ def _is_impossible(form: Form, quantities: Sequence[Quantity], effects: Sequence
     specification, sizes = form.candidate.specification, _sizes(form, quantities)
     if not all(specification.is_plausible(size.value, size.unit) for size in sizes):
         return True
-    return bool(specification.non_negative and sizes and sizes[0].value < -DOUBTED * sizes[0].u)
+    return bool(specification.non_negative and sizes and sizes[0].value < -LIMIT_SIGMA * sizes[0].u)
 
 
 def _sizes(form: Form, quantities: Sequence[Quantity]) -> list[Quantity]:
@@ -380,13 +380,13 @@ def _further(effect: SingleEffect) -> str:
     )
 
 
-FINER: Final = 0.01
+OFF_GRID_INCREMENTS: Final = 0.01
 """Deviation of a position from a whole number of least increments that is attributed to rounding, in increments."""
-MOST: Final = 0.5
+OFF_GRID_SHARE: Final = 0.5
 """Share of positions off the grid of least increments above which the positions are taken as reported, not commanded."""
-RULED_OUT: Final = 5.0
+REPORT_RULED_OUT_SIGMA: Final = 5.0
 """Distance of the share from one, in standard uncertainties, at which the readings do not follow the report (p = 10⁻⁶)."""
-COMPATIBLE: Final = 3.0
+COMPATIBLE_SIGMA: Final = 3.0
 """Distance of the share from zero, in standard uncertainties, within which the readings follow the command."""
 
 
@@ -413,7 +413,7 @@ def readback_causes(candidates: Candidates, forms: Sequence[Form]) -> tuple[list
                     f"{text}; given the other causes, these data cannot decide which of the two the readings follow"
                 )
             continue
-        if abs(share - 1.0) > RULED_OUT * u and abs(share) < COMPATIBLE * u:
+        if abs(share - 1.0) > REPORT_RULED_OUT_SIGMA * u and abs(share) < COMPATIBLE_SIGMA * u:
             causes.append(
                 Cause(
                     effect=READ_BACK.name,
@@ -431,7 +431,7 @@ def readback_causes(candidates: Candidates, forms: Sequence[Form]) -> tuple[list
                     ),
                 )
             )
-        elif abs(share - 1.0) < COMPATIBLE * u and abs(share) < COMPATIBLE * u:
+        elif abs(share - 1.0) < COMPATIBLE_SIGMA * u and abs(share) < COMPATIBLE_SIGMA * u:
             silent.append(f"{text}; these data cannot decide which of the two the readings follow")
     return causes, silent
 
@@ -451,7 +451,7 @@ def reversal_doubt(data: Measurements, machine: Machine, where: str) -> str:
     if axis is None or np.any(np.isfinite(data.readback[:, machine.names.index(where)])):
         return ""
     steps = data.positions[:, machine.names.index(where)] / axis.increment
-    if np.mean(np.abs(steps - np.round(steps)) > FINER) <= MOST:
+    if np.mean(np.abs(steps - np.round(steps)) > OFF_GRID_INCREMENTS) <= OFF_GRID_SHARE:
         return ""
     return (
         f"the positions of {where} are finer than its least increment, so they are not the commanded ones: if they were reported "
