@@ -46,7 +46,7 @@ def test_it_is_found_with_its_size(dmu50: Machine, calibration: Calibration, tmp
     for quantity in cause.parameters[:3]:
         assert abs(quantity.value - TRUTH.numbers[quantity.name]) < 3.0 * quantity.u
     assert [quantity.name for quantity in cause.parameters] == ["amplitude", "exponent", "time_constant", "highest_rpm"]
-    assert (cause.parameters[3].value, cause.parameters[3].unit) == (found.data.spindle_rpm.max(), "rpm")
+    assert (cause.parameters[3].value, cause.parameters[3].unit) == (max(SPEEDS), "rpm")
     assert found.gain is not None and found.gain.held_out is not None
     assert found.gain.held_out.after_um < 1.1 * 1e3 * SIGMA_MM < found.gain.held_out.before_um
     path = tmp_path / "extended.yaml"

@@ -56,13 +56,13 @@ def equivalent(found: Findings, form: Form, others: Sequence[Form]) -> tuple[tup
     plain = found.candidates
     kept = [plain.forms[one.index] for one in others]
     explained, _ = plain.scan(kept)
-    own = float(explained[form.index])
+    explained_by_cause = float(explained[form.index])
     allowed = found.structure.explained([*kept, plain.forms[form.index]]) + DEVIANCE_RULED_OUT
     best = {key: 0.0 for key in keys}
     for one in plain.forms:
         if one.key in best:
             best[one.key] = max(best[one.key], float(explained[one.index]))
-    return tuple(key for key in keys if best[key] > own - allowed)
+    return tuple(key for key in keys if best[key] > explained_by_cause - allowed)
 
 
 def _in_place(candidates: Candidates, form: Form, others: Sequence[Form]) -> tuple[tuple[str, str], ...]:
@@ -72,12 +72,12 @@ def _in_place(candidates: Candidates, form: Form, others: Sequence[Form]) -> tup
     tried = [i for i, one in enumerate(candidates.forms) if one.key not in used]
     scores = candidates.scores(others, tried)
     best: dict[tuple[str, str], float] = {}
-    own = candidates.scores(others, [form.index])[0, 1]
+    own_dof = candidates.scores(others, [form.index])[0, 1]
     for i, (explained, dof, _) in zip(tried, scores, strict=True):
         if dof > 0:
             worth = float(explained - candidates.critical_value(candidates.forms[i], dof))
             elsewhere = candidates.forms[i].candidate.origin != form.candidate.origin
-            more = dof > own and not elsewhere
+            more = dof > own_dof and not elsewhere
             if (
                 worth > margin - DEVIANCE_RULED_OUT
                 and more
@@ -150,7 +150,7 @@ def ruled_out(candidates: Candidates, form: Form, others: Sequence[Form], excess
 
 def points_to_measure(candidates: Candidates, named: Sequence[Form], causes: Sequence[Cause]) -> tuple[Next, ...]:
     """Return the points to measure next, which separate the causes from their alternatives."""
-    found: list[Next] = []
+    points: list[Next] = []
     plan = _possible(candidates.problem)
     ours = _prediction(candidates.problem, named, plan) if any(cause.equivalent for cause in causes) else None
     for form, cause in zip(named, causes, strict=True):
@@ -158,8 +158,8 @@ def points_to_measure(candidates: Candidates, named: Sequence[Form], causes: Seq
         tried = {one.key for one in candidates.forms}
         rivals = [_best(candidates, key, others) for key in cause.equivalent if key in tried][:RIVALS]
         if rivals:
-            found += next_points(candidates.problem, (form, ours), rivals, others, plan)
-    return tuple(found)
+            points += next_points(candidates.problem, (form, ours), rivals, others, plan)
+    return tuple(points)
 
 
 def _best(candidates: Candidates, key: tuple[str, str], others: Sequence[Form]) -> Form:
@@ -170,9 +170,9 @@ def _best(candidates: Candidates, key: tuple[str, str], others: Sequence[Form]) 
 POSES: Final = 400
 """Number of candidate poses."""
 SEED: Final = 1975
-WANTED: Final = 3
+POINTS_PER_PAIR: Final = 3
 """Number of points suggested per pair of causes."""
-APART: Final = 0.15
+LEAST_POSE_DISTANCE: Final = 0.15
 """Smallest distance of two suggested poses, relative to the ranges of the axes."""
 
 
@@ -193,13 +193,13 @@ def next_points(
         plan: the candidate points.
     """
     network, (form, ours) = problem.network, named
-    found: list[Mapping[str, Any]] = []
+    points: list[Mapping[str, Any]] = []
     for rival in rivals:
         theirs = _prediction(problem, [rival, *others], plan)
         name = f"{form.candidate.effect} {form.candidate.where}", f"{rival.candidate.effect} {rival.candidate.where}"
         if ours is None or theirs is None:
             text = f"to separate {name[0]} from {name[1]}: repeat the first round without touching the instrument or the targets"
-            found.append({"separates": list(name), "text": text})
+            points.append({"separates": list(name), "text": text})
             continue
         sigma = np.sqrt(np.einsum("nii->n", network.covariance).mean() / max(network.read.sum(axis=1).mean(), 1.0))
         gain = np.sum(((ours - theirs) / sigma) ** 2, axis=1)
@@ -217,7 +217,7 @@ def next_points(
                 + (f", approached from {sides}" if sides else "")
                 + f": separates {name[0]} from {name[1]} with χ² {gain[row]:.2g} per reading (25 in total is enough)"
             )
-            found.append(
+            points.append(
                 {
                     "separates": list(name),
                     "pose": pose,
@@ -228,7 +228,7 @@ def next_points(
                     "text": text,
                 }
             )
-    return tuple(found)
+    return tuple(points)
 
 
 def _possible(problem: Problem) -> Measurements:
@@ -248,18 +248,18 @@ def _prediction(problem: Problem, forms: Sequence[Form], plan: Measurements) -> 
     if any(form.candidate.build is None for form in forms):
         return None
     fitted, signature = fitted_effects(problem, forms)
-    left = problem.residual - signature.sum(axis=1)
+    remaining = problem.residual - signature.sum(axis=1)
     effects = [effect for own in fitted for effect in own]
-    return _moves(problem, effects, problem.setup_step(left), plan)
+    return _moves(problem, effects, problem.setup_step(remaining), plan)
 
 
 def _moves(problem: Problem, effects: Sequence[Effect], moved: np.ndarray, plan: Measurements) -> np.ndarray:
     network = problem.network
-    one = np.broadcast_to(np.eye(3), (len(plan), 3, 3))
-    other = Network(network.machine, plan, network.instruments, network.unknowns, covariance=one)
-    view = other.view(np.zeros(0), problem.setup, np.arange(len(plan)))
+    identities = np.broadcast_to(np.eye(3), (len(plan), 3, 3))
+    planned = Network(network.machine, plan, network.instruments, network.unknowns, covariance=identities)
+    view = planned.view(np.zeros(0), problem.setup, np.arange(len(plan)))
     by_setup = np.zeros((len(plan), 3, len(problem.setup)))
-    other.fill_setup_columns(view, problem.setup, by_setup)
+    planned.fill_setup_columns(view, problem.setup, by_setup)
     frames = assemble(effects, network.machine.frames, machine_state(plan, network.machine))
     errors = np.stack([np.broadcast_to(np.asarray(v, dtype=float), len(plan)) for row in frames for v in row], axis=1)
     return np.asarray(by_setup @ moved + np.einsum("nij,nj->ni", view.by_error, errors))
@@ -269,16 +269,16 @@ def _well_separated(problem: Problem, positions: np.ndarray, gain: np.ndarray) -
     span = np.maximum(np.ptp(positions, axis=0), MM)
     taken: list[int] = []
     for row in largest_first(gain):
-        if all(np.linalg.norm((positions[row] - positions[k]) / span) > APART for k in taken):
+        if all(np.linalg.norm((positions[row] - positions[k]) / span) > LEAST_POSE_DISTANCE for k in taken):
             taken.append(int(row))
-        if len(taken) == WANTED:
+        if len(taken) == POINTS_PER_PAIR:
             break
     return taken
 
 
 # --- Evidence for a cause in a sentence, and likely mistakes in the making of the calibration -----
 
-ALIKE: Final = 9.0
+ALIAS_CHI2: Final = 9.0
 """χ² (three standard deviations) by which a period must fit worse than the best to be ruled out."""
 
 
@@ -314,17 +314,17 @@ def curve_flaw(candidates: Candidates, forms: Sequence[Form], form: Form, calibr
     if "stops" in form.variant.fixed:
         wide = form
     columns, values, inverse = candidates.fitted([wide, *(one for one in forms if one is not form)])
-    own = np.searchsorted(columns, wide.columns)
+    at = np.searchsorted(columns, wide.columns)
     scale = np.array([column.scale for column in wide.variant.columns])
     if "stops" in form.variant.fixed:
-        size = float(values[own[0]] * scale[0])
+        size = float(values[at[0]] * scale[0])
         text = times(1.0 + size) if form.variant.fixed["stops"] == ITSELF else constant_dropped(curve, size)
     else:
         # For functions not in the form the correction is zero and has no uncertainty.
         first = round(wide.variant.fixed.get("first", 0.0))
-        correction = np.concatenate([np.zeros(first), values[own] * scale])
+        correction = np.concatenate([np.zeros(first), values[at] * scale])
         covariance = np.zeros((len(correction), len(correction)))
-        covariance[first:, first:] = inverse[np.ix_(own, own)] * np.outer(scale, scale)
+        covariance[first:, first:] = inverse[np.ix_(at, at)] * np.outer(scale, scale)
         text = flaw(space, curve, correction, covariance)
     return f"; {text}" if text else ""
 
@@ -355,8 +355,8 @@ def _other_periods(candidates: Candidates, forms: Sequence[Form], form: Form) ->
     q = network.data.positions[:, network.machine.names.index(form.candidate.where)]
     span, even = float(np.ptp(q)), sampling_frequency(q)
     if even is not None:
-        own = 1.0 / form.variant.fixed[name]
-        aliases = (1.0 / max(abs(even - own), 1e-9), 1.0 / (even + own))
+        frequency = 1.0 / form.variant.fixed[name]
+        aliases = (1.0 / max(abs(even - frequency), 1e-9), 1.0 / (even + frequency))
         return [float(one) for one in aliases if one >= SHORTEST_PERIOD]
     tried = [one for one in candidates.forms if one.key == form.key and one is not form]
     periods = np.array([one.variant.fixed[name] for one in tried])
@@ -364,10 +364,10 @@ def _other_periods(candidates: Candidates, forms: Sequence[Form], form: Form) ->
         :, 0
     ]
     away = np.abs(1.0 / periods - 1.0 / form.variant.fixed[name]) * span
-    found: list[float] = []
+    others: list[float] = []
     for i in largest_first(explained[1:]):
-        if explained[1 + i] < explained[0] - ALIKE:
+        if explained[1 + i] < explained[0] - ALIAS_CHI2:
             break
-        if away[i] > 1.0 and all(abs(1.0 / periods[i] - 1.0 / one) * span > 1.0 for one in found):
-            found.append(float(periods[i]))
-    return found
+        if away[i] > 1.0 and all(abs(1.0 / periods[i] - 1.0 / one) * span > 1.0 for one in others):
+            others.append(float(periods[i]))
+    return others

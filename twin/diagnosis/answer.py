@@ -295,7 +295,7 @@ def _ranking(candidates: Candidates) -> tuple[tuple[str, str, float, float], ...
 
 SEEN_AT: Final = 0.05
 """p-value below which a trend of the residuals with a column is reported."""
-LARGE: Final = 1e-4
+NOISE_P_VALUE: Final = 1e-4
 """p-value of the residuals from which on they count as noise."""
 SMALL: Final = 0.01
 """Share of the excess below which unexplained residuals are not a finding: real machines always have some."""
@@ -362,7 +362,7 @@ def _unexplained(sized: SizedCauses) -> Unexplained | None:
             max(share, left_share) if found.task.discrepancy.parts else share, columns, carrier, text, size
         )
     more = _p_value(by_noise, found.task.noise, after, len(forms))
-    if more >= LARGE or (forms and left_share <= SMALL):
+    if more >= NOISE_P_VALUE or (forms and left_share <= SMALL):
         return None
     size = float(np.sqrt(max(left_um**2 - _expected_um(by_noise) ** 2, 0.0)))
     what = "the residuals exceed the stated noise" + (" even with the causes in the model" if forms else "")

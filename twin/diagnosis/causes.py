@@ -33,7 +33,7 @@ from twin.diagnosis.forms import Candidates, Form, log_p_value
 from twin.diagnosis.payload import CARRY, CENTRE_PRIOR, Load, axis_of_form, loaded_joints, weights
 from twin.diagnosis.problem import in_um
 from twin.diagnosis.result import Cause, Next, Quantity, readable_unit
-from twin.diagnosis.search import DOUBTED, TOO_LARGE
+from twin.diagnosis.search import LIMIT_SIGMA, TOO_LARGE
 from twin.diagnosis.second_opinion import Comparison, SingleEffect, compare_with_search, second_opinion
 from twin.diagnosis.structure import Findings
 from twin.identification.discrepancy import Discrepancy
@@ -138,8 +138,8 @@ def estimate_sizes(found: Findings) -> SizedCauses:
 def log_p_beside(found: Findings, estimated: Estimate, forms: Sequence[Form], form: Form) -> float:
     """Return `SizedCauses.log_p` for given causes."""
     explained, dof, _ = found.candidates.scores([one for one in forms if one is not form], [form.index])[0]
-    left = max((found.problem.chi2 - estimated.explained) / max(found.problem.dof, 1), 1.0)
-    chance = log_p_value(np.array(explained / left), max(float(dof), 1.0), found.candidates.dof)
+    variance_factor = max((found.problem.chi2 - estimated.explained) / max(found.problem.dof, 1), 1.0)
+    chance = log_p_value(np.array(explained / variance_factor), max(float(dof), 1.0), found.candidates.dof)
     return min(float(chance) + form.log_tests, 0.0)
 
 
@@ -196,10 +196,10 @@ def report_causes(sized: SizedCauses, calibration: Calibration) -> ReportedCause
     if comparison is not None:
         causes = [
             # The form of a curve that does not predict held-out positions is unknown, and so is its probability.
-            replace(cause, probability=own.probability, credible=own.instead or own.credible)
+            replace(cause, probability=opinion.probability, credible=opinion.instead or opinion.credible)
             if cause.promised
             else cause
-            for cause, own in zip(causes, comparison.causes, strict=True)
+            for cause, opinion in zip(causes, comparison.causes, strict=True)
         ]
     also, silent = readback_causes(found.candidates, forms)
     causes, loads = causes_with_payloads(found.candidates, forms, causes)
@@ -226,7 +226,8 @@ def _without_impossible(sized: SizedCauses) -> SizedCauses:
     """
     sizes = zip(sized.forms, sized.estimate.quantities, sized.estimate.effects, sized.doubts, strict=True)
     doubts = tuple(
-        doubt or (IMPOSSIBLE if _is_impossible(form, own, effects) else "") for form, own, effects, doubt in sizes
+        doubt or (IMPOSSIBLE if _is_impossible(form, estimated, effects) else "")
+        for form, estimated, effects, doubt in sizes
     )
     return replace(sized, doubts=doubts)
 
@@ -238,7 +239,7 @@ def _is_impossible(form: Form, quantities: Sequence[Quantity], effects: Sequence
     specification, sizes = form.candidate.specification, _sizes(form, quantities)
     if not all(specification.is_plausible(size.value, size.unit) for size in sizes):
         return True
-    return bool(specification.non_negative and sizes and sizes[0].value < -DOUBTED * sizes[0].u)
+    return bool(specification.non_negative and sizes and sizes[0].value < -LIMIT_SIGMA * sizes[0].u)
 
 
 def _sizes(form: Form, quantities: Sequence[Quantity]) -> list[Quantity]:
@@ -253,12 +254,12 @@ def _sizes(form: Form, quantities: Sequence[Quantity]) -> list[Quantity]:
 def _cause(sized: SizedCauses, k: int, calibration: Calibration) -> Cause:
     """Return one cause; its share is relative to the other causes, its rivals also to the patterns."""
     found, form = sized.found, sized.forms[k]
-    others, rest = sized.others(form), [one for one in sized.beside if one is not sized.beside[k]]
+    others, other_forms = sized.others(form), [one for one in sized.beside if one is not sized.beside[k]]
     explained = found.candidates.scores(others, [form.index])[0, 0]
     doubt, quantities = sized.doubts[k], sized.estimate.quantities[k]
     text = evidence(form, sized.estimate, k) + curve_flaw(found.candidates, sized.forms, form, calibration)
     text += _fixed_centre(form) + doubt
-    equal = equivalent(found, sized.beside[k], rest)
+    equal = equivalent(found, sized.beside[k], other_forms)
     if why := _approach_doubt(sized, form):
         text, equal = f"{text}; {why}", (*equal, (READ_BACK.name, form.candidate.where))
     return Cause(
@@ -274,7 +275,7 @@ def _cause(sized: SizedCauses, k: int, calibration: Calibration) -> Cause:
         effects=() if doubt else sized.estimate.effects[k],
         promised=not doubt,
         bounded=doubt == IMPOSSIBLE or _bounded(form, quantities),
-        rivals=ruled_out(found.beside, sized.beside[k], rest, sized.excess),
+        rivals=ruled_out(found.beside, sized.beside[k], other_forms, sized.excess),
     )
 
 
@@ -287,18 +288,18 @@ def _fixed_centre(form: Form) -> str:
 
 def _assumed_approach(sized: SizedCauses) -> list[str]:
     """Return a notice for each axis with an effect of its approach direction that is unknown for some readings."""
-    network, found = sized.found.problem.network, []
+    network, notices = sized.found.problem.network, []
     for form in sized.forms:
         for axis in _approach_axes(form):
             if axis not in network.machine.names:
                 continue
             unknown = int(np.count_nonzero(network.data.approach[:, network.machine.names.index(axis)] == 0.0))
             if unknown:
-                found.append(
+                notices.append(
                     f"{ASSUMED}where {APPROACH}{axis} is unknown (0), {axis} is in the middle of its backlash ({unknown} of "
                     f"{len(network.data)} readings); if it was on one side there, the size is wrong by up to a factor of two"
                 )
-    return list(dict.fromkeys(found))
+    return list(dict.fromkeys(notices))
 
 
 def _approach_doubt(sized: SizedCauses, form: Form) -> str:
@@ -380,13 +381,13 @@ def _further(effect: SingleEffect) -> str:
     )
 
 
-FINER: Final = 0.01
+OFF_GRID_INCREMENTS: Final = 0.01
 """Deviation of a position from a whole number of least increments that is attributed to rounding, in increments."""
-MOST: Final = 0.5
+OFF_GRID_SHARE: Final = 0.5
 """Share of positions off the grid of least increments above which the positions are taken as reported, not commanded."""
-RULED_OUT: Final = 5.0
+REPORT_RULED_OUT_SIGMA: Final = 5.0
 """Distance of the share from one, in standard uncertainties, at which the readings do not follow the report (p = 10⁻⁶)."""
-COMPATIBLE: Final = 3.0
+COMPATIBLE_SIGMA: Final = 3.0
 """Distance of the share from zero, in standard uncertainties, within which the readings follow the command."""
 
 
@@ -413,7 +414,7 @@ def readback_causes(candidates: Candidates, forms: Sequence[Form]) -> tuple[list
                     f"{text}; given the other causes, these data cannot decide which of the two the readings follow"
                 )
             continue
-        if abs(share - 1.0) > RULED_OUT * u and abs(share) < COMPATIBLE * u:
+        if abs(share - 1.0) > REPORT_RULED_OUT_SIGMA * u and abs(share) < COMPATIBLE_SIGMA * u:
             causes.append(
                 Cause(
                     effect=READ_BACK.name,
@@ -431,7 +432,7 @@ def readback_causes(candidates: Candidates, forms: Sequence[Form]) -> tuple[list
                     ),
                 )
             )
-        elif abs(share - 1.0) < COMPATIBLE * u and abs(share) < COMPATIBLE * u:
+        elif abs(share - 1.0) < COMPATIBLE_SIGMA * u and abs(share) < COMPATIBLE_SIGMA * u:
             silent.append(f"{text}; these data cannot decide which of the two the readings follow")
     return causes, silent
 
@@ -451,7 +452,7 @@ def reversal_doubt(data: Measurements, machine: Machine, where: str) -> str:
     if axis is None or np.any(np.isfinite(data.readback[:, machine.names.index(where)])):
         return ""
     steps = data.positions[:, machine.names.index(where)] / axis.increment
-    if np.mean(np.abs(steps - np.round(steps)) > FINER) <= MOST:
+    if np.mean(np.abs(steps - np.round(steps)) > OFF_GRID_INCREMENTS) <= OFF_GRID_SHARE:
         return ""
     return (
         f"the positions of {where} are finer than its least increment, so they are not the commanded ones: if they were reported "
@@ -515,8 +516,10 @@ def _load_cause(
     without = np.array(shares)
     without[own_shares] = 0.0
     explained, compliances = load.explained_under(shares)
-    own, _ = load.explained_under(without)
-    log_p = float(log_p_value(np.array(max(explained - own, 0.0)), 4.0, candidates.dof)) + load.joints[0].log_tests
+    by_others, _ = load.explained_under(without)
+    log_p = (
+        float(log_p_value(np.array(max(explained - by_others, 0.0)), 4.0, candidates.dof)) + load.joints[0].log_tests
+    )
     excess = max(candidates.problem.chi2 - candidates.problem.dof, explained)
     columns = [column for form in load.free for column in form.variant.columns]
     size = np.array([column.scale for column in columns])
@@ -528,7 +531,7 @@ def _load_cause(
         origin="machine",
         parameters=_quantities(payload, np.sqrt(variances[own_shares]), load.heaviest),
         p_value=candidates.p_value(min(log_p, 0.0)),
-        share=float(np.clip((explained - own) / excess, 0.0, 1.0)),
+        share=float(np.clip((explained - by_others) / excess, 0.0, 1.0)),
         equivalent=(),
         evidence=_load_evidence(load, payload),
         pattern_um=read_only(in_um(candidates.problem.network, (candidates.problem.signature(columns) / size) @ shape)),
@@ -552,11 +555,11 @@ def _quantities(payload: Payload, u: np.ndarray, heaviest: float) -> tuple[Quant
     """Return mass and centre of a payload, or those coordinates of the centre of a carried load that the readings determine."""
     first, largest = ("1", 1.0) if payload.carried else ("kg", heaviest)
     units, sizes = (first, "mm", "mm", "mm"), (largest, *[CENTRE_RANGE_MM] * 3)
-    found = tuple(
-        Quantity(name, value, unit, float(own) * size)
-        for (name, value), unit, own, size in zip(payload.numbers.items(), units, u, sizes, strict=True)
+    reported = tuple(
+        Quantity(name, value, unit, float(deviation) * size)
+        for (name, value), unit, deviation, size in zip(payload.numbers.items(), units, u, sizes, strict=True)
     )
     if not payload.carried:
-        return found
-    known = [one for one, own in zip(found[1:], u[1:], strict=True) if own < UNDETERMINED]
-    return tuple(known) or found[:1]
+        return reported
+    known = [one for one, deviation in zip(reported[1:], u[1:], strict=True) if deviation < UNDETERMINED]
+    return tuple(known) or reported[:1]

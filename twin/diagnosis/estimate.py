@@ -46,10 +46,10 @@ LEAST_GROUPS: Final = 6
 def groups(problem: Problem) -> np.ndarray:
     """Return the group (n,) of each row: its round, or its commanded pose where there are few rounds."""
     data = problem.network.data
-    names, found = np.unique(data.round.astype(str), return_inverse=True)
+    names, group = np.unique(data.round.astype(str), return_inverse=True)
     if len(names) < MANY_ROUNDS:
-        _, found = np.unique(np.round(data.positions, 3), axis=0, return_inverse=True)
-    return np.asarray(found.reshape(-1))
+        _, group = np.unique(np.round(data.positions, 3), axis=0, return_inverse=True)
+    return np.asarray(group.reshape(-1))
 
 
 def lacks_fit(problem: Problem, residual: np.ndarray, parameters: int, noise_dof: float) -> bool:
@@ -61,19 +61,19 @@ def lacks_fit(problem: Problem, residual: np.ndarray, parameters: int, noise_dof
         parameters: number of parameters fitted besides the set-up.
         noise_dof: degrees of freedom of the noise variance.
     """
-    rest = problem.project(residual)
+    projected = problem.project(residual)
     dof = problem.dof - parameters
-    found = [(float(residual @ rest), dof)]
+    tests = [(float(residual @ projected), dof)]
     group = repeat_groups(problem.network.data)
     size = np.bincount(group)
     if size.max() > 1:
-        means = np.stack([np.bincount(group, rest[i::3]) for i in range(3)], axis=1) / np.sqrt(size)[:, None]
+        means = np.stack([np.bincount(group, projected[i::3]) for i in range(3)], axis=1) / np.sqrt(size)[:, None]
         read = np.stack([np.bincount(group, problem.network.read[:, i]) > 0 for i in range(3)], axis=1)
         free = int(read.sum()) - (problem.readings - problem.dof) - parameters
-        found.append((float(np.sum(means**2)), free))
+        tests.append((float(np.sum(means**2)), free))
     return any(
         float(f_sf(chi2 / free, free, noise_dof) if np.isfinite(noise_dof) else chi2_sf(chi2, free)) < LACK_OF_FIT
-        for chi2, free in found
+        for chi2, free in tests
         if free > 0
     )
 
@@ -95,10 +95,10 @@ def robust_covariance(
     count = int(group.max()) + 1
     if count < LEAST_GROUPS:
         return covariance, float("inf")
-    own = problem.project(columns)
-    rest = problem.project(residual)
+    projected = problem.project(columns)
+    projected_residual = problem.project(residual)
     scores = np.zeros((count, columns.shape[1]))
-    np.add.at(scores, np.repeat(group, 3), own * rest[:, None])
+    np.add.at(scores, np.repeat(group, 3), projected * projected_residual[:, None])
     values, vectors = np.linalg.eigh(covariance)
     kept = values > 1e-12 * values[-1]
     root = vectors[:, kept] * np.sqrt(values[kept])
@@ -278,15 +278,21 @@ def _fitted(
 def _initial_parts(problem: Problem, forms: Sequence[Form], least: float) -> list[_Part]:
     """Return all causes with parameters from a linear fit, and each drift with its most likely time constant given the others."""
     scales = [np.array([column.scale for column in form.variant.columns]) for form in forms]
-    columns = [problem.signature(form.variant.columns) / own for form, own in zip(forms, scales, strict=True)]
+    columns = [problem.signature(form.variant.columns) / sizes for form, sizes in zip(forms, scales, strict=True)]
     _, start = _least_squares(problem, np.concatenate(columns, axis=1), problem.residual, np.concatenate(scales), least)
-    values = np.split(start, np.cumsum([len(own) for own in scales])[:-1])
+    values = np.split(start, np.cumsum([len(sizes) for sizes in scales])[:-1])
     parts = []
-    for form, own, signature, found in zip(forms, scales, columns, values, strict=True):
+    for form, sizes, signature, start_values in zip(forms, scales, columns, values, strict=True):
         fixed = dict(form.variant.fixed)
-        effects = _effects(form, found, fixed)
+        effects = _effects(form, start_values, fixed)
         part = _Part(
-            form, fixed, own, signature, found, effects, form.candidate.drift is None and _is_nonlinear(form, effects)
+            form,
+            fixed,
+            sizes,
+            signature,
+            start_values,
+            effects,
+            form.candidate.drift is None and _is_nonlinear(form, effects),
         )
         parts.append(part)
     for part in parts:
@@ -301,14 +307,14 @@ def _fit_drift_of(problem: Problem, part: _Part, others: Sequence[Column]) -> No
     drift = part.form.candidate.drift
     if drift is None:
         return
-    found = fit_drift(problem, drift, others)
-    variant = drift.variant(found.time_constant)
+    fitted = fit_drift(problem, drift, others)
+    variant = drift.variant(fitted.time_constant)
     part.fixed = dict(variant.fixed)
     part.scales = np.array([column.scale for column in variant.columns])
-    part.columns, part.values = problem.signature(variant.columns) / part.scales, found.values
-    part.effects = _effects(part.form, found.values, part.fixed)
-    part.moments = found.moments
-    part.nonlinear = found.moments is None and found.time_constant != STRAIGHT
+    part.columns, part.values = problem.signature(variant.columns) / part.scales, fitted.values
+    part.effects = _effects(part.form, fitted.values, part.fixed)
+    part.moments = fitted.moments
+    part.nonlinear = fitted.moments is None and fitted.time_constant != STRAIGHT
 
 
 def _gauss_newton(problem: Problem, parts: Sequence[_Part], state: Mapping[str, Any], least: float) -> np.ndarray:
@@ -324,8 +330,8 @@ def _gauss_newton(problem: Problem, parts: Sequence[_Part], state: Mapping[str, 
         )
         change = float(np.sqrt(max(step @ np.linalg.pinv(inverse, hermitian=True) @ step, 0.0)))
         ends = np.cumsum([len(part.values) for part in parts])[:-1]
-        for part, own, most in zip(parts, np.split(step, ends), longest, strict=True):
-            part.set_values(part.values + own, most)
+        for part, part_step, most in zip(parts, np.split(step, ends), longest, strict=True):
+            part.set_values(part.values + part_step, most)
         if change < CONVERGED:
             break
     return inverse
@@ -353,16 +359,16 @@ def _reported(
         wald.append(_wald(part.values / part.scales, test, groups))
         block = wide[own_rows, own_rows]
         matrix = np.eye(width) if part.nonlinear else _matrix(part.form, part.fixed, width)
-        own = matrix @ block @ matrix.T if part.moments is None else part.moments
+        covariance_block = matrix @ block @ matrix.T if part.moments is None else part.moments
         direct = part.form.candidate.space is not None or part.nonlinear or part.moments is not None
-        reported = _over_variants(problem, forms, part.form, own if direct else block)
+        reported = _over_variants(problem, forms, part.form, covariance_block if direct else block)
         quantities.append(_quantities(part.form, part.fixed, part.effects, part.values, reported))
         if part.effects:
-            transform = np.zeros((len(own), len(inverse)))
+            transform = np.zeros((len(covariance_block), len(inverse)))
             if part.moments is None:
                 transform[:, own_rows] = matrix
             transforms.append(transform)
-            drift_moments.append(np.zeros_like(own) if part.moments is None else own)
+            drift_moments.append(np.zeros_like(covariance_block) if part.moments is None else covariance_block)
             names += list(_parameters(part.effects))
         at += width
     transform = np.concatenate(transforms) if transforms else np.zeros((0, len(inverse)))
@@ -384,12 +390,12 @@ def _with_patterns(
 ) -> np.ndarray:
     """Return the covariance of the least-squares values when noise and random effects both act on the readings."""
     scaled = columns * sizes
-    own = pseudo_inverse(problem.inner(scaled))
+    inverse_gram = pseudo_inverse(problem.inner(scaled))
     gain = np.zeros((len(sizes), len(random_effects.random)))
     for start in range(0, len(random_effects.random), BLOCK_COLUMNS):
         some = random_effects.random[start : start + BLOCK_COLUMNS]
         signature = problem.signature([column for column, _ in some]) * [deviation for _, deviation in some]
-        gain[:, start : start + BLOCK_COLUMNS] = own @ problem.along(scaled, problem.project(signature))
+        gain[:, start : start + BLOCK_COLUMNS] = inverse_gram @ problem.along(scaled, problem.project(signature))
     return inverse * random_effects.variance_factor + (gain @ gain.T) * np.outer(sizes, sizes)
 
 
@@ -405,16 +411,16 @@ def _by_compliances(problem: Problem, parts: Sequence[_Part], state: Mapping[str
         return np.zeros((len(scales), len(scales)))
     scaled = np.concatenate([part.columns for part in parts], axis=1) * scales
     moved = np.stack([one.relative_u * _signature_of(problem, state, (one,)) for one in loads], axis=1)
-    own = pseudo_inverse(problem.inner(scaled))
-    gain = own @ problem.along(scaled, problem.project(moved))
+    inverse_gram = pseudo_inverse(problem.inner(scaled))
+    gain = inverse_gram @ problem.along(scaled, problem.project(moved))
     return np.asarray((gain @ gain.T) * np.outer(scales, scales))
 
 
 def _wald(values: np.ndarray, covariance: np.ndarray, groups: float) -> tuple[float, int, float]:
-    found, vectors = np.linalg.eigh(covariance)
-    kept = found > 1e-12 * found[-1]
+    eigenvalues, vectors = np.linalg.eigh(covariance)
+    kept = eigenvalues > 1e-12 * eigenvalues[-1]
     along = vectors[:, kept].T @ values
-    return float(np.sum(along**2 / found[kept])), int(kept.sum()), groups
+    return float(np.sum(along**2 / eigenvalues[kept])), int(kept.sum()), groups
 
 
 def _matrix(form: Form, fixed: Mapping[str, float], width: int) -> np.ndarray:
@@ -444,26 +450,26 @@ def _signature_of(problem: Problem, state: Mapping[str, Any], effects: Sequence[
     """Return the contribution (3n,) of effects to the whitened readings."""
     view, frames = problem.view, problem.network.machine.frames
     index = {(frame.axis, frame.role): i for i, frame in enumerate(frames)}
-    found = np.zeros((len(view.rows), 3))
+    shift_m = np.zeros((len(view.rows), 3))
     for effect in effects:
         at = 6 * index[effect.frame.axis, effect.frame.role]
         for i, values in effect.components(state).items():
-            found += view.by_error[:, :, at + i] * (np.asarray(values)[:, None] * 1e-6)
-    return found.reshape(-1)
+            shift_m += view.by_error[:, :, at + i] * (np.asarray(values)[:, None] * 1e-6)
+    return shift_m.reshape(-1)
 
 
 def _over_variants(problem: Problem, forms: Sequence[Form], form: Form, covariance: np.ndarray) -> np.ndarray:
     """Return the covariance of a cause's parameters, allowing for its other variants with the same parameters."""
-    own = form.variant
+    selected = form.variant
     same = [
         variant.columns
         for variant in form.candidate.variants
-        if variant is not own and variant.fixed == own.fixed and len(variant.columns) == len(own.columns)
+        if variant is not selected and variant.fixed == selected.fixed and len(variant.columns) == len(selected.columns)
     ]
     if not same:
         return covariance
     others = [column for one in forms if one is not form for column in one.variant.columns]
-    return upper_bound(covariance, over_forms(problem, [own.columns, *same], others))
+    return upper_bound(covariance, over_forms(problem, [selected.columns, *same], others))
 
 
 def _is_nonlinear(form: Form, effects: Sequence[Effect]) -> bool:
@@ -502,14 +508,14 @@ def _quantities(
     """Return the estimated parameters of a cause and the numbers that its specification states, in the order of an entry."""
     stated = {**form.variant.fixed, **(effects[0].numbers if effects else {})}
     specification = form.candidate.specification
-    found = {
+    by_name = {
         name: Quantity(name, float(stated[name]), unit, 0.0)
         for name, unit in specification.fixed.items()
         if name in stated
     }
-    found |= {one.name: one for one in _estimated(form, fixed, effects, values, covariance)}
-    order = [name for name in specification.parameters if name in found]
-    return tuple(found[name] for name in (*order, *(name for name in found if name not in order)))
+    by_name |= {one.name: one for one in _estimated(form, fixed, effects, values, covariance)}
+    order = [name for name in specification.parameters if name in by_name]
+    return tuple(by_name[name] for name in (*order, *(name for name in by_name if name not in order)))
 
 
 def _estimated(
@@ -574,12 +580,12 @@ def remaining_discrepancy(
     """
     network, problem = task.by_noise.network, task.problem if patterned is None else patterned
     residual = problem.residual - rewhitened(found.signature.sum(axis=1), task.problem.network, problem.network)
-    left = unwhiten(problem.network, problem.project(residual).reshape(-1, 3)[:, :, None])[:, :, 0]
+    residual_m = unwhiten(problem.network, problem.project(residual).reshape(-1, 3)[:, :, None])[:, :, 0]
     # A direction with a prior takes up the share of a reading that its posterior variance has lost.
     absorbed = len(problem.nuisance_coordinates) - float(np.sum(problem.nuisances.prior**2))
     share = min((absorbed + _width(forms)) / problem.readings, 1.0)
     taken_up = share * task.problem.network.covariance
-    return updated(network, task.discrepancy, left, taken_up, np.ones(len(left), dtype=bool))
+    return updated(network, task.discrepancy, residual_m, taken_up, np.ones(len(residual_m), dtype=bool))
 
 
 def reweighted(
@@ -596,8 +602,10 @@ def reweighted(
         random_effects: patterns without a name (`estimate`).
     """
     by_noise = task.by_noise
-    left = by_noise.residual - rewhitened(found.signature.sum(axis=1), task.problem.network, by_noise.network)
-    if not forms or not lacks_fit(by_noise, left, _width(forms), task.noise.dof):
+    whitened_residual = by_noise.residual - rewhitened(
+        found.signature.sum(axis=1), task.problem.network, by_noise.network
+    )
+    if not forms or not lacks_fit(by_noise, whitened_residual, _width(forms), task.noise.dof):
         return found, no_discrepancy(by_noise.network)
     weighted, again = task, found
     for attempt in range(REWEIGHTINGS):

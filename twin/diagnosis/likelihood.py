@@ -204,7 +204,7 @@ FIRST: Final = 10.0
 """Initial noncentrality of a direction of a pattern."""
 TOGETHER: Final = 64
 """Columns evaluated at once."""
-MOSTLY: Final = 0.5
+IMITATED_SHARE: Final = 0.5
 """Share of the effect of a cause that a pattern must reproduce to count as imitating it."""
 
 
@@ -379,7 +379,7 @@ class Likelihood:
         for k in range(len(self.pattern_tests)):
             mine, root = self._root_of(k)
             along = root.T @ (self._cross[np.ix_(mine, own)] @ values)
-            found[k] = 1.0 if along @ along > MOSTLY * size else 0.0
+            found[k] = 1.0 if along @ along > IMITATED_SHARE * size else 0.0
         self._imitated[form.index] = found
         return found
 

@@ -33,15 +33,15 @@ STOPS: Final = 24
 """Number of distinct positions up to which each forms a group."""
 BINS: Final = 16
 """Number of groups, equally filled, for more positions."""
-FEWEST: Final = 2
+LEAST_READINGS: Final = 2
 """Smallest number of readings whose mean is drawn."""
-ALIKE: Final = 0.9
+ALIKE_CORRELATION: Final = 0.9
 """Rank correlation of two columns above which only one of them is plotted."""
 SHOWN: Final = 0.2
 """Columns whose χ² is below this share of that of the clearest column are not plotted."""
 SIDES: Final = ((-1.0, "moving −"), (0.0, "unknown"), (1.0, "moving +"))
 """Names of the approach directions."""
-MOST: Final = 3
+MAX_PANELS: Final = 3
 """Largest number of panels of residuals."""
 SMALL: Final = 0.02
 """Readings at which the cause is below this share of its largest value are not plotted in its unit."""
@@ -123,7 +123,7 @@ def residual_panels(found: DiagnosisResult, *, after: bool = False) -> list[Pane
     values = directed(found, found.after_um) if after else before
     panels = []
     axes = [(f"{axis.name}_{axis.unit}", axis.side) for axis in found.calibration.machine.axes]
-    for name, carrier in _clearest_columns(found, scales)[:MOST] or axes:
+    for name, carrier in _clearest_columns(found, scales)[:MAX_PANELS] or axes:
         rows = data.carrier == carrier if carrier in data.carrier else np.ones(len(data), dtype=bool)
         x = scales[name]
         if np.ptp(x.values[rows]) == 0.0:
@@ -166,7 +166,7 @@ def _correlated(a: Scale, b: Scale) -> bool:
     """Return whether two columns are rank-correlated so closely that their plots look the same."""
     if np.ptp(a.values) == 0.0 or np.ptp(b.values) == 0.0:
         return False
-    return bool(abs(np.corrcoef(_ranks(a.values), _ranks(b.values))[0, 1]) > ALIKE)
+    return bool(abs(np.corrcoef(_ranks(a.values), _ranks(b.values))[0, 1]) > ALIKE_CORRELATION)
 
 
 def cause_panels(found: DiagnosisResult, cause: Cause) -> list[Panel]:
@@ -305,7 +305,7 @@ def _own_unit(found: DiagnosisResult, cause: Cause, effect: Effect, component: i
         series = tuple(
             Series(name, at[of], read[of], weight[of], values[rows][of], not drawn.spread)
             for name, of in ((name, of[rows]) for name, of in _split(found, cause))
-            if np.count_nonzero(of) >= FEWEST
+            if np.count_nonzero(of) >= LEAST_READINGS
         )
         panels.append(Panel(cause_title(cause.effect, cause.where), x.label, f"{label} [{unit}]", series, x.ticks))
     return panels
@@ -406,14 +406,14 @@ def group_means(
     # Effective number of readings of equal weight (Kish).
     effective = total**2 / np.maximum(np.bincount(groups, weight**2), 1e-300)
     half = COVERAGE_FACTOR * np.sqrt(spread / np.maximum(effective - 1.0, 1.0))
-    some = count >= FEWEST
+    some = count >= LEAST_READINGS
     return centre[some], mean[some], half[some]
 
 
 def _reach(x: np.ndarray, y: np.ndarray) -> tuple[float, float]:
     """Return the largest distance of means with their intervals from zero, and the median half width of the intervals."""
     keep = np.isfinite(y)
-    if np.count_nonzero(keep) < FEWEST:
+    if np.count_nonzero(keep) < LEAST_READINGS:
         return 0.0, np.inf
     _, mean, half = group_means(x[keep], y[keep], np.ones(np.count_nonzero(keep)), group_numbers(x[keep]))
     return float(np.max(np.abs(mean) + half, initial=0.0)), float(np.median(half)) if len(half) else np.inf
@@ -517,7 +517,7 @@ def plot_unexplained(found: DiagnosisResult, *, title: str = "") -> Figure | Non
         of = rows & np.isfinite(values)
         count, *_ = np.histogram2d(x.values[of], y.values[of], edges)
         total, *_ = np.histogram2d(x.values[of], y.values[of], edges, weights=values[of])
-        maps[name] = np.where(count >= FEWEST, total / np.maximum(count, 1.0), np.nan)
+        maps[name] = np.where(count >= LEAST_READINGS, total / np.maximum(count, 1.0), np.nan)
     direction = max(maps, key=lambda name: float(np.nansum(maps[name] ** 2)))
     figure = new_figure(4.2, 3.1)
     plot = figure.add_subplot()

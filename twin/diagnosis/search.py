@@ -20,29 +20,29 @@ from twin.diagnosis.problem import Problem
 from twin.diagnosis.readings import PLACING_ITERATIONS, DiagnosisTask, Readings
 from twin.identification.discrepancy import outliers
 
-SHARE: Final = 0.25
-"""A family's share of `ALARMS` grows with its number of forms to this power, less than proportionally."""
-SELDOM: Final = 0.1
-"""Factor on the share of `ALARMS` of mistakes in the calibration, which are rare and easily recognised."""
-MOST: Final = 30
+FAMILY_POWER: Final = 0.25
+"""A family's share of `FALSE_ALARM_RATE` grows with its number of forms to this power, less than proportionally."""
+RARE_FACTOR: Final = 0.1
+"""Factor on the share of `FALSE_ALARM_RATE` of mistakes in the calibration, which are rare and easily recognised."""
+MAX_CAUSES: Final = 30
 """Largest number of causes: about the number of error curves of a machine."""
-FEW: Final = 6
+MAX_EXCHANGED_CAUSES: Final = 6
 """Number of causes up to which every step is followed by exchanges and several starts are tried; above, only the whole set once."""
-STARTS: Final = 4
+MAX_FIRST_CAUSES: Final = 4
 """Number of first causes to start from."""
-SAME: Final = 0.01
+EQUAL_CHI2: Final = 0.01
 """Relative difference of explained χ² up to which two sets of forms count as equal."""
-TRIED: Final = 3
+MAX_EXCHANGES_EVALUATED: Final = 3
 """Number of exchanges evaluated in full."""
-DOUBTED: Final = 3.0
+LIMIT_SIGMA: Final = 3.0
 """Standard uncertainties by which a value may exceed its physical limit."""
-CANCELS: Final = 10.0
+MAX_CHI2_RATIO: Final = 10.0
 """Largest sum of squares of one cause relative to all that the causes explain."""
-FEWEST: Final = 25.0
+NOISE_CHI2: Final = 25.0
 """χ² added to the explained one in this comparison, for the contribution of noise."""
-ROUGHLY: Final = 0.2
+ALL_OR_NOTHING_TOLERANCE: Final = 0.2
 """Deviation from one allowed for the parameter of an effect that is either completely present or absent."""
-LEAST: Final = 0.01
+LEAST_FLEXIBLE_SHARE: Final = 0.01
 """Smallest share of a pliable effect in the χ² explained by all causes: a smaller one only fits the residual of a larger cause."""
 CANCELLED: Final = "they fit only together with another cause that cancels them"
 PART_OF_ANOTHER: Final = "they only fit the residuals of a larger cause"
@@ -90,20 +90,20 @@ def select(candidates: Candidates, begun: Sequence[Form] = ()) -> Selection:
     if not first:
         return found
     candidates.prepare([candidates.forms[i] for i in list(first.values())[:LIKELY]])
-    likely = [[candidates.forms[i]] for i in list(first.values())[:STARTS]]
+    likely = [[candidates.forms[i]] for i in list(first.values())[:MAX_FIRST_CAUSES]]
     for start in likely:
         forms = forward_selection(candidates, start)
         worth = candidates.penalised_gain(forms)
         if worth > found.worth + 1e-6:
             found = Selection(tuple(forms), worth)
-        if len(forms) > FEW:
+        if len(forms) > MAX_EXCHANGED_CAUSES:
             break  # a model with very many errors: the start does not matter
-    if len(found.forms) > FEW:
+    if len(found.forms) > MAX_EXCHANGED_CAUSES:
         # A machine whose constants were never identified: each explains little before the others are in the model.
         numbers = np.array([form.candidate.specification.constant for form in candidates.forms])
         forms = forward_selection(candidates, forward_selection(candidates, [], numbers))
         worth = candidates.penalised_gain(forms)
-        if worth > (1.0 - SAME) * found.worth:
+        if worth > (1.0 - EQUAL_CHI2) * found.worth:
             found = Selection(tuple(forms), worth)
     forms = _split(candidates, list(found.forms))
     return Selection(tuple(forms), candidates.penalised_gain(forms))
@@ -186,18 +186,18 @@ def _excesses_of(
     form: Form, values: np.ndarray, u: np.ndarray, gram: np.ndarray, explained: float
 ) -> list[tuple[float, str]]:
     own, specification = float(values @ gram @ values), form.candidate.specification
-    found = [(own / (CANCELS * (explained + FEWEST)), CANCELLED)]
-    if specification.flexible and own < LEAST * explained:
+    found = [(own / (MAX_CHI2_RATIO * (explained + NOISE_CHI2)), CANCELLED)]
+    if specification.flexible and own < LEAST_FLEXIBLE_SHARE * explained:
         found.append((np.inf, PART_OF_ANOTHER))
     scale = np.array([column.scale for column in form.variant.columns])
     if np.isfinite(form.candidate.largest):
-        size = float(np.max((np.abs(values) - DOUBTED * u) * scale))
+        size = float(np.max((np.abs(values) - LIMIT_SIGMA * u) * scale))
         found.append((size / form.candidate.largest, TOO_LARGE))
-    if specification.non_negative and values[0] < -DOUBTED * u[0]:
+    if specification.non_negative and values[0] < -LIMIT_SIGMA * u[0]:
         found.append((np.inf, NEGATIVE))
     if specification.all_or_nothing:
         off = abs(float(values[0] * scale[0]) - 1.0)
-        found.append((off / max(ROUGHLY, DOUBTED * float(u[0] * scale[0])), PARTIAL))
+        found.append((off / max(ALL_OR_NOTHING_TOLERANCE, LIMIT_SIGMA * float(u[0] * scale[0])), PARTIAL))
     return found
 
 
@@ -213,7 +213,7 @@ def _split(candidates: Candidates, forms: list[Form]) -> list[Form]:
     bent = [pure[form.key, form.variant.columns[-1]] for form in forms if form.variant.fixed.get("first") == 0.0]
     trial = [form for form in forms if form.variant.fixed.get("first") != 0.0]
     whole = candidates.explained_by(forms)
-    enough = whole - SAME * (whole - candidates.explained_by(trial))
+    enough = whole - EQUAL_CHI2 * (whole - candidates.explained_by(trial))
     trial += bent
     numbers: list[Form] = []
     while bent and candidates.explained_by(trial) < enough:
@@ -231,7 +231,7 @@ def _split(candidates: Candidates, forms: list[Form]) -> list[Form]:
         hosts = []
         for form, rest in zip([form for form in forms if form.variant.fixed.get("first") == 0.0], bent, strict=True):
             hosted = candidates.explained_by([form if other is rest else other for other in others])
-            if hosted > whole - SAME * own:
+            if hosted > whole - EQUAL_CHI2 * own:
                 hosts.append(whole - candidates.explained_by([other for other in trial if other is not rest]))
         # If several curves could contain the constant, none is preferred.
         if len(hosts) == 1 and own < hosts[0]:
@@ -244,7 +244,7 @@ def _split(candidates: Candidates, forms: list[Form]) -> list[Form]:
 
 
 def forward_selection(
-    candidates: Candidates, forms: Sequence[Form], allowed: np.ndarray | bool = True, most: int = MOST
+    candidates: Candidates, forms: Sequence[Form], allowed: np.ndarray | bool = True, most: int = MAX_CAUSES
 ) -> list[Form]:
     """Add forms as long as each is significant.
 
@@ -262,18 +262,18 @@ def forward_selection(
             # Most of the residual is due to a period or time constant between two tabulated ones; the estimate refines these.
             return forms
         margin = np.where(allowed, _free(candidates, forms), -np.inf)
-        for i in largest_first(margin)[:TRIED]:
+        for i in largest_first(margin)[:MAX_EXCHANGES_EVALUATED]:
             if margin[i] <= ADDITIONAL_CAUSE_PENALTY:
-                return _exchanged(candidates, forms, allowed) if len(forms) > FEW else forms
+                return _exchanged(candidates, forms, allowed) if len(forms) > MAX_EXCHANGED_CAUSES else forms
             larger = [*forms, candidates.forms[int(i)]]
-            if len(larger) <= FEW:
+            if len(larger) <= MAX_EXCHANGED_CAUSES:
                 larger = _exchanged(candidates, larger, allowed)
             if candidates.penalised_gain(larger) > now + 1e-6:
                 break
         else:
             return forms
         forms = larger
-    return _exchanged(candidates, forms, allowed) if len(forms) > FEW else forms
+    return _exchanged(candidates, forms, allowed) if len(forms) > MAX_EXCHANGED_CAUSES else forms
 
 
 def _free(candidates: Candidates, forms: Sequence[Form]) -> np.ndarray:
@@ -297,12 +297,12 @@ def _better(
     candidates: Candidates, forms: list[Form], now: float, allowed: np.ndarray | bool
 ) -> tuple[list[Form], float] | None:
     """Return the first better set by removal or exchange, with its worth; None if there is none."""
-    for k in range(len(forms))[-FEW:]:
+    for k in range(len(forms))[-MAX_EXCHANGED_CAUSES:]:
         others = forms[:k] + forms[k + 1 :]
         if others and (worth := candidates.penalised_gain(others)) >= now:
             return others, worth
         margin = np.where(allowed, _free(candidates, others), -np.inf)
-        for i in largest_first(margin)[:TRIED]:
+        for i in largest_first(margin)[:MAX_EXCHANGES_EVALUATED]:
             trial = [*others, candidates.forms[int(i)]]
             if (
                 np.isfinite(margin[i])
@@ -326,7 +326,9 @@ def prices(candidates: Sequence[Candidate]) -> dict[str, float]:
     seldom = {candidate.effect for candidate in candidates if candidate.specification.rare}
     for candidate in candidates:
         tests[candidate.effect] = tests.get(candidate.effect, 0.0) + candidate.tests
-    shares = {effect: count**SHARE * (SELDOM if effect in seldom else 1.0) for effect, count in tests.items()}
+    shares = {
+        effect: count**FAMILY_POWER * (RARE_FACTOR if effect in seldom else 1.0) for effect, count in tests.items()
+    }
     total = sum(shares.values())
     return {effect: float(np.log(total * count / shares[effect])) for effect, count in tests.items()}
 
@@ -342,13 +344,13 @@ def candidates_of(task: DiagnosisTask) -> Candidates:
 
 # --- Selection of rows: outliers are set aside, unless causes that the other rows show explain them
 
-WITNESSES: Final = 3
+LEAST_OUTLIERS: Final = 3
 """Number of outliers below which no cause is sought for them."""
-CLEAR: Final = 3
+MAX_OUTLIER_CAUSES: Final = 3
 """Largest number of causes sought to explain outliers."""
-TAKEN_BACK: Final = (1.0, 0.9, 0.5)
+RETESTED_SHARES: Final = (1.0, 0.9, 0.5)
 """Shares of the outliers, smallest first, that are tested again: all, or without the largest (a lost beam, for example)."""
-LOOKED_AT: Final = 20_000
+OUTLIER_SAMPLE: Final = 20_000
 """Number of rows used to test whether causes explain the outliers."""
 SEED: Final = 1964
 
@@ -359,7 +361,7 @@ def exclude_outliers(placed: Readings) -> DiagnosisTask:
     Args:
         placed: all rows, with the stations placed.
     """
-    few = np.count_nonzero(placed.bad) < WITNESSES
+    few = np.count_nonzero(placed.bad) < LEAST_OUTLIERS
     return placed.without(placed.bad if few else _still_bad(placed))
 
 
@@ -369,8 +371,10 @@ def _still_bad(placed: Readings) -> np.ndarray:
     A cause of such large residuals shows in other rows as well, so for very many rows a sample is used.
     """
     count, bad = len(placed.bad), np.flatnonzero(placed.bad)
-    if count > LOOKED_AT and len(bad) < LOOKED_AT // 4:
-        drawn = np.random.default_rng(SEED).choice(np.flatnonzero(~placed.bad), LOOKED_AT - len(bad), replace=False)
+    if count > OUTLIER_SAMPLE and len(bad) < OUTLIER_SAMPLE // 4:
+        drawn = np.random.default_rng(SEED).choice(
+            np.flatnonzero(~placed.bad), OUTLIER_SAMPLE - len(bad), replace=False
+        )
         rows = np.sort(np.concatenate([bad, drawn]))
         found = np.zeros(count, dtype=bool)
         found[rows] = _still_bad(placed.select_rows(rows))
@@ -378,7 +382,7 @@ def _still_bad(placed: Readings) -> np.ndarray:
     everything = placed.without(np.zeros(len(placed.bad), dtype=bool))
     whole, candidates = everything.problem, candidates_of(everything)
     size = np.linalg.norm(placed.network.residual(np.zeros(0), placed.setup), axis=1)
-    for share in TAKEN_BACK:
+    for share in RETESTED_SHARES:
         bad = placed.bad & (size > np.quantile(size[placed.bad], share))
         for _ in range(PLACING_ITERATIONS):
             still = _beyond(placed, whole, candidates, bad)
@@ -396,6 +400,6 @@ def _beyond(placed: Readings, whole: Problem, candidates: Candidates, bad: np.nd
     part = whole.without(bad) if np.any(bad) else whole
     if part is None:
         return placed.bad
-    forms = largest_causes(candidates.on_part(part), CLEAR)
+    forms = largest_causes(candidates.on_part(part), MAX_OUTLIER_CAUSES)
     left = whole.residual - estimate(part, forms).signature.sum(axis=1)
     return outliers(placed.network, part.refit_setup(left).reshape(-1, 3))

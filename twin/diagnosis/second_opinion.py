@@ -29,7 +29,7 @@ import scipy
 
 from twin._common.arrays import first_largest, largest_first
 from twin.diagnosis.forms import LEAST_NONCENTRALITY, Candidates, Form
-from twin.diagnosis.search import ROUGHLY
+from twin.diagnosis.search import ALL_OR_NOTHING_TOLERANCE
 
 ODDS: Final = 20.0
 """Odds of an effect against none at which it counts as found."""
@@ -296,7 +296,7 @@ def _sum(effects: Sequence[Fit]) -> np.ndarray | float:
 
 CREDIBLE: Final = 0.95
 """Smallest posterior probability of a credible set."""
-MOST: Final = 12
+MAX_EFFECTS: Final = 12
 """Largest number of effects."""
 Key = tuple[str, str]
 """Effect and place."""
@@ -387,7 +387,7 @@ class Comparison:
         return bool(self.further) or any(cause.instead for cause in self.causes)
 
 
-def second_opinion(candidates: Candidates, start: Sequence[Form] = (), most: int = MOST) -> SecondOpinion:
+def second_opinion(candidates: Candidates, start: Sequence[Form] = (), most: int = MAX_EFFECTS) -> SecondOpinion:
     """Return the posterior of the causes of a pool.
 
     The prior of a form follows the search's correction for multiple testing: effects share it as they share the rate of false alarms,
@@ -465,7 +465,7 @@ def _alternatives(candidates: Candidates) -> list[Alternatives]:
             if np.isfinite(form.candidate.largest):
                 largest[i] = form.candidate.largest / np.array([column.scale for column in form.variant.columns])
             if form.candidate.specification.all_or_nothing:
-                centre[i], width[i] = 1.0 / form.variant.columns[0].scale, ROUGHLY
+                centre[i], width[i] = 1.0 / form.variant.columns[0].scale, ALL_OR_NOTHING_TOLERANCE
         # The form's share of the correction for multiple testing, which counts independent forms.
         prior = np.array(
             [np.exp(-form.log_tests) * form.candidate.tests / len(form.candidate.variants) for form in forms]

@@ -32,27 +32,32 @@ from twin.diagnosis.patterns import Pattern, patterns
 from twin.diagnosis.payload import select_with_payload
 from twin.diagnosis.problem import Problem
 from twin.diagnosis.readings import DiagnosisTask
-from twin.diagnosis.search import FEW, Selection, candidates_of, excess_ratio_of
+from twin.diagnosis.search import MAX_CAUSES, MAX_EXCHANGED_CAUSES, Selection, candidates_of, excess_ratio_of
 from twin.identification.discrepancy import settled
 from twin.measurement.observation import machine_state
 
-MOST: Final = 3
+MAX_PATTERNS: Final = 3
 """Largest number of patterns."""
-CAUSES: Final = 30
-"""Largest number of causes."""
-TRIED: Final = 5
+# The most promising ones alone are refitted with the variances of the patterns, which takes nearly all of the time.
+MAX_CAUSES_EVALUATED: Final = 5
 """Number of causes evaluated in full at every step."""
-CLEAR: Final = 20.0
-"""Ratio of a cause's bound on its gain to its price from which on it is kept without a refit."""
-BETTER: Final = 0.1
-"""Smallest gain in twice the log likelihood for an exchange of causes."""
-MOSTLY: Final = 0.9
-"""Share of the explained χ² from which on causes are kept, whatever the patterns explain in addition."""
-PART: Final = 1.0
-"""Smallest ratio of the χ² explained by a cause to that explained in addition by patterns that can imitate it."""
-HOPEFUL: Final = 0.3
+# Refitted variances can raise what a cause explains, but not from a small part of its price to the whole.
+EVALUATED_PRICE_SHARE: Final = 0.3
 """Share of its price that a cause must explain at the present variances of the patterns to be evaluated in full."""
-FEWER: Final = 3
+# The gain that is bounded is that of a drop without a refit: at twenty times the price the refit cannot reverse the decision.
+KEPT_GAIN_RATIO: Final = 20.0
+"""Ratio of a cause's bound on its gain to its price from which on it is kept without a refit."""
+# Far below any price and above rounding: an exchange and its reverse must not alternate.
+EXCHANGE_GAIN: Final = 0.1
+"""Smallest gain in twice the log likelihood for an exchange of causes."""
+# As in the verdict: causes that leave less than a tenth explain the readings.
+KEPT_CHI2_SHARE: Final = 0.9
+"""Share of the explained χ² from which on causes are kept, whatever the patterns explain in addition."""
+# A cause that explains less than the patterns beside it is rather a part of their pattern.
+LEAST_IMITATED_RATIO: Final = 1.0
+"""Smallest ratio of the χ² explained by a cause to that explained in addition by patterns that can imitate it."""
+# A pattern has a handful of variances; two causes are no more complex than that.
+CAUSES_PER_PATTERN: Final = 3
 """Number of causes that one pattern must replace to be the simpler model."""
 
 
@@ -149,13 +154,17 @@ def joint_selection(candidates: Candidates, forms: Sequence[Form], tried: Sequen
     """
     found = with_patterns(candidates, forms, tried)
     left, patterned = bool(found.pattern_tests), False
-    if left or len(forms) >= FEWER:
+    if left or len(forms) >= CAUSES_PER_PATTERN:
         carried = candidates.explained_by(found.forms)
-        if not found.forms or (found.model is not None and carried < MOSTLY * found.model.explained) or not left:
+        if (
+            not found.forms
+            or (found.model is not None and carried < KEPT_CHI2_SHARE * found.model.explained)
+            or not left
+        ):
             other = _patterned(candidates, tried)
             # Enough causes can imitate anything: one pattern instead of several causes is the simpler model.
             simpler = (
-                len(other.forms) <= len(found.forms) - FEWER
+                len(other.forms) <= len(found.forms) - CAUSES_PER_PATTERN
                 and _worth(candidates, other) > candidates.penalised_gain(forms) - DEVIANCE_RULED_OUT
             )
             # Causes that no pattern can imitate are not parts of one.
@@ -204,7 +213,7 @@ def with_patterns(candidates: Candidates, forms: Sequence[Form], tried: Sequence
         more = [
             pattern_test
             for pattern_test in (
-                scan_patterns(problem, tried, stand, candidates.dof) if len(pattern_tests) < MOST else []
+                scan_patterns(problem, tried, stand, candidates.dof) if len(pattern_tests) < MAX_PATTERNS else []
             )
             if pattern_test.found and (pattern_test.pattern.side, pattern_test.pattern.names) not in seen
         ]
@@ -271,7 +280,7 @@ def _from_pattern(candidates: Candidates, first: PatternTest, tried: Sequence[Pa
         more = [
             pattern_test
             for pattern_test in (
-                scan_patterns(problem, tried, forms, candidates.dof) if len(pattern_tests) < MOST else []
+                scan_patterns(problem, tried, forms, candidates.dof) if len(pattern_tests) < MAX_PATTERNS else []
             )
             if pattern_test.found and (pattern_test.pattern.side, pattern_test.pattern.names) not in seen
         ]
@@ -298,7 +307,7 @@ def _stepwise(
     impossible: list[Form] = []
     candidates = likelihood.candidates
     stand, model = _dropped(likelihood, list(forms), likelihood.fit(forms))
-    while len(stand) < CAUSES:
+    while len(stand) < MAX_CAUSES:
         best: tuple[float, Form, Model] | None = None
         impossible = []
         for form in _promising(likelihood, stand, model, barred):
@@ -309,11 +318,11 @@ def _stepwise(
                     impossible.append(form)
                     continue
                 best = gained, form, with_it
-                if len(stand) >= FEW:
+                if len(stand) >= MAX_EXCHANGED_CAUSES:
                     break  # a model with very many errors: the order does not matter
         if best is None:
             fewer, model = _dropped(likelihood, stand, model)
-            other = _exchanged(likelihood, fewer, model, barred) if len(fewer) <= FEW else None
+            other = _exchanged(likelihood, fewer, model, barred) if len(fewer) <= MAX_EXCHANGED_CAUSES else None
             if other is None and len(fewer) == len(stand):
                 return stand, model, tuple(impossible)
             stand, model = (fewer, model) if other is None else other
@@ -334,7 +343,7 @@ def _exchanged(
             trial = [*others, other]
             found = likelihood.fit(trial, less)
             gained = found.twice_log_ratio - _cost(candidates, other) - model.twice_log_ratio + _cost(candidates, form)
-            if other is not form and gained > BETTER and _possible(candidates, trial, found):
+            if other is not form and gained > EXCHANGE_GAIN and _possible(candidates, trial, found):
                 return trial, found
     return None
 
@@ -373,7 +382,11 @@ def _promising(likelihood: Likelihood, stand: Sequence[Form], model: Model, barr
     margin = np.where(out, -np.inf, explained - costs)
     found: dict[int, Form] = {}
     for i in largest_first(margin).tolist():
-        if len(found) == TRIED or not explained[i] > HOPEFUL * costs[i] or not np.isfinite(margin[i]):
+        if (
+            len(found) == MAX_CAUSES_EVALUATED
+            or not explained[i] > EVALUATED_PRICE_SHARE * costs[i]
+            or not np.isfinite(margin[i])
+        ):
             break
         found.setdefault(int(candidates.key_of[i]), candidates.forms[i])
     return list(found.values())
@@ -386,7 +399,7 @@ def _dropped(likelihood: Likelihood, forms: list[Form], model: Model) -> tuple[l
         prices = {form.index: _cost(likelihood.candidates, form) for form in stand}
         gained = {form.index: likelihood.gain_bound(stand, model, form) for form in stand}
         for form in [stand[i] for i in largest_first(np.array([prices[f.index] - gained[f.index] for f in stand]))]:
-            if gained[form.index] > CLEAR * prices[form.index]:
+            if gained[form.index] > KEPT_GAIN_RATIO * prices[form.index]:
                 continue
             others = [one for one in stand if one is not form]
             less = likelihood.fit(others, model)
@@ -421,7 +434,7 @@ def _partial_cause(likelihood: Likelihood, forms: Sequence[Form], model: Model) 
         others = [one for one in forms if one is not form and one not in alike]
         carried = whole - likelihood.candidates.explained_by(others)
         ratio = carried / max(beside, 1e-9)
-        if carried < PART * beside and (worst is None or ratio < worst[0]):
+        if carried < LEAST_IMITATED_RATIO * beside and (worst is None or ratio < worst[0]):
             worst = ratio, form
     return None if worst is None else worst[1]
 
@@ -443,11 +456,11 @@ RESELECTED: Final = 4
 TIME: Final = "time_s"
 NOT_PREDICTED: Final = "they do not predict held-out positions"
 """Reason for which variants are left out, in words."""
-LARGE: Final = 100.0
+REFINED_CHI2: Final = 100.0
 """χ² of a cause above which its residual between two tabulated periods or time constants could look like another cause."""
-REFINED: Final = 2
+MAX_REFINEMENTS: Final = 2
 """Largest number of refinements of periods and time constants."""
-STAYS: Final = 0.2
+REFINED_SIGMA: Final = 0.2
 """Change of a period or time constant, in standard uncertainties, below which it is not refined again."""
 
 
@@ -591,7 +604,7 @@ class Searcher:
         constants of large causes are therefore refined, and the search is repeated.
         """
         best = select_with_payload(self.candidates)
-        for _ in range(REFINED):
+        for _ in range(MAX_REFINEMENTS):
             if not self._refined(best):
                 break
             best = select_with_payload(self.candidates, best.forms)
@@ -604,7 +617,7 @@ class Searcher:
         large = [
             form
             for form in bent
-            if self.candidates.scores([one for one in best.forms if one is not form], [form.index])[0, 0] > LARGE
+            if self.candidates.scores([one for one in best.forms if one is not form], [form.index])[0, 0] > REFINED_CHI2
         ]
         if not large:
             return False
@@ -614,7 +627,7 @@ class Searcher:
         for form, quantities in zip(best.forms, found.quantities, strict=True):
             # A straight drift reports a time constant, but its columns have none.
             put = {q.name: q for q in quantities if form in large and q.name in form.nonlinear}
-            if not any(abs(form.variant.fixed[q.name] - q.value) > STAYS * q.u for q in put.values()):
+            if not any(abs(form.variant.fixed[q.name] - q.value) > REFINED_SIGMA * q.u for q in put.values()):
                 continue
             moved = True
             fixed = {name: q.value for name, q in put.items()}

@@ -31,7 +31,7 @@ from twin.monitoring.pairs import (
     smallest_set,
     whiten,
 )
-from twin.monitoring.tool import POSES, Cause, JudgedErrors, at_tool
+from twin.monitoring.tool import POSES, ActingError, JudgedErrors, at_tool
 from twin.tool.uncertainty import without_missing_channels
 
 MOSTLY: Final = 0.9
@@ -252,7 +252,7 @@ class _JointChange:
     dof: int
     culprits: Culprits
     without_variance: tuple[float, ...]
-    causes: Mapping[str, Cause]
+    causes: Mapping[str, ActingError]
 
 
 def _joint_change(pairs: Sequence[Pair], first: Calibration, second: Calibration) -> _JointChange:
@@ -300,7 +300,7 @@ def _joint_change(pairs: Sequence[Pair], first: Calibration, second: Calibration
     return _JointChange(white.p_value, white.rank, culprits, tuple(still), causes)
 
 
-def _as_effect(pair: Pair, change: np.ndarray, effect: Effect) -> Cause:
+def _as_effect(pair: Pair, change: np.ndarray, effect: Effect) -> ActingError:
     """Return the change of one error as frame and components: a curve by interpolation, other numbers by their derivatives."""
 
     def components(state: Mapping[str, Any]) -> Mapping[int, Any]:

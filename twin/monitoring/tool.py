@@ -30,7 +30,7 @@ from twin.tool.inverse import Inverse, Status
 from twin.tool.uncertainty import ToolUncertainty, inside_domains, radius_95, random_approach, state_at, volume
 
 POSES: Final = 400
-Cause = tuple[Frame, Callable[[Mapping[str, Any]], Mapping[int, Any]]]
+ActingError = tuple[Frame, Callable[[Mapping[str, Any]], Mapping[int, Any]]]
 """Error frame in which a change acts, and its components as a function of the state, as in `twin.model.effects.Effect`."""
 DRAWS: Final = 8000
 DRAWS_A_STEP: Final = 500
@@ -228,7 +228,7 @@ class JudgedErrors:
     classes: Mapping[str, str]
     drawn: Collection[str]
     share: float
-    causes: Mapping[str, Cause]
+    causes: Mapping[str, ActingError]
     whole_model: bool
 
 

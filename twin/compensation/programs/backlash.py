@@ -26,7 +26,7 @@ from twin._common.errors import InputError
 from twin._common.units import UM, URAD
 from twin.compensation.programs.motions import Passage, ToolPath
 from twin.model.calibration import Calibration
-from twin.model.effects import ControlCorrection, Reversal, ReversalCurve
+from twin.model.effects import ControlCorrection
 
 STILL: Final = 1e-6
 """Distance (mm, degrees) below which an axis stands still; the control's kinematics are solved to a thousandth of it."""
@@ -68,12 +68,7 @@ class Backlash:
         self.size = np.zeros(len(machine.axes))
         turning = {name for effect in calibration.empirical for name in effect.directed}
         for effect in calibration.effects:
-            if isinstance(effect, Reversal):
-                size = effect.size
-            elif isinstance(effect, ReversalCurve):
-                # The width of the play is the largest reversal value; the effect itself gives the error at each position.
-                size = max(effect.reversal_range(), key=abs)
-            elif isinstance(effect, ControlCorrection):
+            if isinstance(effect, ControlCorrection):
                 low, high = effect.reversal_range(ranges)
                 if high - low > UNEVEN:
                     raise InputError(
@@ -83,8 +78,8 @@ class Backlash:
                     )
                 size = 0.5 * (low + high)
             else:
-                continue
-            axis = effect.axis
+                size = effect.reversal_value
+            axis = machine.by_name[effect.frame.axis]
             self.size[machine.names.index(axis.name)] += size * (UM if axis.linear else URAD) / axis.scale
         self.size[np.abs(self.size) < NEGLIGIBLE] = 0.0
         self.axes = [i for i, name in enumerate(machine.names) if self.size[i] != 0.0 or name in turning]

@@ -66,7 +66,7 @@ from twin.model.motion_curve import Curve
 from twin.numerics.curves import POWER, CurveSpace, conversion
 from twin.numerics.functions import Functions, Rows, tabulated
 
-TRIED: Final = tuple(
+TESTED_EFFECTS: Final = tuple(
     one for one in MACHINE_EFFECTS if one.forms is not None or (one.make is not None and not one.curve)
 )
 
@@ -81,7 +81,7 @@ def machine_effects(inputs: CandidateInputs) -> Catalogue:
         payloads = None
     found: list[Candidate] = []
     missing: list[Missing] = []
-    for specification in TRIED:
+    for specification in TESTED_EFFECTS:
         places, lacking = specification.candidate_places(inputs.machine, inputs.state)
         missing += [(specification.name, where, what) for where, what in lacking]
         found += [_effect_candidate(specification, where, inputs, payloads) for where in places]
@@ -168,7 +168,7 @@ def _drift(forms: Forms, name: str, inputs: CandidateInputs) -> Drift:
     return Drift(columns, tried, straight=False, name=name)
 
 
-MACHINE_EFFECTS_SOURCE: Final = CandidateSource(TRIED, machine_effects)
+MACHINE_EFFECTS_SOURCE: Final = CandidateSource(TESTED_EFFECTS, machine_effects)
 
 # --- Candidates: an error motion whose curve in the calibration is wrong or missing ---------------
 

@@ -94,6 +94,11 @@ class Effect(ABC):
         return {parameter.name.rpartition(".")[2]: float(parameter.value) for parameter in self.parameters}
 
     @property
+    def reversal_value(self) -> float:
+        """Reversal value of its axis, µm or µrad, that a program takes up by extra moves; the largest one if it varies."""
+        return 0.0
+
+    @property
     def normal_form(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
         """Signs and shifts, sign · value + shift of each parameter, that give the same effect with the parameters usual for it."""
         return (1.0,) * len(self.parameters), (0.0,) * len(self.parameters)

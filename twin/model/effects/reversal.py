@@ -44,6 +44,11 @@ class Reversal(AlongAxis):
         """The size."""
         return (self._number("size", self.unit, self.size),)
 
+    @property
+    def reversal_value(self) -> float:
+        """See `Effect.reversal_value`."""
+        return self.size
+
     def derivatives(self, positions: Mapping[str, Any]) -> tuple[Mapping[int, Any], ...]:
         """See `Effect.derivatives`; needs ``approach_<axis>``."""
         return (along(self.axis, 0.5 * channel(positions, f"approach_{self.axis.name}", self.name)),)
@@ -108,6 +113,11 @@ class ReversalCurve(AlongAxis):
         side = 0.5 * channel(positions, f"approach_{self.axis.name}", self.name)
         functions = POWER.functions(positions[self.axis.name], self.axis.domain, len(self.coefficients))
         return tuple(along(self.axis, side * function) for function in functions)
+
+    @property
+    def reversal_value(self) -> float:
+        """See `Effect.reversal_value`: the effect itself gives the error at each position."""
+        return max(self.reversal_range(), key=abs)
 
     def reversal_range(self) -> tuple[float, float]:
         """Return the smallest and largest reversal value over the axis's range, µm or µrad."""
