@@ -367,6 +367,10 @@ class Measurements:
         notices = [note(notice) for notice in self.notices]
         return card(count_with_noun(len(self), "reading"), pairs(rows), *aside, *notices, small=self.source).text
 
+    def moved(self, machine: Machine) -> list[str]:
+        """Return the names of the axes that have more than one commanded position."""
+        return [axis.name for axis, q in zip(machine.axes, self.positions.T, strict=True) if np.ptp(q) > 0.0]
+
     def error(
         self,
         what: str,
