@@ -9,7 +9,8 @@ from scipy.stats import binom, chi2, f
 
 from tests.measurement.formats.cases.tf5245 import CENTRE, CONTACTS
 from twin._common.errors import InputError
-from twin.measurement.sphere_fit import fit_sphere, fit_sphere_algebraic
+from twin.measurement.sphere_fit import fit_sphere
+from twin.numerics.spatial import algebraic_sphere
 
 HEMISPHERE = np.array(
     [
@@ -23,7 +24,7 @@ HEMISPHERE = np.array(
 
 def test_the_algebraic_fit_gives_the_published_centre() -> None:
     """Beckhoff TF5245: the six contacts and the centre stand on two pages of its documentation."""
-    centre, radius = fit_sphere_algebraic(CONTACTS)
+    centre, radius = algebraic_sphere(CONTACTS)
     np.testing.assert_allclose(centre, CENTRE, atol=1e-6)  # half of its last printed digit in X and Y, 5e-8 in Z
     assert radius == pytest.approx(14.924, abs=1e-3)
 

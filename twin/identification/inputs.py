@@ -196,8 +196,8 @@ def _unobserved_axes(machine: Machine, data: Measurements) -> list[str]:
     sides = {*data.carrier, *data.station_carrier}
     return [
         f"{axis.name} moved, but it carries the {axis.side} side, which has no target: its errors are not identifiable"
-        for axis, q in zip(machine.axes, data.positions.T, strict=True)
-        if np.ptp(q) > 0.0 and axis.side != "both" and axis.side not in sides
+        for axis in map(machine.by_name.__getitem__, data.moved(machine))
+        if axis.side != "both" and axis.side not in sides
     ]
 
 

@@ -262,9 +262,7 @@ def constant_rows(
         The unknowns of the machine, and (n, 3, unknowns + set-up) whitened derivatives per plausible size; None if no axis with any
         moves.
     """
-    unknowns = constant_unknowns(
-        machine, [a.name for a, q in zip(machine.axes, data.positions.T, strict=True) if np.ptp(q)]
-    )
+    unknowns = constant_unknowns(machine, data.moved(machine))
     if not len(unknowns):
         return None
     network = Network(machine, data, instruments, unknowns, covariance=covariance)

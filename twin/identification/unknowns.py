@@ -283,12 +283,13 @@ def spaces_for(
     constants: list[str] = []
     for i, axis in enumerate(machine.axes):
         domain = axis.domain
-        distinct = distinct_positions(wrapped(positions[:, i], axis, domain))
-        if len(distinct) < 2:
+        # Positions that differ by more than a micrometre or a thousandth of a degree.
+        distinct = len(np.unique(np.round(wrapped(positions[:, i], axis, domain), 3)))
+        if distinct < 2:
             continue
         basis = bases[axis.name]
         # Two functions fewer than positions: one position may be held out, and one degree of freedom remains.
-        count = basis.largest(max(2, min(most, len(distinct) - 2)))
+        count = basis.largest(max(2, min(most, distinct - 2)))
         for letter in "XYZABC":
             name = f"E_{letter}{axis.name}"
             straightness = axis.linear and letter in "XYZ" and not along(axis, letter)
@@ -335,11 +336,6 @@ def axes_with_known_places(machine: Machine, data: Measurements) -> tuple[str, .
             joints = dict(zip(machine.names, machine.axis_joints, strict=True))
             found.append(max(axes, key=lambda name: chain.index(joints[name])))
     return tuple(found)
-
-
-def distinct_positions(q: np.ndarray) -> np.ndarray:
-    """Return the positions that differ by more than a micrometre or a thousandth of a degree, sorted."""
-    return np.unique(np.round(q, 3))
 
 
 def wrapped(q: np.ndarray, axis: Axis, domain: tuple[float, float]) -> np.ndarray:

@@ -78,18 +78,24 @@ class Sphere:
             raise _undetermined(f"u = {u:.3g} mm along {_direction(directions[:, -1])}", file, line)
 
 
-def fit_sphere_algebraic(
-    points_mm: np.ndarray, *, file: str | Path | None = None, line: int | None = None
-) -> tuple[np.ndarray, float]:
-    """Return the centre (3,) and the radius of the algebraic fit, mm.
+def fit_sphere(
+    points_mm: np.ndarray,
+    radius_mm: float | None = None,
+    *,
+    file: str | Path | None = None,
+    line: int | None = None,
+) -> Sphere:
+    """Return the sphere with the smallest sum of squared orthogonal distances from the points.
 
     Args:
         points_mm: (n, 3).
+        radius_mm: known radius; None to fit it.
         file: file of the points, for messages.
         line: their first line.
 
     Raises:
-        InputError: fewer than `FEWEST` points, a point that is not finite, or points in one plane.
+        InputError: fewer than `FEWEST` points, a point that is not finite, points in one plane or that do not determine the centre
+            otherwise, or a fit that does not converge.
     """
     points = np.asarray(points_mm, dtype=float)
     if points.ndim != 2 or points.shape[1] != 3 or len(points) < FEWEST:
@@ -108,34 +114,10 @@ def fit_sphere_algebraic(
     _, singular, directions = np.linalg.svd(local, full_matrices=False)
     if singular[-1] <= SMALLEST_SINGULAR_VALUE * singular[0] or singular[0] == 0.0:
         raise _undetermined(f"all in one plane with the normal {_direction(directions[-1])}", file, line)
+    # Start at the algebraic fit.
     centre, radius = algebraic_sphere(local)
-    return middle + size * centre, size * radius
-
-
-def fit_sphere(
-    points_mm: np.ndarray,
-    radius_mm: float | None = None,
-    *,
-    file: str | Path | None = None,
-    line: int | None = None,
-) -> Sphere:
-    """Return the sphere with the smallest sum of squared orthogonal distances from the points.
-
-    Args:
-        points_mm: (n, 3).
-        radius_mm: known radius; None to fit it.
-        file: file of the points, for messages.
-        line: their first line.
-
-    Raises:
-        InputError: as `fit_sphere_algebraic`; or the points do not determine the centre, or the fit does not converge.
-    """
-    points = np.asarray(points_mm, dtype=float)
-    centre, radius = fit_sphere_algebraic(points, file=file, line=line)
-    size = float(np.abs(points - points.mean(axis=0)).max())
-    local, start = (points - centre) / size, np.zeros(3 if radius_mm is not None else 4)
-    if radius_mm is None:
-        start[3] = radius / size
+    local, centre = local - centre, middle + size * centre
+    start = np.zeros(3) if radius_mm is not None else np.array([0.0, 0.0, 0.0, radius])
 
     def residuals(x: np.ndarray) -> np.ndarray:
         return np.linalg.norm(local - x[:3], axis=1) - (x[3] if radius_mm is None else radius_mm / size)

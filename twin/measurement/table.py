@@ -375,6 +375,10 @@ class Measurements(DisplayedResult):
         notices = [note(notice) for notice in self.notices]
         return Display(count_with_noun(len(self), "reading"), rows, below=(*aside, *notices), small=self.source)
 
+    def moved(self, machine: Machine) -> list[str]:
+        """Return the names of the axes that have more than one commanded position."""
+        return [axis.name for axis, q in zip(machine.axes, self.positions.T, strict=True) if np.ptp(q) > 0.0]
+
     def error(
         self,
         what: str,

@@ -185,8 +185,7 @@ def read_check(
     with one_blas_thread():
         placed = prepare(machine, data, None)
         data = placed.data
-        moved = [axis.name for axis, q in zip(machine.axes, data.positions.T, strict=True) if np.ptp(q) > 0.0]
-        unknowns = constant_unknowns(machine, moved)
+        unknowns = constant_unknowns(machine, data.moved(machine))
         if not len(unknowns):
             raise data.error("no axis moved", expected="two or more positions of an axis", row=0)
         network = Network(machine, data, placed.instruments, unknowns, calibration)
