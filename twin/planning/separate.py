@@ -118,6 +118,17 @@ def separate(
     Raises:
         InputError: a cause does not exist on this machine or cannot be planned for, the two causes are the same, or the time budget is
             too short.
+
+    Examples:
+        >>> machine = twin.Machine.load("dmu50")
+        >>> first, second = "cross_axis E_AX by Z coefficient=60", "cross_axis E_AY by Z coefficient=60"
+        >>> plan = twin.separate(machine, first, second, minutes=30.0)
+        >>> [(round(value, 1), unit) for value, unit in plan.separation.sizes]
+        [(34.4, 'urad/m'), (21.8, 'urad/m')]
+
+    References:
+        - A. C. Atkinson, V. V. Fedorov: The design of experiments for discriminating between two rival models, Biometrika 62 (1975)
+          57-70.
     """
     with one_blas_thread():
         causes = (NamedCause.parse(first), NamedCause.parse(second))
