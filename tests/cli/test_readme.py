@@ -65,9 +65,16 @@ def test_the_manual_has_a_page_for_every_name() -> None:
         assert first.endswith(".") and len([line for line in rest if line.strip()]) >= 5, page
 
 
-@pytest.mark.parametrize(("number", "printed"), [(0, "[["), (1, "error at the tool")])
-def test_readme_scripts_run_as_written(number: int, printed: str, tmp_path: Path) -> None:
-    script = README.split("```python\n")[1:][number].split("```")[0]
+@pytest.mark.parametrize(
+    ("page", "number", "printed"),
+    [
+        ("README.md", 0, "[["),
+        ("README.md", 1, "error at the tool"),
+        (".docs/pages/getting-started.md", 0, "error at the tool"),
+    ],
+)
+def test_scripts_run_as_written(page: str, number: int, printed: str, tmp_path: Path) -> None:
+    script = (ROOT / page).read_text().split("```python\n")[1:][number].split("```")[0]
     done = subprocess.run([sys.executable, "-c", script], cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert printed in done.stdout

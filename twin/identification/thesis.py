@@ -209,15 +209,12 @@ def identify_as_thesis(
         >>> machine = twin.Machine.load("dmu50")
         >>> plan, truth = twin.thesis_plan.plan(machine), twin.Calibration.default(machine)
         >>> data, _ = twin.simulate(plan, machine, truth, twin.instruments.LaserTracker(), np.random.default_rng(1))
-        >>> found = twin.identify_as_thesis(data, machine)
-        >>> len(found.calibration.curves), sorted(found.calibration.squareness)
-        (30, ['E_A0Z', 'E_B0Z', 'E_C0Y'])
+        >>> sorted(twin.identify_as_thesis(data, machine).calibration.squareness)
+        ['E_A0Z', 'E_B0Z', 'E_C0Y']
 
     References:
-        - S. H. Ellingsdalen: Improving the Accuracy of a Five-Axis Machine Tool by Laser Tracker Calibration, master's thesis, NTNU,
-          2021, 3.1 to 3.4.
-        - Z. Zhang, H. Hu: Measuring geometrical errors of linear axis of machine tools based on the laser tracker, ROBIO 2011,
-          2276-2281.
+        - S. H. Ellingsdalen: Improving the Accuracy of a Five-Axis Machine Tool by Laser Tracker Calibration, NTNU, 2021, 3.1 to 3.4.
+        - Z. Zhang, H. Hu: Measuring geometrical errors of linear axis of machine tools based on the laser tracker, ROBIO 2011.
     """
     _check_machine(machine)
     chosen = dict(degrees or {})
