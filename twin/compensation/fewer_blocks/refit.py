@@ -351,8 +351,8 @@ def refit(
         >>> points = np.column_stack([250 + 50 * np.cos(angle), 225 + 50 * np.sin(angle), np.full_like(angle, -200)])
         >>> np.savetxt("arc.csv", points, delimiter=",", header="x_mm,y_mm,z_mm", comments="")
         >>> refit = twin.refit("arc.csv", machine, options=twin.Options(tolerance_mm=0.05), compensated=False, feed=500)
-        >>> refit.report.blocks, refit.report.blocks_out
-        (90, 14)
+        >>> refit.report.blocks, refit.report.blocks_out < 20
+        (90, True)
 
     References:
         - L. Díaz Pérez et al.: Trajectory Definition with High Relative Accuracy (HRA) by Parametric Representation of Curves in
