@@ -14,7 +14,11 @@ import pytest
 
 import twin
 
-WITHOUT_EXAMPLE = {"__version__": "a text"}
+WITHOUT_EXAMPLE = {
+    "__version__": "a text",
+    "identification_plots": "in the example of `identify`, whose result it draws",
+    "diagnosis_plots": "in the example of `diagnose`, whose result it draws",
+}
 """Names of the API that need no example, with the reason."""
 FINDER = doctest.DocTestFinder(recurse=False)
 
