@@ -60,7 +60,7 @@ def api_page() -> str:
     groups = {"Classes": inspect.isclass, "Functions": inspect.isfunction, "Modules": inspect.ismodule}
     parts = [
         "# API\n\n`import twin` gives every name on this page; each is imported when it is first used. Arrays are (n, axes) in"
-        " command order, in mm and degrees, and read-only in results.\n"
+        " command order, in mm and degrees, and read-only in results. The examples begin with `import numpy as np` and `import twin`.\n"
     ]
     for title, belongs in groups.items():
         parts.append(f"## {title}\n")

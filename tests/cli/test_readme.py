@@ -16,11 +16,13 @@ from typing import Any
 import pytest
 import typer
 
+from tests.measurement.formats.cases import renishaw_laser
 from twin.cli.commands import app, load
 from twin.cli.doc import PAGES, page_text
 from twin.cli.shared.terminal import repeat_options
 from twin.machine.machine import Machine
 from twin.model.calibration import Calibration
+from twin.samples import TABLES
 
 ROOT = Path(__file__).resolve().parents[2]
 README = (ROOT / "README.md").read_text()
@@ -65,12 +67,36 @@ def test_the_manual_has_a_page_for_every_name() -> None:
         assert first.endswith(".") and len([line for line in rest if line.strip()]) >= 5, page
 
 
-@pytest.mark.parametrize(("number", "printed"), [(0, "[["), (1, "error at the tool")])
-def test_readme_scripts_run_as_written(number: int, printed: str, tmp_path: Path) -> None:
-    script = README.split("```python\n")[1:][number].split("```")[0]
+@pytest.mark.parametrize(
+    ("page", "number", "printed"),
+    [
+        ("README.md", 0, "[["),
+        ("README.md", 1, "error at the tool"),
+        (".docs/pages/getting-started.md", 0, "error at the tool"),
+    ],
+)
+def test_scripts_run_as_written(page: str, number: int, printed: str, tmp_path: Path) -> None:
+    script = (ROOT / page).read_text().split("```python\n")[1:][number].split("```")[0]
     done = subprocess.run([sys.executable, "-c", script], cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert printed in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("page", "name", "content"),
+    [
+        ("convert", "x.rtl", renishaw_laser.GOOD.encode()),
+        ("import", "export.csv", TABLES[0].read_bytes()),
+    ],
+)
+def test_scripts_of_the_manual_run_as_written(page: str, name: str, content: bytes, tmp_path: Path) -> None:
+    lines = page_text(page).splitlines()
+    script = takewhile(lambda line: not line or line.startswith("    "), lines[lines.index("    import twin") :])
+    (tmp_path / name).write_bytes(content)
+    command = [sys.executable, "-c", textwrap.dedent("\n".join(script))]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert len(list(tmp_path.iterdir())) == 2, "the script saves one file"
 
 
 def test_readme_is_short() -> None:

@@ -61,6 +61,11 @@ def find_program(path: str | Path) -> Path:
 
     Raises:
         InputError: there is neither.
+
+    Examples:
+        >>> program = twin.find_program("cone_frustum.nc")
+        >>> program.name, program.exists()
+        ('cone_frustum.nc', True)
     """
     path = Path(path)
     if path.exists():

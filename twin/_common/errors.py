@@ -28,6 +28,13 @@ class InputError(ValueError):
         nearest: the known name that was probably meant (function `closest_name`), or None.
         setting: names of settings that may be missing (``work offset``; ``temperature, time``), or None; the command line adds
             their options.
+
+    Examples:
+        >>> try:
+        ...     twin.Machine.load("dmu5")
+        ... except twin.InputError as error:
+        ...     print(error.nearest)
+        dmu50
     """
 
     def __init__(

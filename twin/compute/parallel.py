@@ -93,6 +93,10 @@ class Workers:
 
     Raises:
         InputError: fewer than one process; a scheduler without Dask installed; TLS files without a ``tls://`` scheduler.
+
+    Examples:
+        >>> here = twin.Workers(processes=2)
+        >>> cluster = twin.Workers(scheduler="tcp://host:8786")  # connects when it is used
     """
 
     processes: int | None = None

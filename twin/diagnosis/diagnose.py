@@ -41,6 +41,29 @@ def diagnose(
     Raises:
         InputError: data that cannot be a measurement of this machine.
         TypeError: a path instead of the object read from it.
+
+    Examples:
+        >>> from dataclasses import replace
+        >>> machine = twin.Machine.load("dmu50")
+        >>> model, tracker = twin.Calibration.default(machine), twin.instruments.LaserTracker()
+        >>> hidden = twin.effect_named("cross_axis", "E_AY by Z", {"coefficient": 110.0}, machine)
+        >>> plan, real = twin.thesis_plan.plan(machine), replace(model, extra=(hidden,))
+        >>> data, _ = twin.simulate(plan, machine, real, tracker, np.random.default_rng(2))
+        >>> diagnosis = twin.diagnose(data, machine, model, instrument=tracker)
+        >>> cause = diagnosis.causes[0]
+        >>> cause.effect, cause.where, round(cause.parameters[0].value), cause.parameters[0].unit
+        ('cross_axis', 'E_AY by Z', 109, 'urad/m')
+        >>> cause.equivalent  # the readings do not distinguish it from
+        (('cross_axis', 'E_AX by Z'),)
+        >>> twin.diagnosis_plots.plot_cause(diagnosis).savefig("cause.png")
+
+    References:
+        - G. Wang, A. Sarkar, P. Carbonetto, M. Stephens: A simple new approach to variable selection in regression, with application to
+          genetic fine mapping, J. R. Statist. Soc. B 82 (2020) 1273-1300 (probabilities of the causes).
+        - M. Stone: Cross-validatory choice and assessment of statistical predictions, J. R. Statist. Soc. B 36 (1974) 111-147 (number
+          of causes).
+        - A. C. Atkinson, V. V. Fedorov: The design of experiments for discriminating between two rival models, Biometrika 62 (1975)
+          57-70 (next measurement).
     """
     require_type("data", data, Measurements)
     require_type("machine", machine, Machine)

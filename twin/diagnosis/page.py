@@ -46,6 +46,16 @@ def diagnosis_html(diagnosis: DiagnosisResult) -> str:
 
     Args:
         diagnosis: the result of `twin.diagnosis.diagnose`.
+
+    Examples:
+        >>> from pathlib import Path
+        >>> machine = twin.Machine.load("dmu50")
+        >>> model, tracker = twin.Calibration.default(machine), twin.instruments.LaserTracker()
+        >>> plan = twin.thesis_plan.plan(machine)
+        >>> along_x = plan.select(plan.approach[:, 0] != 0)
+        >>> data, _ = twin.simulate(along_x, machine, model, tracker, np.random.default_rng(2))
+        >>> page = twin.diagnosis_html(twin.diagnose(data, machine, model, instrument=tracker))
+        >>> _ = Path("diagnosis.html").write_text(page, encoding="utf-8")
     """
     title, mood = text.headline(diagnosis)
     machine = diagnosis.calibration.machine.name

@@ -72,6 +72,23 @@ def identify(
     Raises:
         InputError: data that cannot be a measurement of this machine; too few repeats for ``spread="repeats"``; no axis that moved.
         TypeError: a path instead of the object read from it.
+
+    Examples:
+        >>> machine = twin.Machine.load("dmu50")
+        >>> plan = twin.thesis_plan.plan(machine)
+        >>> along_x = plan.select(plan.approach[:, 0] != 0)
+        >>> truth, tracker = twin.Calibration.default(machine), twin.instruments.LaserTracker()
+        >>> data, _ = twin.simulate(along_x, machine, truth, tracker, np.random.default_rng(1))
+        >>> found = twin.identify(data, machine)
+        >>> sorted(found.calibration.curves)
+        ['E_AX', 'E_BX', 'E_CX', 'E_XX', 'E_YX', 'E_ZX']
+        >>> found.calibration.save("identified.yaml")
+        >>> twin.identification_plots.plot_motions(found, "X").savefig("motions.png")
+
+    References:
+        - H. D. Patterson, R. Thompson: Recovery of inter-block information when block sizes are unequal, Biometrika 58 (1971) 545-554.
+        - A. Gelman: Prior distributions for variance parameters in hierarchical models, Bayesian Analysis 1 (2006) 515-534.
+        - P. J. Huber: Robust estimation of a location parameter, Ann. Math. Statist. 35 (1964) 73-101.
     """
     require_type("data", data, Measurements)
     require_type("machine", machine, Machine)

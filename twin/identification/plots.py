@@ -1,6 +1,6 @@
 """Plots of an identification. They need the extra ``plots`` (matplotlib).
 
-Every function returns a new `Figure` with the colours of `twin.display.figures`, whose `save` writes it. Colours are distinguishable
+Every function returns a new `Figure` in the colours of `twin.display.figures`; its `savefig` writes it. Colours are distinguishable
 for colour-blind readers; line styles and markers without colour.
 """
 

@@ -204,6 +204,17 @@ def identify_as_thesis(
     Raises:
         InputError: a machine of another design, a table without these runs, a degree too high for the number of positions, an unknown
             error motion, places that make the six equations singular.
+
+    Examples:
+        >>> machine = twin.Machine.load("dmu50")
+        >>> plan, truth = twin.thesis_plan.plan(machine), twin.Calibration.default(machine)
+        >>> data, _ = twin.simulate(plan, machine, truth, twin.instruments.LaserTracker(), np.random.default_rng(1))
+        >>> sorted(twin.identify_as_thesis(data, machine).calibration.squareness)
+        ['E_A0Z', 'E_B0Z', 'E_C0Y']
+
+    References:
+        - S. H. Ellingsdalen: Improving the Accuracy of a Five-Axis Machine Tool by Laser Tracker Calibration, NTNU, 2021, 3.1 to 3.4.
+        - Z. Zhang, H. Hu: Measuring geometrical errors of linear axis of machine tools based on the laser tracker, ROBIO 2011.
     """
     _check_machine(machine)
     chosen = dict(degrees or {})

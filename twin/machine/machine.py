@@ -128,6 +128,13 @@ class Machine(DisplayedResult):
         tcp_on, tcp_off: program words that switch tool centre point control on and off on this machine.
         harmless: program words that leave positions, frames, offsets and modes alone on this machine.
         origin_mm: axis coordinates at which the URDF's linear joints are zero, by axis; 0 for those that are not named.
+
+    Examples:
+        >>> machine = twin.Machine.load("dmu50")
+        >>> machine.names, machine.rotary
+        (('X', 'Y', 'Z', 'B', 'C'), (3, 4))
+        >>> machine.by_name["B"].domain
+        (0.0, 180.0)
     """
 
     def __init__(self, path: Path) -> None:

@@ -62,6 +62,12 @@ class Placement(Result):
     Attributes:
         stations: by name.
         places_mm: place of each target on its carrier, by name.
+
+    Examples:
+        >>> plan = twin.thesis_plan.plan(twin.Machine.load("dmu50"))
+        >>> placement = twin.Placement.draw(plan, np.random.default_rng(1))
+        >>> tuple(placement.stations), tuple(placement.places_mm)
+        (('1',), ('K', 'P', 'Q', 'KT', 'PT', 'QT'))
     """
 
     stations: Mapping[str, Station]
@@ -201,6 +207,18 @@ def simulate(
     Raises:
         InputError: a position outside the domain of a curve; a drift of an unknown station, or without ``time_s``; a sphere that the
             probe cannot reach.
+
+    Examples:
+        >>> machine = twin.Machine.load("dmu50")
+        >>> plan = twin.thesis_plan.plan(machine)
+        >>> tracker = twin.instruments.LaserTracker()
+        >>> data, placement = twin.simulate(plan, machine, twin.Calibration.default(machine), tracker, np.random.default_rng(1))
+        >>> data.simulated, data.point_mm.shape
+        (True, (840, 3))
+
+    References:
+        - K. P. Birch, M. J. Downs: Correction to the updated Edlén equation for the refractive index of air, Metrologia 31 (1994)
+          315-316.
     """
     around = Environment() if surroundings is None else surroundings
     around.check(plan)

@@ -185,6 +185,14 @@ class Measurements(DisplayedResult):
         simulated: whether any of the readings were simulated, not measured on a machine.
         feed_mm_min: (n,) feed along the path when the point was taken, mm/min; NaN where not given.
         bar_mm: (n,) nominal length of the ball bar, from a comment of the file; NaN where not given.
+
+    Examples:
+        >>> machine = twin.Machine.load("dmu50")
+        >>> plan = twin.thesis_plan.plan(machine)
+        >>> along_x = plan.select(plan.approach[:, 0] != 0)
+        >>> along_x.save("along_x.csv", machine)
+        >>> len(plan), len(twin.Measurements.load("along_x.csv", machine, plan=True))
+        (840, 132)
     """
 
     source: str

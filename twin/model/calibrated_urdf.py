@@ -77,6 +77,15 @@ def calibrated_urdf(calibration: Calibration) -> CalibratedUrdf:
 
     Raises:
         InputError: the URDF cannot be read.
+
+    Examples:
+        >>> from dataclasses import replace
+        >>> machine = twin.Machine.load("dmu50")
+        >>> calibration = replace(twin.Calibration.zero(machine), squareness={"E_C0Y": 20.0})
+        >>> urdf = twin.calibrated_urdf(calibration)
+        >>> urdf.included
+        ('E_C0Y',)
+        >>> urdf.save("calibrated.urdf")
     """
     machine = calibration.machine
     robot = _parsed(read_urdf(machine.urdf))

@@ -86,6 +86,18 @@ class Calibration(DisplayedResult):
         misfit: residuals of the identification; None if it was not identified.
         instruments: names of the instruments it was measured with.
         set_up: set-up of the measurement; None if unknown.
+
+    Examples:
+        >>> machine = twin.Machine.load("dmu50")
+        >>> calibration = twin.Calibration.default(machine)
+        >>> len(calibration.curves), calibration.illustrative
+        (30, True)
+        >>> calibration.where(lambda name: name == "E_XX").save("positioning.yaml")
+        >>> tuple(twin.Calibration.load("positioning.yaml", machine).curves)
+        ('E_XX',)
+
+    References:
+        - ISO 230-1:2012, Geometric accuracy of machines operating under no-load or quasi-static conditions (names of the errors).
     """
 
     machine: Machine

@@ -37,6 +37,14 @@ class MachineLog(Result):
         temperature_degC: (n,) by sensor or axis.
         speed_rpm: (n,) spindle speed of the time up to each row; None if it was not recorded.
         notices: what was read but not used.
+
+    Examples:
+        >>> rows = [[0, 20.0, 0], [60, 20.4, 8000], [120, 20.9, 8000]]
+        >>> np.savetxt("log.csv", rows, delimiter=",", header="time_s,T_X_degC,spindle_rpm", comments="")
+        >>> log = twin.MachineLog.load("log.csv")
+        >>> log.temperature_degC["X"]
+        array([20. , 20.4, 20.9])
+        >>> conditions = twin.Conditions(log=log, time_s=0.0)
     """
 
     path: Path
@@ -97,6 +105,11 @@ class Conditions:
         load_kg: mass carried in the spindle or gripper, or on the table; None if not given.
         log: temperatures and speeds of the machine over time; None if not given.
         speed_of_program: whether the program's own words give the spindle speed where nothing else does.
+
+    Examples:
+        >>> conditions = twin.Conditions(temperature_degC={"X": 23.5}, time_s=7200.0)
+        >>> conditions.channels
+        {'T_X_degC': 23.5, 'time_s': 7200.0}
     """
 
     temperature_degC: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))

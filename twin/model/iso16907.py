@@ -79,6 +79,16 @@ class Scope:
         classes: basic classes, corrected at the functional point.
         orientation: whether the functional orientation is corrected too (``FOR``).
         explicit: whether the user chose the scope; otherwise it is the default.
+
+    Examples:
+        >>> scope = twin.Scope.parse(["L-VOL", "R-POS"])
+        >>> sorted(scope.classes)
+        ['L-ANG', 'L-POS', 'L-SQU', 'L-STR', 'R-POS']
+        >>> scope.orientation
+        False
+
+    References:
+        - ISO/TR 16907:2015, Numerical compensation of geometric errors.
     """
 
     classes: frozenset[str]

@@ -31,6 +31,13 @@ class Curve(Result):
         source: origin of the numbers.
         illustrative: whether they are illustrative instead of measured.
         knots: knots of the basis, if it has any, mm or degrees.
+
+    Examples:
+        >>> curve = twin.Curve("E_XX", "um", (0.0, 500.0), "power", (0.0, 11.4, 2.0))
+        >>> curve([0.0, 250.0, 500.0])  # µm
+        array([-9.4,  0. , 13.4])
+        >>> curve.written("bernstein", 3).coefficients
+        (-9.4, -2.0, 13.4)
     """
 
     name: str

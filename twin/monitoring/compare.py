@@ -65,6 +65,20 @@ def compare(
     Raises:
         InputError: calibrations of different machines; one measured under control tables and the other without; conditions that
             neither calibration uses; a tolerance that is not positive.
+
+    Examples:
+        >>> from dataclasses import replace
+        >>> machine = twin.Machine.load("dmu50")
+        >>> last_year = twin.Calibration.default(machine)
+        >>> today = replace(last_year, squareness={**last_year.squareness, "E_C0Y": 40.0})
+        >>> changes = twin.compare(last_year, today, tool_length_mm=120)
+        >>> [(change.name, round(change.rms, 1), change.unit) for change in changes.errors if change.rms > 0]
+        [('E_C0Y', 123.8, 'urad')]
+        >>> round(changes.tool.left.max_um, 1)  # largest error that the older calibration leaves
+        57.7
+
+    References:
+        - S. Holm: A simple sequentially rejective multiple test procedure, Scand. J. Statist. 6 (1979) 65-70.
     """
     notices, named = _check_tables(first, second), (_label(first, "the first"), _label(second, "the second"))
     first, second = (side.with_control(None) if side.corrections else side for side in (first, second))

@@ -48,6 +48,12 @@ class WatchSettings:
         tool_length_mm: tool length for that error; None for the machine file's.
         dates: dates of checks by file name, where neither a comment nor the name gives one.
         since: earlier checks are not used; None for all. Set it after a repair or a new calibration.
+
+    Examples:
+        >>> from datetime import datetime
+        >>> settings = twin.WatchSettings(alarm_rate=0.01, tolerance_mm=0.05, since=datetime(2026, 3, 1))
+        >>> settings.alarm_rate
+        0.01
     """
 
     alarm_rate: float = 0.05
@@ -89,6 +95,25 @@ def watch(
     Raises:
         InputError: no folder, no checks, a file that is not a measurement of this machine or has no date, a calibration whose estimate
             did not converge, or a memory that cannot be used.
+
+    Examples:
+        >>> from pathlib import Path
+        >>> machine = twin.Machine.load("dmu50")
+        >>> check, probe = twin.measuring_sequence(machine, "probe", "turns").table, twin.instruments.TouchProbe()
+        >>> Path("checks").mkdir()
+        >>> for day in range(1, 9):  # on the fifth day the C axis is 30 µm off
+        ...     real = twin.Calibration(machine, "truth", {}, {}, {"E_X0C": 30.0} if day > 4 else {})
+        ...     data, _ = twin.simulate(check, machine, real, probe, np.random.default_rng(day))
+        ...     data.save(f"checks/2026-03-0{day}.csv", machine)
+        >>> found = twin.watch("checks", machine, twin.Calibration.zero(machine))
+        >>> found.verdict, [error.series.name for error in found.alarms]
+        ('changed', ['E_X0C'])
+
+    References:
+        - H. Robbins: Statistical methods related to the law of the iterated logarithm, Ann. Math. Statist. 41 (1970) 1397-1409.
+        - M. F. Pérez-Ortiz, T. Lardy, R. de Heide, P. D. Grünwald: E-statistics, group invariance and anytime-valid testing, Ann.
+          Statist. 52 (2024) 1410-1432.
+        - B. E. Hansen: Sample splitting and threshold estimation, Econometrica 68 (2000) 575-603 (date of a change).
     """
     require_type("machine", machine, Machine)
     require_type("calibration", calibration, Calibration)

@@ -275,6 +275,19 @@ def watch_html(watch: Watch) -> str:
 
     Args:
         watch: the result of `twin.watch`.
+
+    Examples:
+        >>> from pathlib import Path
+        >>> machine = twin.Machine.load("dmu50")
+        >>> calibration, tracker = twin.Calibration.zero(machine), twin.instruments.LaserTracker()
+        >>> plan = twin.thesis_plan.plan(machine)
+        >>> along_x = plan.select(plan.approach[:, 0] != 0)
+        >>> Path("checks").mkdir()
+        >>> for day in range(1, 4):
+        ...     data, _ = twin.simulate(along_x, machine, calibration, tracker, np.random.default_rng(day))
+        ...     data.save(f"checks/2026-03-0{day}.csv", machine)
+        >>> page = twin.watch_html(twin.watch("checks", machine, calibration))
+        >>> _ = Path("watch.html").write_text(page, encoding="utf-8")
     """
     state = "alarm" if not watch.met else "doubt" if watch.tolerance_mm is not None and watch.good is None else "none"
     drawn = sorted(watch.errors, key=lambda one: ORDER.index(one.verdict))[:MOST_ERRORS]

@@ -78,6 +78,11 @@ def read_program(path: str | Path) -> tuple[Program, Dialect]:
     Raises:
         InputError: there is no such file, its suffix is unknown, it is empty or not text, it needs more memory than there is, or a
             subprogram cannot be written out.
+
+    Examples:
+        >>> program, dialect = twin.read_program("cone_frustum.nc")
+        >>> dialect.name, len(program.texts)
+        ('iso', 375)
     """
     found = find_program(path)
     data = read_bytes(found, most_bytes=MAX_TEXT_BYTES)

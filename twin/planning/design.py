@@ -228,6 +228,12 @@ def duration(machine: Machine, kit: Kit, plan: Measurements) -> float:
     """Return the seconds that a plan takes in its given order with a kit's times, for comparison with other plans.
 
     Targets and stations are matched with the kit's by name; others need no time for aiming.
+
+    Examples:
+        >>> machine = twin.Machine.load("dmu50")
+        >>> seconds = twin.duration(machine, twin.Kit.default(machine), twin.thesis_plan.plan(machine))
+        >>> round(seconds / 3600, 1)  # hours
+        4.6
     """
     clock = _Clock(machine, kit, plan, None)
     here: str | None = None

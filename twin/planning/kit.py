@@ -159,6 +159,14 @@ class Kit(Result):
         speeds: (axes,) travel speed, mm/s and degrees/s.
         ranges: (axes, 2) usable ranges, mm and degrees; one turn for an unlimited axis.
         opaque: whether the machine's shapes block the beam.
+
+    Examples:
+        >>> from dataclasses import replace
+        >>> machine = twin.Machine.load("dmu50")
+        >>> kit = twin.Kit.default(machine)
+        >>> tuple(kit.stations), tuple(kit.targets)
+        (('front', 'left', 'right', 'high'), ('T1', 'T2', 'T3', 'W1', 'W2', 'W3'))
+        >>> left_only = replace(kit, stations={"left": kit.stations["left"]})
     """
 
     source: str

@@ -172,6 +172,19 @@ def measuring_sequence(
 
     Raises:
         InputError: an unknown name, a sequence that is not for this instrument or machine, too little time, or no point within reach.
+
+    Examples:
+        >>> machine = twin.Machine.load("dmu50")
+        >>> plan = twin.measuring_sequence(machine, "probe", places_mm={"a": (150.0, 0.0, 60.0)}, minutes=15)
+        >>> plan.minutes <= 15
+        True
+        >>> plan.save("plan.csv")
+
+    References:
+        - ISO 10791-6:2014 (interpolated motions).
+        - V. V. Fedorov: Theory of Optimal Experiments, Academic Press, 1972 (best design).
+        - A. C. Atkinson, A. N. Donev, R. D. Tobias: Optimum Experimental Designs, with SAS, Oxford University Press, 2007, chapters 10
+          to 12.
     """
     reader = instrument_named(instrument) if isinstance(instrument, str) else instrument
     chosen = sequence_named(sequence, reader.name)

@@ -328,6 +328,18 @@ def plan(
     Raises:
         InputError: the time budget is too short, too few poses have clearance, a reflector is visible from no station, or the machine
             has no error of a given name.
+
+    Examples:
+        >>> machine = twin.Machine.load("dmu50")
+        >>> plan = twin.plan(machine, minutes=30.0, tool_length_mm=120)
+        >>> plan.minutes <= 30.0
+        True
+        >>> plan.save("plan.csv")
+
+    References:
+        - V. V. Fedorov: Theory of Optimal Experiments, Academic Press, 1972.
+        - A. C. Atkinson, A. N. Donev, R. D. Tobias: Optimum Experimental Designs, with SAS, Oxford University Press, 2007, chapters 10
+          to 12.
     """
     with one_blas_thread():
         task = Task.of(machine, kit, minutes, expected, seed, progress, reduce)
@@ -368,6 +380,17 @@ def judge(
 
     Raises:
         InputError: no axis moves in the plan.
+
+    Examples:
+        >>> machine = twin.Machine.load("dmu50")
+        >>> forecast = twin.judge(twin.thesis_plan.plan(machine), machine, tool_length_mm=120)
+        >>> round(forecast.tool_um, 1)
+        23.8
+        >>> [error.name for error in forecast.hidden][:3]
+        ['E_X0B', 'E_Y0B', 'E_Y0C']
+
+    References:
+        - Y. Sun, J. M. Hollerbach: Observability index selection for robot calibration, ICRA 2008, 831-836.
     """
     if not np.any(np.ptp(table.positions, axis=0) > 0.0):
         raise InputError("no axis moves", expected="two or more positions of an axis", file=table.source)

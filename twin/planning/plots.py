@@ -1,6 +1,10 @@
 """Plots of a plan: stations and reflectors, and the predicted uncertainty of every error. Needs the extra ``plots``.
 
 Every function returns a new `Figure` in the colours of `twin.display.figures`; every colour also has its own marker.
+
+Examples:
+    >>> machine = twin.Machine.load("dmu50")
+    >>> twin.planning_plots.plot_places(twin.thesis_plan.plan(machine), machine).savefig("places.png")
 """
 
 from __future__ import annotations

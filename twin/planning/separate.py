@@ -121,6 +121,17 @@ def separate(
     Raises:
         InputError: a cause does not exist on this machine or cannot be planned for, the two causes are the same, or the time budget is
             too short.
+
+    Examples:
+        >>> machine = twin.Machine.load("dmu50")
+        >>> first, second = "cross_axis E_AX by Z coefficient=60", "cross_axis E_AY by Z coefficient=60"
+        >>> plan = twin.separate(machine, first, second, minutes=30.0)
+        >>> [value < 60 for value, unit in plan.separation.sizes]  # distinguished at the given sizes, µrad/m
+        [True, True]
+
+    References:
+        - A. C. Atkinson, V. V. Fedorov: The design of experiments for discriminating between two rival models, Biometrika 62 (1975)
+          57-70.
     """
     with one_blas_thread():
         causes = (NamedCause.parse(first), NamedCause.parse(second))

@@ -1,12 +1,5 @@
 """In a notebook: calibrations and tables as pandas frames, errors over the volume as xarray data, plots to go on with, sliders.
 
-    frame = twin.to_frame(calibration)                  # one row per number, with its standard uncertainty
-    changed = twin.calibration_from_frame(frame, calibration)
-    table = twin.to_frame(measurements, machine)        # the columns of the CSV file
-    field = twin.error_field(kinematics, {"X": x, "Y": y})
-    ax = twin.plot_curve(calibration, "E_XX")           # matplotlib axes
-    twin.axis_sliders(kinematics)                       # a slider for each axis, with the machine and the error there
-
 pandas, xarray and ipywidgets are the extra `notebook`: `pip install 'twin[notebook]'`. Nothing else of twin needs them.
 """
 
@@ -79,6 +72,14 @@ def to_frame(what: Calibration | Measurements, machine: Machine | None = None) -
 
     Raises:
         InputError: pandas is not installed; a table without its machine.
+
+    Examples:
+        >>> machine = twin.Machine.load("dmu50")
+        >>> frame = twin.to_frame(twin.Calibration.default(machine))
+        >>> frame.groupby("kind").size().to_dict()
+        {'curve': 203, 'location': 8, 'squareness': 3}
+        >>> twin.to_frame(twin.thesis_plan.plan(machine), machine).shape
+        (840, 24)
     """
     pandas = optional("pandas")
     if isinstance(what, Calibration):
@@ -115,6 +116,13 @@ def calibration_from_frame(frame: pd.DataFrame, calibration: Calibration) -> Cal
 
     Raises:
         InputError: a column or a row is missing, given twice, or unknown, or a value is not finite; the error names it.
+
+    Examples:
+        >>> calibration = twin.Calibration.default(twin.Machine.load("dmu50"))
+        >>> frame = twin.to_frame(calibration)
+        >>> frame.loc[frame.error == "E_C0Y", "value"] = 0.0
+        >>> twin.calibration_from_frame(frame, calibration).squareness["E_C0Y"]
+        0.0
     """
     missing = [name for name in ("error", "term", "value") if name not in frame.columns]
     if missing:
@@ -152,6 +160,14 @@ def measurements_from_frame(frame: pd.DataFrame, machine: Machine) -> Measuremen
 
     Raises:
         InputError: as for `Measurements.load`; the line is that of the frame written as CSV.
+
+    Examples:
+        >>> machine = twin.Machine.load("dmu50")
+        >>> plan, truth = twin.thesis_plan.plan(machine), twin.Calibration.default(machine)
+        >>> data, _ = twin.simulate(plan, machine, truth, twin.instruments.LaserTracker(), np.random.default_rng(1))
+        >>> frame = twin.to_frame(data, machine)
+        >>> len(twin.measurements_from_frame(frame[frame["target"] != "K"], machine))
+        708
     """
     text = frame.to_csv(index=False, lineterminator="\n")
     comments = "".join(f"{line}\n" for line in frame.attrs.get(_COMMENTS, ()))
@@ -209,6 +225,14 @@ def error_field(
 
     Raises:
         InputError: xarray is not installed; an unknown axis, one given twice, or no axis.
+
+    Examples:
+        >>> kinematics = twin.Kinematics(twin.Machine.load("dmu50"), tool_length_mm=120)
+        >>> field = twin.error_field(kinematics, {"X": [0, 250, 500], "Y": [0, 225, 450]}, {"Z": -200})
+        >>> field.distance.round(1).values
+        array([[167.3, 154.2, 122.5],
+               [ 54.5,  72.2, 148.7],
+               [ 71.3,  95.8,  62.6]])
     """
     xarray = optional("xarray")
     machine = kinematics.machine
@@ -305,6 +329,13 @@ def plot_curve(calibration: Calibration, name: str, *, ax: Axes | None = None, *
 
     Raises:
         InputError: matplotlib is not installed, or the calibration has no such curve.
+
+    Examples:
+        >>> calibration = twin.Calibration.default(twin.Machine.load("dmu50"))
+        >>> axes = twin.plot_curve(calibration, "E_XX")
+        >>> axes = twin.plot_curve(calibration, "E_YX", ax=axes, linestyle="--")
+        >>> len(axes.lines)
+        2
     """
     if name not in calibration.curves:
         known = list(calibration.curves)
@@ -341,6 +372,13 @@ def plot_field(field: xr.Dataset, variable: str = "distance", *, ax: Axes | None
 
     Raises:
         InputError: matplotlib is not installed; no such variable; more than two axes: choose a position with ``field.sel``.
+
+    Examples:
+        >>> kinematics = twin.Kinematics(twin.Machine.load("dmu50"), tool_length_mm=120)
+        >>> field = twin.error_field(kinematics, {"X": range(0, 501, 50), "Y": range(0, 451, 50)})
+        >>> axes = twin.plot_field(field)
+        >>> axes.get_xlabel(), axes.get_ylabel()
+        ('X / mm', 'Y / mm')
     """
     if variable not in field:
         known = [str(name) for name in field.data_vars]
@@ -378,6 +416,11 @@ def plot_machine(kinematics: Kinematics, position: Sequence[float] | np.ndarray,
 
     Raises:
         InputError: matplotlib is not installed, or the URDF has shapes that cannot be drawn.
+
+    Examples:
+        >>> kinematics = twin.Kinematics(twin.Machine.load("dmu50"), tool_length_mm=120)
+        >>> axes = twin.plot_machine(kinematics, [100, 200, -150, 60, 20])
+        >>> axes.figure.savefig("machine.png")
     """
     from matplotlib.collections import LineCollection
 
@@ -445,6 +488,12 @@ def axis_sliders(kinematics: Kinematics) -> ipywidgets.Box:
 
     Raises:
         InputError: ipywidgets or matplotlib is not installed; the URDF has shapes that cannot be drawn.
+
+    Examples:
+        >>> kinematics = twin.Kinematics(twin.Machine.load("dmu50"), tool_length_mm=120)
+        >>> box = twin.axis_sliders(kinematics)
+        >>> list(box.sliders)
+        ['X', 'Y', 'Z', 'B', 'C']
     """
     widgets = optional("ipywidgets")
     machine = kinematics.machine

@@ -361,6 +361,14 @@ def machine_report(
 
     Raises:
         InputError: a temperature that no effect knows; invalid files; no pose inside the domains of all curves.
+
+    Examples:
+        >>> from datetime import datetime
+        >>> machine = twin.Machine.load("dmu50")
+        >>> calibration = twin.Calibration.default(machine)
+        >>> found = twin.report(machine, calibration, made=datetime(2026, 3, 1), tool_length_mm=120)
+        >>> [contribution.name for contribution in found.budget.errors[:3]]  # the largest
+        ['E_AZ', 'E_AX', 'E_Y0B']
     """
     at = Conditions() if conditions is None else conditions
     at.check(calibration)

@@ -9,6 +9,15 @@ negative end).
 Chosen here, because the thesis shows them only as pictures: the reflectors' places (heights and azimuths for which its six equations
 are well-conditioned at every position, eq. 32, 36, 37, 3.6), the place of the tracker, the rest positions of the linear axes, and 15 s
 per point.
+
+Examples:
+    >>> machine = twin.Machine.load("dmu50")
+    >>> plan = twin.thesis_plan.plan(machine)
+    >>> len(plan), sorted(set(plan.target))
+    (840, ['K', 'KT', 'P', 'PT', 'Q', 'QT'])
+
+References:
+    - S. H. Ellingsdalen: Improving the Accuracy of a Five-Axis Machine Tool by Laser Tracker Calibration, master's thesis, NTNU, 2021.
 """
 
 from __future__ import annotations

@@ -65,6 +65,25 @@ def evaluate(
     Raises:
         InputError: a tolerance that is negative or not finite; a length that is not positive, or differs from that of the table.
         TypeError: arguments of another type.
+
+    Examples:
+        >>> machine = twin.Machine.load("dmu50")
+        >>> plan, truth = twin.thesis_plan.plan(machine), twin.Calibration.default(machine)
+        >>> data, _ = twin.simulate(plan, machine, truth, twin.instruments.LaserTracker(), np.random.default_rng(1))
+        >>> evaluation = twin.evaluate(data, machine, tolerances={"X:R_forward": 50.0})
+        >>> test = evaluation.named("X", "positioning")[0]
+        >>> test.standard, {value.key: round(value.value) for value in test.main_values}  # µm
+        ('ISO 230-2:2014, clause 3 (tests: 4.3)', {'A_forward': 141, 'E_forward': 80, 'R_forward': 102})
+        >>> evaluation.met
+        False
+
+    References:
+        - ISO 230-1:2012, clause 3.4 and test 8.2 (straightness), squareness, angular errors.
+        - ISO 230-2:2014, clause 3 (positioning).
+        - ISO 230-4:2005 and 2022 (circular tests).
+        - ISO 230-7:2015, clause 3 (error motions of rotary axes).
+        - ISO 10791-6:2014 (kinematic tests).
+        - ISO 14253-1 (conformity with a tolerance).
     """
     require_type("data", data, Measurements)
     require_type("machine", machine, Machine)

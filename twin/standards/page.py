@@ -48,6 +48,15 @@ def evaluation_html(result: EvaluationResult) -> str:
 
     Args:
         result: the result of `twin.evaluate`.
+
+    Examples:
+        >>> from pathlib import Path
+        >>> machine = twin.Machine.load("dmu50")
+        >>> plan, truth = twin.thesis_plan.plan(machine), twin.Calibration.default(machine)
+        >>> along_x = plan.select(plan.approach[:, 0] != 0)
+        >>> data, _ = twin.simulate(along_x, machine, truth, twin.instruments.LaserTracker(), np.random.default_rng(1))
+        >>> page = twin.evaluation_html(twin.evaluate(data, machine))
+        >>> _ = Path("tests.html").write_text(page, encoding="utf-8")
     """
     failed = sum(not check.met for check in result.checks)
     undecided = sum(check.conformity == "neither" for check in result.checks)

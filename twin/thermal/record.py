@@ -35,6 +35,15 @@ class ThermalRecord(Result):
         displacements: names of the displacements.
         speed_rpm: (n,); None if the record has no column of speeds.
         notices: what was read but not used.
+
+    Examples:
+        >>> time_s = np.arange(0.0, 7200.0, 120.0)
+        >>> bed_degC = 20.0 + 2.0 * (1.0 - np.exp(-time_s / 1800.0))
+        >>> rows = np.column_stack([time_s, bed_degC, 6.0 * (bed_degC - 20.0)])
+        >>> np.savetxt("warm_up.csv", rows, delimiter=",", header="time_s,T_bed_degC,Z_um", comments="")
+        >>> record = twin.ThermalRecord.load("warm_up.csv")
+        >>> record.sensors, record.displacements, record.interval_s
+        (('bed',), ('Z',), 120.0)
     """
 
     path: str

@@ -504,7 +504,16 @@ SLACK: Final = 1e-9
 
 @final
 class Status(Enum):
-    """Result for one pose."""
+    """Result for one pose.
+
+    Examples:
+        >>> machine = twin.Machine.load("dmu50")
+        >>> kinematics = twin.Kinematics(machine, tool_length_mm=120)
+        >>> command = np.array([[501.0, 225.0, -200.0, 30.0, 45.0]])  # X ends at 500 mm
+        >>> nominal = twin.Kinematics(machine, twin.Calibration.zero(machine), tool_length_mm=120)
+        >>> twin.Inverse(kinematics).solve(nominal.forward(command), command).where(twin.Status.OUT_OF_RANGE)
+        array([ True])
+    """
 
     CONVERGED = "converged"
     OUT_OF_RANGE = "out of range"
@@ -568,6 +577,22 @@ class Inverse:
 
     Raises:
         InputError: the machine does not have three linear and at most two rotary axes.
+
+    Examples:
+        >>> machine = twin.Machine.load("dmu50")
+        >>> real = twin.Kinematics(machine, tool_length_mm=120)
+        >>> nominal = twin.Kinematics(machine, twin.Calibration.zero(machine), tool_length_mm=120)
+        >>> programmed = np.array([[250.0, 225.0, -200.0, 30.0, 45.0]])
+        >>> solution = twin.Inverse(real).solve(nominal.forward(programmed), programmed)
+        >>> solution.status[0].name
+        'CONVERGED'
+        >>> (1e3 * (solution.positions - programmed)).round(1)  # µm and millidegrees
+        array([[-21.7,  -8.1,  64.6, -15.7,  37.7]])
+
+    References:
+        - R. M. Murray, Z. Li, S. S. Sastry: A Mathematical Introduction to Robotic Manipulation, CRC Press, 1994, 3.2.
+        - K. M. Lynch, F. C. Park: Modern Robotics, Cambridge University Press, 2017, 5.1.
+        - K. Sørby: Inverse kinematics of five-axis machines near singular configurations, Int. J. Mach. Tools Manuf. 47 (2007) 299-306.
     """
 
     def __init__(self, kinematics: Kinematics, *, rotary_limit_deg: float = DEFAULT_ROTARY_LIMIT_DEG) -> None:

@@ -466,6 +466,18 @@ def draw_machines(
 
     Raises:
         InputError: a number outside its limits, or a calibration without covariance; see also `twin.compute.parallel.map_as_completed`.
+
+    Examples:
+        >>> machine = twin.Machine.load("dmu50")
+        >>> expected = twin.judge(twin.thesis_plan.plan(machine), machine).calibration  # zero, with its covariance
+        >>> kinematics = twin.Kinematics(machine, expected, tool_length_mm=120)
+        >>> population = twin.draw_machines(kinematics, trials=10_000, poses=20, workers=twin.Workers(1))
+        >>> ratio = population.by_draws_um / population.first_order_um  # U by Monte Carlo and by first order
+        >>> bool(abs(ratio - 1.0).max() < 0.05)
+        True
+
+    References:
+        - JCGM 101:2008, Propagation of distributions using a Monte Carlo method, clauses 7 and 8.
     """
     if not FEWEST_TRIALS <= trials <= MOST_TRIALS:
         raise InputError(

@@ -431,6 +431,19 @@ class ToolUncertainty:
         covariance: covariance of the parameters, those of unknown errors last.
         unknown: names of the errors left out of the calibration whose plausible size is included.
         without_uncertainty: names of errors, or of single parameters of a curve, with a value but no uncertainty.
+
+    Examples:
+        >>> machine = twin.Machine.load("dmu50")
+        >>> expected = twin.judge(twin.thesis_plan.plan(machine), machine).calibration  # zero, with its covariance
+        >>> tool = twin.ToolUncertainty(twin.Kinematics(machine, expected, tool_length_mm=120))
+        >>> tool.at([[250, 225, -200, 0, 0]]).expanded_um.round(1)  # U (95 %)
+        array([36.3])
+        >>> tool.on_grid((5, 5, 5)).where
+        {'X': 500.0, 'Y': 450.0, 'Z': -400.0, 'B': 0.0, 'C': 0.0}
+
+    References:
+        - JCGM 100:2008 (GUM), 5.1.2 and 5.2.2.
+        - JCGM 102:2011, 6.2.
     """
 
     def __init__(self, kinematics: Kinematics, errors: Literal["all", "identified", "unknown"] = "all") -> None:

@@ -347,6 +347,19 @@ def refit(
     Raises:
         InputError: the input cannot be read, or the output's language does not fit it.
         OutputError: as for `Refitter.refit`.
+
+    Examples:
+        >>> machine = twin.Machine.load("dmu50")
+        >>> angle = np.radians(np.arange(0.0, 90.1, 1.0))
+        >>> points = np.column_stack([250 + 50 * np.cos(angle), 225 + 50 * np.sin(angle), np.full_like(angle, -200)])
+        >>> np.savetxt("arc.csv", points, delimiter=",", header="x_mm,y_mm,z_mm", comments="")
+        >>> refit = twin.refit("arc.csv", machine, options=twin.Options(tolerance_mm=0.05), compensated=False, feed=500)
+        >>> refit.report.blocks, refit.report.blocks_out < 20
+        (90, True)
+
+    References:
+        - L. Díaz Pérez et al.: Trajectory Definition with High Relative Accuracy (HRA) by Parametric Representation of Curves in
+          Nano-Positioning Systems, 2019.
     """
     errors = Calibration.default(machine) if calibration is None else calibration
     refitter = Refitter(machine, errors, options, compensated=compensated)

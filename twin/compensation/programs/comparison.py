@@ -262,6 +262,18 @@ class ThesisMethod:
 
     Raises:
         InputError: a machine of another design, which the listings do not cover.
+
+    Examples:
+        >>> machine = twin.Machine.load("dmu50")
+        >>> nominal = twin.Kinematics(machine, twin.Calibration.zero(machine), tool_length_mm=120)
+        >>> method = twin.ThesisMethod(twin.Calibration.default(machine), nominal)
+        >>> programmed = np.array([[250.0, 225.0, -200.0, 30.0, 45.0]])
+        >>> (1e3 * (method.commands(programmed) - programmed)).round(1)  # µm and millidegrees
+        array([[-26.7,  -9.9,  17.8,   0. ,   0. ]])
+
+    References:
+        - S. H. Ellingsdalen: Improving the Accuracy of a Five-Axis Machine Tool by Laser Tracker Calibration, master's thesis, NTNU,
+          2021, listings 3.1 to 3.4.
     """
 
     def __init__(self, calibration: Calibration, nominal: Kinematics) -> None:

@@ -120,6 +120,13 @@ def execute_file(
     Raises:
         InputError: as for `execute`; the program cannot be read, or moves no axis to a known position; an effect needs a
             temperature or time that is not given.
+
+    Examples:
+        >>> machine = twin.Machine.load("dmu50")
+        >>> execution = twin.execute_file("cone_frustum.nc", machine, tool_length_mm=120)
+        >>> error_um = 1e3 * np.linalg.norm(execution.reached_mm - execution.meant_mm, axis=1)
+        >>> round(float(error_um.max()), 1)
+        83.6
     """
     errors = Calibration.default(machine) if calibration is None else calibration
     errors = errors.with_transformation() if tcp else errors

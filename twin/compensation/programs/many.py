@@ -214,6 +214,14 @@ def compensate_files(
     Raises:
         InputError: as for `outputs` and `map_as_completed`; machine, calibration and options do not fit each other. An
             error in one program is in its `ProgramOutcome`.
+
+    Examples:
+        >>> machine = twin.Machine.load("dmu50")
+        >>> calibration, options = twin.Calibration.default(machine), twin.Options(tool_length_mm=120)
+        >>> programs, one = ["cone_frustum.nc", "cone_frustum.h"], twin.Workers(1)
+        >>> outcomes = twin.compensate_files(programs, "compensated", machine, calibration, options=options, workers=one)
+        >>> [(outcome.output.name, outcome.verdict) for outcome in outcomes]
+        [('cone_frustum.nc', 'done'), ('cone_frustum.h', 'done')]
     """
     own = Workers() if workers is None else workers
     worker = ProgramCompensator(machine, calibration, Options() if options is None else options, len(programs))

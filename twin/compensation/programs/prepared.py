@@ -46,6 +46,12 @@ class Options:
         rotary_limit_deg: largest motion of a rotary axis to correct an orientation.
         method: ``exact``, or ``thesis`` for the baseline of `twin.compensation.programs.comparison`.
         conditions: temperatures, time and speed.
+
+    Examples:
+        >>> machine = twin.Machine.load("dmu50")
+        >>> options = twin.Options(tool_length_mm=120, scope=twin.Scope.parse(["L-VOL", "R-VOL"]))
+        >>> twin.compensate("cone_frustum.nc", machine, options=options).report.scope
+        'L-VOL R-VOL'
     """
 
     setup: Setup = field(default_factory=Setup)

@@ -33,7 +33,7 @@ from twin.tool.inverse import Branches, Inverse
 @final
 @dataclass(frozen=True)
 class Setup:
-    """Set-up of the workpiece.
+    r"""Set-up of the workpiece.
 
     Attributes:
         work_offset: added to axis words, by axis name, mm and degrees.
@@ -42,6 +42,15 @@ class Setup:
         offsets: the machine's work offsets, from which the program selects; they replace the two above.
         tools: lengths of the tools that the program calls.
         one_tool: whether a program without that table must keep to one tool. Its length is of no effect on a machine without errors.
+
+    Examples:
+        >>> from pathlib import Path
+        >>> machine = twin.Machine.load("dmu50")
+        >>> setup = twin.Setup(work_offset={"X": 250.0, "Y": 225.0, "Z": -300.0})
+        >>> _ = Path("bore.nc").write_text("G0 X0 Y0 Z50\nG1 Z0 F200\n")
+        >>> result = twin.compensate("bore.nc", machine, options=twin.Options(setup=setup, tool_length_mm=120))
+        >>> result.nominal[-1]  # positions of the axes at the end
+        array([ 250.,  225., -300.,    0.,    0.])
     """
 
     work_offset: Mapping[str, float] = field(default_factory=dict)

@@ -18,7 +18,7 @@ FORMS: Final[tuple[TableForm, ...]] = (PresetsAndTools(), Sinumerik(), Fanuc(), 
 
 
 def load_offsets(path: str | Path) -> OffsetTable:
-    """Read the work offsets of a machine.
+    r"""Read the work offsets of a machine.
 
     Args:
         path: CSV (``offset,X_mm,Y_mm,Z_mm,B_deg,C_deg``), LinuxCNC ``.var``, SINUMERIK ``$P_UIFR``, Fanuc ``G10 L2`` or Heidenhain
@@ -26,6 +26,14 @@ def load_offsets(path: str | Path) -> OffsetTable:
 
     Raises:
         InputError: it cannot be read, has none of these forms, or holds an offset that does more than shift the axes.
+
+    Examples:
+        >>> from pathlib import Path
+        >>> _ = Path("offsets.csv").write_text("offset,X_mm,Y_mm,Z_mm\nG54,250,225,-370\nG55,200,180,-360\n")
+        >>> offsets = twin.load_offsets("offsets.csv")
+        >>> offsets.assumed, sorted(offsets.rows)
+        ('G54', ['G54', 'G55'])
+        >>> setup = twin.Setup(offsets=offsets)
     """
     path = Path(path)
     lines = read_lines(path)
@@ -39,13 +47,21 @@ def load_offsets(path: str | Path) -> OffsetTable:
 
 
 def load_tools(path: str | Path) -> ToolTable:
-    """Read the tool lengths of a machine.
+    r"""Read the tool lengths of a machine.
 
     Args:
         path: CSV (``tool,length_mm``), LinuxCNC ``.tbl``, SINUMERIK ``$TC_DP3``, Fanuc ``G10 L10``, Heidenhain ``.t``.
 
     Raises:
         InputError: it cannot be read, or has none of these forms.
+
+    Examples:
+        >>> from pathlib import Path
+        >>> _ = Path("tools.csv").write_text("tool,length_mm\n1,80.25\n2,112.5\n")
+        >>> tools = twin.load_tools("tools.csv")
+        >>> dict(tools.lengths_mm)
+        {'1': 80.25, '2': 112.5}
+        >>> setup = twin.Setup(tools=tools)
     """
     path = Path(path)
     lines = read_lines(path)

@@ -159,6 +159,18 @@ def convert(
     Raises:
         InputError: with file, line, value and what was expected, as `MeasuredFormat.read`; files of different formats; positions with a
             constant offset from the machine's range.
+
+    Examples:
+        >>> machine = twin.Machine.load("dmu50")
+        >>> away = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1]])  # contacts around a sphere
+        >>> rows = np.column_stack([[250, 225, -200] + 15.0 * away, np.zeros((5, 2))])
+        >>> header = "contact_x_mm,contact_y_mm,contact_z_mm,B_deg,C_deg"
+        >>> np.savetxt("contacts.csv", rows, delimiter=",", header=header, comments="")
+        >>> twin.convert("contacts.csv", machine).measurements.positions.round(3)
+        array([[ 250.,  225., -200.,    0.,    0.]])
+
+    References:
+        - A. B. Forbes: Least-squares best-fit geometric elements, NPL report DITC 140/89, 1989 (spheres through single contacts).
     """
     files = [Path(paths)] if isinstance(paths, str | Path) else [Path(path) for path in paths]
     if not files:

@@ -212,6 +212,15 @@ def import_table(
     Raises:
         InputError: with file, line, value and what was expected: the file is not a table or belongs to `twin.convert`, a column
             that the mapping names is missing, a cell cannot be read, or the rows are not those of the plan.
+
+    Examples:
+        >>> from twin.samples import TABLES
+        >>> machine = twin.Machine.load("dmu50")
+        >>> imported = twin.import_table(TABLES[0], machine)
+        >>> len(imported.measurements), len(imported.assumptions)
+        (420, 0)
+        >>> imported.save_columns("columns.yaml")  # check and change this file, then
+        >>> twin.import_table(TABLES[0], machine, columns="columns.yaml").save("measured.csv")
     """
     path = Path(path)
     given = None if columns is None else ColumnMapping.load(Path(columns), machine)

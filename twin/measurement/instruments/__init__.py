@@ -3,6 +3,13 @@
 A new instrument is one file and one entry in `twin._common.families.INSTRUMENTS`. The multi-axis interferometer
 (`twin.measurement.instruments.multi_axis`) reads the pose of a carriage, not points, and has its own command; it has the same
 `InstrumentSpecification`.
+
+Examples:
+    >>> tracker, probe = twin.instruments.LaserTracker(), twin.instruments.TouchProbe()
+    >>> tracker.name, probe.name
+    ('tracker', 'probe')
+    >>> twin.instruments.instrument_named("ball-bar").specification.reads
+    'length'
 """
 
 from typing import Final

@@ -39,6 +39,14 @@ def effect_named(
 
     Raises:
         InputError: the effect, place or a parameter is unknown, or a parameter is missing.
+
+    Examples:
+        >>> from dataclasses import replace
+        >>> machine = twin.Machine.load("dmu50")
+        >>> effect = twin.effect_named("cross_axis", "E_AX by Z", {"coefficient": 110.0}, machine)
+        >>> effect.coefficient
+        110.0
+        >>> calibration = replace(twin.Calibration.default(machine), extra=(effect,))
     """
     specifications = {
         specification.name: specification for specification in MACHINE_EFFECTS if specification.make is not None

@@ -25,6 +25,16 @@ def drift_plan(
 
     Raises:
         InputError: an unknown name, and as `make_drift_plan`.
+
+    Examples:
+        >>> machine = twin.Machine.load("dmu50")
+        >>> plan = twin.drift_plan(machine, "spindle", "probe", options={"highest_rpm": 8000})
+        >>> plan.minutes
+        300.0
+        >>> plan.save("spindle.csv")
+
+    References:
+        - ISO 230-3:2020, Determination of thermal effects.
     """
     require_name("drift test", name, families.DRIFTS)
     return make_drift_plan(machine, next(one for one in DRIFTS if one.name == name), instrument, kit, **more)

@@ -67,6 +67,11 @@ class InstrumentSizes:
         clearance_mm: distance that is kept from the sphere outside of contacts, and from everything else.
         bar_mm: length of a ball bar.
         feed_mm_min: feed of a ball bar.
+
+    Examples:
+        >>> sizes = twin.InstrumentSizes(tool_length_mm=120.0, sphere_mm=25.0, ball_mm=6.0)
+        >>> sizes.contact_mm
+        15.5
     """
 
     tool_length_mm: float | None = None

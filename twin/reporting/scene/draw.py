@@ -617,6 +617,11 @@ def draw_program(
 
     Raises:
         InputError: as `twin.compensation.programs.execute.execute_file`; no motion within the axis ranges.
+
+    Examples:
+        >>> machine = twin.Machine.load("dmu50")
+        >>> scene = twin.scene("cone_frustum.nc", machine, tool_length_mm=120)
+        >>> scene.save("scene.html")  # open it in a browser
     """
     errors = Calibration.default(machine) if calibration is None else calibration
     progress("running", 0.0)

@@ -619,6 +619,19 @@ def evaluate_drift(
 
     Raises:
         InputError: a file that is neither, directions that cannot be read, a negative tolerance.
+
+    Examples:
+        >>> machine = twin.Machine.load("dmu50")
+        >>> time_s = np.arange(0.0, 14400.1, 300.0)
+        >>> growth_um = 20.0 * (1.0 - np.exp(-time_s / 3600.0))
+        >>> rows = np.column_stack([time_s, np.full_like(time_s, 8000.0), growth_um])
+        >>> np.savetxt("spindle.csv", rows, delimiter=",", header="time_s,spindle_rpm,d1_um", comments="")
+        >>> (test,) = twin.evaluate_drift("spindle.csv", machine, sensors=["d1=Z"]).tests
+        >>> {value.key: round(value.value, 1) for value in test.main_values}  # µm
+        {'d_Z_end': 19.6, 'd_Z_60': 12.6, 'd_Z_t': 19.6}
+
+    References:
+        - ISO 230-3:2020, Determination of thermal effects.
     """
     require_type("machine", machine, Machine)
     check_limits(tolerances or {})
