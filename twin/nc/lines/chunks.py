@@ -1,6 +1,6 @@
 """Programs processed in chunks: read and written, with the modal state carried from chunk to chunk.
 
-Runs of simple lines are processed together (`twin.nc.lines.scan`, `twin.nc.lines.scan`), all other lines by the interpreter and the
+Runs of simple lines are processed together (`twin.nc.lines.scan`), all other lines by the interpreter and the
 writer of blocks of the language.
 """
 

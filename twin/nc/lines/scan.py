@@ -1,8 +1,8 @@
 """Simple lines of an ISO program found and read all at once, with the bytes in arrays and no object per line or word.
 
-Simple lines have a block number, ``G0`` or ``G1``, axis words in the usual
-order and a feed. Numbers have at most 15 digits, so that the digits form an exact whole number and the division by an exact power
-of ten rounds once, as a correctly rounded conversion does. All other lines go through the interpreter of blocks.
+Simple lines have a block number, ``G0`` or ``G1``, axis words in the usual order and a feed. Numbers have at most 15
+digits, so that the digits form an exact whole number and the division by an exact power of ten rounds
+once, as a correctly rounded conversion does. All other lines go through the interpreter of blocks.
 
 Simple lines written together: words replaced as `twin.nc.iso.writer.IsoWriter` does one by one.
 
