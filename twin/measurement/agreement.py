@@ -59,7 +59,7 @@ RADIANS: Final = ("radians", "rad", 180.0 / np.pi)
 """Units that are tried: in words, as a mapping file names them, factor to mm or degrees."""
 
 
-class Change(NamedTuple):
+class ColumnChange(NamedTuple):
     """A change of the columns of a table: another order of them, and a factor for each.
 
     Attributes:
@@ -84,7 +84,7 @@ class Change(NamedTuple):
         return replace(data, **changed)
 
 
-class Fit(NamedTuple):
+class Agreement(NamedTuple):
     """Agreement of readings with commands on the nominal machine.
 
     Attributes:
@@ -117,10 +117,12 @@ class Fit(NamedTuple):
         return self.share > SUSPECT_COLUMN_SHARE or self.ratio > SUSPECT_RATIO
 
 
-def fit_of(machine: Machine, data: Measurements, instruments: StationInstruments, *, mirrored: bool = False) -> Fit:
+def fit_of(
+    machine: Machine, data: Measurements, instruments: StationInstruments, *, mirrored: bool = False
+) -> Agreement:
     """Return the agreement of some data; arguments and errors as `initial_setup`."""
     setup, miss = initial_setup(machine, data, instruments, mirrored=mirrored)
-    return Fit(setup, miss, miss_limit(data, miss), *misfit_ratio(machine, data, setup, miss))
+    return Agreement(setup, miss, miss_limit(data, miss), *misfit_ratio(machine, data, setup, miss))
 
 
 def agreeing_rows(machine: Machine, data: Measurements, instruments: StationInstruments) -> tuple[Measurements, SetUp]:
@@ -234,7 +236,7 @@ def other_unit(machine: Machine, data: Measurements, instruments: StationInstrum
     return changes[0].text if changes else None
 
 
-def wrong_columns(machine: Machine, data: Measurements) -> list[Change]:
+def wrong_columns(machine: Machine, data: Measurements) -> list[ColumnChange]:
     """Return a change for each sign, order or unit of columns that seems to be wrong; empty if the data show none.
 
     Args:
@@ -269,9 +271,9 @@ def _mirrored_by_range(axis: Axis, q: np.ndarray) -> str:
     )
 
 
-def _wrong_columns_of_station(machine: Machine, data: Measurements) -> list[Change]:
+def _wrong_columns_of_station(machine: Machine, data: Measurements) -> list[ColumnChange]:
     """Return the changes after which the points of one station agree with the commands, found one after the other."""
-    found: list[Change] = []
+    found: list[ColumnChange] = []
     instruments = StationInstruments.same(default_instrument("point"), data.station)
     while len(data) >= FEWEST_ROWS and np.any(data.point_mm) and len(found) < MOST_FINDINGS:
         try:
@@ -293,7 +295,7 @@ def _wrong_columns_of_station(machine: Machine, data: Measurements) -> list[Chan
     return found
 
 
-def _mirror(after: Fit) -> Change:
+def _mirror(after: Agreement) -> ColumnChange:
     """Return the change that mirrors readings, named by its column if the station is then aligned with the machine's axes.
 
     Args:
@@ -306,17 +308,17 @@ def _mirror(after: Fit) -> Change:
         sign = np.where(np.arange(3) == i, -1.0, 1.0)
         if np.max(np.abs(turn * sign - np.eye(3))) < ALIGNED:
             text = f"{name} seems to be mirrored: {rows} with −{name}"
-            return Change("point_mm", [0, 1, 2], sign.tolist(), (POINT_COLUMNS[i],), text, "sign: -1?")
+            return ColumnChange("point_mm", [0, 1, 2], sign.tolist(), (POINT_COLUMNS[i],), text, "sign: -1?")
     for i, j in combinations(range(3), 2):
         order = _exchanged(3, i, j)
         if np.max(np.abs(turn[:, order] - np.eye(3))) < ALIGNED:
             text = f"{'xyz'[i]} and {'xyz'[j]} seem to be exchanged: {rows} with exchanged columns"
-            return Change("point_mm", order, [1.0] * 3, (POINT_COLUMNS[i], POINT_COLUMNS[j]), text, "exchanged?")
+            return ColumnChange("point_mm", order, [1.0] * 3, (POINT_COLUMNS[i], POINT_COLUMNS[j]), text, "exchanged?")
     text = (
         f"the coordinates seem to be mirrored: {rows} in a frame of the other hand. The data do not show which one: one "
         "of x, y, z (or of the commanded linear axes) has the opposite sign, or two are exchanged"
     )
-    return Change("point_mm", [0, 1, 2], [-1.0, 1.0, 1.0], POINT_COLUMNS, text, "sign: -1 on one of them?")
+    return ColumnChange("point_mm", [0, 1, 2], [-1.0, 1.0, 1.0], POINT_COLUMNS, text, "sign: -1 on one of them?")
 
 
 def _one_change(
@@ -325,8 +327,8 @@ def _one_change(
     share: float,
     ratio: float,
     instruments: StationInstruments,
-    families: Sequence[Iterable[Change]] = (),
-) -> list[Change]:
+    families: Sequence[Iterable[ColumnChange]] = (),
+) -> list[ColumnChange]:
     """Return the changes that make the readings agree, the best first: commands swapped or of opposite sign, columns in another unit.
 
     Args:
@@ -338,7 +340,7 @@ def _one_change(
         families: changes, each family tried if none before explains the readings; `_swapped_or_mirrored` if there are none.
     """
 
-    def explains(fit: Fit) -> bool:
+    def explains(fit: Agreement) -> bool:
         if share > SUSPECT_COLUMN_SHARE:
             return fit.share < share / IMPROVEMENT
         return fit.ratio < min(GOOD_RATIO, ratio / IMPROVEMENT)
@@ -352,10 +354,10 @@ def _one_change(
 
 def _in_units(
     machine: Machine, data: Measurements, share: float, ratio: float, instruments: StationInstruments
-) -> list[Change]:
+) -> list[ColumnChange]:
     """Return the change of unit that explains the readings, as `_one_change`; equivalent changes are joined in its text."""
 
-    def explains(fit: Fit) -> bool:
+    def explains(fit: Agreement) -> bool:
         return fit.ratio < min(GOOD_RATIO, ratio / IMPROVEMENT) and fit.share <= share / IMPROVEMENT
 
     for single in (False, True):
@@ -370,10 +372,10 @@ def _in_units(
 def _explaining(
     machine: Machine,
     data: Measurements,
-    changes: Iterable[Change],
-    explains: Callable[[Fit], bool],
+    changes: Iterable[ColumnChange],
+    explains: Callable[[Agreement], bool],
     instruments: StationInstruments,
-) -> list[tuple[float, Change]]:
+) -> list[tuple[float, ColumnChange]]:
     """Return the changes after which some rows agree, each with misfit over motion."""
     found = []
     rows = data.select(np.linspace(0, len(data) - 1, min(len(data), TRIAL_ROWS)).astype(int))
@@ -388,20 +390,20 @@ def _explaining(
     return found
 
 
-def _swapped_or_mirrored(machine: Machine, data: Measurements) -> Iterator[Change]:
+def _swapped_or_mirrored(machine: Machine, data: Measurements) -> Iterator[ColumnChange]:
     """Yield the changes that swap two command columns, and those that reverse the sign of one."""
     names, moving = _columns(machine), _moving(data)
     for i, j in combinations(range(len(names)), 2):
         if i in moving or j in moving:
             text = f"columns {names[i]} and {names[j]} look swapped"
             order = _exchanged(len(names), i, j)
-            yield Change("positions", order, [1.0] * len(names), (names[i], names[j]), text, "exchanged?")
+            yield ColumnChange("positions", order, [1.0] * len(names), (names[i], names[j]), text, "exchanged?")
     for i in moving:
         text = f"column {names[i]} appears to have the wrong sign"
         yield _scaled(data, "positions", [i], -1.0, (names[i],), text, "sign: -1?")
 
 
-def _two_mirrored(machine: Machine, data: Measurements) -> Iterator[Change]:
+def _two_mirrored(machine: Machine, data: Measurements) -> Iterator[ColumnChange]:
     """Yield the changes that reverse the signs of two rotary axes."""
     names = _columns(machine)
     for i, j in combinations([i for i in _moving(data) if not machine.axes[i].linear], 2):
@@ -409,7 +411,7 @@ def _two_mirrored(machine: Machine, data: Measurements) -> Iterator[Change]:
         yield _scaled(data, "positions", [i, j], -1.0, (names[i], names[j]), text, "sign: -1?")
 
 
-def _units(machine: Machine, data: Measurements, *, single: bool) -> Iterator[Change]:
+def _units(machine: Machine, data: Measurements, *, single: bool) -> Iterator[ColumnChange]:
     """Yield the changes that convert commands or readings from another unit: single columns, or all columns."""
     names, moving = _columns(machine), _moving(data)
     linear = [i for i in moving if machine.axes[i].linear]
@@ -441,10 +443,10 @@ def _scaled(
     columns: tuple[str, ...] = (),
     text: str = "",
     advice: str = "",
-) -> Change:
+) -> ColumnChange:
     """Return the change that multiplies some columns of a field by a factor."""
     count = getattr(data, field).shape[1]
-    return Change(
+    return ColumnChange(
         field, list(range(count)), [factor if i in some else 1.0 for i in range(count)], columns, text, advice
     )
 
@@ -456,7 +458,7 @@ def _exchanged(count: int, i: int, j: int) -> list[int]:
     return order
 
 
-def _description(machine: Machine, data: Measurements, fit: Fit) -> str:
+def _description(machine: Machine, data: Measurements, fit: Agreement) -> str:
     """Return the share of wrong rows, and the axis whose motion most of them share, in words."""
     if fit.share <= WRONG_COLUMN_SHARE:
         return "the readings change, but not as the commands do"

@@ -17,7 +17,7 @@ from twin._common.provenance import SIMULATED, SourceWarning, warning_texts, war
 from twin._common.units import count_with_noun
 from twin.display.results import Result
 from twin.machine.machine import Machine
-from twin.measurement.agreement import Change, wrong_columns
+from twin.measurement.agreement import ColumnChange, wrong_columns
 from twin.measurement.columns import SIMULATED as SIMULATED_WORD
 from twin.measurement.columns import comment_lines, csv_text, table_columns
 from twin.measurement.formats import other_format
@@ -309,7 +309,7 @@ def _finished(applied: Applied, machine: Machine, plan: PlanPoints | None, propo
     )
 
 
-def _remarks(proposal: Proposal, found: Sequence[Change]) -> dict[str, str]:
+def _remarks(proposal: Proposal, found: Sequence[ColumnChange]) -> dict[str, str]:
     """Return the comments for the entries of a mapping file: assumptions and findings."""
     remarks = dict(proposal.remarks)
     for one in found:
