@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from twin.compensation.programs.backlash import AT_END, STILL, _from_reversal, _play
+from twin.compensation.programs.backlash import AT_END, STANDING_STILL, _from_reversal, _play
 
 
 def play(way: np.ndarray, width: float) -> tuple[list[float], list[float]]:
@@ -36,7 +36,7 @@ def from_reversal(way: np.ndarray, sides: np.ndarray) -> np.ndarray:
             first = at + 1
         elif at and sides[at] != sides[at - 1]:
             height = way[first:at] * sides[at]
-            first += max(i for i, one in enumerate(height) if one <= min(height) + STILL)
+            first += max(i for i, one in enumerate(height) if one <= min(height) + STANDING_STILL)
             found[first + 1 : at] = sides[at]
     return found
 

@@ -9,7 +9,7 @@ import pytest
 
 from tests.compensation.test_compensate import LENGTH, compensate, uncertain
 from tests.compensation.test_stream import HEAD, curve
-from twin.compensation.programs.uncorrected import ACCURACY, FEW, LONGEST, interpolated
+from twin.compensation.programs.uncorrected import ACCURACY, EVALUATED_POINTS, FIRST_INTERVAL, interpolated
 from twin.machine.machine import Machine
 from twin.model.calibration import Calibration
 from twin.tool.forward import Kinematics
@@ -49,7 +49,7 @@ def test_a_smooth_path() -> None:
     places = np.stack([250 + 150 * np.cos(9 * t), 100 * t**2], axis=1)
     values = Counted(places)
     assert off(interpolated(values, places, NEAR), places) <= ACCURACY
-    assert len(values.asked) == len(set(values.asked)) <= 3 * len(t) / LONGEST
+    assert len(values.asked) == len(set(values.asked)) <= 3 * len(t) / FIRST_INTERVAL
 
 
 def test_steps_of_many_lengths() -> None:
@@ -57,32 +57,32 @@ def test_steps_of_many_lengths() -> None:
     places = np.cumsum(np.random.default_rng(3).exponential(0.02, 9000))[:, None] * np.array([1.0, 0.1])
     values = Counted(places)
     assert off(interpolated(values, places, NEAR), places) <= ACCURACY
-    assert len(values.asked) <= 5 * len(places) / LONGEST
+    assert len(values.asked) <= 5 * len(places) / FIRST_INTERVAL
 
 
-@pytest.mark.parametrize("period", [2, 3, LONGEST, LONGEST // 2])
+@pytest.mark.parametrize("period", [2, 3, FIRST_INTERVAL, FIRST_INTERVAL // 2])
 def test_back_and_forth_is_not_smooth(period: int) -> None:
     """Two distant positions in turn, where the nodes of stretches of 2, 4, 8 … blocks could all be at the same one."""
-    places = np.zeros((3 * FEW, 2))
+    places = np.zeros((3 * EVALUATED_POINTS, 2))
     places[::period, 0] = 200.0
     assert off(interpolated(Counted(places), places, NEAR), places) <= ACCURACY
 
 
 def test_a_jump_and_standing_still() -> None:
-    places = np.zeros((3 * FEW, 2))
-    places[FEW + 77 :] = 150.0, 40.0
+    places = np.zeros((3 * EVALUATED_POINTS, 2))
+    places[EVALUATED_POINTS + 77 :] = 150.0, 40.0
     values = Counted(places)
     # The function changes at one point only.
     assert off(interpolated(values, places, NEAR), places) == 0.0
-    assert len(values.asked) <= 2 * len(places) / LONGEST + 3 + 2 * np.log2(LONGEST)
+    assert len(values.asked) <= 2 * len(places) / FIRST_INTERVAL + 3 + 2 * np.log2(FIRST_INTERVAL)
 
 
 def test_noise_is_evaluated_everywhere() -> None:
-    places = np.random.default_rng(4).uniform(0.0, 300.0, (FEW + 500, 2))
+    places = np.random.default_rng(4).uniform(0.0, 300.0, (EVALUATED_POINTS + 500, 2))
     assert off(interpolated(Counted(places), places, NEAR), places) == 0.0
 
 
-@pytest.mark.parametrize("count", [1, 2, FEW])
+@pytest.mark.parametrize("count", [1, 2, EVALUATED_POINTS])
 def test_few_places_are_evaluated(count: int) -> None:
     places = np.linspace(0.0, 1.0, count)[:, None] * np.array([100.0, 10.0])
     values = Counted(places)
@@ -94,7 +94,7 @@ def test_few_places_are_evaluated(count: int) -> None:
 def test_uncertainty_of_a_long_program(dmu50: Machine, calibration: Calibration) -> None:
     """The reported uncertainty compared with evaluation at every end point: U to two digits; relative to the largest direction."""
     known = uncertain(calibration, 0.3)
-    result = compensate(HEAD + curve(2 * FEW), dmu50, known)
+    result = compensate(HEAD + curve(2 * EVALUATED_POINTS), dmu50, known)
     point, axis = result.report.uncertainty.point, result.report.uncertainty.axis
     assert point is not None and axis is not None
     at = ToolUncertainty(Kinematics(dmu50, known, tool_length_mm=LENGTH)).at(result.nominal)
@@ -104,5 +104,7 @@ def test_uncertainty_of_a_long_program(dmu50: Machine, calibration: Calibration)
     assert point.standard_rms == pytest.approx(
         np.sqrt(np.mean(at.standard_um**2, axis=0)), abs=ACCURACY * point.expanded_rms
     )
-    nowhere = compensate(HEAD + curve(2 * FEW), dmu50, replace(known, joint=calibration.joint)).report.uncertainty.point
+    nowhere = compensate(
+        HEAD + curve(2 * EVALUATED_POINTS), dmu50, replace(known, joint=calibration.joint)
+    ).report.uncertainty.point
     assert nowhere is not None and not nowhere.known and np.isnan(nowhere.expanded_rms)

@@ -12,10 +12,10 @@ from scipy import stats
 
 from tests.diagnosis.battery import Case, DataSet
 from twin.diagnosis.second_opinion import (
-    CREDIBLE,
-    ODDS,
+    CREDIBLE_PROBABILITY,
+    FOUND_ODDS,
+    PRIOR_NONCENTRALITIES,
     SIZE_PRIOR,
-    SIZES,
     Alternatives,
     Fit,
     Key,
@@ -77,8 +77,8 @@ def drawn(
     if hidden:
         own = columns[:, groups[rng.integers(len(groups))]]
         total = float(np.sum(own**2))
-        weights = np.where(SIZES <= total, SIZE_PRIOR, 0.0)
-        size = float(rng.choice(SIZES, p=weights / weights.sum()))
+        weights = np.where(PRIOR_NONCENTRALITIES <= total, SIZE_PRIOR, 0.0)
+        size = float(rng.choice(PRIOR_NONCENTRALITIES, p=weights / weights.sum()))
         found += own @ rng.standard_normal(own.shape[1]) * np.sqrt(size / total)
     return found if np.isinf(dof) else found / np.sqrt(rng.chisquare(dof) / dof)
 
@@ -101,8 +101,8 @@ def test_odds_are_a_ratio_of_densities(dof: float) -> None:
         return np.exp([min(effect.log_odds, 100.0) for effect in effects])
 
     silent, loud = odds(False), odds(True)
-    assert np.mean(silent >= ODDS) < 1.0 / ODDS
-    for limit in (0.3, 1.0, ODDS):
+    assert np.mean(silent >= FOUND_ODDS) < 1.0 / FOUND_ODDS
+    for limit in (0.3, 1.0, FOUND_ODDS):
         below, share = np.where(silent < limit, silent, 0.0), float(np.mean(loud < limit))
         error = np.sqrt((np.var(below) + share * (1.0 - share)) / DRAWS)
         assert 0.01 < share < 0.99
@@ -119,12 +119,15 @@ def test_bayes_factors_for_known_noise_raise_alarms_where_it_is_estimated() -> N
         dof: np.mean([single_effects(columns, groups, one, dof).fitted(1)[0].found for one in residuals])
         for dof in (4.0, float("inf"))
     }
-    assert alarms[4.0] < 1.0 / ODDS < alarms[float("inf")]
+    assert alarms[4.0] < 1.0 / FOUND_ODDS < alarms[float("inf")]
 
 
 def log_evidence(columns: np.ndarray, residual: np.ndarray) -> float:
     """Log likelihood with the coefficients integrated out, sizes on the grid each for itself; dense, no inner products."""
-    sizes = [SIZES[SIZES <= max(float(np.sum(column**2)), SIZES[0])] for column in columns.T]
+    sizes = [
+        PRIOR_NONCENTRALITIES[PRIOR_NONCENTRALITIES <= max(float(np.sum(column**2)), PRIOR_NONCENTRALITIES[0])]
+        for column in columns.T
+    ]
     weights = [SIZE_PRIOR[: len(own)] / SIZE_PRIOR[: len(own)].sum() for own in sizes]
     terms = []
     for at in np.ndindex(*(len(own) for own in sizes)):
@@ -356,8 +359,8 @@ def test_credible_set_holds_causes_that_look_alike(data_set: DataSet) -> None:
     effect = second_opinion(candidates).effects[0]
     assert alike <= set(effect.credible)
     share = np.array([effect.posterior[key] for key in effect.credible])
-    assert share.sum() >= CREDIBLE
-    assert share[:-1].sum() < CREDIBLE
+    assert share.sum() >= CREDIBLE_PROBABILITY
+    assert share[:-1].sum() < CREDIBLE_PROBABILITY
     assert np.all(np.diff(share) <= 0.0)
     assert effect.posterior["cross_axis", "E_XX by Z"] == pytest.approx(
         effect.posterior["cross_axis", "E_XZ by X"], rel=0.05

@@ -308,7 +308,7 @@ def test_a_sample_gives_the_same_significant_patterns(
     problem, searcher = searched
     whole = scan_patterns(problem, searcher.patterns, (), np.inf)
     of_whole = PatternScores(problem, (), searcher.patterns)
-    monkeypatch.setattr(pattern_scores, "SAMPLED", 300)
+    monkeypatch.setattr(pattern_scores, "READINGS_SAMPLED", 300)
     some = scan_patterns(problem, searcher.patterns, (), np.inf)
     of_some = PatternScores(problem, (), searcher.patterns)
     for pattern in searcher.patterns[::11]:

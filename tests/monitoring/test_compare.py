@@ -21,7 +21,7 @@ from twin.controls import ControlSection, TableEntry
 from twin.model.effects.entries import effect_named
 from twin.monitoring.pairs import (
     FALSE_ALARMS,
-    SHARE,
+    FALSE_ALARMS_OF_A_TEST,
     holm_adjusted,
     joint_covariance,
     pair_errors,
@@ -109,7 +109,11 @@ def significance_without_tool(first: twin.Calibration, second: twin.Calibration)
     )
     own = holm_adjusted([whiten(pair.change, pair.covariance).p_value for pair in pairs])
     found = smallest_set(pairs, white, [MACHINE.by_name[pair.axis].linear for pair in pairs])
-    return white.p_value <= SHARE, min(own) <= SHARE, tuple(pairs[one.pair].name for one in found.culprits)
+    return (
+        white.p_value <= FALSE_ALARMS_OF_A_TEST,
+        min(own) <= FALSE_ALARMS_OF_A_TEST,
+        tuple(pairs[one.pair].name for one in found.culprits),
+    )
 
 
 def test_a_squareness_alone_is_named_with_its_geometric_effect_at_the_tool() -> None:

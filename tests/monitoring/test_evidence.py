@@ -7,10 +7,10 @@ import pytest
 from scipy.stats import binom, multivariate_normal
 
 from twin.monitoring.change import (
-    DATES,
     MONTH_DAYS,
     OUTLIER_VARIANCES,
     OUTLIER_WEIGHT,
+    POSSIBLE_DATES,
     PRIOR_VARIANCES,
     log_evidence,
     remover,
@@ -46,7 +46,7 @@ def test_the_evidence_is_the_ratio_of_the_densities_without_level_and_scale() ->
     nothing = marginal(x, np.eye(4))
     expected, rest = 0.0, 1.0
     for after in (1, 2, 3):
-        weight = DATES / ((DATES + after - 1) * (DATES + after))
+        weight = POSSIBLE_DATES / ((POSSIBLE_DATES + after - 1) * (POSSIBLE_DATES + after))
         rest -= weight
         step = (np.arange(4) >= after).astype(float)
         drift = np.maximum(days - days[after - 1], 0.0) / MONTH_DAYS
@@ -66,7 +66,7 @@ def test_one_check_far_off_is_no_evidence_by_itself() -> None:
     assert far > 1.0
     expected, rest = 0.0, 1.0
     for after in (1, 2, 3, 4):
-        weight = DATES / ((DATES + after - 1) * (DATES + after))
+        weight = POSSIBLE_DATES / ((POSSIBLE_DATES + after - 1) * (POSSIBLE_DATES + after))
         rest -= weight
         shapes = [(np.arange(5) >= after).astype(float), np.maximum(days - days[after - 1], 0.0) / MONTH_DAYS]
         ratios = [marginal(x, np.eye(5) + g * np.outer(z, z)) / nothing for z in shapes for g in PRIOR_VARIANCES]
@@ -187,7 +187,7 @@ def test_the_floor_of_the_variance_is_that_of_the_likelihood_ratio() -> None:
 
     expected, rest = 0.0, 1.0
     for after, shapes in ((1, (other, late)), (2, (step, drift))):
-        weight = DATES / ((DATES + after - 1) * (DATES + after))
+        weight = POSSIBLE_DATES / ((POSSIBLE_DATES + after - 1) * (POSSIBLE_DATES + after))
         rest -= weight
         expected += weight * float(np.mean([ratio(z, g) for z in shapes for g in PRIOR_VARIANCES]))
     far = OUTLIER_WEIGHT * max(ratio(z, g) for z in np.eye(3) for g in OUTLIER_VARIANCES)

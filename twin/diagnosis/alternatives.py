@@ -33,7 +33,7 @@ from twin.model.effects.specification import FittedCause
 from twin.numerics.functions import SHORTEST_PERIOD, sampling_frequency
 from twin.tool.uncertainty import volume
 
-RIVALS: Final = 2
+ALTERNATIVES_SEPARATED: Final = 2
 """Number of alternatives of a cause for which points are suggested."""
 RUNNERS_UP: Final = 2
 """Number of alternatives that are ruled out and listed with a cause."""
@@ -156,7 +156,7 @@ def points_to_measure(candidates: Candidates, named: Sequence[Form], causes: Seq
     for form, cause in zip(named, causes, strict=True):
         others = [one for one in named if one is not form]
         tried = {one.key for one in candidates.forms}
-        rivals = [_best(candidates, key, others) for key in cause.equivalent if key in tried][:RIVALS]
+        rivals = [_best(candidates, key, others) for key in cause.equivalent if key in tried][:ALTERNATIVES_SEPARATED]
         if rivals:
             points += next_points(candidates.problem, (form, ours), rivals, others, plan)
     return tuple(points)

@@ -21,7 +21,7 @@ import numpy as np
 from twin._common.arrays import read_only
 from twin._common.distributions import chi2_sf, f_sf
 from twin._common.units import UM
-from twin.diagnosis.candidates.candidate import LARGEST
+from twin.diagnosis.candidates.candidate import LARGEST_ERROR
 from twin.diagnosis.causes import ReportedCauses, SizedCauses
 from twin.diagnosis.forms import LEAST_NONCENTRALITY, Candidates, Form
 from twin.diagnosis.gain import EmpiricalExtension, extend, gain, residuals_as_written
@@ -71,7 +71,7 @@ class Diagnosis(DisplayedResult, DiagnosisResult):
 
 # --- The limits of the extended calibration, as it states them: errors that remain unknown, residuals, instruments and set-up
 
-WORSE: Final = ("consistent", "untested", "larger", "systematic")
+VERDICTS: Final = ("consistent", "untested", "larger", "systematic")
 """Verdicts on the residuals, the best first."""
 
 
@@ -151,7 +151,7 @@ def _misfit(found: Diagnosis, network: Network) -> MisfitEntry:
     )
     before = found.calibration.misfit
     whole = bool(np.all(np.ptp(found.data.positions, axis=0) > 0.0))
-    if before is None or whole or WORSE.index(own.verdict) >= WORSE.index(before.verdict):
+    if before is None or whole or VERDICTS.index(own.verdict) >= VERDICTS.index(before.verdict):
         return own
     return before
 
@@ -181,7 +181,7 @@ def _verdict_within_limits(found: Diagnosis) -> tuple[Literal["consistent", "sys
 
 MOSTLY_EXPLAINED: Final = 0.1
 """Share of the excess that may remain unexplained for the verdict ``explained``."""
-RANKED: Final = 12
+MOST_RANKED: Final = 12
 """Largest number of causes in the ranking."""
 
 
@@ -287,7 +287,7 @@ def _ranking(candidates: Candidates) -> tuple[tuple[str, str, float, float], ...
     ):
         if log_p < best.get(form.key, (0.0, 1.0))[1]:
             best[form.key] = float(explained), float(log_p)
-    ranked = sorted(best.items(), key=lambda one: (one[1][1], -one[1][0]))[:RANKED]
+    ranked = sorted(best.items(), key=lambda one: (one[1][1], -one[1][0]))[:MOST_RANKED]
     return tuple(
         (effect, where, explained, candidates.p_value(log_p)) for (effect, where), (explained, log_p) in ranked
     )
@@ -297,7 +297,7 @@ SEEN_AT: Final = 0.05
 """p-value below which a trend of the residuals with a column is reported."""
 NOISE_P_VALUE: Final = 1e-4
 """p-value of the residuals from which on they count as noise."""
-SMALL: Final = 0.01
+NEGLIGIBLE_EXCESS: Final = 0.01
 """Share of the excess below which unexplained residuals are not a finding: real machines always have some."""
 
 
@@ -362,7 +362,7 @@ def _unexplained(sized: SizedCauses) -> Unexplained | None:
             max(share, left_share) if found.task.discrepancy.parts else share, columns, carrier, text, size
         )
     more = _p_value(by_noise, found.task.noise, after, len(forms))
-    if more >= NOISE_P_VALUE or (forms and left_share <= SMALL):
+    if more >= NOISE_P_VALUE or (forms and left_share <= NEGLIGIBLE_EXCESS):
         return None
     size = float(np.sqrt(max(left_um**2 - _expected_um(by_noise) ** 2, 0.0)))
     what = "the residuals exceed the stated noise" + (" even with the causes in the model" if forms else "")
@@ -452,5 +452,5 @@ def looks_like(problem: Problem, forms: Sequence[Form]) -> dict[tuple[str, str],
         first, *others = direction.moves
         # The compensating moves, with opposite sign, are what it looks like.
         same = ", ".join(f"{move.name} {-move.value / first.value:+.3g} {move.unit}" for move in others)
-        said[key] = f"{LARGEST * 1e-3:g} mm or mrad of it is equivalent to {same}"
+        said[key] = f"{LARGEST_ERROR * 1e-3:g} mm or mrad of it is equivalent to {same}"
     return said

@@ -30,7 +30,7 @@ from twin.diagnosis.candidates.catalogue import SPECIFICATIONS
 from twin.diagnosis.candidates.machine import FOLLOWING_ERROR, READ_BACK
 from twin.diagnosis.estimate import MANY_ROUNDS, Estimate, estimate, reweighted
 from twin.diagnosis.forms import Candidates, Form, log_p_value
-from twin.diagnosis.payload import CARRY, CENTRE_PRIOR, Load, axis_of_form, loaded_joints, weights
+from twin.diagnosis.payload import CARRIED_INDEX, CENTRE_PRIOR, Load, axis_of_form, loaded_joints, weights
 from twin.diagnosis.problem import in_um
 from twin.diagnosis.result import Cause, Next, Quantity, readable_unit
 from twin.diagnosis.search import LIMIT_SIGMA, TOO_LARGE
@@ -155,7 +155,7 @@ def _log_p(against: tuple[float, int, float]) -> float:
 IMPOSSIBLE: Final = "; this size is physically impossible, so the readings do not determine it"
 AT_BOUND: Final = 0.99
 """Ratio of a parameter to its bound from which on it counts as bounded."""
-UNDETERMINED: Final = 0.9 / np.sqrt(CENTRE_PRIOR)
+UNDETERMINED_SHARE: Final = 0.9 / np.sqrt(CENTRE_PRIOR)
 """Standard uncertainty of a coordinate, as a share of its bound, from which on the readings do not determine it: almost the prior's."""
 
 
@@ -512,7 +512,7 @@ def _load_cause(
     candidates: Candidates, load: Load, payload: Payload, shares: np.ndarray, variances: np.ndarray
 ) -> Cause:
     """Return a payload or a carried load as a cause: it explains what the joints explain with it and not without."""
-    own_shares = slice(CARRY, None) if payload.carried else slice(0, CARRY)
+    own_shares = slice(CARRIED_INDEX, None) if payload.carried else slice(0, CARRIED_INDEX)
     without = np.array(shares)
     without[own_shares] = 0.0
     explained, compliances = load.explained_under(shares)
@@ -561,5 +561,5 @@ def _quantities(payload: Payload, u: np.ndarray, heaviest: float) -> tuple[Quant
     )
     if not payload.carried:
         return reported
-    known = [one for one, deviation in zip(reported[1:], u[1:], strict=True) if deviation < UNDETERMINED]
+    known = [one for one, deviation in zip(reported[1:], u[1:], strict=True) if deviation < UNDETERMINED_SHARE]
     return tuple(known) or reported[:1]

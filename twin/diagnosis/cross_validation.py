@@ -26,9 +26,9 @@ from twin.measurement.observation import order_in_time
 from twin.measurement.table import Measurements
 from twin.model.effects.base import axis_of
 
-DENSE: Final = 20
+DENSE_POSITIONS: Final = 20
 """Number of positions of an axis above which a curve through them is taken to be valid between them."""
-ENOUGH: Final = 6
+GROUPS_FOR_AN_INTERVAL: Final = 6
 """Smallest number of independent groups for a confidence interval."""
 
 
@@ -56,7 +56,7 @@ def predicted_shift(problem: Problem, part: Candidates, forms: Sequence[Form]) -
 
 
 def jackknife_interval(table: np.ndarray) -> tuple[float, float] | None:
-    """Return the 95 % confidence interval of the difference of two RMS values by the jackknife; None for fewer than `ENOUGH` groups.
+    """Return the 95 % confidence interval of the difference of two RMS values by the jackknife; None for fewer than `GROUPS_FOR_AN_INTERVAL` groups.
 
     One group is left out at a time; pseudo-values with Student's t (Tukey 1958). Groups, not readings, are independent.
 
@@ -64,7 +64,7 @@ def jackknife_interval(table: np.ndarray) -> tuple[float, float] | None:
         table: (groups, 3) sums of squares before and after, and number of values.
     """
     count = len(table)
-    if count < ENOUGH:
+    if count < GROUPS_FOR_AN_INTERVAL:
         return None
     total = table.sum(axis=0)
     rest = np.maximum(total - table, 0.0)
@@ -91,7 +91,7 @@ def predicts_held_out(candidates: Candidates, form: Form, forms: Sequence[Form])
     machine, data = candidates.problem.network.machine, candidates.problem.network.data
     where = form.candidate.where
     axis = machine.names.index(axis_of(where))
-    if len(np.unique(np.round(data.positions[:, axis], 3))) > DENSE:
+    if len(np.unique(np.round(data.positions[:, axis], 3))) > DENSE_POSITIONS:
         return True
     split = folds_at_positions(data, [axis])
     if split is None:
@@ -233,9 +233,9 @@ def _drawn(of: HeldOutOf, group: np.ndarray) -> HeldOutFolds:
     return HeldOutFolds(of, group, (np.random.default_rng(SEED).permutation(count) % min(count, FOLDS))[group])
 
 
-PLENTY: Final = 20
+AMPLE_FREEDOM: Final = 20
 """Degrees of freedom per parameter above which overfitting is negligible."""
-OVERFITTED: Final = 1.25
+OVERFITTED_RATIO: Final = 1.25
 """Ratio of held-out to fitted RMS residual above which the number of causes is reduced."""
 
 
@@ -251,12 +251,12 @@ def without_overfitting(candidates: Candidates, forms: Sequence[Form]) -> list[F
         candidates: the data.
         forms: the causes.
     """
-    if PLENTY * len(columns_of(forms)) < candidates.problem.dof:
+    if AMPLE_FREEDOM * len(columns_of(forms)) < candidates.problem.dof:
         return list(forms)
     split = choose_folds(
         candidates.problem.network.data, candidates.problem.network.machine, [form.candidate for form in forms]
     )
-    if split is None or split.of not in ("positions", "poses") or split.group.max() + 1 < ENOUGH:
+    if split is None or split.of not in ("positions", "poses") or split.group.max() + 1 < GROUPS_FOR_AN_INTERVAL:
         return list(forms)
     claimed = _by_entry(
         candidates, [form for form in forms if split.of == "poses" or predicts_held_out(candidates, form, forms)]
@@ -266,7 +266,10 @@ def without_overfitting(candidates: Candidates, forms: Sequence[Form]) -> list[F
         return [predicted_shift(candidates.problem, small, claimed[:k]) for k in range(len(claimed) + 1)]
 
     table = held_out_squares(candidates, split, predict)
-    if table is None or table[:, -2].sum() / table[:, -1].sum() <= (OVERFITTED * _in_fit(candidates, claimed)) ** 2:
+    if (
+        table is None
+        or table[:, -2].sum() / table[:, -1].sum() <= (OVERFITTED_RATIO * _in_fit(candidates, claimed)) ** 2
+    ):
         return list(forms)
     gone = {form.index for form in claimed[_fewest(table[:, : _beyond_rest(candidates, claimed) + 1]) :]}
     return [form for form in forms if form.index not in gone]

@@ -8,19 +8,19 @@ from typing import Final, final
 
 import numpy as np
 
-from twin.diagnosis.candidates.candidate import STRAIGHT, Column, Drift
+from twin.diagnosis.candidates.candidate import STRAIGHT_LINE, Column, Drift
 from twin.diagnosis.forms import pseudo_inverse
 from twin.diagnosis.problem import Problem
 
-GRID: Final = 81
+TIME_CONSTANT_GRID: Final = 81
 """Number of time constants at which the likelihood of a drift is evaluated."""
 NOT_IDENTIFIABLE: Final = 1e-6
 """Share of a drift's squared norm, given other causes, below which it is not identifiable."""
-NARROW: Final = 0.15
+NARROW_LIKELIHOOD: Final = 0.15
 """Relative uncertainty of a time constant below which its likelihood is treated as normal."""
-DECISIVE: Final = 4.0
+DECISIVE_CHI2: Final = 4.0
 """Reduction of chi² (two standard deviations) by which the less usual of exponential and straight line must fit better."""
-WIDTH: Final = 5.0
+INTEGRATED_SIGMA: Final = 5.0
 """Standard deviations on either side of the best time constant over which a narrow likelihood is integrated."""
 
 
@@ -30,7 +30,7 @@ class FittedDrift:
     """Maximum-likelihood fit of a drift.
 
     Attributes:
-        time_constant: s; `STRAIGHT` for a straight line.
+        time_constant: s; `STRAIGHT_LINE` for a straight line.
         values: (w,) linear parameters.
         moments: (w + 1, w + 1) second moments of these and the time constant about the best values, under the profile likelihood;
             None for a straight line, and where the likelihood is treated as normal.
@@ -53,32 +53,34 @@ def fit_drift(problem: Problem, drift: Drift, others: Sequence[Column]) -> Fitte
         drift: columns of the drift.
         others: columns of the other causes.
     """
-    tried = np.geomspace(drift.constants[0], drift.constants[-1], GRID)
-    gain, values, covariance = _profile(problem, [drift.columns(tau) for tau in (*tried.tolist(), STRAIGHT)], others)
+    tried = np.geomspace(drift.constants[0], drift.constants[-1], TIME_CONSTANT_GRID)
+    gain, values, covariance = _profile(
+        problem, [drift.columns(tau) for tau in (*tried.tolist(), STRAIGHT_LINE)], others
+    )
     best = int(np.argmax(gain[:-1]))
     ahead = gain[best] - gain[-1]
-    if not np.isfinite(gain).all() or ahead < (DECISIVE if drift.straight else -DECISIVE):
-        return FittedDrift(STRAIGHT, values[-1], None)
+    if not np.isfinite(gain).all() or ahead < (DECISIVE_CHI2 if drift.straight else -DECISIVE_CHI2):
+        return FittedDrift(STRAIGHT_LINE, values[-1], None)
     likelihood = np.exp((gain[:-1] - gain[best]) / 2.0)
     likelihood /= likelihood.sum()
     relative = float(np.sqrt(likelihood @ np.log(tried / tried[best]) ** 2))
-    if relative < NARROW and likelihood[0] + likelihood[-1] < 1e-3:
+    if relative < NARROW_LIKELIHOOD and likelihood[0] + likelihood[-1] < 1e-3:
         if not drift.straight:
             return FittedDrift(float(tried[best]), values[best], None)
         # Refine the grid around the best value, over the width of the likelihood.
         step = float(np.log(tried[1] / tried[0]))
-        reach = max(WIDTH * relative, 2.0 * step)
+        reach = max(INTEGRATED_SIGMA * relative, 2.0 * step)
         for _ in range(3):
-            tried = tried[best] * np.exp(np.linspace(-reach, reach, GRID))
+            tried = tried[best] * np.exp(np.linspace(-reach, reach, TIME_CONSTANT_GRID))
             gain, values, covariance = _profile(problem, [drift.columns(tau) for tau in tried.tolist()], others)
             best = int(np.argmax(gain))
             likelihood = np.exp((gain - gain[best]) / 2.0)
             likelihood /= likelihood.sum()
             step, reach = (
-                2.0 * reach / (GRID - 1),
-                WIDTH * float(np.sqrt(likelihood @ np.log(tried / tried[best]) ** 2)),
+                2.0 * reach / (TIME_CONSTANT_GRID - 1),
+                INTEGRATED_SIGMA * float(np.sqrt(likelihood @ np.log(tried / tried[best]) ** 2)),
             )
-            if reach > 4.0 * WIDTH * step:
+            if reach > 4.0 * INTEGRATED_SIGMA * step:
                 break
             reach = max(reach, 2.0 * step)
     else:

@@ -23,7 +23,7 @@ import scipy
 
 from twin._common.arrays import read_only
 from twin._common.distributions import chi2_sf, f_sf
-from twin.diagnosis.candidates.candidate import STRAIGHT, Column, effect_columns
+from twin.diagnosis.candidates.candidate import STRAIGHT_LINE, Column, effect_columns
 from twin.diagnosis.drift_fit import fit_drift, over_forms
 from twin.diagnosis.forms import LEAST_NONCENTRALITY, Form, pseudo_inverse
 from twin.diagnosis.problem import Problem, rewhitened, unwhiten
@@ -131,7 +131,7 @@ def upper_bound(first: np.ndarray, second: np.ndarray) -> np.ndarray:
 
 STEPS: Final = 12
 """Gauss-Newton steps, at most."""
-CONVERGED: Final = 1e-6
+CONVERGED_STEP: Final = 1e-6
 """Step, in standard deviations, below which the iteration has converged."""
 BLOCK_COLUMNS: Final = 64
 """Columns of random effects evaluated at a time."""
@@ -314,7 +314,7 @@ def _fit_drift_of(problem: Problem, part: _Part, others: Sequence[Column]) -> No
     part.columns, part.values = problem.signature(variant.columns) / part.scales, fitted.values
     part.effects = _effects(part.form, fitted.values, part.fixed)
     part.moments = fitted.moments
-    part.nonlinear = fitted.moments is None and fitted.time_constant != STRAIGHT
+    part.nonlinear = fitted.moments is None and fitted.time_constant != STRAIGHT_LINE
 
 
 def _gauss_newton(problem: Problem, parts: Sequence[_Part], state: Mapping[str, Any], least: float) -> np.ndarray:
@@ -332,7 +332,7 @@ def _gauss_newton(problem: Problem, parts: Sequence[_Part], state: Mapping[str, 
         ends = np.cumsum([len(part.values) for part in parts])[:-1]
         for part, part_step, most in zip(parts, np.split(step, ends), longest, strict=True):
             part.set_values(part.values + part_step, most)
-        if change < CONVERGED:
+        if change < CONVERGED_STEP:
             break
     return inverse
 

@@ -18,7 +18,7 @@ from twin._common.arrays import read_only
 from twin._common.errors import InputError
 from twin.diagnosis.causes import SizedCauses
 from twin.diagnosis.cross_validation import (
-    ENOUGH,
+    GROUPS_FOR_AN_INTERVAL,
     HeldOutFolds,
     choose_folds,
     folds_at_positions,
@@ -258,7 +258,7 @@ def _unproven(held: HeldOut | None) -> str | None:
     if held is None:
         return "no readings could be held out to confirm it"
     if held.ci95_um is None:
-        return f"fewer than {ENOUGH} {held.of} could be held out, too few to confirm it"
+        return f"fewer than {GROUPS_FOR_AN_INTERVAL} {held.of} could be held out, too few to confirm it"
     if held.ci95_um[0] <= 0.0:
         return (
             f"held-out {held.of} do not confirm it ({held.before_um:.3g} µm without it, {held.after_um:.3g} µm with it)"

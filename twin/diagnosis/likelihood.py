@@ -24,12 +24,12 @@ import scipy
 from twin._common.arrays import largest_first
 from twin.diagnosis.candidates.candidate import Column
 from twin.diagnosis.forms import Candidates, Form, columns_of, log_p_value, pseudo_inverse
-from twin.diagnosis.patterns import PLAUSIBLE, SEEN, Pattern, PatternScores
+from twin.diagnosis.patterns import TESTED_NONCENTRALITY, ZERO_SHARE, Pattern, PatternScores
 from twin.diagnosis.problem import Problem
 
-ALARMS: Final = 0.01
+FALSE_ALARM_RATE: Final = 0.01
 """Rate of false alarms: share of data sets without an error in which a pattern is found."""
-EXACT: Final = 24
+EXACT_P_VALUES: Final = 24
 """Number of tests, the most significant ones by two moments, whose p-value is evaluated exactly by eigenvalues."""
 AT_ONCE: Final = 32
 """Tests with equally many functions whose moments are computed at once."""
@@ -61,7 +61,7 @@ class PatternTest:
     @property
     def found(self) -> bool:
         """Return whether it is significant, corrected for multiple testing."""
-        return self.log_p_corrected < np.log(ALARMS)
+        return self.log_p_corrected < np.log(FALSE_ALARM_RATE)
 
     @property
     def log_p_corrected(self) -> float:
@@ -90,8 +90,8 @@ def scan_patterns(problem: Problem, tried: Sequence[Pattern], forms: Sequence[Fo
     log_p[varying] = _two_moments(found[varying], mean[varying], variance[varying])
     tests = varying[np.argsort(log_p[varying], kind="stable")].tolist()
     price = float(np.log(max(len(tests), 1)))
-    distributions = scores.distributions([kinds[i] for i in tests[:EXACT]])
-    log_p[tests[:EXACT]] = [log_tail(weights, score, dof) for weights, score in distributions]
+    distributions = scores.distributions([kinds[i] for i in tests[:EXACT_P_VALUES]])
+    log_p[tests[:EXACT_P_VALUES]] = [log_tail(weights, score, dof) for weights, score in distributions]
     best: dict[Pattern, PatternTest] = {}
     for i in tests:
         pattern, level, directions = kinds[i]
@@ -134,7 +134,7 @@ def _moments(slope: np.ndarray, gram: np.ndarray) -> np.ndarray:
     size = np.einsum("dii->d", gram)
     seen = size > 0.0
     # (G + 1/τ)⁻¹; the weights of the χ² are the eigenvalues of 1 − (G + 1/τ)⁻¹/τ.
-    by_prior = np.where(seen, size / PLAUSIBLE, 1.0)
+    by_prior = np.where(seen, size / TESTED_NONCENTRALITY, 1.0)
     inverse = np.linalg.inv(np.where(seen[:, None, None], gram, 0.0) + by_prior[:, None, None] * np.eye(count))
     weights = np.eye(count) - inverse * by_prior[:, None, None]
     score = np.einsum("di,di->d", slope, (inverse @ slope[:, :, None])[:, :, 0])
@@ -157,7 +157,7 @@ def log_tail(weights: np.ndarray, value: float, dof: float = np.inf) -> float:
         value: value of the sum.
         dof: degrees of freedom of the noise estimate; infinite if the noise is known.
     """
-    w = weights[weights > SEEN * max(float(weights.max(initial=0.0)), 1e-300)]
+    w = weights[weights > ZERO_SHARE * max(float(weights.max(initial=0.0)), 1e-300)]
     if len(w) == 0 or value <= 0.0:
         return 0.0
     count = np.ones(len(w))
@@ -190,19 +190,19 @@ def log_tail(weights: np.ndarray, value: float, dof: float = np.inf) -> float:
 
 STEPS: Final = 40
 """Largest number of iterations."""
-STILL: Final = 0.02
+CONVERGED_LOG_VARIANCE: Final = 0.02
 """Change of the logarithm of a variance below which the iteration has converged."""
-SMALL: Final = 1e-3
+LEAST_NONCENTRALITY: Final = 1e-3
 """Noncentrality of a pattern along a direction below which that direction is dropped."""
-LITTLE: Final = 1e-6
+NO_NONCENTRALITY: Final = 1e-6
 """Noncentrality below which a function of a pattern has no effect on the likelihood."""
-UNREAD: Final = 1e-9
+UNREAD_SHARE: Final = 1e-9
 """Share of the best measured direction below which a direction counts as not measured."""
 NEARLY_DEPENDENT: Final = 1e-8
 """Eigenvalue of a pattern's inner products, relative to the largest, below which a pattern imitates nothing along a direction."""
-FIRST: Final = 10.0
+FIRST_NONCENTRALITY: Final = 10.0
 """Initial noncentrality of a direction of a pattern."""
-TOGETHER: Final = 64
+COLUMNS_AT_ONCE: Final = 64
 """Columns evaluated at once."""
 IMITATED_SHARE: Final = 0.5
 """Share of the effect of a cause that a pattern must reproduce to count as imitating it."""
@@ -265,7 +265,7 @@ class Likelihood:
         basis = problem.root.T @ problem.nuisances.from_raw(by_nuisance)
         gram, slope = gram - basis.T @ basis, slope - basis.T @ (problem.root.T @ problem.residual_on_basis)
         size = np.bincount(self.group, np.diag(gram), 3 * len(pattern_tests))
-        self._size = np.where(size > UNREAD * size.max(initial=0.0), size, 0.0)
+        self._size = np.where(size > UNREAD_SHARE * size.max(initial=0.0), size, 0.0)
         self._rotation, self._own = _orthogonal(gram, self.group, self._size)
         self._gram = self._rotation.T @ gram @ self._rotation
         self._slope = self._rotation.T @ slope
@@ -280,10 +280,10 @@ class Likelihood:
             start: model whose variances are the initial ones.
             without: number of a pattern to omit.
         """
-        first = np.where(self._size > 0.0, FIRST / np.maximum(self._size, 1e-300), 0.0)
+        first = np.where(self._size > 0.0, FIRST_NONCENTRALITY / np.maximum(self._size, 1e-300), 0.0)
         variances, variance_factor = first, 1.0
         if start is not None:
-            variances, variance_factor = np.maximum(start.variances, SMALL * first), start.variance_factor
+            variances, variance_factor = np.maximum(start.variances, LEAST_NONCENTRALITY * first), start.variance_factor
         if without is not None:
             variances = np.where(np.arange(len(variances)) // 3 == without, 0.0, variances)
         columns = columns_of(forms)
@@ -292,10 +292,10 @@ class Likelihood:
             model, moved = self._at(columns, fixed, variances, variance_factor)
             with np.errstate(divide="ignore", invalid="ignore"):
                 change = np.abs(np.log(moved / variances))
-            followed = variances * self._size > SMALL
+            followed = variances * self._size > LEAST_NONCENTRALITY
             settled = (
-                not np.any(change[followed] > STILL)
-                and abs(model.variance_factor / variance_factor - 1.0) < STILL * 0.1
+                not np.any(change[followed] > CONVERGED_LOG_VARIANCE)
+                and abs(model.variance_factor / variance_factor - 1.0) < CONVERGED_LOG_VARIANCE * 0.1
             )
             variances, variance_factor = moved, model.variance_factor
             if settled:
@@ -304,8 +304,8 @@ class Likelihood:
 
     def _followed(self, variances: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the rotated columns with a relevant variance, their standard deviations, and 1 + D^½ΦᵀMΦD^½ of them."""
-        followed = (variances * self._size)[self._own] > SMALL
-        used = np.flatnonzero(followed & (variances[self._own] * np.diag(self._gram) > LITTLE))
+        followed = (variances * self._size)[self._own] > LEAST_NONCENTRALITY
+        used = np.flatnonzero(followed & (variances[self._own] * np.diag(self._gram) > NO_NONCENTRALITY))
         deviation = np.sqrt(variances[self._own[used]])
         inner = self._gram[np.ix_(used, used)]
         inner *= deviation[:, None]
@@ -406,8 +406,8 @@ class Likelihood:
         problem = self.candidates.problem
         left = problem.project(residual)
         found = [
-            problem.along(problem.signature(self.columns[start : start + TOGETHER]), left)
-            for start in range(0, len(self.columns), TOGETHER)
+            problem.along(problem.signature(self.columns[start : start + COLUMNS_AT_ONCE]), left)
+            for start in range(0, len(self.columns), COLUMNS_AT_ONCE)
         ]
         return np.asarray(self._rotation.T @ np.concatenate(found))
 
@@ -432,7 +432,7 @@ class Likelihood:
         return which, values, model.variance_factor * (covariance + covariance.T) / 2.0
 
     def _followed_columns(self, model: Model) -> np.ndarray:
-        return np.flatnonzero((model.variances * self._size)[self.group] > SMALL)
+        return np.flatnonzero((model.variances * self._size)[self.group] > LEAST_NONCENTRALITY)
 
     def effect_on_readings(self, which: np.ndarray, values: np.ndarray) -> np.ndarray:
         """Return the (3n,) effect of some columns of the patterns on the whitened readings, held out or not.
@@ -443,8 +443,8 @@ class Likelihood:
         """
         problem = self.candidates.problem
         found = np.zeros(len(problem.residual))
-        for start in range(0, len(which), TOGETHER):
-            some = slice(start, start + TOGETHER)
+        for start in range(0, len(which), COLUMNS_AT_ONCE):
+            some = slice(start, start + COLUMNS_AT_ONCE)
             found += problem.signature([self.columns[i] for i in which[some]]) @ values[some]
         return found
 
@@ -483,7 +483,7 @@ def _orthogonal(gram: np.ndarray, group: np.ndarray, size: np.ndarray) -> tuple[
         own = np.flatnonzero(group == number)
         found, vectors = np.linalg.eigh(gram[np.ix_(own, own)])
         rotation[np.ix_(own, own)] = vectors
-        kept += own[found > UNREAD * found[-1]].tolist()
+        kept += own[found > UNREAD_SHARE * found[-1]].tolist()
     return rotation[:, kept], group[kept]
 
 

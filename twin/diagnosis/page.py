@@ -23,7 +23,7 @@ from twin.display.numbers import listed, lower
 from twin.measurement.checks import assumptions, grouped_notes
 from twin.model.effects.specification import NOTHING
 
-LIKELY: Final = 0.5
+UNLISTED_P_VALUE: Final = 0.5
 """p-value above which a cause tested is not listed."""
 COLOURS: Final = {"well": "#e8f3ea", "wrong": "#fdf2df", "unknown": "#fbe4de", "disturbed": "#e6eff8"}
 
@@ -90,14 +90,14 @@ def diagnosis_html(diagnosis: DiagnosisResult) -> str:
 
 
 def _ranked(diagnosis: DiagnosisResult) -> list[_Ranked]:
-    """Return the causes found and those tested with a p-value below `LIKELY`."""
+    """Return the causes found and those tested with a p-value below `UNLISTED_P_VALUE`."""
     named = {(cause.effect, cause.where) for cause in diagnosis.causes}
     doubted = {key for cause in diagnosis.causes for key in cause.equivalent}
     found = []
     for effect, where, explains, p in diagnosis.ranking:
         key = (effect, where)
         of = "found" if key in named else "doubted" if key in doubted else ""
-        if p < LIKELY or of == "found":
+        if p < UNLISTED_P_VALUE or of == "found":
             found.append(_Ranked(effect, where, explains, p, of, key in doubted))
     return found
 

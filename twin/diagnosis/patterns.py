@@ -35,15 +35,15 @@ from twin.model.effects.harmonic import APPROACH, Waves
 from twin.model.effects.harmonic import terms as products_of
 from twin.numerics.functions import Functions, Rows, pieces
 
-ALONE: Final = 16
+ORDER_ALONE: Final = 16
 """Highest order of a single column."""
-PAIRED: Final = 8
+ORDER_IN_PAIRS: Final = 8
 """Highest order of an axis in a pair."""
-SLOW: Final = 4
+ORDER_OF_SLOW_COLUMNS: Final = 4
 """Highest order of a slowly changing column in a pair: time, temperatures, rounds, other channels."""
-LEVELS: Final = (2, 4, 8, 16)
+ORDERS_TESTED: Final = (2, 4, 8, 16)
 """Orders up to which the functions of a pattern are tested together."""
-TURNED: Final = 300.0
+PERIODIC_RANGE_DEG: Final = 300.0
 """Range of a rotary axis, degrees, from which on its functions are periodic."""
 
 
@@ -107,7 +107,7 @@ class Pattern:
         """Return the orders up to which it is tested; each adds functions to the previous one."""
         orders = self.order
         found: list[int] = []
-        for level in LEVELS:
+        for level in ORDERS_TESTED:
             if level <= self.highest and (not found or np.any((orders > found[-1]) & (orders <= level))):
                 found.append(level)
         return tuple(found) or (int(orders.max()),)
@@ -217,12 +217,12 @@ def patterns(machine: Machine, data: Measurements) -> list[Pattern]:
         own = (data.carrier == side) != (data.station_carrier == side)
         turning = any(not axis.linear and axis.side == side for axis in machine.axes)
         for field in ("base", "place") if turning else ("base",):
-            found += [Pattern(side, field, (one,), own, ALONE) for one in channels]
+            found += [Pattern(side, field, (one,), own, ORDER_ALONE) for one in channels]
             for a, b in combinations(channels, 2):
                 if not b.direction:
-                    found.append(Pattern(side, field, (a, b), own, PAIRED))
+                    found.append(Pattern(side, field, (a, b), own, ORDER_IN_PAIRS))
                 elif not a.direction:
-                    found.append(Pattern(side, field, (b, a), own, PAIRED))
+                    found.append(Pattern(side, field, (b, a), own, ORDER_IN_PAIRS))
     return found
 
 
@@ -246,36 +246,36 @@ def _channels(machine: Machine, data: Measurements) -> list[Channel]:
         if distinct < 2:
             continue
         waves = _waves(name, axis, values, distinct)
-        paired = 1 if waves.kind == "direction" else PAIRED if axis is not None else SLOW
+        paired = 1 if waves.kind == "direction" else ORDER_IN_PAIRS if axis is not None else ORDER_OF_SLOW_COLUMNS
         found.append(Channel(waves, values, paired))
     return found
 
 
 def _waves(name: str, axis: Axis | None, values: np.ndarray, distinct: int) -> Waves:
-    """Return the functions of a column, as many as its distinct values allow, at most `ALONE` half waves."""
+    """Return the functions of a column, as many as its distinct values allow, at most `ORDER_ALONE` half waves."""
     if name.startswith(APPROACH):
         return Waves(name, "direction", 1)
     column = name if axis is None else f"{axis.name}_{axis.unit}"
-    if axis is not None and not axis.linear and np.ptp(values) >= TURNED:
-        return Waves(column, "whole_turns", min(ALONE // 2, max((distinct - 1) // 2, 1)))
+    if axis is not None and not axis.linear and np.ptp(values) >= PERIODIC_RANGE_DEG:
+        return Waves(column, "whole_turns", min(ORDER_ALONE // 2, max((distinct - 1) // 2, 1)))
     span = float(values.min()), float(values.max())
     wrapped = axis is not None and axis.lower is None
-    return Waves(column, "half_waves", min(ALONE, distinct - 1), span, wrapped)
+    return Waves(column, "half_waves", min(ORDER_ALONE, distinct - 1), span, wrapped)
 
 
 # --- Scores of unnamed patterns: inner products of their functions with the residual and each other, set-up and causes projec
 
-SAMPLED: Final = 2048
+READINGS_SAMPLED: Final = 2048
 """Readings of a side from which the distribution of its scores for noise alone is estimated, where there are more: enough to find the
 most significant tests. The scores themselves are those of all readings.
 """
 SEED: Final = 4712
-SEEN: Final = 1e-10
+ZERO_SHARE: Final = 1e-10
 """Share of the largest eigenvalue below which a direction counts as zero, and share of the largest square of a pattern's functions that
 the projection must leave of each: what is less is rounding. So is all of a direction that was not read."""
-PLAUSIBLE: Final = 100.0
+TESTED_NONCENTRALITY: Final = 100.0
 """Noncentrality along a direction for which the test is most powerful: the score is taken at that variance, not at zero."""
-TOGETHER: Final = 512
+READINGS_AT_ONCE: Final = 512
 """Readings at which the functions of all patterns of a side are evaluated at once."""
 
 
@@ -288,7 +288,7 @@ def _orthonormal_root(columns: np.ndarray, own: np.ndarray) -> np.ndarray:
     """
     gram = columns.T @ own
     values, vectors = np.linalg.eigh((gram + gram.T) / 2.0)
-    seen = values > SEEN * values.max(initial=0.0)
+    seen = values > ZERO_SHARE * values.max(initial=0.0)
     return np.asarray(vectors[:, seen] / np.sqrt(values[seen]))
 
 
@@ -361,8 +361,8 @@ class PatternScores:
         """Return the inner products of all patterns of one side and frame."""
         functions = ChannelFunctions(alike)
         own = rows = np.flatnonzero(alike[0].own & self._kept)
-        if len(own) > SAMPLED:
-            rows = np.sort(np.random.default_rng(SEED).choice(own, SAMPLED, replace=False))
+        if len(own) > READINGS_SAMPLED:
+            rows = np.sort(np.random.default_rng(SEED).choice(own, READINGS_SAMPLED, replace=False))
         slope = np.zeros((3, functions.count))
         for some in pieces(len(own)):
             along = np.einsum("nki,nk->in", self._fields(alike[0], own[some]), self._left[own[some]])
@@ -396,7 +396,7 @@ class PatternScores:
             weight = np.einsum("nki,nki->ni", fields, fields)
             directions = 1 if np.ptp(weight) <= 1e-9 * weight.max() else 3
             grams = {pattern: np.zeros((directions, len(pattern.order), len(pattern.order))) for pattern in alike}
-            for some in pieces(len(rows), TOGETHER):
+            for some in pieces(len(rows), READINGS_AT_ONCE):
                 made = functions.at(rows[some])
                 for pattern, own in functions.own.items():
                     for i in range(directions):
@@ -430,7 +430,9 @@ class PatternScores:
             seen = _seen(gram, whole)
             gram *= seen[:, None] & seen
             size = np.diag(gram).reshape(len(directions), -1).sum(axis=1)
-            deviation = np.repeat(np.sqrt(PLAUSIBLE / np.where(size > 0.0, size, np.inf)), len(own) // len(directions))
+            deviation = np.repeat(
+                np.sqrt(TESTED_NONCENTRALITY / np.where(size > 0.0, size, np.inf)), len(own) // len(directions)
+            )
             values, vectors = np.linalg.eigh(gram * np.outer(deviation, deviation))
             values = np.maximum(values, 0.0)
             score = float(np.sum((vectors.T @ (slope[own] * seen * deviation)) ** 2 / (1.0 + values)))
@@ -515,7 +517,7 @@ class PatternScores:
 def _seen(gram: np.ndarray, whole: np.ndarray) -> np.ndarray:
     """Return (…, m) which functions of a pattern the projection leaves, from Gram matrices (…, m, m) with and without it."""
     largest = float(np.diagonal(whole, axis1=-2, axis2=-1).max(initial=0.0))
-    return np.asarray(np.diagonal(gram, axis1=-2, axis2=-1) > SEEN * largest)
+    return np.asarray(np.diagonal(gram, axis1=-2, axis2=-1) > ZERO_SHARE * largest)
 
 
 def _along_functions(
@@ -523,7 +525,7 @@ def _along_functions(
 ) -> np.ndarray:
     """Return inner products (3, q, m) over some rows of functions along each direction of (n, 3, 3) fields with (n, 3, q) vectors."""
     found = np.zeros((3, vectors.shape[2], functions.count))
-    for some in pieces(len(rows) if vectors.size else 0, TOGETHER):
+    for some in pieces(len(rows) if vectors.size else 0, READINGS_AT_ONCE):
         along = np.stack([sum(fields[some, k, i, None] * vectors[some, k] for k in range(3)) for i in range(3)])
         found += along.transpose(0, 2, 1) @ functions.at(rows[some])
     return found

@@ -37,19 +37,19 @@ from twin.model.effects.gravity_compliance import (
 
 ROUNDS: Final = 4
 """Largest number of repeated searches."""
-FIRST: Final = (0.03, 0.2, 1.0)
+FIRST_MASS_SHARES: Final = (0.03, 0.2, 1.0)
 """Initial masses of a fit, as shares of the heaviest payload."""
-STILL: Final = 0.01
+CONVERGED_SHARE: Final = 0.01
 """Change of the payload, as a share of the largest, below which it has converged."""
 CENTRE_PRIOR: Final = 3.0
 """Inverse prior variance of a mass or centre as a share of its bound: uniform within ±1."""
-CARRY: Final = 4
+CARRIED_INDEX: Final = 4
 """Index of a share: 1 if the side carries the load of the readings, else 0. Shares of a payload are before it, of the centre behind."""
 STEPS: Final = 200
 """Largest number of iterations of a fit."""
 NO_MASS: Final = "they fit only with a mass that is not positive, or a centre of mass beyond its range"
 """Reason for which a load is left out, in words."""
-LOST: Final = 1e-9
+UNDETERMINED_SIZE: Final = 1e-9
 """Relative size below which a direction is not determined."""
 
 
@@ -59,7 +59,7 @@ class Load:
     """The joints of one side that deflect, with the other causes projected out.
 
     The loads are four numbers here, or eight if the readings carry different loads: the payload's mass as a share of the heaviest, its
-    centre as shares of the farthest; whether the load is carried (`CARRY`), and its centre as shares of the farthest.
+    centre as shares of the farthest; whether the load is carried (`CARRIED_INDEX`), and its centre as shares of the farthest.
 
     Attributes:
         side: ``tool`` or ``work``.
@@ -86,7 +86,7 @@ class Load:
     def explained_under(self, shares: np.ndarray) -> tuple[float, np.ndarray]:
         """Return the χ² that the joints explain under some loads, and (k,) their compliances."""
         shapes = self._shapes(shares)
-        inverse = np.linalg.pinv(shapes.T @ self.gram @ shapes, rcond=LOST, hermitian=True)
+        inverse = np.linalg.pinv(shapes.T @ self.gram @ shapes, rcond=UNDETERMINED_SIZE, hermitian=True)
         slope = shapes.T @ self.slope
         return float(slope @ inverse @ slope), np.asarray(inverse @ slope)
 
@@ -97,20 +97,22 @@ class Load:
         """Return the shares that explain most, with or without a payload and the carried load."""
         start = self.nothing
         bounds = [(0.0, 1.0 if payload else 0.0), *[(-1.0, 1.0) if payload else (0.0, 0.0)] * 3]
-        if len(start) > CARRY:
-            start[CARRY] = float(carried)
-            bounds += [(start[CARRY], start[CARRY]), *[(-1.0, 1.0) if carried else (0.0, 0.0)] * 3]
+        if len(start) > CARRIED_INDEX:
+            start[CARRIED_INDEX] = float(carried)
+            bounds += [(start[CARRIED_INDEX], start[CARRIED_INDEX]), *[(-1.0, 1.0) if carried else (0.0, 0.0)] * 3]
         if not payload and not carried:
             return start
         fits = [
             scipy.optimize.minimize(
-                lambda shares: CENTRE_PRIOR * np.sum(shares[CARRY + 1 :] ** 2) - self.explained_under(shares)[0],
+                lambda shares: (
+                    CENTRE_PRIOR * np.sum(shares[CARRIED_INDEX + 1 :] ** 2) - self.explained_under(shares)[0]
+                ),
                 np.concatenate([[share if payload else 0.0], start[1:]]),
                 method="L-BFGS-B",
                 bounds=bounds,
                 options={"maxiter": STEPS},
             )
-            for share in (FIRST if payload else FIRST[:1])
+            for share in (FIRST_MASS_SHARES if payload else FIRST_MASS_SHARES[:1])
         ]
         return np.asarray(fits[first_largest(np.array([-float(fit.fun) for fit in fits]))].x)
 
@@ -123,7 +125,7 @@ class Load:
         tried = {
             (payload, carried): self.best(payload=payload, carried=carried)
             for payload in (False, True)
-            for carried in ((False, True) if len(self.nothing) > CARRY else (False,))
+            for carried in ((False, True) if len(self.nothing) > CARRIED_INDEX else (False,))
         }
         explained = {key: self.explained_under(shares)[0] for key, shares in tried.items()}
         gain = 0.0
@@ -136,19 +138,22 @@ class Load:
 
     def payloads_of(self, shares: np.ndarray) -> tuple[Payload | None, Payload | None]:
         """Return the payload and the carried load of some shares; None for one that is not there."""
-        payload = Payload.of_shares(self.side, self.heaviest, shares[:CARRY]) if shares[0] else None
+        payload = Payload.of_shares(self.side, self.heaviest, shares[:CARRIED_INDEX]) if shares[0] else None
         carried = None
-        if len(shares) > CARRY and shares[CARRY]:
-            carried = replace(Payload.of_shares(self.side, 1.0, shares[CARRY:]), carried=True)
+        if len(shares) > CARRIED_INDEX and shares[CARRIED_INDEX]:
+            carried = replace(Payload.of_shares(self.side, 1.0, shares[CARRIED_INDEX:]), carried=True)
         return payload, carried
 
     def shares_of(self, payload: Payload | None, carried: Payload | None) -> np.ndarray:
         """Return a payload and a carried load as shares of their bounds."""
         found = self.nothing
         if payload is not None:
-            found[:CARRY] = [payload.mass_kg / self.heaviest, *(one / CENTRE_RANGE_MM for one in payload.centre_mm)]
+            found[:CARRIED_INDEX] = [
+                payload.mass_kg / self.heaviest,
+                *(one / CENTRE_RANGE_MM for one in payload.centre_mm),
+            ]
         if carried is not None:
-            found[CARRY:] = [carried.mass_kg, *(one / CENTRE_RANGE_MM for one in carried.centre_mm)]
+            found[CARRIED_INDEX:] = [carried.mass_kg, *(one / CENTRE_RANGE_MM for one in carried.centre_mm)]
         return found
 
     def covariances(self, shares: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -159,13 +164,15 @@ class Load:
             u: (k,) standard uncertainties of the compliances under exactly these loads.
         """
         _, values = self.explained_under(shares)
-        present = np.concatenate([[shares[0]] * CARRY, [0.0], [shares[-CARRY]] * 3])[: len(shares)] != 0.0
+        present = (
+            np.concatenate([[shares[0]] * CARRIED_INDEX, [0.0], [shares[-CARRIED_INDEX]] * 3])[: len(shares)] != 0.0
+        )
         step = np.eye(len(shares))[present] * 1e-6
         by_share = [(weights(shares + one) - weights(shares - one)) / 2e-6 for one in step]
         slopes = np.concatenate([self._shapes(shares), *[np.kron(values, one)[:, None] for one in by_share]], axis=1)
         known = slopes.T @ self.gram @ slopes
         count = len(values)
-        given = np.diag(np.linalg.pinv(known[:count, :count], rcond=LOST, hermitian=True))
+        given = np.diag(np.linalg.pinv(known[:count, :count], rcond=UNDETERMINED_SIZE, hermitian=True))
         known /= max(float(np.median(u**2 / np.maximum(given, 1e-300))), 1e-300)
         # Prior: a mass or centre that the data do not determine is uniformly distributed within its bounds.
         known[count:, count:] += CENTRE_PRIOR * np.eye(len(step))
@@ -179,8 +186,8 @@ def weights(shares: np.ndarray) -> np.ndarray:
     """Return (5,) or (9,) weights of the columns of a joint: own weight; mass and first moments of payload and carried load."""
     some = [
         part
-        for k in range(0, len(shares), CARRY)
-        for part in (shares[k : k + 1], shares[k] * shares[k + 1 : k + CARRY])
+        for k in range(0, len(shares), CARRIED_INDEX)
+        for part in (shares[k : k + 1], shares[k] * shares[k + 1 : k + CARRIED_INDEX])
     ]
     return np.concatenate([[1.0], *some])
 
@@ -219,7 +226,7 @@ def _bounded_load(candidates: Candidates, form: Form, forms: Sequence[Form]) -> 
     if added is None or added.plausible:
         return form
     machine = candidates.problem.network.machine
-    free = next(one for one in candidates.forms if one.key == form.key and len(one.variant.columns) == CARRY)
+    free = next(one for one in candidates.forms if one.key == form.key and len(one.variant.columns) == CARRIED_INDEX)
     heaviest = LARGEST_RATIO if added.carried else max_payload_kg(machine)
     centre, mass = _bounded_centre(*_projected(candidates, free, [one for one in forms if one is not form]), heaviest)
     if mass <= 0.0:
@@ -385,7 +392,7 @@ def _refine_side(candidates: Candidates, side: Side, payload: Payload | None, ca
         if not joint or side_of(axis_of_form(candidates, form)) != side:
             continue
         before = form.variant.fixed
-        if before and all(abs(before[name] - value) <= STILL * size[name] for name, value in numbers.items()):
+        if before and all(abs(before[name] - value) <= CONVERGED_SHARE * size[name] for name, value in numbers.items()):
             continue
         candidates.refine(form, variant_at(form.candidate, numbers, machine, state))
         moved = True

@@ -29,7 +29,7 @@ from twin.model.effects.base import axis_of, motion_in_words
 from twin.model.effects.harmonic import APPROACH
 from twin.model.effects.specification import Drawing
 
-STOPS: Final = 24
+MOST_POSITIONS: Final = 24
 """Number of distinct positions up to which each forms a group."""
 BINS: Final = 16
 """Number of groups, equally filled, for more positions."""
@@ -37,19 +37,19 @@ LEAST_READINGS: Final = 2
 """Smallest number of readings whose mean is drawn."""
 ALIKE_CORRELATION: Final = 0.9
 """Rank correlation of two columns above which only one of them is plotted."""
-SHOWN: Final = 0.2
+LEAST_CHI2_SHARE: Final = 0.2
 """Columns whose χ² is below this share of that of the clearest column are not plotted."""
 SIDES: Final = ((-1.0, "moving −"), (0.0, "unknown"), (1.0, "moving +"))
 """Names of the approach directions."""
 MAX_PANELS: Final = 3
 """Largest number of panels of residuals."""
-SMALL: Final = 0.02
+LEAST_CAUSE_SHARE: Final = 0.02
 """Readings at which the cause is below this share of its largest value are not plotted in its unit."""
 MANY_TURNS: Final = 4
 """Periods in the range from which on a periodic error is plotted over one period."""
-LEGIBLE: Final = 4.0
+WIDEST_INTERVAL: Final = 4.0
 """Directions whose intervals are wider than this multiple of the narrowest are not plotted."""
-HIDDEN: Final = 0.02
+UNMEASURED_SHARE: Final = 0.02
 """Share of the largest mean square below which a direction counts as not measured."""
 
 
@@ -130,7 +130,7 @@ def residual_panels(found: DiagnosisResult, *, after: bool = False) -> list[Pane
             continue
         reach = {label: _reach(x.values[rows], part[rows]) for label, part in before.items()}
         sharpest = min(half for _, half in reach.values())
-        shown = [label for label, (_, half) in reach.items() if half <= LEGIBLE * sharpest]
+        shown = [label for label, (_, half) in reach.items() if half <= WIDEST_INTERVAL * sharpest]
         series = tuple(_series(label, x.values[rows], values[label][rows]) for label in shown)
         where = side(carrier) if carrier in data.carrier else "all points"
         rest = "" if len(shown) == len(values) else f", {' and '.join(shown)} (measured best)"
@@ -146,7 +146,7 @@ def _clearest_columns(found: DiagnosisResult, scales: Mapping[str, Scale]) -> li
     own = {name for cause in found.causes for name in _columns_of(found, cause)}
     unexplained = found.unexplained
     wanted = [(name, unexplained.carrier) for name in unexplained.depends_on] if unexplained is not None else []
-    least = SHOWN * max((trend.explains for trend in found.trends), default=0.0)
+    least = LEAST_CHI2_SHARE * max((trend.explains for trend in found.trends), default=0.0)
     wanted += [(trend.column, trend.carrier) for trend in found.trends if trend.explains >= least]
     chosen: list[tuple[str, str]] = []
     for name, carrier in wanted:
@@ -209,7 +209,7 @@ def _against_prediction(title: str, predicted: np.ndarray, left: np.ndarray, pre
     """Return all measured coordinates against the prediction of the cause."""
     read = np.isfinite(predicted) & np.isfinite(left)
     x, y = predicted[read], (predicted + left)[read]
-    some = np.abs(x) > SMALL * np.abs(x).max(initial=0.0)
+    some = np.abs(x) > LEAST_CAUSE_SHARE * np.abs(x).max(initial=0.0)
     weight = np.einsum("nii->ni", precision)[read][some]
     one = Series("", x[some], y[some], weight, x[some], smooth=True)
     return Panel(title, "shift predicted by this cause [µm]", "measured shift [µm]", (one,))
@@ -261,7 +261,7 @@ def directed(found: DiagnosisResult, values_um: np.ndarray) -> dict[str, np.ndar
     if not (read[:, 1:].any() or along_axes):
         return {"along the beam": values[:, 0] + nothing}
     square = np.mean(np.einsum("nij->nj", found.directions**2), axis=0)
-    seen = square > HIDDEN * max(float(square.max()), 1e-30)
+    seen = square > UNMEASURED_SHARE * max(float(square.max()), 1e-30)
     return {f"in {'xyz'[j]}": base[:, j] + nothing for j in range(3) if seen[j]}
 
 
@@ -282,7 +282,7 @@ def _own_unit(found: DiagnosisResult, cause: Cause, effect: Effect, component: i
     shift = np.where(np.isfinite(cause.pattern_um), cause.pattern_um, 0.0)
     left = np.where(np.isfinite(found.after_um), found.after_um, 0.0)
     size = np.linalg.norm(shift, axis=1)
-    rows = (np.abs(values) > SMALL * np.abs(values).max()) & (size > 0.0)
+    rows = (np.abs(values) > LEAST_CAUSE_SHARE * np.abs(values).max()) & (size > 0.0)
     if not np.any(rows):
         return []
     lever = np.einsum("nij,nj->ni", found.precision[rows], shift[rows] / values[rows, None])
@@ -388,7 +388,7 @@ def _folded(whole: Scale, name: str, period: float, unit: str) -> Scale:
 def group_numbers(x: np.ndarray) -> np.ndarray:
     """Return (n,) group numbers: one group per position, or bins of neighbouring positions."""
     distinct = np.unique(np.round(x, 3))
-    if len(distinct) <= STOPS:
+    if len(distinct) <= MOST_POSITIONS:
         return np.searchsorted(distinct, np.round(x, 3))
     edges = np.unique(np.quantile(x, np.linspace(0.0, 1.0, BINS + 1)))
     return np.clip(np.searchsorted(edges, x, side="right") - 1, 0, len(edges) - 2)
@@ -421,16 +421,16 @@ def _reach(x: np.ndarray, y: np.ndarray) -> tuple[float, float]:
 
 # --- Plots of a diagnosis: the residuals, a cause with the readings that show it, the ranking of causes. Needs the extra ``pl
 
-WIDE: Final = 3
+PANELS_IN_A_ROW: Final = 3
 """Panels in a row."""
 TICKS: Final = 6
 CELLS: Final = 6
 """Cells along each side of a map."""
 PLOT_DIRECTIONS: Final = ("in x", "in y", "in z")
 """Each direction keeps its style, whichever directions are drawn."""
-NOTHING: Final = "#dddddd"
+COLOUR_WITHOUT_READING: Final = "#dddddd"
 """Colour of cells without a reading; the middle of the colour scale is white."""
-ABOVE: Final[dict[str, Any]] = {
+LEGEND_ABOVE: Final[dict[str, Any]] = {
     "fontsize": 8, "frameon": False, "ncols": 3, "loc": "lower left", "bbox_to_anchor": (-0.02, 0.99), "borderaxespad": 0.0,
     "columnspacing": 1.2, "handletextpad": 0.4,
 }  # fmt: skip
@@ -522,7 +522,7 @@ def plot_unexplained(found: DiagnosisResult, *, title: str = "") -> Figure | Non
     figure = new_figure(4.2, 3.1)
     plot = figure.add_subplot()
     most = float(np.nanmax(np.abs(maps[direction]), initial=1e-9))
-    plot.set_facecolor(NOTHING)
+    plot.set_facecolor(COLOUR_WITHOUT_READING)
     mesh = plot.pcolormesh(edges[0], edges[1], maps[direction].T, cmap="PuOr", vmin=-most, vmax=most)
     figure.colorbar(mesh, label=f"mean residual {direction} [µm]")
     plot.set(xlabel=x.label, ylabel=y.label)
@@ -558,7 +558,7 @@ def draw(plot: Axes, panel: Panel, *, titled: bool = True) -> None:
         low, high = plot.get_ylim()
         plot.set_ylim(min(low, -panel.limit), max(high, panel.limit))
     if len(entries) > 1:
-        plot.legend(*zip(*entries, strict=True), **ABOVE)
+        plot.legend(*zip(*entries, strict=True), **LEGEND_ABOVE)
     if titled:
         plot.set_title(panel.title, loc="left", fontsize=9, pad=20.0 if len(entries) > 1 else 6.0)
     plot.set(xlabel=panel.x, ylabel=panel.y)
@@ -591,7 +591,7 @@ def _draw_series(plot: Axes, panel: Panel, k: int) -> list[tuple[Any, str]]:
 
 
 def _drawn(panels: Sequence[Panel], title: str) -> Figure:
-    across = min(max(len(panels), 1), WIDE)
+    across = min(max(len(panels), 1), PANELS_IN_A_ROW)
     down = -(-max(len(panels), 1) // across)
     figure = new_figure(max(4.4 * across, 6.4), 3.5 * down + 0.4)
     titled = any(panel.title not in title for panel in panels)

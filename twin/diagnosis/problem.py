@@ -26,7 +26,7 @@ from twin.model.calibration import Calibration
 from twin.numerics.covariance import symmetric_root
 from twin.numerics.functions import Rows, pieces
 
-LOST: Final = 1e-12
+UNDETERMINED_SHARE: Final = 1e-12
 """Share of a direction in the remaining points below which they do not determine it."""
 
 
@@ -118,7 +118,7 @@ class Problem:
         own = self.nuisance_coordinates[:, : len(self.setup)]
         size = np.einsum("ij,ij->j", own, own)
         left = size - np.einsum("ki,kl,li->i", own, gone, own)
-        if np.any((left <= LOST * size) & (size > 0.0)):
+        if np.any((left <= UNDETERMINED_SHARE * size) & (size > 0.0)):
             return None
         part.root = _root(np.eye(len(gone)) - gone)
         part.set_residual(self.residual)
@@ -282,9 +282,9 @@ def _flat(found: np.ndarray) -> np.ndarray:
 
 
 def _root(gram: np.ndarray) -> np.ndarray:
-    """Return R with R Rᵀ the pseudo-inverse, over eigenvalues above `LOST`."""
+    """Return R with R Rᵀ the pseudo-inverse, over eigenvalues above `UNDETERMINED_SHARE`."""
     values, vectors = np.linalg.eigh(gram)
-    positive = values > LOST
+    positive = values > UNDETERMINED_SHARE
     return np.asarray(vectors[:, positive] / np.sqrt(values[positive]))
 
 

@@ -44,13 +44,13 @@ ALL_OR_NOTHING_TOLERANCE: Final = 0.2
 """Deviation from one allowed for the parameter of an effect that is either completely present or absent."""
 LEAST_FLEXIBLE_SHARE: Final = 0.01
 """Smallest share of a pliable effect in the χ² explained by all causes: a smaller one only fits the residual of a larger cause."""
-CANCELLED: Final = "they fit only together with another cause that cancels them"
+FIT_ONLY_TOGETHER: Final = "they fit only together with another cause that cancels them"
 PART_OF_ANOTHER: Final = "they only fit the residuals of a larger cause"
 TOO_LARGE: Final = "they fit only with a size that is physically impossible"
-NEGATIVE: Final = "they fit only with a negative size, which is physically impossible"
-PARTIAL: Final = "they are either there completely or not at all, and fit only in part"
+FIT_ONLY_NEGATIVE: Final = "they fit only with a negative size, which is physically impossible"
+FIT_ONLY_IN_PART: Final = "they are either there completely or not at all, and fit only in part"
 """Reasons for which causes are left out, in words."""
-LIKELY: Final = 12
+FORMS_AT_ONCE: Final = 12
 """Number of forms whose inner products with all others are evaluated together."""
 
 
@@ -89,7 +89,7 @@ def select(candidates: Candidates, begun: Sequence[Form] = ()) -> Selection:
         first.setdefault(int(candidates.key_of[i]), i)
     if not first:
         return found
-    candidates.prepare([candidates.forms[i] for i in list(first.values())[:LIKELY]])
+    candidates.prepare([candidates.forms[i] for i in list(first.values())[:FORMS_AT_ONCE]])
     likely = [[candidates.forms[i]] for i in list(first.values())[:MAX_FIRST_CAUSES]]
     for start in likely:
         forms = forward_selection(candidates, start)
@@ -186,7 +186,7 @@ def _excesses_of(
     form: Form, values: np.ndarray, u: np.ndarray, gram: np.ndarray, explained: float
 ) -> list[tuple[float, str]]:
     own, specification = float(values @ gram @ values), form.candidate.specification
-    found = [(own / (MAX_CHI2_RATIO * (explained + NOISE_CHI2)), CANCELLED)]
+    found = [(own / (MAX_CHI2_RATIO * (explained + NOISE_CHI2)), FIT_ONLY_TOGETHER)]
     if specification.flexible and own < LEAST_FLEXIBLE_SHARE * explained:
         found.append((np.inf, PART_OF_ANOTHER))
     scale = np.array([column.scale for column in form.variant.columns])
@@ -194,10 +194,10 @@ def _excesses_of(
         size = float(np.max((np.abs(values) - LIMIT_SIGMA * u) * scale))
         found.append((size / form.candidate.largest, TOO_LARGE))
     if specification.non_negative and values[0] < -LIMIT_SIGMA * u[0]:
-        found.append((np.inf, NEGATIVE))
+        found.append((np.inf, FIT_ONLY_NEGATIVE))
     if specification.all_or_nothing:
         off = abs(float(values[0] * scale[0]) - 1.0)
-        found.append((off / max(ALL_OR_NOTHING_TOLERANCE, LIMIT_SIGMA * float(u[0] * scale[0])), PARTIAL))
+        found.append((off / max(ALL_OR_NOTHING_TOLERANCE, LIMIT_SIGMA * float(u[0] * scale[0])), FIT_ONLY_IN_PART))
     return found
 
 

@@ -31,19 +31,21 @@ from twin._common.arrays import first_largest, largest_first
 from twin.diagnosis.forms import LEAST_NONCENTRALITY, Candidates, Form
 from twin.diagnosis.search import ALL_OR_NOTHING_TOLERANCE
 
-ODDS: Final = 20.0
+FOUND_ODDS: Final = 20.0
 """Odds of an effect against none at which it counts as found."""
-SIZES: Final = 30.0 * 10.0 ** np.arange(9)
+PRIOR_NONCENTRALITIES: Final = 30.0 * 10.0 ** np.arange(9)
 """Expected noncentrality of an effect under its prior: the variance grid."""
-SIZE_PRIOR: Final = 1.0 / ((np.arange(len(SIZES)) + 1.0) * (np.arange(len(SIZES)) + 2.0))
+SIZE_PRIOR: Final = 1.0 / (
+    (np.arange(len(PRIOR_NONCENTRALITIES)) + 1.0) * (np.arange(len(PRIOR_NONCENTRALITIES)) + 2.0)
+)
 """Prior weight of each, before normalisation: half of it on effects that are just large enough to be found."""
-NEGLECTED: Final = 1e-2
+NEGLECTED_CHANGE: Final = 1e-2
 """Change of the residual, in standard deviations, by forms neglected in an expected contribution."""
-MOVED: Final = 0.1
+CONVERGED_CONTRIBUTION: Final = 0.1
 """Standard deviations of an expected contribution, from one sweep to the next, below which the iteration ends."""
-RARE: Final = 1e-6
+NEGLECTED_PROBABILITY: Final = 1e-6
 """Posterior probability below which forms are always neglected."""
-SETTLED: Final = 1e-3
+CONVERGED_PROBABILITY: Final = 1e-3
 """Change of any posterior probability, from one sweep to the next, below which the iteration ends."""
 SWEEPS: Final = 100
 
@@ -93,8 +95,8 @@ class Fit:
 
     @property
     def found(self) -> bool:
-        """Return whether the odds reach `ODDS`."""
-        return self.log_odds >= float(np.log(ODDS))
+        """Return whether the odds reach `FOUND_ODDS`."""
+        return self.log_odds >= float(np.log(FOUND_ODDS))
 
     @property
     def probability(self) -> float:
@@ -178,7 +180,7 @@ class SingleEffects:
                     new = self._with_slope(new)
                     effects = [*effects[:k], new, *effects[k + 1 :]]
                     shift = float((new.coefficients - old.coefficients) @ (new.slope - old.slope))
-                    if float(moved.max()) > SETTLED or shift > MOVED**2:
+                    if float(moved.max()) > CONVERGED_PROBABILITY or shift > CONVERGED_CONTRIBUTION**2:
                         changed = True
                 else:
                     changed = True
@@ -199,7 +201,7 @@ class SingleEffects:
     def _with_slope(self, effect: Fit) -> Fit:
         """Return the effect with its expected contribution as ``slope``, in place of the slope of the residual."""
         # A form's likelihood ratio is at least its posterior odds: neglected forms change the residual by their share of its root.
-        rare = max(RARE, NEGLECTED / float(np.sqrt(1.0 + 2.0 * max(effect.log_odds, 0.0))))
+        rare = max(NEGLECTED_PROBABILITY, NEGLECTED_CHANGE / float(np.sqrt(1.0 + 2.0 * max(effect.log_odds, 0.0))))
         order = largest_first(effect.posterior)[::-1]
         chosen = np.zeros(self._forms, dtype=bool)
         chosen[order] = np.cumsum(effect.posterior[order]) > rare
@@ -232,7 +234,7 @@ class _Kind:
     """Forms with the same number of columns, in coordinates in which the noise has unit variance and the prior is diagonal.
 
     The prior of a form's coefficients is isotropic (columns have plausible sizes), scaled so that the expected noncentrality is one
-    of `SIZES`, up to that of the largest possible size. Forms and directions that the data do not show are omitted.
+    of `PRIOR_NONCENTRALITIES`, up to that of the largest possible size. Forms and directions that the data do not show are omitted.
     """
 
     def __init__(self, own: Alternatives, dof: float) -> None:
@@ -245,9 +247,9 @@ class _Kind:
         self._directions = seen.sum(axis=1)
         self._turn = vectors * np.where(seen, 1.0 / np.sqrt(np.where(seen, values, 1.0)), 0.0)[:, None, :]
         total = values.sum(axis=1)
-        self._variance = SIZES[None, :, None] * (values / total[:, None])[:, None, :]
+        self._variance = PRIOR_NONCENTRALITIES[None, :, None] * (values / total[:, None])[:, None, :]
         most = np.einsum("nii,ni->n", own.inner[some], own.largest[some] ** 2)
-        weight = SIZE_PRIOR * (SIZES <= np.maximum(most, SIZES[0])[:, None])
+        weight = SIZE_PRIOR * (PRIOR_NONCENTRALITIES <= np.maximum(most, PRIOR_NONCENTRALITIES[0])[:, None])
         with np.errstate(divide="ignore"):
             self._log_weight = np.log(weight / weight.sum(axis=1)[:, None])
         self._mean = np.sqrt(values) * np.einsum("nij,ni->nj", vectors, own.centre[some])
@@ -294,7 +296,7 @@ def _sum(effects: Sequence[Fit]) -> np.ndarray | float:
 
 # --- A second, Bayesian method: probabilities of the causes, and 95 % credible sets ---------------
 
-CREDIBLE: Final = 0.95
+CREDIBLE_PROBABILITY: Final = 0.95
 """Smallest posterior probability of a credible set."""
 MAX_EFFECTS: Final = 12
 """Largest number of effects."""
@@ -310,7 +312,7 @@ class SingleEffect:
     Attributes:
         log_odds: natural log of the odds of an effect against none.
         posterior: probability of each cause given that there is an effect, all forms of the cause together; the likeliest first.
-        credible: the smallest set of causes that has `CREDIBLE` of the probability, the likeliest first.
+        credible: the smallest set of causes that has `CREDIBLE_PROBABILITY` of the probability, the likeliest first.
     """
 
     log_odds: float
@@ -319,8 +321,8 @@ class SingleEffect:
 
     @property
     def found(self) -> bool:
-        """Return whether the odds reach `ODDS`, which limits the rate of false alarms to one in 20."""
-        return self.log_odds >= float(np.log(ODDS))
+        """Return whether the odds reach `FOUND_ODDS`, which limits the rate of false alarms to one in 20."""
+        return self.log_odds >= float(np.log(FOUND_ODDS))
 
     def probability(self, keys: Collection[Key]) -> float:
         """Return the posterior probability that the effect exists and is one of the given causes."""
@@ -341,7 +343,7 @@ class SecondOpinion:
 
     @property
     def found(self) -> tuple[SingleEffect, ...]:
-        """Return the effects whose odds reach `ODDS`."""
+        """Return the effects whose odds reach `FOUND_ODDS`."""
         return tuple(effect for effect in self.effects if effect.found)
 
     def probability(self, keys: Collection[Key]) -> float:
@@ -480,6 +482,6 @@ def _by_key(effect: Fit, keys: Sequence[Key], number: np.ndarray) -> SingleEffec
     names = dict(zip(number.tolist(), keys, strict=True))
     order = np.argsort(-total, kind="stable")
     ordered = {names[int(i)]: float(total[i]) for i in order if total[i] > 0.0}
-    held = int(np.searchsorted(np.cumsum(total[order]), CREDIBLE)) + 1
+    held = int(np.searchsorted(np.cumsum(total[order]), CREDIBLE_PROBABILITY)) + 1
     credible = tuple(names[int(i)] for i in order[:held])
     return SingleEffect(effect.log_odds, MappingProxyType(ordered), credible)

@@ -173,7 +173,7 @@ def pair_codes(groups: Sequence[np.ndarray], count: int) -> PairCodes:
 
 BLOCK_WIDTH: Final = 64
 """Vectors, or products of two functions, processed at a time, so that they stay in the processor's cache."""
-FEW: Final = 16
+FEW_VECTORS: Final = 16
 """Number of vectors below which every derivative is multiplied by the vectors first."""
 FEW_FUNCTIONS: Final = 20
 """Number of functions of a derivative up to which it is multiplied by these, which are fewer than the vectors."""
@@ -276,7 +276,7 @@ class Signatures:
     def _add_block(self, block: PointBlock, right: np.ndarray, sums: SummedTerms) -> None:
         """Add the inner products of functions times derivatives with (3, r, points) vectors at a block of points."""
         by_freedom = self._by_freedom
-        if right.shape[1] >= FEW:
+        if right.shape[1] >= FEW_VECTORS:
             by_freedom = self._large
             terms, weighted = self._small_terms(block)
             products = sum(right[i] @ weighted[i] for i in range(3))
@@ -538,7 +538,7 @@ class Signatures:
         size = sum(functions.count for functions in self._lookup) * len(self.view.rows)
         self._cache = size <= LARGEST_CACHE
         # Values that are cached are not interpolated.
-        made = {of: None if self._cache or len(self.columns) < FEW else of.interpolation for of in self._lookup}
+        made = {of: None if self._cache or len(self.columns) < FEW_VECTORS else of.interpolation for of in self._lookup}
         self._interpolated = {of: interpolation for of, interpolation in made.items() if interpolation is not None}
         self._runs = self._ordered_runs(np.arange(len(self.view.rows)), self._parts)
 

@@ -27,7 +27,7 @@ from twin.diagnosis.cross_validation import (
 )
 from twin.diagnosis.estimate import RandomEffects, estimate, remaining_discrepancy
 from twin.diagnosis.forms import DEVIANCE_RULED_OUT, Candidates, Form, columns_of
-from twin.diagnosis.likelihood import ALARMS, Likelihood, Model, PatternTest, scan_patterns
+from twin.diagnosis.likelihood import FALSE_ALARM_RATE, Likelihood, Model, PatternTest, scan_patterns
 from twin.diagnosis.patterns import Pattern, patterns
 from twin.diagnosis.payload import select_with_payload
 from twin.diagnosis.problem import Problem
@@ -248,7 +248,7 @@ def _worth(candidates: Candidates, found: Structure) -> float:
 
 def _price(pattern_test: PatternTest) -> float:
     """Return the smallest gain in twice the log likelihood for a pattern to be significant."""
-    return float(2.0 * (pattern_test.log_price - np.log(ALARMS)))
+    return float(2.0 * (pattern_test.log_price - np.log(FALSE_ALARM_RATE)))
 
 
 def _cost(candidates: Candidates, form: Form) -> float:
@@ -451,7 +451,7 @@ def _possible(candidates: Candidates, forms: Sequence[Form], model: Model) -> bo
 
 # --- Search for the best set of causes together with unnamed patterns -----------------------------
 
-RESELECTED: Final = 4
+MOST_RESELECTIONS: Final = 4
 """Largest number of searches with other weights."""
 TIME: Final = "time_s"
 NOT_PREDICTED: Final = "they do not predict held-out positions"
@@ -473,7 +473,7 @@ def select_causes(task: DiagnosisTask) -> Findings:
         task: the problem without outliers, and the causes to test; with the weights of the noise.
     """
     found = _select(task)
-    for _ in range(RESELECTED):
+    for _ in range(MOST_RESELECTIONS):
         structure = found.structure
         discrepancy = remaining_discrepancy(
             found.task, structure.forms, estimate(found.problem, structure.forms), structure.problem

@@ -24,9 +24,9 @@ from twin.measurement.checks import assumptions, grouped_notes
 from twin.model.effects.base import axis_of
 from twin.model.effects.specification import Advice, Kind, title_of
 
-ENOUGH: Final = 25.0
+RULED_OUT_CHI2: Final = 25.0
 """Expected χ² between the predictions of two causes that rules one of them out."""
-HOPELESS: Final = 1000.0
+MOST_READINGS: Final = 1000.0
 """Number of readings at one position above which the measurement is not suggested."""
 
 
@@ -154,7 +154,7 @@ def separating_points(wanted: Iterable[Mapping[str, Any]], sigma_um: float) -> l
             continue
         best = max(float(one["expected_chi2"]) for one in task)
         difference_um = best**0.5 * sigma_um
-        if ENOUGH > HOPELESS * best:
+        if RULED_OUT_CHI2 > MOST_READINGS * best:
             text = (
                 f"No position that was tried separates them: their predictions differ by at most {difference_um:.1g} µm. "
                 "Either can be used for compensation."
@@ -171,7 +171,7 @@ def separating_points(wanted: Iterable[Mapping[str, Any]], sigma_um: float) -> l
             )
             for one in task
         )
-        many = max(ceil(ENOUGH / best), 1)
+        many = max(ceil(RULED_OUT_CHI2 / best), 1)
         readings = "one reading is enough" if many == 1 else f"about {many} readings are enough"
         text = f"Their predictions differ most at these positions; at the first, {readings}."
         if not any(name.startswith("misplaced") for name in pair):
@@ -232,16 +232,16 @@ def likelihood_words(probability: float, alone: bool) -> str:
 # --- The verdict of a diagnosis in a few sentences for whoever runs the machine, shared by page, text and notebook
 
 Mood = Literal["well", "wrong", "unknown", "disturbed"]
-SHOWN: Final = 4
+CAUSES_DESCRIBED: Final = 4
 """Causes described one by one; the rest are counted."""
 WELL_BELOW: Final = 0.8
 """Share of the expected RMS residual below which the residuals are called less than expected."""
-COVERED: Final = 0.9
+COVERED_RATIO: Final = 0.9
 """Ratio of the RMS residual with and without the calibration's uncertainty below which that uncertainty makes it consistent."""
-NOISY: Final = 1.2
+DOUBTED_NOISE_RATIO: Final = 1.2
 """Ratio of the residual to the stated noise above which the stated noise is doubted."""
-NEXT: Final = "“What to measure next”"
-SIZED: Final = re.compile(r"\d (µm|µrad|mm|°|ppm)")
+NEXT_SECTION: Final = "“What to measure next”"
+SIZE_IN_TEXT: Final = re.compile(r"\d (µm|µrad|mm|°|ppm)")
 
 
 def headline(diagnosis: DiagnosisResult) -> tuple[str, Mood]:
@@ -289,7 +289,10 @@ def facts(diagnosis: DiagnosisResult) -> list[tuple[str, str]]:
     if diagnosis.verdict == "consistent":
         less = diagnosis.rms_um < WELL_BELOW * diagnosis.expected_rms_um
         why = f"{'less than' if less else 'as'} expected from measurement noise ({diagnosis.expected_rms_um:.3g} µm)"
-        if diagnosis.rms_um > diagnosis.expected_rms_um and diagnosis.absorbed_rms_um < COVERED * diagnosis.rms_um:
+        if (
+            diagnosis.rms_um > diagnosis.expected_rms_um
+            and diagnosis.absorbed_rms_um < COVERED_RATIO * diagnosis.rms_um
+        ):
             why = (
                 f"more than measurement noise ({diagnosis.expected_rms_um:.3g} µm), but within the uncertainty stated in the "
                 "calibration"
@@ -297,7 +300,10 @@ def facts(diagnosis: DiagnosisResult) -> list[tuple[str, str]]:
         return [
             ("Result", f"The RMS residual is {diagnosis.rms_um:.3g} µm, {why}."),
             ("What to do", "Nothing. Compensate with the present calibration."),
-            ("Note", f"This covers only errors that these readings can show. The others are listed under {NEXT}."),
+            (
+                "Note",
+                f"This covers only errors that these readings can show. The others are listed under {NEXT_SECTION}.",
+            ),
         ]
     found = [("At the tool", _at_tool(diagnosis))]
     if diagnosis.verdict == "unexplained":
@@ -307,7 +313,7 @@ def facts(diagnosis: DiagnosisResult) -> list[tuple[str, str]]:
     elif len(causes) == 1:
         found += advised(causes[0])
     else:
-        for one in causes[:SHOWN]:
+        for one in causes[:CAUSES_DESCRIBED]:
             look = advice(one.effect, one.where).look
             found.append((cause_title(one.effect, one.where), f"{look} {to_do(one)}"))
         if any(one.origin == "instrument" for one in causes):
@@ -368,7 +374,7 @@ def to_do(cause: Cause) -> str:
 def sentence(cause: Cause) -> str:
     """Return the evidence without symbol and statistics; if it contains no size, the largest shift of a point is added."""
     text = re.sub(r" \(\d+ standard uncertainties\)", "", cause.evidence).removeprefix(f"{cause.where}: ")
-    return f"{capital(text)}.{'' if SIZED.search(text) else f' {moves(cause)}'}"
+    return f"{capital(text)}.{'' if SIZE_IN_TEXT.search(text) else f' {moves(cause)}'}"
 
 
 def moves(cause: Cause) -> str:
@@ -383,8 +389,8 @@ def noisier_than_stated(diagnosis: DiagnosisResult) -> bool:
     if diagnosis.gain is None or diagnosis.unexplained is None or _written(diagnosis):
         return False
     ratio = diagnosis.gain.rms_after_um / diagnosis.expected_rms_um
-    # Significant: five standard deviations of a mean square. Relevant: above `NOISY`.
-    return bool(ratio > NOISY and ratio**2 - 1.0 > 5.0 * np.sqrt(2.0 / max(diagnosis.dof, 1)))
+    # Significant: five standard deviations of a mean square. Relevant: above `DOUBTED_NOISE_RATIO`.
+    return bool(ratio > DOUBTED_NOISE_RATIO and ratio**2 - 1.0 > 5.0 * np.sqrt(2.0 / max(diagnosis.dof, 1)))
 
 
 def machine_or_instrument(causes: Iterable[Cause]) -> bool:
@@ -462,7 +468,7 @@ def _when_unexplained(diagnosis: DiagnosisResult) -> list[tuple[str, str]]:
 
 
 def _when_ambiguous(diagnosis: DiagnosisResult) -> list[tuple[str, str]]:
-    causes, found = diagnosis.causes[:SHOWN], []
+    causes, found = diagnosis.causes[:CAUSES_DESCRIBED], []
     certain = [one for one in causes if not one.equivalent]
     for one in causes:
         name = cause_title(one.effect, one.where)
@@ -479,7 +485,7 @@ def _when_ambiguous(diagnosis: DiagnosisResult) -> list[tuple[str, str]]:
     wanted = separating_points(diagnosis.next_measurement, diagnosis.expected_rms_um)
     if any(one.rows for one in wanted):
         found.append(
-            ("What to do", f"First measure the points under {NEXT}: they separate the causes. Then compensate.")
+            ("What to do", f"First measure the points under {NEXT_SECTION}: they separate the causes. Then compensate.")
         )
     elif wanted:
         found.append(("What to do", " ".join(dict.fromkeys(one.verdict for one in wanted))))
@@ -496,9 +502,9 @@ def _when_ambiguous(diagnosis: DiagnosisResult) -> list[tuple[str, str]]:
 # --- A diagnosis as text for the terminal, and as a short table for a notebook --------------------
 
 WIDTH: Final = 100
-ABSORBED: Final = 0.9
+ABSORBED_RATIO: Final = 0.9
 """Ratio of the RMS residual with and without the calibration's uncertainty below which both are given."""
-HARD: Final = "\u00a0"
+HARD_SPACE: Final = "\u00a0"
 
 
 def diagnosis_text(diagnosis: DiagnosisResult) -> str:
@@ -525,7 +531,7 @@ def diagnosis_text(diagnosis: DiagnosisResult) -> str:
             hang=2,
         ),
     ]
-    if diagnosis.absorbed_rms_um < ABSORBED * diagnosis.rms_um:
+    if diagnosis.absorbed_rms_um < ABSORBED_RATIO * diagnosis.rms_um:
         absorbed = (
             f"{diagnosis.absorbed_rms_um:.3g} µm remain after allowing for the uncertainty stated in the calibration"
         )
@@ -636,5 +642,5 @@ def _listing(title: str, items: Sequence[str]) -> list[str]:
 
 def _wrapped(text: str, *, start: int = 0, hang: int = 0) -> list[str]:
     indents = {"initial_indent": " " * start, "subsequent_indent": " " * hang}
-    lines = wrap(with_joined_units(text, HARD), WIDTH, **indents, break_long_words=False, break_on_hyphens=False)  # type: ignore[arg-type]
-    return [line.replace(HARD, " ") for line in lines]
+    lines = wrap(with_joined_units(text, HARD_SPACE), WIDTH, **indents, break_long_words=False, break_on_hyphens=False)  # type: ignore[arg-type]
+    return [line.replace(HARD_SPACE, " ") for line in lines]

@@ -6,7 +6,7 @@ dof (RSS − RSS_min)/RSS_min ≤ 7.35. This limit holds for a small change; for
 
 A change counts as one of the machine if it is evident even if any one of the temperature sensors may have any linear influence: of
 the e-processes with each sensor among the nuisance columns, the least must pass the limit. If only the test without temperature
-passes it, the likelihoods decide: a temperature explains the series if it is `RATIO` times as likely as every step and every drift.
+passes it, the likelihoods decide: a temperature explains the series if it is `BETTER_LIKELIHOOD_RATIO` times as likely as every step and every drift.
 Otherwise the series is undecided: time and temperature changed together.
 
 B. E. Hansen: Sample splitting and threshold estimation, Econometrica 68 (2000) 575-603.
@@ -54,7 +54,7 @@ from twin.display.numbers import COVERAGE
 
 PRIOR_VARIANCES: Final = (1.0, 10.0, 100.0)
 """Prior variances of the change, in squares of the standard deviation of one check."""
-DATES: Final = 20.0
+POSSIBLE_DATES: Final = 20.0
 """Number of possible dates of a change over which half of the alarm rate is spent."""
 MONTH_DAYS: Final = 30.0
 """Time over which a drift is measured, days."""
@@ -68,7 +68,7 @@ RANK_TOLERANCE: Final = 1e-9
 def spent_share(checks: int) -> float:
     """Return the share of the alarm rate that belongs to changes between the first check and the last of a number of checks."""
     dates = max(checks - 1, 0)
-    return dates / (DATES + dates)
+    return dates / (POSSIBLE_DATES + dates)
 
 
 def change_shapes(days: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -161,10 +161,10 @@ def _log_ratio(
     logs = np.concatenate([_log_ratios(y, basis, dof, shape, PRIOR_VARIANCES, least) for shape in shapes])
     each = logs - np.log(len(logs))
     dates = np.arange(1.0, count)
-    weight = DATES / ((DATES + dates - 1.0) * (DATES + dates))
+    weight = POSSIBLE_DATES / ((POSSIBLE_DATES + dates - 1.0) * (POSSIBLE_DATES + dates))
     top = np.maximum(each.max(axis=(0, 1)), 0.0)
     inside = np.einsum("c,kcs->s", weight, np.exp(each - top))
-    later = DATES / (DATES + count - 1.0)
+    later = POSSIBLE_DATES / (POSSIBLE_DATES + count - 1.0)
     changed = top + np.log(inside + later * np.exp(-top))
     far_off = _log_ratios(y, basis, dof, outliers, OUTLIER_VARIANCES, least).max(axis=(0, 1))
     return np.asarray(changed - np.maximum(far_off + np.log(OUTLIER_WEIGHT), 0.0))
@@ -192,7 +192,7 @@ def _log_ratios(
 Verdict = Literal["steady", "changed", "follows temperature", "undecided"]
 DATE_LIMIT: Final = 7.35
 """Largest profile likelihood ratio inside the 95 % interval of the date (Hansen 2000)."""
-RATIO: Final = 20.0
+BETTER_LIKELIHOOD_RATIO: Final = 20.0
 """Likelihood ratio from which one explanation counts as better than another."""
 LEAST_SHARE: Final = 0.8
 """Share of the checks that must give a temperature, so that it is considered as an explanation."""
@@ -276,7 +276,7 @@ class Change:
 
     Attributes:
         shape: ``step``, or ``drift`` that grows in proportion to time.
-        sure_shape: whether the other shape is less likely by `RATIO`.
+        sure_shape: whether the other shape is less likely by `BETTER_LIKELIHOOD_RATIO`.
         after: number of the last check before the change, as an index into the series.
         day: most likely day: halfway between two checks for a step, a check's for a drift.
         earliest_day, latest_day: limits of its 95 % interval.
@@ -395,7 +395,7 @@ def examine(series: ErrorSeries, limit: float) -> WatchedError:
             change = _change(series, least, _with_best_sensor(series, levels, sensors))
     elif moved.any():
         temperatures = _temperatures(series, least)
-        verdict = "follows temperature" if temperatures[0].log_ratio >= np.log(RATIO) else "undecided"
+        verdict = "follows temperature" if temperatures[0].log_ratio >= np.log(BETTER_LIKELIHOOD_RATIO) else "undecided"
     columns = _model(series, verdict, change, temperatures)
     fit = _fit(series.value, series.root, columns)
     variance = max(fit.rss / fit.dof, least) if fit.dof > 0 else np.nan
@@ -500,7 +500,7 @@ def _change(series: ErrorSeries, least: float, nuisance: np.ndarray) -> Change:
     expanded = float(student_isf((1.0 - COVERAGE) / 2.0, dof) * np.sqrt(variance * fit.cofactor[-1, -1]))
     return Change(
         shape=shape,
-        sure_shape=bool(0.5 * dof * np.log(other.min() / own[after]) >= np.log(RATIO)),
+        sure_shape=bool(0.5 * dof * np.log(other.min() / own[after]) >= np.log(BETTER_LIKELIHOOD_RATIO)),
         after=after,
         day=float((days[after] + days[after + 1]) / 2.0 if shape == "step" else days[after]),
         earliest_day=float(days[first] if shape == "step" else days[max(first - 1, 0)]),
@@ -512,7 +512,7 @@ def _change(series: ErrorSeries, least: float, nuisance: np.ndarray) -> Change:
 
 
 def _temperatures(series: ErrorSeries, least: float) -> tuple[TemperatureEffect, ...]:
-    """Return the sensors by likelihood, without those that are less likely than the first by `RATIO`."""
+    """Return the sensors by likelihood, without those that are less likely than the first by `BETTER_LIKELIHOOD_RATIO`."""
     profile = _profile(series, series.levels)
     change = min(float(rss.min()) for rss in profile.values()) + least
     found = []
@@ -529,7 +529,7 @@ def _temperatures(series: ErrorSeries, least: float) -> tuple[TemperatureEffect,
             )
         )
     ranked = [found[i] for i in largest_first(np.array([one.log_ratio for one in found]))]
-    return tuple(one for one in ranked if one.log_ratio >= ranked[0].log_ratio - np.log(RATIO))
+    return tuple(one for one in ranked if one.log_ratio >= ranked[0].log_ratio - np.log(BETTER_LIKELIHOOD_RATIO))
 
 
 def lag_correlation(every: Sequence[ErrorSeries]) -> float:

@@ -20,7 +20,7 @@ from twin.model.effects import Effect, split_name
 from twin.monitoring.comparison import Changes, Culprits, ErrorChange
 from twin.monitoring.comparison_words import meaning_of
 from twin.monitoring.pairs import (
-    SHARE,
+    FALSE_ALARMS_OF_A_TEST,
     NotCompared,
     Pair,
     holm_adjusted,
@@ -34,7 +34,7 @@ from twin.monitoring.pairs import (
 from twin.monitoring.tool import POSES, ActingError, JudgedErrors, at_tool
 from twin.tool.uncertainty import without_missing_channels
 
-MOSTLY: Final = 0.9
+NAMED_SHAPE_SHARE: Final = 0.9
 """Share of the mean square of a change that a line, a parabola or one wave per turn must explain to name the shape."""
 
 
@@ -122,7 +122,7 @@ def _errors_at_tool(
     return JudgedErrors(
         classes={p.name: p.iso_class for p in pairs if p.status != "unknown" and p.name not in doubtful},
         drawn=[p.name for p in pairs if p.status == "known" and p.name not in doubtful],
-        share=SHARE,
+        share=FALSE_ALARMS_OF_A_TEST,
         causes={name: cause for name, cause in whole.causes.items() if name not in absent},
         whole_model=not absent,
     )
@@ -385,7 +385,7 @@ def _shape_of(pair: Pair, change: np.ndarray, *, linear: bool) -> str:
     for name, functions in ways:
         columns = np.stack(functions, axis=1)
         left = values - columns @ np.linalg.lstsq(columns, values, rcond=None)[0]
-        if np.sum(left**2) <= (1.0 - MOSTLY) * np.sum(values**2):
+        if np.sum(left**2) <= (1.0 - NAMED_SHAPE_SHARE) * np.sum(values**2):
             return name
     return ""
 

@@ -14,7 +14,7 @@ from twin._common.records import json_form
 from twin.display import finite_or_none, first_rows, measured, note, readable, table
 from twin.display.results import Display, DisplayedResult
 from twin.machine.machine import Machine
-from twin.monitoring.pairs import FALSE_ALARMS, SHARE, NotCompared, Status
+from twin.monitoring.pairs import FALSE_ALARMS, FALSE_ALARMS_OF_A_TEST, NotCompared, Status
 from twin.monitoring.tool import ToolChange
 
 SCHEMA: Final = "twin.monitoring/1"
@@ -28,7 +28,7 @@ AT_TOOL: Final = MappingProxyType(
     }
 )
 """Keys in JSON of results after aligning the workpiece."""
-CANCELLED: Final = 0.05
+CANCELLED_RATIO: Final = 0.05
 """Ratio of the joint effect of changes at the tool to their single effects below which they cancel."""
 
 
@@ -78,7 +78,7 @@ class ErrorChange:
         """Return whether the change is significant by itself, corrected for the number of errors; None if unknown."""
         if self.status == "same":
             return False
-        return None if self.status == "unknown" else self.p_adjusted <= SHARE
+        return None if self.status == "unknown" else self.p_adjusted <= FALSE_ALARMS_OF_A_TEST
 
     def to_dict(self) -> dict[str, Any]:
         """Return the entry of the JSON; null for unknown values."""
@@ -160,7 +160,7 @@ class Changes(DisplayedResult):
     def seen_by(self) -> tuple[str, ...]:
         """Return which of the four tests detect a change: ``all together``, ``error by error``, ``fewest errors``, ``tool``."""
         found = []
-        if self.joint_p_value <= SHARE:
+        if self.joint_p_value <= FALSE_ALARMS_OF_A_TEST:
             found.append("all together")
         if any(error.significant for error in self.errors):
             found.append("error by error")
@@ -193,7 +193,7 @@ class Changes(DisplayedResult):
             return False
         names = {error.name for error in (*self.errors, *self.culprits.errors) if error.significant}
         alone = np.sqrt(sum(tool.by_error[name].rms_um ** 2 for name in names))
-        return len(names) > 1 and bool(tool.judged.rms_um <= CANCELLED * alone)
+        return len(names) > 1 and bool(tool.judged.rms_um <= CANCELLED_RATIO * alone)
 
     @property
     def unjudged(self) -> tuple[str, ...]:
@@ -221,7 +221,7 @@ class Changes(DisplayedResult):
             "warnings": warnings_to_json(self.warnings),
             "verdict": self.verdict,
             "seen_by": list(self.seen_by),
-            "false_alarms": {"of_all": FALSE_ALARMS, "of_each_look": SHARE},
+            "false_alarms": {"of_all": FALSE_ALARMS, "of_each_look": FALSE_ALARMS_OF_A_TEST},
             "joint": {"p_value": finite_or_none(self.joint_p_value), "dof": self.joint_dof},
             "meaning": list(self.meaning),
             "errors": [error.to_dict() for error in self.errors],

@@ -13,7 +13,7 @@ from twin.display.numbers import COVERAGE_FACTOR
 from twin.machine.machine import Machine
 from twin.model.effects import split_name
 from twin.monitoring.comparison import Changes, ErrorChange
-from twin.monitoring.pairs import FALSE_ALARMS, SHARE
+from twin.monitoring.pairs import FALSE_ALARMS, FALSE_ALARMS_OF_A_TEST
 from twin.monitoring.tool import ToolDisplacement
 from twin.tool.uncertainty import DEFINITION
 
@@ -120,12 +120,14 @@ def _changed(found: Changes) -> list[str]:
     if culprits.errors:
         only = (
             "Only "
-            if len(culprits.errors) == 1 and culprits.left_p_value > SHARE and not culprits.alternatives[0]
+            if len(culprits.errors) == 1
+            and culprits.left_p_value > FALSE_ALARMS_OF_A_TEST
+            and not culprits.alternatives[0]
             else ""
         )
         for error, others, trend in zip(culprits.errors, culprits.alternatives, culprits.trends, strict=True):
             sentences.append(_changed_error(found, error, others, trend, only))
-        if culprits.left_p_value > SHARE:
+        if culprits.left_p_value > FALSE_ALARMS_OF_A_TEST:
             sentences.append(
                 "All other changes are within the uncertainty; the sizes are estimated with all else taken as unchanged."
             )

@@ -40,7 +40,7 @@ from twin.tool.uncertainty import CURVE_POINTS
 
 ROUNDING: Final = 1e-10
 """Relative singular value up to which a function is linearly dependent on the others."""
-NOTHING: Final = 1e-7
+ZERO_UNCERTAINTY: Final = 1e-7
 """Ratio of a standard uncertainty to the largest of the same error up to which it is a rounding error of zero."""
 
 Status = Literal["same", "known", "unknown"]
@@ -134,7 +134,7 @@ class Pair:
         for side in (self.first, self.second):
             if side.covariance is not None:
                 variance = np.diag(side.covariance)
-                found.append(side.transform[:, variance <= NOTHING**2 * variance.max(initial=0.0)])
+                found.append(side.transform[:, variance <= ZERO_UNCERTAINTY**2 * variance.max(initial=0.0)])
         return np.concatenate([np.zeros((len(self.change), 0)), *found], axis=1)
 
     @property
@@ -211,7 +211,7 @@ def without_rounding(covariance: np.ndarray, *, alike: bool) -> np.ndarray:
         alike: whether all have the same unit, so that the largest variance gives the size of rounding errors.
     """
     variance = np.diag(covariance)
-    least = NOTHING**2 * variance.max(initial=0.0) if alike else 0.0
+    least = ZERO_UNCERTAINTY**2 * variance.max(initial=0.0) if alike else 0.0
     keep = variance > least
     return np.asarray(np.where(np.outer(keep, keep), covariance, 0.0))
 
@@ -358,19 +358,19 @@ def joint_covariance(pairs: Sequence[Pair], covariances: tuple[Covariance, Covar
 
 FALSE_ALARMS: Final = 0.05
 TESTS: Final = 4
-SHARE: Final = FALSE_ALARMS / TESTS
+FALSE_ALARMS_OF_A_TEST: Final = FALSE_ALARMS / TESTS
 """Probability of a false alarm of each test."""
-WEAK: Final = 1e-8
+ZERO_EIGENVALUE: Final = 1e-8
 """Eigenvalues of a correlation matrix up to this are zero. In files of `identify` with powers of degree 12, rounding leaves 1e-10 for
 directions fixed by a convention; the smallest others are 1e-4."""
-FIXED: Final = 1e-3
+ROUNDING_SIGMA: Final = 1e-3
 """Changes in directions without variance up to this multiple of the standard uncertainties are rounding errors."""
 DRAWS: Final = 4000
 SEED: Final = 230
 """Random seed of the draws for simultaneous bands."""
-ODDS: Final = 2.0 * float(np.log(100.0))
+BETTER_CHI2: Final = 2.0 * float(np.log(100.0))
 """χ² by which one explanation must be better than another: odds of 100:1."""
-DEPENDENT: Final = 1e-6
+DEPENDENT_SHARE: Final = 1e-6
 """Relative singular value up to which a direction is linearly dependent on those selected."""
 
 
@@ -419,12 +419,12 @@ def whiten(change: np.ndarray, covariance: np.ndarray, exact: np.ndarray | None 
     typical = float(scale.max(initial=0.0)) or 1.0
     safe = np.where(scale > 0.0, scale, typical)
     values, vectors = np.linalg.eigh(covariance / np.outer(safe, safe))
-    keep = values > WEAK * max(float(values[-1]), 1.0) if len(values) else np.zeros(0, dtype=bool)
+    keep = values > ZERO_EIGENVALUE * max(float(values[-1]), 1.0) if len(values) else np.zeros(0, dtype=bool)
     scaled = change / safe
     none = vectors[:, ~keep]
     still = none @ (none.T @ scaled)
     without_variance = np.zeros_like(change)
-    if np.linalg.norm(still) > FIXED:
+    if np.linalg.norm(still) > ROUNDING_SIGMA:
         without_variance = still * safe
         if exact is not None and exact.shape[1]:
             columns = exact / safe[:, None]
@@ -538,7 +538,7 @@ def smallest_set(pairs: Sequence[Pair], white: Whitened, linear: Sequence[bool])
     candidates = _candidates(pairs, white, linear)
     if not candidates:
         return SmallestSet((), white.p_value, 0, (float("nan"),) * len(pairs))
-    level = SHARE / len(candidates)
+    level = FALSE_ALARMS_OF_A_TEST / len(candidates)
     search = _Search(candidates, white.value)
     search.run(float(np.log(level)))
     basis = search.basis()
@@ -572,7 +572,7 @@ def _candidates(pairs: Sequence[Pair], white: Whitened, linear: Sequence[bool]) 
         for whole, directions in ways:
             columns = white.transform[:, rows] @ directions
             left, size, right = np.linalg.svd(columns, full_matrices=False)
-            keep = size > DEPENDENT * size.max(initial=0.0) if size.size else np.zeros(0, dtype=bool)
+            keep = size > DEPENDENT_SHARE * size.max(initial=0.0) if size.size else np.zeros(0, dtype=bool)
             if np.any(keep):
                 found.append(
                     ChangeCandidate(
@@ -621,7 +621,7 @@ class _Search:
         if not columns:
             return np.zeros((len(self.value), 0))
         left, size, _ = np.linalg.svd(np.concatenate(columns, axis=1), full_matrices=False)
-        return np.asarray(left[:, size > DEPENDENT])
+        return np.asarray(left[:, size > DEPENDENT_SHARE])
 
     def beside_others(self, which: int) -> tuple[float, float, int]:
         """Return the gain of one selected candidate given the others; see `_gain`."""
@@ -631,7 +631,7 @@ class _Search:
         """Return one selected error, estimated jointly with the others, with its alternatives."""
         own = self.candidates[which]
         stacked = np.concatenate([self.candidates[i].columns for i in self.chosen], axis=1)
-        inverse = np.linalg.pinv(stacked, rcond=DEPENDENT)
+        inverse = np.linalg.pinv(stacked, rcond=DEPENDENT_SHARE)
         before = self.chosen[: self.chosen.index(which)]
         at = sum(self.candidates[i].columns.shape[1] for i in before)
         rows = slice(at, at + own.columns.shape[1])
@@ -643,7 +643,7 @@ class _Search:
         rivals = dict.fromkeys(
             self.candidates[i].pair
             for i in np.argsort([gain[0] for gain in gains], kind="stable")
-            if self.candidates[i].pair not in taken and mine - (gains[i][1] - 2.0 * gains[i][2]) < ODDS
+            if self.candidates[i].pair not in taken and mine - (gains[i][1] - 2.0 * gains[i][2]) < BETTER_CHI2
         )
         return Culprit(
             own.pair, read_only(estimate), read_only(covariance), float(np.exp(gains[which][0])), tuple(rivals)
@@ -667,7 +667,7 @@ class _Search:
         columns = one.columns
         if basis.shape[1]:
             left, size, _ = np.linalg.svd(columns - basis @ (basis.T @ columns), full_matrices=False)
-            columns = left[:, size > DEPENDENT]
+            columns = left[:, size > DEPENDENT_SHARE]
         freedom = columns.shape[1]
         if not freedom:
             return 0.0, 0.0, 0

@@ -17,7 +17,7 @@ from twin.display import Html, figure, place, readable, render, with_half
 from twin.display.figures import BACKWARD, BOTH, FORWARD, RUN, THIRD, embedded, new_figure, plot_markers, style_axes
 from twin.model.effects import split_name
 from twin.model.effects.base import motion_in_words
-from twin.monitoring.change import RATIO, TemperatureEffect, WatchedError
+from twin.monitoring.change import BETTER_LIKELIHOOD_RATIO, TemperatureEffect, WatchedError
 from twin.monitoring.check import Check
 from twin.monitoring.watched import Watch, date_text
 
@@ -117,8 +117,8 @@ def _alarm(watch: Watch, found: WatchedError) -> str:
 
 
 def less_likely(found: WatchedError) -> bool:
-    """Return whether every temperature is a less likely cause of an alarm than a change, by `RATIO`."""
-    return all(one.log_ratio <= -np.log(RATIO) for one in found.temperatures)
+    """Return whether every temperature is a less likely cause of an alarm than a change, by `BETTER_LIKELIHOOD_RATIO`."""
+    return all(one.log_ratio <= -np.log(BETTER_LIKELIHOOD_RATIO) for one in found.temperatures)
 
 
 def _following(found: WatchedError) -> str:

@@ -30,7 +30,7 @@ from twin._common.records import json_form
 from twin._common.units import count_with_noun
 from twin.display import figure, note, readable, table
 from twin.display.results import Display, DisplayedResult
-from twin.monitoring.change import DATES, PRIOR_VARIANCES, Change, WatchedError
+from twin.monitoring.change import POSSIBLE_DATES, PRIOR_VARIANCES, Change, WatchedError
 from twin.monitoring.check import SECONDS_PER_DAY, Check, from_json, to_json
 from twin.monitoring.tool import Remaining
 
@@ -370,7 +370,7 @@ class Watch(DisplayedResult):
                 "spent": self.spent,
                 "errors": self.errors_watched,
                 "log_evidence_limit": self.limit,
-                "dates_of_half": DATES,
+                "dates_of_half": POSSIBLE_DATES,
                 "prior_variances": list(PRIOR_VARIANCES),
                 "correlation": self.correlation,
             },

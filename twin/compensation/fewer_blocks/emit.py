@@ -176,9 +176,9 @@ def _exactly(move: Move, exact: Mapping[int, np.ndarray], space: WordSpace, *, p
 
 # --- Independent check: the output text executed densely on the machine with errors and compared with the input path
 
-PLACES: Final = 7
+POINTS_PER_BLOCK: Final = 7
 """Points per block at which the path is evaluated; deliberately no multiple of the numbers used by fit and chords."""
-NEAR: Final = 0.25
+SEARCHED_SHARE: Final = 0.25
 """Share of the tolerance below which a closer point on the other path is not searched for."""
 TURN_STEP_DEG: Final = 0.25
 LINEAR_STEP_MM: Final = 5.0
@@ -236,7 +236,7 @@ def _fractions(motion: PathMotion) -> np.ndarray:
     if not motion.interpolated:
         return np.array([1.0])
     size = np.abs(motion.end - motion.start)
-    steps = max(size[:3].max() / LINEAR_STEP_MM, size[3:].max(initial=0.0) / TURN_STEP_DEG, PLACES)
+    steps = max(size[:3].max() / LINEAR_STEP_MM, size[3:].max(initial=0.0) / TURN_STEP_DEG, POINTS_PER_BLOCK)
     return np.arange(int(np.ceil(steps)) + 1) / np.ceil(steps)
 
 
@@ -249,7 +249,7 @@ def path_distance_mm(
     also increases while a tool only turns.
     """
     at = [_shares(words, points, lever_mm) for words, points in (one, other)]
-    return largest_distance(one[1], at[0], other[1], at[1], NEAR * tolerance_mm, tolerance_mm, anywhere=True)
+    return largest_distance(one[1], at[0], other[1], at[1], SEARCHED_SHARE * tolerance_mm, tolerance_mm, anywhere=True)
 
 
 def _shares(words: np.ndarray, points: np.ndarray, lever_mm: float) -> np.ndarray:

@@ -27,11 +27,11 @@ from twin.numerics.curves.fg_bernstein import FGBernstein
 
 WINDOWS: Final = (1, 4, 16, 64, 256)
 """Segments searched on either side of a point's parameter; the wider windows only for points still too far away."""
-HOPELESS: Final = (16, 0.1)
+LINES_DIFFER: Final = (16, 0.1)
 """If more than this share of the points is too far away after this window, the lines differ and the search ends."""
 MOST_PAIRS: Final = 500_000
 """Pairs of points and segments evaluated at once: about 50 MB."""
-TINY: Final = 1e-30
+LEAST_SQUARED_LENGTH: Final = 1e-30
 """Least squared length of a segment, for segments of length zero."""
 
 
@@ -56,11 +56,11 @@ def distances_near(
     here = np.clip(np.searchsorted(line_at, at, side="right") - 1, 0, len(line) - 2)
     found = np.full(len(points), np.inf)
     start, way = line[:-1], np.diff(line, axis=0)
-    square = np.maximum(np.einsum("ij,ij->i", way, way), TINY)
+    square = np.maximum(np.einsum("ij,ij->i", way, way), LEAST_SQUARED_LENGTH)
     for window in WINDOWS:
         far = np.flatnonzero(found > near)
         beyond = np.count_nonzero(found > limit)
-        if not far.size or (window > HOPELESS[0] and beyond > max(HOPELESS[1] * len(points), 1.0)):
+        if not far.size or (window > LINES_DIFFER[0] and beyond > max(LINES_DIFFER[1] * len(points), 1.0)):
             break
         step = max(1, MOST_PAIRS // (2 * window + 1))
         for first in range(0, far.size, step):
@@ -74,7 +74,7 @@ def distances_near(
 def distances_anywhere(points: np.ndarray, line: np.ndarray) -> np.ndarray:
     """Return (n,) distances of points from the nearest point anywhere on a polyline."""
     start, way = line[:-1], np.diff(line, axis=0)
-    square = np.maximum(np.einsum("ij,ij->i", way, way), TINY)
+    square = np.maximum(np.einsum("ij,ij->i", way, way), LEAST_SQUARED_LENGTH)
     found = np.empty(len(points))
     step = max(1, MOST_PAIRS // len(way))
     for first in range(0, len(points), step):
@@ -148,7 +148,7 @@ MOST_HALF_ANGLE_RAD: Final = 2.4
 """Half the angle of one arc; towards π its control points diverge (f/g has a pole there)."""
 NODES_A_POINT: Final = 6
 """Nodes per control point; more nodes change a fit by less than the rounding of a program's words."""
-PARTS: Final = 4
+POINTS_PER_BLOCK: Final = 4
 """Points per input block at which distances are evaluated."""
 
 Tool = Callable[[np.ndarray], np.ndarray]
@@ -205,14 +205,14 @@ class Polyline:
             tool: function from words to coordinates at the tool.
             power: the parameter grows from vertex to vertex by the distance at the tool to this power.
         """
-        share = np.arange(PARTS) / PARTS
+        share = np.arange(POINTS_PER_BLOCK) / POINTS_PER_BLOCK
         between = words[:-1, None, :] + share[:, None] * np.diff(words, axis=0)[:, None, :]
         dense = np.concatenate([between.reshape(-1, words.shape[1]), words[-1:]])
         places = tool(dense)
         way = lengths(places)
-        at = np.append(0.0, np.cumsum(np.diff(way[::PARTS]) ** power))
+        at = np.append(0.0, np.cumsum(np.diff(way[::POINTS_PER_BLOCK]) ** power))
         dense_at = np.append((at[:-1, None] + share * np.diff(at)[:, None]).ravel(), at[-1:])
-        chords = np.diff(places[::PARTS], axis=0)
+        chords = np.diff(places[::POINTS_PER_BLOCK], axis=0)
         size = np.linalg.norm(chords, axis=1)
         unit = chords / size[:, None]
         bend = np.zeros(len(words))
@@ -407,8 +407,8 @@ class Fitter:
         if kind == "polynomial":
             control[:, still] = ends[0, still]  # an axis at rest stays exactly at rest
         control[[0, -1]] = ends
-        part = slice(first * PARTS, last * PARTS + 1)
-        count = _rounded_up(max(32, PARTS * (last - first)))
+        part = slice(first * POINTS_PER_BLOCK, last * POINTS_PER_BLOCK + 1)
+        count = _rounded_up(max(32, POINTS_PER_BLOCK * (last - first)))
         curve = self.tool(_values(basis, count) @ control)
         at = line.at[first] + way * np.linspace(0.0, 1.0, count + 1)
         input_line, input_at, limit = line.dense_tool[part], line.dense_at[part], self.allowed
@@ -435,7 +435,7 @@ OUTWARD: Final = 0.25
 """Outward shift of a vertex, as a fraction of the sum of both chord heights: half their mean."""
 END_CHORD: Final = 0.845
 """√(5/7): length of first and last chord relative to the others, for the same deviation in the middle: e²(1 − 1/8) − 1/8 = 1/2."""
-SAMPLES: Final = 16
+POINTS_PER_CHORD: Final = 16
 """Points per chord at which its distance is evaluated."""
 GROWTH: Final = 1.15
 
@@ -518,7 +518,7 @@ def _blocks(
     words[1:-1] += OUTWARD * (rise[1:] + rise[:-1])
     words[[0, -1]] = line.words[[0, -1]]
     words[:, still] = line.words[0, still]
-    dense, dense_at = between(words, at, SAMPLES)
+    dense, dense_at = between(words, at, POINTS_PER_CHORD)
     places = tool(dense)
     off = largest_distance(places, dense_at, line.dense_tool, line.dense_at, allowed_mm, allowed_mm)
     return (words[1:], at, off) if off <= allowed_mm else None

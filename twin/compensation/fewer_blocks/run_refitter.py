@@ -19,26 +19,26 @@ from twin.compensation.programs.prepared import PreparedMachine
 
 LEVER_MM: Final = 100.0
 """Distance from the tip at which the tool axis must keep the tolerance if the tool has no length."""
-COMPENSATION: Final = (0.1, 1e-3)
+COMPENSATION_SHARE: Final = (0.1, 1e-3)
 """Share of the compensation between end points: fraction of the tolerance after rounding, and largest value in mm. The error
 between end points falls with the square of a block's length.
 """
-FIT: Final = (0.25, 0.5, 0.75)
+CURVE_SHARES: Final = (0.25, 0.5, 0.75)
 """Fractions of the path's share that a curve may use, tried in this order …"""
-ENOUGH: Final = 0.5
+CONTROL_POINT_SHARE: Final = 0.5
 """… until the control points are no more than this fraction of the output blocks, and both together no more than this fraction of the
 input blocks. A curve deviates from a polyline by at least half the height of its chords, and from points by their rounding; where
 these are large, the curve needs more of the tolerance.
 """
-POWERS: Final = (0.0, 0.5, 1.0)
+PARAMETER_EXPONENTS: Final = (0.0, 0.5, 1.0)
 """Exponents of the parameter that are tried: equal steps per point, root of the distance, distance. Points taken at equal steps of a
 curve's own parameter need the first (a cycloid at its cusps); irregular points need the last.
 """
-TRIAL: Final = 600
+TRIAL_BLOCKS: Final = 600
 """Blocks of a stretch on which the parameter is chosen."""
-NEAR: Final = 0.05
+SEARCHED_SHARE: Final = 0.05
 """Fraction of the path's share below which a smaller distance between blocks and curve is not searched for."""
-STEPS: Final = 16
+POINTS_PER_BLOCK: Final = 16
 """Points per block at which a fitted curve is evaluated."""
 
 
@@ -139,7 +139,7 @@ class RunRefitter:
                 value=tolerance,
                 setting="tolerance",
             )
-        machine = min(COMPENSATION[0] * available, COMPENSATION[1]) if self.compensated else 0.0
+        machine = min(COMPENSATION_SHARE[0] * available, COMPENSATION_SHARE[1]) if self.compensated else 0.0
         return ToleranceShares(tolerance * 1e3, rounding * 1e3, machine * 1e3, (available - machine) * 1e3)
 
     def refit(self, run: Run, path: ToolPath) -> RefittedRun:
@@ -215,11 +215,11 @@ class RunRefitter:
         None if no blocks are saved.
         """
         best, least = None, np.inf
-        for fraction in FIT:
+        for fraction in CURVE_SHARES:
             line, pieces = self._curve(words, tool, fraction * allowed)
             if all(piece.blocks == 1 for piece in pieces):
                 continue
-            curve, at = Fitter(line, tool, fraction * allowed).curve(pieces, STEPS)
+            curve, at = Fitter(line, tool, fraction * allowed).curve(pieces, POINTS_PER_BLOCK)
             # Blocks are straight in the output words.
             straight, out = (
                 (partial(self.space.switched, tcp=False), self._tool(True, False)) if posted else (_same, tool)
@@ -229,20 +229,25 @@ class RunRefitter:
             if found is None or cost >= least:
                 continue
             least = cost
-            dense, dense_at = between(np.concatenate([straight(words[:1]), found[0]]), found[1], STEPS)
-            chord = largest_distance(out(dense), dense_at, tool(curve), at, NEAR * allowed, allowed, anywhere=True)
+            dense, dense_at = between(np.concatenate([straight(words[:1]), found[0]]), found[1], POINTS_PER_BLOCK)
+            chord = largest_distance(
+                out(dense), dense_at, tool(curve), at, SEARCHED_SHARE * allowed, allowed, anywhere=True
+            )
             figures = ToleranceUse(fraction * allowed, max(piece.fit_mm for piece in pieces), chord, found[2])
             best = (self.space.switched(found[0], tcp=True) if posted else found[0]), pieces, figures
-            if cost <= ENOUGH * (len(words) - 1) and _cost(pieces) <= ENOUGH * len(found[0]):
+            if cost <= CONTROL_POINT_SHARE * (len(words) - 1) and _cost(pieces) <= CONTROL_POINT_SHARE * len(found[0]):
                 break
         return best
 
     def _curve(self, words: np.ndarray, tool: Tool, allowed: float) -> tuple[Polyline, list[CurvePiece]]:
         """Return the curve with the fewest control points over all parameters tried."""
-        powers: tuple[float, ...] = POWERS
-        if len(words) > 2 * TRIAL:
-            costs = [_cost(Fitter(Polyline.of(words[:TRIAL], tool, power), tool, allowed).pieces()) for power in POWERS]
-            powers = (POWERS[int(np.argmin(costs))],)
+        powers: tuple[float, ...] = PARAMETER_EXPONENTS
+        if len(words) > 2 * TRIAL_BLOCKS:
+            costs = [
+                _cost(Fitter(Polyline.of(words[:TRIAL_BLOCKS], tool, power), tool, allowed).pieces())
+                for power in PARAMETER_EXPONENTS
+            ]
+            powers = (PARAMETER_EXPONENTS[int(np.argmin(costs))],)
         lines = [Polyline.of(words, tool, power) for power in powers]
         found = [(line, Fitter(line, tool, allowed).pieces()) for line in lines]
         return min(found, key=lambda one: _cost(one[1]))

@@ -11,13 +11,13 @@ from typing import Final, final
 
 import numpy as np
 
-from twin.compensation.fewer_blocks.fit import PARTS, Polyline
+from twin.compensation.fewer_blocks.fit import POINTS_PER_BLOCK, Polyline
 from twin.compensation.programs.motions import PathMotion, ToolPath
 from twin.compensation.programs.words import WordSpace
 from twin.nc.blocks import Kind, Program
 from twin.nc.dialect import Dialect, FeedUnit
 
-FEWEST: Final = 3
+FEWEST_BLOCKS: Final = 3
 """Least number of blocks of a run: two cannot be reduced."""
 ISOLATED_BEND_RAD: Final = np.radians(15.0)
 """Least isolated bend that is a corner …"""
@@ -56,7 +56,7 @@ def find_runs(program: Program, dialect: Dialect, path: ToolPath, space: WordSpa
     members: list[int] = []
 
     def close() -> None:
-        if len(members) >= FEWEST:
+        if len(members) >= FEWEST_BLOCKS:
             motions = [path.motions[i] for i in members]
             words = np.array([motions[0].start, *(motion.end for motion in motions)])
             runs.append(Run(range(members[0], members[-1] + 1), tuple(m.move.line for m in motions), words))
@@ -92,7 +92,12 @@ def corners(line: Polyline, allowed_mm: float) -> list[int]:
     size = line.size
     way = np.diff(line.dense_tool, axis=0)
     unit = way / np.linalg.norm(way, axis=1)[:, None]
-    half_sine = np.linalg.norm(unit[PARTS::PARTS] - unit[PARTS - 1 : -1 : PARTS], axis=1) / 2.0
+    half_sine = (
+        np.linalg.norm(
+            unit[POINTS_PER_BLOCK::POINTS_PER_BLOCK] - unit[POINTS_PER_BLOCK - 1 : -1 : POINTS_PER_BLOCK], axis=1
+        )
+        / 2.0
+    )
     bend = 2.0 * np.arcsin(np.clip(half_sine, 0.0, 1.0))
     rounded = np.minimum(size[:-1], size[1:]) * half_sine / 4.0
     neighbour = np.maximum(np.append(0.0, bend[:-1]), np.append(bend[1:], 0.0))

@@ -28,13 +28,13 @@ from twin.compensation.programs.motions import Passage, ToolPath
 from twin.model.calibration import Calibration
 from twin.model.effects import ControlCorrection
 
-STILL: Final = 1e-6
+STANDING_STILL: Final = 1e-6
 """Distance (mm, degrees) below which an axis stands still; the control's kinematics are solved to a thousandth of it."""
 
-UNEVEN: Final = 0.05
+LARGEST_VARIATION: Final = 0.05
 """Largest variation along an axis (µm, µrad) of the reversal value that a control's table corrects: one digit of the table."""
 
-NEGLIGIBLE: Final = 1e-8
+NEGLIGIBLE_REVERSAL: Final = 1e-8
 """Reversal value (mm, degrees) below which the control corrects it fully, apart from rounding."""
 
 AT_END: Final = 1e-8
@@ -70,7 +70,7 @@ class Backlash:
         for effect in calibration.effects:
             if isinstance(effect, ControlCorrection):
                 low, high = effect.reversal_range(ranges)
-                if high - low > UNEVEN:
+                if high - low > LARGEST_VARIATION:
                     raise InputError(
                         f"the control's table corrects a reversal value of {effect.axis.name} that varies along the axis",
                         expected="the same difference between both directions everywhere, or it cannot be compensated",
@@ -81,7 +81,7 @@ class Backlash:
                 size = effect.reversal_value
             axis = machine.by_name[effect.frame.axis]
             self.size[machine.names.index(axis.name)] += size * (UM if axis.linear else URAD) / axis.scale
-        self.size[np.abs(self.size) < NEGLIGIBLE] = 0.0
+        self.size[np.abs(self.size) < NEGLIGIBLE_REVERSAL] = 0.0
         self.axes = [i for i, name in enumerate(machine.names) if self.size[i] != 0.0 or name in turning]
         self._dead_band = LEAST_REVERSAL * np.array([axis.increment for axis in machine.axes])
 
@@ -196,7 +196,7 @@ def _from_reversal(way: np.ndarray, sides: np.ndarray) -> np.ndarray:
     heights = way[places] * np.repeat(sides[at], length)
     firsts = np.cumsum(length) - length
     lowest = np.repeat(np.minimum.reduceat(heights, firsts), length)
-    extreme = np.maximum.reduceat(np.where(heights <= lowest + STILL, places, -1), firsts)
+    extreme = np.maximum.reduceat(np.where(heights <= lowest + STANDING_STILL, places, -1), firsts)
     places, length = _ranges(extreme + 1, at)
     found[places] = np.repeat(sides[at], length)
     return found

@@ -26,11 +26,11 @@ from twin.model.effects.base import HistoryShift
 from twin.nc.blocks import Program
 from twin.nc.dialect import Dialect, FeedUnit, Technology
 
-FASTEST: Final = 1e6
+UNLIMITED_SPEED: Final = 1e6
 """m/s and rad/s; a limit above is none."""
 STEP_S: Final = 10.0
 """Longest time between two moments at which conditions are evaluated, s."""
-STILL: Final = 1e-9
+STANDING_STILL: Final = 1e-9
 """Length of a path (mm, degrees) below which nothing moves."""
 
 
@@ -168,7 +168,7 @@ def durations_s(source: str, said: Technology, path: ToolPath, spaces: Sequence[
     way = _way(path)
     feed, unit, speed = said.feed[columns.line], said.unit[columns.line], said.speed_rpm[columns.line]
     inverse = unit == FeedUnit.INVERSE
-    cutting = ~columns.rapid & ((way > STILL) | inverse)
+    cutting = ~columns.rapid & ((way > STANDING_STILL) | inverse)
     with np.errstate(divide="ignore", invalid="ignore"):
         rate = np.where(unit == FeedUnit.TURN, feed * speed, feed)
         taken = 60.0 * np.where(inverse, 1.0, way) / rate
@@ -187,7 +187,7 @@ def velocity_limits(machine: Machine) -> np.ndarray:
     """Return (axes,) the velocity limits of the URDF in mm/s and degrees/s; very large where there is none."""
     model = machine.model
     limits = [model.velocityLimit[model.joints[model.getJointId(axis.joint)].idx_v] for axis in machine.axes]
-    found = np.minimum(limits, FASTEST) / machine.scale
+    found = np.minimum(limits, UNLIMITED_SPEED) / machine.scale
     return np.where(found > 0.0, found, np.inf)
 
 
@@ -202,7 +202,7 @@ def _way(path: ToolPath) -> np.ndarray:
             radius = np.hypot(*(columns.start[i, [a, b]] - move.arc.centre_mm))
             squares[i, a], squares[i, b] = (radius * move.arc.angle_rad) ** 2, 0.0
     linear = np.sqrt(squares[:, :3].sum(axis=1))
-    tip = columns.tcp & (linear > STILL)
+    tip = columns.tcp & (linear > STANDING_STILL)
     return np.asarray(np.where(tip, linear, np.sqrt(squares.sum(axis=1))))
 
 

@@ -34,7 +34,7 @@ from twin.tool.forward import Kinematics
 
 SLACK: Final = 1e-9
 """Distance (mm, degrees) beyond a curve's domain that is rounding, as in `twin.model.calibration.Calibration.outside`."""
-HALF: Final = np.full(1, 0.5)
+MIDDLE: Final = np.full(1, 0.5)
 """The fraction of a line without displacement: any."""
 QUANTITIES: Final = 4
 """Quantities of a pose whose totals are kept: distance (µm), angle between the tool axes and its tilts (µrad)."""
@@ -153,7 +153,7 @@ class PoseComparison:
     def poses(self, nominal: np.ndarray, commanded: np.ndarray, approach: np.ndarray | None = None) -> ComparedPoses:
         """Return the deviations in point and orientation at (n, axes) nominal and given commands."""
         still = np.zeros(nominal.shape[1])
-        inputs = (nominal, still, commanded, still, *self._sides(approach), HALF)
+        inputs = (nominal, still, commanded, still, *self._sides(approach), MIDDLE)
         distance, angle, beyond = (column[:, 0] for column in self._poses(*inputs))
         return ComparedPoses(distance, angle, np.isfinite(distance) & (beyond <= SLACK))
 

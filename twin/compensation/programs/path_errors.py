@@ -11,7 +11,7 @@ import numpy as np
 from twin._common.arrays import rows_all_true
 from twin.compensation.programs.comparison import Commands, split_lines
 from twin.compensation.programs.motions import SAMPLES_A_PIECE
-from twin.compensation.programs.pieces import SAME, Pieces, Rows, Ways, even_cuts, repeat_with_index, taken
+from twin.compensation.programs.pieces import PRINTED_ALIKE, Pieces, Rows, Ways, even_cuts, repeat_with_index, taken
 from twin.compute.along import fractions
 
 POSES: Final = 100_000
@@ -302,7 +302,7 @@ class PathErrors:
         # As in the output, where tool-tip input that is posted has axis words.
         standing = self._space.commands(reached, tcp & (not self._pieces.posted))
         known = (separate > 0) | (self._before is not None)
-        return np.where(known[:, None] & (np.abs(expected - nominal) < SAME), standing, nominal)
+        return np.where(known[:, None] & (np.abs(expected - nominal) < PRINTED_ALIKE), standing, nominal)
 
     @cached_property
     def _follows(self) -> np.ndarray:

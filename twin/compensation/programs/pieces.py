@@ -33,7 +33,7 @@ from twin.nc.dialect import Dialect
 from twin.tool.forward import Poses, angle_between_rad
 from twin.tool.inverse import SLACK, Status
 
-SAME: Final = 1e-9
+PRINTED_ALIKE: Final = 1e-9
 """Words closer than this are printed alike."""
 
 
@@ -124,7 +124,9 @@ class Rows:
         rows = self
         for behind in (False, True):
             vectors = np.nan_to_num(rows.vectors)
-            alike = (np.abs(np.diff(rows.printed, axis=0)) < SAME).all(axis=1) & ~np.diff(vectors, axis=0).any(axis=1)
+            alike = (np.abs(np.diff(rows.printed, axis=0)) < PRINTED_ALIKE).all(axis=1) & ~np.diff(vectors, axis=0).any(
+                axis=1
+            )
             omitted = rows.backlash_move & (np.append(alike, False) if behind else np.append(False, alike))
             rows = rows.where(~omitted) if np.any(omitted) else rows
         return rows

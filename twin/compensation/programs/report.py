@@ -11,7 +11,7 @@ from twin._common.provenance import ILLUSTRATIVE, SourceWarning, warning_texts
 from twin._common.records import json_form
 from twin._common.units import count_with_noun
 from twin.compensation.programs.uncertainty import CompensationTally, Corrections
-from twin.compensation.programs.uncorrected import SHOWN, FrameUse, Shortfall, line_numbers
+from twin.compensation.programs.uncorrected import LINES_SHOWN, FrameUse, Shortfall, line_numbers
 from twin.display import bar, note, readable, table
 from twin.display.results import Display, DisplayedResult
 from twin.model.conditions import values_in_words
@@ -383,7 +383,7 @@ class Report(DisplayedResult):
         if not known:
             return []
         out = ["", f"  {DEFINITION}; without rounding, repeatability and temperature"]
-        return out + [line for correction in known for line in correction.to_text(SHOWN)]
+        return out + [line for correction in known for line in correction.to_text(LINES_SHOWN)]
 
     def _classes_text(self) -> list[str]:
         corrected = "corrected" if not self.not_corrected else "corrected, except the blocks below"

@@ -345,9 +345,9 @@ POSES: Final = 12 * PART_LINES
 """Poses solved and checked at once before any block is split: six for each short block of the longest part. Longer blocks need more
 poses, so fewer of them are solved at once.
 """
-AHEAD: Final = 1
+PARTS_AHEAD: Final = 1
 """Parts read ahead while an earlier one is solved."""
-BEHIND: Final = 1
+PARTS_BEHIND: Final = 1
 """Parts by which the report may lag. Larger parts use the memory of more of them, some 25 MB each, better."""
 
 
@@ -443,11 +443,11 @@ class Streamed:
                     if part is not None:
                         solved = solving.submit(copy_context().run, self._solve, part)
                         waiting.append((part, solved, accounting.submit(copy_context().run, self._add, solved)))
-                    while waiting and (len(waiting) > AHEAD or part is None):
+                    while waiting and (len(waiting) > PARTS_AHEAD or part is None):
                         first, solved, account = waiting.popleft()
                         new, _ = solved.result()
                         accounted.append(account)
-                        if len(accounted) > BEHIND:
+                        if len(accounted) > PARTS_BEHIND:
                             accounted.popleft().result()
                         yield first, new
                 for account in accounted:

@@ -28,7 +28,7 @@ from twin.compensation.programs.prepared import PreparedMachine
 from twin.display import readable
 from twin.tool.inverse import SLACK
 
-SHOWN: Final = 8
+LINES_SHOWN: Final = 8
 """Line numbers printed before the rest is counted; the JSON report has all."""
 
 Kind = Literal["range", "orientation", "tolerance", "unknown"]
@@ -128,8 +128,8 @@ class ShortfallTally:
 
 def line_numbers(lines: Sequence[int]) -> str:
     """Return line numbers as text: ``line 3``; ``lines 3, 5, 7 … and 1,810 more``."""
-    more = f" … and {len(lines) - SHOWN:,} more" if len(lines) > SHOWN else ""
-    return f"line{'' if len(lines) == 1 else 's'} {', '.join(str(line) for line in lines[:SHOWN])}{more}"
+    more = f" … and {len(lines) - LINES_SHOWN:,} more" if len(lines) > LINES_SHOWN else ""
+    return f"line{'' if len(lines) == 1 else 's'} {', '.join(str(line) for line in lines[:LINES_SHOWN])}{more}"
 
 
 # --- Work offsets and tools that a program uses, as the report lists them -------------------------
@@ -205,9 +205,9 @@ def frame_uses(sections: Sequence[Section], numbers: np.ndarray) -> tuple[FrameU
 
 # --- Interpolation of a smooth function of axis positions along a path of many short blocks -------
 
-FEW: Final = 2048
+EVALUATED_POINTS: Final = 2048
 """Up to this number of points the function is evaluated at each."""
-LONGEST: Final = 256
+FIRST_INTERVAL: Final = 256
 """Points per interval at the start."""
 ACCURACY: Final = 0.01
 """Largest deviation from linearity in the middle of an interval, relative to the largest value of its group. The middle then becomes
@@ -227,9 +227,9 @@ def interpolated(values: Callable[[np.ndarray], np.ndarray], places: np.ndarray,
         (n, groups, m) values.
     """
     count = len(places)
-    if count <= FEW:
+    if count <= EVALUATED_POINTS:
         return values(np.arange(count))
-    nodes = np.append(np.arange(0, count - 1, LONGEST), count - 1)
+    nodes = np.append(np.arange(0, count - 1, FIRST_INTERVAL), count - 1)
     at_nodes = values(nodes)
     found = np.empty((count, *at_nodes.shape[1:]))
     found[nodes] = at_nodes
@@ -283,7 +283,7 @@ CLASS_POSES: Final = 5000
 """Poses at which the shares of the classes are evaluated: enough for a share. Totals are taken over all poses."""
 LEAST_SHARE: Final = 1e-9
 """Smallest share of the blocks. If a single block has more than `CLASS_POSES` poses, all of them are kept."""
-GOLDEN: Final = (5.0**0.5 - 1.0) / 2.0
+GOLDEN_RATIO: Final = (5.0**0.5 - 1.0) / 2.0
 """A block is in a sample of share s if the fractional part of its number times this is below s. Such a sample is spread as evenly as
 possible and is not in step with anything a program repeats (H. Weyl, Math. Ann. 77, 1916; V. Sós, 1958).
 """
@@ -332,7 +332,7 @@ class Sample:
             known: which of some points, each a line of its own, count.
         """
         # By motion, of which every one has many points.
-        turns = (first + np.arange(points.motion.max(initial=-1) + 1)) * GOLDEN
+        turns = (first + np.arange(points.motion.max(initial=-1) + 1)) * GOLDEN_RATIO
         place = turns - np.floor(turns)
         of_line, counts = place[points.motion], points.nominal.counts
         share = self._share

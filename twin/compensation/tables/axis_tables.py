@@ -49,7 +49,7 @@ Truth = Callable[[np.ndarray], np.ndarray]
 """Function from (n,) positions in mm or degrees to (n, k) values."""
 RESOLUTION: Final = 1e-4
 """Nodes are multiples of this, in mm or degrees, so that no format rounds them."""
-BETWEEN: Final = 20
+POSITIONS_BETWEEN_NODES: Final = 20
 """Positions checked between two nodes: the peak of a parabola is missed by 0.1 %."""
 MARGIN: Final = 1.02
 
@@ -110,9 +110,13 @@ def choose_nodes(
 def nodes_at(truth: Truth, nodes: np.ndarray) -> Nodes:
     """Return the values at given nodes and the largest deviation from linear interpolation between them."""
     nodes = np.round(nodes / RESOLUTION) * RESOLUTION
-    dense = np.interp(np.arange(BETWEEN * (len(nodes) - 1) + 1) / BETWEEN, np.arange(len(nodes)), nodes)
+    dense = np.interp(
+        np.arange(POSITIONS_BETWEEN_NODES * (len(nodes) - 1) + 1) / POSITIONS_BETWEEN_NODES,
+        np.arange(len(nodes)),
+        nodes,
+    )
     seen = truth(dense)
-    values = seen[::BETWEEN]
+    values = seen[::POSITIONS_BETWEEN_NODES]
     lines = np.stack([np.interp(dense, nodes, column) for column in values.T], axis=1)
     return Nodes(read_only(nodes), read_only(values), read_only(MARGIN * np.abs(seen - lines).max(axis=0)))
 
@@ -122,7 +126,7 @@ def nodes_at(truth: Truth, nodes: np.ndarray) -> Nodes:
 ITERATIONS: Final = 3
 STEP: Final = 1e-4
 """Step of the derivatives, mm, degrees or of a direction."""
-NEGLIGIBLE: Final = 1e-6
+NEGLIGIBLE_SINGULAR_VALUE: Final = 1e-6
 """Relative singular value of combinations of parameters that do not move the point, such as a shift along an axis."""
 ROUND_TRIP_UM: Final = 0.1
 
@@ -211,7 +215,7 @@ def make_kinematics(
     # The errors are small: the derivatives at the nominal machine serve all iterations.
     steps = STEP * np.eye(len(names))
     by = np.stack([(shift(vector + h) - shift(vector - h)).ravel() / (2.0 * STEP) for h in steps], axis=1)
-    back_to = np.linalg.pinv(by, rcond=NEGLIGIBLE)
+    back_to = np.linalg.pinv(by, rcond=NEGLIGIBLE_SINGULAR_VALUE)
     for _ in range(ITERATIONS):
         vector = vector + back_to @ (goal - shift(vector)).ravel()
     text = form.write(dict(zip(names, vector.tolist(), strict=True)), machine, notes)

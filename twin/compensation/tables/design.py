@@ -82,7 +82,7 @@ class Request:
 
 # --- Required corrections of the axis commands, from the kinematic model; signs follow from the model for any chain of axes
 
-REMEMBERED: Final = 256
+CORRECTIONS_REMEMBERED: Final = 256
 """Corrections at the positions of a column that are remembered: every format asks for the same ones."""
 ITERATIONS: Final = 2
 """Iterations of the linear axes' correction over the volume. The derivatives are those of the nominal machine, so each iteration leaves
@@ -236,7 +236,7 @@ class RequiredCorrections:
         """
         key = axes, side, positions.tobytes()
         if key not in self._known:
-            if len(self._known) >= REMEMBERED:
+            if len(self._known) >= CORRECTIONS_REMEMBERED:
                 self._known.clear()
             goal, sides = self.nominal.forward(positions).point_mm, self._sides(axes, positions, side)
             self._known[key] = read_only(step_back(self.kinematics_of_axes(axes), positions, sides, goal) * 1e3)
@@ -363,7 +363,7 @@ URAD_PER_UM: Final = 2.0
 """Angular tolerance in µrad per µm of tolerance: 1 µm at half a metre."""
 NEGLIGIBLE_SHARE: Final = 0.1
 """Tables with a largest value up to this share of the tolerance are not written."""
-CHECKS: Final = 997
+POSITIONS_CHECKED: Final = 997
 """Number of random positions at which every table is compared with the model."""
 SEED: Final = 16907
 U_EVERY: Final = 8
@@ -376,8 +376,8 @@ def tolerance_of(axis: Axis, tolerance_um: float) -> float:
 
 
 def check_positions(low: float, high: float) -> np.ndarray:
-    """Return (`CHECKS`,) random positions of a table, the same for every table of that range."""
-    return np.random.default_rng(SEED).uniform(low, high, CHECKS)
+    """Return (`POSITIONS_CHECKED`,) random positions of a table, the same for every table of that range."""
+    return np.random.default_rng(SEED).uniform(low, high, POSITIONS_CHECKED)
 
 
 @final

@@ -15,7 +15,7 @@ from twin._common.provenance import warning_texts
 from twin._common.records import json_form
 from twin.compensation.tables.axis_tables import AxisTables, ComponentErrors, choose_nodes
 from twin.compensation.tables.design import (
-    CHECKS,
+    POSITIONS_CHECKED,
     SEED,
     U_EVERY,
     Design,
@@ -191,7 +191,10 @@ def _proven(required: RequiredCorrections, axes: Sequence[Axis], proof: ProofOfT
     """Return for each of the linear axes whether its correction over the box is written; otherwise it is zero."""
     names = tuple(axis.name for axis in axes)
     rng = np.random.default_rng(SEED)
-    q = _full(required, np.stack([rng.uniform(*required.range_of(axis), CHECKS // U_EVERY) for axis in axes], axis=1))
+    q = _full(
+        required,
+        np.stack([rng.uniform(*required.range_of(axis), POSITIONS_CHECKED // U_EVERY) for axis in axes], axis=1),
+    )
     values, factors = required.linear_corrections(names, q), required.linear_factors(names, q)
     return [
         # Without any correction there is nothing to prove.
@@ -213,7 +216,7 @@ def _tables(
 ) -> tuple[Table, ...]:
     """Compare the corrections of every axis, as written and as read back, with the required ones at random positions."""
     rng = np.random.default_rng(SEED)
-    q = np.stack([rng.uniform(nodes[0], nodes[-1], CHECKS) for nodes in grid.at], axis=1)
+    q = np.stack([rng.uniform(nodes[0], nodes[-1], POSITIONS_CHECKED) for nodes in grid.at], axis=1)
     state, meant = _state(required, q), truth(_full(required, q))
     found = []
     for k, (name, content) in enumerate(zip(grid.axes, grid.contents(), strict=True)):
@@ -436,13 +439,13 @@ def _largest(correction: Correction) -> dict[str, float]:
 def _compare_sums(whole: Correction, parts: tuple[Correction, Correction], form: TableFormat[Any]) -> list[Table]:
     """Check that the files to be loaded give the sum of the old and the new tables; return one row per axis."""
     rng, machine = np.random.default_rng(SEED), whole.machine
-    state = {axis.name: rng.uniform(*axis.domain, CHECKS) for axis in machine.axes}
-    state |= {f"{APPROACH}{name}": rng.choice([-1.0, 1.0], CHECKS) for name in machine.names}
+    state = {axis.name: rng.uniform(*axis.domain, POSITIONS_CHECKED) for axis in machine.axes}
+    state |= {f"{APPROACH}{name}": rng.choice([-1.0, 1.0], POSITIONS_CHECKED) for name in machine.names}
     rows = []
     for name in whole.axes:
         axis = machine.by_name[name]
-        meant = np.broadcast_to(sum(one.shift(name, state) for one in parts if name in one.axes), CHECKS)
-        said = np.broadcast_to(whole.shift(name, state), CHECKS)
+        meant = np.broadcast_to(sum(one.shift(name, state) for one in parts if name in one.axes), POSITIONS_CHECKED)
+        said = np.broadcast_to(whole.shift(name, state), POSITIONS_CHECKED)
         # The sum is rounded once more than the new part: one digit for each table that corrects the axis.
         rounding = 2.0 * form.rounding[0 if axis.linear else 1] * whole.rounded(name)
         unit, largest = "um" if axis.linear else "urad", float(np.abs(said).max())

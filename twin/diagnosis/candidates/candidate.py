@@ -38,7 +38,7 @@ from twin.numerics.curves import CurveSpace
 from twin.numerics.functions import CachingState, Functions, Rows, functions_of_state, pieces, tabulated
 from twin.numerics.spatial import cross_matrix
 
-LARGEST: Final = 1000.0
+LARGEST_ERROR: Final = 1000.0
 """µm or µrad: largest plausible error anywhere due to one effect; columns are scaled to it."""
 
 STRAINS: Final = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
@@ -204,7 +204,7 @@ def tabulated_column(parts: Mapping[int, np.ndarray]) -> Column:
 
 
 def masked_columns(
-    freedoms: Sequence[Freedom], mask: np.ndarray, weight: float, scale: float = LARGEST
+    freedoms: Sequence[Freedom], mask: np.ndarray, weight: float, scale: float = LARGEST_ERROR
 ) -> tuple[Column, ...]:
     """Return one column for each degree of freedom, active where a mask is set.
 
@@ -219,12 +219,12 @@ def masked_columns(
 
 
 def scaled_column(parts: Sequence[SignatureTerm]) -> Column:
-    """Return the sum of some terms, scaled so that the largest movement at any point is `LARGEST`, µm or µrad."""
+    """Return the sum of some terms, scaled so that the largest movement at any point is `LARGEST_ERROR`, µm or µrad."""
     by_freedom: dict[tuple[Freedom, Functions], list[SignatureTerm]] = {}
     for part in parts:
         by_freedom.setdefault((part.freedom, part.functions), []).append(part)
     largest = max((_largest(functions, own) for (_, functions), own in by_freedom.items()), default=0.0) / UM
-    return Column(tuple(parts), float(LARGEST / largest) if largest > 0.0 else 1.0)
+    return Column(tuple(parts), float(LARGEST_ERROR / largest) if largest > 0.0 else 1.0)
 
 
 def _largest(functions: Functions, parts: Sequence[SignatureTerm]) -> float:
@@ -239,11 +239,11 @@ def _largest(functions: Functions, parts: Sequence[SignatureTerm]) -> float:
 
 # --- Explain the correction of a calibration curve by a single mistake in making the curve, where one suffices
 
-REJECTED: Final = 1e-3
+MISTAKE_REJECTED_P: Final = 1e-3
 """p-value below which a mistake is rejected: the rest of the correction is not noise."""
 MAIN_SHARE: Final = 0.97
 """Share of the correction's chi² above which a mistake is named even if rejected: the curve's other errors are small."""
-STOPS: Final = (9, 11, 13, 16, 21, 51)
+CURVE_STOPS: Final = (9, 11, 13, 16, 21, 51)
 """Numbers of evenly spaced stops at which a curve may have been fitted."""
 ITSELF: Final = 0.0
 """Key, in place of a number of stops, for the curve itself with another factor."""
@@ -274,7 +274,7 @@ def flaw(space: CurveSpace, curve: Curve, correction: np.ndarray, covariance: np
         rest = correction - known - free @ s
         chi2 = float(rest @ weight @ rest)
         dof = rank - int(np.linalg.matrix_rank(gram, hermitian=True))
-        accepted = dof > 0 and (chi2_sf(chi2, dof) > REJECTED or chi2 < (1.0 - MAIN_SHARE) * whole)
+        accepted = dof > 0 and (chi2_sf(chi2, dof) > MISTAKE_REJECTED_P or chi2 < (1.0 - MAIN_SHARE) * whole)
         return chi2, s, accepted
 
     # A factor is tested only if the correction's functions contain nearly all of the curve.
@@ -283,7 +283,7 @@ def flaw(space: CurveSpace, curve: Curve, correction: np.ndarray, covariance: np
         if accepted:
             return times(1.0 + float(factor[0]))
     fits = []
-    for stops in STOPS:
+    for stops in CURVE_STOPS:
         pattern = without_constant(space, len(curve.coefficients) - 1, stops)
         if pattern is not None and np.linalg.norm(pattern[k:]) < (1.0 - MAIN_SHARE) * np.linalg.norm(pattern):
             chi2, size, accepted = tested(np.zeros(k), pattern[:k, None])
@@ -354,7 +354,7 @@ def mistakes(space: CurveSpace, curve: Curve | None) -> dict[float, np.ndarray]:
     """Return coefficients of the corrections by one mistake each, by number of stops or `ITSELF`; each has one unknown factor."""
     if curve is None:
         return {}
-    shapes = {float(n): without_constant(space, len(curve.coefficients) - 1, n) for n in STOPS}
+    shapes = {float(n): without_constant(space, len(curve.coefficients) - 1, n) for n in CURVE_STOPS}
     shapes[ITSELF] = of_curve(space, curve)
     return {stops: shape for stops, shape in shapes.items() if shape is not None}
 
@@ -387,7 +387,7 @@ Build = Callable[[np.ndarray, Mapping[str, float]], tuple[Effect, ...]]
 Units = Callable[[Mapping[str, float]], tuple[Effect, ...]]
 Missing = tuple[str, str, str]
 """Effect, place, and the column of the table that is missing."""
-STRAIGHT: Final = np.inf
+STRAIGHT_LINE: Final = np.inf
 """Time constant that stands for a straight line."""
 
 
@@ -411,7 +411,7 @@ class Drift:
     """Columns of a drift as a function of its time constant.
 
     Attributes:
-        columns: function from time constant (s; `STRAIGHT` for a straight line) to columns, one for each linear parameter.
+        columns: function from time constant (s; `STRAIGHT_LINE` for a straight line) to columns, one for each linear parameter.
         constants: time constants tried, s, ascending.
         straight: whether a straight line is the usual form: an exponential is reported only where it fits significantly better.
         name: name of the time constant among the fixed parameters of a variant; a straight line has none.
@@ -425,11 +425,11 @@ class Drift:
     @property
     def variants(self) -> tuple[Variant, ...]:
         """Variants: a straight line, then exponentials."""
-        return tuple(self.variant(constant) for constant in (STRAIGHT, *self.constants))
+        return tuple(self.variant(constant) for constant in (STRAIGHT_LINE, *self.constants))
 
     def variant(self, constant: float) -> Variant:
-        """Return the variant with a time constant, s; `STRAIGHT` for a straight line."""
-        return Variant(self.columns(constant), {} if constant == STRAIGHT else {self.name: constant})
+        """Return the variant with a time constant, s; `STRAIGHT_LINE` for a straight line."""
+        return Variant(self.columns(constant), {} if constant == STRAIGHT_LINE else {self.name: constant})
 
 
 @final

@@ -18,8 +18,8 @@ import numpy as np
 
 from twin._common.units import UM
 from twin.diagnosis.candidates.candidate import (
-    LARGEST,
-    STRAIGHT,
+    LARGEST_ERROR,
+    STRAIGHT_LINE,
     STRAINS,
     Candidate,
     CandidateInputs,
@@ -53,7 +53,7 @@ NAMES: Final = (
 """Parameters, in the order of `STRAINS`: a positive scale reads too long, a shear is the change of a right angle."""
 AFFINE_SCALE_PLAUSIBLE: Final = 100.0
 """Largest plausible value, ppm and µrad."""
-FLAT: Final = 0.01
+FLAT_EXTENT: Final = 0.01
 """Share of the largest extent below which the extent of the points along a direction counts as zero."""
 MOST_ROUNDS: Final = 12
 """Number of rounds above which rounds are repeats or places rather than alignments of the instrument."""
@@ -125,7 +125,7 @@ def _has_extent(points: np.ndarray) -> np.ndarray:
     low = np.min(np.where(read, points, np.inf), axis=0)
     high = np.max(np.where(read, points, -np.inf), axis=0)
     extent = np.where(np.any(read, axis=0), high - low, 0.0)
-    return np.asarray((extent > 0.0) & (extent > FLAT * extent.max()))
+    return np.asarray((extent > 0.0) & (extent > FLAT_EXTENT * extent.max()))
 
 
 def _columns(mask: np.ndarray, kept: list[int], centre: np.ndarray) -> tuple[Column, ...]:
@@ -153,9 +153,9 @@ AFFINE_SCALE_SOURCE: Final = CandidateSource((AFFINE_SCALE,), affine_scales)
 
 LOBES: Final = 3
 """Number of supports of a kinematic probe."""
-UPRIGHT: Final = 0.9
+UPRIGHT_COSINE: Final = 0.9
 """Cosine between the axis and z of the base from which a rotary axis turns the probe about its stylus."""
-PLAUSIBLE: Final = 10.0
+LARGEST_LOBING_UM: Final = 10.0
 """Largest plausible amplitude, µm."""
 
 PROBE_LOBING: Final = Specification(
@@ -170,7 +170,7 @@ PROBE_LOBING: Final = Specification(
         NOTHING,
     ),
     evidence=lambda of: f"the centres move with three times the rotation of {of.where}, by {of.measure}",
-    limits={"um": PLAUSIBLE},
+    limits={"um": LARGEST_LOBING_UM},
 )
 
 
@@ -179,14 +179,19 @@ def probe_lobings(inputs: CandidateInputs) -> Catalogue:
     data, found = inputs.data, []
     probed = at_origin(data) & (data.station_carrier == "tool")
     for i, axis in enumerate(inputs.machine.axes):
-        if axis.linear or axis.side != "tool" or abs(_upright(axis)) < UPRIGHT or np.ptp(data.positions[:, i]) == 0.0:
+        if (
+            axis.linear
+            or axis.side != "tool"
+            or abs(_upright(axis)) < UPRIGHT_COSINE
+            or np.ptp(data.positions[:, i]) == 0.0
+        ):
             continue
         angle = LOBES * np.sign(_upright(axis)) * np.radians(data.positions[:, i])
         for station in dict.fromkeys(data.station[probed]):
             own = (probed & (data.station == station)).astype(float)
             # Orthogonal parts of the amplitude: A·cos ψ and A·sin ψ.
             parts = ((np.cos(angle), -np.sin(angle)), (-np.sin(angle), -np.cos(angle)))
-            columns = tuple(Column(_terms(own, both), PLAUSIBLE) for both in parts)
+            columns = tuple(Column(_terms(own, both), LARGEST_LOBING_UM) for both in parts)
             names = (("cos", "um"), ("sin", "um"))
             found.append(Candidate(PROBE_LOBING, f"probe {station}", names, (Variant(columns),), 1.0))
         break
@@ -289,13 +294,13 @@ def drift_of_station(time_s: np.ndarray, mask: np.ndarray) -> Drift:
             return np.where(np.isinf(tau), at, -bent * np.expm1(-at / bent))
 
         functions = Functions(len(hours), len(several), values, mask)
-        scale = LARGEST / np.maximum(functions.largest, 1e-9)
+        scale = LARGEST_ERROR / np.maximum(functions.largest, 1e-9)
         return [
             tuple(Column((SignatureTerm(("base", i), functions, k, -UM),), float(scale[k])) for i in range(3))
             for k in range(len(several))
         ]
 
-    every = (STRAIGHT, *tried)
+    every = (STRAIGHT_LINE, *tried)
     known = dict(zip(every, columns_at(every), strict=True))
     return Drift(
         lambda constant: known[constant] if constant in known else columns_at([constant])[0],

@@ -27,7 +27,7 @@ import numpy as np
 
 from twin._common.units import UM
 from twin.diagnosis.candidates.candidate import (
-    STRAIGHT,
+    STRAIGHT_LINE,
     Build,
     Candidate,
     CandidateInputs,
@@ -126,7 +126,7 @@ def variant_at(candidate: Candidate, fixed: Mapping[str, float], machine: Machin
         state: positions and channels of all readings.
     """
     if candidate.drift is not None:
-        return candidate.drift.variant(fixed.get(candidate.drift.name, STRAIGHT))
+        return candidate.drift.variant(fixed.get(candidate.drift.name, STRAIGHT_LINE))
     if candidate.units is None:
         raise TypeError(f"{candidate.effect}: columns exist only at the values tried")
     return Variant(tuple(unit_columns(candidate.units(fixed), machine, state)), fixed)
@@ -155,7 +155,7 @@ def _drift(forms: Forms, name: str, inputs: CandidateInputs) -> Drift:
         raise TypeError("a drift needs columns at any time constant")
 
     def columns_at(constants: Sequence[float]) -> list[Column]:
-        fixed = [{} if constant == STRAIGHT else {name: constant} for constant in constants]
+        fixed = [{} if constant == STRAIGHT_LINE else {name: constant} for constant in constants]
         return unit_columns([unit for values in fixed for unit in made(values)], inputs.machine, inputs.state)
 
     tried = tuple(fixed[name] for fixed in forms.trials if fixed)
@@ -172,9 +172,9 @@ MACHINE_EFFECTS_SOURCE: Final = CandidateSource(TESTED_EFFECTS, machine_effects)
 
 # --- Candidates: an error motion whose curve in the calibration is wrong or missing ---------------
 
-CUBIC: Final = 3
+CORRECTION_DEGREE: Final = 3
 """Degree of the correction of a curve that is not a polynomial."""
-DEGREES: Final = 8
+MOST_DEGREES: Final = 8
 """Largest degree tried, unless the calibration's curve has a larger one."""
 
 
@@ -270,13 +270,13 @@ def _domain_and_degree(axis: Axis, known: Curve | None, curve: Curve | None) -> 
         curve: the same in powers; None if it is not a polynomial.
     """
     if curve is not None:
-        return curve.domain, max(DEGREES, len(curve.coefficients) - 1)
+        return curve.domain, max(MOST_DEGREES, len(curve.coefficients) - 1)
     if known is not None:
         # Another basis: only a correction that this basis can represent.
-        fits = conversion(POWER, known.family, CUBIC + 1, len(known.coefficients)) is not None
-        return (known.domain, CUBIC) if fits else None
+        fits = conversion(POWER, known.family, CORRECTION_DEGREE + 1, len(known.coefficients)) is not None
+        return (known.domain, CORRECTION_DEGREE) if fits else None
     if axis.linear and axis.lower is not None and axis.upper is not None:
-        return (axis.lower, axis.upper), DEGREES
+        return (axis.lower, axis.upper), MOST_DEGREES
     return None
 
 
@@ -450,7 +450,7 @@ ADDED_PAYLOAD_SOURCE: Final = CandidateSource((PAYLOAD, CARRIED_LOAD), added_pay
 
 # --- Candidate: an axis that sticks at its reversal while the others move on, and catches up: the spikes of a ball bar's circ
 
-ROWS: Final = (1.0, 2.0, 4.0, 8.0)
+TIME_CONSTANTS_IN_ROWS: Final = (1.0, 2.0, 4.0, 8.0)
 """Time constants tried, in intervals between rows: shorter ones fall between the readings, longer ones are backlash."""
 
 REVERSAL_SPIKE: Final = Specification(
@@ -480,7 +480,7 @@ def reversal_spikes(inputs: CandidateInputs) -> Catalogue:
             continue
         axis = inputs.machine.by_name[name]
         variants = []
-        for rows in ROWS:
+        for rows in TIME_CONSTANTS_IN_ROWS:
             late = -np.sign(velocity) * np.exp(-since / (rows * interval))
             column = tabulated_column({i: late * part for i, part in along_command(inputs.machine, axis)})
             variants.append(Variant((column,), {"time_constant": rows * interval}))
