@@ -13,7 +13,7 @@ from tests.identification.plans import four_stations, table, volumetric
 from twin.diagnosis import diagnose
 from twin.diagnosis.estimate import LACK_OF_FIT
 from twin.diagnosis.forms import FALSE_ALARM_RATE
-from twin.diagnosis.likelihood import FALSE_ALARM_RATE
+from twin.diagnosis.likelihood import PATTERN_ALARM_RATE
 from twin.machine.machine import Machine
 from twin.measurement.instruments import INSTRUMENTS, instrument_named
 from twin.measurement.simulate import simulate
@@ -22,7 +22,7 @@ from twin.model.calibration import Calibration
 from twin.tool.forward import Kinematics, Poses
 from twin.tool.inverse import Inverse
 
-RATE = FALSE_ALARM_RATE + FALSE_ALARM_RATE + LACK_OF_FIT
+RATE = FALSE_ALARM_RATE + PATTERN_ALARM_RATE + LACK_OF_FIT
 RARE = 1e-3
 CENTRE = (250.0, 225.0, -200.0)
 POINT_MM = (60.0, 40.0, 150.0)

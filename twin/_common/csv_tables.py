@@ -101,18 +101,18 @@ def split_cells(text: str, path: Path, line: int) -> list[str]:
 def _cells(lines: Sequence[tuple[int, str]], path: Path) -> list[list[str]]:
     """Return the cells of every line, one row per line."""
     reader = csv.reader((text for _, text in lines), strict=True)
-    found: list[list[str]] = []
+    cells: list[list[str]] = []
     expected = "cells separated by commas, each ending on its line"
     try:
         for row in reader:
-            found.append(row)
-            if reader.line_num != len(found):
-                line, text = lines[len(found) - 1]
+            cells.append(row)
+            if reader.line_num != len(cells):
+                line, text = lines[len(cells) - 1]
                 raise InputError("line break in a cell", expected=expected, file=path, line=line, value=text)
     except csv.Error as error:
-        line, text = lines[len(found)]
+        line, text = lines[len(cells)]
         raise InputError(f"not a table row ({error})", expected=expected, file=path, line=line, value=text) from None
-    return found
+    return cells
 
 
 @final

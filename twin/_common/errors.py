@@ -81,8 +81,8 @@ def require_type(name: str, value: object, kind: type) -> None:
 
 def control_character(text: str) -> str | None:
     """Return the first control character of a text other than tab and line ends, escaped; None if there is none."""
-    found = _CONTROL.search(text)
-    return None if found is None else _escaped(found[0])
+    match = _CONTROL.search(text)
+    return None if match is None else _escaped(match[0])
 
 
 def printable(text: str, *, one_line: bool = False) -> str:

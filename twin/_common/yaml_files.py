@@ -96,8 +96,8 @@ def load_yaml(path: Path, schema: type[Schema], name: str) -> tuple[Schema, Mapp
         return schema.model_validate(data), lines
     except ValidationError as error:
         # Report an unknown key before the missing key that it probably stands for.
-        found = error.errors()
-        first = next((entry for entry in found if entry["type"] == "extra_forbidden"), found[0])
+        errors = error.errors()
+        first = next((entry for entry in errors if entry["type"] == "extra_forbidden"), errors[0])
         # pydantic puts the tried member of a union into the path; the file has no such entry.
         place = tuple(part for part in first["loc"] if not (isinstance(part, str) and "[" in part))
         entry = ".".join(str(part) for part in place)
@@ -241,7 +241,7 @@ class _NodeConverter:
             return self._scalar(node)
         if node.tag not in (f"{_YAML}map", f"{_YAML}seq"):
             raise self._error("unsupported tag", "entries or a list without a tag", line, node.tag)
-        if any(one is node for one in self._open_nodes):
+        if any(open_node is node for open_node in self._open_nodes):
             raise self._error("alias inside its own anchor", "no recursion", line, None)
         if len(self.lines) > MAX_ENTRIES:
             raise self._error(f"more than {MAX_ENTRIES} entries with aliases expanded", "a smaller file", line, None)
@@ -254,7 +254,7 @@ class _NodeConverter:
             self._open_nodes.pop()
 
     def _entries(self, node: yaml.Node, place: EntryPath) -> dict[Any, Any]:
-        found: dict[Any, Any] = {}
+        entries: dict[Any, Any] = {}
         for key_node, value_node in node.value:
             line = key_node.start_mark.line + 1
             if not isinstance(key_node, yaml.ScalarNode):
@@ -262,11 +262,11 @@ class _NodeConverter:
             key = self._scalar(key_node)
             if not isinstance(key, str):
                 raise self._error("key that is not text", "quotes around it", line, key_node.value)
-            if key in found:
+            if key in entries:
                 raise self._error("duplicate key", "each key once", line, key)
-            found[key] = self.plain(value_node, (*place, key))
+            entries[key] = self.plain(value_node, (*place, key))
             self.lines[(*place, key)] = line
-        return found
+        return entries
 
     def _scalar(self, node: yaml.ScalarNode) -> Any:
         line, text = node.start_mark.line + 1, node.value

@@ -79,8 +79,8 @@ def axis_run(
         source=f"measured by {axis_layout.name} and twin from {data.source}: {count_with_noun(len(data), 'row')}",
     )
     curves.calibration.save(output)
-    found = (axis_layout, data, motions, curves)
-    return CommandResult(to_text(*found), lambda: to_dict(*found), met=not data.set_aside)
+    results = (axis_layout, data, motions, curves)
+    return CommandResult(to_text(*results), lambda: to_dict(*results), met=not data.set_aside)
 
 
 @command(

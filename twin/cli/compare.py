@@ -56,7 +56,7 @@ def compare(
     loaded = options.machine(machine)
     older, newer = (Calibration.load(path, loaded) for path in (first, second))
     with progress_bar() as bar:
-        found = compared(
+        comparison = compared(
             older,
             newer,
             tool_length_mm=tool_length,
@@ -64,4 +64,6 @@ def compare(
             tolerance_mm=tolerance,
             progress=bar,
         )
-    return CommandResult(found.to_text(), found.to_dict, met=not found.unjudged and found.good_enough is not False)
+    return CommandResult(
+        comparison.to_text(), comparison.to_dict, met=not comparison.unjudged and comparison.good_enough is not False
+    )

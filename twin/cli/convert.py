@@ -111,6 +111,6 @@ def convert(
         start_deg=start_angle,
         sweep_deg=sweep,
     )
-    found = convert_files(files, loaded, given, format_name=kind)
-    found.save(output, loaded)
-    return CommandResult(found.to_text(), found.to_dict)
+    conversion = convert_files(files, loaded, given, format_name=kind)
+    conversion.save(output, loaded)
+    return CommandResult(conversion.to_text(), conversion.to_dict)

@@ -63,11 +63,11 @@ def diagnose(
         bar("reading", 0.0)
         data = Measurements.join([Measurements.load(path, loaded) for path in measured])
         reader = None if instrument is None else instrument_named(instrument)
-        found = run_diagnosis(data, loaded, errors, instrument=reader, empirical=empirical, progress=bar)
+        diagnosis = run_diagnosis(data, loaded, errors, instrument=reader, empirical=empirical, progress=bar)
     if extended is not None:
-        found.extended.save(extended)
+        diagnosis.extended.save(extended)
     if html_file is not None:
         from twin.diagnosis.page import diagnosis_html
 
-        write_atomic(html_file, diagnosis_html(found))
-    return CommandResult(found.to_text(), found.to_dict, met=not found.data.set_aside)
+        write_atomic(html_file, diagnosis_html(diagnosis))
+    return CommandResult(diagnosis.to_text(), diagnosis.to_dict, met=not diagnosis.data.set_aside)

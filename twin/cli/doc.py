@@ -120,16 +120,16 @@ def _listed(page: str) -> dict[str, list[str]]:
     if page == "effects":
         from twin.model.effects import MACHINE_EFFECTS
 
-        return {"EFFECTS": [_effect_row(one) for one in MACHINE_EFFECTS]}
+        return {"EFFECTS": [_effect_row(machine_effect) for machine_effect in MACHINE_EFFECTS]}
     if page == "instruments":
         from twin.measurement.instruments import INSTRUMENTS
 
-        readers = [one.specification for one in INSTRUMENTS]
+        readers = [instrument.specification for instrument in INSTRUMENTS]
         return {
             "INSTRUMENTS": [
-                f"| `{one.name}` | {one.title} | {', '.join(one.columns) or '(axis positions)'} | {', '.join(one.rides_on)} | "
-                f"{one.source} |"
-                for one in readers
+                f"| `{reader.name}` | {reader.title} | {', '.join(reader.columns) or '(axis positions)'} | "
+                f"{', '.join(reader.rides_on)} | {reader.source} |"
+                for reader in readers
             ]
         }
     if page == "curves":

@@ -31,16 +31,16 @@ def doctor(json_file: JsonOption = None) -> CommandResult:
         ("compiler", lambda: [_compiler()]),
         ("machine", known_results),
     )
-    found: list[Finding] = []
+    findings: list[Finding] = []
     clock = perf_counter()
     with progress_bar() as bar:
         for i, (stage, check) in enumerate(checks):
             bar(stage, i / len(checks))
-            found += check()
+            findings += check()
     taken = perf_counter() - clock
-    failed = [one.name for one in found if one.status == "FAILED"]
-    result = {"schema": SCHEMA, "ok": not failed, "failed": failed, "seconds": taken, "findings": json_form(found)}
-    return CommandResult(shown(found, taken), lambda: result, met=not failed, written="written: {}")
+    failed = [finding.name for finding in findings if finding.status == "FAILED"]
+    result = {"schema": SCHEMA, "ok": not failed, "failed": failed, "seconds": taken, "findings": json_form(findings)}
+    return CommandResult(shown(findings, taken), lambda: result, met=not failed, written="written: {}")
 
 
 def _cache() -> Finding:

@@ -84,16 +84,16 @@ def evaluate(
     if drift:
         if len(measured) > 1 or length is not None:
             raise InputError("--iso230-3 evaluates one record", expected="one file, without --length")
-        found = evaluate_drift(measured[0], loaded, tolerances=limits, instrument=reader, sensors=sensors or [])
+        evaluation = evaluate_drift(measured[0], loaded, tolerances=limits, instrument=reader, sensors=sensors or [])
     elif sensors:
         raise InputError(
             "--sensors needs --iso230-3", expected="directions of displacement sensors", value=" ".join(sensors)
         )
     else:
         data = Measurements.join([Measurements.load(path, loaded) for path in measured])
-        found = run_evaluation(data, loaded, tolerances=limits, instrument=reader, length_mm=length)
+        evaluation = run_evaluation(data, loaded, tolerances=limits, instrument=reader, length_mm=length)
     if html_file is not None:
         from twin.standards.page import evaluation_html  # imports matplotlib, which is slow and needed only here
 
-        write_atomic(html_file, evaluation_html(found))
-    return CommandResult(found.to_text(), found.to_dict, met=found.met and bool(found.tests))
+        write_atomic(html_file, evaluation_html(evaluation))
+    return CommandResult(evaluation.to_text(), evaluation.to_dict, met=evaluation.met and bool(evaluation.tests))

@@ -111,7 +111,7 @@ def identify(
     with progress_bar() as bar:
         bar("reading", 0.0)
         data = Measurements.join([Measurements.load(path, loaded) for path in measured])
-        found = run_identification(
+        identification = run_identification(
             data,
             loaded,
             instrument=None if instrument is None else instrument_named(instrument),
@@ -119,24 +119,29 @@ def identify(
             spread=noise_source.value,
             progress=bar,
         )
-    calibration = found.calibration.with_control(tables)
+    calibration = identification.calibration.with_control(tables)
     with scratch_folder() as folder:
         # The report describes the written file: it is read back and evaluated before it replaces the output.
         copy = folder / output.name
         write_atomic(copy, calibration.to_yaml(folder))
-        found = found.evaluated_with(replace(Calibration.load(copy, loaded), path=None))
+        identification = identification.evaluated_with(replace(Calibration.load(copy, loaded), path=None))
     calibration.save(output)
     if html_file is not None:
         from twin.identification.plots import identification_html  # imports matplotlib, slow and needed only here
 
-        write_atomic(html_file, identification_html(found))
-    text = found.to_text() + (INSTRUMENT_OPTIONS if found.noise.contradicted or found.noise.assumed else "")
+        write_atomic(html_file, identification_html(identification))
+    text = identification.to_text() + (
+        INSTRUMENT_OPTIONS if identification.noise.contradicted or identification.noise.assumed else ""
+    )
     if tables is not None:
         text += "\nThese errors were measured with the control's tables active: keep them active, and add new tables to them "
         text += "(twin control --add).\n"
         text += f"{tables.caution}\n" if tables.caution else ""
     return CommandResult(
-        text, found.to_dict, met=found.complete, check_json=lambda path: Identified.load(path, found.calibration)
+        text,
+        identification.to_dict,
+        met=identification.complete,
+        check_json=lambda path: Identified.load(path, identification.calibration),
     )
 
 
@@ -149,7 +154,7 @@ def tables_on(entries: Sequence[str], machine: Machine) -> ControlSection:
     from twin._common.families import TABLE_FORMATS
     from twin.controls import ControlSection, TableEntry, read_tables
 
-    found: dict[str, list[Path]] = {}
+    tables: dict[str, list[Path]] = {}
     known = list(TABLE_FORMATS)
     for entry in entries:
         kind, equals, file = entry.partition("=")
@@ -160,9 +165,9 @@ def tables_on(entries: Sequence[str], machine: Machine) -> ControlSection:
                 value=entry,
                 nearest=closest_name(kind, known),
             )
-        found.setdefault(kind, []).append(Path(file))
-    for kind, files in found.items():
+        tables.setdefault(kind, []).append(Path(file))
+    for kind, files in tables.items():
         read_tables(kind, files, machine)
     return ControlSection(
-        "remaining", tuple(TableEntry.of(file, kind, ()) for kind, files in found.items() for file in files)
+        "remaining", tuple(TableEntry.of(file, kind, ()) for kind, files in tables.items() for file in files)
     )

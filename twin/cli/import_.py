@@ -67,12 +67,14 @@ def import_(
 
     loaded = options.machine(machine)
     given = columns if columns is not None and columns.exists() else None
-    found = run_import(path, loaded, columns=given, sheet=sheet, plan=None if plan is None else options.plan_file(plan))
-    if found.confirmed:
-        found.save(output)
-        return CommandResult(found.to_text(), found.to_dict)
+    imported = run_import(
+        path, loaded, columns=given, sheet=sheet, plan=None if plan is None else options.plan_file(plan)
+    )
+    if imported.confirmed:
+        imported.save(output)
+        return CommandResult(imported.to_text(), imported.to_dict)
     proposal = columns if columns is not None else output.with_name(f"{output.name}.columns.yaml")
-    return _proposed(found, proposal, output, [sheet, plan, machine])
+    return _proposed(imported, proposal, output, [sheet, plan, machine])
 
 
 def _proposed(found: ImportedTable, path: Path, output: Path, others: list[object]) -> CommandResult:

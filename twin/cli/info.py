@@ -91,8 +91,8 @@ def info(
         calibrated = calibrated_urdf(errors)
         calibrated.save(urdf)
         after.append(calibrated.brief)
-    found = _Info(given, errors, kinematics, missing, rows, classes, over, list(uncertainty.without_uncertainty))
-    return CommandResult("", found.to_dict, show=found.show, after=after)
+    info = _Info(given, errors, kinematics, missing, rows, classes, over, list(uncertainty.without_uncertainty))
+    return CommandResult("", info.to_dict, show=info.show, after=after)
 
 
 @final

@@ -100,7 +100,7 @@ def report(
     at = options.conditions(temperature, time, rpm, load)
     with progress_bar() as bar:
         bar("reading", 0.0)
-        found = machine_report(
+        machine_page = machine_report(
             loaded,
             errors,
             made=datetime.now().astimezone(),
@@ -114,13 +114,13 @@ def report(
         from twin.reporting.page import machine_html  # imports matplotlib and meshcat: slow, and needed only here
 
         bar("drawing", 0.5)
-        front = front_page(found, facts, limits, picture)
-        page = machine_html(found, front, lang)
+        front = front_page(machine_page, facts, limits, picture)
+        page = machine_html(machine_page, front, lang)
         printed = None if browser is None else page_to_pdf(page, browser)
     write_atomic(output, page)
     if pdf_file is not None and printed is not None:
         write_atomic(pdf_file, printed)
-    return _result(found, front, options.unused(at, errors))
+    return _result(machine_page, front, options.unused(at, errors))
 
 
 def _of_first_page(

@@ -68,18 +68,19 @@ def volume(
             rate = fraction * trials * poses / (monotonic() - began)
             bar(f"{rate / 1e6:.1f} million poses/s" if fraction else stage, fraction)
 
-        found = draw_machines(
+        population = draw_machines(
             kinematics, trials=trials, poses=poses, seed=seed, digits=digits, workers=own, progress=report_rate
         )
     taken = monotonic() - began
     lines = [
-        f"{found.machines} machines drawn for {loaded.name} from {errors.path} with seed {seed}",
-        *warning_texts(found.warnings),
-        f"at {len(found.positions)} poses over the volume, tool length {kinematics.tool_length_mm:g} mm: {_rate(found, taken)}\n",
-        *_lines(found, programs=loaded.runs_programs),
+        f"{population.machines} machines drawn for {loaded.name} from {errors.path} with seed {seed}",
+        *warning_texts(population.warnings),
+        f"at {len(population.positions)} poses over the volume, tool length {kinematics.tool_length_mm:g} mm: "
+        f"{_rate(population, taken)}\n",
+        *_lines(population, programs=loaded.runs_programs),
         *options.unused(at, errors),
     ]
-    return CommandResult("\n".join([*lines, ""]), found.to_dict)
+    return CommandResult("\n".join([*lines, ""]), population.to_dict)
 
 
 def _rate(found: Population, taken: float) -> str:

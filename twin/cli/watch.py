@@ -74,12 +74,12 @@ def watch(
     loaded = options.machine(machine)
     errors = options.calibration_of(calibration, loaded)
     with progress_bar() as bar:
-        found = run_watch(folder, loaded, errors, settings=settings, progress=bar)
+        watched = run_watch(folder, loaded, errors, settings=settings, progress=bar)
     if html_file is not None:
         from twin.monitoring.watch_page import watch_html  # imports matplotlib, which is slow and needed only here
 
-        write_atomic(html_file, watch_html(found))
-    return CommandResult(found.to_text() + news_text(found), found.to_dict, met=found.met)
+        write_atomic(html_file, watch_html(watched))
+    return CommandResult(watched.to_text() + news_text(watched), watched.to_dict, met=watched.met)
 
 
 def dates(entries: Sequence[str]) -> dict[str, datetime]:

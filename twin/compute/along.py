@@ -202,19 +202,19 @@ class AlongFunction:
                 self._confirmed = tried is not None and _alike(numbers(tried), numbers(plain(some, few)))
                 if tried is not None and not self._confirmed:
                     self._compiled.refuse()
-            found = compiled(arrays, points) if self._confirmed else None
-            if found is not None:
-                return found
+            chosen = compiled(arrays, points) if self._confirmed else None
+            if chosen is not None:
+                return chosen
         return plain(arrays, points)
 
     def _largest(self, inputs: tuple[np.ndarray, ...], points: np.ndarray) -> np.ndarray:
-        found = np.zeros(len(points))
+        largest = np.zeros(len(points))
         for part, (values,) in self._expanded(inputs, points):
             there = np.flatnonzero(points[part] > 0)
             first = (np.cumsum(points[part]) - points[part])[there]
             if there.size:
-                found[part.start + there] = np.maximum(np.maximum.reduceat(values[:, 0], first), 0.0)
-        return found
+                largest[part.start + there] = np.maximum(np.maximum.reduceat(values[:, 0], first), 0.0)
+        return largest
 
     def _totals(self, inputs: tuple[np.ndarray, ...], points: np.ndarray, slack: float) -> Totals:
         total = Totals.none(len(self._rows.widths_out) - 1)

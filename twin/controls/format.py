@@ -207,10 +207,10 @@ def single_file(files: Sequence[Path], suffix: str, what: str, expected: str) ->
     Raises:
         InputError: no file, or more than one, has it.
     """
-    found = [file for file in files if file.suffix.lower() == suffix]
-    if len(found) != 1:
+    matching = [file for file in files if file.suffix.lower() == suffix]
+    if len(matching) != 1:
         raise InputError(what, expected=expected, value=" ".join(file.name for file in files))
-    return found[0]
+    return matching[0]
 
 
 def check_letters(names: Iterable[str], control: str) -> None:

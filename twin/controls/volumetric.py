@@ -194,7 +194,7 @@ class VolumetricCorrection(Correction):
 
     def plus(self, old: VolumetricCorrection) -> VolumetricCorrection:
         """Add all components of an axis on the nodes of the curve with the most nodes; see `Correction.plus`."""
-        found: list[AxisErrors] = []
+        errors: list[AxisErrors] = []
         for name in self.machine.names:
             own = [
                 curve
@@ -204,8 +204,8 @@ class VolumetricCorrection(Correction):
             ]
             if own:
                 widest = max((curve for _, curve in own), key=lambda curve: len(curve.at))
-                found.append(AxisErrors(name, _summed(own, widest)))
-        return replace(self, errors=tuple(found))
+                errors.append(AxisErrors(name, _summed(own, widest)))
+        return replace(self, errors=tuple(errors))
 
     def rounded(self, axis: str) -> int:
         """See `Correction.rounded`."""
@@ -256,7 +256,7 @@ class CorrectionGrid(Correction):
         if any(isinstance(value, ca.SX) for value in q):
             return self._expression(self.axes.index(axis), q)
         q = [np.asarray(value, dtype=float) for value in np.broadcast_arrays(*q)]
-        found: Any = np.zeros(q[0].shape)
+        shift: Any = np.zeros(q[0].shape)
         places = [_place(nodes, one) for nodes, one in zip(self.at, q, strict=True)]
         for corner in np.ndindex(2, 2, 2):
             weight: Any = 1.0
@@ -264,8 +264,8 @@ class CorrectionGrid(Correction):
             for (start, part), far in zip(places, corner, strict=True):
                 weight = weight * (part if far else 1.0 - part)
                 index.append(start + far)
-            found = found + weight * table[tuple(index)]
-        return found
+            shift = shift + weight * table[tuple(index)]
+        return shift
 
     def contents(self) -> tuple[TableSummary, ...]:
         """See `Correction.contents`."""

@@ -54,7 +54,7 @@ def equivalent(found: Findings, form: Form, others: Sequence[Form]) -> tuple[tup
     if not found.structure.pattern_tests or not keys:
         return keys
     plain = found.candidates
-    kept = [plain.forms[one.index] for one in others]
+    kept = [plain.forms[other.index] for other in others]
     explained, _ = plain.scan(kept)
     explained_by_cause = float(explained[form.index])
     allowed = found.structure.explained([*kept, plain.forms[form.index]]) + DEVIANCE_RULED_OUT
@@ -68,7 +68,7 @@ def equivalent(found: Findings, form: Form, others: Sequence[Form]) -> tuple[tup
 def _in_place(candidates: Candidates, form: Form, others: Sequence[Form]) -> tuple[tuple[str, str], ...]:
     """Return the causes that explain as much in place of a cause, corrected for multiple testing."""
     margin = _margin(candidates, form, others)
-    used = {one.key for one in others} | {form.key}
+    used = {other.key for other in others} | {form.key}
     tried = [i for i, one in enumerate(candidates.forms) if one.key not in used]
     scores = candidates.scores(others, tried)
     best: dict[tuple[str, str], float] = {}
@@ -136,7 +136,7 @@ def _margin(candidates: Candidates, form: Form, others: Sequence[Form]) -> float
 def ruled_out(candidates: Candidates, form: Form, others: Sequence[Form], excess: float) -> tuple[Rival, ...]:
     """Return the best alternatives to a cause that are ruled out."""
     margin = _margin(candidates, form, others)
-    used = {one.key for one in others} | {form.key}
+    used = {other.key for other in others} | {form.key}
     tried = [one for one in candidates.forms if one.key not in used]
     best: dict[tuple[str, str], Rival] = {}
     for one, (explained, dof, _) in zip(tried, candidates.scores(others, [one.index for one in tried]), strict=True):
@@ -339,7 +339,7 @@ def between_positions(candidates: Candidates, forms: Sequence[Form], form: Form)
     """
     periods = _other_periods(candidates, forms, form)
     if periods:
-        other = listed([f"{one:.3g}" for one in periods])
+        other = listed([f"{period:.3g}" for period in periods])
         return f"; other periods ({other} mm) fit equally well at these positions, so the error between them is unknown"
     if not predicts_held_out(candidates, form, forms):
         return "; a curve through these positions does not predict held-out ones, so the error between them is unknown"
@@ -357,7 +357,7 @@ def _other_periods(candidates: Candidates, forms: Sequence[Form], form: Form) ->
     if even is not None:
         frequency = 1.0 / form.variant.fixed[name]
         aliases = (1.0 / max(abs(even - frequency), 1e-9), 1.0 / (even + frequency))
-        return [float(one) for one in aliases if one >= SHORTEST_PERIOD]
+        return [float(aliase) for aliase in aliases if aliase >= SHORTEST_PERIOD]
     tried = [one for one in candidates.forms if one.key == form.key and one is not form]
     periods = np.array([one.variant.fixed[name] for one in tried])
     explained = candidates.scores([one for one in forms if one is not form], [one.index for one in (form, *tried)])[
@@ -368,6 +368,6 @@ def _other_periods(candidates: Candidates, forms: Sequence[Form], form: Form) ->
     for i in largest_first(explained[1:]):
         if explained[1 + i] < explained[0] - ALIAS_CHI2:
             break
-        if away[i] > 1.0 and all(abs(1.0 / periods[i] - 1.0 / one) * span > 1.0 for one in others):
+        if away[i] > 1.0 and all(abs(1.0 / periods[i] - 1.0 / other) * span > 1.0 for other in others):
             others.append(float(periods[i]))
     return others

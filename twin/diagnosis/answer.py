@@ -61,7 +61,7 @@ class Diagnosis(DisplayedResult, DiagnosisResult):
         residuals = (
             f"RMS residual {self.rms_um:.3g} µm per coordinate, {self.expected_rms_um:.3g} µm expected from noise"
         )
-        causes = listed([symbol(one.effect, one.where) for one in self.causes])
+        causes = listed([symbol(cause.effect, cause.where) for cause in self.causes])
         return f"{self.verdict}: {residuals}{f'; {causes}' if causes else ''}"
 
     def display(self) -> Display:
@@ -83,7 +83,7 @@ def with_limits(found: Diagnosis, network: Network) -> Diagnosis:
         network: the readings and their instruments.
     """
     extended = found.extended
-    given = {one.name for one in extended.not_identifiable}
+    given = {error.name for error in extended.not_identifiable}
     unknown = {name: why for name, why in _unknown(found) if name not in given}
     return replace(
         found,
@@ -193,8 +193,8 @@ def conclude(reported: ReportedCauses, calibration: Calibration, *, empirical: b
         calibration: the calibration tested.
         empirical: whether unexplained patterns extend the calibration as well.
     """
-    sized, found = reported.sized, reported.sized.found
-    problem, network, by_noise = found.problem, found.problem.network, found.task.by_noise
+    sized, estimate = reported.sized, reported.sized.found
+    problem, network, by_noise = estimate.problem, estimate.problem.network, estimate.task.by_noise
     misfit = residual_statistics(sized)
     left = misfit.left
     empirical_extension = extend(sized, calibration) if empirical and left is not None else None
@@ -205,9 +205,9 @@ def conclude(reported: ReportedCauses, calibration: Calibration, *, empirical: b
     instrument = sized.estimate.signature[:, [not own for own in sized.estimate.effects]].sum(axis=1)
     residual = in_um(problem.network, problem.residual)
     after = residuals_as_written(problem, extended, instrument, sized.discrepancy.root) if changed else residual
-    hidden = _unidentifiable(found)
+    hidden = _unidentifiable(estimate)
     weights = by_noise.network.whitening
-    stated = not np.isfinite(found.task.noise.dof)
+    stated = not np.isfinite(estimate.task.noise.dof)
     overstated = overstated_noise(rms(residual, network.read), by_noise.chi2, by_noise.dof) if stated else ()
     answer = Diagnosis(
         verdict=_verdict(reported, left),
@@ -221,14 +221,14 @@ def conclude(reported: ReportedCauses, calibration: Calibration, *, empirical: b
         unexplained=left,
         unidentifiable=tuple(hidden),
         looks_like=MappingProxyType(hidden),
-        not_evaluated=found.task.catalogue.not_evaluated,
+        not_evaluated=estimate.task.catalogue.not_evaluated,
         next_measurement=reported.next_measurement,
         trends=misfit.trends,
-        ranking=_ranking(found.candidates),
+        ranking=_ranking(estimate.candidates),
         # Evaluated last: it resets the pool.
         gain=gain(sized, (residual, after), left, empirical_extension) if changed else None,
-        tried=len(found.task.catalogue.candidates),
-        noise_source=found.task.noise.source,
+        tried=len(estimate.task.catalogue.candidates),
+        noise_source=estimate.task.noise.source,
         calibration=calibration,
         extended=extended,
         data=replace(network.data, notices=(*network.data.notices, *overstated, *reported.notices)),
@@ -254,7 +254,7 @@ def _extended(
         return calibration
     # An error that was unknown and cannot be separated from others stays unknown: it has a value, and its plausible range.
     unclear = {cause.where for cause in reported.causes if cause.equivalent}
-    unclear &= {one.name for one in calibration.not_identifiable}
+    unclear &= {error.name for error in calibration.not_identifiable}
     covariance = covariance.where(lambda name: name.partition("[")[0] not in unclear)
     data = reported.sized.found.problem.network.data
     source = "extended by twin diagnose from " + data.source
@@ -325,19 +325,19 @@ def residual_statistics(sized: SizedCauses) -> ResidualStatistics:
     Args:
         sized: the causes with their sizes.
     """
-    found = sized.found
-    problem = found.task.by_noise
+    estimate = sized.found
+    problem = estimate.task.by_noise
     chances = [
-        _p_value(problem, found.task.noise),
-        *(float(np.exp(t.log_p_corrected)) for t in found.structure.pattern_tests),
+        _p_value(problem, estimate.task.noise),
+        *(float(np.exp(t.log_p_corrected)) for t in estimate.structure.pattern_tests),
     ]
-    return ResidualStatistics(min(chances), _expected_um(problem), _trends(found), _unexplained(sized))
+    return ResidualStatistics(min(chances), _expected_um(problem), _trends(estimate), _unexplained(sized))
 
 
 def _unexplained(sized: SizedCauses) -> Unexplained | None:
     """Return the unexplained residuals: unnamed patterns, or excess noise."""
-    found, forms, excess = sized.found, sized.forms, sized.excess
-    problem, structure, by_noise = found.problem, found.structure, found.task.by_noise
+    estimate, forms, excess = sized.found, sized.forms, sized.excess
+    problem, structure, by_noise = estimate.problem, estimate.structure, estimate.task.by_noise
     left = by_noise.residual - rewhitened(sized.estimate.signature.sum(axis=1), problem.network, by_noise.network)
     after = float(left @ by_noise.project(left))
     left_share = float((after - problem.dof) / max(by_noise.chi2 - problem.dof, 1e-30)) if forms else 1.0
@@ -359,9 +359,9 @@ def _unexplained(sized: SizedCauses) -> Unexplained | None:
         )
         # Beside the patterns, what counts as discrepancy is unexplained as well.
         return Unexplained(
-            max(share, left_share) if found.task.discrepancy.parts else share, columns, carrier, text, size
+            max(share, left_share) if estimate.task.discrepancy.parts else share, columns, carrier, text, size
         )
-    more = _p_value(by_noise, found.task.noise, after, len(forms))
+    more = _p_value(by_noise, estimate.task.noise, after, len(forms))
     if more >= NOISE_P_VALUE or (forms and left_share <= NEGLIGIBLE_EXCESS):
         return None
     size = float(np.sqrt(max(left_um**2 - _expected_um(by_noise) ** 2, 0.0)))
@@ -411,9 +411,9 @@ def looks_like(problem: Problem, forms: Sequence[Form]) -> dict[tuple[str, str],
     every = list(dict.fromkeys((form.key, column) for form in forms for column in form.variant.columns))
     if not every:
         return {}
-    found = problem.products([column for _, column in every])
+    products = problem.products([column for _, column in every])
     # Little of these columns remains after projecting out the set-up; the basis holds the part that was projected out.
-    sizes_of = np.sqrt(np.maximum(np.diag(found.gram), 0.0) + np.sum(found.basis**2, axis=0))
+    sizes_of = np.sqrt(np.maximum(np.diag(products.gram), 0.0) + np.sum(products.basis**2, axis=0))
     strongest: dict[tuple[str, str], tuple[float, int]] = {}
     for i, ((key, _), size) in enumerate(zip(every, sizes_of.tolist(), strict=True)):
         if size > strongest.get(key, (-1.0, 0))[0]:
@@ -422,11 +422,12 @@ def looks_like(problem: Problem, forms: Sequence[Form]) -> dict[tuple[str, str],
     setup = setup_unknowns(problem.setup)
     count, doubt = len(setup), len(problem.prior)
     # The whole in the directions of the basis, and the part of the causes orthogonal to it.
-    values, vectors = np.linalg.eigh(found.gram[np.ix_(own, own)])
+    values, vectors = np.linalg.eigh(products.gram[np.ix_(own, own)])
     beside = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
     whole = np.zeros((len(problem.nuisance_coordinates) + len(own), doubt + count + len(own)))
     whole[: len(problem.nuisance_coordinates)] = np.concatenate(
-        [problem.nuisance_coordinates[:, count:], problem.nuisance_coordinates[:, :count], found.basis[:, own]], axis=1
+        [problem.nuisance_coordinates[:, count:], problem.nuisance_coordinates[:, :count], products.basis[:, own]],
+        axis=1,
     )
     whole[len(problem.nuisance_coordinates) :, doubt + count :] = beside
     # Triangular, the calibration's uncertainty first: the rows below it hold what that uncertainty does not absorb, and any choice of

@@ -371,7 +371,9 @@ def _second_method(sized: SizedCauses, causes: Sequence[Cause]) -> Comparison:
 
 def _variants(key: tuple[str, str]) -> list[tuple[str, str]]:
     """Return the variants of a cause with more parameters, such as ``reversal_curve`` for ``reversal``."""
-    return [(one.name, key[1]) for one in SPECIFICATIONS.values() if one.variant_of == key[0]]
+    return [
+        (specification.name, key[1]) for specification in SPECIFICATIONS.values() if specification.variant_of == key[0]
+    ]
 
 
 def _further(effect: SingleEffect) -> str:

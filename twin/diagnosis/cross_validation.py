@@ -56,7 +56,9 @@ def predicted_shift(problem: Problem, part: Candidates, forms: Sequence[Form]) -
 
 
 def jackknife_interval(table: np.ndarray) -> tuple[float, float] | None:
-    """Return the 95 % confidence interval of the difference of two RMS values by the jackknife; None for fewer than `GROUPS_FOR_AN_INTERVAL` groups.
+    """Return the 95 % confidence interval of the difference of two RMS values by the jackknife.
+
+    None for fewer than `GROUPS_FOR_AN_INTERVAL` groups.
 
     One group is left out at a time; pseudo-values with Student's t (Tukey 1958). Groups, not readings, are independent.
 
@@ -187,9 +189,9 @@ def choose_folds(data: Measurements, machine: Machine, causes: Sequence[Candidat
     if not changing:
         moved = [i for i in range(len(machine.axes)) if np.ptp(data.positions[:, i]) > 0.0]
         if moved:
-            found = folds_at_positions(data, moved)
-            if found is not None:
-                return found
+            folds = folds_at_positions(data, moved)
+            if folds is not None:
+                return folds
     return folds_in_time(data)
 
 

@@ -405,7 +405,7 @@ def _by_compliances(problem: Problem, parts: Sequence[_Part], state: Mapping[str
     Their uncertainties are taken as independent. A compliance that is not known counts with a plausible size (`AddedLoad.beside`).
     """
     scales = np.concatenate([part.scales for part in parts])
-    added = [one for part in parts for one in part.effects if isinstance(one, AddedLoad)]
+    added = [effect for part in parts for effect in part.effects if isinstance(effect, AddedLoad)]
     loads = [one for load in added for one in (load, *load.beside) if one.relative_u > 0.0]
     if not loads:
         return np.zeros((len(scales), len(scales)))
@@ -543,20 +543,20 @@ def _estimated(
             Quantity(name, rate.value * hours, unit, float(u[0]) * hours),
             Quantity(rate.name.rsplit(".", 1)[-1], rate.value, rate.unit, float(u[0])),
         ]
-    found = [
+    estimated = [
         Quantity(name, float(value), unit, float(one))
         for (name, unit), value, one in zip(candidate.names, values, u, strict=False)
         if one > 1e-9 * u.max()  # a parameter that is not identifiable is left out
     ]
     # Parameters that the search fixed within their bounds, such as a centre that the readings do not determine.
-    found += [
+    estimated += [
         Quantity(name, form.variant.fixed[name], unit, float("nan"))
         for name, unit in candidate.names[len(values) :]
         if name in form.variant.fixed
     ]
     if drift is not None and drift.name in fixed:
-        found.append(Quantity(drift.name, fixed[drift.name], "s", float(u[-1])))
-    return found
+        estimated.append(Quantity(drift.name, fixed[drift.name], "s", float(u[-1])))
+    return estimated
 
 
 # --- Weights of noise and discrepancy where the causes leave more than the noise ------------------

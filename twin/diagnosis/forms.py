@@ -240,11 +240,11 @@ class Candidates:
 
     def _projected_blocks(self, products: Products, on_basis: np.ndarray) -> list[np.ndarray]:
         """Return the projected inner products within each form: (forms, w, w) for each width w."""
-        within, found = np.ascontiguousarray(on_basis.T), []
+        within, projected_blocks = np.ascontiguousarray(on_basis.T), []
         for raw, columns in zip(products.within, self._columns, strict=True):
             removed = within[columns]
-            found.append(raw - removed @ removed.transpose(0, 2, 1))
-        return found
+            projected_blocks.append(raw - removed @ removed.transpose(0, 2, 1))
+        return projected_blocks
 
     def set_problem(self, problem: Problem) -> None:
         """Take over the residual of a problem with the same set-up and rows; exclusions and refinements are undone."""
@@ -310,14 +310,14 @@ class Candidates:
             # One new form needs no pass: its products with the others are in their rows, those within it are known.
             self._cross_rows(columns_of(fresh[1:]))
             return self.gram(forms)
-        found = np.zeros((len(columns), len(columns)))
+        gram = np.zeros((len(columns), len(columns)))
         for form in fresh:
             at = np.searchsorted(columns, form.columns)
             kind, place = self._place[form.index]
-            found[np.ix_(at, at)] = self._inner[kind][place]
+            gram[np.ix_(at, at)] = self._inner[kind][place]
         rows = self._cross[np.ix_(self._row[columns[known]], columns)]
-        found[known], found[:, known] = rows, rows.T
-        return found
+        gram[known], gram[:, known] = rows, rows.T
+        return gram
 
     def contains(self, larger: Sequence[Form], others: Sequence[Form], form: Form) -> bool:
         """Return whether a larger set of forms already spans what a form adds to some others."""
@@ -451,18 +451,18 @@ class Candidates:
         order of its margin.
         """
         self._requested |= set(columns.tolist())
-        found = dict.fromkeys([*columns.tolist(), *(self._expected - self._requested)])
+        indices = dict.fromkeys([*columns.tolist(), *(self._expected - self._requested)])
         cached = self.products.cached
         here = bool(cached[columns].all())
         seen: set[int] = set()
         for i in np.argsort(-self._latest, kind="stable").tolist():
-            if len(found) >= BATCH or self._latest[i] <= 0.0:
+            if len(indices) >= BATCH or self._latest[i] <= 0.0:
                 break
             key, own = int(self.key_of[i]), self.forms[i].columns
             if key not in seen and (not here or cached[own].all()):
-                found |= dict.fromkeys(own[self._row[own] < 0].tolist())
+                indices |= dict.fromkeys(own[self._row[own] < 0].tolist())
             seen.add(key)
-        return np.sort(np.array(list(found), dtype=int))
+        return np.sort(np.array(list(indices), dtype=int))
 
     def _given(
         self, forms: Sequence[Form], beside: tuple[np.ndarray, np.ndarray] | None = None
@@ -524,14 +524,14 @@ def log_p_value(explained: np.ndarray, dof: np.ndarray | float, noise_dof: float
     half = np.asarray(dof) / 2.0
     # Where the library's sf underflows, use the leading term (Abramowitz and Stegun 1972, 6.5.32 and 26.5.4), which keeps the order.
     if np.isfinite(noise_dof):
-        found = np.asarray(f_log_sf(explained / dof, dof, noise_dof))
-        far, rest = np.isneginf(found), noise_dof / 2.0
+        log_p = np.asarray(f_log_sf(explained / dof, dof, noise_dof))
+        far, rest = np.isneginf(log_p), noise_dof / 2.0
         small = noise_dof / (noise_dof + np.where(far, explained, 1.0))
-        return np.where(far, rest * np.log(small) - np.log(rest) - scipy.special.betaln(rest, half), found)
-    found = np.asarray(chi2_log_sf(explained, dof))
-    far = np.isneginf(found)
+        return np.where(far, rest * np.log(small) - np.log(rest) - scipy.special.betaln(rest, half), log_p)
+    log_p = np.asarray(chi2_log_sf(explained, dof))
+    far = np.isneginf(log_p)
     safe = np.where(far, explained, 1.0) / 2.0
-    return np.where(far, (half - 1.0) * np.log(safe) - safe - scipy.special.gammaln(half), found)
+    return np.where(far, (half - 1.0) * np.log(safe) - safe - scipy.special.gammaln(half), log_p)
 
 
 @lru_cache(maxsize=4096)
@@ -544,13 +544,13 @@ def critical_value(dof: float, log_tests: float, level: float, noise_dof: float)
 def _critical_table(forms: Sequence[Form], level: float, noise_dof: float) -> np.ndarray:
     """Return the critical values (forms, dof + 1) by degrees of freedom; infinite for none."""
     most = max((len(form.columns) for form in forms), default=0)
-    found = np.full((len(forms), most + 1), np.inf)
+    critical_table = np.full((len(forms), most + 1), np.inf)
     for form in forms:
         for dof in range(1, len(form.columns) + 1):
-            found[form.index, dof] = critical_value(float(dof), form.log_tests, level, noise_dof) + TIE * len(
+            critical_table[form.index, dof] = critical_value(float(dof), form.log_tests, level, noise_dof) + TIE * len(
                 form.columns
             )
-    return found
+    return critical_table
 
 
 def _numbered(names: Sequence[Hashable]) -> np.ndarray:
@@ -559,16 +559,16 @@ def _numbered(names: Sequence[Hashable]) -> np.ndarray:
 
 
 def _by_width(forms: Sequence[Form]) -> dict[int, list[Form]]:
-    found: dict[int, list[Form]] = {}
+    forms_by_width: dict[int, list[Form]] = {}
     for form in forms:
-        found.setdefault(len(form.columns), []).append(form)
-    return found
+        forms_by_width.setdefault(len(form.columns), []).append(form)
+    return forms_by_width
 
 
 def columns_of(forms: Sequence[Form]) -> np.ndarray:
     """Return the columns of some forms, each once, in ascending order."""
-    found = [form.columns for form in forms]
-    return np.unique(np.concatenate(found)) if found else np.zeros(0, dtype=int)
+    columns = [form.columns for form in forms]
+    return np.unique(np.concatenate(columns)) if columns else np.zeros(0, dtype=int)
 
 
 def pseudo_inverse(gram: np.ndarray, least: float = LEAST_NONCENTRALITY) -> np.ndarray:

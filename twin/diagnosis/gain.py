@@ -60,8 +60,8 @@ def held_out(sized: SizedCauses, written: Collection[int] = ()) -> HeldOut | Non
         sized: the causes with their sizes; they decide what is held out (`twin.diagnosis.cross_validation`).
         written: numbers of the patterns that are in the file as well.
     """
-    found, forms = sized.found, sized.forms
-    problem, candidates = found.problem, found.candidates
+    estimate, forms = sized.found, sized.forms
+    problem, candidates = estimate.problem, estimate.candidates
     barred = {form.key for form, promise in zip(forms, sized.promised, strict=True) if not promise}
     split = choose_folds(problem.network.data, problem.network.machine, [form.candidate for form in forms])
     candidates.set_problem(problem)
@@ -71,8 +71,8 @@ def held_out(sized: SizedCauses, written: Collection[int] = ()) -> HeldOut | Non
 
     def predict(small: Candidates) -> tuple[np.ndarray, np.ndarray]:
         # If held-out readings refuted causes, the remaining ones are not searched again.
-        chosen = forms if found.refuted else select_on_part(small, forms).forms
-        kept, likelihood = refit_on_part(small, chosen, found.structure)
+        chosen = forms if estimate.refuted else select_on_part(small, forms).forms
+        kept, likelihood = refit_on_part(small, chosen, estimate.structure)
         after = predicted_shift(problem, small, [form for form in kept if form.key not in barred])
         if written and likelihood is not None:
             after = after + predicted_pattern_shift(likelihood, kept, written)
@@ -149,12 +149,12 @@ def extend(sized: SizedCauses, calibration: Calibration) -> EmpiricalExtension:
         sized: the causes with their sizes.
         calibration: the calibration tested.
     """
-    found, forms = sized.found, sized.forms
-    likelihood = found.structure.likelihood
+    estimate, forms = sized.found, sized.forms
+    likelihood = estimate.structure.likelihood
     if likelihood is None or not likelihood.pattern_tests:
         return _not_extended(Extension((), 0.0, None, False, "it depends on no column of the table"))
-    machine, problem = found.problem.network.machine, found.problem
-    model = likelihood.fit(forms, found.structure.model)
+    machine, problem = estimate.problem.network.machine, estimate.problem
+    model = likelihood.fit(forms, estimate.structure.model)
     left = problem.residual - sized.estimate.signature.sum(axis=1)
     which, values, covariance = likelihood.most_likely(model, likelihood.slope_with(left))
     terms: list[Term] = []
@@ -176,7 +176,7 @@ def extend(sized: SizedCauses, calibration: Calibration) -> EmpiricalExtension:
         else:
             stays += made
         terms.append(term)
-    held = held_out_patterns(found, forms, written) if effects else None
+    held = held_out_patterns(estimate, forms, written) if effects else None
     reason = _unproven(held) if effects else "; ".join(dict.fromkeys(str(term.reason) for term in terms))
     extension = Extension(tuple(terms), _rms(problem, moved), held, reason is None, reason)
     if reason is not None:
@@ -203,7 +203,7 @@ def _term(pattern_test: PatternTest, machine: Machine, size: float, taken: Seque
     columns = pattern.waves(pattern_test.level)
     along = _along(pattern_test)
     reason = None
-    unknown = [one.column for one in columns if not available_in_programs(one.column, machine)]
+    unknown = [column.column for column in columns if not available_in_programs(column.column, machine)]
     if unknown:
         reason = f"it depends on {' and '.join(unknown)}, which a later program does not know"
     elif size == 0.0:
@@ -213,7 +213,7 @@ def _term(pattern_test: PatternTest, machine: Machine, size: float, taken: Seque
             acting_frame(pattern.side, along, machine)
         except InputError as error:
             reason = error.what
-    ranges = {one.column: one.range for one in columns if one.range is not None}
+    ranges = {column.column: column.range for column in columns if column.range is not None}
     return Term(unused_place(pattern.side, columns, taken), along, pattern.names, ranges, size, reason)
 
 
@@ -416,7 +416,7 @@ def error_at_tool(
 
 def _inside(positions: np.ndarray, machine: Machine, effects: Sequence[Effect]) -> np.ndarray:
     """Return (n, axes) positions of the volume, scaled into the ranges of the empirical effects."""
-    found = np.array(positions)
+    clipped = np.array(positions)
     for i, axis in enumerate(machine.axes):
         ranges = [
             own
@@ -428,5 +428,5 @@ def _inside(positions: np.ndarray, machine: Machine, effects: Sequence[Effect]) 
         span = np.ptp(positions[:, i])
         if ranges and span > 0.0:
             low, high = max(own[0] for own in ranges), min(own[1] for own in ranges)
-            found[:, i] = low + (positions[:, i] - positions[:, i].min()) / span * (high - low)
-    return found
+            clipped[:, i] = low + (positions[:, i] - positions[:, i].min()) / span * (high - low)
+    return clipped

@@ -27,7 +27,7 @@ from twin.diagnosis.forms import Candidates, Form, columns_of, log_p_value, pseu
 from twin.diagnosis.patterns import TESTED_NONCENTRALITY, ZERO_SHARE, Pattern, PatternScores
 from twin.diagnosis.problem import Problem
 
-FALSE_ALARM_RATE: Final = 0.01
+PATTERN_ALARM_RATE: Final = 0.01
 """Rate of false alarms: share of data sets without an error in which a pattern is found."""
 EXACT_P_VALUES: Final = 24
 """Number of tests, the most significant ones by two moments, whose p-value is evaluated exactly by eigenvalues."""
@@ -61,7 +61,7 @@ class PatternTest:
     @property
     def found(self) -> bool:
         """Return whether it is significant, corrected for multiple testing."""
-        return self.log_p_corrected < np.log(FALSE_ALARM_RATE)
+        return self.log_p_corrected < np.log(PATTERN_ALARM_RATE)
 
     @property
     def log_p_corrected(self) -> float:
@@ -104,20 +104,20 @@ def scan_patterns(problem: Problem, tried: Sequence[Pattern], forms: Sequence[Fo
 
 def _moments_along(scores: PatternScores, tried: Sequence[Pattern]) -> np.ndarray:
     """Return (n, 3, 3): of each pattern and level the score, and its mean and variance for noise alone, along each direction."""
-    found: list[np.ndarray] = []
+    moments: list[np.ndarray] = []
     alike: dict[int, list[tuple[np.ndarray, np.ndarray, np.ndarray]]] = {}
     for pattern in tried:
         slope, gram = scores.of(pattern)
         for level in pattern.levels:
             chosen = np.flatnonzero(pattern.order <= level)
-            found.append(np.zeros((3, 3)))
+            moments.append(np.zeros((3, 3)))
             waiting = alike.setdefault(len(chosen), [])
-            waiting.append((slope[:, chosen], gram[:, chosen[:, None], chosen], found[-1]))
+            waiting.append((slope[:, chosen], gram[:, chosen[:, None], chosen], moments[-1]))
             if len(waiting) == AT_ONCE:
                 _fill(alike.pop(len(chosen)))
     for waiting in alike.values():
         _fill(waiting)
-    return np.stack(found)
+    return np.stack(moments)
 
 
 def _fill(waiting: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]]) -> None:
@@ -138,8 +138,8 @@ def _moments(slope: np.ndarray, gram: np.ndarray) -> np.ndarray:
     inverse = np.linalg.inv(np.where(seen[:, None, None], gram, 0.0) + by_prior[:, None, None] * np.eye(count))
     weights = np.eye(count) - inverse * by_prior[:, None, None]
     score = np.einsum("di,di->d", slope, (inverse @ slope[:, :, None])[:, :, 0])
-    found = [score, np.einsum("dii->d", weights), 2.0 * np.einsum("dij,dij->d", weights, weights)]
-    return np.where(seen, np.stack(found), 0.0)
+    moments = [score, np.einsum("dii->d", weights), 2.0 * np.einsum("dij,dij->d", weights, weights)]
+    return np.where(seen, np.stack(moments), 0.0)
 
 
 def _two_moments(score: np.ndarray, mean: np.ndarray, variance: np.ndarray) -> np.ndarray:
@@ -375,21 +375,21 @@ class Likelihood:
         whole = self.candidates.gram([form])
         values = np.ones(len(own)) if len(own) == 1 else self.candidates.fitted([form])[1]
         size = float(values @ whole @ values)
-        found = np.zeros(len(self.pattern_tests))
+        can_imitate = np.zeros(len(self.pattern_tests))
         for k in range(len(self.pattern_tests)):
             mine, root = self._root_of(k)
             along = root.T @ (self._cross[np.ix_(mine, own)] @ values)
-            found[k] = 1.0 if along @ along > IMITATED_SHARE * size else 0.0
-        self._imitated[form.index] = found
-        return found
+            can_imitate[k] = 1.0 if along @ along > IMITATED_SHARE * size else 0.0
+        self._imitated[form.index] = can_imitate
+        return can_imitate
 
     def _root_of(self, k: int) -> tuple[np.ndarray, np.ndarray]:
         """Return the columns of a pattern, and a square root of the pseudo-inverse of their inner products."""
         if k not in self._roots:
             mine = np.flatnonzero(self._own // 3 == k)
-            found, vectors = np.linalg.eigh(self._gram[np.ix_(mine, mine)])
-            kept = found > NEARLY_DEPENDENT * found.max(initial=0.0)
-            self._roots[k] = mine, vectors[:, kept] / np.sqrt(found[kept])
+            eigenvalues, vectors = np.linalg.eigh(self._gram[np.ix_(mine, mine)])
+            kept = eigenvalues > NEARLY_DEPENDENT * eigenvalues.max(initial=0.0)
+            self._roots[k] = mine, vectors[:, kept] / np.sqrt(eigenvalues[kept])
         return self._roots[k]
 
     def explained(self, forms: Sequence[Form], model: Model) -> float:
@@ -405,11 +405,11 @@ class Likelihood:
         """Return inner products of the patterns' rotated columns with a (3n,) whitened residual, the set-up projected out."""
         problem = self.candidates.problem
         left = problem.project(residual)
-        found = [
+        slopes = [
             problem.along(problem.signature(self.columns[start : start + COLUMNS_AT_ONCE]), left)
             for start in range(0, len(self.columns), COLUMNS_AT_ONCE)
         ]
-        return np.asarray(self._rotation.T @ np.concatenate(found))
+        return np.asarray(self._rotation.T @ np.concatenate(slopes))
 
     def most_likely(self, model: Model, slope: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the most likely coefficients of the patterns at given variances, with the causes fixed.
@@ -442,22 +442,22 @@ class Likelihood:
             values: (k,) coefficients, µm.
         """
         problem = self.candidates.problem
-        found = np.zeros(len(problem.residual))
+        effect_on_readings = np.zeros(len(problem.residual))
         for start in range(0, len(which), COLUMNS_AT_ONCE):
             some = slice(start, start + COLUMNS_AT_ONCE)
-            found += problem.signature([self.columns[i] for i in which[some]]) @ values[some]
-        return found
+            effect_on_readings += problem.signature([self.columns[i] for i in which[some]]) @ values[some]
+        return effect_on_readings
 
     def pattern(self, forms: Sequence[Form], model: Model) -> np.ndarray:
         """Return the (3n,) most likely effect of the patterns on the whitened readings, set-up and causes projected out."""
         problem = self.candidates.problem
-        found = self.effect_on_readings(np.arange(len(self.columns)), self._rotation @ model.random)
+        effect = self.effect_on_readings(np.arange(len(self.columns)), self._rotation @ model.random)
         columns = columns_of(forms)
         if len(columns):
             back = pseudo_inverse(self.candidates.gram(forms))
             signature = problem.signature([self.candidates.products.columns[i] for i in columns])
-            found -= signature @ (back @ (self._cross[:, columns].T @ model.random))
-        return problem.project(found)
+            effect -= signature @ (back @ (self._cross[:, columns].T @ model.random))
+        return problem.project(effect)
 
     def random(self, model: Model) -> list[tuple[Column, float]]:
         """Return the patterns' columns with their standard deviations, µm."""

@@ -93,10 +93,10 @@ class Nuisance:
         on_setup = signatures.along(lambda block: _at(setup, block.rows))[0].T
         whole = _projected_gram(signatures, setup, on_setup, np.arange(len(view.rows)))
         count = len(triangle)
-        found = cls(signatures, root, setup, triangle, on_setup + whole[:count, count:], whole[count:, count:])
+        nuisance = cls(signatures, root, setup, triangle, on_setup + whole[:count, count:], whole[count:, count:])
         if columns:
-            found._make_orthonormal()
-        return found
+            nuisance._make_orthonormal()
+        return nuisance
 
     def _make_orthonormal(self) -> None:
         """Remove the rounding errors of strongly correlated parameters by a second Cholesky factor, that of the basis itself."""
@@ -192,8 +192,8 @@ class Nuisance:
         flat = vectors.reshape(len(vectors), prod(vectors.shape[1:]))
         at_points = flat.reshape(len(flat) // 3, 3, flat.shape[1])
         by_columns = self.signatures.along(lambda block: at_points[block.rows])[0]
-        found = self.from_raw(np.concatenate([self._setup.T @ flat, by_columns]))
-        return found.reshape(len(found), *vectors.shape[1:])
+        along_columns = self.from_raw(np.concatenate([self._setup.T @ flat, by_columns]))
+        return along_columns.reshape(len(along_columns), *vectors.shape[1:])
 
     def along_signatures(self, signatures: Signatures, points: np.ndarray | None) -> np.ndarray:
         """Return inner products (raw, columns) of `raw` with signatures, over some points or all."""
@@ -207,19 +207,19 @@ class Nuisance:
         )
         by_columns = self._change @ rest
         setup = self._setup if points is None else self._setup_at(points).reshape(3 * len(points), self.setup_count)
-        found = setup @ (by_setup - self._on_setup @ by_columns)
+        combined_columns = setup @ (by_setup - self._on_setup @ by_columns)
         if len(by_columns):
-            found += self.signatures.combined(by_columns, points).reshape(found.shape)
-        return found.reshape(len(found), *coordinates.shape[1:])
+            combined_columns += self.signatures.combined(by_columns, points).reshape(combined_columns.shape)
+        return combined_columns.reshape(len(combined_columns), *coordinates.shape[1:])
 
     def rows(self, points: Rows) -> np.ndarray:
         """Return the basis (points, 3, directions) at some points."""
         here, columns = self._setup_at(points), self.signatures.at(PointBlock(self.signatures.view, points))
-        found = np.empty((*here.shape[:2], len(self.coordinates)))
-        found[:, :, : self.setup_count] = here
+        rows = np.empty((*here.shape[:2], len(self.coordinates)))
+        rows[:, :, : self.setup_count] = here
         for i in range(3):
-            found[:, i, self.setup_count :] = (columns[:, i] - here[:, i] @ self._on_setup) @ self._change
-        return found
+            rows[:, i, self.setup_count :] = (columns[:, i] - here[:, i] @ self._on_setup) @ self._change
+        return rows
 
     @property
     def change(self) -> np.ndarray:
@@ -301,7 +301,7 @@ def _with_orthonormal_functions(columns: Sequence[Column], root: np.ndarray) -> 
     for i, column in enumerate(columns):
         for term in column.terms:
             sets.setdefault(term.functions, []).append(i)
-    found, root = list(columns), np.array(root)
+    columns_after, root = list(columns), np.array(root)
     for functions, own in sets.items():
         terms = [term for i in own for term in columns[i].terms]
         alike = len({(term.freedom, term.weight) for term in terms}) == 1
@@ -314,9 +314,9 @@ def _with_orthonormal_functions(columns: Sequence[Column], root: np.ndarray) -> 
             factors[key] = tabulated(basis), triangle
         made, triangle = factors[key]
         for k, i in enumerate(own):
-            found[i] = Column((replace(terms[k], functions=made, index=k),), columns[i].scale)
+            columns_after[i] = Column((replace(terms[k], functions=made, index=k),), columns[i].scale)
         root[own] = triangle @ root[own]
-    return found, root
+    return columns_after, root
 
 
 def _with_shared_functions(columns: Sequence[Column]) -> list[Column]:

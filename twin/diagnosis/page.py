@@ -93,13 +93,13 @@ def _ranked(diagnosis: DiagnosisResult) -> list[_Ranked]:
     """Return the causes found and those tested with a p-value below `UNLISTED_P_VALUE`."""
     named = {(cause.effect, cause.where) for cause in diagnosis.causes}
     doubted = {key for cause in diagnosis.causes for key in cause.equivalent}
-    found = []
+    ranked = []
     for effect, where, explains, p in diagnosis.ranking:
         key = (effect, where)
         of = "found" if key in named else "doubted" if key in doubted else ""
         if p < UNLISTED_P_VALUE or of == "found":
-            found.append(_Ranked(effect, where, explains, p, of, key in doubted))
-    return found
+            ranked.append(_Ranked(effect, where, explains, p, of, key in doubted))
+    return ranked
 
 
 def _picture(panel: plots.Panel, caption: str) -> Html:

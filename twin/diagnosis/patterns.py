@@ -211,27 +211,27 @@ def patterns(machine: Machine, data: Measurements) -> list[Pattern]:
         machine: the machine.
         data: the measurements.
     """
-    found = []
+    patterns = []
     channels = _channels(machine, data)
     for side in _sides(machine, data):
         own = (data.carrier == side) != (data.station_carrier == side)
         turning = any(not axis.linear and axis.side == side for axis in machine.axes)
         for field in ("base", "place") if turning else ("base",):
-            found += [Pattern(side, field, (one,), own, ORDER_ALONE) for one in channels]
+            patterns += [Pattern(side, field, (channel,), own, ORDER_ALONE) for channel in channels]
             for a, b in combinations(channels, 2):
                 if not b.direction:
-                    found.append(Pattern(side, field, (a, b), own, ORDER_IN_PAIRS))
+                    patterns.append(Pattern(side, field, (a, b), own, ORDER_IN_PAIRS))
                 elif not a.direction:
-                    found.append(Pattern(side, field, (b, a), own, ORDER_IN_PAIRS))
-    return found
+                    patterns.append(Pattern(side, field, (b, a), own, ORDER_IN_PAIRS))
+    return patterns
 
 
 def _sides(machine: Machine, data: Measurements) -> list[str]:
     """Return the sides whose shifts the readings show; of two that only move relative to each other, those that axes move."""
-    found = [side for side in CARRIERS if np.any((data.carrier == side) != (data.station_carrier == side))]
+    sides = [side for side in CARRIERS if np.any((data.carrier == side) != (data.station_carrier == side))]
     if np.any(data.station_carrier == SIDES[0]):
-        return found
-    return [side for side in found if any(axis.side == side for axis in machine.axes)] or found
+        return sides
+    return [side for side in sides if any(axis.side == side for axis in machine.axes)] or sides
 
 
 def _channels(machine: Machine, data: Measurements) -> list[Channel]:
@@ -239,7 +239,7 @@ def _channels(machine: Machine, data: Measurements) -> list[Channel]:
     if len(set(data.round)) > 2:
         rounds = list(dict.fromkeys(data.round))
         state["round"] = np.array([float(rounds.index(name)) for name in data.round])
-    found = []
+    channels = []
     for name, values in state.items():
         axis = machine.by_name.get(name)
         distinct = len(np.unique(np.round(values, 6)))
@@ -247,8 +247,8 @@ def _channels(machine: Machine, data: Measurements) -> list[Channel]:
             continue
         waves = _waves(name, axis, values, distinct)
         paired = 1 if waves.kind == "direction" else ORDER_IN_PAIRS if axis is not None else ORDER_OF_SLOW_COLUMNS
-        found.append(Channel(waves, values, paired))
-    return found
+        channels.append(Channel(waves, values, paired))
+    return channels
 
 
 def _waves(name: str, axis: Axis | None, values: np.ndarray, distinct: int) -> Waves:
@@ -422,7 +422,7 @@ class PatternScores:
         at = {column: i for i, column in enumerate(every)}
         rows = np.flatnonzero(self._kept) if len(self._problem.held_out) else None
         lost, slope = self._along_every(every, rows)
-        found = []
+        distributions = []
         for pattern, level, directions in tests:
             own = [at[column] for column in pattern.columns(level, directions)]
             whole = self._gram(pattern, level, directions)
@@ -436,8 +436,8 @@ class PatternScores:
             values, vectors = np.linalg.eigh(gram * np.outer(deviation, deviation))
             values = np.maximum(values, 0.0)
             score = float(np.sum((vectors.T @ (slope[own] * seen * deviation)) ** 2 / (1.0 + values)))
-            found.append((values / (1.0 + values), score))
-        return found
+            distributions.append((values / (1.0 + values), score))
+        return distributions
 
     def _along_every(self, columns: Sequence[Column], rows: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
         """Return inner products (columns, k) with the orthonormal basis of nuisance and causes, and (columns,) with the residual."""
@@ -467,7 +467,7 @@ class PatternScores:
         if key not in known:
             rows, chosen = np.flatnonzero(pattern.own & self._kept), pattern.order <= level
             count = len(directions)
-            found = np.zeros((count, int(chosen.sum()), count, int(chosen.sum())))
+            gram = np.zeros((count, int(chosen.sum()), count, int(chosen.sum())))
             for some in pieces(len(rows)):
                 here = rows[some]
                 fields = self._fields(pattern, here)[:, :, list(directions)] / self._nuisance.scale
@@ -475,11 +475,11 @@ class PatternScores:
                 made = pattern.at(here)[:, chosen]
                 for i in range(count):
                     for j in range(i + 1):
-                        found[i, :, j] += made.T @ (made * weights[:, i, j, None])
+                        gram[i, :, j] += made.T @ (made * weights[:, i, j, None])
             for i in range(count):
                 for j in range(i):
-                    found[j, :, i] = found[i, :, j].T
-            known[key] = found.reshape(count * found.shape[1], -1)
+                    gram[j, :, i] = gram[i, :, j].T
+            known[key] = gram.reshape(count * gram.shape[1], -1)
         return known[key] * self._nuisance.scale**2
 
     def _more_raw(self, block: PointBlock) -> np.ndarray:
@@ -524,8 +524,8 @@ def _along_functions(
     functions: ChannelFunctions, rows: np.ndarray, fields: np.ndarray, vectors: np.ndarray
 ) -> np.ndarray:
     """Return inner products (3, q, m) over some rows of functions along each direction of (n, 3, 3) fields with (n, 3, q) vectors."""
-    found = np.zeros((3, vectors.shape[2], functions.count))
+    along_functions = np.zeros((3, vectors.shape[2], functions.count))
     for some in pieces(len(rows) if vectors.size else 0, READINGS_AT_ONCE):
         along = np.stack([sum(fields[some, k, i, None] * vectors[some, k] for k in range(3)) for i in range(3)])
-        found += along.transpose(0, 2, 1) @ functions.at(rows[some])
-    return found
+        along_functions += along.transpose(0, 2, 1) @ functions.at(rows[some])
+    return along_functions

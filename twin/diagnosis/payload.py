@@ -146,15 +146,15 @@ class Load:
 
     def shares_of(self, payload: Payload | None, carried: Payload | None) -> np.ndarray:
         """Return a payload and a carried load as shares of their bounds."""
-        found = self.nothing
+        shares = self.nothing
         if payload is not None:
-            found[:CARRIED_INDEX] = [
+            shares[:CARRIED_INDEX] = [
                 payload.mass_kg / self.heaviest,
                 *(one / CENTRE_RANGE_MM for one in payload.centre_mm),
             ]
         if carried is not None:
-            found[CARRIED_INDEX:] = [carried.mass_kg, *(one / CENTRE_RANGE_MM for one in carried.centre_mm)]
-        return found
+            shares[CARRIED_INDEX:] = [carried.mass_kg, *(one / CENTRE_RANGE_MM for one in carried.centre_mm)]
+        return shares
 
     def covariances(self, shares: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return (k,) factors on the uncertainties of the compliances due to the loads, and the variances of the shares.
@@ -282,29 +282,31 @@ def _bounded_centre(gram: np.ndarray, slope: np.ndarray, heaviest: float) -> tup
 
 def _loads_found(candidates: Candidates, forms: Sequence[Form]) -> dict[Side, tuple[Payload | None, Payload | None]]:
     """Return by side the payload and the carried load that some causes imply; the load is carried on one side only."""
-    found: dict[Side, tuple[Payload | None, Payload | None]] = {}
+    loads_found: dict[Side, tuple[Payload | None, Payload | None]] = {}
     carried: dict[Side, float] = {}
     for side in SIDES:
         load = loaded_joints(candidates, forms, side)
         if load is not None:
             first = load.free[0]
             shares, carried[side] = load.significant(lambda dof, first=first: candidates.critical_value(first, dof))  # type: ignore[misc]
-            found[side] = load.payloads_of(shares)
-    for side in found:
+            loads_found[side] = load.payloads_of(shares)
+    for side in loads_found:
         if carried[side] < max(carried.values()):
-            found[side] = found[side][0], None
+            loads_found[side] = loads_found[side][0], None
     if any(carried.values()):
         # The other side's joints must not carry it either, even if none of them is among the causes yet.
-        found = {side: found.get(side, (None, None)) for side in SIDES}
+        loads_found = {side: loads_found.get(side, (None, None)) for side in SIDES}
     # Further compliances of that side carry an added load as well.
     for own in _added_loads(candidates, forms):
         if not own.plausible:
             continue
-        others = found.get(own.side, (None, None))
-        kinds = [sum_of((one, own)) if one is not None and one.carried == own.carried else one for one in others]
+        others = loads_found.get(own.side, (None, None))
+        kinds = [
+            sum_of((other, own)) if other is not None and other.carried == own.carried else other for other in others
+        ]
         kinds[own.carried] = own if kinds[own.carried] is None else kinds[own.carried]
-        found[own.side] = kinds[0], kinds[1]
-    return found
+        loads_found[own.side] = kinds[0], kinds[1]
+    return loads_found
 
 
 def _added_loads(candidates: Candidates, forms: Sequence[Form], of: Sequence[Form] | None = None) -> list[Payload]:
@@ -313,13 +315,13 @@ def _added_loads(candidates: Candidates, forms: Sequence[Form], of: Sequence[For
     if not own:
         return []
     columns, values, _ = candidates.fitted(forms)
-    found = []
+    added_loads = []
     for form in own:
         at = np.searchsorted(columns, form.columns)
         scale = np.array([column.scale for column in form.variant.columns])
         built = () if form.candidate.build is None else form.candidate.build(values[at] * scale, form.variant.fixed)
-        found += [effect.payload for effect in built[:1] if isinstance(effect, AddedLoad) and effect.weights[0]]
-    return found
+        added_loads += [effect.payload for effect in built[:1] if isinstance(effect, AddedLoad) and effect.weights[0]]
+    return added_loads
 
 
 def restore_payloads(candidates: Candidates, forms: Sequence[Form]) -> None:

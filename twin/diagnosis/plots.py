@@ -150,7 +150,9 @@ def _clearest_columns(found: DiagnosisResult, scales: Mapping[str, Scale]) -> li
     wanted += [(trend.column, trend.carrier) for trend in found.trends if trend.explains >= least]
     chosen: list[tuple[str, str]] = []
     for name, carrier in wanted:
-        alike = [one for one in scales if name in scales and (one == name or _correlated(scales[one], scales[name]))]
+        alike = [
+            scale for scale in scales if name in scales and (scale == name or _correlated(scales[scale], scales[name]))
+        ]
         if alike and not any(one in alike for one, _ in chosen):
             chosen.append((next((one for one in alike if one in own), name), carrier))
     return chosen

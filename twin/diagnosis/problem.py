@@ -95,16 +95,16 @@ class Problem:
             random: columns, each with its standard deviation in units of the parameter.
             variance_factor: factor on the stated variances.
         """
-        found, scale = copy(self), 1.0 / float(np.sqrt(variance_factor))
-        found.network = self.network.with_variance_factor(variance_factor)
-        found.view = self.view.with_weights(scale)
+        problem, scale = copy(self), 1.0 / float(np.sqrt(variance_factor))
+        problem.network = self.network.with_variance_factor(variance_factor)
+        problem.view = self.view.with_weights(scale)
         columns, deviations = [column for column, _ in random], np.array([deviation for _, deviation in random])
-        found.nuisances = self.nuisances.extended(found.view, scale, columns, deviations)
-        found.residual = self.residual * scale
-        found._start()
+        problem.nuisances = self.nuisances.extended(problem.view, scale, columns, deviations)
+        problem.residual = self.residual * scale
+        problem._start()
         if len(self.held_out):
-            found = found.without(np.isin(np.arange(len(self.view.rows)), self.held_out)) or found
-        return found
+            problem = problem.without(np.isin(np.arange(len(self.view.rows)), self.held_out)) or problem
+        return problem
 
     def without(self, points: np.ndarray) -> Problem | None:
         """Return the problem with some points held out; None if the rest does not determine every station and target.
@@ -177,9 +177,9 @@ class Problem:
         """Return (3n, …) values with the held-out rows set to zero."""
         if len(self.held_out) == 0:
             return rows
-        found = np.array(rows)
-        found.reshape(len(self.view.rows), 3, -1)[self.held_out] = 0.0
-        return found
+        zero_held_out = np.array(rows)
+        zero_held_out.reshape(len(self.view.rows), 3, -1)[self.held_out] = 0.0
+        return zero_held_out
 
     @property
     def nuisance_coordinates(self) -> np.ndarray:
@@ -213,11 +213,11 @@ class Problem:
 
     def signature(self, columns: Sequence[Column]) -> np.ndarray:
         """Return whitened signatures (3n, columns) in plausible sizes; each column is contiguous in memory."""
-        found = np.empty((len(columns), len(self.residual)))
+        signatures = np.empty((len(columns), len(self.residual)))
         own = Signatures(self.view, columns)
         for rows in pieces(len(self.view.rows)):
-            found[:, 3 * rows.start : 3 * rows.stop] = _flat(own.at(PointBlock(self.view, rows))).T
-        return found.T
+            signatures[:, 3 * rows.start : 3 * rows.stop] = _flat(own.at(PointBlock(self.view, rows))).T
+        return signatures.T
 
     def products(self, columns: Sequence[Column]) -> InnerProducts:
         """Return the inner products of some columns, computed in blocks of points."""
@@ -268,12 +268,12 @@ class Problem:
         known = set(covariance.names)
         machine = self.network.machine
         state = machine_state(self.network.data, machine)
-        found: dict[str, Column] = {}
+        by_name: dict[str, Column] = {}
         for effect in calibration.effects:
             names = [parameter.name for parameter in effect.parameters]
             if known.intersection(names):
-                found |= dict(zip(names, effect_columns(effect, machine, state), strict=True))
-        return [found[name] for name in covariance.names], symmetric_root(covariance.matrix)
+                by_name |= dict(zip(names, effect_columns(effect, machine, state), strict=True))
+        return [by_name[name] for name in covariance.names], symmetric_root(covariance.matrix)
 
 
 def _flat(found: np.ndarray) -> np.ndarray:
@@ -290,8 +290,8 @@ def _root(gram: np.ndarray) -> np.ndarray:
 
 def in_um(network: Network, residual: np.ndarray) -> np.ndarray:
     """Return a (3n,) residual whitened by a network's weights in µm (n, 3); NaN where a coordinate was not measured."""
-    found = unwhiten(network, residual.reshape(-1, 3)[:, :, None])[:, :, 0]
-    return np.where(network.read, found * 1e6, np.nan)
+    residual_um = unwhiten(network, residual.reshape(-1, 3)[:, :, None])[:, :, 0]
+    return np.where(network.read, residual_um * 1e6, np.nan)
 
 
 def unwhiten(network: Network, whitened: np.ndarray, rows: Rows = slice(None)) -> np.ndarray:
@@ -492,8 +492,8 @@ class Products:
             return [own - without[:, :, k] for k, own in enumerate(left)]
         fresh = [column for column in columns if column not in self._beside]
         if fresh:
-            found = self.signatures.along(Signatures(self._problem.view, fresh).at)
-            self._beside |= {column: np.array(found[:, :, k]) for k, column in enumerate(fresh)}
+            along = self.signatures.along(Signatures(self._problem.view, fresh).at)
+            self._beside |= {column: np.array(along[:, :, k]) for k, column in enumerate(fresh)}
         return [self._beside[column] for column in columns]
 
     def among(self, columns: Sequence[Column]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -576,8 +576,8 @@ class Products:
             residual = self._residual.reshape(-1, 3)[block.rows, :, None]
             return side_by_side(self._problem.nuisances.raw(block), residual)
 
-        found = self.signatures.along(vectors, points)
-        return found[:, :, :-1].transpose(0, 2, 1), found[:, :, -1].copy()
+        along = self.signatures.along(vectors, points)
+        return along[:, :, :-1].transpose(0, 2, 1), along[:, :, -1].copy()
 
 
 def _stacked(rows: Sequence[np.ndarray], width: int) -> np.ndarray:

@@ -146,10 +146,12 @@ def _estimated(
         dof = dof_each - float(np.sum(basis[:, 0] ** 2))
         if dof < LEAST_DOF:
             return None
-        found = np.zeros((len(seen), 3, 3))
-        found[:, 0, 0] = np.sum(residual[:, 0] ** 2) / dof
+        covariances = np.zeros((len(seen), 3, 3))
+        covariances[:, 0, 0] = np.sum(residual[:, 0] ** 2) / dof
         return ReadingNoise(
-            read_only(found), dof, f"{source}: {np.sqrt(found[0, 0, 0]) * 1e6:.2g} µm ({dof:.0f} degrees of freedom)"
+            read_only(covariances),
+            dof,
+            f"{source}: {np.sqrt(covariances[0, 0, 0]) * 1e6:.2g} µm ({dof:.0f} degrees of freedom)",
         )
     if not read.all():
         # An instrument that measures two coordinates is no tracker: the same noise in both.

@@ -75,9 +75,9 @@ def select(candidates: Candidates, begun: Sequence[Form] = ()) -> Selection:
         candidates: the forms.
         begun: a set to start from instead, whose causes stay if each is significant.
     """
-    found = Selection((), 0.0)
+    selection = Selection((), 0.0)
     if not candidates.forms:
-        return found
+        return selection
     if begun:
         candidates.prepare(begun)
         forms = forward_selection(candidates, list(begun))
@@ -88,24 +88,24 @@ def select(candidates: Candidates, begun: Sequence[Form] = ()) -> Selection:
     for i in order:
         first.setdefault(int(candidates.key_of[i]), i)
     if not first:
-        return found
+        return selection
     candidates.prepare([candidates.forms[i] for i in list(first.values())[:FORMS_AT_ONCE]])
     likely = [[candidates.forms[i]] for i in list(first.values())[:MAX_FIRST_CAUSES]]
     for start in likely:
         forms = forward_selection(candidates, start)
         worth = candidates.penalised_gain(forms)
-        if worth > found.worth + 1e-6:
-            found = Selection(tuple(forms), worth)
+        if worth > selection.worth + 1e-6:
+            selection = Selection(tuple(forms), worth)
         if len(forms) > MAX_EXCHANGED_CAUSES:
             break  # a model with very many errors: the start does not matter
-    if len(found.forms) > MAX_EXCHANGED_CAUSES:
+    if len(selection.forms) > MAX_EXCHANGED_CAUSES:
         # A machine whose constants were never identified: each explains little before the others are in the model.
         numbers = np.array([form.candidate.specification.constant for form in candidates.forms])
         forms = forward_selection(candidates, forward_selection(candidates, [], numbers))
         worth = candidates.penalised_gain(forms)
-        if worth > (1.0 - EQUAL_CHI2) * found.worth:
-            found = Selection(tuple(forms), worth)
-    forms = _split(candidates, list(found.forms))
+        if worth > (1.0 - EQUAL_CHI2) * selection.worth:
+            selection = Selection(tuple(forms), worth)
+    forms = _split(candidates, list(selection.forms))
     return Selection(tuple(forms), candidates.penalised_gain(forms))
 
 
@@ -186,19 +186,19 @@ def _excesses_of(
     form: Form, values: np.ndarray, u: np.ndarray, gram: np.ndarray, explained: float
 ) -> list[tuple[float, str]]:
     own, specification = float(values @ gram @ values), form.candidate.specification
-    found = [(own / (MAX_CHI2_RATIO * (explained + NOISE_CHI2)), FIT_ONLY_TOGETHER)]
+    excesses = [(own / (MAX_CHI2_RATIO * (explained + NOISE_CHI2)), FIT_ONLY_TOGETHER)]
     if specification.flexible and own < LEAST_FLEXIBLE_SHARE * explained:
-        found.append((np.inf, PART_OF_ANOTHER))
+        excesses.append((np.inf, PART_OF_ANOTHER))
     scale = np.array([column.scale for column in form.variant.columns])
     if np.isfinite(form.candidate.largest):
         size = float(np.max((np.abs(values) - LIMIT_SIGMA * u) * scale))
-        found.append((size / form.candidate.largest, TOO_LARGE))
+        excesses.append((size / form.candidate.largest, TOO_LARGE))
     if specification.non_negative and values[0] < -LIMIT_SIGMA * u[0]:
-        found.append((np.inf, FIT_ONLY_NEGATIVE))
+        excesses.append((np.inf, FIT_ONLY_NEGATIVE))
     if specification.all_or_nothing:
         off = abs(float(values[0] * scale[0]) - 1.0)
-        found.append((off / max(ALL_OR_NOTHING_TOLERANCE, LIMIT_SIGMA * float(u[0] * scale[0])), FIT_ONLY_IN_PART))
-    return found
+        excesses.append((off / max(ALL_OR_NOTHING_TOLERANCE, LIMIT_SIGMA * float(u[0] * scale[0])), FIT_ONLY_IN_PART))
+    return excesses
 
 
 def _split(candidates: Candidates, forms: list[Form]) -> list[Form]:
@@ -225,8 +225,8 @@ def _split(candidates: Candidates, forms: list[Form]) -> list[Form]:
         numbers.append(candidates.forms[first_largest(margin)])
         trial.append(numbers[-1])
     whole = candidates.explained_by(trial)
-    for one in numbers:
-        others = [other for other in trial if other is not one]
+    for number in numbers:
+        others = [other for other in trial if other is not number]
         own = whole - candidates.explained_by(others)
         hosts = []
         for form, rest in zip([form for form in forms if form.variant.fixed.get("first") == 0.0], bent, strict=True):
@@ -376,9 +376,9 @@ def _still_bad(placed: Readings) -> np.ndarray:
             np.flatnonzero(~placed.bad), OUTLIER_SAMPLE - len(bad), replace=False
         )
         rows = np.sort(np.concatenate([bad, drawn]))
-        found = np.zeros(count, dtype=bool)
-        found[rows] = _still_bad(placed.select_rows(rows))
-        return found
+        still_bad = np.zeros(count, dtype=bool)
+        still_bad[rows] = _still_bad(placed.select_rows(rows))
+        return still_bad
     everything = placed.without(np.zeros(len(placed.bad), dtype=bool))
     whole, candidates = everything.problem, candidates_of(everything)
     size = np.linalg.norm(placed.network.residual(np.zeros(0), placed.setup), axis=1)

@@ -124,8 +124,8 @@ class SingleEffects:
     ) -> None:
         self._slope = slope
         self._cross = cross
-        self._forms = 1 + max((int(one.forms.max(initial=-1)) for one in alternatives), default=-1)
-        kinds = [_Kind(one, dof) for one in alternatives]
+        self._forms = 1 + max((int(alternative.forms.max(initial=-1)) for alternative in alternatives), default=-1)
+        kinds = [_Kind(alternative, dof) for alternative in alternatives]
         total = sum(float(kind.prior.sum()) for kind in kinds)
         self._kinds = [kind for kind in kinds if len(kind.forms)]
         self._log_prior = [np.log(kind.prior / total) for kind in self._kinds]
@@ -139,9 +139,9 @@ class SingleEffects:
         """
         if not self._kinds:
             return ()
-        found = self._grown([], most)
-        other = self._grown(self._started(start), most) if len(start) else found
-        return other if self._evidence(other) > self._evidence(found) else found
+        grown = self._grown([], most)
+        other = self._grown(self._started(start), most) if len(start) else grown
+        return other if self._evidence(other) > self._evidence(grown) else grown
 
     def _started(self, forms: Sequence[int]) -> list[Fit]:
         """Return one effect per form, with joint least-squares coefficients."""
@@ -150,13 +150,13 @@ class SingleEffects:
         every = np.unique(np.concatenate([np.zeros(0, dtype=int), *(columns[form] for form in some)]))
         cross = self._cross(every)
         values = np.linalg.lstsq(cross[:, every], self._slope[every], rcond=1e-9)[0]
-        found = []
+        started = []
         for form in some:
             at = np.searchsorted(every, columns[form])
             posterior, coefficients = np.zeros(self._forms), np.zeros(len(self._slope))
             posterior[form], coefficients[columns[form]] = 1.0, values[at]
-            found.append(Fit(float("inf"), posterior, coefficients, values[at] @ cross[at]))
-        return found
+            started.append(Fit(float("inf"), posterior, coefficients, values[at] @ cross[at]))
+        return started
 
     def _grown(self, effects: list[Fit], most: int) -> tuple[Fit, ...]:
         """Add effects while the newest is found."""
@@ -401,9 +401,9 @@ def second_opinion(candidates: Candidates, start: Sequence[Form] = (), most: int
         most: largest number of effects.
     """
     effects = SingleEffects(_alternatives(candidates), candidates.slope, candidates.cross, candidates.dof)
-    found = effects.fitted(most, [form.index for form in start])
+    fitted = effects.fitted(most, [form.index for form in start])
     keys = [form.key for form in candidates.forms]
-    ordered = sorted(found, key=lambda effect: (not effect.found, -effect.log_odds))
+    ordered = sorted(fitted, key=lambda effect: (not effect.found, -effect.log_odds))
     return SecondOpinion(tuple(_by_key(effect, keys, candidates.key_of) for effect in ordered))
 
 
@@ -459,7 +459,7 @@ def _assigned(common: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _alternatives(candidates: Candidates) -> list[Alternatives]:
-    found = []
+    alternatives = []
     for rows, columns, inner in candidates.blocks():
         forms = [candidates.forms[i] for i in rows]
         largest, centre, width = np.ones(columns.shape), np.zeros(columns.shape), np.zeros(len(rows))
@@ -472,8 +472,8 @@ def _alternatives(candidates: Candidates) -> list[Alternatives]:
         prior = np.array(
             [np.exp(-form.log_tests) * form.candidate.tests / len(form.candidate.variants) for form in forms]
         )
-        found.append(Alternatives(rows, columns, inner, prior, largest, centre, width))
-    return found
+        alternatives.append(Alternatives(rows, columns, inner, prior, largest, centre, width))
+    return alternatives
 
 
 def _by_key(effect: Fit, keys: Sequence[Key], number: np.ndarray) -> SingleEffect:

@@ -115,11 +115,11 @@ def along_derivative(derivative: np.ndarray, vectors: np.ndarray, buffers: np.nd
 
     One coordinate at a time: as a batch of small matrix products it takes eight times as long.
     """
-    found, product = buffers[:, : vectors.shape[1]]
-    np.multiply(vectors[0], derivative[:, 0], out=found)
+    along_derivative, product = buffers[:, : vectors.shape[1]]
+    np.multiply(vectors[0], derivative[:, 0], out=along_derivative)
     for i in (1, 2):
-        found += np.multiply(vectors[i], derivative[:, i], out=product)
-    return np.asarray(found)
+        along_derivative += np.multiply(vectors[i], derivative[:, i], out=product)
+    return np.asarray(along_derivative)
 
 
 def side_by_side(*vectors: np.ndarray) -> np.ndarray:
@@ -349,7 +349,7 @@ class Signatures:
             if block.acts(freedom) and not block.is_zero(functions)
         )
         count = sum(len(self._lookup[functions][freedom][0]) for functions, freedom in acting)
-        found = np.empty((3, len(self.view.residual[block.rows]), count))
+        terms = np.empty((3, len(self.view.residual[block.rows]), count))
         start = 0
         for functions, freedom in acting:
             _, index, weight = self._lookup[functions][freedom]
@@ -358,8 +358,8 @@ class Signatures:
             values = block.values(functions)
             own, derivative = values[:, index] * weight, block.derivatives[freedom]  # type: ignore[index]
             for i in range(3):
-                np.multiply(own, derivative[:, i, None], out=found[i, :, at])
-        return acting, found
+                np.multiply(own, derivative[:, i, None], out=terms[i, :, at])
+        return acting, terms
 
     def within(self, groups: Sequence[np.ndarray], rows: np.ndarray | None = None) -> list[np.ndarray]:
         """Return the inner products within groups of columns: (parts, groups, w, w) for each array (groups, w).
@@ -423,7 +423,7 @@ class Signatures:
                     lists.setdefault((a, b), []).append(
                         (place, k, n, p.freedom, q.freedom, scale * p.weight * q.weight)
                     )
-        found = {}
+        product_plan = {}
         for both, own in lists.items():
             products: dict[tuple[int, int], int] = {}
             derivatives: dict[tuple[Freedom, Freedom], int] = {}
@@ -438,16 +438,16 @@ class Signatures:
             ]
             columns = [np.array(values) for values in zip(*entries, strict=True)]
             first, second = (np.array(values) for values in zip(*products, strict=True))
-            found[both] = ProductPlan(
+            product_plan[both] = ProductPlan(
                 first, second, tuple(derivatives), (columns[0], columns[1], columns[2], columns[3])
             )
-        return found
+        return product_plan
 
     def at(self, block: PointBlock, columns: Sequence[int] | None = None) -> np.ndarray:
         """Return signatures (points, 3, columns) at a block of points, of some columns (indices) or all."""
         lookup = self._lookup if columns is None else self._grouped(columns)
         count = len(self.view.residual[block.rows])
-        found = np.zeros((3, len(self.columns) if columns is None else len(columns), count))
+        products = np.zeros((3, len(self.columns) if columns is None else len(columns), count))
         for functions, of in lookup.items():
             for freedom, (at, index, weight) in of.items():
                 if block.is_zero(functions) or not block.acts(freedom):
@@ -455,8 +455,8 @@ class Signatures:
                 weighted = self._values_of(block, functions, index).T * weight[:, None]
                 derivative = block.derivatives[freedom]
                 for i in range(3):
-                    add_rows(found[i], at, weighted * derivative[:, i])
-        return found.transpose(2, 0, 1)
+                    add_rows(products[i], at, weighted * derivative[:, i])
+        return products.transpose(2, 0, 1)
 
     def _values_of(self, block: PointBlock, functions: Functions, index: np.ndarray) -> np.ndarray:
         """Return values (points, index) of some functions that are not zero at a block of points."""
@@ -473,7 +473,7 @@ class Signatures:
             points: numbers of the points, in ascending order; all if None.
         """
         width, runs = coefficients.shape[1], self._runs_of(points)[0]
-        found = np.empty((len(self.view.rows) if points is None else len(points), 3, width))
+        combined = np.empty((len(self.view.rows) if points is None else len(points), 3, width))
 
         def fill(own: Sequence[int]) -> None:
             for run in own:
@@ -490,10 +490,10 @@ class Signatures:
                     derivative = block.derivatives[freedom]
                     for i in range(3):
                         total[i] += derivative[:, i, None] * sums
-                found[rows if points is None else np.searchsorted(points, rows)] = total.transpose(1, 0, 2)
+                combined[rows if points is None else np.searchsorted(points, rows)] = total.transpose(1, 0, 2)
 
         map_chunks(range(len(runs)), fill)
-        return found
+        return combined
 
     def _block(self, run: int, runs: Sequence[np.ndarray]) -> PointBlock:
         """Return the block of a run; the values of all functions of the signatures are kept, and no others, if there is room."""

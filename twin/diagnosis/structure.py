@@ -27,7 +27,7 @@ from twin.diagnosis.cross_validation import (
 )
 from twin.diagnosis.estimate import RandomEffects, estimate, remaining_discrepancy
 from twin.diagnosis.forms import DEVIANCE_RULED_OUT, Candidates, Form, columns_of
-from twin.diagnosis.likelihood import FALSE_ALARM_RATE, Likelihood, Model, PatternTest, scan_patterns
+from twin.diagnosis.likelihood import PATTERN_ALARM_RATE, Likelihood, Model, PatternTest, scan_patterns
 from twin.diagnosis.patterns import Pattern, patterns
 from twin.diagnosis.payload import select_with_payload
 from twin.diagnosis.problem import Problem
@@ -152,28 +152,28 @@ def joint_selection(candidates: Candidates, forms: Sequence[Form], tried: Sequen
         forms: the causes selected without patterns.
         tried: patterns to test.
     """
-    found = with_patterns(candidates, forms, tried)
-    left, patterned = bool(found.pattern_tests), False
+    model = with_patterns(candidates, forms, tried)
+    left, patterned = bool(model.pattern_tests), False
     if left or len(forms) >= CAUSES_PER_PATTERN:
-        carried = candidates.explained_by(found.forms)
+        carried = candidates.explained_by(model.forms)
         if (
-            not found.forms
-            or (found.model is not None and carried < KEPT_CHI2_SHARE * found.model.explained)
+            not model.forms
+            or (model.model is not None and carried < KEPT_CHI2_SHARE * model.model.explained)
             or not left
         ):
             other = _patterned(candidates, tried)
             # Enough causes can imitate anything: one pattern instead of several causes is the simpler model.
             simpler = (
-                len(other.forms) <= len(found.forms) - CAUSES_PER_PATTERN
+                len(other.forms) <= len(model.forms) - CAUSES_PER_PATTERN
                 and _worth(candidates, other) > candidates.penalised_gain(forms) - DEVIANCE_RULED_OUT
             )
             # Causes that no pattern can imitate are not parts of one.
-            better = _not_imitable(found) and _worth(candidates, found) > _worth(candidates, other)
+            better = _not_imitable(model) and _worth(candidates, model) > _worth(candidates, other)
             if other.pattern_tests and (left or simpler) and not better:
-                found, patterned = other, True
-    keys = {form.key for form in found.forms}
+                model, patterned = other, True
+    keys = {form.key for form in model.forms}
     rejected = tuple(form for form in forms if form.key not in keys)
-    return replace(found, rejected=rejected, patterned=patterned)
+    return replace(model, rejected=rejected, patterned=patterned)
 
 
 def _not_imitable(found: Structure) -> bool:
@@ -248,7 +248,7 @@ def _worth(candidates: Candidates, found: Structure) -> float:
 
 def _price(pattern_test: PatternTest) -> float:
     """Return the smallest gain in twice the log likelihood for a pattern to be significant."""
-    return float(2.0 * (pattern_test.log_price - np.log(FALSE_ALARM_RATE)))
+    return float(2.0 * (pattern_test.log_price - np.log(PATTERN_ALARM_RATE)))
 
 
 def _cost(candidates: Candidates, form: Form) -> float:
@@ -357,7 +357,7 @@ def _simplified(likelihood: Likelihood, forms: list[Form], model: Model) -> tupl
         others = [one for one in forms if one is not form]
         explained, dof = likelihood.scan(others, likelihood.fit(others, model))
         margin = explained - candidates.critical_values(dof)
-        taken = {one.key for one in others}
+        taken = {other.key for other in others}
         numbers = [
             f for f in candidates.forms if f.candidate.specification.constant and f.key not in taken and dof[f.index]
         ]
@@ -380,16 +380,16 @@ def _promising(likelihood: Likelihood, stand: Sequence[Form], model: Model, barr
         candidates.key_of, list(barred)
     )
     margin = np.where(out, -np.inf, explained - costs)
-    found: dict[int, Form] = {}
+    promising: dict[int, Form] = {}
     for i in largest_first(margin).tolist():
         if (
-            len(found) == MAX_CAUSES_EVALUATED
+            len(promising) == MAX_CAUSES_EVALUATED
             or not explained[i] > EVALUATED_PRICE_SHARE * costs[i]
             or not np.isfinite(margin[i])
         ):
             break
-        found.setdefault(int(candidates.key_of[i]), candidates.forms[i])
-    return list(found.values())
+        promising.setdefault(int(candidates.key_of[i]), candidates.forms[i])
+    return list(promising.values())
 
 
 def _dropped(likelihood: Likelihood, forms: list[Form], model: Model) -> tuple[list[Form], Model]:
@@ -472,16 +472,16 @@ def select_causes(task: DiagnosisTask) -> Findings:
     Args:
         task: the problem without outliers, and the causes to test; with the weights of the noise.
     """
-    found = _select(task)
+    selected = _select(task)
     for _ in range(MOST_RESELECTIONS):
-        structure = found.structure
+        structure = selected.structure
         discrepancy = remaining_discrepancy(
-            found.task, structure.forms, estimate(found.problem, structure.forms), structure.problem
+            selected.task, structure.forms, estimate(selected.problem, structure.forms), structure.problem
         )
-        if settled(task.problem.network, found.task.discrepancy, discrepancy):
+        if settled(task.problem.network, selected.task.discrepancy, discrepancy):
             break
-        found = replace(_select(task.with_discrepancy(discrepancy)), by_noise=found.by_noise)
-    return found
+        selected = replace(_select(task.with_discrepancy(discrepancy)), by_noise=selected.by_noise)
+    return selected
 
 
 def _select(task: DiagnosisTask) -> Findings:
@@ -492,16 +492,16 @@ def _select(task: DiagnosisTask) -> Findings:
     several causes with more parameters.
     """
     plain = without_variants_in_time(task)
-    found = Searcher(plain).run()
-    if plain is task or not _changes_with_time(found):
-        return found
+    selected = Searcher(plain).run()
+    if plain is task or not _changes_with_time(selected):
+        return selected
     other = Searcher(task).run()
-    return other if _is_better_in_time(other, found) else found
+    return other if _is_better_in_time(other, selected) else selected
 
 
 def without_variants_in_time(task: DiagnosisTask) -> DiagnosisTask:
     """Return the task with plain effects only, for the first search; the task itself if it has no variants that change with time."""
-    plain = tuple(one for one in task.catalogue.candidates if not _is_variant_in_time(one))
+    plain = tuple(candidate for candidate in task.catalogue.candidates if not _is_variant_in_time(candidate))
     if len(plain) == len(task.catalogue.candidates):
         return task
     return replace(task, catalogue=replace(task.catalogue, candidates=plain))
@@ -512,7 +512,7 @@ def _is_variant_in_time(candidate: Candidate) -> bool:
 
 
 def _changes_with_time(found: Findings) -> bool:
-    columns = {name for one in found.structure.pattern_tests for name in one.pattern.names}
+    columns = {name for pattern_test in found.structure.pattern_tests for name in pattern_test.pattern.names}
     return any(form.candidate.specification.varies == "with time" for form in found.structure.forms) or any(
         name == TIME or name.startswith("T_") for name in columns
     )
@@ -591,10 +591,10 @@ class Searcher:
         chosen = self._best().forms
         kept = without_overfitting(self.candidates, chosen)
         if len(kept) == len(chosen):
-            found = joint_selection(self.candidates, chosen, self.patterns)
-            chosen, kept = found.forms, without_overfitting(self.candidates, found.forms)
+            model = joint_selection(self.candidates, chosen, self.patterns)
+            chosen, kept = model.forms, without_overfitting(self.candidates, model.forms)
             if len(kept) == len(chosen):
-                return found, ()
+                return model, ()
         return with_patterns(self.candidates, kept, self.patterns), tuple(form for form in chosen if form not in kept)
 
     def _best(self) -> Selection:

@@ -57,8 +57,8 @@ def family(effect: str) -> str:
 
 def advice(effect: str, where: str) -> Advice:
     """Return where to look for a cause, what to do about it, and what to avoid."""
-    found, axis = SPECIFICATIONS[effect].advice, axis_of(where)
-    texts = (text.replace("{axis}", axis).replace("{where}", where) for text in (found.look, found.do, found.never))
+    given, axis = SPECIFICATIONS[effect].advice, axis_of(where)
+    texts = (text.replace("{axis}", axis).replace("{where}", where) for text in (given.look, given.do, given.never))
     return Advice(*texts)
 
 
@@ -144,13 +144,13 @@ def separating_points(wanted: Iterable[Mapping[str, Any]], sigma_um: float) -> l
         if "separates" in entry:
             a, b = (str(name) for name in entry["separates"])
             by_pair.setdefault((a, b), []).append(entry)
-    found = []
+    separating_points = []
     for pair, points in by_pair.items():
         a, b = (_name_and_symbol(*_split_key(name)) for name in pair)
-        task = [one for one in points if "pose" in one]
+        task = [point for point in points if "pose" in point]
         if not task:
             text = capital(str(points[0]["text"]).rpartition(": ")[2]) + "."
-            found.append(SeparatingPoints((a, b), (), text))
+            separating_points.append(SeparatingPoints((a, b), (), text))
             continue
         best = max(float(one["expected_chi2"]) for one in task)
         difference_um = best**0.5 * sigma_um
@@ -159,7 +159,7 @@ def separating_points(wanted: Iterable[Mapping[str, Any]], sigma_um: float) -> l
                 f"No position that was tried separates them: their predictions differ by at most {difference_um:.1g} µm. "
                 "Either can be used for compensation."
             )
-            found.append(SeparatingPoints((a, b), (), text))
+            separating_points.append(SeparatingPoints((a, b), (), text))
             continue
         rows = tuple(
             (
@@ -177,8 +177,8 @@ def separating_points(wanted: Iterable[Mapping[str, Any]], sigma_um: float) -> l
         if not any(name.startswith("misplaced") for name in pair):
             plan = f'twin plan -o plan.csv --separate "{pair[0]}" "{pair[1]}" --after <this table>'
             text += f" For a complete plan with new station positions: {plan}."
-        found.append(SeparatingPoints((a, b), rows, text))
-    return found
+        separating_points.append(SeparatingPoints((a, b), rows, text))
+    return separating_points
 
 
 def _split_key(name: str) -> tuple[str, str]:
@@ -305,20 +305,20 @@ def facts(diagnosis: DiagnosisResult) -> list[tuple[str, str]]:
                 f"This covers only errors that these readings can show. The others are listed under {NEXT_SECTION}.",
             ),
         ]
-    found = [("At the tool", _at_tool(diagnosis))]
+    lines = [("At the tool", _at_tool(diagnosis))]
     if diagnosis.verdict == "unexplained":
-        found += _when_unexplained(diagnosis)
+        lines += _when_unexplained(diagnosis)
     elif diagnosis.verdict == "ambiguous":
-        found += _when_ambiguous(diagnosis)
+        lines += _when_ambiguous(diagnosis)
     elif len(causes) == 1:
-        found += advised(causes[0])
+        lines += advised(causes[0])
     else:
-        for one in causes[:CAUSES_DESCRIBED]:
-            look = advice(one.effect, one.where).look
-            found.append((cause_title(one.effect, one.where), f"{look} {to_do(one)}"))
-        if any(one.origin == "instrument" for one in causes):
-            found.append(("Caution", "Do not compensate for errors of the instrument."))
-    return [fact for fact in [*found, *extended(diagnosis)] if fact[1]]
+        for cause in causes[:CAUSES_DESCRIBED]:
+            look = advice(cause.effect, cause.where).look
+            lines.append((cause_title(cause.effect, cause.where), f"{look} {to_do(cause)}"))
+        if any(cause.origin == "instrument" for cause in causes):
+            lines.append(("Caution", "Do not compensate for errors of the instrument."))
+    return [fact for fact in [*lines, *extended(diagnosis)] if fact[1]]
 
 
 def extended(diagnosis: DiagnosisResult) -> list[tuple[str, str]]:
@@ -396,7 +396,9 @@ def noisier_than_stated(diagnosis: DiagnosisResult) -> bool:
 def machine_or_instrument(causes: Iterable[Cause]) -> bool:
     """Return whether an error of the machine is confounded with one of the instrument."""
     return any(
-        (kind(effect) == "instrument") != (one.origin == "instrument") for one in causes for effect, _ in one.equivalent
+        (kind(effect) == "instrument") != (cause.origin == "instrument")
+        for cause in causes
+        for effect, _ in cause.equivalent
     )
 
 
@@ -468,35 +470,35 @@ def _when_unexplained(diagnosis: DiagnosisResult) -> list[tuple[str, str]]:
 
 
 def _when_ambiguous(diagnosis: DiagnosisResult) -> list[tuple[str, str]]:
-    causes, found = diagnosis.causes[:CAUSES_DESCRIBED], []
-    certain = [one for one in causes if not one.equivalent]
-    for one in causes:
-        name = cause_title(one.effect, one.where)
-        if one.equivalent:
-            names = listed([lower(cause_title(*key)) for key in one.equivalent], most=4)
-            found.append(
+    causes, when_ambiguous = diagnosis.causes[:CAUSES_DESCRIBED], []
+    certain = [cause for cause in causes if not cause.equivalent]
+    for cause in causes:
+        name = cause_title(cause.effect, cause.where)
+        if cause.equivalent:
+            names = listed([lower(cause_title(*key)) for key in cause.equivalent], most=4)
+            when_ambiguous.append(
                 (
                     f"{name}, or instead" if len(causes) > 1 else "Or instead",
                     f"{capital(names)}. This fits the readings equally well.",
                 )
             )
         else:
-            found.append((name, f"{advice(one.effect, one.where).look} {to_do(one)}"))
+            when_ambiguous.append((name, f"{advice(cause.effect, cause.where).look} {to_do(cause)}"))
     wanted = separating_points(diagnosis.next_measurement, diagnosis.expected_rms_um)
     if any(one.rows for one in wanted):
-        found.append(
+        when_ambiguous.append(
             ("What to do", f"First measure the points under {NEXT_SECTION}: they separate the causes. Then compensate.")
         )
     elif wanted:
-        found.append(("What to do", " ".join(dict.fromkeys(one.verdict for one in wanted))))
+        when_ambiguous.append(("What to do", " ".join(dict.fromkeys(one.verdict for one in wanted))))
     if machine_or_instrument(causes):
         what = "The undecided part" if certain else "The error"
-        found.append(
+        when_ambiguous.append(
             ("Note", f"{what} may be the instrument's, not the machine's; an instrument error must not be compensated.")
         )
     caution = "Order no repair for the undecided part." if certain else "Order no repair on this result alone."
-    found.append(("Caution", caution))
-    return found
+    when_ambiguous.append(("Caution", caution))
+    return when_ambiguous
 
 
 # --- A diagnosis as text for the terminal, and as a short table for a notebook --------------------
@@ -541,11 +543,13 @@ def diagnosis_text(diagnosis: DiagnosisResult) -> str:
     lines += _gain(diagnosis)
     if diagnosis.next_measurement:
         lines += ["", "What to measure next"]
-    for one in separating_points(diagnosis.next_measurement, diagnosis.expected_rms_um):
+    for separating_point in separating_points(diagnosis.next_measurement, diagnosis.expected_rms_um):
         lines += _wrapped(
-            f"To separate {lower(one.names[0])} from {lower(one.names[1])}: {one.verdict}", start=2, hang=4
+            f"To separate {lower(separating_point.names[0])} from {lower(separating_point.names[1])}: {separating_point.verdict}",
+            start=2,
+            hang=4,
         )
-        for pose, sides, target, station, difference in one.rows:
+        for pose, sides, target, station, difference in separating_point.rows:
             approached = f", approached from {sides}" if sides else ""
             lines += _wrapped(
                 f"{pose}, target {target}, station {station}{approached}: difference {difference}", start=4, hang=8
@@ -572,12 +576,12 @@ def diagnosis_display(diagnosis: DiagnosisResult) -> Display:
     title, mood = headline(diagnosis)
     rows = [
         (
-            f"{cause_title(one.effect, one.where)} ({symbol(one.effect, one.where)})",
-            _numbers(one),
-            percent(one.share),
-            listed([cause_title(*key) for key in one.equivalent], most=3) or "none",
+            f"{cause_title(cause.effect, cause.where)} ({symbol(cause.effect, cause.where)})",
+            _numbers(cause),
+            percent(cause.share),
+            listed([cause_title(*key) for key in cause.equivalent], most=3) or "none",
         )
-        for one in diagnosis.causes
+        for cause in diagnosis.causes
     ]
     warnings = [note(text, loud=True) for text in warning_texts(diagnosis.warnings)]
     causes = table(("cause", "size", "share of the excess", "alternatives"), rows)

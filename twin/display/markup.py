@@ -56,7 +56,7 @@ def templates() -> Environment:
     """Return the environment of the package's templates, by path in the package; text is escaped unless it is `Html`."""
     from jinja2 import Environment, PackageLoader, StrictUndefined  # slow to import and needed only for HTML
 
-    found = Environment(
+    templates = Environment(
         loader=PackageLoader("twin", "."),
         autoescape=True,
         undefined=StrictUndefined,
@@ -64,8 +64,8 @@ def templates() -> Environment:
         lstrip_blocks=True,
         keep_trailing_newline=True,
     )
-    found.globals |= {"ACCENT": ACCENT, "WARNING": WARNING, "UNKNOWN": UNKNOWN}
-    found.globals |= {
+    templates.globals |= {"ACCENT": ACCENT, "WARNING": WARNING, "UNKNOWN": UNKNOWN}
+    templates.globals |= {
         one.__name__: one
         for one in (
             capital,
@@ -82,9 +82,9 @@ def templates() -> Environment:
             with_half,
         )
     }
-    found.filters["with_joined_units"] = lambda text: with_joined_units(str(text), "&nbsp;")
-    found.globals["page"] = found.get_template(PARTS).module
-    return found
+    templates.filters["with_joined_units"] = lambda text: with_joined_units(str(text), "&nbsp;")
+    templates.globals["page"] = templates.get_template(PARTS).module
+    return templates
 
 
 def render(template: str, **context: Any) -> str:

@@ -131,10 +131,10 @@ def _separated(squares: np.ndarray, bad: np.ndarray) -> np.ndarray:
     """Return (n,) which rows are above the lowest gap between a bad row and the row below it, by their squared distances."""
     order = np.argsort(squares)
     wide = bad[order[1:]] & (squares[order[1:]] >= GAP**2 * squares[order[:-1]])
-    found = np.zeros(len(squares), dtype=bool)
+    separated = np.zeros(len(squares), dtype=bool)
     if np.any(wide):
-        found[order[1 + int(np.argmax(wide)) :]] = True
-    return found
+        separated[order[1 + int(np.argmax(wide)) :]] = True
+    return separated
 
 
 def row_groups(network: Network) -> tuple[np.ndarray, list[list[tuple[str, str]]]]:
@@ -491,9 +491,9 @@ def _shared_score(network: Network, discrepancy: Discrepancy, solution: FitSolut
         weight: (n,) weight of each point; zero for one that was not used.
     """
     j = solution.triangle[:, :-1]
-    found = j.T @ j
+    shared_score = j.T @ j
     if not np.any(discrepancy.root):
-        return found
+        return shared_score
     group = _pose_of(network.data)
     rotation = solution.setup.rotation[[solution.setup.stations.index(name) for name in network.data.station]]
     size = np.bincount(group[weight > 0.0], minlength=group.max() + 1)
@@ -509,8 +509,8 @@ def _shared_score(network: Network, discrepancy: Discrepancy, solution: FitSolut
         each = np.einsum("nki,nkj->nji", piece.jacobian, root)
         summed = np.add.reduceat(each, some - some[0], axis=0).reshape(-1, each.shape[2])
         each = each.reshape(-1, each.shape[2])
-        found += summed.T @ summed - each.T @ each
-    return np.asarray(found)
+        shared_score += summed.T @ summed - each.T @ each
+    return np.asarray(shared_score)
 
 
 def covariance_of(

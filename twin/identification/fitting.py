@@ -169,11 +169,11 @@ def without_outliers(network: Network, start: RobustStart, precision: np.ndarray
             if settled(network, discrepancy, further) or attempt == REWEIGHTINGS - 1:
                 break
             discrepancy = further
-        found = _assessed(network, solution)
-        if np.array_equal(found.bad, bad) or found.bad.tobytes() in seen:
-            return FinalEstimate(solution, discrepancy, replace(found, bad=bad))
-        seen.add(found.bad.tobytes())
-        bad = found.bad
+        assessed = _assessed(network, solution)
+        if np.array_equal(assessed.bad, bad) or assessed.bad.tobytes() in seen:
+            return FinalEstimate(solution, discrepancy, replace(assessed, bad=bad))
+        seen.add(assessed.bad.tobytes())
+        bad = assessed.bad
 
 
 # --- Prior variances of the functions of a curve, estimated from the data -------------------------
@@ -220,10 +220,10 @@ def prior_precision(network: Network, start: RobustStart) -> np.ndarray:
         for columns in own.values():
             covariance = free[columns] @ spread @ free[columns].T
             precision[columns] = 1.0 / mean_variance(mean[columns], covariance, precision[columns])
-    found = np.zeros(machine)
+    prior_precision = np.zeros(machine)
     for columns in own.values():
-        found[columns] = precision[columns] / unknowns.plausible[columns] ** 2 * noise**2
-    return found
+        prior_precision[columns] = precision[columns] / unknowns.plausible[columns] ** 2 * noise**2
+    return prior_precision
 
 
 def _noise(solution: FitSolution, readings: int) -> float:

@@ -156,16 +156,16 @@ def _check_spheres(data: Measurements, points: CarriedTargets, station: str) -> 
 
 def implausible_tips(data: Measurements, setup: SetUp) -> tuple[str, ...]:
     """Return a notice for each probe whose tip would be above the spindle nose: the positions are probably those of the tip."""
-    found = []
+    implausible_tips = []
     for i, name in enumerate(setup.stations):
         rows = data.station == name
         above = float(setup.origin[i, 2])
         if setup.reads[i].reads == "null" and data.station_carrier[rows][0] == "tool" and above > ABOVE_NOSE_M:
-            found.append(
+            implausible_tips.append(
                 f"the tip of probe {name} would be {above / MM:.0f} mm above the spindle nose: the positions may be those of the tip "
                 "(tool centre point control active), not those of the axes"
             )
-    return tuple(found)
+    return tuple(implausible_tips)
 
 
 def _constant(data: Measurements, rows: np.ndarray) -> np.ndarray:
@@ -206,7 +206,7 @@ def _mirrored_planes(data: Measurements, setup: SetUp) -> list[str]:
 
     Readings in a plane fit either way: a station on the other side sees a mirror image.
     """
-    found = []
+    mirrored_planes = []
     for i in np.flatnonzero(~setup.station_known):
         point = data.point_mm[data.station == setup.stations[i]]
         read = np.isfinite(point).any(axis=0)
@@ -217,11 +217,11 @@ def _mirrored_planes(data: Measurements, setup: SetUp) -> list[str]:
         unread = int(np.flatnonzero(~read)[0])
         if size[1] > IN_LINE * size[0] and setup.rotation[i][unread, unread] < -0.5:
             columns = " and ".join(POINT_COLUMNS[k] for k in np.flatnonzero(read))
-            found.append(
+            mirrored_planes.append(
                 f"station {setup.stations[i]} reads {columns} only, and its readings fit a station on the machine's -{'xyz'[unread]} "
                 "side: if it is not there, one column of commands or readings has the wrong sign (mirrored axis)"
             )
-    return found
+    return mirrored_planes
 
 
 def _instruments(
@@ -239,7 +239,7 @@ def _instruments(
         read, side = np.isfinite(data.point_mm[rows]), str(data.station_carrier[rows][0])
         zero = bool(np.all(probed[rows]))
         kinds.setdefault((str(data.instrument[rows][0]), side, zero, *read.any(axis=0)), []).append(station)
-    found: dict[str, Instrument] = {}
+    instruments: dict[str, Instrument] = {}
     notices: list[str] = []
     for (name, side, zero, *_), stations in kinds.items():
         part = data if len(kinds) == 1 else data.select(np.isin(data.station.astype(str), stations))
@@ -247,9 +247,9 @@ def _instruments(
         if named is None and zero:
             named = default_instrument("null", side)
         own, notes = _instrument(machine, part, named, side)
-        found |= dict.fromkeys(stations, own)
+        instruments |= dict.fromkeys(stations, own)
         notices += notes
-    return StationInstruments(found), tuple(dict.fromkeys(notices))
+    return StationInstruments(instruments), tuple(dict.fromkeys(notices))
 
 
 def _instrument(
@@ -374,7 +374,7 @@ def reading_noise(machine: Machine, placed: PreparedData, spread: Spread, *, nam
     if spread == "repeats":
         return NoiseOfReadings(covariance_from_repeats(data, instruments, repeats), spread, (), (), ())
     covariance = np.array(stated)
-    by_instrument = {id(one.instrument): one for one in repeats}
+    by_instrument = {id(repeat.instrument): repeat for repeat in repeats}
     contradicted, assumed, notices = [], [], []
     for instrument, rows in instruments.groups(data.station):
         own, point = by_instrument.get(id(instrument)), data.point_mm[rows] * 1e-3

@@ -205,12 +205,12 @@ class Network:
 
     def errors(self, theta: np.ndarray, rows: np.ndarray) -> np.ndarray:
         """Return (k, 6·frames) the error frames of an estimate at some points."""
-        found = np.array(self._base[rows])
+        errors = np.array(self._base[rows])
         for value, shapes in zip(theta, self._shapes, strict=True):
             if value != 0.0:
                 for at, values in shapes:
-                    found[:, at] += value * values[rows]
-        return found
+                    errors[:, at] += value * values[rows]
+        return errors
 
     def chunks(self, theta: np.ndarray, setup: SetUp) -> Iterator[WhitenedRows]:
         """Yield residuals and derivatives of all points in chunks, the machine's columns first, then the set-up's."""
@@ -224,10 +224,10 @@ class Network:
 
     def residual(self, theta: np.ndarray, setup: SetUp) -> np.ndarray:
         """Return (n, 3) whitened residuals, zero where nothing was read."""
-        found = np.zeros((len(self.data), 3))
+        residual = np.zeros((len(self.data), 3))
         for rows in self.row_chunks:
-            found[rows] = np.einsum("nij,nj->ni", self.whitening[rows], self.residuals_m(theta, setup, rows))
-        return found
+            residual[rows] = np.einsum("nij,nj->ni", self.whitening[rows], self.residuals_m(theta, setup, rows))
+        return residual
 
     def residuals_m(self, theta: np.ndarray, setup: SetUp, rows: np.ndarray) -> np.ndarray:
         """Return (k, 3) measured minus predicted, metres, in each station's frame; zero where nothing was read."""
@@ -257,13 +257,13 @@ class Network:
         if len(rows) <= VIEW_CHUNK:
             return first
         # In chunks, because the intermediate results need more memory than the result.
-        found = LinearisedReadings(*(np.empty((len(rows), *own.shape[1:]), own.dtype) for own in first.arrays()))
+        view = LinearisedReadings(*(np.empty((len(rows), *own.shape[1:]), own.dtype) for own in first.arrays()))
         for start in range(0, len(rows), VIEW_CHUNK):
             some = slice(start, start + VIEW_CHUNK)
             part = first if start == 0 else self._view(theta, setup, rows[some])
-            for whole, own in zip(found.arrays(), part.arrays(), strict=True):
+            for whole, own in zip(view.arrays(), part.arrays(), strict=True):
                 whole[some] = own
-        return found
+        return view
 
     def _view(self, theta: np.ndarray, setup: SetUp, rows: np.ndarray) -> LinearisedReadings:
         station, target = (of[rows] for of in self._order(setup))
@@ -335,20 +335,20 @@ def stated_covariance(data: Measurements, instruments: StationInstruments) -> np
     read = np.isfinite(data.point_mm)
     points = np.where(read, data.point_mm, 0.0) * MM
     away = np.where(np.linalg.norm(points, axis=1, keepdims=True) > 0, points, 1e-3)
-    found = np.array(instruments.covariance(away, data.station))
+    stated_covariance = np.array(instruments.covariance(away, data.station))
     given = np.all(np.isfinite(data.u_mm) | ~read, axis=1) & read.any(axis=1)
-    found[given] = 0.0
+    stated_covariance[given] = 0.0
     for i in range(3):
-        found[given, i, i] = (np.nan_to_num(data.u_mm[given, i], nan=0.0) * MM) ** 2
-    return read_only(found)
+        stated_covariance[given, i, i] = (np.nan_to_num(data.u_mm[given, i], nan=0.0) * MM) ** 2
+    return read_only(stated_covariance)
 
 
 def _whitening(covariance: np.ndarray, read: np.ndarray) -> np.ndarray:
     """Return (n, 3, 3) W with W C Wᵀ = 1 on the coordinates that were read, zero on the others."""
-    found = np.zeros_like(covariance)
+    whitening = np.zeros_like(covariance)
     for pattern in np.unique(read, axis=0):
         rows = np.flatnonzero(np.all(read == pattern, axis=1))
         kept = np.flatnonzero(pattern)
         inside = np.ix_(rows, kept, kept)
-        found[inside] = np.linalg.inv(np.linalg.cholesky(covariance[inside]))
-    return found
+        whitening[inside] = np.linalg.inv(np.linalg.cholesky(covariance[inside]))
+    return whitening

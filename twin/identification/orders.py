@@ -135,10 +135,10 @@ def choose(network: Network, start: RobustStart, whole: Sequence[str] = ()) -> C
         for name in search.curves:
             if name in whole:
                 continue
-            found = search.scores_of(name, sizes)
-            limit = _equal(min(found.values()), readings)
-            sizes[name] = min(size for size, value in found.items() if value <= limit)
-            by_curve[name] = found
+            scores = search.scores_of(name, sizes)
+            limit = _equal(min(scores.values()), readings)
+            sizes[name] = min(size for size, value in scores.items() if value <= limit)
+            by_curve[name] = scores
         if sizes == before:
             break
 
@@ -182,14 +182,14 @@ class _Search:
 
     def uniform(self) -> dict[int, tuple[float, dict[str, int]]]:
         """Return the held-out chi² by number of functions, the same for all curves that have it, and the number of each curve."""
-        found = {}
+        uniform = {}
         for size in range(1, max((c.count for c in self.curves.values()), default=0) + 1):
             fitted = {
                 name: c.count if name in self._whole else max(n for n in _sizes(c) if n <= size)
                 for name, c in self.curves.items()
             }
-            found[size] = (self.score(fitted), fitted)
-        return found
+            uniform[size] = (self.score(fitted), fitted)
+        return uniform
 
     def scores_of(self, name: str, sizes: Mapping[str, int]) -> dict[int, float]:
         """Return the held-out chi² by number of functions of one curve, the others as given."""
@@ -197,11 +197,11 @@ class _Search:
         fewest, *more = sizes_of_curve = _sizes(curve)
         kept = self._kept_columns({**sizes, name: fewest})
         widths = [len(kept), *(len(kept) + size - curve.first for size in more)]
-        found = dict.fromkeys(sizes_of_curve, 0.0)
+        scores = dict.fromkeys(sizes_of_curve, 0.0)
         for fold in self._folds:
             for size, theta in zip(sizes_of_curve, fold.truncated([*kept, *own], widths), strict=True):
-                found[size] += fold.score(theta)
-        return found
+                scores[size] += fold.score(theta)
+        return scores
 
     def _kept_columns(self, sizes: Mapping[str, int]) -> list[int]:
         """Return the columns that are not zero."""
@@ -258,7 +258,7 @@ class _Fold:
         lower = scipy.linalg.cholesky(self.normal[np.ix_(columns, columns)], lower=True, check_finite=False)
         right = np.concatenate([self.slope[columns, None], self.datum[:, columns].T], axis=1)
         solved = scipy.linalg.solve_triangular(lower, right, lower=True, check_finite=False)
-        found = []
+        truncated = []
         for width in widths:
             # The rows before a width belong to that width's own factor; the datum's conditions are projected out.
             free, conditions = solved[:width, 0], solved[:width, 1:]
@@ -268,20 +268,20 @@ class _Fold:
             theta[columns[:width]] = scipy.linalg.solve_triangular(
                 lower[:width, :width], free, lower=True, trans="T", check_finite=False
             )
-            found.append(theta)
-        return found
+            truncated.append(theta)
+        return truncated
 
 
 def _ends(poses: np.ndarray) -> np.ndarray:
     """Return (poses,) whether a position is the first or last of a line along an axis, beyond which a curve would be extrapolated."""
-    found = np.zeros(len(poses), dtype=bool)
+    ends = np.zeros(len(poses), dtype=bool)
     for axis in range(poses.shape[1]):
         _, line, size = np.unique(np.delete(poses, axis, axis=1), axis=0, return_inverse=True, return_counts=True)
         line = line.reshape(-1)
         for k in np.flatnonzero(size >= 3):
             on = np.flatnonzero(line == k)
-            found[on[[np.argmin(poses[on, axis]), np.argmax(poses[on, axis])]]] = True
-    return found
+            ends[on[[np.argmin(poses[on, axis]), np.argmax(poses[on, axis])]]] = True
+    return ends
 
 
 def _cells(network: Network, solution: FitSolution, weight: np.ndarray, folds: Folds) -> tuple[np.ndarray, np.ndarray]:
@@ -422,9 +422,9 @@ def held_out_residuals(network: Network, solution: FitSolution, used: np.ndarray
 
 def _determined_by_others(names: np.ndarray, fold: np.ndarray, used: np.ndarray) -> np.ndarray:
     """Return (n,) whether a station or target is in another fold too."""
-    found = np.zeros(len(names), dtype=bool)
+    determined_by_others = np.zeros(len(names), dtype=bool)
     for name in dict.fromkeys(names.tolist()):
         own = names == name
         folds = np.unique(fold[own & used])
-        found |= own & (np.isin(fold, folds[:1], invert=True) if len(folds) == 1 else len(folds) > 1)
-    return found
+        determined_by_others |= own & (np.isin(fold, folds[:1], invert=True) if len(folds) == 1 else len(folds) > 1)
+    return determined_by_others

@@ -364,15 +364,15 @@ def _thesis_points(thesis: ThesisIdentification, axis: Axis) -> dict[str, _Point
     """Return the thesis's points and curves without the components that the datum excludes, fitted to the points by least squares."""
     motions = {name: motion for name, motion in thesis.motions.items() if split_name(name)[2] == axis.name}
     excluded = _excluded_by_datum(axis, {name: (motion.position, motion.mean) for name, motion in motions.items()})
-    found = {}
+    thesis_points = {}
     for name, motion in motions.items():
         q = motion.position
         fine = np.linspace(q.min(), q.max(), FINE)
         # The curve of a straightness was fitted after its own line's slope had been subtracted.
         slope = np.polyfit(q, motion.mean, 1)[0] if _straightness(axis, name) else 0.0
         curve = thesis.calibration.curves[name](fine) + slope * fine - excluded[name](fine)
-        found[name] = _Points(q, motion.mean - excluded[name](q), motion.deviation, fine, curve)
-    return found
+        thesis_points[name] = _Points(q, motion.mean - excluded[name](q), motion.deviation, fine, curve)
+    return thesis_points
 
 
 def _in_datum(truth: Mapping[str, Curve], axis: Axis) -> dict[str, tuple[np.ndarray, np.ndarray]]:
@@ -393,7 +393,7 @@ def _excluded_by_datum(
     """
     if axis.linear:
         return {name: np.poly1d(np.polyfit(*line, int(_straightness(axis, name)))) for name, line in lines.items()}
-    found: dict[str, Callable[[np.ndarray], np.ndarray]] = {}
+    excluded_by_datum: dict[str, Callable[[np.ndarray], np.ndarray]] = {}
     for letters in ("XYZ", "ABC"):
         names = [f"E_{letter}{axis.name}" for letter in letters]
         present = [name for name in names if name in lines]
@@ -401,8 +401,8 @@ def _excluded_by_datum(
         if present:
             matrix = np.concatenate([shapes[name](lines[name][0]) for name in present])
             size, *_ = np.linalg.lstsq(matrix, np.concatenate([lines[name][1] for name in present]), rcond=None)
-            found |= {name: partial(_summed, shapes[name], size) for name in present}
-    return found
+            excluded_by_datum |= {name: partial(_summed, shapes[name], size) for name in present}
+    return excluded_by_datum
 
 
 def _shapes(axis: Axis, present: Sequence[str], name: str, component: int, q: np.ndarray) -> np.ndarray:
@@ -466,8 +466,8 @@ def _moving(positions: np.ndarray, axis: int) -> np.ndarray:
     _, line = np.unique(np.round(np.delete(positions, axis, axis=1), 3), axis=0, return_inverse=True)
     line = line.reshape(-1)
     lengths = [len(np.unique(np.round(positions[line == k, axis], 3))) for k in range(line.max() + 1)]
-    found = np.isin(line, [k for k, length in enumerate(lengths) if length >= 3])
-    return found if found.any() else np.ones(len(positions), dtype=bool)
+    moving = np.isin(line, [k for k, length in enumerate(lengths) if length >= 3])
+    return moving if moving.any() else np.ones(len(positions), dtype=bool)
 
 
 def _inverse_root(covariance: np.ndarray) -> np.ndarray:

@@ -68,12 +68,12 @@ class TableTilt:
             for name in machine.location_names
             if split_name(name)[0] >= 3 and split_name(name)[2] in {axis.name for axis in carrying}
         ]
-        found = [name for name in names if name in calibration.location]
-        if not found:
+        locations = [name for name in names if name in calibration.location]
+        if not locations:
             return None
         at = {axis.name: float(np.clip(0.0, *_range(axis.lower, axis.upper))) for axis in carrying}
         q = ca.SX([at.get(axis.name, 0.0) * axis.scale for axis in machine.axes])
-        lines = calibration.where(lambda name: name in found)
+        lines = calibration.where(lambda name: name in locations)
         e = ca.SX.sym("e", 6 * len(machine.frames))
         turned, nominal = (
             frame_pose(machine, machine.work_frame, q, error).rotation for error in (e, ca.SX(e.shape[0], 1))
@@ -81,17 +81,19 @@ class TableTilt:
         angles = fused_angles(turned @ nominal.T)
         rates = ca.Function("table", [e], [angles, ca.jacobian(angles, e)])
         value, rate = rates(ca.evalf(error_vector(machine, lines.effects, q)))
-        slots = [6 * _location(calibration, name) + split_name(name)[0] for name in found]
+        slots = [6 * _location(calibration, name) + split_name(name)[0] for name in locations]
         jacobian = np.asarray(rate)[:, slots]
-        known = set(found) <= set(calibration.covariance.names)
-        matrix = calibration.covariance.of(found).matrix if known else np.full((len(found), len(found)), np.nan)
+        known = set(locations) <= set(calibration.covariance.names)
+        matrix = (
+            calibration.covariance.of(locations).matrix if known else np.full((len(locations), len(locations)), np.nan)
+        )
         covariance = jacobian @ matrix @ jacobian.T
         return cls(
             tuple(at.items()),
             read_only(np.asarray(value).ravel() / URAD),
             read_only(np.sqrt(np.diag(covariance))),
             read_only(covariance),
-            tuple(name for name in names if name not in found),
+            tuple(name for name in names if name not in locations),
         )
 
     def to_dict(self) -> dict[str, Any]:
@@ -257,11 +259,11 @@ class Identification(DisplayedResult):
 
     def rows(self) -> list[dict[str, Any]]:
         """Return one entry for each error: name, unit, order, peak over the range, largest standard uncertainty, held-out errors."""
-        found: list[dict[str, Any]] = []
+        rows: list[dict[str, Any]] = []
         for name, curve in self.calibration.curves.items():
             value, u = self.interval(name, np.linspace(*curve.domain, 201))
             count = self.choice.counts[name]
-            found.append(
+            rows.append(
                 {
                     "name": name,
                     "unit": curve.unit,
@@ -276,8 +278,8 @@ class Identification(DisplayedResult):
         for name, number in (*self.calibration.squareness.items(), *self.calibration.location.items()):
             u_number = float(np.sqrt(self.calibration.covariance.of([name]).matrix[0, 0]))
             unit = unit_of(name)
-            found.append({"name": name, "unit": unit, "value": number, "u": u_number})
-        return found
+            rows.append({"name": name, "unit": unit, "value": number, "u": u_number})
+        return rows
 
     def to_dict(self) -> dict[str, Any]:
         """Return the report as JSON (``schema: twin.identification/1``)."""
@@ -291,7 +293,7 @@ class Identification(DisplayedResult):
             }
             if order.reads[i].free_start:
                 stations[name]["dead_path_mm"] = order.dead[i] / MM
-        found = {
+        entry = {
             "schema": SCHEMA,
             "machine": self.calibration.machine.name,
             "datum": self.calibration.datum,
@@ -305,12 +307,12 @@ class Identification(DisplayedResult):
             "table": table,
             "not_identifiable": [
                 {
-                    "name": one.name,
-                    "reason": one.reason,
-                    "direction": one.direction,
-                    "prior": self.held_by_prior.get(one.name),
+                    "name": error.name,
+                    "reason": error.reason,
+                    "direction": error.direction,
+                    "prior": self.held_by_prior.get(error.name),
                 }
-                for one in self.unidentified
+                for error in self.unidentified
             ],
             "stations": stations,
             "targets": {
@@ -329,7 +331,7 @@ class Identification(DisplayedResult):
             "converged": self.converged,
             "warnings": warnings_to_json(self.calibration.warnings),
         }
-        return dict(json_form(found))
+        return dict(json_form(entry))
 
     def _misfit(self) -> dict[str, Any]:
         """Return the residuals compared with the noise, at held-out poses, and beyond the noise."""
@@ -371,7 +373,7 @@ class Identification(DisplayedResult):
         ]
         errors = errors_html(self.calibration.machine, self.calibration.effects, self.calibration.covariance)
         hidden = [(", ".join(names), why) for why, names in self._by_reason().items()]
-        aside = [note(f"set aside: {one}", loud=True) for one in grouped_notes(self.set_aside)]
+        aside = [note(f"set aside: {grouped_note}", loud=True) for grouped_note in grouped_notes(self.set_aside)]
         notes = [*aside, *(note(notice, loud=notice in self._loud) for notice in self.notices)]
         if not self.converged:
             notes.insert(0, note("THE ESTIMATE DID NOT CONVERGE: do not use it", loud=True))
@@ -406,7 +408,7 @@ class Identification(DisplayedResult):
             lines.append(
                 f"discrepancy of the model beyond the noise: {self.discrepancy.text}; the readings are weighted with it"
             )
-        lines += [f"  {one.text}" for one in self.shares]
+        lines += [f"  {share.text}" for share in self.shares]
         lines += [
             self.verdict,
             "",
@@ -432,7 +434,11 @@ class Identification(DisplayedResult):
             text = f"{self.choice.held_out:.4f} as chosen, {degree8:.4f} with degree 8 everywhere"
             lines += ["", f"RMS of held-out residuals, in standard deviations of the weights: {text}"]
         if self.set_aside:
-            lines += ["", f"set aside ({len(self.set_aside)}):", *(f"  {one}" for one in grouped_notes(self.set_aside))]
+            lines += [
+                "",
+                f"set aside ({len(self.set_aside)}):",
+                *(f"  {grouped_note}" for grouped_note in grouped_notes(self.set_aside)),
+            ]
         lines += [f"note: {notice}" for notice in self.notices if notice not in self._loud]
         if not self.converged:
             lines.append("THE ESTIMATE DID NOT CONVERGE: do not use it")
@@ -462,10 +468,10 @@ class Identification(DisplayedResult):
         return f"kept in the calibration with a prior (k = 1), because other errors refer to them: {each}"
 
     def _by_reason(self) -> dict[str, list[str]]:
-        found: dict[str, list[str]] = {}
-        for one in self.unidentified:
-            found.setdefault(one.reason, []).append(one.name)
-        return found
+        names_by_reason: dict[str, list[str]] = {}
+        for error in self.unidentified:
+            names_by_reason.setdefault(error.reason, []).append(error.name)
+        return names_by_reason
 
 
 def rms_um(residual_mm: np.ndarray) -> float:

@@ -164,20 +164,20 @@ def all_unknowns(unknowns: Unknowns, setup: SetUp) -> tuple[Unknown, ...]:
         unknowns: unknowns of the machine: µm and µrad.
         setup: stations and targets: metres and radians inside, mm and µrad outside.
     """
-    found = [
+    of_machine = [
         Unknown(_name(column, unknowns), unit_of(column.entity), size)
         for column, size in zip(unknowns.columns, unknowns.plausible.tolist(), strict=True)
     ]
-    return (*found, *setup_unknowns(setup))
+    return (*of_machine, *setup_unknowns(setup))
 
 
 def setup_unknowns(setup: SetUp) -> tuple[Unknown, ...]:
     """Return every unknown of a set-up with a name for the user."""
-    found = []
+    setup_unknowns = []
     for name, size in zip(setup.names, setup.plausible, strict=True):
         unit, factor = ("urad", URAD) if " turn " in name else ("mm", MM)
-        found.append(Unknown(name, unit, float(size) / factor, factor))
-    return tuple(found)
+        setup_unknowns.append(Unknown(name, unit, float(size) / factor, factor))
+    return tuple(setup_unknowns)
 
 
 def _name(column: UnknownNumber, unknowns: Unknowns) -> str:
@@ -215,19 +215,19 @@ def solve(
     newton_steps: list[np.ndarray] = []
     steps_taken: list[np.ndarray] = []
     while True:
-        found = factor(network, iterate.theta, iterate.setup, weight) if triangle is None else triangle
+        triangular = factor(network, iterate.theta, iterate.setup, weight) if triangle is None else triangle
         triangle = None
-        cost = problem.cost(iterate, found)
+        cost = problem.cost(iterate, triangular)
         if cost > before * (1.0 + COST_TOLERANCE) and taken < steps:
             # The step is too long for its derivatives: try the plain one, then half of it. The history of steps is not valid either.
             newton_steps = newton_steps[-1:]
             steps_taken = [newton_steps[0] * 0.5**halved if halved <= HALVINGS else np.zeros_like(newton_steps[0])]
             iterate, halved, taken = last.stepped(steps_taken[0] * problem.near), halved + 1, taken + 1
             continue
-        left, spectrum = problem.decomposed(found, problem.near)
+        left, spectrum = problem.decomposed(triangular, problem.near)
         if taken == steps:
-            return problem.solution(iterate, found, spectrum, taken, converged=False)
-        along = left.T @ np.concatenate([found[:, -1], -problem.root @ iterate.theta])
+            return problem.solution(iterate, triangular, spectrum, taken, converged=False)
+        along = left.T @ np.concatenate([triangular[:, -1], -problem.root @ iterate.theta])
         step, change = _newton(spectrum, along, iterate.deviation / problem.near, weakest, incomplete=incomplete)
         converged = change <= CONVERGED_CHANGE or bool(np.abs(step).max(initial=0.0) < 1e-14)
         newton_steps.append(step)
@@ -239,9 +239,9 @@ def solve(
         taken += 1
         if converged:
             # The last step is too small to change the derivatives; only the residuals are updated.
-            found = np.array(found)
-            found[:, -1] -= found[:, :-1] @ (step * problem.near)
-            return problem.solution(iterate, found, spectrum, taken, converged=True)
+            triangular = np.array(triangular)
+            triangular[:, -1] -= triangular[:, :-1] @ (step * problem.near)
+            return problem.solution(iterate, triangular, spectrum, taken, converged=True)
 
 
 @final
@@ -327,7 +327,7 @@ class _Problem:
         """Return the estimate at the last iterate."""
         if self.incomplete:
             _, spectrum = self.decomposed(triangle, self.scale)
-        found = FitSolution(
+        solution = FitSolution(
             theta=iterate.theta,
             setup=iterate.setup,
             triangle=triangle,
@@ -339,8 +339,8 @@ class _Problem:
             precision=self.precision,
             free=self.free,
         )
-        share = np.sum((triangle[:, :-1] * self.scale @ found.basis) ** 2 / found.stiffness)
-        return replace(found, determined=float(share))
+        share = np.sum((triangle[:, :-1] * self.scale @ solution.basis) ** 2 / solution.stiffness)
+        return replace(solution, determined=float(share))
 
 
 def _with_prior(strength: np.ndarray, *, incomplete: bool) -> np.ndarray:
@@ -376,10 +376,10 @@ def factor(network: Network, theta: np.ndarray, setup: SetUp, weight: np.ndarray
 
 def _append_rows(triangle: np.ndarray, rows: np.ndarray) -> np.ndarray:
     """Return the factor of a triangle on top of rows, by LAPACK's factorisation of a triangular-pentagonal matrix."""
-    found, _, _, _ = scipy.linalg.lapack.dtpqrt(
+    append_rows, _, _, _ = scipy.linalg.lapack.dtpqrt(
         0, min(PANEL, len(triangle)), triangle, rows, overwrite_a=1, overwrite_b=1
     )
-    return np.asarray(found)
+    return np.asarray(append_rows)
 
 
 def _newton(
@@ -432,10 +432,10 @@ def free_directions(datum: np.ndarray, machine: int, setup: int) -> np.ndarray:
     _, values, v = np.linalg.svd(datum, full_matrices=True)
     rank = int(np.count_nonzero(values > 1e-9 * values[0]))
     inside = v[rank:].T
-    found = np.zeros((machine + setup, inside.shape[1] + setup))
-    found[:machine, : inside.shape[1]] = inside
-    found[machine:, inside.shape[1] :] = np.eye(setup)
-    return found
+    free_directions = np.zeros((machine + setup, inside.shape[1] + setup))
+    free_directions[:machine, : inside.shape[1]] = inside
+    free_directions[machine:, inside.shape[1] :] = np.eye(setup)
+    return free_directions
 
 
 # --- Residuals and repeats compared with the noise that is stated ---------------------------------
@@ -579,7 +579,7 @@ def repeats_of(
     # A probe reads zero: its repeats differ in the axis positions.
     points = np.where(at_origin(data)[:, None], nominal_carriers(machine, data).points, points)
     every, read = repeat_groups(data), np.isfinite(data.point_mm)
-    found = []
+    repeats = []
     for instrument, rows in instruments.groups(data.station):
         group, own = every[rows], points[rows]
         kept = np.ones(len(rows), dtype=bool)
@@ -605,8 +605,8 @@ def repeats_of(
         if dof > 0:
             chi2 = float(np.sum(_squares(stated[rows], deviations, read[rows])))
             free = dof * int(np.count_nonzero(read[rows].any(axis=0)))
-            found.append(Repeats(instrument, rows, pooled, dof, chi2 / free, float(chi2_sf(chi2, free))))
-    return tuple(found)
+            repeats.append(Repeats(instrument, rows, pooled, dof, chi2 / free, float(chi2_sf(chi2, free))))
+    return tuple(repeats)
 
 
 def _squares(covariance: np.ndarray, deviations: np.ndarray, read: np.ndarray) -> np.ndarray:
@@ -632,8 +632,8 @@ def covariance_from_repeats(
     Raises:
         InputError: fewer than ten degrees of freedom of repeats of an instrument.
     """
-    found = np.zeros((len(data), 3, 3))
-    by_instrument = {id(one.instrument): one for one in repeats}
+    covariance_from_repeats = np.zeros((len(data), 3, 3))
+    by_instrument = {id(repeat.instrument): repeat for repeat in repeats}
     for instrument, rows in instruments.groups(data.station):
         own = by_instrument.get(id(instrument))
         if own is None or own.dof < FEWEST_REPEATS:
@@ -642,5 +642,5 @@ def covariance_from_repeats(
                 expected="at least ten repeated readings",
                 value=0 if own is None else own.dof,
             )
-        found[rows] = own.covariance
-    return read_only(found)
+        covariance_from_repeats[rows] = own.covariance
+    return read_only(covariance_from_repeats)

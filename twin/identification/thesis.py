@@ -156,7 +156,7 @@ class ThesisIdentification(Result):
     @property
     def brief(self) -> str:
         """Numbers of curves and points."""
-        points = sum(len(one.mean) for one in self.motions.values())
+        points = sum(len(motion.mean) for motion in self.motions.values())
         return f"{self.calibration.machine.name}, by the thesis's method: {len(self.motions)} error motions, {points:,} values"
 
 
@@ -228,14 +228,14 @@ def identify_as_thesis(
             "several stations", expected="one station", file=measurements.source, value=", ".join(stations)
         )
     runs = {axis.name: _run(measurements, machine, axis.name) for axis in machine.axes}
-    found = {axis: run for axis, run in runs.items() if run is not None}
+    measured_runs = {axis: run for axis, run in runs.items() if run is not None}
     for name in LINEAR:
-        if name not in found:
+        if name not in measured_runs:
             raise InputError(f"no run of {name}", expected=f"rows with approach_{name}", file=measurements.source)
-    x, z = (_direction(found[name]) for name in "XZ")
+    x, z = (_direction(measured_runs[name]) for name in "XZ")
     z = _unit(z - (z @ x) * x)
     turn = np.column_stack([x, np.cross(z, x), z])
-    circles = {name: _circle(run, machine, x) for name, run in found.items() if name not in LINEAR}
+    circles = {name: _circle(run, machine, x) for name, run in measured_runs.items() if name not in LINEAR}
     if len(circles) == 1:
         raise InputError(
             f"only a run of {next(iter(circles))}", expected="runs of both rotary axes", file=measurements.source
@@ -246,7 +246,7 @@ def identify_as_thesis(
         frames, met, nominal_place = _closest_approach(circles, machine)
         origin = met - turn @ nominal_place
     motions: dict[str, PointwiseMotion] = {}
-    for name, run in found.items():
+    for name, run in measured_runs.items():
         if name in frames:
             solved = _rotary(run, machine, frames[name])
         else:
@@ -262,7 +262,7 @@ def identify_as_thesis(
         instruments=tuple(dict.fromkeys(name for name in measurements.instrument.tolist() if name)),
         set_up=MeasuredWith(stations=1, targets_on_tool=sides[0], targets_on_work=sides[1], points=len(measurements)),
         misfit=MisfitEntry(verdict="untested", says=NO_TEST),
-        not_identifiable=not_measured(machine, [*fitted.curves, *fitted.squareness], list(found), NO_LOCATION),
+        not_identifiable=not_measured(machine, [*fitted.curves, *fitted.squareness], list(measured_runs), NO_LOCATION),
     )
     return ThesisIdentification(calibration, MappingProxyType(motions))
 

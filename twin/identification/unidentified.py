@@ -156,12 +156,12 @@ def _group(name: str, entity: np.ndarray, shared: np.ndarray) -> list[str]:
         shared: (columns, columns) inner products of the null directions' rows, in prior standard deviations.
     """
     touched = np.diag(shared) > SHARED_VARIANCE
-    found = [name]
-    for one in found:
+    group = [name]
+    for one in group:
         rows = (entity == one) & touched
         linked = np.any(np.abs(shared[rows]) > SHARED_VARIANCE, axis=0) & touched
-        found += [str(other) for other in dict.fromkeys(entity[linked]) if other not in found]
-    return found
+        group += [str(other) for other in dict.fromkeys(entity[linked]) if other not in group]
+    return group
 
 
 # --- Which constant errors of a machine a measurement determines: scales, squareness and locations, before or after it is mad
@@ -359,25 +359,25 @@ def unidentified(
         setup: stations and targets.
         held: names of the errors held by a prior (`held_by_prior`).
     """
-    found, parts = [], _parts(setup, data)
+    unidentified, parts = [], _parts(setup, data)
     for name in (*machine.motion_names, *machine.squareness_names, *machine.location_names):
         axis = split_name(name)[2]
         if not wanted(name):
             continue
         if not np.ptp(data.positions[:, machine.names.index(axis)]) > 0.0:
-            found.append(Unidentified(name, at_rest(axis)))
+            unidentified.append(Unidentified(name, at_rest(axis)))
         elif name in machine.motion_names and name not in model.considered.entities:
-            found.append(Unidentified(name, TOO_FEW.format(axis=axis)))
+            unidentified.append(Unidentified(name, TOO_FEW.format(axis=axis)))
         elif name in model.confounded or name in model.left_out:
             direction = model.determinability.null_direction_of(
                 model.determinability.names[model.considered.of(name)[0]]
             )
             why = SAYS_LESS if direction is None else _confounded_with(name, direction, parts)
             remedy = _remedy(name, machine, setup, parts, direction, name in model.confounded)
-            found.append(Unidentified(name, f"{why}; {remedy}", str(direction or "")))
+            unidentified.append(Unidentified(name, f"{why}; {remedy}", str(direction or "")))
         elif name in held:
-            found.append(Unidentified(name, SAYS_LESS))
-    return tuple(found)
+            unidentified.append(Unidentified(name, SAYS_LESS))
+    return tuple(unidentified)
 
 
 def _parts(setup: SetUp, data: Measurements) -> dict[str, _Part]:
@@ -401,10 +401,10 @@ def _moved(name: str, direction: NullDirection) -> list[str]:
     others = [move.name for move in direction.moves if move.name.split(" ")[0] != name]
     # The axis at the end of "station 1 x" and "target K rotation z" does not matter here.
     parts = [
-        re.sub(r" (?:(?:turn|rotation) )?[xyz]$", "", one)
-        if one.startswith(("station ", "target "))
-        else one.split(" ")[0]
-        for one in others
+        re.sub(r" (?:(?:turn|rotation) )?[xyz]$", "", other)
+        if other.startswith(("station ", "target "))
+        else other.split(" ")[0]
+        for other in others
     ]
     return list(dict.fromkeys(parts))
 
@@ -430,13 +430,13 @@ def _remedy(
     _, average, axis = split_name(name)
     words = list(dict.fromkeys(part.instrument for part in parts.values()))
     # Both sides of such an instrument ride on the machine: it has no reference outside.
-    relative = all(one.station_place for one in words)
+    relative = all(word.station_place for word in words)
     if confounded and relative:
         return "measure at more positions of all axes, or identify squareness and locations only"
     if confounded and average:
         return "measure a reference on the machine"
     if confounded and len(setup.targets) > 2:
-        places = " and ".join(dict.fromkeys(one.target_place for one in words))
+        places = " and ".join(dict.fromkeys(word.target_place for word in words))
         return f"enter {places}, or measure with another instrument too"
     if confounded:
         return "measure a third target that is not on a line with the others"
@@ -457,7 +457,7 @@ def _location_remedy(
     A second probe of another length, its offset unknown too, adds as many unknowns as it determines.
     """
     moved = [parts[one] for one in _moved(name, direction) if one in parts] if direction is not None else []
-    places = list(dict.fromkeys(part.enter for part in moved if part.enter)) or [one.target_place for one in words]
+    places = list(dict.fromkeys(part.enter for part in moved if part.enter)) or [word.target_place for word in words]
     return ", or ".join([f"enter {places[0]}", *places[1:], "measure a reference on the machine"])
 
 
@@ -475,7 +475,7 @@ def unknown_reference(solution: FitSolution, unknowns: Unknowns) -> list[str]:
     )
     if not names:
         return []
-    places = " and ".join(dict.fromkeys(one.set_up.target_place for one in solution.setup.reads))
+    places = " and ".join(dict.fromkeys(read.set_up.target_place for read in solution.setup.reads))
     return [
         f"{', '.join(names)} refer to a point of the targets' carrier whose distance from the machine's own origin is not known; "
         f"their uncertainty includes 0.2 m for it. Enter {places} to reduce it"
@@ -528,7 +528,7 @@ def instrument_shares(
         residual_mm: (n, 3) residuals, NaN where nothing was read.
         whitened: (n, 3) the same divided by the stated standard deviations.
     """
-    data, found = network.data, []
+    data, instrument_shares = network.data, []
     if len(network.instruments.every) == 1:
         return ()
     for instrument, rows in network.instruments.groups(data.station):
@@ -542,5 +542,5 @@ def instrument_shares(
         square = float(np.mean(whitened[own][read] ** 2)) if read.any() else float("nan")
         rms = float(np.sqrt(np.nanmean(residual_mm[own] ** 2))) * 1e3 if read.any() else float("nan")
         stations = tuple(dict.fromkeys(data.station[rows].tolist()))
-        found.append(InstrumentShare(instrument.name, stations, int(read.sum()), rms, square, alone))
-    return tuple(found)
+        instrument_shares.append(InstrumentShare(instrument.name, stations, int(read.sum()), rms, square, alone))
+    return tuple(instrument_shares)

@@ -125,7 +125,7 @@ class Unknowns:
         name = least_determined_offset(self, unseen)
         if name is None:
             return self
-        offsets = [one for one in self.offsets if one != name]
+        offsets = [offset for offset in self.offsets if offset != name]
         return Unknowns(self.machine, self.curves, self.constants, self.fixed_axes, offsets)
 
     def restricted(self, unseen: np.ndarray, dropped: Sequence[str], whole: Sequence[str]) -> Unknowns:
@@ -156,7 +156,7 @@ class Unknowns:
             A list for each column: (component among 6·frames, (n,) metres or radians).
         """
         by_axis = {axis.name: positions[:, i] for i, axis in enumerate(self.machine.axes)}
-        found: list[list[tuple[int, np.ndarray]]] = []
+        shapes: list[list[tuple[int, np.ndarray]]] = []
         # The six curves of an axis usually have the same functions, which are evaluated once.
         known: dict[tuple[str, Basis, tuple[float, float], int], np.ndarray] = {}
         for curve in self.curves:
@@ -166,17 +166,17 @@ class Unknowns:
                 axis = self.machine.by_name[axis_name]
                 known[key] = curve.functions(wrapped(by_axis[axis_name], axis, curve.domain)) * UM
             values, at = known[key], 6 * self._frames[axis_name, "motion"] + component
-            found += [[(at, values[:, k])] for k in range(curve.first, curve.count)]
+            shapes += [[(at, values[:, k])] for k in range(curve.first, curve.count)]
         for name in self.constants:
             effect = self._constant(name, 0.0)
             at = 6 * self._frames[effect.frame.axis, effect.frame.role]
             (shape,) = effect.derivatives(by_axis)
-            found.append([(at + i, np.asarray(values) * UM) for i, values in shape.items()])
+            shapes.append([(at + i, np.asarray(values) * UM) for i, values in shape.items()])
         for name in self.offsets:
             component, _, axis_name = split_name(name)
             at = 6 * self._frames[axis_name, "motion"] + component
-            found.append([(at, np.full(len(positions), UM))])
-        return found
+            shapes.append([(at, np.full(len(positions), UM))])
+        return shapes
 
     @cached_property
     def datum(self) -> np.ndarray:
@@ -325,7 +325,7 @@ def least_determined_offset(unknowns: Unknowns, unseen: np.ndarray) -> str | Non
 
 def axes_with_known_places(machine: Machine, data: Measurements) -> tuple[str, ...]:
     """Return the axes next to a carrier on which every target's place and every station's pose is given."""
-    found = []
+    axes_with_known_places = []
     for side in CARRIERS:
         of, stations = data.carrier == side, data.station_carrier == side
         axes = [axis.name for axis in machine.axes if axis.side == side]
@@ -334,8 +334,8 @@ def axes_with_known_places(machine: Machine, data: Measurements) -> tuple[str, .
             frame = machine.tool_frame if side == "tool" else machine.work_frame
             chain = machine.model.supports[machine.model.frames[frame].parentJoint].tolist()
             joints = dict(zip(machine.names, machine.axis_joints, strict=True))
-            found.append(max(axes, key=lambda name: chain.index(joints[name])))
-    return tuple(found)
+            axes_with_known_places.append(max(axes, key=lambda name: chain.index(joints[name])))
+    return tuple(axes_with_known_places)
 
 
 def wrapped(q: np.ndarray, axis: Axis, domain: tuple[float, float]) -> np.ndarray:

@@ -168,7 +168,7 @@ def links(machine: Machine, joint: int, q: Any, e: Any) -> list[Link]:
     model = machine.model
     axes = {joint: i for i, joint in enumerate(machine.axis_joints)}
     errors = {frame.joint: 6 * i for i, frame in enumerate(machine.frames)}
-    found = []
+    links = []
     for index in list(model.supports[joint])[1:]:
         axis, error = axes.get(index), errors.get(index)
         motion = IDENTITY
@@ -176,8 +176,8 @@ def links(machine: Machine, joint: int, q: Any, e: Any) -> list[Link]:
             motion = joint_pose(model.joints[index], q[axis])
         elif error is not None and e is not None:
             motion = Pose(rotation_exp(e[error + 3 : error + 6]), e[error : error + 3])
-        found.append(Link(model.joints[index], constant_pose(model.jointPlacements[index]), motion, axis, error))
-    return found
+        links.append(Link(model.joints[index], constant_pose(model.jointPlacements[index]), motion, axis, error))
+    return links
 
 
 def branches(machine: Machine, q: Any, e: Any) -> tuple[Branch, Branch]:

@@ -97,7 +97,7 @@ def axes_of(file: Path) -> tuple[NamedAxis, ...]:
 
 def _named(entries: Sequence[Mapping[str, Any]], joints: Mapping[str, ElementTree.Element]) -> tuple[NamedAxis, ...]:
     frames = [
-        _from_rpy([radians(angle) for angle in one.get("error_frame_rpy_deg", (0.0, 0.0, 0.0))]) for one in entries
+        _from_rpy([radians(angle) for angle in entry.get("error_frame_rpy_deg", (0.0, 0.0, 0.0))]) for entry in entries
     ]
     turns = [_product(_orientation(one["joint"], joints), frame) for one, frame in zip(entries, frames, strict=True)]
     linear = [i for i, one in enumerate(entries) if one["kind"] == "linear"]
@@ -105,15 +105,15 @@ def _named(entries: Sequence[Mapping[str, Any]], joints: Mapping[str, ElementTre
     aligned = (_product(_transposed(reference), turns[i]) for i in linear)
     if any(min(rows[k][k] for k in range(3)) < MIN_ALIGNMENT for rows in aligned):
         reference = IDENTITY
-    found = []
+    named = []
     for i, one in enumerate(entries):
         axis = joints[one["joint"]].find("axis")
         motion = _numbers(None if axis is None else axis.get("xyz"), (1.0, 0.0, 0.0))
         length = hypot(*motion)
         direction = _turned(_transposed(frames[i]), tuple(part / length for part in motion))
         in_machine = _turned(_product(_transposed(reference), turns[i]), direction)
-        found.append(NamedAxis(one["name"], i in linear, direction, in_machine))
-    return tuple(found)
+        named.append(NamedAxis(one["name"], i in linear, direction, in_machine))
+    return tuple(named)
 
 
 def _orientation(name: str, joints: Mapping[str, ElementTree.Element]) -> Rows:

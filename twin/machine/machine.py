@@ -270,11 +270,11 @@ class Machine(DisplayedResult):
 
     @property
     def _named_axes(self) -> list[NamedAxis]:
-        found = []
+        named_axes = []
         for axis in self.axes:
             x, y, z = axis.machine_direction.tolist()
-            found.append(NamedAxis(axis.name, axis.linear, axis.direction, (x, y, z)))
-        return found
+            named_axes.append(NamedAxis(axis.name, axis.linear, axis.direction, (x, y, z)))
+        return named_axes
 
     def configuration(self, q: np.ndarray, errors: np.ndarray | None = None) -> np.ndarray:
         """Return the Pinocchio configuration of one pose.

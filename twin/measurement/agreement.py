@@ -243,20 +243,22 @@ def wrong_columns(machine: Machine, data: Measurements) -> list[ColumnChange]:
         machine: the machine.
         data: a table before it is checked: NaN, unknown sides and positions outside the ranges of their axes are allowed.
     """
-    found = [
+    wrong_columns = [
         _scaled(data, "positions", [i], -1.0, (_columns(machine)[i],), text, "sign: -1?")
         for i, q in enumerate(data.positions.T)
         if (text := _mirrored_by_range(machine.axes[i], q))
     ]
     sides = np.isin(data.carrier, CARRIERS) & np.isin(data.station_carrier, SIDES)
     data = data.select(np.isfinite(data.positions).all(axis=1) & np.isfinite(data.point_mm).all(axis=1) & sides)
-    for change in found:
+    for change in wrong_columns:
         data = change.of(data)
     stations = list(dict.fromkeys(data.station))
     for station in stations:
         own = _wrong_columns_of_station(machine, data.select(data.station == station))
-        found += [one._replace(text=f"station {station}: {one.text}") if len(stations) > 1 else one for one in own]
-    return found
+        wrong_columns += [
+            one._replace(text=f"station {station}: {one.text}") if len(stations) > 1 else one for one in own
+        ]
+    return wrong_columns
 
 
 def _mirrored_by_range(axis: Axis, q: np.ndarray) -> str:
@@ -273,9 +275,9 @@ def _mirrored_by_range(axis: Axis, q: np.ndarray) -> str:
 
 def _wrong_columns_of_station(machine: Machine, data: Measurements) -> list[ColumnChange]:
     """Return the changes after which the points of one station agree with the commands, found one after the other."""
-    found: list[ColumnChange] = []
+    wrong_columns_of_station: list[ColumnChange] = []
     instruments = StationInstruments.same(default_instrument("point"), data.station)
-    while len(data) >= FEWEST_ROWS and np.any(data.point_mm) and len(found) < MOST_FINDINGS:
+    while len(data) >= FEWEST_ROWS and np.any(data.point_mm) and len(wrong_columns_of_station) < MOST_FINDINGS:
         try:
             before = fit_of(machine, data, instruments, mirrored=True)
         except InputError:
@@ -291,8 +293,8 @@ def _wrong_columns_of_station(machine: Machine, data: Measurements) -> list[Colu
         after = fit_of(machine, data, instruments)
         change = _mirror(after) if changes[0] is mirror else changes[0]
         size = f"RMS residual {after.rms_mm:.3g} mm instead of {before.rms_mm:.3g} mm"
-        found.append(change._replace(text=f"{change.text}; {size}"))
-    return found
+        wrong_columns_of_station.append(change._replace(text=f"{change.text}; {size}"))
+    return wrong_columns_of_station
 
 
 def _mirror(after: Agreement) -> ColumnChange:
@@ -346,9 +348,9 @@ def _one_change(
         return fit.ratio < min(GOOD_RATIO, ratio / IMPROVEMENT)
 
     for changes in families or (_swapped_or_mirrored(machine, data),):
-        found = _explaining(machine, data, changes, explains, instruments)
-        if found:
-            return [change for _, change in sorted(found, key=lambda one: one[0])]
+        explaining = _explaining(machine, data, changes, explains, instruments)
+        if explaining:
+            return [change for _, change in sorted(explaining, key=lambda one: one[0])]
     return _in_units(machine, data, share, ratio, instruments)
 
 
@@ -361,10 +363,10 @@ def _in_units(
         return fit.ratio < min(GOOD_RATIO, ratio / IMPROVEMENT) and fit.share <= share / IMPROVEMENT
 
     for single in (False, True):
-        found = _explaining(machine, data, _units(machine, data, single=single), explains, instruments)
-        if found:
-            best = min(found, key=lambda one: one[0])
-            texts = [change.text for size, change in found if size <= 2.0 * best[0]]
+        explaining = _explaining(machine, data, _units(machine, data, single=single), explains, instruments)
+        if explaining:
+            best = min(explaining, key=lambda one: one[0])
+            texts = [change.text for size, change in explaining if size <= 2.0 * best[0]]
             return [best[1]._replace(text=", or ".join(texts))]
     return []
 
@@ -377,7 +379,7 @@ def _explaining(
     instruments: StationInstruments,
 ) -> list[tuple[float, ColumnChange]]:
     """Return the changes after which some rows agree, each with misfit over motion."""
-    found = []
+    explaining = []
     rows = data.select(np.linspace(0, len(data) - 1, min(len(data), TRIAL_ROWS)).astype(int))
     for change in changes:
         try:
@@ -386,8 +388,8 @@ def _explaining(
             continue
         # Swapped with an axis that did not move, anything fits.
         if fit.motion > LEAST_MOTION_M and explains(fit):
-            found.append((fit.ratio, change))
-    return found
+            explaining.append((fit.ratio, change))
+    return explaining
 
 
 def _swapped_or_mirrored(machine: Machine, data: Measurements) -> Iterator[ColumnChange]:

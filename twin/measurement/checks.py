@@ -129,7 +129,7 @@ def copied_rows(
         before = first.setdefault(b"".join(key), row)
         if before != row:
             equal_to[row] = before
-    found: dict[int, int] = {}
+    copies: dict[int, int] = {}
     for name in dict.fromkeys(series[row] for row in equal_to):
         rows = np.array([row for row, other in enumerate(series) if other == name])
         timed = rows[np.isfinite(time_s[rows])]
@@ -137,8 +137,8 @@ def copied_rows(
             rows[~np.isfinite(time_s[rows])] if _times_distinguish_readings(time_s, state, readings, timed) else rows
         )
         keep = set(undecided.tolist()) if _equal_by_chance(point_mm, state, point_of, undecided) else set()
-        found |= {row: before for row, before in equal_to.items() if series[row] == name and row not in keep}
-    return dict(sorted(found.items()))
+        copies |= {row: before for row, before in equal_to.items() if series[row] == name and row not in keep}
+    return dict(sorted(copies.items()))
 
 
 def _times_distinguish_readings(
@@ -273,14 +273,14 @@ def unused_names(what: str, names: np.ndarray, reasons: Mapping[int, str]) -> li
         names: (n,) name of the station or target of every row.
         reasons: reason why a row is set aside, by row.
     """
-    found = []
+    unused_names = []
     for name in dict.fromkeys(names):
         rows = np.flatnonzero(names == name)
         why = Counter(reasons[int(row)] for row in rows if int(row) in reasons)
         if sum(why.values()) == len(rows):
             main = why.most_common(1)[0][0]
-            found.append(f"{what} {name} is not used: none of its {len(rows)} rows is usable ({main})")
-    return found
+            unused_names.append(f"{what} {name} is not used: none of its {len(rows)} rows is usable ({main})")
+    return unused_names
 
 
 def missing_rounds(target: np.ndarray, names: np.ndarray, positions: np.ndarray) -> list[str]:
@@ -337,7 +337,7 @@ def place_by_name(
             file=source,
             line=int(lines[row]),
         )
-    found = np.array(values)
+    place_by_name = np.array(values)
     for name in dict.fromkeys(names):
         of = names == name
         stated = np.flatnonzero(of & given.any(axis=1))
@@ -352,5 +352,5 @@ def place_by_name(
                 line=int(lines[other[0]]),
                 value=", ".join(f"{value:g}" for value in values[other[0]]),
             )
-        found[of] = values[stated[0]]
-    return read_only(found)
+        place_by_name[of] = values[stated[0]]
+    return read_only(place_by_name)

@@ -167,10 +167,12 @@ def with_angles(cells: Cells, values: Mapping[str, Any]) -> dict[str, Any]:
 
 def angle_columns(point_mm: np.ndarray, u_mm: np.ndarray, rows: np.ndarray) -> dict[str, Sequence[str]]:
     """Return the columns of angles of some rows (n,), the inverse of `with_angles`; none if there are no such rows."""
-    found: dict[str, Sequence[str]] = {}
+    angle_columns: dict[str, Sequence[str]] = {}
     angle = np.where(rows[:, None], point_mm[:, 1::-1] * np.array([-1.0, 1.0]), np.nan) * (MM / UM)
     u = np.where(rows[:, None], u_mm[:, 1::-1], np.nan) * (MM / UM)
     for prefix, values in (("", angle), ("u_", u)):
         if np.isfinite(values).any():
-            found |= {f"{prefix}{n}": number_cells(column) for n, column in zip(ANGLE_COLUMNS, values.T, strict=True)}
-    return found
+            angle_columns |= {
+                f"{prefix}{n}": number_cells(column) for n, column in zip(ANGLE_COLUMNS, values.T, strict=True)
+            }
+    return angle_columns

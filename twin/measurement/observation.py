@@ -34,16 +34,16 @@ ANGLES: Final = tuple(one.name for one in INSTRUMENTS if one.specification.reads
 
 def machine_state(data: Measurements, machine: Machine) -> dict[str, np.ndarray]:
     """Return the positions and every channel that has no gaps, by name: ``approach_X``, ``time_s``, ``T_X_degC``, ``spindle_rpm``."""
-    found = {axis.name: np.asarray(data.positions[:, i]) for i, axis in enumerate(machine.axes)}
+    state = {axis.name: np.asarray(data.positions[:, i]) for i, axis in enumerate(machine.axes)}
     for i, axis in enumerate(machine.axes):
         if np.any(data.approach[:, i]):
-            found[f"approach_{axis.name}"] = np.asarray(data.approach[:, i], dtype=float)
+            state[f"approach_{axis.name}"] = np.asarray(data.approach[:, i], dtype=float)
     if has_times(data):
-        found["time_s"] = np.asarray(data.time_s)
+        state["time_s"] = np.asarray(data.time_s)
     for name, values in data.temperature_degC.items():
         if np.all(np.isfinite(values)):
-            found[f"T_{name}_degC"] = np.asarray(values)
-    return found | {name: np.asarray(values) for name, values in data.channels.items() if np.all(np.isfinite(values))}
+            state[f"T_{name}_degC"] = np.asarray(values)
+    return state | {name: np.asarray(values) for name, values in data.channels.items() if np.all(np.isfinite(values))}
 
 
 def has_times(data: Measurements) -> bool:
@@ -156,8 +156,8 @@ class Observation:
             check_ranges(calibration.empirical, state, data.lines, data.source)
             calibration.check(data.positions)
         rows = assemble(calibration.effects, self.machine.frames, state)
-        found = [np.broadcast_to(np.asarray(v, dtype=float), len(data)) for row in rows for v in row]
-        return np.stack(found, axis=1)
+        errors = [np.broadcast_to(np.asarray(v, dtype=float), len(data)) for row in rows for v in row]
+        return np.stack(errors, axis=1)
 
     def points(
         self,
@@ -169,10 +169,10 @@ class Observation:
         angles: np.ndarray | None = None,
     ) -> np.ndarray:
         """Return (n, 3) the reflectors in the frames on which their stations ride, unchecked; arguments as `carried`."""
-        found = np.empty((len(q), 3))
+        points = np.empty((len(q), 3))
         for function, rows in self._functions(carrier, station_carrier, angles, derivatives=False):
-            (found[rows],) = function(q[rows], errors[rows], places[rows])
-        return found
+            (points[rows],) = function(q[rows], errors[rows], places[rows])
+        return points
 
     def carried(
         self,
@@ -234,10 +234,10 @@ class Observation:
         if ride is not None:
             pose = ride.inverse().then(pose)
         point = pose.rotation @ place if turns else pose.then(Pose(ca.SX.eye(3), place)).translation
-        found = [point, ca.jacobian(point, e), pose.rotation] if derivatives else [point]
+        outputs = [point, ca.jacobian(point, e), pose.rotation] if derivatives else [point]
         if derivatives and ride is not None:
-            found += [ride.rotation, ride.translation]
-        return ca.Function("carried", [q, e, place], found)
+            outputs += [ride.rotation, ride.translation]
+        return ca.Function("carried", [q, e, place], outputs)
 
 
 @lru_cache(maxsize=2)

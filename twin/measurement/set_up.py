@@ -126,11 +126,11 @@ class SetUp:
     @cached_property
     def slots(self) -> tuple[Slot, ...]:
         """Unknown parameters of each station, then of each target."""
-        found: list[Slot] = []
+        slots: list[Slot] = []
 
         def add(kind: Literal["turn", "origin", "dead path", "place"], number: int, count: int = 3) -> None:
-            start = found[-1].at.stop if found else 0
-            found.append(Slot(kind, number, slice(start, start + count)))
+            start = slots[-1].at.stop if slots else 0
+            slots.append(Slot(kind, number, slice(start, start + count)))
 
         for i, (known, reads) in enumerate(zip(self.station_known.tolist(), self.reads, strict=True)):
             if reads.turns and not known:
@@ -141,20 +141,20 @@ class SetUp:
                 add("dead path", i, 1)
         for i in np.flatnonzero(~self.target_known).tolist():
             add("place", i, 2 if self.lines[i] else 3)
-        return tuple(found)
+        return tuple(slots)
 
     @cached_property
     def names(self) -> tuple[str, ...]:
         """Names of the unknown parameters, in the order of `moved`."""
-        found: list[str] = []
+        names: list[str] = []
         for kind, i, at in self.slots:
             if kind == "dead path":
-                found.append(f"station {self.stations[i]} dead path")
+                names.append(f"station {self.stations[i]} dead path")
                 continue
             what = f"target {self.targets[i]}" if kind == "place" else f"station {self.stations[i]}"
             axes = "xyz"[: at.stop - at.start]
-            found += [f"{what} turn {axis}" if kind == "turn" else f"{what} {axis}" for axis in axes]
-        return tuple(found)
+            names += [f"{what} turn {axis}" if kind == "turn" else f"{what} {axis}" for axis in axes]
+        return tuple(names)
 
     @property
     def plausible(self) -> np.ndarray:
@@ -224,7 +224,7 @@ def initial_setup(
         InputError: a station with fewer than three points, or one whose readings are in a left-handed frame.
     """
     initial = SetUp.from_table(data, instruments)
-    kinds = np.array([one.reads if one.reads in ("length", "angle") else "point" for one in initial.reads])
+    kinds = np.array([read.reads if read.reads in ("length", "angle") else "point" for read in initial.reads])
     if len(set(kinds)) > 1:
         return _by_kind(machine, data, instruments, initial, kinds)
     carried = nominal_carriers(machine, data)
@@ -356,9 +356,9 @@ class _Equations:
         seen = strength > RELATIVE_RANK**2 * strength[-1:]
         directions = directions[:, seen]
         right = ((self.b - self.matrix @ self.values) * root).ravel()
-        found = np.array(self.values)
-        found[unknown] = directions @ ((directions.T @ (flat.T @ right / scale)) / strength[seen]) / scale
-        return found
+        weighted = np.array(self.values)
+        weighted[unknown] = directions @ ((directions.T @ (flat.T @ right / scale)) / strength[seen]) / scale
+        return weighted
 
 
 def _by_points(

@@ -128,19 +128,19 @@ def fit_sphere(
         normals = away / lengths[:, None]
         return np.column_stack([-normals, -np.ones(len(normals))]) if radius_mm is None else -normals
 
-    found = scipy.optimize.least_squares(
+    least_squares = scipy.optimize.least_squares(
         residuals, start, jac=jacobian, method="lm", xtol=1e-14, ftol=1e-14, gtol=1e-14
     )
-    design = jacobian(found.x)
+    design = jacobian(least_squares.x)
     left, singular, right = np.linalg.svd(design, full_matrices=False)
-    if not np.isfinite(found.x).all() or not found.success:
+    if not np.isfinite(least_squares.x).all() or not least_squares.success:
         raise _undetermined("the fit does not converge", file, line)
     if singular[-1] <= SMALLEST_SINGULAR_VALUE * singular[0]:
         raise _undetermined(f"no change along {_direction(right[-1, :3])}", file, line)
     return Sphere(
-        centre_mm=read_only(centre + size * found.x[:3]),
-        radius_mm=size * float(found.x[3]) if radius_mm is None else radius_mm,
-        residuals_mm=read_only(size * found.fun),
+        centre_mm=read_only(centre + size * least_squares.x[:3]),
+        radius_mm=size * float(least_squares.x[3]) if radius_mm is None else radius_mm,
+        residuals_mm=read_only(size * least_squares.fun),
         leverage=read_only((left**2).sum(axis=1)),
         cofactor=read_only((right.T / singular**2) @ right),
     )

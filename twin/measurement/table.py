@@ -481,11 +481,11 @@ def _fields(
 
 def _places(reader: Cells, names: Sequence[str], *, planned: bool) -> np.ndarray:
     """Return (n, k) known places; for a plan also the planned ones."""
-    found = np.stack([reader.numbers(name) for name in names], axis=1)
+    places = np.stack([reader.numbers(name) for name in names], axis=1)
     if planned:
         planned_places = np.stack([reader.numbers(f"{PLANNED}{name}") for name in names], axis=1)
-        found = np.where(np.isfinite(found).any(axis=1, keepdims=True), found, planned_places)
-    return read_only(found)
+        places = np.where(np.isfinite(places).any(axis=1, keepdims=True), places, planned_places)
+    return read_only(places)
 
 
 def _with_own_stations(tables: Sequence[Measurements]) -> list[Measurements]:

@@ -257,21 +257,21 @@ class Calibration(DisplayedResult):
         """
         if violation(self._numbers, datum) is None and datum != AS_GIVEN:
             return self
-        found = convert(self._numbers, datum, names)
-        if found.numbers == self._numbers:
+        converted = convert(self._numbers, datum, names)
+        if converted.numbers == self._numbers:
             return self
-        joint = found.covariance(self.covariance)
+        joint = converted.covariance(self.covariance)
         names = set(joint.names)
         curves = {}
-        for name, curve in found.numbers.curves.items():
+        for name, curve in converted.numbers.curves.items():
             own = [f"{name}[{k}]" for k in range(len(curve.coefficients))]
             curves[name] = replace(curve, covariance=joint.of(own).matrix if own[0] in names else None)
         return replace(
             self,
             source=f"{self.source} Datum changed to {datum}.",
             curves=MappingProxyType(curves),
-            squareness=found.numbers.squareness,
-            location=found.numbers.location,
+            squareness=converted.numbers.squareness,
+            location=converted.numbers.location,
             joint=joint if names else None,
             path=None,
         )
@@ -283,14 +283,14 @@ class Calibration(DisplayedResult):
     @cached_property
     def effects(self) -> tuple[Effect, ...]:
         """The error model: one effect per entry, in the order of the file."""
-        found: list[Effect] = []
+        effects: list[Effect] = []
         for curve in self.curves.values():
             axis = self.machine.by_name[split_name(curve.name)[2]]
-            found.append(curve.motion(wrapped=axis.lower is None))
+            effects.append(curve.motion(wrapped=axis.lower is None))
         for name, angle in self.squareness.items():
-            found.append(Squareness(name, angle, self.machine.by_name[split_name(name)[2]]))
-        found += [AxisLocation(name, offset) for name, offset in self.location.items()]
-        return (*found, *self.extra, *self.corrections)
+            effects.append(Squareness(name, angle, self.machine.by_name[split_name(name)[2]]))
+        effects += [AxisLocation(name, offset) for name, offset in self.location.items()]
+        return (*effects, *self.extra, *self.corrections)
 
     def with_control(self, control: ControlSection | None) -> Calibration:
         """Return the same errors with the tables of another control, read from their files; None for no tables.
@@ -340,7 +340,9 @@ class Calibration(DisplayedResult):
             joint=None if self.joint is None else self.joint.where(lambda name: name in numbers),
             extra=tuple(effect for effect in self.extra if keep(effect.name)),
             corrections=tuple(effect for effect in self.corrections if keep(effect.name)),
-            not_identifiable=tuple(one for one in self.not_identifiable if one.name not in given or keep(one.name)),
+            not_identifiable=tuple(
+                error for error in self.not_identifiable if error.name not in given or keep(error.name)
+            ),
         )
 
     @property
@@ -404,7 +406,7 @@ class Calibration(DisplayedResult):
         whole = replace(
             self,
             source=f"{self.source}; {source}",
-            not_identifiable=tuple(one for one in self.not_identifiable if one.name not in found_now),
+            not_identifiable=tuple(error for error in self.not_identifiable if error.name not in found_now),
             curves=MappingProxyType(curves),
             squareness=MappingProxyType(squareness),
             location=MappingProxyType(location),
@@ -428,17 +430,17 @@ class Calibration(DisplayedResult):
     @property
     def warnings(self) -> tuple[SourceWarning, ...]:
         """Warnings about the origin of the numbers; every file made from them repeats these."""
-        found = [ILLUSTRATIVE] if self.illustrative else []
-        found += [SIMULATED] if self.simulated else []
-        found += [] if self.settled else [UNSETTLED_ESTIMATE]
+        warnings = [ILLUSTRATIVE] if self.illustrative else []
+        warnings += [SIMULATED] if self.simulated else []
+        warnings += [] if self.settled else [UNSETTLED_ESTIMATE]
         if self.not_identifiable:
-            found.append(NOT_IDENTIFIABLE.about(one.name for one in self.not_identifiable))
-        found += [] if self.misfit is None or self.misfit.warning is None else [self.misfit.warning]
+            warnings.append(NOT_IDENTIFIABLE.about(error.name for error in self.not_identifiable))
+        warnings += [] if self.misfit is None or self.misfit.warning is None else [self.misfit.warning]
         numbers = {parameter.name for effect in self.effects for parameter in effect.parameters}
         known = numbers.intersection(self.covariance.names)
         if known != numbers:
-            found.append(PARTLY_UNKNOWN_UNCERTAINTY if known else UNKNOWN_UNCERTAINTY)
-        return tuple(found)
+            warnings.append(PARTLY_UNKNOWN_UNCERTAINTY if known else UNKNOWN_UNCERTAINTY)
+        return tuple(warnings)
 
     @property
     def brief(self) -> str:
@@ -447,7 +449,7 @@ class Calibration(DisplayedResult):
         parts = [count_with_noun(len(self.curves), "error motion"), constants]
         parts += [count_with_noun(len(self.extra), "other effect")] if self.extra else []
         return "; ".join(
-            [f"calibration of {self.machine.name}: {', '.join(parts)}", *(one.title for one in self.warnings)]
+            [f"calibration of {self.machine.name}: {', '.join(parts)}", *(warning.title for warning in self.warnings)]
         )
 
     def display(self) -> Display:
@@ -459,7 +461,7 @@ class Calibration(DisplayedResult):
         small = "no errors (nominal machine)" if self.empty else ""
         title = f"Calibration of {self.machine.name}"
         # The card itself marks illustrative numbers, and `about` lists what has no uncertainty.
-        others = [one for one in self.warnings if one not in (ILLUSTRATIVE, UNKNOWN_UNCERTAINTY)]
+        others = [warning for warning in self.warnings if warning not in (ILLUSTRATIVE, UNKNOWN_UNCERTAINTY)]
         warnings = (note(text, loud=True) for text in warning_texts(others))
         return Display(title, about, above=(*warnings, errors), small=small, illustrative=self.illustrative)
 
@@ -534,7 +536,7 @@ class _Check:
 
     def not_identifiable(self, entries: CalibrationFile) -> tuple[UnidentifiedEntry, ...]:
         every = (*self.machine.motion_names, *self.machine.squareness_names, *self.machine.location_names)
-        named = [one.name for one in entries.not_identifiable]
+        named = [error.name for error in entries.not_identifiable]
         for kind, names in (("not_identifiable", named), ("not_estimated", entries.not_estimated)):
             for i, name in enumerate(names):
                 self.name((kind, i), name, every)
@@ -638,17 +640,17 @@ class _Check:
             if entry.parameters.count(name) > 1:
                 raise self.fail(("covariance",), "duplicate parameter", "each parameter once", name)
         try:
-            found = covariance_of(entry)
+            joint = covariance_of(entry)
         except ValueError as error:
             expected = "the lower triangle, one row per line (lower), or as twin writes it (compressed, sha256)"
             raise self.fail(("covariance",), "not a covariance", expected, error) from None
-        if np.any(np.abs(found.matrix) > MAX_VALUE):
+        if np.any(np.abs(joint.matrix) > MAX_VALUE):
             raise self.fail(("covariance",), "too large a number", f"at most {MAX_VALUE:g}", "")
         for curve in calibration.curves.values():
             names = [f"{curve.name}[{k}]" for k in range(len(curve.coefficients))]
             whole = set(names) <= set(entry.parameters)
             if curve.covariance is not None and not (
-                whole and np.allclose(found.of(names).matrix, curve.covariance, rtol=1e-9, atol=0.0)
+                whole and np.allclose(joint.of(names).matrix, curve.covariance, rtol=1e-9, atol=0.0)
             ):
                 raise self.fail(
                     ("curves", curve.name, "covariance"),
@@ -656,7 +658,7 @@ class _Check:
                     "the same values",
                     curve.name,
                 )
-        return found
+        return joint
 
 
 def _entry(curve: Curve) -> dict[str, Any]:

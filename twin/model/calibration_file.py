@@ -439,19 +439,20 @@ def effects_of(entries: Sequence[EffectEntry], machine: Machine, fail: Callable[
     """
     masses = {one.name: one for one in (PAYLOAD, CARRIED_LOAD)}
     payloads: dict[int, Payload] = {}
-    found: list[Effect] = []
+    effects: list[Effect] = []
     # Payloads first, because they load every compliant joint.
     for index, entry in sorted(enumerate(entries), key=lambda item: (item[1].effect not in masses, item[0])):
         try:
             if entry.effect in masses:
                 payloads[index] = payload_named(masses[entry.effect], entry.where, entry.parameters, machine)
             else:
-                found.append(_effect(entry, machine, list(payloads.values())))
+                effects.append(_effect(entry, machine, list(payloads.values())))
         except InputError as error:
             raise fail(("effects", index), error.what, str(error.expected), error.value, error.nearest) from None
     last = max(payloads, default=0)
     if payloads and not any(
-        isinstance(effect, GravityCompliance) or (isinstance(effect, TableLoad) and effect.payloads) for effect in found
+        isinstance(effect, GravityCompliance) or (isinstance(effect, TableLoad) and effect.payloads)
+        for effect in effects
     ):
         expected = "a gravity_compliance of a joint that it loads, or a table_load with a moment"
         raise fail(("effects", last), f"a {entries[last].effect} that loads no joint", expected, "none in the file")
@@ -460,7 +461,7 @@ def effects_of(entries: Sequence[EffectEntry], machine: Machine, fail: Callable[
         raise fail(("effects", last), "more than one payload on a side", "one", len(constant))
     if len(payloads) - len(constant) > 1:
         raise fail(("effects", last), f"more than one {CARRIED_LOAD.name}", "one", len(payloads) - len(constant))
-    return tuple(found)
+    return tuple(effects)
 
 
 def _effect(entry: EffectEntry, machine: Machine, payloads: Sequence[Payload]) -> Effect:
@@ -486,14 +487,14 @@ def measurement_entries(
     not_estimated: Sequence[str],
 ) -> dict[str, Any]:
     """Return the entries on how a calibration was measured and what is not known; those without content are left out."""
-    found: dict[str, Any] = {
+    entries: dict[str, Any] = {
         "instruments": list(instruments),
         "set_up": None if set_up is None else set_up.model_dump(),
         "misfit": None if misfit is None else misfit.model_dump(exclude_none=True),
-        "not_identifiable": [one.model_dump() for one in not_identifiable],
+        "not_identifiable": [error.model_dump() for error in not_identifiable],
         "not_estimated": list(not_estimated),
     }
-    return {name: value for name, value in found.items() if value}
+    return {name: value for name, value in entries.items() if value}
 
 
 def covariance_text(covariance: Covariance) -> str:

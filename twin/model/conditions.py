@@ -230,13 +230,13 @@ def needed(calibration: Calibration) -> dict[str, tuple[str, ...]]:
 
 def required_channels(effects: Sequence[Effect], machine: Machine) -> dict[str, tuple[str, ...]]:
     """Return the channels, other than positions, that the effects need, each with the names of its effects."""
-    found: dict[str, tuple[str, ...]] = {}
+    required_channels: dict[str, tuple[str, ...]] = {}
     for effect in effects:
         state = RecordingState(machine)
         effect.components(state)
         for name in state.asked:
-            found[name] = (*found.get(name, ()), effect.name)
-    return found
+            required_channels[name] = (*required_channels.get(name, ()), effect.name)
+    return required_channels
 
 
 def values_in_words(channels: Mapping[str, float]) -> str:

@@ -93,7 +93,7 @@ def about_rows(
         tables = ", ".join(f"{table.file.name} ({table.format})" for table in control.tables)
         if tables:
             rows.append(("control", f"these errors are {control.errors_are} by its tables {tables}"))
-        held = ", ".join(f"{one.file.name} ({one.format})" for one in control.kinematics)
+        held = ", ".join(f"{kinematic.file.name} ({kinematic.format})" for kinematic in control.kinematics)
         rows.append(("kinematics of the control, in tool centre point mode", held))
     rows.append((f"{DRAWN} illustrative, not measured", ", ".join(drawn)))
     rows.append((f"uncertainty {UNKNOWN} of", ", ".join(unknown)))

@@ -102,7 +102,7 @@ class Scope:
         Raises:
             InputError: a name is unknown, or there is none.
         """
-        found: set[str] = set()
+        classes: set[str] = set()
         for name in names:
             upper = name.strip().upper()
             if upper not in NAMES:
@@ -112,10 +112,10 @@ class Scope:
                     value=name,
                     nearest=closest_name(upper, NAMES),
                 )
-            found.update(COMBINED.get(upper, (upper,)))
-        if not found:
+            classes.update(COMBINED.get(upper, (upper,)))
+        if not classes:
             raise InputError("an empty scope", expected=f"some of {' '.join(NAMES)}")
-        return cls(frozenset(found - {"FOR"}), "FOR" in found, explicit=True)
+        return cls(frozenset(classes - {"FOR"}), "FOR" in classes, explicit=True)
 
     @classmethod
     def everything(cls, *, orientation: bool) -> Scope:
@@ -138,15 +138,15 @@ class Scope:
         Raises:
             InputError: it contains only some of them.
         """
-        found = [name for name in classes if name in self.classes]
-        if found and len(found) < len(classes):
+        covered = [name for name in classes if name in self.classes]
+        if covered and len(covered) < len(classes):
             raise InputError(
                 "the tables of the control correct classes inside and outside the scope together and cannot be split: "
                 "some errors would be corrected twice or not at all",
                 expected=f"a scope with all of {' '.join(classes)}, or with none of them",
                 value=str(self),
             )
-        return bool(found)
+        return bool(covered)
 
     def __str__(self) -> str:
         parts: list[str] = [name for name in BASIC if name in self.classes]

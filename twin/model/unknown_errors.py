@@ -56,7 +56,7 @@ def unknown_effects(calibration: Calibration) -> tuple[Effect, ...]:
     """
     known = {name.partition("[")[0] for name in calibration.covariance.names}
     return tuple(
-        _effect(one.name, calibration.machine) for one in calibration.not_identifiable if one.name not in known
+        _effect(error.name, calibration.machine) for error in calibration.not_identifiable if error.name not in known
     )
 
 

@@ -6,8 +6,8 @@ dof (RSS − RSS_min)/RSS_min ≤ 7.35. This limit holds for a small change; for
 
 A change counts as one of the machine if it is evident even if any one of the temperature sensors may have any linear influence: of
 the e-processes with each sensor among the nuisance columns, the least must pass the limit. If only the test without temperature
-passes it, the likelihoods decide: a temperature explains the series if it is `BETTER_LIKELIHOOD_RATIO` times as likely as every step and every drift.
-Otherwise the series is undecided: time and temperature changed together.
+passes it, the likelihoods decide: a temperature explains the series if it is `BETTER_LIKELIHOOD_RATIO` times as likely as every step
+and every drift. Otherwise the series is undecided: time and temperature changed together.
 
 B. E. Hansen: Sample splitting and threshold estimation, Econometrica 68 (2000) 575-603.
 
@@ -102,9 +102,9 @@ def whitening(count: int, correlation: float) -> np.ndarray:
         correlation: from one check to the next, below 1.
     """
     scale = np.sqrt(1.0 - correlation**2)
-    found = (np.eye(count) - correlation * np.eye(count, k=-1)) / scale
-    found[:1, :1] = 1.0
-    return np.asarray(found)
+    whitening = (np.eye(count) - correlation * np.eye(count, k=-1)) / scale
+    whitening[:1, :1] = 1.0
+    return np.asarray(whitening)
 
 
 def log_evidence(
@@ -134,10 +134,10 @@ def log_evidence(
     x = white @ (nuisance / sd[:, None])
     # Relative to the first check, so that the priors of the size are in standard deviations whatever the unit of ``sd``.
     shapes = [white @ (shape * (sd[0] / sd)[:, None]) for shape in change_shapes(days)]
-    found = np.zeros_like(y)
+    evidence = np.zeros_like(y)
     for n in range(3, len(days) + 1):
-        found[n - 1] = _log_ratio(y[:n], x[:n], [shape[:n, : n - 1] for shape in shapes], white[:n, :n], least)
-    return found.reshape(np.shape(values))
+        evidence[n - 1] = _log_ratio(y[:n], x[:n], [shape[:n, : n - 1] for shape in shapes], white[:n, :n], least)
+    return evidence.reshape(np.shape(values))
 
 
 def _log_ratio(
@@ -251,12 +251,12 @@ class ErrorSeries:
     @property
     def sensors(self) -> dict[str, np.ndarray]:
         """The temperatures that are considered, without missing values: those of the other checks get the mean."""
-        found = {}
+        sensors = {}
         for name, values in self.temperature_degC.items():
             given = np.isfinite(values)
             if given.mean() >= LEAST_SHARE and np.ptp(values[given]) >= LEAST_RANGE_K:
-                found[name] = np.where(given, values, values[given].mean())
-        return found
+                sensors[name] = np.where(given, values, values[given].mean())
+        return sensors
 
     @property
     def sd(self) -> np.ndarray:
@@ -435,16 +435,16 @@ def _fit(value: np.ndarray, root: np.ndarray, columns: np.ndarray) -> _Fit:
     """Fit columns to a series; the last column is the one of interest."""
     x = root @ columns
     inverse = np.linalg.pinv(x, rcond=1e-9)
-    found = inverse @ root @ value
-    residual = root @ value - x @ found
+    estimate = inverse @ root @ value
+    residual = root @ value - x @ estimate
     dof = len(value) - int(np.linalg.matrix_rank(x, tol=1e-9 * np.abs(x).max()))
     return _Fit(
-        found,
+        estimate,
         inverse @ inverse.T,
         float(residual @ residual),
         dof,
         columns[-1] @ inverse @ root,
-        columns @ found,
+        columns @ estimate,
     )
 
 
@@ -468,14 +468,14 @@ def _profile(series: ErrorSeries, nuisance: np.ndarray) -> dict[str, np.ndarray]
     basis, _ = remover(root @ nuisance)
     y = root @ series.value
     y = y - basis @ (basis.T @ y)
-    found = {}
+    profile = {}
     for name, shape in zip(("step", "drift"), change_shapes(series.days), strict=True):
         z = root @ shape
         z = z - basis @ (basis.T @ z)
         strength = np.sum(z**2, axis=0)
         along = np.divide((z.T @ y) ** 2, strength, out=np.zeros_like(strength), where=strength > 1e-12)
-        found[name] = np.maximum(float(y @ y) - along, 0.0)
-    return found
+        profile[name] = np.maximum(float(y @ y) - along, 0.0)
+    return profile
 
 
 def _best(rss: Mapping[str, np.ndarray]) -> str:
@@ -541,7 +541,7 @@ def lag_correlation(every: Sequence[ErrorSeries]) -> float:
     Args:
         every: the series; those of fewer than `FEWEST_CHECKS` do not count.
     """
-    found = []
+    correlations = []
     for series in every:
         count = len(series.days)
         columns = np.column_stack([series.levels, *series.sensors.values()])
@@ -557,5 +557,5 @@ def lag_correlation(every: Sequence[ErrorSeries]) -> float:
         whole = float(residual @ residual)
         if whole > 0.0:
             bias = (LAG_BIAS + columns.shape[1] - 1) / count
-            found.append(LAG_SCALE * (float(residual[1:] @ residual[:-1]) / whole + bias))
-    return float(np.clip(np.mean(found), 0.0, MOST_CORRELATION)) if found else 0.0
+            correlations.append(LAG_SCALE * (float(residual[1:] @ residual[:-1]) / whole + bias))
+    return float(np.clip(np.mean(correlations), 0.0, MOST_CORRELATION)) if correlations else 0.0

@@ -110,8 +110,8 @@ def files_of(folder: Path) -> tuple[list[CheckFile], list[str]]:
     """
     visible = [path for path in folder_entries(folder, "the folder of checks") if not path.name.startswith(".")]
     tables = [path for path in visible if path.suffix.lower() == SUFFIX and path.is_file()]
-    found = [CheckFile(path.name, hashlib.sha256(read_bytes(path)).hexdigest(), path) for path in tables]
-    return found, [path.name for path in visible if path not in tables]
+    files = [CheckFile(path.name, hashlib.sha256(read_bytes(path)).hexdigest(), path) for path in tables]
+    return files, [path.name for path in visible if path not in tables]
 
 
 def date_of(file: CheckFile, given: Mapping[str, datetime]) -> tuple[datetime, str]:
@@ -125,9 +125,9 @@ def date_of(file: CheckFile, given: Mapping[str, datetime]) -> tuple[datetime, s
     if file.name in given:
         return given[file.name], "given"
     for text in read_table(file.path)[2]:
-        found = DATE_COMMENT.match(text)
-        if found is not None:
-            return parsed_date(found[1].strip(), file.path), "comment of the table"
+        match = DATE_COMMENT.match(text)
+        if match is not None:
+            return parsed_date(match[1].strip(), file.path), "comment of the table"
     named = ISO_DATE.search(file.path.stem)
     if named is None:
         raise InputError(
@@ -148,12 +148,12 @@ def parsed_date(text: str, file: Path | None = None) -> datetime:
         InputError: the text is not an ISO 8601 date.
     """
     try:
-        found = datetime.fromisoformat(text)
+        moment = datetime.fromisoformat(text)
     except ValueError:
         raise InputError(
             "not a date", expected="ISO 8601: 2026-03-02 or 2026-03-02T08:10", file=file, value=text
         ) from None
-    return found if found.tzinfo is None else found.astimezone(UTC).replace(tzinfo=None)
+    return moment if moment.tzinfo is None else moment.astimezone(UTC).replace(tzinfo=None)
 
 
 def check_names_of_dates(files: list[CheckFile], given: Mapping[str, datetime]) -> None:
@@ -229,11 +229,11 @@ def _solved(network: Network, setup: SetUp, calibration: Calibration) -> FitSolu
     anything. Its frame is nearly parallel to the table, because its sensors are aligned with the axes.
     """
     zero, weights = np.zeros(len(network.unknowns)), np.ones(len(network.data))
-    free = ~setup.station_known & np.array([one.reads == "point" for one in setup.reads])
+    free = ~setup.station_known & np.array([read.reads == "point" for read in setup.reads])
     if free.any() and not np.any(network.data.station_carrier == "base"):
-        found = solve(network, zero, _parallel(network, setup, calibration, np.flatnonzero(free)), weights)
-        if found.converged:
-            return found
+        solved = solve(network, zero, _parallel(network, setup, calibration, np.flatnonzero(free)), weights)
+        if solved.converged:
+            return solved
     return solve(network, zero, setup, weights)
 
 
@@ -257,8 +257,8 @@ def to_units(unknowns: Unknowns) -> np.ndarray:
 
 def to_json(check: Check) -> dict[str, Any]:
     """Return a check as JSON data, from which `from_json` makes the same check."""
-    found = dict(vars(check))
-    return found | {
+    entry = dict(vars(check))
+    return entry | {
         "date": check.date.isoformat(),
         "value": check.value.tolist(),
         "covariance": check.covariance.tolist(),
@@ -299,20 +299,20 @@ def levels(findings: Sequence[WatchedError], checks: Sequence[Check]) -> tuple[n
     Returns:
         (k,) deviations and (k, k) covariance, µm, µrad and µm/m.
     """
-    value = np.array([one.level for one in findings])
-    found = np.zeros((len(findings), len(findings)))
+    value = np.array([finding.level for finding in findings])
+    shifts = np.zeros((len(findings), len(findings)))
     for i, one in enumerate(findings):
         for j, other in enumerate(findings):
             common = [
                 checks[c].covariance[checks[c].errors.index(one.series.name), checks[c].errors.index(other.series.name)]
                 for c in np.intersect1d(one.series.checks, other.series.checks)
             ]
-            found[i, j] = float(np.mean(common)) if common else 0.0
+            shifts[i, j] = float(np.mean(common)) if common else 0.0
         own = float(np.mean(one.series.u**2))
         between = max(one.repeatability**2 - own, 0.0) if np.isfinite(one.repeatability) else 0.0
         apart = np.abs(np.subtract.outer(np.arange(len(one.weights)), np.arange(len(one.weights))))
-        found[i, i] += between * float(one.weights @ one.series.correlation**apart @ one.weights)
-    return value, _positive(found)
+        shifts[i, i] += between * float(one.weights @ one.series.correlation**apart @ one.weights)
+    return value, _positive(shifts)
 
 
 def remaining_error(

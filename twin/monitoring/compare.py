@@ -94,7 +94,7 @@ def compare(
     tool = at_tool(
         sides[0], sides[1], known, tool_length_mm=tool_length_mm, conditions=at, poses=poses, progress=progress
     )
-    found = Changes(
+    changes = Changes(
         machine=first.machine,
         warnings=merge_warnings(first.warnings, second.warnings),
         first=named[0],
@@ -111,7 +111,7 @@ def compare(
         notices=(*notices, datum, *_notices(first, second, pairs, not_compared)),
     )
     progress("comparing", 1.0)
-    return replace(found, meaning=meaning_of(found))
+    return replace(changes, meaning=meaning_of(changes))
 
 
 def _errors_at_tool(
@@ -276,28 +276,29 @@ def _joint_change(pairs: Sequence[Pair], first: Calibration, second: Calibration
     exact = scipy.linalg.block_diag(*(pair.exact for pair in pairs))
     white = whiten(change, joint_covariance(pairs, (first.covariance, second.covariance)), exact)
     axes = first.machine.by_name
-    found = smallest_set(pairs, white, [axes[pair.axis].linear for pair in pairs])
+    joint = smallest_set(pairs, white, [axes[pair.axis].linear for pair in pairs])
     errors = []
-    for one in found.culprits:
-        p = min(one.p_value * found.tried, 1.0)
+    for culprit in joint.culprits:
+        p = min(culprit.p_value * joint.tried, 1.0)
         errors.append(
             replace(
-                _change(pairs[one.pair], one.change, one.covariance),
-                p_value=one.p_value,
+                _change(pairs[culprit.pair], culprit.change, culprit.covariance),
+                p_value=culprit.p_value,
                 p_adjusted=p,
                 without_variance=0.0,
             )
         )
     culprits = Culprits(
         tuple(errors),
-        tuple(tuple(pairs[i].name for i in one.alternatives) for one in found.culprits),
+        tuple(tuple(pairs[i].name for i in culprit.alternatives) for culprit in joint.culprits),
         tuple(
-            _shape_of(pairs[one.pair], one.change, linear=axes[pairs[one.pair].axis].linear) for one in found.culprits
+            _shape_of(pairs[culprit.pair], culprit.change, linear=axes[pairs[culprit.pair].axis].linear)
+            for culprit in joint.culprits
         ),
-        found.left_p_value,
+        joint.left_p_value,
         tuple(
             (pair.name, size, pair.unit)
-            for pair, size in zip(pairs, found.shows_from, strict=True)
+            for pair, size in zip(pairs, joint.shows_from, strict=True)
             if pair.kind == "number" and np.isfinite(size)
         ),
     )
@@ -308,8 +309,8 @@ def _joint_change(pairs: Sequence[Pair], first: Calibration, second: Calibration
     ]
     effects = {effect.name: effect for effect in second.effects}
     causes = {
-        pairs[one.pair].name: _as_effect(pairs[one.pair], one.change, effects[pairs[one.pair].name])
-        for one in found.culprits
+        pairs[culprit.pair].name: _as_effect(pairs[culprit.pair], culprit.change, effects[pairs[culprit.pair].name])
+        for culprit in joint.culprits
     }
     return _JointChange(white.p_value, white.rank, culprits, tuple(still), causes)
 
@@ -393,22 +394,22 @@ def _shape_of(pair: Pair, change: np.ndarray, *, linear: bool) -> str:
 def _notices(
     first: Calibration, second: Calibration, pairs: Sequence[Pair], not_compared: Sequence[NotCompared]
 ) -> list[str]:
-    found = []
+    notices = []
     drawn = [name for side in (first, second) for name, curve in side.curves.items() if curve.illustrative]
     if drawn:
-        found.append(
+        notices.append(
             f"illustrative curves, not measured, in one or both: {', '.join(dict.fromkeys(drawn))}. Their change is not of a "
             "real machine"
         )
     same = [pair.name for pair in pairs if pair.status == "same"]
     if same and len(same) < len(pairs) + len(not_compared):
-        found.append(
+        notices.append(
             f"identical numbers in both, taken as one estimate: {', '.join(same)}. If one file was made from the other, their "
             "remaining common parts are still taken as independent, and the uncertainty of the change is too large"
         )
     if any(pair.status == "known" for pair in pairs):
-        found.append(
+        notices.append(
             "the calibrations are taken as independent and their uncertainties as stated: a misfit reported by `twin identify` is in "
             "no covariance"
         )
-    return found
+    return notices

@@ -83,8 +83,8 @@ class ErrorChange:
     def to_dict(self) -> dict[str, Any]:
         """Return the entry of the JSON; null for unknown values."""
         renamed = {"name": "error", "iso_class": "class", "label": "number", "band": "band95"}
-        found = json_form(self, rename=renamed, leave_out=("without_variance", "notes"))
-        return found | {
+        entry = json_form(self, rename=renamed, leave_out=("without_variance", "notes"))
+        return entry | {
             "number": self.label or None,
             "significant": self.significant,
             "without_uncertainty": self.without_variance,
@@ -159,18 +159,18 @@ class Changes(DisplayedResult):
     @cached_property
     def seen_by(self) -> tuple[str, ...]:
         """Return which of the four tests detect a change: ``all together``, ``error by error``, ``fewest errors``, ``tool``."""
-        found = []
+        seen = []
         if self.joint_p_value <= FALSE_ALARMS_OF_A_TEST:
-            found.append("all together")
+            seen.append("all together")
         if any(error.significant for error in self.errors):
-            found.append("error by error")
+            seen.append("error by error")
         if self.culprits.errors:
-            found.append("fewest errors")
+            seen.append("fewest errors")
         if self.tool.judged is not None:
             rows = (self.tool.judged, *self.tool.by_class.values())
             if any(row.rms_um > row.limit_um for row in rows):
-                found.append("tool")
-        return tuple(found)
+                seen.append("tool")
+        return tuple(seen)
 
     @property
     def verdict(self) -> Verdict:

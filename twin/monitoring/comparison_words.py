@@ -338,7 +338,7 @@ def _verdict(found: Changes) -> list[str]:
         "unknown": "UNKNOWN",
     }[found.verdict]
     lines = [f"{found.machine.name}: {found.second} less {found.first}", ""]
-    lines += [f"{one.title} (one or both): {one.sentence}" for one in found.warnings]
+    lines += [f"{warning.title} (one or both): {warning.sentence}" for warning in found.warnings]
     lines += ["", head] if found.warnings else [head]
     for sentence in found.meaning:
         lines += wrap(sentence, WIDTH, initial_indent="  ", subsequent_indent="    ")

@@ -199,7 +199,9 @@ def not_identified(first: Calibration, second: Calibration) -> tuple[NotCompared
     An error that one of them contains is listed by `pair_errors`.
     """
     given = {effect.name for side in (first, second) for effect in side.effects}
-    reasons = {one.name: one.why for side in (first, second) for one in side.not_identifiable if one.name not in given}
+    reasons = {
+        error.name: error.why for side in (first, second) for error in side.not_identifiable if error.name not in given
+    }
     return tuple(NotCompared(name, "both", why, float("nan"), unit_of(name)) for name, why in reasons.items())
 
 
@@ -443,12 +445,12 @@ def whiten(change: np.ndarray, covariance: np.ndarray, exact: np.ndarray | None 
 def holm_adjusted(p_values: Sequence[float]) -> list[float]:
     """Return p-values corrected for multiple testing (Holm 1979)."""
     order = np.argsort(p_values, kind="stable")
-    found = [1.0] * len(p_values)
+    holm_adjusted = [1.0] * len(p_values)
     largest = 0.0
     for place, i in enumerate(order):
         largest = max(largest, min((len(p_values) - place) * p_values[i], 1.0))
-        found[i] = largest
-    return found
+        holm_adjusted[i] = largest
+    return holm_adjusted
 
 
 def simultaneous_factor(shape: np.ndarray, covariance: np.ndarray) -> float:
@@ -546,16 +548,16 @@ def smallest_set(pairs: Sequence[Pair], white: Whitened, linear: Sequence[bool])
     freedom = len(white.value) - basis.shape[1]
     order = sorted(search.chosen, key=lambda i: search.beside_others(i)[0])
     shows = np.full(len(pairs), np.nan)
-    for one in candidates:
-        if len(pairs[one.pair].change) == 1:
-            u = float(np.abs(one.directions[0, 0]))
-            shows[one.pair] = u * (normal_isf(level / 2.0) + normal_isf(0.05))
+    for candidate in candidates:
+        if len(pairs[candidate.pair].change) == 1:
+            u = float(np.abs(candidate.directions[0, 0]))
+            shows[candidate.pair] = u * (normal_isf(level / 2.0) + normal_isf(0.05))
     left_p = float(chi2_sf(left, freedom)) if freedom else 1.0
     return SmallestSet(tuple(map(search.culprit, order)), left_p, len(candidates), tuple(shows.tolist()))
 
 
 def _candidates(pairs: Sequence[Pair], white: Whitened, linear: Sequence[bool]) -> list[ChangeCandidate]:
-    found: list[ChangeCandidate] = []
+    candidates: list[ChangeCandidate] = []
     start = 0
     for i, (pair, straight) in enumerate(zip(pairs, linear, strict=True)):
         rows = slice(start, start + len(pair.change))
@@ -574,12 +576,12 @@ def _candidates(pairs: Sequence[Pair], white: Whitened, linear: Sequence[bool]) 
             left, size, right = np.linalg.svd(columns, full_matrices=False)
             keep = size > DEPENDENT_SHARE * size.max(initial=0.0) if size.size else np.zeros(0, dtype=bool)
             if np.any(keep):
-                found.append(
+                candidates.append(
                     ChangeCandidate(
                         i, whole, read_only(directions @ right[keep].T / size[keep]), read_only(left[:, keep])
                     )
                 )
-    return found
+    return candidates
 
 
 @final
@@ -660,7 +662,7 @@ class _Search:
                 self.chosen[place] = best
 
     def _gains(self, basis: np.ndarray) -> list[tuple[float, float, int]]:
-        return [self._gain(one, basis) for one in self.candidates]
+        return [self._gain(candidate, basis) for candidate in self.candidates]
 
     def _gain(self, one: ChangeCandidate, basis: np.ndarray) -> tuple[float, float, int]:
         """Return log p-value, χ² gain and degrees of freedom of one candidate given a basis."""

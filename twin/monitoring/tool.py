@@ -201,12 +201,12 @@ class _CommonPoses:
 
     def displacement_by_error(self) -> dict[str, np.ndarray]:
         """Return the (n, 3) displacement of the tool point in µm due to the change of each error, by name, to first order."""
-        found: dict[str, np.ndarray] = {}
+        displacement_by_error: dict[str, np.ndarray] = {}
         for sign, side in ((-1.0, self.first), (1.0, self.second)):
             for effect in side.effects:
                 own = sign * self.displacement_of(effect.frame, effect.components(self.state))
-                found[effect.name] = found.get(effect.name, 0.0) + own
-        return found
+                displacement_by_error[effect.name] = displacement_by_error.get(effect.name, 0.0) + own
+        return displacement_by_error
 
     def place(self, row: int) -> dict[str, float]:
         return dict(zip(self.first.machine.names, self.q[row].tolist(), strict=True))

@@ -130,18 +130,18 @@ def watch(
     if not checks:
         raise InputError("no check in the folder", expected="measurement tables (.csv)", file=folder)
     progress("comparing", 0.8)
-    found = _compared(checks, machine, settings, progress)
-    found = replace(
-        found,
+    compared = _compared(checks, machine, settings, progress)
+    compared = replace(
+        compared,
         folder=folder,
         memory=memory,
         calibration=key.calibration,
         news=_news(new, known),
         statements=known.statements,
         notices=(*_file_notices(files, ignored, known, new), *_check_notices(checks)),
-        warnings=merge_warnings(calibration.warnings, found.warnings),
+        warnings=merge_warnings(calibration.warnings, compared.warnings),
     )
-    return _remembered(found, key, new, looked)
+    return _remembered(compared, key, new, looked)
 
 
 def _compared(checks: tuple[Check, ...], machine: Machine, settings: WatchSettings, progress: Progress) -> Watch:
@@ -174,7 +174,7 @@ def _compared(checks: tuple[Check, ...], machine: Machine, settings: WatchSettin
         news=(),
         statements=(),
         notices=(),
-        warnings=(SIMULATED,) if any(one.simulated for one in checks) else (),
+        warnings=(SIMULATED,) if any(check.simulated for check in checks) else (),
     )
 
 
@@ -207,9 +207,9 @@ def _new_checks(
     progress: Progress,
 ) -> list[Check]:
     """Return the checks that were not read before; copies of others are left out."""
-    names, digests = {one.name for one in known.checks}, {one.sha256 for one in known.checks}
+    names, digests = {check.name for check in known.checks}, {check.sha256 for check in known.checks}
     unread = [file for file in files if file.name not in names]
-    found: list[Check] = []
+    new_checks: list[Check] = []
     for i, file in enumerate(unread):
         progress("reading", 0.8 * i / len(unread))
         if file.sha256 in digests:
@@ -217,9 +217,9 @@ def _new_checks(
         dated = date_of(file, settings.dates)
         if settings.since is not None and dated[0] < settings.since:
             continue
-        found.append(read_check(file, dated, machine, calibration, datetime.fromisoformat(looked)))
+        new_checks.append(read_check(file, dated, machine, calibration, datetime.fromisoformat(looked)))
         digests.add(file.sha256)
-    return found
+    return new_checks
 
 
 def _watched_errors(checks: Sequence[Check], limit: float) -> tuple[WatchedError, ...]:
@@ -261,12 +261,12 @@ def _news(new: Sequence[Check], known: Remembered) -> tuple[str, ...]:
     if not new:
         return ()
     late = [one.name for one in new if known.checks and one.date < max(old.date for old in known.checks)]
-    found = [f"read: {count_with_noun(len(new), 'new file')}"]
+    news = [f"read: {count_with_noun(len(new), 'new file')}"]
     if late:
-        found.append(
+        news.append(
             f"older than checks that were read before: {', '.join(late)}; the history was computed anew with them"
         )
-    return tuple(found)
+    return tuple(news)
 
 
 def _file_notices(
@@ -274,14 +274,14 @@ def _file_notices(
 ) -> list[str]:
     """Return what is unusual about the files: changed, vanished, copied or ignored, and watches with other settings."""
     by_name = {file.name: file.sha256 for file in files}
-    found = []
+    file_notices = []
     for check in known.checks:
         if check.name not in by_name:
-            found.append(
+            file_notices.append(
                 f"{check.name} is no longer in the folder since it was read on {check.read_at}; what was read is still used"
             )
         elif by_name[check.name] != check.sha256:
-            found.append(
+            file_notices.append(
                 f"{check.name} CHANGED since it was read on {check.read_at}; what was read then is still used. To use the new content, "
                 "save it under another name and date, or remove the memory file and begin a new watch"
             )
@@ -291,16 +291,16 @@ def _file_notices(
         f"{name} (of {owner[digest]})" for name, digest in by_name.items() if name not in read and digest in owner
     ]
     if copies:
-        found.append(f"copies of other files, not counted twice: {', '.join(copies)}")
+        file_notices.append(f"copies of other files, not counted twice: {', '.join(copies)}")
     if ignored:
-        found.append(f"not measurement tables (.csv), ignored: {count_with_noun(len(ignored), 'file')}")
+        file_notices.append(f"not measurement tables (.csv), ignored: {count_with_noun(len(ignored), 'file')}")
     if known.others:
-        found.append(
+        file_notices.append(
             f"the memory holds {count_with_noun(known.others, 'other watch')[: None if known.others == 1 else -1]}"
             f"{'' if known.others == 1 else 'es'} of this folder, with another calibration, first day or alarm rate; each watch has an "
             "alarm rate of its own"
         )
-    return found
+    return file_notices
 
 
 def _check_notices(checks: Sequence[Check]) -> list[str]:

@@ -42,7 +42,7 @@ def error_in_words(name: str) -> str:
 
 def headline(watch: Watch) -> str:
     """Return the verdict in one sentence."""
-    changed = [one for one in watch.alarms if one.verdict == "changed"]
+    changed = [alarm for alarm in watch.alarms if alarm.verdict == "changed"]
     if changed:
         names = listed([one.series.name for one in changed])
         first = changed[0].change
@@ -51,8 +51,8 @@ def headline(watch: Watch) -> str:
             return f"The machine changed between {days}: {names}"
         return f"The machine changed: {names}"
     if watch.alarms:
-        names = listed([one.series.name for one in watch.alarms])
-        if all(less_likely(one) for one in watch.alarms):
+        names = listed([alarm.series.name for alarm in watch.alarms])
+        if all(less_likely(alarm) for alarm in watch.alarms):
             return f"{names} changed; temperature as the cause is not yet excluded"
         return (
             f"{names} changed or follow{'s' if len(watch.alarms) == 1 else ''} a temperature: these checks cannot tell"
@@ -64,22 +64,22 @@ def headline(watch: Watch) -> str:
 
 def sentences(watch: Watch) -> list[str]:
     """Return the verdict's details: each alarm, what follows a temperature, and the calibration's state."""
-    found = [_alarm(watch, one) for one in watch.alarms]
-    found += [_following(one) for one in watch.following]
-    if not found:
+    texts = [_alarm(watch, alarm) for alarm in watch.alarms]
+    texts += [_following(one) for one in watch.following]
+    if not texts:
         first = f"{count_with_noun(len(watch.checks), 'check')} of {count_with_noun(len(watch.errors), 'error')} show no change"
         span = (
             f" from {watch.checks[0].date:%Y-%m-%d} to {watch.checks[-1].date:%Y-%m-%d}"
             if len(watch.checks) > 1
             else ""
         )
-        found = [f"{first}{span}."]
+        texts = [f"{first}{span}."]
     if len(watch.checks) < FEW_CHECKS:
-        found.append(
+        texts.append(
             f"With {count_with_noun(len(watch.checks), 'check')} the repeatability is hardly known: only from about "
             f"{FEW_CHECKS} checks on can a change be found."
         )
-    return [*found, *calibration_sentences(watch)]
+    return [*texts, *calibration_sentences(watch)]
 
 
 def _alarm(watch: Watch, found: WatchedError) -> str:
@@ -106,7 +106,7 @@ def _alarm(watch: Watch, found: WatchedError) -> str:
         sensor = found.temperatures[0].sensor
         return f"{what}. T_{sensor} as its cause is less likely, but not yet excluded. Check again soon."
     if found.verdict == "undecided":
-        sensors = listed([f"T_{one.sensor}" for one in found.temperatures])
+        sensors = listed([f"T_{temperature.sensor}" for temperature in found.temperatures])
         return (
             f"{what}; or it follows {sensors} with {_coefficient(found.temperatures[0], series.unit)}: time and temperature changed "
             "together. Check again at another temperature."
@@ -118,7 +118,7 @@ def _alarm(watch: Watch, found: WatchedError) -> str:
 
 def less_likely(found: WatchedError) -> bool:
     """Return whether every temperature is a less likely cause of an alarm than a change, by `BETTER_LIKELIHOOD_RATIO`."""
-    return all(one.log_ratio <= -np.log(BETTER_LIKELIHOOD_RATIO) for one in found.temperatures)
+    return all(temperature.log_ratio <= -np.log(BETTER_LIKELIHOOD_RATIO) for temperature in found.temperatures)
 
 
 def _following(found: WatchedError) -> str:
@@ -129,7 +129,7 @@ def _following(found: WatchedError) -> str:
         "an influence of temperature, not a change of the machine"
     )
     if others:
-        text += f"; {listed([f'T_{one.sensor}' for one in others])} would explain it about as well"
+        text += f"; {listed([f'T_{other.sensor}' for other in others])} would explain it about as well"
     return f"{text}."
 
 
@@ -163,20 +163,20 @@ def calibration_sentences(watch: Watch) -> list[str]:
 
 def rows_of(watch: Watch) -> list[tuple[str, ...]]:
     """Return the table of errors: error, words, deviation now, repeatability, instrument, verdict."""
-    found: list[tuple[str, ...]] = []
-    for one in watch.errors:
-        unit = readable(one.series.unit)
-        found.append(
+    rows: list[tuple[str, ...]] = []
+    for error in watch.errors:
+        unit = readable(error.series.unit)
+        rows.append(
             (
-                one.series.name,
-                error_in_words(one.series.name),
-                figure(one.level, unit),
-                figure(one.repeatability, unit),
-                figure(float(np.mean(one.series.u)), unit),
-                one.verdict,
+                error.series.name,
+                error_in_words(error.series.name),
+                figure(error.level, unit),
+                figure(error.repeatability, unit),
+                figure(float(np.mean(error.series.u)), unit),
+                error.verdict,
             )
         )
-    return found
+    return rows
 
 
 HEADS: Final = ("error", "", "deviation now", "repeatability (1 s)", "instrument (k = 1)", "verdict")
@@ -191,20 +191,22 @@ def unseen(watch: Watch) -> list[str]:
 
 def rate_sentences(watch: Watch) -> list[str]:
     """Return how the alarm rate is held."""
-    found = [
+    rate_sentences = [
         f"An unchanged machine gives an alarm with a probability of at most {watch.alarm_rate * 100:g} %, whatever the number of "
         f"checks and looks; {watch.spent * 100:.2g} % of it belongs to changes until the last check. It is divided over "
         f"{count_with_noun(watch.errors_watched, 'error')} and two tests, one of them with temperatures as a possible cause.",
         "The repeatability is the standard deviation between checks, set-up included, estimated from the checks.",
     ]
     if watch.correlation >= SHOWN_CORRELATION:
-        found.append(
+        rate_sentences.append(
             f"The deviations are correlated from check to check by {watch.correlation:.1f} (estimated from all errors). This is "
             "allowed for: slow variations are less evidence of a change."
         )
     if watch.remaining is not None:
-        found.append("The error at the tool contains the deviations of the errors watched, and no other errors.")
-    return found
+        rate_sentences.append(
+            "The error at the tool contains the deviations of the errors watched, and no other errors."
+        )
+    return rate_sentences
 
 
 def watch_text(watch: Watch) -> str:
@@ -309,7 +311,10 @@ def watch_html(watch: Watch) -> str:
         unseen=unseen(watch),
         notes=rate_sentences(watch),
         band=BAND,
-        said=[(one.said_at, one.checks, one.text.splitlines()[0]) for one in reversed(watch.statements)],
+        said=[
+            (statement.said_at, statement.checks, statement.text.splitlines()[0])
+            for statement in reversed(watch.statements)
+        ],
         chi2=lambda check: f"{check.reduced_chi2:.2g}" if np.isfinite(check.reduced_chi2) else "",
     )
 

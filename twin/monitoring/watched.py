@@ -280,7 +280,7 @@ class Watch(DisplayedResult):
     @property
     def verdict(self) -> Verdict:
         """Whether an error of the machine changed; ``undecided`` if a temperature could explain every alarm."""
-        verdicts = {one.verdict for one in self.errors}
+        verdicts = {error.verdict for error in self.errors}
         return "changed" if "changed" in verdicts else "undecided" if "undecided" in verdicts else "steady"
 
     @property
@@ -303,7 +303,7 @@ class Watch(DisplayedResult):
     @property
     def alarms(self) -> tuple[WatchedError, ...]:
         """The findings that are alarms, changes first, then by date."""
-        found = [one for one in self.errors if one.alarming]
+        found = [error for error in self.errors if error.alarming]
         return tuple(
             sorted(found, key=lambda one: (one.verdict != "changed", one.change.day if one.change else np.inf))
         )
@@ -311,7 +311,7 @@ class Watch(DisplayedResult):
     @property
     def following(self) -> tuple[WatchedError, ...]:
         """The errors that follow a temperature."""
-        return tuple(one for one in self.errors if one.verdict == "follows temperature")
+        return tuple(error for error in self.errors if error.verdict == "follows temperature")
 
     def named(self, name: str) -> WatchedError:
         """Return the finding of an error.
@@ -319,9 +319,9 @@ class Watch(DisplayedResult):
         Raises:
             KeyError: no check determines it.
         """
-        for one in self.errors:
-            if one.series.name == name:
-                return one
+        for error in self.errors:
+            if error.series.name == name:
+                return error
         raise KeyError(name)
 
     @property
@@ -339,8 +339,13 @@ class Watch(DisplayedResult):
     def display(self) -> Display:
         """Return verdict and all errors."""
         rows = [
-            (one.series.name, figure(one.level, readable(one.series.unit)), figure(one.repeatability), one.verdict)
-            for one in self.errors
+            (
+                error.series.name,
+                figure(error.level, readable(error.series.unit)),
+                figure(error.repeatability),
+                error.verdict,
+            )
+            for error in self.errors
         ]
         good = {True: "still good", False: "no longer good", None: "undecided"}[self.good]
         facts = [
@@ -374,14 +379,14 @@ class Watch(DisplayedResult):
                 "prior_variances": list(PRIOR_VARIANCES),
                 "correlation": self.correlation,
             },
-            "errors": [_finding(one, self.checks) for one in self.errors],
+            "errors": [_finding(error, self.checks) for error in self.errors],
             "not_determined": list(self.not_determined),
             "tolerance": None
             if self.remaining is None
             else {"mm": self.tolerance_mm, "good": self.good, "remaining": json_form(self.remaining)},
-            "checks": [_check(one) for one in self.checks],
+            "checks": [_check(check) for check in self.checks],
             "news": list(self.news),
-            "statements": [json_form(one) for one in self.statements],
+            "statements": [json_form(statement) for statement in self.statements],
             "notices": list(self.notices),
         }
 
@@ -395,8 +400,8 @@ def _finding(found: WatchedError, checks: tuple[Check, ...]) -> dict[str, Any]:
         "alarm": None if found.alarm is None else checks[int(series.checks[found.alarm])].name,
         "change": None if change is None or not found.alarming else _change(change),
         "temperatures": [
-            {"sensor": one.sensor, "per_kelvin": one.per_kelvin, "U95": json_form(one.expanded)}
-            for one in found.temperatures
+            {"sensor": temperature.sensor, "per_kelvin": temperature.per_kelvin, "U95": json_form(temperature.expanded)}
+            for temperature in found.temperatures
         ],
         "deviation_now": json_form(found.level),
         "repeatability": json_form(found.repeatability),

@@ -84,8 +84,8 @@ def read_program(path: str | Path) -> tuple[Program, Dialect]:
         >>> dialect.name, len(program.texts)
         ('iso', 375)
     """
-    found = find_program(path)
-    data = read_bytes(found, most_bytes=MAX_TEXT_BYTES)
-    _check_size(found, LINE_BYTES * (1 + max(data.count(b"\n"), data.count(b"\r"))))
-    dialect = dialect_for(found, data)
-    return dialect.expanded(dialect.read(data, str(found)), found.parent), dialect
+    source = find_program(path)
+    data = read_bytes(source, most_bytes=MAX_TEXT_BYTES)
+    _check_size(source, LINE_BYTES * (1 + max(data.count(b"\n"), data.count(b"\r"))))
+    dialect = dialect_for(source, data)
+    return dialect.expanded(dialect.read(data, str(source)), source.parent), dialect

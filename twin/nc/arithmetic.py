@@ -90,11 +90,11 @@ class _Parser:
         at = 0
         text = text.rstrip()
         while at < len(text):
-            found = _TOKEN.match(text, at)
-            if found is None or found.lastgroup is None:
+            match = _TOKEN.match(text, at)
+            if match is None or match.lastgroup is None:
                 raise ValueError(text)
-            self._tokens.append((found.lastgroup, found[found.lastgroup].upper()))
-            at = found.end()
+            self._tokens.append((match.lastgroup, match[match.lastgroup].upper()))
+            at = match.end()
         self._at = 0
 
     @property
@@ -107,11 +107,11 @@ class _Parser:
 
     def _take(self, *wanted: str) -> str:
         """Read the next token if it is one of some; return it, or an empty text."""
-        found = self._next()
-        if found not in wanted:
+        token = self._next()
+        if token not in wanted:
             return ""
         self._at += 1
-        return found
+        return token
 
     def sum(self) -> float:
         """Return a sum of products."""

@@ -479,9 +479,9 @@ class MoveColumns(MadeOnAccess[Move]):
     @property
     def passes(self) -> np.ndarray:
         """(n,) whether the move passes through unchanged: machine coordinates, or words of unknown meaning."""
-        found = np.zeros(len(self), dtype=bool)
-        found[[index for index, move in self.special.items() if move.passes]] = True
-        return found
+        passes = np.zeros(len(self), dtype=bool)
+        passes[[index for index, move in self.special.items() if move.passes]] = True
+        return passes
 
     def part(self, first: int, last: int) -> MoveColumns:
         """Return the moves from one index up to, but excluding, another."""

@@ -112,15 +112,15 @@ class Inliner(ABC):
         likely = [i for i, text in enumerate(self.program.texts) if self.likely(text)]
         if not any(self.call(self.lines[i]) for i in likely):
             return self.program
-        found: list[tuple[str, Origin]] = []
+        lines: list[tuple[str, Origin]] = []
         for line in self.main():
-            found += ((one.text, Origin(one.file, one.number, line.number)) for one in self._written(line, 0))
+            lines += ((one.text, Origin(one.file, one.number, line.number)) for one in self._written(line, 0))
         if not self._found:
             return self.program
         origins = tuple(
-            replace(origin, main=origin.line) if origin.file == self.program.source else origin for _, origin in found
+            replace(origin, main=origin.line) if origin.file == self.program.source else origin for _, origin in lines
         )
-        return replace(self.program, texts=tuple(text for text, _ in found), origins=origins)
+        return replace(self.program, texts=tuple(text for text, _ in lines), origins=origins)
 
     def _written(self, line: Line, depth: int) -> Iterator[Line]:
         """Yield a line, or the lines of the subprogram that it calls."""

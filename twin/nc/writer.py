@@ -81,7 +81,7 @@ class OutputState:
             inch: whether the program is in inches.
         """
         grids = self._grids[inch]
-        found = []
+        axes_to_write = []
         for axis, target in enumerate(row):
             said = self.value[axis]
             if target != target or written >> axis & 1 or (target == said and not self.stale[axis]):
@@ -90,8 +90,8 @@ class OutputState:
                 scale = grids[axis].step * grids[axis].unit
                 if round(target / scale) == round(said / scale):
                     continue
-            found.append(axis)
-        return found
+            axes_to_write.append(axis)
+        return axes_to_write
 
     def mark_unknown(self, which: Iterable[int]) -> None:
         """Mark axes as unknown."""

@@ -80,10 +80,10 @@ class Functions:
         """(count,) largest magnitude over all points, or the bound."""
         if self._bound is not None:
             return np.full(self.count, self._bound)
-        found = np.zeros(self.count)
+        largest = np.zeros(self.count)
         for rows in pieces(self.points):
-            np.maximum(found, np.abs(self.values(rows)).max(axis=0, initial=0.0), out=found)
-        return found
+            np.maximum(largest, np.abs(self.values(rows)).max(axis=0, initial=0.0), out=largest)
+        return largest
 
 
 def pieces(points: int, size: int = PIECE) -> list[slice]:
@@ -122,8 +122,8 @@ def cached_in_state(state: Mapping[str, Any], key: Hashable, make: Callable[[], 
         return make()
     if key not in state.known:
         state.known[key] = make()
-    found: T = state.known[key]
-    return found
+    cached_in_state: T = state.known[key]
+    return cached_in_state
 
 
 @final
@@ -268,12 +268,12 @@ def _recursion(decay: np.ndarray, driven: np.ndarray, first: float) -> np.ndarra
     rate = np.minimum(-np.log(np.maximum(decay, 1e-300)), LARGEST_DECAY)
     block = (np.cumsum(rate) / LARGEST_DECAY).astype(int)
     starts = [0, *(np.flatnonzero(np.diff(block)) + 1).tolist(), len(decay)]
-    found, last = np.empty(len(decay)), first
+    recursion, last = np.empty(len(decay)), first
     for start, end in pairwise(starts):
         factor = np.cumprod(np.exp(-rate[start:end]))
-        found[start:end] = factor * (last + np.cumsum(driven[start:end] / factor))
-        last = float(found[end - 1]) if end > start else last
-    return found
+        recursion[start:end] = factor * (last + np.cumsum(driven[start:end] / factor))
+        last = float(recursion[end - 1]) if end > start else last
+    return recursion
 
 
 # --- Sines and cosines of many frequencies along an axis, and the highest frequency that the measured positions resolve

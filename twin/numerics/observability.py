@@ -259,7 +259,7 @@ class Determinability:
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the unknowns, in their order."""
-        return tuple(one.name for one in self.unknowns)
+        return tuple(unknown.name for unknown in self.unknowns)
 
     @property
     def rank(self) -> int:
@@ -274,7 +274,7 @@ class Determinability:
     @property
     def reach(self) -> np.ndarray:
         """(p,) prior standard deviation of each unknown within the null space, in its stated unit."""
-        return np.asarray(self.spectrum.reach / np.array([one.factor for one in self.unknowns]))
+        return np.asarray(self.spectrum.reach / np.array([unknown.factor for unknown in self.unknowns]))
 
     @property
     def remaining_variance(self) -> np.ndarray:
@@ -290,7 +290,7 @@ class Determinability:
     def u(self) -> np.ndarray:
         """(p,) standard uncertainties in the stated units, from the data alone; NaN where an unknown is not determined."""
         own = np.sqrt(np.diag(self.spectrum.covariance(null_space=False)))
-        return np.where(self.determined, own / np.array([one.factor for one in self.unknowns]), np.nan)
+        return np.where(self.determined, own / np.array([unknown.factor for unknown in self.unknowns]), np.nan)
 
     @property
     def observability(self) -> Observability:
@@ -386,7 +386,7 @@ def determinability(
         InputError: columns that do not match, a derivative that is not finite, a plausible size or tolerance that is not positive, a
             name twice.
     """
-    names = [one.name for one in unknowns]
+    names = [unknown.name for unknown in unknowns]
     matrix = np.asarray(jacobian, dtype=float)
     if matrix.ndim != 2 or matrix.shape[1] != len(names):
         raise InputError(
@@ -403,12 +403,14 @@ def determinability(
         )
     if not tolerance > 0.0:
         raise InputError("tolerance must be positive", expected="a singular value above zero", value=tolerance)
-    for one in unknowns:
-        if not (0.0 < one.plausible < np.inf and 0.0 < one.factor < np.inf):
+    for unknown in unknowns:
+        if not (0.0 < unknown.plausible < np.inf and 0.0 < unknown.factor < np.inf):
             raise InputError(
-                f"plausible size of {one.name} must be positive", expected=f"a size in {one.unit}", value=one.plausible
+                f"plausible size of {unknown.name} must be positive",
+                expected=f"a size in {unknown.unit}",
+                value=unknown.plausible,
             )
-    scale = np.array([one.plausible * one.factor for one in unknowns])
+    scale = np.array([unknown.plausible * unknown.factor for unknown in unknowns])
     scaled = matrix * scale
     if len(scaled) > scaled.shape[1]:
         scaled = np.linalg.qr(scaled, mode="r")
@@ -427,6 +429,6 @@ def _reduced_basis(basis: np.ndarray) -> np.ndarray:
         rows.append(first_largest(np.linalg.norm(remainder, axis=1)))
         along = remainder[rows[-1]] / np.linalg.norm(remainder[rows[-1]])
         remainder = remainder - np.outer(remainder @ along, along)
-    found = np.linalg.solve(basis[rows].T, basis.T).T
-    found[rows] = np.eye(len(rows))
-    return np.asarray(found)
+    reduced_basis = np.linalg.solve(basis[rows].T, basis.T).T
+    reduced_basis[rows] = np.eye(len(rows))
+    return np.asarray(reduced_basis)

@@ -143,11 +143,11 @@ def tilt(axis: Any) -> np.ndarray:
 
 def cross_matrix(vectors: np.ndarray) -> np.ndarray:
     """Return the matrices (n, 3, 3) of the cross product ``v ×`` of (n, 3) vectors."""
-    found = np.zeros((len(vectors), 3, 3))
+    cross_matrix = np.zeros((len(vectors), 3, 3))
     x, y, z = vectors.T
-    found[:, 0, 1], found[:, 0, 2], found[:, 1, 2] = -z, y, -x
-    found[:, 1, 0], found[:, 2, 0], found[:, 2, 1] = z, -y, x
-    return found
+    cross_matrix[:, 0, 1], cross_matrix[:, 0, 2], cross_matrix[:, 1, 2] = -z, y, -x
+    cross_matrix[:, 1, 0], cross_matrix[:, 2, 0], cross_matrix[:, 2, 1] = z, -y, x
+    return cross_matrix
 
 
 def rigid_rates(points: np.ndarray) -> np.ndarray:

@@ -55,7 +55,7 @@ def machine_shapes(machine: Machine) -> list[Shape]:
     Raises:
         InputError: a shape cannot be loaded.
     """
-    found: list[Shape] = []
+    machine_shapes: list[Shape] = []
     for kind in (pin.GeometryType.COLLISION, pin.GeometryType.VISUAL):
         try:
             geometry = pin.buildGeomFromUrdf(machine.model, str(machine.urdf), kind)
@@ -63,10 +63,10 @@ def machine_shapes(machine: Machine) -> list[Shape]:
             raise InputError(
                 "a shape cannot be loaded", expected="shapes whose files exist", file=machine.urdf, value=error
             ) from error
-        found = [Shape(int(o.parentJoint), o.geometry, o.placement) for o in geometry.geometryObjects]
-        if found:
+        machine_shapes = [Shape(int(o.parentJoint), o.geometry, o.placement) for o in geometry.geometryObjects]
+        if machine_shapes:
             break
-    return found
+    return machine_shapes
 
 
 @final
@@ -100,12 +100,12 @@ class Sight:
         """Return the poses (n, 4, 4) of the two carriers in the base frame, metres, at commands (n, axes) in mm and degrees."""
         frames = {"tool": self.machine.tool_frame, "work": self.machine.work_frame}
         data = self.machine.model.createData()
-        found = {side: np.empty((len(positions), 4, 4)) for side in frames}
+        poses = {side: np.empty((len(positions), 4, 4)) for side in frames}
         for i, q in enumerate(positions * self.machine.scale):
             pin.framesForwardKinematics(self.machine.model, data, self.machine.configuration(q))
             for side, frame in frames.items():
-                found[side][i] = data.oMf[frame].homogeneous
-        return found
+                poses[side][i] = data.oMf[frame].homogeneous
+        return poses
 
     def reflectors(self, poses: dict[str, np.ndarray], target: Target) -> np.ndarray:
         """Return the positions (n, 3) of a reflector in the base frame, metres."""
@@ -123,28 +123,28 @@ class Sight:
     def directions(self, plan: Measurements) -> np.ndarray:
         """Return the unit vectors (n, 3) from reflector to station per row, in carrier frames; zero if the kit lacks either."""
         poses = self.poses(plan.positions)
-        found = np.zeros((len(plan), 3))
+        directions = np.zeros((len(plan), 3))
         for station in self.kit.stations:
             for target in self.kit.targets:
                 rows = np.flatnonzero((plan.station == station) & (plan.target == target))
                 if len(rows):
                     of = {side: pose[rows] for side, pose in poses.items()}
-                    found[rows] = self.towards(of, self.kit.targets[target], self.kit.stations[station].origin_mm)
-        return found
+                    directions[rows] = self.towards(of, self.kit.targets[target], self.kit.stations[station].origin_mm)
+        return directions
 
     def visible(self, positions: np.ndarray) -> dict[tuple[str, str], np.ndarray]:
         """Return whether each target is visible (n,) by (station, target), at commands (n, axes) in mm and degrees."""
         poses = self.poses(positions)
         blocked = self._blocked(positions, poses) if self.kit.opaque else {}
-        found = {}
+        visible = {}
         for station, stand in self.kit.stations.items():
             for name, target in self.kit.targets.items():
                 seen = ~blocked.get((station, name), np.zeros(len(positions), dtype=bool))
                 if target.facing is not None:
                     along = self.towards(poses, target, stand.origin_mm) @ np.array(target.facing)
                     seen &= along >= np.cos(target.acceptance_rad)
-                found[station, name] = seen
-        return found
+                visible[station, name] = seen
+        return visible
 
     def _blocked(self, positions: np.ndarray, poses: dict[str, np.ndarray]) -> dict[tuple[str, str], np.ndarray]:
         pairs = [(station, name) for station in self.kit.stations for name in self.kit.targets]
@@ -166,12 +166,12 @@ class Sight:
 
     def _placed(self, positions: np.ndarray, joints: list[int]) -> dict[int, np.ndarray]:
         data = self.machine.model.createData()
-        found = {joint: np.empty((len(positions), 4, 4)) for joint in joints}
+        placed = {joint: np.empty((len(positions), 4, 4)) for joint in joints}
         for i, q in enumerate(positions * self.machine.scale):
             pin.forwardKinematics(self.machine.model, data, self.machine.configuration(q))
             for joint in joints:
-                found[joint][i] = data.oMi[joint].homogeneous
-        return found
+                placed[joint][i] = data.oMi[joint].homogeneous
+        return placed
 
     @cached_property
     def _solids(self) -> list[_Solid]:
@@ -444,7 +444,7 @@ def _safe_poses(machine: Machine, kit: Kit, rng: np.random.Generator, levels: in
         InputError: too few poses have clearance.
     """
     clearance = Clearance(machine, kit)
-    found: list[np.ndarray] = []
+    poses: list[np.ndarray] = []
     low, high = kit.ranges.T
     unlimited = np.array([axis.lower is None for axis in machine.axes])
     for _ in range(BATCHES):
@@ -459,16 +459,16 @@ def _safe_poses(machine: Machine, kit: Kit, rng: np.random.Generator, levels: in
             drawn = low + np.round((drawn - low) / step) * step
             drawn = np.where(unlimited, low + np.mod(drawn - low, high - low), drawn)
         whole = np.clip(np.round(drawn / ROUNDED_TO) * ROUNDED_TO, low, high)
-        found += [pose for pose in whole if clearance.is_clear(pose)]
-        if len(found) >= POSES:
+        poses += [pose for pose in whole if clearance.is_clear(pose)]
+        if len(poses) >= POSES:
             break
-    if len(found) < FEWEST:
+    if len(poses) < FEWEST:
         raise InputError(
             "too few poses keep the tool side clear of the work side",
             expected=f"at least {FEWEST} of {BATCHES * POSES} poses: shorter holders, or narrower `ranges` in the kit",
-            value=len(found),
+            value=len(poses),
         )
-    return np.unique(np.array(found[:POSES]), axis=0)
+    return np.unique(np.array(poses[:POSES]), axis=0)
 
 
 def plan_table(

@@ -43,8 +43,8 @@ def covariance_of(prior: np.ndarray, rows: np.ndarray) -> np.ndarray:
 def inverse(precision: np.ndarray) -> np.ndarray:
     """Return the inverse of a precision, scaled to a unit diagonal first: uncertainties range from metres to micrometres."""
     size = 1.0 / np.sqrt(np.diag(precision))
-    found = np.linalg.inv(precision * size[:, None] * size)
-    return np.asarray((found + found.T) / 2.0 * size[:, None] * size)
+    inverted = np.linalg.inv(precision * size[:, None] * size)
+    return np.asarray((inverted + inverted.T) / 2.0 * size[:, None] * size)
 
 
 @final
@@ -189,8 +189,8 @@ def gains(rows: np.ndarray, covariance: np.ndarray, weight: np.ndarray) -> np.nd
 def _updated(covariance: np.ndarray, row: np.ndarray) -> np.ndarray:
     """Return the covariance after one more reading."""
     spread = covariance @ row.T
-    found = covariance - spread @ np.linalg.solve(row @ spread + np.eye(3), spread.T)
-    return np.asarray((found + found.T) / 2.0)
+    covariance_after = covariance - spread @ np.linalg.solve(row @ spread + np.eye(3), spread.T)
+    return np.asarray((covariance_after + covariance_after.T) / 2.0)
 
 
 # --- Order of the readings, their times, and moves with too little clearance ----------------------
@@ -437,7 +437,9 @@ def fill(task: Task, problems: Sequence[DesignProblem]) -> FilledPlan:
         InputError: the time budget is too short.
     """
     filler = _PlanFiller(task)
-    station_choices = filler.best([one for problem in problems for one in filler.station_choices(problem)])
+    station_choices = filler.best(
+        [station_choice for problem in problems for station_choice in filler.station_choices(problem)]
+    )
     return FilledPlan(tuple(station_choices), filler.fill_time(station_choices[0]))
 
 
@@ -454,7 +456,7 @@ class _PlanFiller:
         Raises:
             InputError: the time budget is too short.
         """
-        found, least = [], math.inf
+        station_choices, least = [], math.inf
         plan = problem.plan
         names = tuple(dict.fromkeys(plan.station))
         order = self.task.rng.permutation(len(plan))
@@ -470,14 +472,16 @@ class _PlanFiller:
                 if points < FEWEST:
                     least = min(least, self._set_up(stations, problem) + FEWEST * each)
                     break
-                found.append(StationChoice(problem, stations, points, problem.value(np.resize(inside, points))))
-        if not found:
+                station_choices.append(
+                    StationChoice(problem, stations, points, problem.value(np.resize(inside, points)))
+                )
+        if not station_choices:
             raise InputError(
                 "the time budget is too short for a measurement",
                 expected=f"{math.ceil(least / 60.0)} minutes or more",
                 value=f"{self.task.minutes:g} minutes",
             )
-        return found
+        return station_choices
 
     def best(self, station_choices: Sequence[StationChoice]) -> list[StationChoice]:
         """Return the best few station choices for every instrument and number of stations, readings chosen; best first."""
@@ -485,15 +489,15 @@ class _PlanFiller:
         for one in sorted(station_choices, key=lambda choice: choice.value):
             kinds.setdefault((one.problem.instrument.name, len(one.stations)), []).append(one)
         tried = [one for kind in kinds.values() for one in kind[:TRIED_OF_A_KIND]]
-        found = []
+        best = []
         for number, one in enumerate(tried):
             self.task.progress("choosing", 0.1 + 0.3 * number / len(tried))
             own = one.problem.from_stations(one.stations)
             cost = np.full(len(own.plan), self.task.kit.seconds.point)
             first = np.random.default_rng(self.task.seed).permutation(len(own.plan))
             choice = Exchange(own.prior, own.rows, cost, own.aim, exchanged=TRIAL_SHARES, among=TRIAL_SAMPLED)
-            found.append(replace(one, value=own.value(choice.choose(one.points, first, one.least))))
-        return sorted(found, key=lambda choice: choice.value)
+            best.append(replace(one, value=own.value(choice.choose(one.points, first, one.least))))
+        return sorted(best, key=lambda choice: choice.value)
 
     def fill_time(self, best: StationChoice) -> Route:
         """Return the plan that fills the time budget; the time per reading is taken from the route through a first plan.

@@ -60,13 +60,13 @@ class Forecast(Result):
         half = model.to_parameters(self.covariance)
         covariance = model.to_parameters(half.T)
         kept = [i for i, column in enumerate(model.unknowns.columns) if column.entity in self.determined]
-        found, _ = model.unknowns.calibration(
+        calibration, _ = model.unknowns.calibration(
             np.zeros(len(model.unknowns)),
             kept,
             "predicted by twin plan: uncertainties only, all values are zero",
             covariance,
         )
-        return found
+        return calibration
 
     @cached_property
     def at_tool(self) -> UncertaintyMap:
@@ -82,18 +82,18 @@ class Forecast(Result):
     @cached_property
     def errors(self) -> Mapping[str, float]:
         """Standard uncertainty by name in µm or µrad, of a curve the largest over its range; without errors not determined."""
-        found: dict[str, float] = {}
+        errors: dict[str, float] = {}
         for name, space in self.model.curves.items():
             if name in self.determined:
                 q = np.linspace(*space.domain, 201)
                 columns = self.model.unknowns.of(name)
                 shape = space.functions(q)[:, space.first : space.count]
                 own = self._of(columns)
-                found[name] = float(np.sqrt(np.einsum("ni,ij,nj->n", shape, own, shape).max()))
+                errors[name] = float(np.sqrt(np.einsum("ni,ij,nj->n", shape, own, shape).max()))
         for name in self.model.unknowns.constants:
             if name in self.determined:
-                found[name] = float(np.sqrt(self._of(self.model.unknowns.of(name))[0, 0]))
-        return found
+                errors[name] = float(np.sqrt(self._of(self.model.unknowns.of(name))[0, 0]))
+        return errors
 
     @property
     def brief(self) -> str:
@@ -170,10 +170,10 @@ class Forecast(Result):
 
     def _by_axis(self, digits: str) -> dict[str, list[str]]:
         """Return every error with its standard uncertainty as text, grouped by axis."""
-        found: dict[str, list[str]] = {}
+        texts: dict[str, list[str]] = {}
         for name, u in self.errors.items():
-            found.setdefault(split_name(name)[2], []).append(f"{name} {u:{digits}} {readable(unit_of(name))}")
-        return found
+            texts.setdefault(split_name(name)[2], []).append(f"{name} {u:{digits}} {readable(unit_of(name))}")
+        return texts
 
     def _of(self, columns: list[int]) -> np.ndarray:
         """Return the predicted covariance of some of the machine's unknowns."""
@@ -202,7 +202,7 @@ def forecast(model: PlanModel, tool_length_mm: float | None = None) -> Forecast:
 
 def _observability(found: Determinability, names: Collection[str]) -> Observability:
     """Return the observability of the machine's determined unknowns in plausible units, everything else projected out."""
-    mine = np.array([one.name.split(" ")[0] in names for one in found.unknowns])
+    mine = np.array([unknown.name.split(" ")[0] in names for unknown in found.unknowns])
     if not mine.any():
         return observability(np.zeros(1), found.measurements)
     covariance = found.spectrum.covariance(null_space=False) / np.outer(found.spectrum.scale, found.spectrum.scale)

@@ -183,7 +183,7 @@ class Kit(Result):
     def brief(self) -> str:
         """Origin, and names of instruments, stations and targets."""
         names = (
-            listed([one.name for one in self.instruments]),
+            listed([instrument.name for instrument in self.instruments]),
             listed(list(self.stations)),
             listed(list(self.targets)),
         )
@@ -197,7 +197,7 @@ class Kit(Result):
     @property
     def coordinates_per_reading(self) -> int:
         """Number of coordinates per reading, for the instrument that reads fewest."""
-        return min(int(np.isfinite(one.read(np.ones((1, 3)))).sum()) for one in self.instruments)
+        return min(int(np.isfinite(instrument.read(np.ones((1, 3)))).sum()) for instrument in self.instruments)
 
     @property
     def setting(self) -> Placement:
@@ -223,7 +223,7 @@ class Kit(Result):
             return InputError(what, expected=expected, file=file, line=lines.get(place), value=value, nearest=meant)
 
         # Checks beyond the schema.
-        by_name = {one.name: one for one in INSTRUMENTS}
+        by_name = {instrument.name: instrument for instrument in INSTRUMENTS}
         for i, name in enumerate(entries.instruments):
             if name not in by_name:
                 raise fail(("instruments", i), "no such instrument", f"one of {', '.join(by_name)}", name, by_name)
@@ -319,11 +319,11 @@ def _middle(machine: Machine) -> np.ndarray:
     """Return the mean position (3,) of tool and work over the volume, base frame, mm."""
     poses = volume(machine, 50)
     data = machine.model.createData()
-    found: list[Any] = []
+    items: list[Any] = []
     for q in poses * machine.scale:
         pin.framesForwardKinematics(machine.model, data, machine.configuration(q))
-        found += [data.oMf[machine.tool_frame].translation * 1e3, data.oMf[machine.work_frame].translation * 1e3]
-    return np.asarray(np.mean(found, axis=0))
+        items += [data.oMf[machine.tool_frame].translation * 1e3, data.oMf[machine.work_frame].translation * 1e3]
+    return np.asarray(np.mean(items, axis=0))
 
 
 def _speed(linear: bool) -> float:
@@ -485,11 +485,11 @@ class PlanModel:
         network = Network(
             self.machine, readings, StationInstruments.same(self.instrument, readings.station), self.unknowns
         )
-        found = np.empty((len(readings), 3, self.free.shape[1]))
+        rows = np.empty((len(readings), 3, self.free.shape[1]))
         for start in range(0, len(readings), CHUNK):
             piece = network.chunk(self.linearised_at, self.setup, np.arange(start, min(start + CHUNK, len(readings))))
-            found[piece.rows] = (piece.jacobian * self.plausible) @ self.free
-        return found
+            rows[piece.rows] = (piece.jacobian * self.plausible) @ self.free
+        return rows
 
     def to_parameters(self, coordinates: np.ndarray) -> np.ndarray:
         """Return the machine's unknowns (columns, …) in µm and µrad for coordinates (f, …)."""
@@ -531,7 +531,7 @@ class PlanModel:
         unseen = dict(zip(self.determinability.names, self.determinability.remaining_variance, strict=True))
         # The machine's own unknowns come first.
         names = dict(zip(self.unknowns.columns, self.determinability.names, strict=False))
-        found = []
+        hidden = []
         for name in self.unknowns.entities:
             space = self.curves.get(name)
             columns = [column for column in self.unknowns.columns if column.entity == name]
@@ -539,10 +539,10 @@ class PlanModel:
             worst = max(lowest, key=lambda one: unseen[one])
             if unseen[worst] > NOT_DETERMINED:
                 direction = self.determinability.null_direction_of(worst)
-                found.append(
+                hidden.append(
                     NotIdentifiable(name, VAGUE if direction is None else str(direction.shortened(MOST_NAMED)))
                 )
-        return tuple(found)
+        return tuple(hidden)
 
     @cached_property
     def curves(self) -> dict[str, CurveSpace]:

@@ -73,7 +73,7 @@ class SequencePlan(Result):
     def notices(self) -> list[str]:
         """Return what to know before carrying it out."""
         parts = ", ".join(f"{name} at {x:g}, {y:g}, {z:g}" for name, (x, y, z) in self.task.places_mm.items())
-        found = [
+        notices = [
             f"parts on the table (work frame, mm): {parts}; the {self.task.words.tip} is {-self.task.tip_mm[2]:g} mm "
             "below the spindle nose",
             "planned_… are approximate places, which no evaluation treats as known",
@@ -81,19 +81,21 @@ class SequencePlan(Result):
         ]
         unused = [name for name in self.task.places_mm if name not in {*self.table.station, *self.table.target}]
         if unused:
-            found.append(
+            notices.append(
                 f"NOT MEASURED: {', '.join(unused)}: no time for setting up, or no point of theirs is within reach"
             )
         if self.task.instrument.specification.reads == "null":
-            found.append(
+            notices.append(
                 "X, Y and Z are nominal: the measured table has the positions at which the tip was at the centre of the sphere, "
                 "and 0 in x_mm, y_mm and z_mm"
             )
         if self.dropped:
-            found.append("points out of reach: " + ", ".join(f"{count} ({why})" for why, count in self.dropped.items()))
-        found.append("the uncertainties hold where linear errors are the only ones that depend on the position")
-        found += [text for text in (self.sequence.unverified, self.sequence.limits) if text]
-        return found
+            notices.append(
+                "points out of reach: " + ", ".join(f"{count} ({why})" for why, count in self.dropped.items())
+            )
+        notices.append("the uncertainties hold where linear errors are the only ones that depend on the position")
+        notices += [text for text in (self.sequence.unverified, self.sequence.limits) if text]
+        return notices
 
     def comment(self) -> str:
         """Return the comment lines of the file."""
@@ -199,11 +201,13 @@ def measuring_sequence(
                 expected="other places on the table, or another tool length",
             )
         table = sequence_table(task, reached.points)
-        found = SequencePlan(task, chosen, table, reached.dropped, expectation(machine, table, reader), best=None)
+        measuring_sequence = SequencePlan(
+            task, chosen, table, reached.dropped, expectation(machine, table, reader), best=None
+        )
         own = sequence_named(None, reader.name)
         if chosen is own:
-            return found
-        return replace(found, best=_rival(replace(task, minutes=found.minutes), own))
+            return measuring_sequence
+        return replace(measuring_sequence, best=_rival(replace(task, minutes=measuring_sequence.minutes), own))
 
 
 def _rival(task: SequenceTask, sequence: MeasuringSequence) -> Expectation | None:

@@ -84,7 +84,7 @@ class Separation:
 
     def lines(self) -> list[str]:
         """Return the text lines: smallest distinguishable size of each cause, compared with the size given."""
-        found = [
+        lines = [
             f"the two causes are distinguished with odds of {ODDS}:1 or better in 19 of 20 measurements, both estimated together:"
         ]
         for name, (size, unit), given in zip(self.names, self.sizes, self.given_sizes, strict=True):
@@ -93,8 +93,8 @@ class Separation:
             if given == given:
                 share = abs(given) / size
                 text += f"; {abs(given):.3g} {shown} are {'enough' if share >= 1.0 else 'NOT ENOUGH'} ({share:.2g} times that)"
-            found.append(text)
-        return found
+            lines.append(text)
+        return lines
 
     def to_dict(self) -> dict[str, Any]:
         """Return the JSON object."""
@@ -150,8 +150,14 @@ class Plan(DisplayedResult):
         """Return the plan for the best of the station choices, with its route."""
         best = filled.station_choices[0]
         alternatives = tuple(
-            Alternative(one.problem.instrument.name, one.stations, one.points, one.value, one.problem.aim.unit)
-            for one in filled.station_choices
+            Alternative(
+                station_choice.problem.instrument.name,
+                station_choice.stations,
+                station_choice.points,
+                station_choice.value,
+                station_choice.problem.aim.unit,
+            )
+            for station_choice in filled.station_choices
         )
         return cls(
             task.machine,
@@ -184,25 +190,25 @@ class Plan(DisplayedResult):
 
     def notices(self) -> list[str]:
         """Return the instructions for carrying out the plan."""
-        found = [
+        notices = [
             "approach_… is the direction of approach of each axis: overrun the position by more than the reversal value and return",
             "planned_… are approximate positions, which no evaluation treats as known; place_… and station_… count as exactly known",
         ]
         if Clearance(self.machine, self.kit).has_shapes:
-            found.append(
+            notices.append(
                 "poses and straight moves keep the tool side clear of the work side for the shapes in the URDF and the reflectors. "
                 "Holders, clamps and workpiece are not checked: make a dry run first"
             )
         else:
-            found.append(
+            notices.append(
                 "THE URDF HAS NO SHAPES: only the reflectors are kept clear of each other. Check every pose and every move"
             )
-        found += [f"before reading {row + 1}: {words}" for row, words in self.route.sessions]
+        notices += [f"before reading {row + 1}: {words}" for row, words in self.route.sessions]
         if self.route.blocked:
             rows = ", ".join(str(row + 1) for row in self.route.blocked[:20])
             more = f" and {len(self.route.blocked) - 20} more" if len(self.route.blocked) > 20 else ""
-            found.append(f"RETRACT before readings {rows}{more}: the straight move to them has too little clearance")
-        return found
+            notices.append(f"RETRACT before readings {rows}{more}: the straight move to them has too little clearance")
+        return notices
 
     def save(self, path: str | Path) -> None:
         """Write the plan atomically as a measurement table without coordinates."""
@@ -236,8 +242,13 @@ class Plan(DisplayedResult):
         facts = [("aim", self.aim), ("instrument", self.instrument.name), ("stations", ", ".join(self.stations))]
         facts.append(("kit", self.kit.source))
         tried = [
-            (one.instrument, ", ".join(one.stations), f"{one.points:,}", f"{one.value:.3g} {one.unit}")
-            for one in self.alternatives[:SHOWN]
+            (
+                alternative.instrument,
+                ", ".join(alternative.stations),
+                f"{alternative.points:,}",
+                f"{alternative.value:.3g} {alternative.unit}",
+            )
+            for alternative in self.alternatives[:SHOWN]
         ]
         separation = [] if self.separation is None else [note(line) for line in self.separation.lines()]
         forecast = [] if self.forecast is None else self.forecast.shown()
@@ -265,10 +276,15 @@ class Plan(DisplayedResult):
             *([] if self.forecast is None else [*self.forecast.to_text().splitlines(), ""]),
             "stations compared (after a first choice of readings):",
         ]
-        for one in self.alternatives[:SHOWN]:
-            chosen = "  <- chosen" if (one.instrument, one.stations) == (self.instrument.name, self.stations) else ""
+        for alternative in self.alternatives[:SHOWN]:
+            chosen = (
+                "  <- chosen"
+                if (alternative.instrument, alternative.stations) == (self.instrument.name, self.stations)
+                else ""
+            )
             lines.append(
-                f"  {one.instrument} at {', '.join(one.stations)}: {one.points} readings, {one.value:.3g} {one.unit}{chosen}"
+                f"  {alternative.instrument} at {', '.join(alternative.stations)}: {alternative.points} readings, "
+                f"{alternative.value:.3g} {alternative.unit}{chosen}"
             )
         lines += ["", *(f"note: {notice}" for notice in self.notices())]
         return "\n".join(lines) + "\n"
@@ -346,7 +362,7 @@ def plan(
         task.progress("drawing candidates", 0.0)
         every = candidates(machine, task.kit, task.rng, task.levels)
         models = [task.model(every.plan, instrument) for instrument in task.kit.instruments]
-        aims = [aim_of(one, task.reduce, tool_length_mm) for one in models]
+        aims = [aim_of(model, task.reduce, tool_length_mm) for model in models]
         problems = [
             DesignProblem(one.instrument, every, one.prior, one.rows, aim)
             for one, aim in zip(models, aims, strict=True)

@@ -94,7 +94,7 @@ def plot_uncertainties(
     """
     if not 1 <= len(forecasts) <= len(STYLES):
         raise InputError("number of plans for one figure", expected=f"1 to {len(STYLES)}", value=len(forecasts))
-    every = list(dict.fromkeys(name for one in forecasts.values() for name in one.errors))
+    every = list(dict.fromkeys(name for forecast in forecasts.values() for name in forecast.errors))
     figure = new_figure(12.0, 5.8)
     below = 0
     for plot, (limit, unit) in zip(figure.subplots(2, 1), PANELS, strict=True):

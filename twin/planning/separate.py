@@ -147,7 +147,7 @@ def separate(
         every = _in_sessions(candidates(machine, task.kit, task.rng).plan, _sessions(causes))
         question = _Question(task, causes, after)
         cells = question.cells(every.plan)
-        filled = fill(task, [question.problem(one, every, cells) for one in task.kit.instruments])
+        filled = fill(task, [question.problem(instrument, every, cells) for instrument in task.kit.instruments])
         chosen = filled.route.plan
         last = question.cells(chosen)
         in_order = CandidateReadings(chosen, np.zeros(len(chosen), dtype=int))
@@ -178,7 +178,7 @@ class _Question:
 
     def cells(self, plan: Measurements) -> tuple[CauseForm, CauseForm]:
         """Return the forms of both causes at the readings of a plan."""
-        first, second = (cause_form(one, self.task.machine, plan, self.task.expected) for one in self.causes)
+        first, second = (cause_form(cause, self.task.machine, plan, self.task.expected) for cause in self.causes)
         return first, second
 
     def problem(
@@ -259,8 +259,8 @@ def _sessions(causes: Sequence[NamedCause]) -> tuple[Session, ...]:
     """Return the sessions in which the two causes differ: cold, one sensor warm at a time, hours later; only where needed."""
     sensors: list[str] = []
     drifts = False
-    for one in causes:
-        needed = () if one.effect not in SPECIFICATIONS else SPECIFICATIONS[one.effect].channels(one.where)
+    for cause in causes:
+        needed = () if cause.effect not in SPECIFICATIONS else SPECIFICATIONS[cause.effect].channels(cause.where)
         sensors += [sensor_of(name) for name in needed if is_temperature(name)]
         drifts = drifts or TIME in needed
     if not sensors and not drifts:
@@ -268,17 +268,17 @@ def _sessions(causes: Sequence[NamedCause]) -> tuple[Session, ...]:
     names = tuple(dict.fromkeys(sensors))
     level = dict.fromkeys(names, 20.0)
     what = " and ".join(names)
-    found = [Session("machine cold" + (f", {what} at 20 °C" if names else ""), 0.0, MappingProxyType(level))]
+    sessions = [Session("machine cold" + (f", {what} at 20 °C" if names else ""), 0.0, MappingProxyType(level))]
     at = 0.0
     for name in names:
         at += LATER_S
         words = f"{name} {WARM_K:g} K warmer" + (", everything else as before" if len(names) > 1 else "")
-        found.append(Session(words, at, MappingProxyType({**level, name: 20.0 + WARM_K})))
+        sessions.append(Session(words, at, MappingProxyType({**level, name: 20.0 + WARM_K})))
     if drifts:
         at += LATER_S
         words = f"{LATER_S / 3600.0:g} hours later, machine running" + (f", {what} back at 20 °C" if names else "")
-        found.append(Session(words, at, MappingProxyType(level)))
-    return tuple(found)
+        sessions.append(Session(words, at, MappingProxyType(level)))
+    return tuple(sessions)
 
 
 def _in_sessions(plain: Measurements, sessions: tuple[Session, ...]) -> CandidateReadings:
@@ -302,11 +302,11 @@ def cause_form(one: NamedCause, machine: Machine, plan: Measurements, calibratio
         InputError: there is no such cause, or no plan can separate it.
     """
     tried = catalogue(machine, plan, calibration)
-    found = next((c for c in tried.candidates if c.key == (one.effect, one.where)), None)
-    if found is None or found.origin == "instrument":
+    candidate = next((c for c in tried.candidates if c.key == (one.effect, one.where)), None)
+    if candidate is None or candidate.origin == "instrument":
         places = [c.where for c in tried.candidates if c.effect == one.effect and c.origin == "machine"]
         effects = dict.fromkeys(c.effect for c in tried.candidates if c.origin == "machine")
-        if found is not None or not (places or one.effect in effects):
+        if candidate is not None or not (places or one.effect in effects):
             expected = f"an effect of the machine: {', '.join(effects)}"
         else:
             expected = f"{one.effect} at one of {', '.join(places)}"
@@ -317,13 +317,19 @@ def cause_form(one: NamedCause, machine: Machine, plan: Measurements, calibratio
             value=one.text,
             nearest=closest_name(one.text, texts),
         )
-    names = {name for cell in found.variants for name in cell.fixed}
-    drift, specification = found.drift, found.specification
+    names = {name for cell in candidate.variants for name in cell.fixed}
+    drift, specification = candidate.drift, candidate.specification
     # The parameters of a drift's entry are those of an exponential.
     exponential = drift is not None and not one.numbers.keys().isdisjoint(specification.parameters)
-    cells = [cell for cell in found.variants if drift is None or bool(cell.fixed) == exponential]
+    cells = [cell for cell in candidate.variants if drift is None or bool(cell.fixed) == exponential]
     plainest = min(cells, key=lambda cell: len(cell.columns))
-    known = {SIZE, *(name for name, _ in found.names), *names, *specification.parameters, *_built(found, plainest)}
+    known = {
+        SIZE,
+        *(name for name, _ in candidate.names),
+        *names,
+        *specification.parameters,
+        *_built(candidate, plainest),
+    }
     if drift is not None and not exponential:
         known -= {*specification.parameters, *names}
     strange = [name for name in one.numbers if name not in known]
@@ -341,7 +347,7 @@ def cause_form(one: NamedCause, machine: Machine, plan: Measurements, calibratio
         wanted = {name: value for name, value in one.numbers.items() if name in cell.fixed}
         return sum(abs(np.log(abs(cell.fixed[name]) / abs(value))) for name, value in wanted.items() if value)
 
-    return found, min(cells, key=lambda cell: (off(cell), len(cell.columns) - len(plainest.columns)))
+    return candidate, min(cells, key=lambda cell: (off(cell), len(cell.columns) - len(plainest.columns)))
 
 
 def _built(candidate: Candidate, cell: Variant) -> set[str]:

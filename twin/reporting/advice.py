@@ -62,7 +62,7 @@ def tables_left(
     """
     if errors.control is not None or not errors.settled or real.calibration.empty:
         return ()
-    found: list[TablesLeft] = []
+    tables: list[TablesLeft] = []
     required = None
     for form in table_formats():
         if form.correction is not TableSum:
@@ -74,8 +74,8 @@ def tables_left(
             continue
         required = made.required
         account = account_of(made, errors, real.calibration, missing)
-        found.append(TablesLeft(form.name, made.required.at, real.tool_length_mm, account.remains, account.carried))
-    return tuple(sorted(found, key=lambda one: -one.remains.reduction))
+        tables.append(TablesLeft(form.name, made.required.at, real.tool_length_mm, account.remains, account.carried))
+    return tuple(sorted(tables, key=lambda one: -one.remains.reduction))
 
 
 # --- Summary of a machine report in words: largest errors, recommended actions, measurements, and what to avoid
@@ -189,7 +189,7 @@ def advise(
     return MachineAdvice(
         f"The error at the tool point is {rms} RMS over the working volume and up to {most}{_without(outcome)}.",
         "well" if found.total.max_um <= SMALL_UM else "wrong",
-        tuple(_line(one) for one in found.errors[:NAMED]),
+        tuple(_line(error) for error in found.errors[:NAMED]),
         tuple(sorted(every, key=lambda step: _ORDER.index(step.kind))),
     )
 
@@ -272,11 +272,11 @@ def _wait() -> Iterator[Step]:
 
 def _misfit(points: Sequence[PointComparison], calibration: Calibration) -> Iterator[Step]:
     """Yield steps on measured points that do not fit this calibration."""
-    for one in points:
-        if one.far:
-            name, residual = Path(one.source).name, figure(one.rms_after_um, "µm")
+    for point in points:
+        if point.far:
+            name, residual = Path(point.source).name, figure(point.rms_after_um, "µm")
             text = (
-                f"{one.far:,} of the {one.points:,} points of {name} deviate by more than the measurement noise (RMS residual "
+                f"{point.far:,} of the {point.points:,} points of {name} deviate by more than the measurement noise (RMS residual "
                 f"{residual} per coordinate over all). `twin diagnose {name}{_about(calibration)}` looks for the cause."
             )
             yield Step("measure", "Find the cause of the outliers", text)
@@ -287,8 +287,8 @@ def _control(calibration: Calibration, outcome: CompensationForecast) -> Iterato
     if control is None or not control.tables:
         return
     alike: dict[tuple[str, ...], list[str]] = {}
-    for one in control.tables:
-        alike.setdefault(one.classes, []).append(one.file.name)
+    for table in control.tables:
+        alike.setdefault(table.classes, []).append(table.file.name)
     names = "; ".join(f"{listed(files)}: {' '.join(classes)}" for classes, files in alike.items())
     if control.errors_are == "remaining":
         text = f"These errors were measured with the tables active ({names}) and remain in addition. Add a new table to them."
@@ -368,19 +368,19 @@ def _options(found: Budget, calibration: Calibration) -> str:
 def _adjust(found: Budget) -> Iterator[Step]:
     """Yield mechanical adjustments of errors that are large and significant."""
     significant, without_interval = [], []
-    for one in found.errors:
+    for error in found.errors:
         # The RMS error cannot fall by more than that of the error removed.
-        if one.iso_class not in MECHANICAL or one.illustrative or one.rms_um < WORTH * found.total.rms_um:
+        if error.iso_class not in MECHANICAL or error.illustrative or error.rms_um < WORTH * found.total.rms_um:
             continue
-        rest = found.rms_without_um(one.name)
+        rest = found.rms_without_um(error.name)
         if found.total.rms_um - rest < WORTH * found.total.rms_um:
             continue
-        if not isfinite(one.peak_half):
-            without_interval.append(f"{lower(one.words)} ({one.name})")
-        elif one.peak > one.peak_half:
-            size = with_half(one.peak, one.peak_half, one.unit)
+        if not isfinite(error.peak_half):
+            without_interval.append(f"{lower(error.words)} ({error.name})")
+        elif error.peak > error.peak_half:
+            size = with_half(error.peak, error.peak_half, error.unit)
             significant.append(
-                f"{one.words} ({one.name}) by {size}: this reduces the error over the volume to {figure(rest, 'µm')} RMS."
+                f"{error.words} ({error.name}) by {size}: this reduces the error over the volume to {figure(rest, 'µm')} RMS."
             )
     if significant:
         text = f"{' '.join(significant)} Measure again after the adjustment: this calibration is then no longer valid."
@@ -396,7 +396,7 @@ def _tables(found: Budget, tables: Sequence[TablesLeft]) -> Iterator[Step]:
         return
     best = tables[0]
     # An error smaller than its own 95 % half-width is not significant.
-    shown = {one.name for one in found.errors if one.rms_um > 0.0 and not one.peak <= one.peak_half}
+    shown = {error.name for error in found.errors if error.rms_um > 0.0 and not error.peak <= error.peak_half}
     classes = {one.iso_class for one in best.carried if one.share != "no" and one.name in shown}
     names = [f"{words} ({name})" for name, words in TABLES.items() if name in classes]
     if not names:
@@ -404,8 +404,8 @@ def _tables(found: Budget, tables: Sequence[TablesLeft]) -> Iterator[Step]:
     where = ", ".join(f"{name} {value:g}" for name, value in best.at.items()).replace("-", "−")
     text = (
         f"They compensate {listed(names)} for all programs. RMS error at the tool: {figure(best.remains.before.rms_um, 'µm')} without "
-        f"tables; {'; '.join(_remaining(one) for one in tables)}. Valid for tool length {best.tool_length_mm:g} mm and the other axes "
-        f"at {where}."
+        f"tables; {'; '.join(_remaining(table) for table in tables)}. Valid for tool length {best.tool_length_mm:g} mm and the "
+        f"other axes at {where}."
     )
     tables_left = best.remains.tables
     known = best.remains.uncertainty.identified_standard_rms_um
@@ -432,8 +432,8 @@ def _remaining(one: TablesLeft) -> str:
 def _unknown(calibration: Calibration, outcome: CompensationForecast) -> Iterator[Step]:
     """Yield a step on the errors that the readings could not determine."""
     by_reason: dict[str, list[str]] = {}
-    for one in calibration.not_identifiable:
-        by_reason.setdefault(one.why, []).append(one.name)
+    for error in calibration.not_identifiable:
+        by_reason.setdefault(error.why, []).append(error.name)
     if not by_reason:
         return
     reasons = [f"{listed(names)}: {why}" for why, names in list(by_reason.items())[:NAMED]]
@@ -445,7 +445,7 @@ def _unknown(calibration: Calibration, outcome: CompensationForecast) -> Iterato
 
 
 def _measure(found: Budget, outcome: CompensationForecast, instrument: str | None) -> Iterator[Step]:
-    known = [one for one in found.errors if isfinite(one.u_rms_um) and one.u_rms_um > 0.0]
+    known = [error for error in found.errors if isfinite(error.u_rms_um) and error.u_rms_um > 0.0]
     if not known:
         if found.errors:
             text = f"U at the tool is {UNKNOWN}: the calibration gives no uncertainty. {_IDENTIFY}"
@@ -483,9 +483,9 @@ def _void(calibration: Calibration, settled: bool) -> Iterator[Step]:
 
 def _never(calibration: Calibration, found: Budget) -> Iterator[Step]:
     insignificant = [
-        f"{lower(one.words)} ({with_half(one.peak, one.peak_half, one.unit)})"
-        for one in found.errors
-        if one.iso_class in MECHANICAL and isfinite(one.peak_half) and 0.0 < one.peak <= one.peak_half
+        f"{lower(error.words)} ({with_half(error.peak, error.peak_half, error.unit)})"
+        for error in found.errors
+        if error.iso_class in MECHANICAL and isfinite(error.peak_half) and 0.0 < error.peak <= error.peak_half
     ]
     if insignificant:
         yield Step(
@@ -497,7 +497,7 @@ def _never(calibration: Calibration, found: Budget) -> Iterator[Step]:
             "contains what the tables correct. Do not use this calibration after the machine was adjusted."
         )
         yield Step("never", "Correct the same error twice", text)
-    tilts = [one.name for one in found.errors if one.unit == "urad" and one.peak > 0.0 and one.rms_um == 0.0]
+    tilts = [error.name for error in found.errors if error.unit == "urad" and error.peak > 0.0 and error.rms_um == 0.0]
     if tilts and found.kinematics.tool_length_mm == 0.0:
         text = f"At tool length 0 mm, {listed(tilts)} have no effect: give the tool length in use with `--tool-length`."
         yield Step("unknown", "Computed for tool length zero", text)

@@ -360,7 +360,7 @@ def _estimates(network: Network, setup: SetUp, calibration: Calibration) -> dict
     machine, data = network.machine, network.data
     view = network.view(np.zeros(0), setup, np.arange(len(data)))
     state = machine_state(data, machine)
-    found: dict[str, tuple[PositionEstimates, ...]] = {}
+    estimates: dict[str, tuple[PositionEstimates, ...]] = {}
     for name in machine.motion_names:
         component, _, axis = split_name(name)
         q = state[axis]
@@ -373,7 +373,7 @@ def _estimates(network: Network, setup: SetUp, calibration: Calibration) -> dict
         safe = np.where(weight > 0.0, weight, 1.0)
         off = np.einsum("ni,ni->n", derivative, view.residual) / safe / UM
         # The value of the curve at each reading already includes the direction of approach.
-        effects = [one for one in calibration.effects if is_motion(one, axis, calibration)]
+        effects = [effect for effect in calibration.effects if is_motion(effect, axis, calibration)]
         value = sum_of_effects(effects, state, component)
         side = state.get(f"{APPROACH}{axis}", np.zeros(len(q)))
         both = bool(np.any(side > 0) and np.any(side < 0))
@@ -384,8 +384,8 @@ def _estimates(network: Network, setup: SetUp, calibration: Calibration) -> dict
         parts = [part for part in parts if len(part.position)] or [
             _estimates_of_side(name, NO_SIDE, q, value + off, weight, np.ones(len(q), dtype=bool))
         ]
-        found[name] = tuple(parts)
-    return found
+        estimates[name] = tuple(parts)
+    return estimates
 
 
 def _estimates_of_side(

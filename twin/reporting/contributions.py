@@ -123,7 +123,7 @@ class Budget:
     @property
     def by_name(self) -> dict[str, Contribution]:
         """Contributions of single errors by name."""
-        return {one.name: one for one in self.errors}
+        return {error.name: error for error in self.errors}
 
     def rms_without_um(self, name: str) -> float:
         """Return the RMS error over the volume with one error removed, µm.
@@ -525,7 +525,7 @@ class Field:
         """Return the edges of the grid's box, each with a label and its end points, mm; one edge per axis has a label."""
         if not self.counts:
             return ()
-        found = []
+        edges = []
         for i, name in enumerate(self.spread):
             others = [(0, count - 1) for k, count in enumerate(self.counts) if k != i]
             for first, corner in enumerate(product(*others)):
@@ -535,8 +535,8 @@ class Field:
                     ends.append(int(np.ravel_multi_index(at, self.counts)))
                 low, high = (self.positions[end, self.axes.index(name)] for end in ends)
                 text = "" if first else f"{name} {low:g} … {high:g} mm".replace("-", "−")
-                found.append((text, self.point_mm[ends[0]], self.point_mm[ends[1]]))
-        return tuple(found)
+                edges.append((text, self.point_mm[ends[0]], self.point_mm[ends[1]]))
+        return tuple(edges)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the content for JSON."""

@@ -187,8 +187,8 @@ class FrontPage:
     @property
     def not_accepted(self) -> tuple[FrontItem, ...]:
         """Items whose value exceeds its tolerance or is unknown, failed ones first."""
-        found = [item for item in self.judged if not item.accepted]
-        return tuple(sorted(found, key=lambda item: _URGENCY[item.verdict]))
+        refused = [item for item in self.judged if not item.accepted]
+        return tuple(sorted(refused, key=lambda item: _URGENCY[item.verdict]))
 
     def count(self, verdict: Verdict) -> int:
         """Return the number of items with a verdict."""
@@ -201,7 +201,7 @@ class FrontPage:
             "decision_rule": "ISO 14253-1, guard band U",
             "verdict": self.verdict,
             "items": [item.to_dict() for item in self.items],
-            "findings": [one.name for one in self.findings],
+            "findings": [finding.name for finding in self.findings],
         }
 
 
@@ -221,15 +221,18 @@ def front_page(
     """
     given = dict(tolerances or {})
     check_tolerances(report.machine, given)
-    found = report.budget.errors
-    names = {one.name for one in found}
-    to = {one.name: one.to for one in report.constants}
-    items = [*_tool_items(report, given), *(_item(one, given.get(one.name), to.get(one.name, "")) for one in found)]
+    errors = report.budget.errors
+    names = {error.name for error in errors}
+    to = {constant.name: constant.to for constant in report.constants}
+    items = [
+        *_tool_items(report, given),
+        *(_item(error, given.get(error.name), to.get(error.name, "")) for error in errors),
+    ]
     missing = [name for name in given if name not in names and name not in TOOL]
     items += [FrontItem(name, unit_of(name), nan, nan, given[name], "undecided", "unknown") for name in missing]
-    if any(one.name == UNSETTLED_ESTIMATE.name for one in report.warnings):
+    if any(warning.name == UNSETTLED_ESTIMATE.name for warning in report.warnings):
         items = [replace(item, verdict="undecided", reason="unsettled") if item.verdict else item for item in items]
-    return FrontPage(Job() if job is None else job, tuple(items), tuple(found[:FINDINGS]), logo)
+    return FrontPage(Job() if job is None else job, tuple(items), tuple(errors[:FINDINGS]), logo)
 
 
 def check_tolerances(machine: Machine, tolerances: Mapping[str, float]) -> None:

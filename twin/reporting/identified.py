@@ -119,7 +119,7 @@ class Identified:
     @property
     def orders(self) -> dict[str, int]:
         """Order of every identified curve, by name."""
-        return {one.name: one.order for one in self.file.errors if one.order is not None}
+        return {error.name: error.order for error in self.file.errors if error.order is not None}
 
     @property
     def doubtful(self) -> bool:
@@ -130,8 +130,8 @@ class Identified:
     @property
     def relative_instrument(self) -> str | None:
         """Name of the instrument that measured the tool relative to the table, if there is no other."""
-        names = {one.instrument for one in self.file.stations.values()}
-        relative = {one.name for one in INSTRUMENTS if one.specification.set_up.station_place}
+        names = {station.instrument for station in self.file.stations.values()}
+        relative = {instrument.name for instrument in INSTRUMENTS if instrument.specification.set_up.station_place}
         return names.pop() if len(names) == 1 and names <= relative else None
 
     @property
@@ -152,7 +152,7 @@ class Identified:
         """
         path = Path(path)
         try:
-            found = IdentificationFile.model_validate(read_json(path, "the JSON file of `twin identify`"))
+            content = IdentificationFile.model_validate(read_json(path, "the JSON file of `twin identify`"))
         except ValidationError as error:
             first = error.errors()[0]
             entry = ".".join(str(part) for part in first["loc"]) or "the file"
@@ -162,14 +162,14 @@ class Identified:
                 file=path,
                 value=first["msg"],
             ) from None
-        if found.machine != calibration.machine.name:
+        if content.machine != calibration.machine.name:
             raise InputError(
                 "the identification belongs to another machine",
                 expected=calibration.machine.name,
                 file=path,
-                value=found.machine,
+                value=content.machine,
             )
-        return cls(path, found, _differing(found.errors, calibration))
+        return cls(path, content, _differing(content.errors, calibration))
 
     def to_dict(self) -> dict[str, Any]:
         """Return the content for JSON."""
@@ -179,7 +179,7 @@ class Identified:
 
 def _differing(errors: tuple[IdentifiedError, ...], calibration: Calibration) -> tuple[str, ...]:
     """Return the names of errors whose numbers differ, or that only the file or only the calibration contains."""
-    identified = {one.name: one.value if one.peak is None else one.peak for one in errors}
+    identified = {error.name: error.value if error.peak is None else error.peak for error in errors}
     own = {
         name: float(np.abs(curve(np.linspace(*curve.domain, POINTS))).max())
         for name, curve in calibration.curves.items()

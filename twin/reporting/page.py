@@ -73,7 +73,7 @@ def machine_html(report: MachineReport, front: FrontPage | None = None, language
     """
 
     def stops_of(name: str) -> tuple[PositionEstimates, ...]:
-        return tuple(stop for one in report.comparisons for stop in one.stops.get(name, ()))
+        return tuple(stop for comparison in report.comparisons for stop in comparison.stops.get(name, ()))
 
     to, own = None if language is Language.en else translator(language), wording(language)
 
@@ -90,7 +90,7 @@ def machine_html(report: MachineReport, front: FrontPage | None = None, language
         t=own,
         error_of=error_of,
         symbols=SYMBOLS,
-        to_of={one.name: one.to for one in report.constants},
+        to_of={constant.name: constant.to for constant in report.constants},
         over=_over(report),
         sections=SECTIONS,
         colours=COLOURS,
@@ -176,7 +176,7 @@ def _degree(report: MachineReport, motion: Motion) -> str:
 def _numbers(report: MachineReport, effect: Effect) -> str:
     """Return the parameters of an effect with their 95 % intervals."""
     known = report.calibration.covariance
-    halves = [(one, COVERAGE_FACTOR * uncertainty_of(one.name, known)) for one in effect.parameters]
+    halves = [(parameter, COVERAGE_FACTOR * uncertainty_of(parameter.name, known)) for parameter in effect.parameters]
     return "; ".join(f"{one.name.rpartition('.')[2]} {with_half(one.value, half, one.unit)}" for one, half in halves)
 
 
@@ -187,7 +187,7 @@ def _rows_of(rows: Sequence[tuple[int, str]]) -> list[str]:
 
 
 def _tables_of(control: ControlSection) -> list[str]:
-    return [f"{one.file.name} ({' '.join(one.classes)})" for one in control.tables]
+    return [f"{table.file.name} ({' '.join(table.classes)})" for table in control.tables]
 
 
 # --- Print an HTML page to PDF through an installed browser, headless and without network ---------
@@ -219,19 +219,19 @@ def find_browser() -> str:
     """
     named = os.environ.get(VARIABLE)
     if named:
-        found = shutil.which(named)
-        if found is None:
+        browser = shutil.which(named)
+        if browser is None:
             raise InputError(
                 f"{VARIABLE} names no program", expected="the path of Chromium, Chrome or Edge", value=named
             )
-        return found
-    found = next((path for path in map(shutil.which, BROWSERS) if path), None)
-    if found is None:
+        return browser
+    browser = next((path for path in map(shutil.which, BROWSERS) if path), None)
+    if browser is None:
         raise InputError(
             "no PDF without a browser",
             expected=f"Chromium, Chrome or Edge (Debian: apt install chromium), or its path in {VARIABLE}; or print the HTML file",
         )
-    return found
+    return browser
 
 
 def page_to_pdf(page: str, browser: str) -> bytes:

@@ -335,10 +335,10 @@ def _curves(plot: Axes, motion: Motion, scale: float, below: str, widths: tuple[
 
 
 def _stops(plot: Axes, stops: Sequence[PositionEstimates], scale: float) -> None:
-    for one in stops:
-        marker, colour, text = SIDES[one.side]
+    for stop in stops:
+        marker, colour, text = SIDES[stop.side]
         looks: dict[str, Any] = {"marker": marker, "markersize": 3.5, "color": colour, "linewidth": 0.9, "capsize": 2}
-        plot.errorbar(one.position * scale, one.value, one.half, linestyle="", **looks, label=text)
+        plot.errorbar(stop.position * scale, stop.value, stop.half, linestyle="", **looks, label=text)
 
 
 def _name_rows(plot: Axes, at: np.ndarray, names: Sequence[str]) -> None:

@@ -108,7 +108,7 @@ def sources(
     return Sources(
         files=(
             *(Source(role, str(path), file_sha256(path)) for role, path in files),
-            *(Source(f"table in the control ({one.format})", str(one.file), one.sha256) for one in tables),
+            *(Source(f"table in the control ({table.format})", str(table.file), table.sha256) for table in tables),
         ),
         programs=MappingProxyType(
             versions() | {"python": platform.python_version()} | {name: _version(name) for name in MORE}
@@ -174,8 +174,8 @@ class Constant:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the content for JSON."""
-        found = json_form(self, rename={"half": "half_95"}, leave_out=("axis", "to", "leans", "travel_mm", "rms_um"))
-        return found | {"over_travel_um": self.over_travel_um, "rms_um": self.rms_um}
+        entry = json_form(self, rename={"half": "half_95"}, leave_out=("axis", "to", "leans", "travel_mm", "rms_um"))
+        return entry | {"over_travel_um": self.over_travel_um, "rms_um": self.rms_um}
 
 
 @final
@@ -199,8 +199,8 @@ class Gaps:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the content for JSON."""
-        found = json_form(self, rename={"absent": "absent_counted_as_zero"}, leave_out=("not_identified",))
-        return found | {"not_identified": [one.model_dump() for one in self.not_identified]}
+        entry = json_form(self, rename={"absent": "absent_counted_as_zero"}, leave_out=("not_identified",))
+        return entry | {"not_identified": [error.model_dump() for error in self.not_identified]}
 
 
 @final
@@ -261,7 +261,7 @@ class MachineReport(Result):
     def simulated(self) -> bool:
         """Whether the calibration or a table compared with it is based on simulated readings."""
         identified = () if self.identified is None else self.identified.file.notices
-        notices = (*identified, *(text for one in self.comparisons for text in one.notices))
+        notices = (*identified, *(text for comparison in self.comparisons for text in comparison.notices))
         return self.calibration.simulated or any("simulated" in notice for notice in notices)
 
     @property
@@ -272,17 +272,17 @@ class MachineReport(Result):
     @property
     def unmet(self) -> tuple[str, ...]:
         """Requested content that could not be shown, in words."""
-        found = [f"{', '.join(names)} omitted: needs {channel}" for channel, names in self.gaps.left_out.items()]
+        reasons = [f"{', '.join(names)} omitted: needs {channel}" for channel, names in self.gaps.left_out.items()]
         if self.identified is not None and self.identified.others:
-            found.append(
+            reasons.append(
                 f"{self.identified.path.name} and the calibration differ in {', '.join(self.identified.others)}"
             )
         return (
-            *found,
+            *reasons,
             *(
-                f"{Path(one.source).name}: {count_with_noun(len(one.rows), 'row')} excluded"
-                for one in self.comparisons
-                if one.rows
+                f"{Path(comparison.source).name}: {count_with_noun(len(comparison.rows), 'row')} excluded"
+                for comparison in self.comparisons
+                if comparison.rows
             ),
         )
 
@@ -309,7 +309,7 @@ class MachineReport(Result):
                 "control": control
                 and {
                     "errors_are": control.errors_are,
-                    "tables": [{"file": str(one.file), "classes": one.classes} for one in control.tables],
+                    "tables": [{"file": str(table.file), "classes": table.classes} for table in control.tables],
                 },
                 "definition_of_U": DEFINITION,
                 "summary": self.advice,
@@ -378,7 +378,7 @@ def machine_report(
     known, left_out = without_missing_channels(at, calibration)
     real = Kinematics(machine, known, tool_length_mm=tool_length_mm, conditions=at)
     error_budget, error_motions, error_field, outcome = _over_the_volume(real, seed, progress)
-    found = tuple(_comparisons(measured, known, progress))
+    comparisons = tuple(_comparisons(measured, known, progress))
     gaps = Gaps(
         _absent(known), known.not_identifiable, error_budget.without_uncertainty, left_out, at.unused(calibration)
     )
@@ -396,10 +396,10 @@ def machine_report(
         field=error_field,
         compensation=outcome,
         identified=identification,
-        comparisons=found,
+        comparisons=comparisons,
         gaps=gaps,
         tables=tables,
-        advice=advise(calibration, error_budget, outcome, identification, left_out, found, tables),
+        advice=advise(calibration, error_budget, outcome, identification, left_out, comparisons, tables),
         sources=origin,
     )
 
@@ -447,8 +447,8 @@ def _in_mean_lines(calibration: Calibration) -> tuple[Calibration, str]:
 
 def _constants(real: Kinematics, error_budget: Budget) -> tuple[Constant, ...]:
     calibration, machine = real.calibration, real.machine
-    made = {one.name: one.rms_um for one in error_budget.errors}
-    found = []
+    made = {error.name: error.rms_um for error in error_budget.errors}
+    constants = []
     for name, value in (*calibration.squareness.items(), *calibration.location.items()):
         half = COVERAGE_FACTOR * uncertainty_of(name, calibration.covariance)
         component, _, letter = split_name(name)
@@ -457,10 +457,10 @@ def _constants(real: Kinematics, error_budget: Budget) -> tuple[Constant, ...]:
         if name in calibration.squareness:
             to, leans = _square_to(machine, axis, component - 3)
             travel = axis.domain[1] - axis.domain[0]
-        found.append(
+        constants.append(
             Constant(name, named(name, machine), unit_of(name), value, half, letter, to, leans, travel, made[name])
         )
-    return tuple(found)
+    return tuple(constants)
 
 
 def _square_to(machine: Machine, axis: Axis, about: int) -> tuple[str, float]:
@@ -476,6 +476,6 @@ def _square_to(machine: Machine, axis: Axis, about: int) -> tuple[str, float]:
 
 def _absent(calibration: Calibration) -> tuple[str, ...]:
     machine = calibration.machine
-    named_ = {effect.name for effect in calibration.effects} | {one.name for one in calibration.not_identifiable}
+    named_ = {effect.name for effect in calibration.effects} | {error.name for error in calibration.not_identifiable}
     every = (*machine.motion_names, *machine.squareness_names, *machine.location_names)
     return tuple(name for name in every if name not in named_)

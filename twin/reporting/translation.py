@@ -90,7 +90,9 @@ def _of_motion(name: str, machine: Machine) -> str:
 
 def _title(effect: str, where: str) -> str:
     """Return the name of a machine effect at a place; a calibration holds no effects of instruments."""
-    return title_of({one.name: one for one in MACHINE_EFFECTS}.get(effect), effect, where)
+    return title_of(
+        {machine_effect.name: machine_effect for machine_effect in MACHINE_EFFECTS}.get(effect), effect, where
+    )
 
 
 # --- Wording of a report in several languages: one YAML file per language next to this module, in `wording`
@@ -266,15 +268,15 @@ class Translator:
             core = part.strip()
             sentences = [core] if self._plain(core) is not None else SENTENCE.split(core)
             before, _, after = part.partition(core)
-            yield before + " ".join(self._or_marked(one) for one in sentences) + after
+            yield before + " ".join(self._or_marked(sentence) for sentence in sentences) + after
 
     def _or_marked(self, sentence: str) -> str:
         """Return a sentence in the language, or marked as English."""
-        found = self._plain(sentence)
-        if found is None:
+        plain = self._plain(sentence)
+        if plain is None:
             self.missing[sentence] = None
             return f"<span lang=en>{sentence}</span>"
-        return found
+        return plain
 
     def _plain(self, text: str) -> str | None:
         """Return a sentence in the language, or None if some part of it has no translation."""
@@ -282,11 +284,11 @@ class Translator:
         marked = text
         for i, code in enumerate(codes):
             marked = marked.replace(code, chr(PRIVATE + i), 1)
-        found = self._translated(marked)
-        if found is not None:
+        plain = self._translated(marked)
+        if plain is not None:
             for i, code in enumerate(codes):
-                found = found.replace(chr(PRIVATE + i), code)
-        return found
+                plain = plain.replace(chr(PRIVATE + i), code)
+        return plain
 
     def _translated(self, text: str) -> str | None:
         if text not in self._known:
@@ -299,12 +301,12 @@ class Translator:
         if all(word in self.same or NAME.fullmatch(word) for word in re.split(r"</?b>|:?[\s,;()\[\]±≥<>=+]+|:$", text)):
             return self._numbers(text)
         for pattern in self.patterns:
-            found = pattern.english.fullmatch(text)
-            filled = None if found is None else self._filled(pattern, found.groupdict())
+            match = pattern.english.fullmatch(text)
+            filled = None if match is None else self._filled(pattern, match.groupdict())
             if filled is not None:
                 return filled
         sentences = SENTENCE.split(text)
-        parts = [self._translated(one) for one in sentences] if len(sentences) > 1 else [None]
+        parts = [self._translated(sentence) for sentence in sentences] if len(sentences) > 1 else [None]
         return None if None in parts else " ".join(part for part in parts if part is not None)
 
     def _filled(self, pattern: SentencePattern, places: dict[str, str]) -> str | None:

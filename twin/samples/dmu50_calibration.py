@@ -99,9 +99,9 @@ SOURCE: Final = (
 def calibration(machine: Machine) -> Calibration:
     """Return the default calibration of the DMU 50: `as_drawn`, in mean lines, coefficients rounded to 1e-6 µm or µrad."""
     drawn = as_drawn(machine)
-    found = drawn.in_datum(MEAN_LINES)
+    mean_lines = drawn.in_datum(MEAN_LINES)
     curves = {}
-    for name, curve in found.curves.items():
+    for name, curve in mean_lines.curves.items():
         moved = " Datum changed to mean lines: constant and line moved to other errors." if name in PUBLISHED else ""
         coefficients = tuple(round(c, 6) + 0.0 for c in curve.coefficients)
         curves[name] = replace(
@@ -109,9 +109,9 @@ def calibration(machine: Machine) -> Calibration:
         )
     squareness, location = (
         MappingProxyType({name: round(value, 6) for name, value in group.items()})
-        for group in (found.squareness, found.location)
+        for group in (mean_lines.squareness, mean_lines.location)
     )
-    return Calibration(machine, found.source, MappingProxyType(curves), squareness, location)
+    return Calibration(machine, mean_lines.source, MappingProxyType(curves), squareness, location)
 
 
 def as_drawn(machine: Machine) -> Calibration:

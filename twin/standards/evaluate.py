@@ -211,14 +211,14 @@ def _absent(tests: Iterable[StandardTest], missing: Iterable[NotEvaluated], mach
     tried = {one.test.partition(":")[0] for one in missing}
     kinds = {kind for kind, _ in done}
     idle = [axis.name for axis in machine.axes if ("positioning", axis.name) not in done and axis.name not in tried]
-    found = [NotEvaluated(f"{', '.join(idle)}: positioning", NO_RUN["positioning"])] if idle else []
+    absent = [NotEvaluated(f"{', '.join(idle)}: positioning", NO_RUN["positioning"])] if idle else []
     if len(machine.linear) >= 2:
         for kind in ("squareness", "circular"):
             if kind not in kinds:
-                found.append(NotEvaluated(kind, NO_RUN[kind]))
+                absent.append(NotEvaluated(kind, NO_RUN[kind]))
     if machine.linear and machine.rotary and "kinematic" not in kinds:
-        found.append(NotEvaluated("kinematic (ISO 10791-6)", NO_RUN["kinematic"]))
-    return found
+        absent.append(NotEvaluated("kinematic (ISO 10791-6)", NO_RUN["kinematic"]))
+    return absent
 
 
 def _assumptions(runs: TableRuns, tests: Iterable[StandardTest], machine: Machine) -> tuple[str, ...]:
@@ -229,12 +229,12 @@ def _assumptions(runs: TableRuns, tests: Iterable[StandardTest], machine: Machin
         for name in dict.fromkeys(machine.axes[run.axes[0]].name for run in runs.single if directions(run)[1])
         if name in evaluated
     ]
-    found = []
+    assumptions = []
     if derived:
-        found.append(
+        assumptions.append(
             f"direction of approach of {', '.join(derived)} from the order of {order}: the table has no column "
             f"{', '.join(f'approach_{name}' for name in derived)}"
         )
     if runs.circles:
-        found.append(f"direction of travel on circles from the order of {order}")
-    return tuple(found)
+        assumptions.append(f"direction of travel on circles from the order of {order}")
+    return tuple(assumptions)

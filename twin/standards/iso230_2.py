@@ -227,22 +227,22 @@ def _estimator(deviations: np.ndarray) -> np.ndarray:
 
 def _shortfalls(target_unit: str, target: np.ndarray, cycles: int) -> tuple[str, ...]:
     """Return the requirements of 4.3.2 (linear up to 2 m), 4.3.3 (longer) and 4.3.4 (rotary up to 360°) that are not met."""
-    travel, found = float(np.ptp(target)), []
+    travel, shortfalls = float(np.ptp(target)), []
     if target_unit == "mm":
         if travel > LONGEST_MM:
-            found.append(f"travel of {travel:g} mm; above {LONGEST_MM:g} mm the standard has another test (4.3.3)")
+            shortfalls.append(f"travel of {travel:g} mm; above {LONGEST_MM:g} mm the standard has another test (4.3.3)")
         required = max(TARGETS, int(np.ceil(TARGETS_PER_METRE * travel * MM - 1e-9)))  # 5 for 1000 mm, not 6
     else:
         required = next((count for limit, count in ROTARY_TARGETS if travel <= limit), ROTARY_TARGETS[-1][1])
         if travel > ROTARY_TARGETS[-1][0]:
-            found.append(f"travel of {travel:g}°; the standard's test covers up to 360° (4.3.4)")
+            shortfalls.append(f"travel of {travel:g}°; the standard's test covers up to 360° (4.3.4)")
     if len(target) < required:
-        found.append(
+        shortfalls.append(
             f"{count_with_noun(len(target), 'target')}, at least {required} required over {travel:g} {_SIGNS[target_unit]}"
         )
     if cycles < CYCLES:
-        found.append(f"{cycles} cycles, {CYCLES} required")
-    return tuple(found)
+        shortfalls.append(f"{cycles} cycles, {CYCLES} required")
+    return tuple(shortfalls)
 
 
 def _checked(

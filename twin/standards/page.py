@@ -77,7 +77,7 @@ def evaluation_html(result: EvaluationResult) -> str:
         colour=COLOURS["none" if not result.checks else "failed" if failed or undecided else "met"],
         source=", ".join(Path(name).name for name in result.data.source.split(", ")),
         badges=warning_texts(result.warnings),
-        picture=lambda test: _picture(test) if any(test is one for one in pictures) else "",
+        picture=lambda test: _picture(test) if any(test is picture for picture in pictures) else "",
         not_drawn=sum(bool(_figure(test, draw=False)) for test in result.tests) - len(pictures),
         SENTENCES=SENTENCES,
         shown=figure,
@@ -125,18 +125,18 @@ def _plot_deviations(test: StandardTest, deviation_um: np.ndarray) -> Figure:
 
 def _targets(test: StandardTest) -> list[tuple[str, ...]]:
     """Return the table by target of a bi-directional positioning test: P, x̄↑, x̄↓, B, s↑, s↓, R; empty for other tests."""
-    found = test.detail
-    if not isinstance(found, Positioning):
+    detail = test.detail
+    if not isinstance(detail, Positioning):
         return []
     columns = (
-        found.mean_forward,
-        found.mean_backward,
-        found.B_i,
-        found.s_i_forward,
-        found.s_i_backward,
-        found.R_i,
+        detail.mean_forward,
+        detail.mean_backward,
+        detail.B_i,
+        detail.s_i_forward,
+        detail.s_i_backward,
+        detail.R_i,
     )
     return [
         (f"{target:g}".replace("-", "−"), *(figure(float(column[i])) for column in columns))
-        for i, target in enumerate(found.target)
+        for i, target in enumerate(detail.target)
     ]

@@ -273,11 +273,11 @@ def directions(run: MeasuredRun) -> tuple[np.ndarray, bool]:
     given = run.data.approach[:, axis]
     if np.any(given):
         return np.asarray(given), False
-    found = np.zeros(len(run.part))
+    signs = np.zeros(len(run.part))
     for number in np.unique(run.part):
         rows = np.flatnonzero(run.part == number)
-        found[rows] = _from_order(run.data.positions[rows, axis])
-    return found, True
+        signs[rows] = _from_order(run.data.positions[rows, axis])
+    return signs, True
 
 
 def _from_order(q: np.ndarray) -> np.ndarray:
@@ -288,11 +288,11 @@ def _from_order(q: np.ndarray) -> np.ndarray:
         return np.zeros(len(q))
     before, after = np.concatenate([step[:1], step]), np.concatenate([step, step[-1:]])
     usual = np.median(sizes[before == after])
-    found = np.repeat(before, sizes)
+    direction = np.repeat(before, sizes)
     for start, size, turn in zip(starts, sizes, np.where(before != after, after, 0.0), strict=True):
         if turn and size >= 2 * usual:
-            found[start + size // 2 : start + size] = turn
-    return found
+            direction[start + size // 2 : start + size] = turn
+    return direction
 
 
 # --- Readings of a run: along and across an axis, their standard uncertainty, and the orientation of a station's frame

@@ -137,8 +137,8 @@ class StandardTest:
     @property
     def main_values(self) -> tuple[StandardValue, ...]:
         """The values of all directions of approach or travel together, if there are any; else all."""
-        found = tuple(one for one in self.values if not one.key.endswith(("_forward", "_backward")))
-        return found or self.values
+        main = tuple(value for value in self.values if not value.key.endswith(("_forward", "_backward")))
+        return main or self.values
 
     @property
     def title(self) -> str:
@@ -154,8 +154,8 @@ class StandardTest:
             "standard": self.standard,
             "axes": list(self.axes),
             "place": self.place,
-            "values": {f"{one.key}_{one.unit}": json_form(one.value) for one in self.values},
-            "u": {f"{one.key}_{one.unit}": json_form(one.u) for one in self.values},
+            "values": {f"{value.key}_{value.unit}": json_form(value.value) for value in self.values},
+            "u": {f"{value.key}_{value.unit}": json_form(value.u) for value in self.values},
             "remarks": list(self.remarks),
             "detail": json_form(detail),
         }
@@ -347,7 +347,7 @@ def check_tolerances(tolerances: Mapping[str, float], tests: Sequence[StandardTe
         tolerances: by key of the value (``A``), for every test that has it, or by name of the test and key (``X:A``); µm and µrad.
         tests: the tests that were evaluated.
     """
-    found: list[ToleranceCheck] = []
+    checks: list[ToleranceCheck] = []
     for asked, limit in tolerances.items():
         name, colon, key = asked.rpartition(":")
         values = [
@@ -357,24 +357,24 @@ def check_tolerances(tolerances: Mapping[str, float], tests: Sequence[StandardTe
             if key in (value.key, value.symbol) and (not colon or name == test.name)
         ]
         if not values:
-            found.append(ToleranceCheck(asked, limit, "", None, False, "unknown"))
+            checks.append(ToleranceCheck(asked, limit, "", None, False, "unknown"))
         for test, value in values:
             size, expanded = abs(value.value), value.expanded
             verdict = decide(size, expanded, limit)
             conformity = CONFORMITY[verdict] if np.isfinite(expanded) and np.isfinite(size) else "unknown"
             title = f"{test.title} ({test.place})" if test.place else test.title
-            found.append(ToleranceCheck(asked, limit, title, value, is_accepted(verdict, size, limit), conformity))
-    return tuple(found)
+            checks.append(ToleranceCheck(asked, limit, title, value, is_accepted(verdict, size, limit), conformity))
+    return tuple(checks)
 
 
 def _grouped_remarks(tests: Sequence[StandardTest]) -> list[str]:
     """Return each remark once, with the tests to which it applies and their number."""
-    found: dict[str, dict[str, int]] = {}
+    grouped: dict[str, dict[str, int]] = {}
     for test in tests:
         for remark in test.remarks:
-            titles = found.setdefault(remark, {})
+            titles = grouped.setdefault(remark, {})
             titles[test.title] = titles.get(test.title, 0) + 1
     return [
         f"{', '.join(title if count == 1 else f'{title} ({count} runs)' for title, count in titles.items())}: {remark}"
-        for remark, titles in found.items()
+        for remark, titles in grouped.items()
     ]

@@ -319,15 +319,15 @@ def _radii(run: MeasuredRun, centre: np.ndarray) -> np.ndarray:
 
 def _travel(angle: np.ndarray, part: np.ndarray) -> np.ndarray:
     """Return (n,) the direction of travel of each row, from the order of the rows."""
-    found = np.zeros(len(angle))
+    travel = np.zeros(len(angle))
     for number in np.unique(part):
         rows = np.flatnonzero(part == number)
         step = np.sign(np.round((np.diff(angle[rows]) + 180.0) % 360.0 - 180.0, 9))
         before = np.concatenate([step[:1], step])
         for i in range(1, len(before)):  # a repeated reading has the direction of the one before
             before[i] = before[i] or before[i - 1]
-        found[rows] = before
-    return found
+        travel[rows] = before
+    return travel
 
 
 def _values(found: CircularTest, u: float, count: int, *, absolute: bool) -> tuple[StandardValue, ...]:

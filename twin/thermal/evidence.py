@@ -89,10 +89,10 @@ def clusters(values: np.ndarray, names: Sequence[str]) -> list[tuple[str, ...]]:
     label = scipy.cluster.hierarchy.fcluster(
         scipy.cluster.hierarchy.linkage(centred, "average", metric="correlation"), ALIKE, "distance"
     )
-    found: dict[int, list[str]] = {}
+    groups: dict[int, list[str]] = {}
     for name, number in zip(names, label, strict=True):
-        found.setdefault(int(number), []).append(name)
-    return [tuple(group) for group in found.values()]
+        groups.setdefault(int(number), []).append(name)
+    return [tuple(group) for group in groups.values()]
 
 
 def averaged(values: np.ndarray, length: int) -> np.ndarray:
@@ -112,14 +112,16 @@ def time_constants(duration_s: float) -> list[float]:
 def candidates(groups: Sequence[tuple[str, ...]], speeds: bool, duration_s: float) -> list[TermCandidate]:
     """Return all candidate terms."""
     lags = time_constants(duration_s)
-    found = [TermCandidate("thermal_lag", group, tau, 0.0, PRIOR_UM_PER_K) for group in groups for tau in (0.0, *lags)]
+    candidates = [
+        TermCandidate("thermal_lag", group, tau, 0.0, PRIOR_UM_PER_K) for group in groups for tau in (0.0, *lags)
+    ]
     if speeds:
-        found += [TermCandidate("spindle_shift", (), 0.0, power, PRIOR_SPEED_UM) for power in EXPONENTS]
-        found += [
+        candidates += [TermCandidate("spindle_shift", (), 0.0, power, PRIOR_SPEED_UM) for power in EXPONENTS]
+        candidates += [
             TermCandidate("spindle_growth", (), tau, power, PRIOR_SPEED_UM) for power in EXPONENTS for tau in lags
         ]
-    found += [TermCandidate("thermal_drift", (), tau, 0.0, PRIOR_DRIFT_UM) for tau in (*lags[1:], 2.0 * lags[-1])]
-    return found
+    candidates += [TermCandidate("thermal_drift", (), tau, 0.0, PRIOR_DRIFT_UM) for tau in (*lags[1:], 2.0 * lags[-1])]
+    return candidates
 
 
 def lagged(values: np.ndarray, time_s: np.ndarray, time_constant_s: float, state: float | None = None) -> np.ndarray:
@@ -140,14 +142,14 @@ def lagged(values: np.ndarray, time_s: np.ndarray, time_constant_s: float, state
 def drivers(record: ThermalRecord, terms: Sequence[TermCandidate], inputs: Inputs) -> np.ndarray:
     """Return the input of every term before its lag (n, terms): K above the reference, or relative speed to its exponent, or 0."""
     index = {name: i for i, name in enumerate(record.sensors)}
-    found = np.zeros((len(record), len(terms)))
+    drivers = np.zeros((len(record), len(terms)))
     for j, term in enumerate(terms):
         if term.sensors:
             columns = [record.temperature_degC[:, index[name]] - inputs.reference_degC[name] for name in term.sensors]
-            found[:, j] = np.mean(columns, axis=0)
+            drivers[:, j] = np.mean(columns, axis=0)
         elif term.exponent and record.speed_rpm is not None:
-            found[:, j] = (record.speed_rpm / max(inputs.highest_rpm, 1e-9)) ** term.exponent
-    return found
+            drivers[:, j] = (record.speed_rpm / max(inputs.highest_rpm, 1e-9)) ** term.exponent
+    return drivers
 
 
 def features(
@@ -161,14 +163,14 @@ def features(
         inputs: what they are relative to.
         states: state of every lag at the first row; steady state if None.
     """
-    found = drivers(record, terms, inputs)
+    features = drivers(record, terms, inputs)
     for j, term in enumerate(terms):
         if term.effect == "thermal_drift":
-            found[:, j] = -np.expm1(-(record.time_s - inputs.start_s) / term.time_constant_s)
+            features[:, j] = -np.expm1(-(record.time_s - inputs.start_s) / term.time_constant_s)
         else:
             state = None if states is None else float(states[j])
-            found[:, j] = lagged(found[:, j], record.time_s, term.time_constant_s, state)
-    return found
+            features[:, j] = lagged(features[:, j], record.time_s, term.time_constant_s, state)
+    return features
 
 
 # --- Evidence of subsets of candidate terms, and the average over the subsets that the data allow -
@@ -334,7 +336,7 @@ class Evidence:
 
 
 def _counted(drawn: Sequence[tuple[tuple[int, ...], int]]) -> list[tuple[tuple[tuple[int, ...], int], int]]:
-    found: dict[tuple[tuple[int, ...], int], int] = {}
+    counts: dict[tuple[tuple[int, ...], int], int] = {}
     for one in drawn:
-        found[one] = found.get(one, 0) + 1
-    return list(found.items())
+        counts[one] = counts.get(one, 0) + 1
+    return list(counts.items())

@@ -167,8 +167,8 @@ class ThermalModel(Result):
     def brief(self) -> str:
         """Terms and held-out error of every displacement."""
         parts = [
-            f"{one.name}: {len(one.listed)} terms, {figure(one.held_out_um, 'µm')} held-out RMS"
-            for one in self.displacements
+            f"{displacement.name}: {len(displacement.listed)} terms, {figure(displacement.held_out_um, 'µm')} held-out RMS"
+            for displacement in self.displacements
         ]
         return f"thermal model of {self.source}; {'; '.join(parts)}"
 
@@ -196,16 +196,16 @@ class ThermalModel(Result):
         doubt = np.zeros_like(values) if not warnings else self._start_doubt(rows)
         beyond, range_warnings = self._beyond(rows)
         found, u = [], []
-        for one in self.displacements:
+        for displacement in self.displacements:
             full = np.c_[values, np.ones(len(values))]
-            found.append(full @ one.coefficients)
-            variance = ((full @ one.directions.T) ** 2).sum(axis=1) + (doubt**2) @ (
-                one.coefficients[:-1] ** 2 + (one.directions[:, :-1] ** 2).sum(axis=0)
+            found.append(full @ displacement.coefficients)
+            variance = ((full @ displacement.directions.T) ** 2).sum(axis=1) + (doubt**2) @ (
+                displacement.coefficients[:-1] ** 2 + (displacement.directions[:, :-1] ** 2).sum(axis=0)
             )
-            u.append(one.calibration * np.sqrt(variance + (one.residual_um * (1.0 + beyond)) ** 2))
+            u.append(displacement.calibration * np.sqrt(variance + (displacement.residual_um * (1.0 + beyond)) ** 2))
         predicted = np.stack(found, axis=1)
         return ThermalPrediction(
-            tuple(one.name for one in self.displacements),
+            tuple(displacement.name for displacement in self.displacements),
             record.time_s,
             read_only(predicted),
             read_only(np.stack(u, axis=1)),
@@ -224,7 +224,7 @@ class ThermalModel(Result):
                 for name, (low, high) in zip(self.sensors, self.temperature_range_degC, strict=True)
             },
             "groups": [list(group) for group in self.groups if len(group) > 1],
-            "displacements": [_displacement_dict(one) for one in self.displacements],
+            "displacements": [_displacement_dict(displacement) for displacement in self.displacements],
             "notices": list(self.notices),
         }
 
@@ -309,11 +309,11 @@ class ThermalModel(Result):
         return far, warnings
 
     def _measured(self, record: ThermalRecord) -> np.ndarray:
-        found = np.full((len(record), len(self.displacements)), np.nan)
+        measured = np.full((len(record), len(self.displacements)), np.nan)
         for k, one in enumerate(self.displacements):
             if one.name in record.displacements:
-                found[:, k] = record.displacement_um[:, record.displacements.index(one.name)]
-        return found
+                measured[:, k] = record.displacement_um[:, record.displacements.index(one.name)]
+        return measured
 
 
 def _displacement_dict(one: DisplacementModel) -> dict[str, Any]:

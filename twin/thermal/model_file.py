@@ -116,7 +116,7 @@ def save_model(model: ThermalModel, path: str | Path) -> None:
             for name, (low, high) in zip(model.sensors, model.temperature_range_degC, strict=True)
         },
         "groups": [list(group) for group in model.groups],
-        "displacements": [_displacement(one) for one in model.displacements],
+        "displacements": [_displacement(displacement) for displacement in model.displacements],
         "candidates": [
             {
                 "effect": term.effect,
@@ -189,7 +189,7 @@ def load_model(path: str | Path) -> ThermalModel:
         inputs=Inputs(
             {name: sensor.reference_degC for name, sensor in data.sensors.items()}, data.highest_rpm, data.start_s
         ),
-        displacements=tuple(_read_displacement(one) for one in data.displacements),
+        displacements=tuple(_read_displacement(displacement) for displacement in data.displacements),
         temperature_range_degC=_array(
             [(sensor.lowest_degC, sensor.highest_degC) for sensor in data.sensors.values()], 2
         ),

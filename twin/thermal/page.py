@@ -21,16 +21,17 @@ from twin.thermal.record import ThermalRecord
 def model_lines(model: ThermalModel) -> list[str]:
     """Return the terms of every displacement, the groups of sensors and the held-out errors."""
     lines = [f"Thermal model of {model.source}"]
-    for one in model.displacements:
-        lines += ["", f"{one.name}: residual {one.residual_um:.2g} µm"]
-        if np.isfinite(one.held_out_um):
-            forward = ", ".join(f"{value:.2g}" for value in one.forward_um)
+    for displacement in model.displacements:
+        lines += ["", f"{displacement.name}: residual {displacement.residual_um:.2g} µm"]
+        if np.isfinite(displacement.held_out_um):
+            forward = ", ".join(f"{value:.2g}" for value in displacement.forward_um)
             shares = ", ".join(f"{share:.0%}" for share in FORWARD_SHARES)
             lines[-1] += (
-                f"; held out {one.held_out_um:.2g} µm RMS on blocks of time, {forward} µm on the rest after {shares} of the record"
+                f"; held out {displacement.held_out_um:.2g} µm RMS on blocks of time, {forward} µm on the rest after {shares} of "
+                "the record"
             )
-        lines += [f"  {term_text(term)}" for term in one.listed]
-        rest = [term for term in one.terms if not term.matters]
+        lines += [f"  {term_text(term)}" for term in displacement.listed]
+        rest = [term for term in displacement.terms if not term.matters]
         if rest:
             together = float(np.sqrt(sum(term.contribution_um**2 for term in rest)))
             lines.append(f"  {len(rest)} smaller terms, together {together:.2g} µm RMS")
@@ -102,7 +103,7 @@ def thermal_html(model: ThermalModel, shown: Sequence[tuple[ThermalRecord, Therm
         model: the model.
         shown: records with their predictions, drawn one after the other.
     """
-    listed = sum(len(one.listed) for one in model.displacements)
+    listed = sum(len(displacement.listed) for displacement in model.displacements)
     return render(
         "thermal/templates/thermal.html.j2",
         title=f"Thermal model of {Path(model.source).name}",

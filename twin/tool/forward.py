@@ -185,12 +185,12 @@ class Kinematics:
         calibration = self.calibration.where(keep)
         if len(calibration.effects) == len(self.calibration.effects):
             return self
-        found = object.__new__(Kinematics)
-        found.machine, found.conditions, found.by_pose = self.machine, self.conditions, self.by_pose
-        found.tool_length_mm, found.chain = self.tool_length_mm, self.chain
-        found.calibration, found._terms = calibration, self._terms
-        found._set_errors()
-        return found
+        other = object.__new__(Kinematics)
+        other.machine, other.conditions, other.by_pose = self.machine, self.conditions, self.by_pose
+        other.tool_length_mm, other.chain = self.tool_length_mm, self.chain
+        other.calibration, other._terms = calibration, self._terms
+        other._set_errors()
+        return other
 
     def symbols(self) -> list[Any]:
         """Return new symbols of the arguments of a pose: q (metres, radians), and the approach directions if directed."""

@@ -185,10 +185,10 @@ def _perpendicular(z: Any) -> tuple[Any, Any]:
 
 
 def _largest(vector: Any) -> Any:
-    found = ca.fabs(vector[0])
+    largest = ca.fabs(vector[0])
     for i in range(1, vector.numel()):
-        found = ca.fmax(found, ca.fabs(vector[i]))
-    return found
+        largest = ca.fmax(largest, ca.fabs(vector[i]))
+    return largest
 
 
 def _at_axes(machine: Machine, which: list[int], values: Any) -> Any:

@@ -589,13 +589,13 @@ class ToolUncertainty:
             positions: (n, axes) commands, mm and degrees, checked.
             approach: (n, axes) directions of approach, see `at`.
         """
-        found = np.zeros((len(positions), 3, len(self.parameters)))
+        point_rates = np.zeros((len(positions), 3, len(self.parameters)))
         if self.parameters:
             error = self.kinematics.sensitivities(positions, approach).error[:, :3]
             for component, columns, shape in self.rates(positions, approach):
                 # m per m and m per rad equal µm per µm and µm per µrad.
-                found[:, :, columns] += error[:, :, component, None] * shape[:, None, :]
-        return found
+                point_rates[:, :, columns] += error[:, :, component, None] * shape[:, None, :]
+        return point_rates
 
     def draw(self, rng: np.random.Generator, count: int) -> np.ndarray:
         """Draw deviations (parameters, count) of the uncertain parameters, µm and µrad: normal, with their covariance."""

@@ -134,7 +134,7 @@ def command(*examples: str, name: str | None = None) -> Callable[[Function], Fun
                 for parameter, mark in paths.items():
                     if mark is not None and values.get(parameter) is not None:
                         _check_output(values[parameter], mark)
-                for parameter in (one for one in values if MACHINE in hints[one]):
+                for parameter in (value for value in values if MACHINE in hints[value]):
                     find_bundled(values[parameter], ".yaml", "a machine file")
                 result = function(*arguments, **options)
                 if result is not None:
@@ -160,11 +160,11 @@ def _add_option(function: Callable[..., Any], name: str, option: Any) -> None:
 
 def path_parameters(function: Callable[..., Any]) -> dict[str, Output | None]:
     """Return the path parameters of a command, each with its `Output` marker, or None if it is an input."""
-    found = {}
+    parameters = {}
     for name, hint in get_type_hints(function, include_extras=True).items():
         if Path in _nested_types(hint):
-            found[name] = next((part for part in _nested_types(hint) if isinstance(part, Output)), None)
-    return found
+            parameters[name] = next((part for part in _nested_types(hint) if isinstance(part, Output)), None)
+    return parameters
 
 
 @contextmanager
@@ -243,12 +243,12 @@ def _nested_types(hint: Any) -> Iterator[Any]:
 
 
 def _selected_paths(values: Mapping[str, Any], paths: Mapping[str, Output | None], *, outputs: bool) -> list[Path]:
-    found = []
+    selected = []
     for name, mark in paths.items():
         value = values.get(name)
         if value is not None and (mark is not None) is outputs:
-            found += [value] if isinstance(value, Path) else list(value)
-    return found
+            selected += [value] if isinstance(value, Path) else list(value)
+    return selected
 
 
 def _check_output(path: Path, mark: Output) -> None:
@@ -351,7 +351,7 @@ def _message(error: Any, context: Any) -> str:
     text = " ".join(str(error.format_message()).split()).rstrip(".")
     option = getattr(error, "option_name", None)
     if option is not None and context is not None and type(error).__name__ == "NoSuchOption":
-        known = [name for one in context.command.params for name in (*one.opts, *one.secondary_opts)]
+        known = [name for param in context.command.params for name in (*param.opts, *param.secondary_opts)]
         return f"no such option: {option!r}{did_you_mean(option, [name for name in known if name.startswith('-')])}"
     command = re.search(r"No such command '([^']*)'", text)
     if command is not None and context is not None:

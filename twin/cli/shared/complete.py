@@ -124,7 +124,7 @@ def causes(ctx: Any, incomplete: str) -> list[str]:
     from twin.model.effects import MACHINE_EFFECTS
 
     machine = _machine(ctx)
-    places = {one.name: one.places(machine) for one in MACHINE_EFFECTS}
+    places = {machine_effect.name: machine_effect.places(machine) for machine_effect in MACHINE_EFFECTS}
     return _starting_with(
         incomplete, [f"{effect} {where}" for effect, wheres in sorted(places.items()) for where in wheres]
     )
@@ -181,14 +181,14 @@ def _files(incomplete: str, suffixes: tuple[str, ...]) -> list[str]:
         entries = sorted(Path(lead or ".").iterdir())
     except OSError:
         return []
-    found = []
+    files = []
     for entry in entries:
         if entry.name.startswith(start) and (start or not entry.name.startswith(".")):
             if entry.is_dir():
-                found.append(f"{lead}{entry.name}/")
+                files.append(f"{lead}{entry.name}/")
             elif entry.suffix.lower() in suffixes:
-                found.append(f"{lead}{entry.name}")
-    return found
+                files.append(f"{lead}{entry.name}")
+    return files
 
 
 def programs(incomplete: str) -> list[str]:

@@ -125,11 +125,11 @@ def exit_with_import_error(error: BaseException) -> NoReturn:
     names: dict[str, list[str]] = {}
     for name, reason in broken().items():
         names.setdefault(reason, []).append(name)
-    found = [f"{name} is not installed" for name in _not_installed()]
-    found += [f"{', '.join(some)} cannot be imported ({reason})" for reason, some in names.items()]
-    if not found:
+    missing = [f"{name} is not installed" for name in _not_installed()]
+    missing += [f"{', '.join(some)} cannot be imported ({reason})" for reason, some in names.items()]
+    if not missing:
         raise error
-    print_error(f"twin: {'; '.join(found)}; expected working packages: run twin doctor")
+    print_error(f"twin: {'; '.join(missing)}; expected working packages: run twin doctor")
     sys.exit(BAD_INPUT)
 
 
@@ -141,8 +141,8 @@ def exit_with_findings() -> NoReturn:
     """
     accept_any_text()
     clock = perf_counter()
-    found = [python(), *packages(), *extras(), browser(), *size()]
-    echo(shown(found, perf_counter() - clock), end="")
+    findings = [python(), *packages(), *extras(), browser(), *size()]
+    echo(shown(findings, perf_counter() - clock), end="")
     echo("machine, compiler and JSON: not checked, because they need the packages that failed")
     sys.exit(NOT_ALL_MET)
 
@@ -150,12 +150,12 @@ def exit_with_findings() -> NoReturn:
 def shown(findings: Sequence[Finding], seconds: float) -> str:
     """Return the findings, one per line, and a summary."""
     lines = []
-    for one in findings:
-        lines.append(f"{one.status:<8}{one.name:<26}{one.detail}")
-        if one.remedy:
-            lines.append(f"{'':<10}{one.remedy}")
-    failed = [one.name for one in findings if one.status == "FAILED"]
-    missing = [one.name for one in findings if one.status == "missing"]
+    for finding in findings:
+        lines.append(f"{finding.status:<8}{finding.name:<26}{finding.detail}")
+        if finding.remedy:
+            lines.append(f"{'':<10}{finding.remedy}")
+    failed = [finding.name for finding in findings if finding.status == "FAILED"]
+    missing = [finding.name for finding in findings if finding.status == "missing"]
     summary = f"FAILED: {', '.join(failed)}" if failed else "all required checks passed"
     summary += f"; optional, missing: {', '.join(missing)}" if missing else ""
     return "\n".join([*lines, "", f"{len(findings)} checks in {seconds:.1f} s: {summary}", ""])
@@ -174,32 +174,32 @@ def python() -> Finding:
 def packages() -> list[Finding]:
     """Check the required packages; each that fails is a finding of its own."""
     reasons = broken()
-    found = [
+    findings = [
         Finding(name, "FAILED", f"{_version(name)} cannot be imported: {reasons[name]}", _reinstall(name))
         for name in NEEDED
         if name in reasons
     ]
     absent = _not_installed()
     if absent:
-        found.append(
+        findings.append(
             Finding("packages", "FAILED", f"not installed: {', '.join(absent)}", "install twin again: pip install .")
         )
     good = ", ".join(f"{name} {_version(name)}" for name in NEEDED if name not in absent and name not in reasons)
-    return found if absent else [*found, Finding("packages", "ok", good)]
+    return findings if absent else [*findings, Finding("packages", "ok", good)]
 
 
 def extras() -> list[Finding]:
     """Check the optional packages."""
-    found = []
+    findings = []
     for name, (_, use) in OPTIONAL.items():
         installed, reason = _version(name), broken().get(name)
         if installed is None:
-            found.append(Finding(name, "missing", "not installed", f"for {use}"))
+            findings.append(Finding(name, "missing", "not installed", f"for {use}"))
         elif reason is not None:
-            found.append(Finding(name, "FAILED", f"{installed} cannot be imported: {reason}", _reinstall(name)))
+            findings.append(Finding(name, "FAILED", f"{installed} cannot be imported: {reason}", _reinstall(name)))
         else:
-            found.append(Finding(name, "ok", installed))
-    return found
+            findings.append(Finding(name, "ok", installed))
+    return findings
 
 
 def browser() -> Finding:
@@ -221,15 +221,15 @@ def browser() -> Finding:
 def size() -> list[Finding]:
     """Return findings on processor cores and memory."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    found = [Finding("processor cores", "ok", f"{cores}")]
+    findings = [Finding("processor cores", "ok", f"{cores}")]
     try:
         total = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / 1e9
     except (AttributeError, ValueError, OSError):
-        return [*found, Finding("memory", "missing", "not reported by this system")]
+        return [*findings, Finding("memory", "missing", "not reported by this system")]
     if total < LITTLE_MEMORY_GB:
         remedy = "a table of 100,000 readings takes 1.2 GB; use smaller tables"
-        return [*found, Finding("memory", "missing", f"{total:.1f} GB", remedy)]
-    return [*found, Finding("memory", "ok", f"{total:.1f} GB")]
+        return [*findings, Finding("memory", "missing", f"{total:.1f} GB", remedy)]
+    return [*findings, Finding("memory", "ok", f"{total:.1f} GB")]
 
 
 def _version(name: str) -> str | None:

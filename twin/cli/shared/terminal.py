@@ -45,8 +45,8 @@ _PLAIN: Final = {
 def _readable(error: UnicodeError) -> tuple[str, int]:
     if not isinstance(error, UnicodeEncodeError):
         raise error
-    found = error.object[error.start : error.end]
-    return "".join(_PLAIN.get(one) or one.encode("ascii", "backslashreplace").decode() for one in found), error.end
+    unreadable = error.object[error.start : error.end]
+    return "".join(_PLAIN.get(one) or one.encode("ascii", "backslashreplace").decode() for one in unreadable), error.end
 
 
 codecs.register_error("twin.readable", _readable)
@@ -185,14 +185,14 @@ def code_lines(line: str, width: int) -> list[str]:
     indent = " " * (len(line) - len(line.lstrip()) + _INDENT)
     if line.lstrip().startswith("twin "):
         words = _OPTION.split(line)
-        found = [words[0]]
+        lines = [words[0]]
         for word in words[1:]:
-            if len(found[-1]) + len(word) + len(" ") <= width - len(" \\"):
-                found[-1] += f" {word}"
+            if len(lines[-1]) + len(word) + len(" ") <= width - len(" \\"):
+                lines[-1] += f" {word}"
             else:
-                found[-1] += " \\"
-                found.append(f"{indent}{word}")
-        return found
+                lines[-1] += " \\"
+                lines.append(f"{indent}{word}")
+        return lines
     return textwrap.wrap(line, width, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False) or [""]
 
 
@@ -275,7 +275,7 @@ def axis_values(option: str, entries: Iterable[str] | None, axes: Sequence[str])
     Raises:
         InputError: an unknown axis, an axis given twice, or text that is not a number.
     """
-    found: dict[str, float] = {}
+    values: dict[str, float] = {}
     for name, text, entry in pairs(option, entries, f"AXIS=number, once for each axis of {', '.join(axes)}"):
         if name not in axes:
             raise InputError(
@@ -284,8 +284,8 @@ def axis_values(option: str, entries: Iterable[str] | None, axes: Sequence[str])
                 value=entry,
                 nearest=closest_name(name, axes),
             )
-        found[name] = number(option, text, entry)
-    return found
+        values[name] = number(option, text, entry)
+    return values
 
 
 def _many_words(arguments: list[str]) -> Mapping[str, re.Pattern[str]]:
@@ -392,9 +392,9 @@ def tolerances(entries: Sequence[str]) -> dict[str, float]:
     Raises:
         InputError: text that is not SYMBOL=NUMBER, a negative number, or a symbol given twice.
     """
-    found: dict[str, float] = {}
+    limits: dict[str, float] = {}
     for name, text, entry in pairs("--tolerance", entries, "symbol and µm or µrad: A=10"):
-        found[name] = number("--tolerance", text, entry)
-        if found[name] < 0.0:
+        limits[name] = number("--tolerance", text, entry)
+        if limits[name] < 0.0:
             raise InputError("--tolerance must not be negative", expected="µm or µrad, 0 or above", value=entry)
-    return found
+    return limits

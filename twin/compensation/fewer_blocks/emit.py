@@ -130,19 +130,19 @@ def shortened(
 
 def rounded(words: np.ndarray, tcp: np.ndarray, prepared: PreparedMachine, increment: np.ndarray) -> np.ndarray:
     """Return (n, axes) words rounded to their increments: rotary words first, then linear words that keep the tool point."""
-    space, found = prepared.space, prepared.on_grid(words, tcp, increment)
-    turned = np.flatnonzero(~tcp & (found[:, 3:] != words[:, 3:]).any(axis=1))
+    space, printed = prepared.space, prepared.on_grid(words, tcp, increment)
+    turned = np.flatnonzero(~tcp & (printed[:, 3:] != words[:, 3:]).any(axis=1))
     if turned.size:
         commands = space.commands(words[turned], tcp[turned])
         target = space.nominal.forward(commands)
         start = np.array(commands)
-        start[:, space.order[3:]] = found[turned, 3:] + space.offset[3:]
+        start[:, space.order[3:]] = printed[turned, 3:] + space.offset[3:]
         solved = space.inverse.solve(target, start, rotary=False).positions
         low, high = prepared.limits.T
         within = (commands >= low - SLACK) & (commands <= high + SLACK)
         kept = space.words(np.where(within, np.clip(solved, low, high), solved), tcp[turned])
-        found[turned, :3] = prepared.on_grid(kept, tcp[turned], increment)[:, :3]
-    return np.asarray(found)
+        printed[turned, :3] = prepared.on_grid(kept, tcp[turned], increment)[:, :3]
+    return np.asarray(printed)
 
 
 def _replacement(

@@ -54,12 +54,12 @@ def distances_near(
         limit: distance with which the results are compared; if many are larger, the search ends.
     """
     here = np.clip(np.searchsorted(line_at, at, side="right") - 1, 0, len(line) - 2)
-    found = np.full(len(points), np.inf)
+    distances_near = np.full(len(points), np.inf)
     start, way = line[:-1], np.diff(line, axis=0)
     square = np.maximum(np.einsum("ij,ij->i", way, way), LEAST_SQUARED_LENGTH)
     for window in WINDOWS:
-        far = np.flatnonzero(found > near)
-        beyond = np.count_nonzero(found > limit)
+        far = np.flatnonzero(distances_near > near)
+        beyond = np.count_nonzero(distances_near > limit)
         if not far.size or (window > LINES_DIFFER[0] and beyond > max(LINES_DIFFER[1] * len(points), 1.0)):
             break
         step = max(1, MOST_PAIRS // (2 * window + 1))
@@ -67,20 +67,22 @@ def distances_near(
             some = far[first : first + step]
             segment = here[some, None] + np.arange(-window, window + 1)
             np.minimum(np.maximum(segment, 0, out=segment), len(way) - 1, out=segment)
-            found[some] = _distances(points[some, None, :], start[segment], way[segment], square[segment]).min(axis=1)
-    return found
+            distances_near[some] = _distances(points[some, None, :], start[segment], way[segment], square[segment]).min(
+                axis=1
+            )
+    return distances_near
 
 
 def distances_anywhere(points: np.ndarray, line: np.ndarray) -> np.ndarray:
     """Return (n,) distances of points from the nearest point anywhere on a polyline."""
     start, way = line[:-1], np.diff(line, axis=0)
     square = np.maximum(np.einsum("ij,ij->i", way, way), LEAST_SQUARED_LENGTH)
-    found = np.empty(len(points))
+    distances_anywhere = np.empty(len(points))
     step = max(1, MOST_PAIRS // len(way))
     for first in range(0, len(points), step):
         some = slice(first, first + step)
-        found[some] = _distances(points[some, None, :], start[None], way[None], square[None]).min(axis=1)
-    return found
+        distances_anywhere[some] = _distances(points[some, None, :], start[None], way[None], square[None]).min(axis=1)
+    return distances_anywhere
 
 
 def _distances(points: np.ndarray, start: np.ndarray, way: np.ndarray, square: np.ndarray) -> np.ndarray:
@@ -284,26 +286,26 @@ class Fitter:
         From every joint, each degree is extended as long as it stays within the tolerance. The candidate with the most blocks per
         control point is taken, unless one that ends the stretch needs fewer control points than that candidate and the estimated rest.
         """
-        found: list[CurvePiece] = []
+        pieces: list[CurvePiece] = []
         first, tangent, skip = 0, None, 0
         while first < self.end:
             best = self._best(first, tangent)
             if best is None:
                 # No curve saves blocks, or none keeps the tangent: keep some blocks, then start without a tangent.
                 skip = min(max(2 * skip, 1), MOST_SKIPPED)
-                found += [self._block(vertex) for vertex in range(first, min(first + skip, self.end))]
-                first, tangent = found[-1].last, None
+                pieces += [self._block(vertex) for vertex in range(first, min(first + skip, self.end))]
+                first, tangent = pieces[-1].last, None
                 continue
-            found.append(best)
+            pieces.append(best)
             first, tangent, skip = best.last, self._end_tangent(best), 0
-        while len(found) > 1 and found[-2].blocks > 1:
-            before = self._end_tangent(found[-3]) if len(found) > 2 else None
-            cost = found[-2].degree + found[-1].degree
-            joined = self._lowest_degree(found[-2].first, before, most=cost - 1)
+        while len(pieces) > 1 and pieces[-2].blocks > 1:
+            before = self._end_tangent(pieces[-3]) if len(pieces) > 2 else None
+            cost = pieces[-2].degree + pieces[-1].degree
+            joined = self._lowest_degree(pieces[-2].first, before, most=cost - 1)
             if joined is None:
                 break
-            found[-2:] = [joined]
-        return found
+            pieces[-2:] = [joined]
+        return pieces
 
     def curve(self, pieces: list[CurvePiece], steps: int) -> tuple[np.ndarray, np.ndarray]:
         """Return words of the whole curve at ``steps`` or more points per block, and their parameters."""
@@ -375,8 +377,8 @@ class Fitter:
         low = 0
         while best is not None and best.degree - low > 1:
             middle = (low + best.degree) // 2
-            found = self._fit(first, self.end, "polynomial", middle, tangent)
-            low, best = (middle, best) if found is None else (low, found)
+            piece = self._fit(first, self.end, "polynomial", middle, tangent)
+            low, best = (middle, best) if piece is None else (low, piece)
         return best
 
     def _fit(self, first: int, last: int, kind: Kind, degree: int, tangent: np.ndarray | None) -> CurvePiece | None:
@@ -463,12 +465,12 @@ def few_blocks(
     # A chord may use twice the tolerance from its vertices to its middle: √(c/(16 a)) chords per unit.
     step = min(max(int(0.8 * sums[-1] / np.sqrt(16.0 * allowed_mm)), 1), most)
     while low < step < high:
-        found = _blocks(line, curve, curve_at, sums, step, tool, allowed_mm, still)
-        if found is None:
+        blocks = _blocks(line, curve, curve_at, sums, step, tool, allowed_mm, still)
+        if blocks is None:
             low = step
             step = min(max(int(GROWTH * step), step + 1), most) if high > most else (low + high) // 2
         else:
-            high, best = step, found
+            high, best = step, blocks
             step = (low + high) // 2 if low else min(int(step / GROWTH), step - 1)
     return best
 

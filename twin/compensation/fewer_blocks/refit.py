@@ -111,10 +111,10 @@ def _not_met(job: RefitJob, runs: Sequence[RunReport], tolerance_mm: float) -> I
         if run.total_um > tolerance_mm * 1e3 * (1.0 + 1e-9):
             text = f"executed path up to {run.total_um:.2f} µm from the input path, to line {run.last_line}"
             yield LineNote(run.first_line, text)
-    for found in of_unknown(job.path.unknown):
-        if found.missed.any():
-            cutting = found.lines[found.missed]
-            yield LineNote(int(cutting[0]), f"{count_with_noun(len(cutting), 'cutting block')}: {found.reason}")
+    for shortfalls in of_unknown(job.path.unknown):
+        if shortfalls.missed.any():
+            cutting = shortfalls.lines[shortfalls.missed]
+            yield LineNote(int(cutting[0]), f"{count_with_noun(len(cutting), 'cutting block')}: {shortfalls.reason}")
 
 
 def _runs(refitter: RunRefitter, job: RefitJob) -> Iterator[RunReport]:

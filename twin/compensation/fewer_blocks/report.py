@@ -183,7 +183,7 @@ class PathReport(Result):
             "expanded_um": self.expanded_um,
             "contributions": self.contributions,
         }
-        found = {
+        entry = {
             "schema": SCHEMA,
             "complete": self.complete,
             "strictly_complete": self.strictly_complete,
@@ -206,7 +206,7 @@ class PathReport(Result):
             "uncertainty": uncertainty,
             "compensation": self.compensation,
         }
-        return dict(json_form(found))
+        return dict(json_form(entry))
 
     @property
     def brief(self) -> str:
@@ -249,7 +249,10 @@ class PathReport(Result):
             f"    executed path from input path             {shares.tolerance:8.3f} {used['total']:8.3f}",
             "",
             f"  uncertainty at a point of the path: {unknown if u != u else f'U (k = 2) {u:.2f} µm,'} contributions (k = 1)",
-            *(f"    {one.name:<44}{_um(one.standard_um)}  {one.how}" for one in self.contributions),
+            *(
+                f"    {contribution.name:<44}{_um(contribution.standard_um)}  {contribution.how}"
+                for contribution in self.contributions
+            ),
         ]
         unchanged = tuple(
             LineNote(run.first_line, f"{run.blocks} blocks to line {run.last_line}: {run.why}")
@@ -259,7 +262,7 @@ class PathReport(Result):
         compensation = self.compensation
         lists = (
             ("not met", grouped(self.not_met)),
-            ("not corrected", [] if compensation is None else [one.text for one in compensation.not_corrected]),
+            ("not corrected", [] if compensation is None else [error.text for error in compensation.not_corrected]),
             ("left unchanged", grouped(unchanged)),
             ("notes", grouped(self.notes)),
         )

@@ -249,8 +249,8 @@ class RunRefitter:
             ]
             powers = (PARAMETER_EXPONENTS[int(np.argmin(costs))],)
         lines = [Polyline.of(words, tool, power) for power in powers]
-        found = [(line, Fitter(line, tool, allowed).pieces()) for line in lines]
-        return min(found, key=lambda one: _cost(one[1]))
+        curves = [(line, Fitter(line, tool, allowed).pieces()) for line in lines]
+        return min(curves, key=lambda one: _cost(one[1]))
 
     def _tool(self, turning: bool, tcp: bool) -> Tool:
         """Return the function from words to coordinates at the tool, mm: the point in the work frame, and rotary words at the lever."""

@@ -103,8 +103,8 @@ def corners(line: Polyline, allowed_mm: float) -> list[int]:
     neighbour = np.maximum(np.append(0.0, bend[:-1]), np.append(bend[1:], 0.0))
     isolated = (bend >= ISOLATED_BEND_RAD) & (bend >= ISOLATED_FACTOR * neighbour)
     long = size > LONG_FACTOR * np.median(size)
-    found = (rounded > 2.0 * allowed_mm) | isolated | long[:-1] | long[1:]
-    return [0, *(np.flatnonzero(found) + 1).tolist(), len(size)]
+    is_corner = (rounded > 2.0 * allowed_mm) | isolated | long[:-1] | long[1:]
+    return [0, *(np.flatnonzero(is_corner) + 1).tolist(), len(size)]
 
 
 def _straight(motion: PathMotion) -> bool:
@@ -122,7 +122,7 @@ def _follows(before: PathMotion, motion: PathMotion) -> bool:
 def _plain_lines(program: Program, dialect: Dialect, path: ToolPath, names: tuple[str, ...]) -> dict[int, str]:
     """Return the lines that contain only positions, with the feed in force; none in inverse-time feed mode."""
     moving = {motion.move.line for motion in path.motions}
-    found: dict[int, str] = {}
+    plain_lines: dict[int, str] = {}
     feed: float | None = None
     timed = False
     for index, text in enumerate(program.texts):
@@ -130,5 +130,5 @@ def _plain_lines(program: Program, dialect: Dialect, path: ToolPath, names: tupl
         feed = feed if words.feed is None else words.feed
         timed = timed if words.unit is None else words.unit is FeedUnit.INVERSE
         if index in moving and not timed and dialect.is_motion_only(text, names):
-            found[index] = str(feed)
-    return found
+            plain_lines[index] = str(feed)
+    return plain_lines

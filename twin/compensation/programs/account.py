@@ -173,8 +173,8 @@ class CompensationAccount:
         self._any_tcp |= bool(pieces.tcp[context:].any())
         self._tally_correction(pieces, rows, corrected.lines)
         if not self._idle:
-            for found in uncorrected(corrected, residual_um):
-                self._shortfalls.add(found)
+            for shortfalls in uncorrected(corrected, residual_um):
+                self._shortfalls.add(shortfalls)
         axes = self._prepared.backlash.axes
         self._reversals[axes] += np.count_nonzero(rows.reverses[rows.backlash_move][:, axes], axis=0)
         self._approach_notes += approach_notes(corrected)
@@ -346,9 +346,9 @@ class CompensationAccount:
 
     def _not_corrected(self, unknown: Sequence[LostBlock], text_of: Callable[[int], str]) -> tuple[Shortfall, ...]:
         if not self._idle:
-            for found in of_unknown(unknown):
-                self._shortfalls.add(found)
-        return tuple(hinted(one, text_of) for one in self._shortfalls.shortfalls())
+            for shortfalls in of_unknown(unknown):
+                self._shortfalls.add(shortfalls)
+        return tuple(hinted(shortfall, text_of) for shortfall in self._shortfalls.shortfalls())
 
     def _unknown_errors(self) -> UnknownErrors | None:
         """Return U with the errors that the calibration could not determine; None if there are none, or nothing was corrected."""

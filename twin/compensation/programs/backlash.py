@@ -106,11 +106,11 @@ class Backlash:
             (n, axes) +1, −1 or 0 on the way to each position. It changes directly after the extreme point of a reversal, the last one
             of equal points.
         """
-        found = np.zeros(intended.shape)
+        commanded_sides = np.zeros(intended.shape)
         for axis in self.axes:
             way, own = _with_passages(path.passages, motion, intended[:, axis], axis)
-            found[:, axis] = _from_reversal(way, _play(way, self._dead_band[axis])[1])[own]
-        return found
+            commanded_sides[:, axis] = _from_reversal(way, _play(way, self._dead_band[axis])[1])[own]
+        return commanded_sides
 
 
 @final
@@ -184,11 +184,11 @@ def _play(
 
 def _from_reversal(way: np.ndarray, sides: np.ndarray) -> np.ndarray:
     """Return sides that are detected late, moved back to the preceding extreme point."""
-    found = sides.copy()
+    moved = sides.copy()
     at = np.flatnonzero(np.diff(sides) != 0.0) + 1
     at = at[sides[at] != 0.0]
     if not at.size:
-        return found
+        return moved
     # The extreme point lies behind the detection of the reversal before, which is behind the extreme point of that one.
     gaps = np.append(-1, np.flatnonzero(np.isnan(way)))
     begin = np.maximum(np.append(0, at[:-1]), gaps[np.searchsorted(gaps, at) - 1] + 1)
@@ -198,8 +198,8 @@ def _from_reversal(way: np.ndarray, sides: np.ndarray) -> np.ndarray:
     lowest = np.repeat(np.minimum.reduceat(heights, firsts), length)
     extreme = np.maximum.reduceat(np.where(heights <= lowest + STANDING_STILL, places, -1), firsts)
     places, length = _ranges(extreme + 1, at)
-    found[places] = np.repeat(sides[at], length)
-    return found
+    moved[places] = np.repeat(sides[at], length)
+    return moved
 
 
 def _ranges(begin: np.ndarray, end: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

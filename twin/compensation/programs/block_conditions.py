@@ -187,8 +187,8 @@ def velocity_limits(machine: Machine) -> np.ndarray:
     """Return (axes,) the velocity limits of the URDF in mm/s and degrees/s; very large where there is none."""
     model = machine.model
     limits = [model.velocityLimit[model.joints[model.getJointId(axis.joint)].idx_v] for axis in machine.axes]
-    found = np.minimum(limits, UNLIMITED_SPEED) / machine.scale
-    return np.where(found > 0.0, found, np.inf)
+    fastest = np.minimum(limits, UNLIMITED_SPEED) / machine.scale
+    return np.where(fastest > 0.0, fastest, np.inf)
 
 
 def _way(path: ToolPath) -> np.ndarray:
@@ -246,16 +246,16 @@ class _Course:
         Raises:
             InputError: the speed before or during the program is unknown.
         """
-        found: dict[str, np.ndarray] = {
+        state: dict[str, np.ndarray] = {
             name: np.full(len(self.time_s), value) for name, value in self._conditions.channels.items()
         }
-        found[TIME] = self.time_s
+        state[TIME] = self.time_s
         if self._log is not None:
             for name, values in self._log.temperature_degC.items():
-                found[temperature_channel(name)] = np.interp(self.time_s, self._log.time_s, values)
+                state[temperature_channel(name)] = np.interp(self.time_s, self._log.time_s, values)
         if self._needs_speed and self._conditions.spindle_rpm is None:
-            found[SPEED] = self._speeds()
-        return found
+            state[SPEED] = self._speeds()
+        return state
 
     def _speeds(self) -> np.ndarray:
         """Return the speed of the time up to each moment."""

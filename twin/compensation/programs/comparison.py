@@ -83,8 +83,8 @@ class Commands:
         if self.way is None or self.points is None:
             return np.asarray(self.begin)
         line = np.repeat(np.arange(len(self.begin)), self.points)
-        found = np.asarray(self.begin[line] + fractions(self.points)[:, None] * self.way[line])
-        return found if self.converted is None else self.converted(found)
+        commands = np.asarray(self.begin[line] + fractions(self.points)[:, None] * self.way[line])
+        return commands if self.converted is None else self.converted(commands)
 
     @property
     def inputs(self) -> tuple[np.ndarray, np.ndarray]:

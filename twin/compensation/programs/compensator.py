@@ -153,8 +153,8 @@ class Compensator:
         written = dialect if into is None else into
         posted = written.name != dialect.name
         progress("solving", 0.1)
-        found = self._corrected(program, dialect, reading, path, motions_of(parts, path), progress, posted=posted)
-        new = _with_shares(new_positions(found, len(reading.moves), len(axes.names)), found)
+        corrected = self._corrected(program, dialect, reading, path, motions_of(parts, path), progress, posted=posted)
+        new = _with_shares(new_positions(corrected, len(reading.moves), len(axes.names)), corrected)
         progress("writing", 0.8)
         if posted:
             text = dialect.posted(program, reading, new, axes, written)
@@ -166,9 +166,9 @@ class Compensator:
         progress("checking", 0.9)
         numbers = program.numbers
         account = CompensationAccount(
-            prepared, prepared.aim(turns=any(one.pieces.aim.turns for one in found)), program.source
+            prepared, prepared.aim(turns=any(one.pieces.aim.turns for one in corrected)), program.source
         )
-        for one in found:
+        for one in corrected:
             account.add(one)
         notices = [notice._replace(line=int(numbers[notice.line]) - 1) for notice in (*reading.notices, *path.notices)]
         if program.origins:
@@ -186,7 +186,7 @@ class Compensator:
             ),
         )
         progress("done", 1.0)
-        columns = [np.concatenate(column) for column in zip(*map(_columns, found), strict=True)]
+        columns = [np.concatenate(column) for column in zip(*map(_columns, corrected), strict=True)]
         return Compensation(text, report, reading, new, path, *map(read_only, columns))
 
     def _corrected(
@@ -211,7 +211,7 @@ class Compensator:
             prepared.calibration,
             prepared.options.conditions,
         )
-        found = []
+        corrected = []
         for part in parts:
             within = prepared.within(part.space)
             pieces = Pieces(
@@ -224,8 +224,8 @@ class Compensator:
                 conditions=conditions.part(part.begin - part.context, part.end),
                 posted=posted,
             )
-            found.append(correct(pieces, progress, context=part.context))
-        return found
+            corrected.append(correct(pieces, progress, context=part.context))
+        return corrected
 
     def _check(
         self,
@@ -392,9 +392,9 @@ def compensate_file(
         True
     """
     errors = Calibration.default(machine) if calibration is None else calibration
-    found, target = find_program(program), Path(output)
-    into = dialect_for(target) if dialect_of(found).cutter_locations else None
-    return Compensator(machine, errors, options).compensate_file(found, target, progress, into=into)
+    source, target = find_program(program), Path(output)
+    into = dialect_for(target) if dialect_of(source).cutter_locations else None
+    return Compensator(machine, errors, options).compensate_file(source, target, progress, into=into)
 
 
 def _columns(found: Corrected) -> tuple[np.ndarray, ...]:

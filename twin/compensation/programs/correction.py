@@ -44,18 +44,18 @@ def insert_backlash_moves(pieces: Pieces, rows: Rows) -> Rows:
     of = np.concatenate([np.arange(len(rows.leg)), at, at[over]])
     order = np.lexsort((np.repeat([2, 1, 0], [len(rows.leg), len(at), len(over)]), of))
     fraction = np.concatenate([rows.fraction, begin, begin[over]])[order]
-    found = pieces.solve(rows.leg[of][order], fraction, sides[of][order])
-    found = replace(
-        found,
+    inserted = pieces.solve(rows.leg[of][order], fraction, sides[of][order])
+    inserted = replace(
+        inserted,
         backlash_move=(np.arange(len(of)) >= len(rows.leg))[order],
         reverses=np.concatenate([turned, turned[at], np.zeros_like(turned[over])])[order],
         overshoot=np.concatenate([np.zeros_like(sides), np.zeros_like(beyond), beyond[over]])[order],
-        untouched=found.untouched | pieces.left_as_written(rows)[found.motion],
+        untouched=inserted.untouched | pieces.left_as_written(rows)[inserted.motion],
     )
-    found = pieces.printed(found).distinct()
-    found = _without_steps_back(pieces, found, found.approach, pieces.prepared.machine.rotary)
+    inserted = pieces.printed(inserted).distinct()
+    inserted = _without_steps_back(pieces, inserted, inserted.approach, pieces.prepared.machine.rotary)
     return _without_steps_back(
-        pieces, _linear_axes_solved_again(pieces, found), found.approach, pieces.prepared.machine.linear
+        pieces, _linear_axes_solved_again(pieces, inserted), inserted.approach, pieces.prepared.machine.linear
     ).distinct()
 
 
@@ -122,8 +122,8 @@ def _without_steps_back(pieces: Pieces, rows: Rows, sides: np.ndarray, axes: tup
         for place in np.unique(np.searchsorted(starts, back[~np.isin(back, starts)])).tolist():
             first, last = starts[place - 1], starts[place]
             if sides[first, axis] != 0.0:
-                found = _not_back(way[first:last], abs(pieces.aim.backlash.size[axis]))
-                commands[first:last, axis] = found * sides[first, axis]
+                not_back = _not_back(way[first:last], abs(pieces.aim.backlash.size[axis]))
+                commands[first:last, axis] = not_back * sides[first, axis]
     which = np.flatnonzero((commands != rows.commands).any(axis=1) & ~fixed)
     tcp_out = pieces.tcp_out[rows.motion[which]]
     printed, final_commands = rows.printed.copy(), rows.commands.copy()

@@ -227,9 +227,9 @@ def _gaps(path: ToolPath, space: WordSpace, positions: np.ndarray, ends: np.ndar
 def _joined(runs: Sequence[Execution]) -> Execution:
     """Return the executions of consecutive sections as one."""
     arrays = {
-        one.name: np.concatenate([getattr(run, one.name) for run in runs])
-        for one in fields(Execution)
-        if one.name not in ("left_out", "unknown")
+        field.name: np.concatenate([getattr(run, field.name) for run in runs])
+        for field in fields(Execution)
+        if field.name not in ("left_out", "unknown")
     }
     return Execution(**arrays, left_out=sum(run.left_out for run in runs), unknown=())
 

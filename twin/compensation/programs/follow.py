@@ -321,8 +321,8 @@ class Follower:
     def _along_vector(self, move: Move, before: np.ndarray) -> np.ndarray:
         space = self._space
         standing = np.where(np.isnan(before), space.start, before) + space.offset[3:]
-        (found,) = space.branches.nearest(space.branches.all(np.array([move.vector])), standing[None])
-        if np.isnan(found).any():
+        (nearest,) = space.branches.nearest(space.branches.all(np.array([move.vector])), standing[None])
+        if np.isnan(nearest).any():
             raise InputError(
                 f"{space.machine.name} cannot reach this tool vector",
                 expected="a tool vector within the ranges of its rotary axes",
@@ -330,7 +330,7 @@ class Follower:
                 line=move.line + 1,
                 value=move.vector,
             )
-        return np.asarray(found - space.offset[3:])
+        return np.asarray(nearest - space.offset[3:])
 
 
 # --- Coordinates of a program that selects work offsets and tools: the set-up and the tool length of every frame
@@ -412,8 +412,8 @@ class FrameSpaces:
         if plane.choice:
             wrong = plane.choice * solutions[:, space.branches.master] < -1e-9
             solutions[wrong & ~wrong.all()] = np.nan
-        (found,) = space.branches.nearest(solutions[None], standing_deg[None])
-        if np.isnan(found).any():
+        (nearest,) = space.branches.nearest(solutions[None], standing_deg[None])
+        if np.isnan(nearest).any():
             raise InputError(
                 f"{space.machine.name} cannot reach this tilted plane",
                 expected="a plane within the ranges of its rotary axes",
@@ -422,7 +422,7 @@ class FrameSpaces:
                 value=" ".join(f"{value:.4g}" for value in normal),
             )
         increment = np.array([space.axes.increment[name] for name in space.axes.rotary])
-        return np.asarray(np.round(found / increment) * increment)
+        return np.asarray(np.round(nearest / increment) * increment)
 
     def _origin(self, shift: dict[str, float]) -> tuple[float, float, float]:
         commands = np.array([[shift[axis.name] if axis.linear else 0.0 for axis in self._base.machine.axes]])

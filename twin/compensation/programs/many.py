@@ -173,17 +173,17 @@ def outputs(programs: Sequence[Path], folder: Path) -> dict[Path, Path]:
     if not folder.is_dir() and not folder.parent.is_dir():
         expected = f"an existing folder: create {folder.parent} first"
         raise InputError("cannot be written: its folder does not exist", expected=expected, file=folder)
-    found: dict[Path, Path] = {}
+    outputs: dict[Path, Path] = {}
     for program in programs:
         if folder.resolve() == program.resolve().parent:
             raise InputError("the output would overwrite the program", expected="another folder", file=program)
         output = folder / program.name
-        if output in found.values():
+        if output in outputs.values():
             raise InputError("two programs have the same file name", expected="different file names", file=program)
-        found[program] = output
+        outputs[program] = output
     if folder.is_dir():
-        check_writable([path for output in found.values() for path in _written(output)])
-    return found
+        check_writable([path for output in outputs.values() for path in _written(output)])
+    return outputs
 
 
 def _written(output: Path) -> tuple[Path, Path, Path]:

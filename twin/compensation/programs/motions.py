@@ -251,10 +251,10 @@ class LostBlock(NamedTuple):
 
 def by_reason(moves: Iterable[LostBlock]) -> dict[str, list[LostBlock]]:
     """Return blocks by the reason why nothing is known of them, in order."""
-    found: dict[str, list[LostBlock]] = {}
+    lost: dict[str, list[LostBlock]] = {}
     for move in moves:
-        found.setdefault(move.reason, []).append(move)
-    return found
+        lost.setdefault(move.reason, []).append(move)
+    return lost
 
 
 @final
@@ -299,4 +299,4 @@ class ToolPath:
             motion.along(share) if np.isfinite(motion.start).all() else motion.end[None]
             for motion, share in zip(self.motions, fractions, strict=True)
         ]
-        return np.concatenate(words), np.repeat(np.arange(len(words)), [len(one) for one in words])
+        return np.concatenate(words), np.repeat(np.arange(len(words)), [len(word) for word in words])

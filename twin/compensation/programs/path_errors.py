@@ -94,9 +94,9 @@ class PathErrors:
         return self._by_motion(legs, self._distances(legs, rows, as_run=True))[motions]
 
     def _by_motion(self, legs: np.ndarray, of_legs: np.ndarray) -> np.ndarray:
-        found = np.zeros(len(self._pieces.start))
-        np.maximum.at(found, self._pieces.legs.motion[legs], of_legs)
-        return found
+        worst = np.zeros(len(self._pieces.start))
+        np.maximum.at(worst, self._pieces.legs.motion[legs], of_legs)
+        return worst
 
     def leg_errors_mm(self, legs: np.ndarray, rows: Rows) -> np.ndarray:
         """Return (legs,) the largest distance (mm) of the real from the nominal point between the end points of each leg's pieces.

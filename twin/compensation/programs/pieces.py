@@ -133,7 +133,7 @@ class Rows:
 
 
 def _of_each(make: Callable[..., np.ndarray], *rows: Rows) -> Rows:
-    return Rows(**{field.name: make(*(getattr(one, field.name) for one in rows)) for field in fields(Rows)})
+    return Rows(**{field.name: make(*(getattr(row, field.name) for row in rows)) for field in fields(Rows)})
 
 
 class Ways(NamedTuple):
@@ -445,9 +445,9 @@ class Pieces:
 
     def left_as_written(self, rows: Rows) -> np.ndarray:
         """Return (motions,) whether any end point of each is left as written."""
-        found = np.zeros(len(self.start), dtype=bool)
-        found[rows.motion[rows.untouched]] = True
-        return found
+        left_as_written = np.zeros(len(self.start), dtype=bool)
+        left_as_written[rows.motion[rows.untouched]] = True
+        return left_as_written
 
     # --- commands for end points of pieces ---------------------------------------------------------------------------
 
@@ -539,13 +539,13 @@ class Pieces:
             rows: as solved.
             unsolved: (n,) whether the solver did not reach the point within the limits.
         """
-        found = self._rounded(rows)
-        stopped = found.clamped & ~found.as_programmed & ~rows.overshoot.any(axis=1)
+        rounded = self._rounded(rows)
+        stopped = rounded.clamped & ~rounded.as_programmed & ~rows.overshoot.any(axis=1)
         if unsolved is not None:
             stopped |= unsolved & ~rows.untouched
         if not stopped.any() or self.prepared.thesis is not None:
-            return found
-        return found.put(stopped, self._nearest(found.where(stopped)))
+            return rounded
+        return rounded.put(stopped, self._nearest(rounded.where(stopped)))
 
     def _rounded(self, rows: Rows) -> Rows:
         """Return the rows with ``exact`` stopped at the limits, converted to words and rounded to their increments."""
@@ -622,6 +622,6 @@ class Pieces:
             vectors[rows] = np.round(space.nominal.forward(commands[rows]).axis, self.vector_decimals)
             unit = vectors[rows] / np.linalg.norm(vectors[rows], axis=1, keepdims=True)
             before = commands[:, rotary][rows]
-            found = space.branches.nearest(space.branches.all(unit), before)
-            commands[rows[:, None], rotary] = np.where(np.isnan(found), before, found)
+            nearest = space.branches.nearest(space.branches.all(unit), before)
+            commands[rows[:, None], rotary] = np.where(np.isnan(nearest), before, nearest)
         return commands, vectors

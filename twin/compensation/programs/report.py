@@ -87,10 +87,10 @@ class LineNote:
 
 def grouped(notes: Sequence[LineNote]) -> list[str]:
     """Return one line per text, with the line numbers of all notes of that text."""
-    found: dict[str, list[int]] = {}
+    lines_of: dict[str, list[int]] = {}
     for line_note in notes:
-        found.setdefault(line_note.text, []).append(line_note.line)
-    return [f"{line_numbers(lines)}: {text}" for text, lines in found.items()]
+        lines_of.setdefault(line_note.text, []).append(line_note.line)
+    return [f"{line_numbers(lines)}: {text}" for text, lines in lines_of.items()]
 
 
 @final
@@ -232,7 +232,7 @@ class Report(DisplayedResult):
             return f"NOTHING CORRECTED: {outside:,} of {count_with_noun(self.moves, 'block')} would leave the range of an axis{hint}"
         missed = self._lines_of(lambda shortfall: shortfall.missed)
         if missed:
-            unknown = any(one.missed for one in self.not_corrected if one.kind == "unknown")
+            unknown = any(error.missed for error in self.not_corrected if error.kind == "unknown")
             how = "are left as written or remain" if unknown else "remain"
             return f"NOT ALL CORRECTED: {missed:,} of {self.cutting:,} cutting blocks {how} out of tolerance{hint}"
         left = self._lines_of(lambda shortfall: shortfall.lines)
@@ -320,7 +320,7 @@ class Report(DisplayedResult):
         above = note(self.headline, loud=not self.complete), table(headers, errors, right=range(1, 5))
         below = (
             table(by_class, classes, right=(1, 2)),
-            *(note(f"not corrected: {one.text}", loud=bool(one.missed)) for one in self.not_corrected),
+            *(note(f"not corrected: {error.text}", loud=bool(error.missed)) for error in self.not_corrected),
             *(note(text) for text in grouped(self.notes)),
         )
         title = f"{Path(self.program).name} on {self.machine}, compensated"
@@ -358,7 +358,7 @@ class Report(DisplayedResult):
             "  by class (ISO/TR 16907)   before RMS     max        after RMS",
             *self._classes_text(),
         ]
-        lists = (("not corrected", [one.text for one in self.not_corrected]), ("notes", grouped(self.notes)))
+        lists = (("not corrected", [error.text for error in self.not_corrected]), ("notes", grouped(self.notes)))
         for title, lines in lists:
             if lines:
                 out += ["", f"  {title}", *(f"    {line}" for line in lines)]

@@ -135,7 +135,7 @@ class ToolCorrection:
     def to_dict(self) -> dict[str, Any]:
         """Return the entry of the JSON report; unknown values are null."""
         end = f"_{self.unit}"
-        found = {
+        entry = {
             "known": self.known,
             "complete": self.known and not self.without_uncertainty,
             "shown": self.shown,
@@ -155,7 +155,7 @@ class ToolCorrection:
             ],
             "without_uncertainty": self.without_uncertainty,
         }
-        return dict(json_form(found))
+        return dict(json_form(entry))
 
     def to_text(self, shown: int) -> list[str]:
         """Return the lines of the report below the headline, with at most ``shown`` entries of a list."""

@@ -118,12 +118,12 @@ class ShortfallTally:
 
     def shortfalls(self) -> tuple[Shortfall, ...]:
         """Return all of them, the reason with the most blocks first."""
-        found = []
+        collected = []
         for (kind, reason, unit), parts in self._found.items():
             lines, missed = (tuple(np.unique(np.concatenate(part)).tolist()) for part in zip(*parts, strict=True))
             worst, worst_line = self._worst[kind, reason, unit]
-            found.append(Shortfall(kind, reason, lines, missed, worst_line, worst, unit))
-        return tuple(sorted(found, key=lambda shortfall: -len(shortfall.lines)))
+            collected.append(Shortfall(kind, reason, lines, missed, worst_line, worst, unit))
+        return tuple(sorted(collected, key=lambda shortfall: -len(shortfall.lines)))
 
 
 def line_numbers(lines: Sequence[int]) -> str:
@@ -231,8 +231,8 @@ def interpolated(values: Callable[[np.ndarray], np.ndarray], places: np.ndarray,
         return values(np.arange(count))
     nodes = np.append(np.arange(0, count - 1, FIRST_INTERVAL), count - 1)
     at_nodes = values(nodes)
-    found = np.empty((count, *at_nodes.shape[1:]))
-    found[nodes] = at_nodes
+    interpolated = np.empty((count, *at_nodes.shape[1:]))
+    interpolated[nodes] = at_nodes
     scaled = places / straight
     way = np.cumsum(np.abs(np.diff(scaled, axis=0, prepend=scaled[:1])).max(axis=1))
     begin, end = nodes[:-1], nodes[1:]
@@ -240,15 +240,15 @@ def interpolated(values: Callable[[np.ndarray], np.ndarray], places: np.ndarray,
         several = end - begin > 1
         begin, end = begin[several], end[several]
         if not begin.size:
-            return found
+            return interpolated
         middle = (begin + end) // 2
-        found[middle] = values(middle)
-        guess = _on_line(found, way, middle, begin, end)
-        allowed = ACCURACY * np.abs(found[middle]).max(axis=2, keepdims=True)
-        good = _straight(scaled, way, begin, end) & (np.abs(guess - found[middle]) <= allowed).all(axis=(1, 2))
+        interpolated[middle] = values(middle)
+        guess = _on_line(interpolated, way, middle, begin, end)
+        allowed = ACCURACY * np.abs(interpolated[middle]).max(axis=2, keepdims=True)
+        good = _straight(scaled, way, begin, end) & (np.abs(guess - interpolated[middle]) <= allowed).all(axis=(1, 2))
         for first, last in ((begin[good], middle[good]), (middle[good], end[good])):
             of, between = _between(first, last)
-            found[between] = _on_line(found, way, between, first[of], last[of])
+            interpolated[between] = _on_line(interpolated, way, between, first[of], last[of])
         begin, end = (
             np.concatenate([begin[~good], middle[~good]]),
             np.concatenate([middle[~good], end[~good]]),
@@ -478,12 +478,12 @@ def _why_not(prepared: PreparedMachine, commands: np.ndarray) -> np.ndarray:
     """Return (n,) why the rotary axes cannot correct the orientation at (n, axes) commands."""
     turn = prepared.options.rotary_limit_deg
     default = f"near a singular pose, a rotary axis would have to turn by more than {turn:g}°"
-    found = np.full(len(commands), default, dtype=object)
+    why_not = np.full(len(commands), default, dtype=object)
     limits = [(i, limit) for i in prepared.machine.rotary for limit in prepared.limits[i].tolist()]
     for i, limit in limits[::-1]:
         axis = prepared.machine.axes[i]
-        found[np.abs(commands[:, i] - limit) < axis.increment] = f"{axis.name} is at its limit of {limit:g}°"
-    return found
+        why_not[np.abs(commands[:, i] - limit) < axis.increment] = f"{axis.name} is at its limit of {limit:g}°"
+    return why_not
 
 
 def _not_solved(corrected: Corrected, off_um: np.ndarray) -> Iterator[FoundShortfalls]:

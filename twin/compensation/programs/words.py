@@ -231,8 +231,8 @@ class WordSpace:
         wanted = ca.SX.sym("tip", 3)
         left = wanted * MM - ca.substitute(tip, linear, ca.DM.zeros(3))
         others = [ca.cross(a, b) for a, b in ((y, z), (z, x), (x, y))]
-        found = ca.vertcat(*(ca.dot(left, other) for other in others)) / ca.dot(x, others[0])
-        return ca.Function("linear_axes", [wanted, rotary], [ca.cse(ca.densify(found))])
+        solved = ca.vertcat(*(ca.dot(left, other) for other in others)) / ca.dot(x, others[0])
+        return ca.Function("linear_axes", [wanted, rotary], [ca.cse(ca.densify(solved))])
 
     def displacements(self, words: np.ndarray) -> np.ndarray:
         """Return (n, axes) displacements of axis words in command order."""

@@ -58,13 +58,13 @@ class Account:
     @property
     def unmet(self) -> tuple[str, ...]:
         """Requirements that are not met, one sentence each."""
-        found = list(self.made.unmet)
-        found += [
+        unmet = list(self.made.unmet)
+        unmet += [
             f"not included: {', '.join(names)} ({channel} is not given)" for channel, names in self.missing.items()
         ]
         if self.remains.tables.rms_um > self.remains.before.rms_um:
-            found.append("over the volume the error is larger with the tables than without them")
-        return tuple(found)
+            unmet.append("over the volume the error is larger with the tables than without them")
+        return tuple(unmet)
 
     def to_text(self) -> str:
         """Return the text that is printed and written into the folder of the tables."""
@@ -125,15 +125,15 @@ class Account:
 
     def _limits(self) -> list[str]:
         """Return the lines that say for which axis positions and tool lengths the tables are valid."""
-        made, found = self.made, list[str]()
+        made, limits = self.made, list[str]()
         if made.held:
-            found += [
+            limits += [
                 "",
                 f"The tables are for {values_in_words(made.held)}, and do not follow them: at others make new tables.",
             ]
         if isinstance(made.correction, TableSum):
             products = any(len(term.factors) > 1 for term in made.correction.terms)
-            found += [
+            limits += [
                 "",
                 "A table over one axis is exact where the other axes stand at the positions given above. Elsewhere an angular error "
                 "adds its angle times the distance from there"
@@ -141,10 +141,10 @@ class Account:
             ]
         if not made.request.form.knows_machine:
             length = f"{made.required.tool_length_mm:g} mm"
-            found.append(
+            limits.append(
                 f"The effect of angular errors depends on the tool length: for a length other than {length} make new tables."
             )
-        return found
+        return limits
 
     def to_dict(self) -> dict[str, Any]:
         """Return the account as JSON (``schema: twin.compensation.tables/1``)."""
@@ -161,7 +161,7 @@ class Account:
             "at": dict(required.at),
             "conditions": dict(made.held),
             "files": list(made.files),
-            "tables": [_row(one) for one in made.tables],
+            "tables": [_row(table) for table in made.tables],
             "unproven_tables": [{**json_form(one), "written": made.request.unproven} for one in made.unproven],
             "error_at_tool": self.remains.to_dict(),
             "errors": json_form(self.carried),
@@ -192,22 +192,22 @@ def _row(one: Table) -> dict[str, Any]:
 def _shares(carried: tuple[CorrectedShare, ...]) -> list[str]:
     """Return the error motions in three groups: corrected, corrected in part, not corrected; with the reasons."""
     titles = {"whole": "  corrected", "line": "  corrected in part", "no": "  not corrected"}
-    found = []
+    shares = []
     for share, title in titles.items():
         by_reason: dict[str, list[str]] = {}
         for one in carried:
             if one.share == share:
                 by_reason.setdefault(one.why, []).append(one.name)
-        found += [
+        shares += [
             f"{title}: {' '.join(names)}" + (f" ({reason})" if reason else "") for reason, names in by_reason.items()
         ]
-    return found
+    return shares
 
 
 def _trial(made: ControlTables) -> str:
     """Return the check on the machine that reveals a wrong sign; empty without a table."""
     # A gauge measures a displacement directly; an angular correction exists only for a rotary axis.
-    tables = [one.content for one in made.tables if one.content.nodes]
+    tables = [table.content for table in made.tables if table.content.nodes]
     best = max(tables, key=lambda one: (one.unit == "um", one.largest), default=None)
     if best is None:
         return ""
@@ -227,18 +227,18 @@ def displayed_unit(unit: str) -> str:
 
 def _rows(tables: Sequence[Table]) -> list[str]:
     """Return the tables as text, one line each below a header."""
-    width = max([len(one.content.name) for one in tables] + [5])
-    found = [f"  {'table':<{width}}  {'range':>17}  nodes    step    largest   between nodes   read back   (allowed)"]
-    for one in tables:
-        what = one.content
+    width = max([len(table.content.name) for table in tables] + [5])
+    rows = [f"  {'table':<{width}}  {'range':>17}  nodes    step    largest   between nodes   read back   (allowed)"]
+    for table in tables:
+        what = table.content
         span = f"{what.low:g} … {what.high:g}"
         nodes = f"{what.nodes:>5}  {what.step:>6g}" if what.nodes else f"{'':>5}  {'':>6}"
-        marks = ("" if one.holds else "  READ-BACK FAILED") + ("" if one.within_tolerance else "  ABOVE TOLERANCE")
-        found.append(
-            f"  {what.name:<{width}}  {span:>17}  {nodes}  {what.largest:>8.2f}  {one.deviation:>14.3f}  "
-            f"{one.read_back_deviation:>10.4f}  {one.deviation + one.rounding:>10.4f} {displayed_unit(what.unit)}{marks}"
+        marks = ("" if table.holds else "  READ-BACK FAILED") + ("" if table.within_tolerance else "  ABOVE TOLERANCE")
+        rows.append(
+            f"  {what.name:<{width}}  {span:>17}  {nodes}  {what.largest:>8.2f}  {table.deviation:>14.3f}  "
+            f"{table.read_back_deviation:>10.4f}  {table.deviation + table.rounding:>10.4f} {displayed_unit(what.unit)}{marks}"
         )
-    return found
+    return rows
 
 
 # --- Write the output folder: the control's files, README.txt, and the calibration that records what the control corrects

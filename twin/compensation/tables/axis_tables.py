@@ -101,10 +101,10 @@ def choose_nodes(
             )
         return nodes_at(truth, np.linspace(low, high, fine[0] + 1))
     for n in counts:
-        found = nodes_at(truth, np.linspace(low, high, n + 1))
-        if np.all(found.deviation <= tolerance):
+        nodes = nodes_at(truth, np.linspace(low, high, n + 1))
+        if np.all(nodes.deviation <= tolerance):
             break
-    return found
+    return nodes
 
 
 def nodes_at(truth: Truth, nodes: np.ndarray) -> Nodes:
@@ -302,7 +302,7 @@ class AxisTables(Design[TableSum]):
             kept = None if old is None else _nodes_of_old_tables(old, axis)
             if kept is None:
                 low, high = TURNS if axis.lower is None and not form.wraps else required.range_of(axis)
-                limits = [tolerance_of(machine.by_name[one.moved], request.tolerance_um) for one in columns]
+                limits = [tolerance_of(machine.by_name[column.moved], request.tolerance_um) for column in columns]
                 nodes = choose_nodes(truth, low, high, np.array(limits), step=request.step, most=form.points)
             else:
                 nodes = nodes_at(truth, np.array(kept))
@@ -363,7 +363,7 @@ def _columns(required: RequiredCorrections, form: TableFormat[Any], axis: Axis, 
     up, down = (
         required.linear_corrections((axis.name,), required.positions_along(axis, dense), side) for side in sides
     )
-    found: list[TableColumn] = []
+    columns: list[TableColumn] = []
     for k, moved in enumerate(linear):
         if not form.across and moved != axis.name:
             continue
@@ -371,16 +371,16 @@ def _columns(required: RequiredCorrections, form: TableFormat[Any], axis: Axis, 
             continue
         can = form.crossed_directions or moved == axis.name
         directed = can and np.abs(up[:, k] - down[:, k]).max() > NEGLIGIBLE_SHARE * tolerance
-        found += [TableColumn(moved, side) for side in ((UP, DOWN) if directed else (BOTH,))]
+        columns += [TableColumn(moved, side) for side in ((UP, DOWN) if directed else (BOTH,))]
     for by in linear if form.products and request.products else ():
         if by != axis.name:
             peaks = np.abs(_slope(required, axis, by, dense)).max(axis=0)
-            found += [
+            columns += [
                 TableColumn(moved, BOTH, by)
                 for moved, peak in zip(linear, peaks, strict=True)
                 if peak > 0.5 * tolerance
             ]
-    return found
+    return columns
 
 
 def _required_values(
@@ -391,13 +391,13 @@ def _required_values(
 
     def truth(q: np.ndarray) -> np.ndarray:
         if not axis.linear:
-            return np.stack([required.rotary_correction(axis, q, one.side) for one in columns], axis=1)
+            return np.stack([required.rotary_correction(axis, q, column.side) for column in columns], axis=1)
         line, found = required.positions_along(axis, q), {}
-        for side, by in {(one.side, one.by) for one in columns}:
+        for side, by in {(column.side, column.by) for column in columns}:
             found[side, by] = (
                 required.linear_corrections((axis.name,), line, side) if by is None else _slope(required, axis, by, q)
             )
-        return np.stack([found[one.side, one.by][:, linear.index(one.moved)] for one in columns], axis=1)
+        return np.stack([found[column.side, column.by][:, linear.index(column.moved)] for column in columns], axis=1)
 
     return truth
 
@@ -405,19 +405,19 @@ def _required_values(
 def _factors(required: RequiredCorrections, axis: Axis, columns: Sequence[TableColumn], q: np.ndarray) -> np.ndarray:
     """Return the factors (n, columns, r) of the covariance of the required values of the columns, as `_required_values`."""
     if not axis.linear:
-        return np.stack([required.rotary_factors(axis, q, one.side) for one in columns], axis=1)
+        return np.stack([required.rotary_factors(axis, q, column.side) for column in columns], axis=1)
     linear, line = [required.machine.axes[i].name for i in required.machine.linear], required.positions_along(axis, q)
-    found: dict[tuple[Direction, str | None], np.ndarray] = {}
-    for side, by in {(one.side, one.by) for one in columns}:
+    factors: dict[tuple[Direction, str | None], np.ndarray] = {}
+    for side, by in {(column.side, column.by) for column in columns}:
         if by is None:
-            found[side, by] = required.linear_factors((axis.name,), line, side)
+            factors[side, by] = required.linear_factors((axis.name,), line, side)
         else:
             ends = [
                 required.linear_factors((axis.name,), required.positions_along(axis, q, {by: end}))
                 for end in required.range_of(required.machine.by_name[by])
             ]
-            found[side, by] = 0.5 * (ends[1] - ends[0])
-    return np.stack([found[one.side, one.by][:, linear.index(one.moved)] for one in columns], axis=1)
+            factors[side, by] = 0.5 * (ends[1] - ends[0])
+    return np.stack([factors[column.side, column.by][:, linear.index(column.moved)] for column in columns], axis=1)
 
 
 def _slope(required: RequiredCorrections, axis: Axis, by: str, q: np.ndarray) -> np.ndarray:
@@ -441,7 +441,7 @@ def _planned(
     where = tuple(nodes.at.tolist())
     q = check_positions(where[0], where[-1])
     meant = truth(q)
-    found = []
+    planned = []
     for k, one in enumerate(columns):
         factors = [ControlCurve(axis.name, where, tuple(nodes.values[:, k].tolist()), period, one.side)]
         if one.by is not None:
@@ -449,8 +449,10 @@ def _planned(
             half, middle = 0.5 * (high - low), required.at[one.by]
             factors.append(ControlCurve(one.by, (low, high), ((low - middle) / half, (high - middle) / half)))
         reach = factors[1].peak if one.by is not None else 1.0
-        found.append(Planned(ControlTerm(one.moved, tuple(factors)), float(nodes.deviation[k]) * reach, q, meant[:, k]))
-    return found
+        planned.append(
+            Planned(ControlTerm(one.moved, tuple(factors)), float(nodes.deviation[k]) * reach, q, meant[:, k])
+        )
+    return planned
 
 
 def _strongest(found: Sequence[Planned], most: int | None) -> tuple[tuple[Planned, ...], tuple[str, ...]]:
@@ -472,10 +474,10 @@ def _table(
 ) -> Table:
     """Return one table compared with the file read back; a product at the position where its lever is longest."""
     moved, factors = required.machine.by_name[one.term.axis], one.term.factors
-    found = next(term for term in back.terms if term.key == one.term.key)
+    same = next(term for term in back.terms if term.key == one.term.key)
     rounding, scale = request.form.rounding[0 if moved.linear else 1], 1.0
-    truth, said = one.truth, found.factors[0].along(one.q)
-    for factor, read in zip(factors[1:], found.factors[1:], strict=True):
+    truth, said = one.truth, same.factors[0].along(one.q)
+    for factor, read in zip(factors[1:], same.factors[1:], strict=True):
         end, scale = factor.at[int(np.argmax(np.abs(factor.values)))], factor.peak
         truth, said = truth * factor.along(end), said * read.along(end)
         rounding = rounding * scale + one.term.peak * 1e-9
@@ -513,7 +515,7 @@ class ComponentErrors(Design[VolumetricCorrection]):
         form, planned = request.form, list[tuple[AxisErrors, Nodes, np.ndarray, np.ndarray]]()
         limit = request.tolerance_um * np.array([1.0] * 3 + [URAD_PER_UM] * 3)
         proof = ProofOfTables(required, keep_all=request.unproven)
-        before = {} if old is None else {one.axis: next(iter(one.curves.values())).at for one in old.errors}
+        before = {} if old is None else {error.axis: next(iter(error.curves.values())).at for error in old.errors}
         for axis in required.machine.axes:
             truth = _component_required_values(required, axis)
             low, high = required.range_of(axis)
@@ -540,7 +542,7 @@ class ComponentErrors(Design[VolumetricCorrection]):
         correction = VolumetricCorrection(tuple(one[0] for one in planned), required.machine, required.tool_length_mm)
 
         def compared(back: VolumetricCorrection) -> tuple[Table, ...]:
-            contents, read = iter(correction.contents()), {one.axis: one.curves for one in back.errors}
+            contents, read = iter(correction.contents()), {error.axis: error.curves for error in back.errors}
             found = []
             for own, nodes, q, meant in planned:
                 for i in own.curves:

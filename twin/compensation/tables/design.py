@@ -296,11 +296,11 @@ class RequiredCorrections:
         components, spread = self._uncertainty((axis.name,)).frame_factors(
             positions, self._sides((axis.name,), positions, side)
         )
-        found = np.zeros((len(q), 6, spread.shape[2]))
+        frame_factors = np.zeros((len(q), 6, spread.shape[2]))
         for row, component in enumerate(components):
             if component // 6 in frames:
-                found[:, component % 6] += spread[:, row]
-        return found
+                frame_factors[:, component % 6] += spread[:, row]
+        return frame_factors
 
     def _uncertainty(self, axes: tuple[str, ...]) -> ToolUncertainty:
         """Return the uncertainty of the identified errors of these axes."""
@@ -310,7 +310,7 @@ class RequiredCorrections:
 
     def not_identified(self, axes: Collection[str], classes: Collection[str]) -> tuple[str, ...]:
         """Return the names of the errors of some axes and classes in the calibration that it could not determine."""
-        unknown = {one.name for one in self.calibration.not_identifiable}
+        unknown = {error.name for error in self.calibration.not_identifiable}
         return tuple(
             effect.name
             for effect in self.calibration.effects
@@ -413,17 +413,17 @@ class Table:
     def unmet(self) -> tuple[str, ...]:
         """Requirements that are not met, one sentence each."""
         name, unit = self.content.name, self.content.unit
-        found = []
+        unmet = []
         if not self.holds:
-            found.append(
+            unmet.append(
                 f"{name}: read back, it deviates from the model by {self.read_back_deviation:.4f} {unit}, "
                 f"more than {self.deviation:.4f} + {self.rounding:.4f}"
             )
         if not self.within_tolerance:
-            found.append(
+            unmet.append(
                 f"{name}: deviation between nodes {self.deviation:.3f} {unit}, more than the tolerance {self.tolerance:g}"
             )
-        return tuple(found)
+        return tuple(unmet)
 
 
 @final

@@ -78,12 +78,12 @@ class Existing:
         """Return the text that is printed."""
         where = ", ".join(f"{name} {value:g}" for name, value in self.required.at.items())
         contents = self.correction.contents()
-        width = max([len(one.name) for one in contents] + [5])
+        width = max([len(content.name) for content in contents] + [5])
         lines = [f"{self.kind}: {', '.join(file.name for file in self.files)}"]
         lines += [
-            f"  {one.name:<{width}}  {one.low:g} … {one.high:g}, {one.nodes} nodes, step {one.step:g}, largest {one.largest:.3f} "
-            f"{displayed_unit(one.unit)}"
-            for one in contents
+            f"  {content.name:<{width}}  {content.low:g} … {content.high:g}, {content.nodes} nodes, step {content.step:g}, "
+            f"largest {content.largest:.3f} {displayed_unit(content.unit)}"
+            for content in contents
         ]
         lines += [
             "",
@@ -97,9 +97,9 @@ class Existing:
             )
         lines.append("  moved  along   largest correction  difference   of which constant")
         lines += [
-            f"  {one.moved:<5}  {one.along:<5}  {one.largest:>12.2f} {displayed_unit(one.unit):<6}  {one.differs:>10.2f}  "
-            f"{one.constant:>18.2f}"
-            for one in self.differences
+            f"  {difference.moved:<5}  {difference.along:<5}  {difference.largest:>12.2f} {displayed_unit(difference.unit):<6}  "
+            f"{difference.differs:>10.2f}  {difference.constant:>18.2f}"
+            for difference in self.differences
         ]
         if self.remains is not None:
             found = self.remains
@@ -170,7 +170,7 @@ def _differences(
     linear = [machine.axes[i].name for i in machine.linear]
     # Tables of single axes correct errors of the linear axes only; a control with a kinematic model also those of rotary axes.
     about = tuple(machine.names) if form.knows_machine else tuple(linear)
-    found = []
+    differences = []
     for axis, moved in product(machine.axes, (machine.by_name[name] for name in correction.axes)):
         if moved.name != axis.name and not (moved.linear and (axis.linear or form.knows_machine)):
             continue
@@ -187,5 +187,5 @@ def _differences(
             off.append(said[-1] - (required.rotary_correction(moved, q, side) if wants is None else wants))
         largest, differs = (float(np.abs(one).max()) for one in (said, off))
         unit = "um" if moved.linear else "urad"
-        found.append(Difference(moved.name, axis.name, unit, largest, differs, float(np.mean(off))))
-    return tuple(found)
+        differences.append(Difference(moved.name, axis.name, unit, largest, differs, float(np.mean(off))))
+    return tuple(differences)

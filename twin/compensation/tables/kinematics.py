@@ -134,7 +134,7 @@ class KinematicsAccount:
     def to_dict(self) -> dict[str, Any]:
         """Return the account as JSON (``schema: twin.compensation.tables/1``)."""
         made, form = self.kinematics, self.kinematics.form
-        found: dict[str, Any] = {
+        entry: dict[str, Any] = {
             "schema": SCHEMA,
             "machine": made.machine.name,
             "calibration": str(self.errors.path or "no file: the nominal machine"),
@@ -142,7 +142,7 @@ class KinematicsAccount:
             "warnings": warnings_to_json(self.warnings),
             "tool_length_mm": self.tool_length_mm,
         }
-        found |= {} if self.tables is None else self.tables.to_dict()
+        entry |= {} if self.tables is None else self.tables.to_dict()
         figures = ("displaced_rms_um", "displaced_max_um", "left_rms_um", "left_max_um", "round_trip_um")
         kinematics = {
             "format": form.name,
@@ -155,7 +155,7 @@ class KinematicsAccount:
             "unchecked": list(form.unchecked),
             "load": list(form.loading(made.machine)),
         }
-        return found | {"kinematics": kinematics, "unmet": list(self.unmet)}
+        return entry | {"kinematics": kinematics, "unmet": list(self.unmet)}
 
 
 @final
@@ -230,7 +230,7 @@ def kinematics_outputs(folder: Path, request: KinematicsRequest, made: ConstantK
 
 def nominal_locations(errors: Calibration) -> tuple[SourceWarning, ...]:
     """Return a warning of the locations that were not identified: kinematics hold the nominal value of each, or one that is a guess."""
-    unknown = {one.name for one in errors.not_identifiable} | (set(errors.not_estimated) - set(errors.location))
+    unknown = {error.name for error in errors.not_identifiable} | (set(errors.not_estimated) - set(errors.location))
     names = [name for name in errors.machine.location_names if name in unknown]
     return (NOMINAL_KINEMATICS.about(names),) if names else ()
 
@@ -238,7 +238,7 @@ def nominal_locations(errors: Calibration) -> tuple[SourceWarning, ...]:
 def _check_identified(errors: Calibration) -> None:
     """Raise `InputError` if a location was not identified: the file would overwrite what the control's own cycle has calibrated."""
     for warning in nominal_locations(errors):
-        why = {one.name: one.why for one in errors.not_identifiable}
+        why = {error.name: error.why for error in errors.not_identifiable}
         reason = why.get(warning.errors[0], "it was left out of the estimate")
         raise InputError(
             f"{', '.join(warning.errors)} were not identified: kinematics with them would hold values that are not measured",

@@ -218,12 +218,12 @@ def _tables(
     rng = np.random.default_rng(SEED)
     q = np.stack([rng.uniform(nodes[0], nodes[-1], POSITIONS_CHECKED) for nodes in grid.at], axis=1)
     state, meant = _state(required, q), truth(_full(required, q))
-    found = []
+    tables = []
     for k, (name, content) in enumerate(zip(grid.axes, grid.contents(), strict=True)):
         written, read = (float(np.abs(one.shift(name, state) - meant[:, k]).max()) for one in (grid, back))
         # A random position may show a larger deviation than the cells checked before: report the larger one.
-        found.append(Table(content, max(off, written), request.form.rounding[0], request.tolerance_um, read))
-    return tuple(found)
+        tables.append(Table(content, max(off, written), request.form.rounding[0], request.tolerance_um, read))
+    return tuple(tables)
 
 
 def _nodes(required: RequiredCorrections, axis: Axis, truth: Truth, limit_um: float, request: Request) -> np.ndarray:
@@ -231,7 +231,7 @@ def _nodes(required: RequiredCorrections, axis: Axis, truth: Truth, limit_um: fl
     others = [required.machine.axes[i] for i in required.machine.linear if required.machine.axes[i] is not axis]
     corners = [
         {one.name: end for one, end in zip(others, ends, strict=True)}
-        for ends in product(*(required.range_of(one) for one in others))
+        for ends in product(*(required.range_of(other) for other in others))
     ]
 
     def along(q: np.ndarray) -> np.ndarray:
@@ -282,7 +282,7 @@ DESIGNS: Final[tuple[Design[Any], ...]] = (AxisTables(), ComponentErrors(), Grid
 
 def design_of(form: TableFormat[Any]) -> Design[Any]:
     """Return the class that computes the tables of a format."""
-    return next(one for one in DESIGNS if one.correction is form.correction)
+    return next(design for design in DESIGNS if design.correction is form.correction)
 
 
 @final
@@ -320,12 +320,12 @@ class ControlTables:
     @property
     def unmet(self) -> tuple[str, ...]:
         """Requirements that are not met, one sentence each."""
-        found = [text for one in self.tables for text in one.unmet]
-        found += [f"no table available for {one} um" for one in self.left_out]
+        unmet = [text for table in self.tables for text in table.unmet]
+        unmet += [f"no table available for {one} um" for one in self.left_out]
         if not self.request.unproven:
             # An error that was identified and is not significant needs no table.
-            found += [f"not written: {one.text}" for one in self.unproven if one.not_identified]
-        return tuple(found)
+            unmet += [f"not written: {one.text}" for one in self.unproven if one.not_identified]
+        return tuple(unmet)
 
 
 def make(
@@ -427,13 +427,13 @@ def _old_tables(machine: Machine, calibration: Calibration, request: Request) ->
 def _largest(correction: Correction) -> dict[str, float]:
     """Return the largest correction of every axis over the volume, from both directions."""
     machine, q = correction.machine, volume(correction.machine)
-    found = dict.fromkeys(correction.axes, 0.0)
+    largest = dict.fromkeys(correction.axes, 0.0)
     for side in (1.0, -1.0):
         state: dict[str, Any] = {name: q[:, i] for i, name in enumerate(machine.names)}
         state |= {f"{APPROACH}{name}": np.full(len(q), side) for name in machine.names}
         for name in correction.axes:
-            found[name] = max(found[name], float(np.abs(correction.shift(name, state)).max()))
-    return found
+            largest[name] = max(largest[name], float(np.abs(correction.shift(name, state)).max()))
+    return largest
 
 
 def _compare_sums(whole: Correction, parts: tuple[Correction, Correction], form: TableFormat[Any]) -> list[Table]:
@@ -444,7 +444,7 @@ def _compare_sums(whole: Correction, parts: tuple[Correction, Correction], form:
     rows = []
     for name in whole.axes:
         axis = machine.by_name[name]
-        meant = np.broadcast_to(sum(one.shift(name, state) for one in parts if name in one.axes), POSITIONS_CHECKED)
+        meant = np.broadcast_to(sum(part.shift(name, state) for part in parts if name in part.axes), POSITIONS_CHECKED)
         said = np.broadcast_to(whole.shift(name, state), POSITIONS_CHECKED)
         # The sum is rounded once more than the new part: one digit for each table that corrects the axis.
         rounding = 2.0 * form.rounding[0 if axis.linear else 1] * whole.rounded(name)

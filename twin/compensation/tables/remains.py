@@ -242,7 +242,7 @@ def corrected_shares(
     for one in () if request.unproven else unproven:
         for name in one.axes:
             not_written.setdefault(name, []).append(one.name)
-    found, by_name = [], required.machine.by_name
+    corrected_shares, by_name = [], required.machine.by_name
     for effect in required.calibration.effects:
         if isinstance(effect, ControlCorrection):
             continue
@@ -262,8 +262,8 @@ def corrected_shares(
             share = design.share(required, effect, others, request)
         if share[0] != "no" and axis.name in not_written:
             share = "line", f"not written, because U exceeds the correction: {', '.join(not_written[axis.name])}"
-        found.append(CorrectedShare(effect.name, iso_class, *share))
-    return tuple(found)
+        corrected_shares.append(CorrectedShare(effect.name, iso_class, *share))
+    return tuple(corrected_shares)
 
 
 @final

@@ -413,16 +413,16 @@ def confirmed_library(
         agrees: whether the library gives the same results as Python on a sample.
     """
     source = resources.files(package).joinpath(file).read_text(encoding="utf-8")
-    found = library(source)
-    if found is None:
+    confirmed_library = library(source)
+    if confirmed_library is None:
         return None
     for name, job in jobs.items():
-        function = getattr(found, name)
+        function = getattr(confirmed_library, name)
         function.argtypes, function.restype = (ctypes.POINTER(job),), None
-    if not agrees(found):
+    if not agrees(confirmed_library):
         disable(source, f"{file} does not agree with Python")
         return None
-    return found
+    return confirmed_library
 
 
 def disable(source: str, why: str) -> None:

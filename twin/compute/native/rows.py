@@ -90,7 +90,7 @@ class RowFunction:
         def part(rows: slice) -> int:
             given, out = (start + 8 * rows.start * step for start, step in zip(starts, steps, strict=True))
             arrays = (given, steps[0], out, steps[1], self._routine.constants)
-            job = _RowsJob(rows.stop - rows.start, *(one.ctypes.data for one in arrays), far=LARGEST_ANGLE)
+            job = _RowsJob(rows.stop - rows.start, *(array.ctypes.data for array in arrays), far=LARGEST_ANGLE)
             return int(library.run(ctypes.byref(job)))
 
         return not any(compiler.map_row_chunks(len(found[0]), part))

@@ -201,9 +201,9 @@ class NumpySolver:
     @property
     def tapes(self) -> dict[str, Tape] | None:
         """The instructions of the routines that the problem needs, by name; None if one is not supported."""
-        found = {name: self._routines[name].tape for name in self.problem.routines}
-        known = {name: tape for name, tape in found.items() if tape is not None}
-        return known if len(known) == len(found) else None
+        by_name = {name: self._routines[name].tape for name in self.problem.routines}
+        known = {name: tape for name, tape in by_name.items() if tape is not None}
+        return known if len(known) == len(by_name) else None
 
     def check(self, positions: np.ndarray, batch: Batch) -> np.ndarray:
         """Return the (n,) remaining distances of the point in mm at (n, axes) positions in mm and degrees."""
@@ -213,14 +213,14 @@ class NumpySolver:
 
     def solve(self, batch: Batch) -> BatchOutcome:
         """Solve all poses of a batch."""
-        found = BatchOutcome.empty(len(batch), self.problem.axes)
+        outcome = BatchOutcome.empty(len(batch), self.problem.axes)
         iterations = 0
         for start in range(0, len(batch), PORTION):
             part = slice(start, start + PORTION)
             solved = self._solve(batch.part(part))
-            found.put(part, solved)
+            outcome.put(part, solved)
             iterations = max(iterations, solved.iterations)
-        return replace(found, iterations=iterations)
+        return replace(outcome, iterations=iterations)
 
     def _columns(self, batch: Batch) -> np.ndarray:
         """Return the (inputs, n) columns for a routine."""
@@ -379,9 +379,9 @@ class _Compiled:
         self.library.solve.restype = None
 
     def solve(self, batch: Batch) -> BatchOutcome:
-        found = BatchOutcome.empty(len(batch), self.problem.axes)
-        taken = compiler.map_row_chunks(len(batch), lambda part: self._run(batch, found, part))
-        return replace(found, iterations=max(taken, default=0))
+        outcome = BatchOutcome.empty(len(batch), self.problem.axes)
+        taken = compiler.map_row_chunks(len(batch), lambda part: self._run(batch, outcome, part))
+        return replace(outcome, iterations=max(taken, default=0))
 
     def _run(self, batch: Batch, found: BatchOutcome, part: slice) -> int:
         job = _SolveJob(
@@ -430,12 +430,12 @@ class Solver:
             self._native = self._compiled()
         if self._native is None:
             return self._plain.solve(batch)
-        found = self._native.solve(_aligned(batch))
-        if not self._confirmed and not self._agrees(found, batch):
+        outcome = self._native.solve(_aligned(batch))
+        if not self._confirmed and not self._agrees(outcome, batch):
             compiler.disable(self._source, "its results are wrong")
             self._native = None
             return self._plain.solve(batch)
-        return self._completed(found, batch)
+        return self._completed(outcome, batch)
 
     def _completed(self, found: BatchOutcome, batch: Batch) -> BatchOutcome:
         """Return the outcome with the poses that the C++ leaves to NumPy: large angles."""

@@ -132,7 +132,7 @@ class Tape:
             (outputs, rows).
         """
         rows = len(columns[0])
-        found = np.empty((self.outputs, rows))
+        values_out = np.empty((self.outputs, rows))
         program, slots, results = self._program
         scratch = np.empty((slots, min(rows, BLOCK)))
         constants = [np.array(value) for value in self.constants]
@@ -145,8 +145,8 @@ class Tape:
                 for function, a, b, out in program:
                     function(place[a], place[b], place[out]) if b >= 0 else function(place[a], place[out])
                 for k, slot in enumerate(results):
-                    found[k, part] = place[slot]
-        return found
+                    values_out[k, part] = place[slot]
+        return values_out
 
     @cached_property
     def _program(self) -> tuple[list[tuple[Callable[..., Any], int, int, int]], int, list[int]]:
@@ -259,10 +259,10 @@ class _Builder:
     def power(self, base: int, exponent: float | None) -> int:
         if exponent is None or exponent != int(exponent) or not 1 <= exponent <= 16:
             raise UnknownOperationError("a power that is no small whole number")
-        found = base
+        power = base
         for _ in range(int(exponent) - 1):
-            found = self.operation("mul", found, base)
-        return found
+            power = self.operation("mul", power, base)
+        return power
 
     def read(self, function: ca.Function) -> list[int]:
         starts_in = np.cumsum([0] + [function.numel_in(i) for i in range(function.n_in())]).tolist()

@@ -166,12 +166,12 @@ def _dimensions(machine: Machine) -> dict[str, float]:
     def named(letter: str, vector: np.ndarray, axis: str = "") -> dict[str, float]:
         return {f"{letter}{name}{axis}": float(part) for name, part in zip("XYZ", vector, strict=True)}
 
-    found = named("P0", np.zeros(3)) | named("N0", rest.tool)
+    dimensions = named("P0", np.zeros(3)) | named("N0", rest.tool)
     for axis in machine.axes:
         if not axis.linear:
-            found |= named("P", rest.places[axis.name] - rest.nose, axis.name)
-            found |= named("V", rest.turns[axis.name] @ axis.direction, axis.name)
-    return found
+            dimensions |= named("P", rest.places[axis.name] - rest.nose, axis.name)
+            dimensions |= named("V", rest.turns[axis.name] @ axis.direction, axis.name)
+    return dimensions
 
 
 def _list(machine: Machine) -> str:
@@ -235,7 +235,7 @@ def _of_block(block: _Block, axis: Axis) -> dict[int, ControlCurve]:
     place = block.names.index(axis.name)
     at = tuple(row[place] for _, row in block.rows)
     check_increasing(at, [line for line, _ in block.rows])
-    found = {}
+    fields = {}
     for column, name in enumerate(block.names):
         if column == place:
             continue
@@ -245,8 +245,8 @@ def _of_block(block: _Block, axis: Axis) -> dict[int, ControlCurve]:
             )
         component = DIRECTIONS.index(name[1])
         values = tuple(row[column] * _UNITS[component] for _, row in block.rows)
-        found[component] = ControlCurve(axis.name, at, values, period_of(axis))
-    return found
+        fields[component] = ControlCurve(axis.name, at, values, period_of(axis))
+    return fields
 
 
 def _constants(block: _Block, machine: Machine, curves: dict[str, dict[int, ControlCurve]]) -> None:

@@ -203,7 +203,7 @@ class LinuxCnc(TableFormat[TableSum]):
         joints = ", ".join(f"joint {i} is {name}" for i, name in enumerate(machine.names))
         pins = [f"joint.{machine.names.index(name)}.backlash-corr" for name in largest]
         shown = f"halcmd show pin {pins[0]} shows" if len(pins) == 1 else f"halcmd show pin {' or '.join(pins)} show"
-        found = [
+        loading = [
             f"Copy the .comp files next to the INI file, and the lines of {INI} into its existing sections ({joints}: "
             "check this).",
             "Remove BACKLASH from these sections: it is not used together with a COMP_FILE.",
@@ -212,10 +212,10 @@ class LinuxCnc(TableFormat[TableSum]):
             "To deactivate them, remove the COMP_FILE lines and restart.",
         ]
         if any(axis.lower is None for axis in machine.axes):
-            found.append(
+            loading.append(
                 "Unlimited rotary axis: the table covers -360 ... 720 degrees; beyond that its end value applies."
             )
-        return tuple(found)
+        return tuple(loading)
 
 
 @final

@@ -57,7 +57,7 @@ def entries(files: Sequence[Path], pattern: re.Pattern[str], example: str) -> di
         InputError: a line is not an assignment of that pattern, a comment, a program header or end; there is no table; a table is in
             two files, or a value is written twice.
     """
-    found: dict[str, Entry] = {}
+    entries: dict[str, Entry] = {}
     for path in files:
         for whole in table_lines(path):
             line = TableLine(path, whole.number, whole.text.partition(";")[0].strip())
@@ -69,7 +69,7 @@ def entries(files: Sequence[Path], pattern: re.Pattern[str], example: str) -> di
                     "not a line of a compensation table", f"{example}… = …, a comment, M17 or M30", line.text
                 )
             name, table, node = match["name"], match["table"].upper(), match["node"]
-            entry = found.setdefault(table, Entry(line))
+            entry = entries.setdefault(table, Entry(line))
             if entry.line.path != path:
                 raise line.error(f"table {table} is in two files", "each table in one file", entry.line.path.name)
             if (name is None) != (node is not None):
@@ -83,11 +83,11 @@ def entries(files: Sequence[Path], pattern: re.Pattern[str], example: str) -> di
                 entry.points[int(node)] = value
             else:
                 entry.fields[name.upper()] = value
-    if not found:
+    if not entries:
         raise InputError(
             "no compensation table", expected=f"{example}… = …", file=files[0] if len(files) == 1 else None
         )
-    return found
+    return entries
 
 
 def axis_of(place: TableLine, text: str, machine: Machine) -> Axis:
@@ -216,10 +216,10 @@ class Siemens(TableFormat[TableSum]):
         Raises:
             InputError: a line is not an assignment to a table, a comment, a program header or end; a table is incomplete or invalid.
         """
-        found = {int(index): entry for index, entry in entries(files, _FIELD, "$AN_CEC").items()}
-        curves = {index: _curve(index, entry, machine) for index, entry in found.items()}
+        by_index = {int(index): entry for index, entry in entries(files, _FIELD, "$AN_CEC").items()}
+        curves = {index: _curve(index, entry, machine) for index, entry in by_index.items()}
         factors: dict[int, int] = {}
-        for index, entry in found.items():
+        for index, entry in by_index.items():
             by = entry.fields.get("MULT_BY_TABLE", TableLine(entry.line.path, entry.line.number, "0"))
             number = int(by.decimal("MULT_BY_TABLE"))
             if number and number - 1 not in curves:
@@ -227,13 +227,13 @@ class Siemens(TableFormat[TableSum]):
             if number:
                 factors[index] = number - 1
         terms = []
-        for index in sorted(set(found) - (set(factors.values()) - set(factors))):
+        for index in sorted(set(by_index) - (set(factors.values()) - set(factors))):
             axis, curve = curves[index]
             own = curve.scaled(1.0 / unit_of(axis))
             if index not in factors:
                 terms.append(ControlTerm(axis.name, (own,)))
                 continue
-            by = found[index].fields["MULT_BY_TABLE"]
+            by = by_index[index].fields["MULT_BY_TABLE"]
             if index in factors.values():
                 what = f"table {index} multiplies another and is itself multiplied"
                 raise by.error(what, "products of two tables", by.text)

@@ -67,7 +67,7 @@ class FanucTable(KinematicsFormat):
 
     def _codes(self, machine: Machine) -> dict[str, str]:
         """Return the parameters that describe the structure, as text."""
-        found = {"19680": "12"}
+        codes = {"19680": "12"}
         for start, axis, turned in zip(
             (19681, 19686), rotary_axes(machine), table_geometry(machine).directions, strict=True
         ):
@@ -87,8 +87,8 @@ class FanucTable(KinematicsFormat):
                 code, hand = 4 + one, 1
                 angle = float(np.degrees(np.arctan2(line[(one + 1) % 3], line[one])))
             texts = (str(machine.names.index(axis.name) + 1), str(code), fixed_decimals(angle, 3), str(hand))
-            found |= {str(start + i): text for i, text in enumerate(texts)}
-        return found
+            codes |= {str(start + i): text for i, text in enumerate(texts)}
+        return codes
 
     def geometry(self, values: Values, machine: Machine) -> TableGeometry:
         """See `KinematicsFormat.geometry`."""
@@ -111,19 +111,21 @@ class FanucTable(KinematicsFormat):
 
     def read(self, path: Path, machine: Machine) -> TableGeometry:
         """See `KinematicsFormat.read`; other parameters and comments are ignored, and a missing shift is zero."""
-        found: dict[str, TableLine] = {}
+        lines_by_parameter: dict[str, TableLine] = {}
         for line in table_lines(path):
             match = _LINE.match(line.text)
             if match is not None:
                 name = match["number"] or f"{_SHIFT} {match['axis']}"
-                assign(found, name, TableLine(path, line.number, match["value"] or match["shift"]))
+                assign(lines_by_parameter, name, TableLine(path, line.number, match["value"] or match["shift"]))
         for name, text in self._codes(machine).items():
-            if name in found and found[name].decimal(name) != float(text):
-                raise found[name].error(f"parameter {name} of another machine", text, found[name].text)
-        values = numbers_of(path, found, _LENGTHS)
+            if name in lines_by_parameter and lines_by_parameter[name].decimal(name) != float(text):
+                raise lines_by_parameter[name].error(
+                    f"parameter {name} of another machine", text, lines_by_parameter[name].text
+                )
+        values = numbers_of(path, lines_by_parameter, _LENGTHS)
         for axis in "XYZ":
             name = f"{_SHIFT} {axis}"
-            values[name] = found[name].decimal(name) if name in found else 0.0
+            values[name] = lines_by_parameter[name].decimal(name) if name in lines_by_parameter else 0.0
         return self.geometry(values, machine)
 
     def loading(self, machine: Machine) -> tuple[str, ...]:

@@ -157,8 +157,8 @@ def _about(direction: Any, angle: Any) -> Any:
 
 def linear_shift(machine: Machine, geometry: TableGeometry, q: np.ndarray, tool_length_mm: float) -> np.ndarray:
     """Return the shifts (n, 3) of the linear axes in µm at (n, axes) commands, mm and degrees."""
-    (found,) = _shift_function(machine)[1](q, geometry.vector, np.array([tool_length_mm]))
-    return found
+    (linear_shift,) = _shift_function(machine)[1](q, geometry.vector, np.array([tool_length_mm]))
+    return linear_shift
 
 
 @final
@@ -192,8 +192,8 @@ class KinematicCorrection(Correction):
             function = _shift_function(self.machine)[0]
             return function(ca.vertcat(*q), self.geometry.vector, self.tool_length_mm)[row]
         rows = np.stack(np.broadcast_arrays(*q), axis=-1)
-        found = linear_shift(self.machine, self.geometry, rows.reshape(-1, len(q)), self.tool_length_mm)
-        return found[:, row].reshape(rows.shape[:-1])
+        shifts = linear_shift(self.machine, self.geometry, rows.reshape(-1, len(q)), self.tool_length_mm)
+        return shifts[:, row].reshape(rows.shape[:-1])
 
     def contents(self) -> tuple[TableSummary, ...]:
         """Empty: there are no tables."""
@@ -284,7 +284,10 @@ def code_lines(path: Path, comment: str) -> list[TableLine]:
     Raises:
         InputError: the file cannot be read.
     """
-    lines = [TableLine(path, one.number, one.text.partition(comment)[0].strip()) for one in table_lines(path)]
+    lines = [
+        TableLine(path, table_line.number, table_line.text.partition(comment)[0].strip())
+        for table_line in table_lines(path)
+    ]
     return [line for line in lines if line.text]
 
 

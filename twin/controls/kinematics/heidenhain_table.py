@@ -142,12 +142,12 @@ def _angles(name: str, line: np.ndarray) -> tuple[float, float]:
     """Return the angles in degrees of the two rotations that turn the axis of that name into a direction."""
     x, y, z = (float(value) for value in line)
     if name == "A":
-        found = np.arctan2(-z, x), np.arcsin(y)
+        turns = np.arctan2(-z, x), np.arcsin(y)
     elif name == "B":
-        found = np.arctan2(z, y), -np.arcsin(x)
+        turns = np.arctan2(z, y), -np.arcsin(x)
     else:
-        found = np.arctan2(-y, z), np.arcsin(x)
-    return float(np.degrees(found[0])), float(np.degrees(found[1]))
+        turns = np.arctan2(-y, z), np.arcsin(x)
+    return float(np.degrees(turns[0])), float(np.degrees(turns[1]))
 
 
 def _followed(rows: Sequence[tuple[str, str, float]], machine: Machine, path: Path | None = None) -> TableGeometry:
@@ -179,7 +179,7 @@ def _followed(rows: Sequence[tuple[str, str, float]], machine: Machine, path: Pa
 def _about(axis: int, angle: float) -> np.ndarray:
     """Return the rotation (3, 3) about an axis of the system."""
     i, j = (axis + 1) % 3, (axis + 2) % 3
-    found = np.eye(3)
-    found[i, i] = found[j, j] = np.cos(angle)
-    found[j, i], found[i, j] = np.sin(angle), -np.sin(angle)
-    return found
+    about = np.eye(3)
+    about[i, i] = about[j, j] = np.cos(angle)
+    about[j, i], about[i, j] = np.sin(angle), -np.sin(angle)
+    return about

@@ -128,20 +128,20 @@ class LinuxCncTrt(KinematicsFormat):
     def read(self, path: Path, machine: Machine) -> TableGeometry:
         """See `KinematicsFormat.read`; other lines of a HAL file are ignored, and a missing shift is zero."""
         kind, conventional = self._kind(machine)
-        found: dict[str, TableLine] = {}
+        lines_by_name: dict[str, TableLine] = {}
         for line in table_lines(path):
             match = _LINE.match(line.text)
             if match is None or (match["pin"] and line.text.startswith("#")):
                 continue
             if match["kind"] not in (None, kind):
                 raise line.error(f"pins of other kinematics than those of {machine.name}", kind, match["kind"])
-            assign(found, match["pin"] or match["shift"], TableLine(path, line.number, match["value"]))
+            assign(lines_by_name, match["pin"] or match["shift"], TableLine(path, line.number, match["value"]))
         names = self.nominal(machine)
         values = {name: 0.0 for name in names if name.startswith(_SHIFT)}
-        values |= numbers_of(path, found, [name for name in names if name not in values])
+        values |= numbers_of(path, lines_by_name, [name for name in names if name not in values])
         for name in (*(f"{_SHIFT}-{axis}" for axis in "xyz"), "z-offset"):
-            values |= numbers_of(path, found, [name]) if name in found else {}
-        given = found.get("conventional-directions", TableLine(path, None, "0"))
+            values |= numbers_of(path, lines_by_name, [name]) if name in lines_by_name else {}
+        given = lines_by_name.get("conventional-directions", TableLine(path, None, "0"))
         if int(given.decimal("conventional-directions")) != conventional:
             raise given.error(f"conventional-directions of {machine.name}", str(conventional), given.text)
         return self.geometry(values, machine)

@@ -95,7 +95,7 @@ class SiemensTrafo5(KinematicsFormat):
 
     def read(self, path: Path, machine: Machine) -> TableGeometry:
         """See `KinematicsFormat.read`; other machine data are ignored."""
-        found: dict[str, TableLine] = {}
+        lines_by_name: dict[str, TableLine] = {}
         for line in table_lines(path):
             match = _LINE.match(line.text)
             if match is None:
@@ -107,13 +107,15 @@ class SiemensTrafo5(KinematicsFormat):
                 )
             name = match["name"] or match["tilt"]
             if name:
-                assign(found, f"{name.upper()}[{match['index'] or match['part']}]", value)
+                assign(lines_by_name, f"{name.upper()}[{match['index'] or match['part']}]", value)
         names = list(self.nominal(machine))
-        values = numbers_of(path, found, [name for name in names if not name.startswith(TILT) or name in found])
+        values = numbers_of(
+            path, lines_by_name, [name for name in names if not name.startswith(TILT) or name in lines_by_name]
+        )
         values |= {name: 0.0 for name in names if name not in values}
         for name in ("AXIS1", "AXIS2"):
             if np.linalg.norm([values[f"{name}[{i}]"] for i in range(3)]) < SHORTEST:
-                raise found[f"{name}[0]"].error(f"{name} has no direction", "a vector other than zero", "0 0 0")
+                raise lines_by_name[f"{name}[0]"].error(f"{name} has no direction", "a vector other than zero", "0 0 0")
         return self.geometry(values, machine)
 
     def loading(self, machine: Machine) -> tuple[str, ...]:

@@ -57,18 +57,18 @@ class Fanuc(TableForm):
 
     def tools(self, path: Path, lines: Sequence[str]) -> dict[str, float]:
         """See `TableForm.tools`."""
-        found: dict[str, float] = {}
+        tools: dict[str, float] = {}
         for line, words in _blocks(path, lines, ("10", "11")):
             if "R" not in words:
                 raise InputError("length offset without a value", expected="G10 L10 P1 R120.5", file=path, line=line)
             name = str(int(words["P"]))
-            found[name] = found.get(name, 0.0) + words["R"]
-        return found
+            tools[name] = tools.get(name, 0.0) + words["R"]
+        return tools
 
 
 def _blocks(path: Path, lines: Sequence[str], wanted: Sequence[str]) -> list[tuple[int, dict[str, float]]]:
     """Return line number and words of every ``G10`` block of some kinds."""
-    found = []
+    blocks = []
     for line, text in enumerate(lines, 1):
         bare = _COMMENT.sub("", text)
         block = _G10.search(bare)
@@ -77,5 +77,5 @@ def _blocks(path: Path, lines: Sequence[str], wanted: Sequence[str]) -> list[tup
         words = {letter.upper(): value_of(path, line, value) for letter, value in _WORD.findall(bare)}
         if "P" not in words:
             raise InputError("G10 without P", expected="G10 L2 P1 X… Y… Z…", file=path, line=line, value=text.strip())
-        found.append((line, words))
-    return found
+        blocks.append((line, words))
+    return blocks

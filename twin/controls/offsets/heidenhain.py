@@ -38,26 +38,26 @@ class PresetsAndTools(TableForm):
     def offsets(self, path: Path, lines: Sequence[str]) -> dict[str, dict[str, float]]:
         """See `TableForm.offsets`. An empty cell (``-``) leaves the axis without an offset."""
         unit, rows = _rows(path, lines)
-        found: dict[str, dict[str, float]] = {}
+        offsets: dict[str, dict[str, float]] = {}
         for line, row in rows:
             name = row.get("NO", "")
             turned = next((column for column in _TURNS if _number(path, line, row, column)), None)
             if turned is not None:
                 raise rotated(path, line, name, f"{turned} {row[turned]}")
             axes = [axis for axis in _LINEAR + _ROTARY if axis in row]
-            found[name] = {axis: _number(path, line, row, axis) * (unit if axis in _LINEAR else 1.0) for axis in axes}
-        return found
+            offsets[name] = {axis: _number(path, line, row, axis) * (unit if axis in _LINEAR else 1.0) for axis in axes}
+        return offsets
 
     def tools(self, path: Path, lines: Sequence[str]) -> dict[str, float]:
         """See `TableForm.tools`: length L and its delta DL."""
         unit, rows = _rows(path, lines)
-        found: dict[str, float] = {}
+        tools: dict[str, float] = {}
         for line, row in rows:
             length = (_number(path, line, row, "L") + _number(path, line, row, "DL")) * unit
-            found[row.get("T", "")] = length
+            tools[row.get("T", "")] = length
             if row.get("NAME"):
-                found[row["NAME"]] = length
-        return found
+                tools[row["NAME"]] = length
+        return tools
 
 
 def _kind(lines: Sequence[str]) -> str:

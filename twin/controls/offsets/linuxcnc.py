@@ -44,10 +44,10 @@ class LinuxCncTables(TableForm):
         values: dict[int, float] = {}
         line_of: dict[int, int] = {}
         for line, text in enumerate(lines, 1):
-            found = _PARAMETER.fullmatch(text)
-            if found is not None:
-                parameter = int(found.group(1))
-                values[parameter], line_of[parameter] = value_of(path, line, found.group(2)), line
+            match = _PARAMETER.fullmatch(text)
+            if match is not None:
+                parameter = int(match.group(1))
+                values[parameter], line_of[parameter] = value_of(path, line, match.group(2)), line
             elif text.strip():
                 raise InputError("not a parameter", expected="5221 12.500000", file=path, line=line, value=text)
         if values.get(_ADDED) and any(values.get(_ADDED + 1 + i) for i in range(len(_AXES))):
@@ -64,7 +64,7 @@ class LinuxCncTables(TableForm):
 
     def tools(self, path: Path, lines: Sequence[str]) -> dict[str, float]:
         """See `TableForm.tools`."""
-        found: dict[str, float] = {}
+        tools: dict[str, float] = {}
         for line, text in enumerate(lines, 1):
             entry = text.partition(";")[0]
             tool = _TOOL.match(entry)
@@ -73,5 +73,5 @@ class LinuxCncTables(TableForm):
                     raise InputError("not a tool", expected="T1 P1 Z+120.5", file=path, line=line, value=text)
                 continue
             length = _LENGTH.search(tool.group(2))
-            found[tool.group(1)] = 0.0 if length is None else value_of(path, line, length.group(1))
-        return found
+            tools[tool.group(1)] = 0.0 if length is None else value_of(path, line, length.group(1))
+        return tools

@@ -76,11 +76,11 @@ class Sinumerik(TableForm):
                 lengths[key] = lengths.get(key, 0.0) + value_of(path, line, tool.group(4))
             elif named is not None:
                 names[named.group(1)] = named.group(2)
-        found: dict[str, float] = {}
+        tools: dict[str, float] = {}
         for (number, edge), length in lengths.items():
             for tool_name in {number, names.get(number, number)}:
-                found[tool_name if edge == "1" else f"{tool_name} D{edge}"] = length
-        return found
+                tools[tool_name if edge == "1" else f"{tool_name} D{edge}"] = length
+        return tools
 
 
 def _offset_name(index: int) -> str:
@@ -89,12 +89,12 @@ def _offset_name(index: int) -> str:
 
 def _parts(path: Path, line: int, text: str) -> list[tuple[str, str, str]]:
     """Return the parts of a frame written as ``CTRANS(X,1.5,Y,2):CFINE(..)``: kind, axis and number of each."""
-    found = []
+    parts = []
     for function, arguments in _PARTS.findall(text):
         cells = [cell.strip() for cell in arguments.split(",")] if arguments.strip() else []
         kind = {"CTRANS": "TR", "CFINE": "FI", "CSCALE": "SC"}.get(function.upper(), "RT")
         if len(cells) % 2:
             expected = 'an axis and a number each: "CTRANS(X,1.5,Y,2)"'
             raise InputError("not a frame", expected=expected, file=path, line=line, value=text)
-        found += [(kind, axis, number) for axis, number in zip(cells[::2], cells[1::2], strict=True)]
-    return found
+        parts += [(kind, axis, number) for axis, number in zip(cells[::2], cells[1::2], strict=True)]
+    return parts

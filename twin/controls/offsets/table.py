@@ -187,15 +187,15 @@ class CsvForm(TableForm):
         """See `TableForm.offsets`."""
         header, rows, _ = read_table(path)
         cells = Cells(path, {name: i for i, name in enumerate(header)}, rows)
-        found: dict[str, dict[str, float]] = {_key(path, line, row[0]): {} for line, row in rows}
-        _check_once(path, found, rows)
+        offsets: dict[str, dict[str, float]] = {_key(path, line, row[0]): {} for line, row in rows}
+        _check_once(path, offsets, rows)
         for name in header[1:]:
             axis = _AXIS.fullmatch(name)
             if axis is None:
                 raise InputError("unknown column", expected="offset, then X_mm … C_deg", file=path, line=1, value=name)
-            for key, value in zip(found, _numbers(cells, name), strict=True):
-                found[key][axis.group(1)] = value
-        return found
+            for key, value in zip(offsets, _numbers(cells, name), strict=True):
+                offsets[key][axis.group(1)] = value
+        return offsets
 
     def tools(self, path: Path, lines: Sequence[str]) -> dict[str, float]:
         """See `TableForm.tools`."""
@@ -206,11 +206,11 @@ class CsvForm(TableForm):
                 "no column length_mm", expected="tool,length_mm", file=path, line=1, value=",".join(header)
             )
         lengths = _numbers(Cells(path, columns, rows), "length_mm")
-        found = {_key(path, line, row[0]): value for (line, row), value in zip(rows, lengths, strict=True)}
-        _check_once(path, found, rows)
+        tools = {_key(path, line, row[0]): value for (line, row), value in zip(rows, lengths, strict=True)}
+        _check_once(path, tools, rows)
         if "name" in columns:
-            found |= {row[columns["name"]]: value for (_, row), value in zip(rows, lengths, strict=True)}
-        return found
+            tools |= {row[columns["name"]]: value for (_, row), value in zip(rows, lengths, strict=True)}
+        return tools
 
 
 def _header(lines: Sequence[str]) -> list[str]:

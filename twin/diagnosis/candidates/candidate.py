@@ -72,11 +72,11 @@ _DERIVATIVES: Final[Mapping[str, Callable[[LinearisedReadings, Rows], np.ndarray
 
 def strain_displacements(points: np.ndarray) -> np.ndarray:
     """Return the displacement (n, 3, 6) of points by unit strains: scales x, y, z, and shears xy, xz, yz (change of a right angle)."""
-    found = np.zeros((*points.shape, len(STRAINS)))
+    strain_displacements = np.zeros((*points.shape, len(STRAINS)))
     for k, (i, j) in enumerate(STRAINS):
         share = 1.0 if i == j else 0.5
-        found[:, i, k], found[:, j, k] = share * points[:, j], share * points[:, i]
-    return found
+        strain_displacements[:, i, k], strain_displacements[:, j, k] = share * points[:, j], share * points[:, i]
+    return strain_displacements
 
 
 @final

@@ -59,12 +59,12 @@ def catalogue(
         instruments: those of the stations; errors that none of them can have are left out. None: not known.
     """
     inputs = CandidateInputs(machine, data, calibration)
-    found = [source.candidates(inputs) for source in SOURCES]
+    by_source = [source.candidates(inputs) for source in SOURCES]
     others: set[str] = set()
     if instruments is not None:
-        others = {name for one in INSTRUMENTS for name in one.specification.effects}
+        others = {name for instrument in INSTRUMENTS for name in instrument.specification.effects}
         others -= {name for one in instruments.every for name in one.specification.effects}
     return Catalogue(
-        tuple(candidate for one in found for candidate in one.candidates if candidate.effect not in others),
-        tuple(missing for one in found for missing in one.not_evaluated if missing[0] not in others),
+        tuple(candidate for one in by_source for candidate in one.candidates if candidate.effect not in others),
+        tuple(missing for one in by_source for missing in one.not_evaluated if missing[0] not in others),
     )

@@ -176,7 +176,7 @@ PROBE_LOBING: Final = Specification(
 
 def probe_lobings(inputs: CandidateInputs) -> Catalogue:
     """Return a candidate for each probe that a rotary axis of the tool side turned about its stylus."""
-    data, found = inputs.data, []
+    data, candidates = inputs.data, []
     probed = at_origin(data) & (data.station_carrier == "tool")
     for i, axis in enumerate(inputs.machine.axes):
         if (
@@ -193,9 +193,9 @@ def probe_lobings(inputs: CandidateInputs) -> Catalogue:
             parts = ((np.cos(angle), -np.sin(angle)), (-np.sin(angle), -np.cos(angle)))
             columns = tuple(Column(_terms(own, both), LARGEST_LOBING_UM) for both in parts)
             names = (("cos", "um"), ("sin", "um"))
-            found.append(Candidate(PROBE_LOBING, f"probe {station}", names, (Variant(columns),), 1.0))
+            candidates.append(Candidate(PROBE_LOBING, f"probe {station}", names, (Variant(columns),), 1.0))
         break
-    return Catalogue(tuple(found))
+    return Catalogue(tuple(candidates))
 
 
 def _terms(own: np.ndarray, both: Sequence[np.ndarray]) -> tuple[SignatureTerm, ...]:
@@ -266,11 +266,11 @@ def station_drifts(inputs: CandidateInputs) -> Catalogue:
     if "time_s" not in inputs.state:
         return Catalogue((), ((STATION_DRIFT.name, ", ".join(stations), "time_s"),))
     names = tuple((f"rate_{a}", "um/h") for a in "xyz")
-    found = []
+    candidates = []
     for name in stations:
         drift = drift_of_station(inputs.state["time_s"], inputs.data.station == name)
-        found.append(Candidate(STATION_DRIFT, name, names, drift.variants, 3.0, drift=drift))
-    return Catalogue(tuple(found))
+        candidates.append(Candidate(STATION_DRIFT, name, names, drift.variants, 3.0, drift=drift))
+    return Catalogue(tuple(candidates))
 
 
 def drift_of_station(time_s: np.ndarray, mask: np.ndarray) -> Drift:
@@ -369,7 +369,7 @@ def _tangent(step: np.ndarray, length: np.ndarray, rounds: np.ndarray) -> np.nda
     extrapolated. A row between opposite steps, or of a short round, has the direction of the step before it.
     """
     unit = step / np.where(length > 0.0, length, 1.0)[:, None]
-    found = unit.copy()
+    tangent = unit.copy()
     ends = np.flatnonzero(np.append(True, rounds[1:] != rounds[:-1]))
     for first, end in zip(ends, [*ends[1:], len(unit)], strict=True):
         own = unit[first + 1 : end]  # the step to the first row is of another round
@@ -378,23 +378,23 @@ def _tangent(step: np.ndarray, length: np.ndarray, rounds: np.ndarray) -> np.nda
         ends_on = [2.0 * own[i] - own[j] if own[i] @ own[j] > 0.0 else own[i] for i, j in ((0, 1), (-1, -2))]
         before, after = np.concatenate([[ends_on[0]], own]), np.concatenate([own, [ends_on[1]]])
         smooth = np.einsum("ni,ni->n", before, after) > 0.0
-        found[first] = after[0]
-        found[first:end][smooth] = (before + after)[smooth]
-    return found
+        tangent[first] = after[0]
+        tangent[first:end][smooth] = (before + after)[smooth]
+    return tangent
 
 
 def time_skews(inputs: CandidateInputs) -> Catalogue:
     """Return a candidate for every axis that moved: the readings are displaced by velocity times delay."""
     machine, moving = inputs.machine, velocities(inputs.data, inputs.machine)
-    found, missing = [], []
+    candidates, missing = [], []
     for axis in machine.axes:
         if axis.name in moving:
             displacement = moving[axis.name] * axis.scale / UM
             column = tabulated_column({i: displacement * part for i, part in along_command(machine, axis)})
-            found.append(Candidate(TIME_SKEW, axis.name, (("delay", "s"),), (Variant((column,)),), 1.0))
+            candidates.append(Candidate(TIME_SKEW, axis.name, (("delay", "s"),), (Variant((column,)),), 1.0))
         elif not np.any(np.isfinite(inputs.data.feed_mm_min)):
             missing.append((TIME_SKEW.name, axis.name, "feed_mm_min"))
-    return Catalogue(tuple(found), tuple(missing))
+    return Catalogue(tuple(candidates), tuple(missing))
 
 
 TIME_SKEW_SOURCE: Final = CandidateSource((TIME_SKEW,), time_skews)
@@ -465,15 +465,15 @@ def alignments(inputs: CandidateInputs) -> Catalogue:
 
 def _frame_shifts(inputs: CandidateInputs) -> list[Candidate]:
     """Return frame shifts from each round on, for each station separately where there are several."""
-    found = []
+    frame_shifts = []
     for name, later in _later(inputs):
         single = len(dict.fromkeys(inputs.data.station)) == 1
         changed = [("", later)] if single else _changed(later, inputs.data.station)
         for station, mask in changed:
             where = f"round {name}" if single else f"station {station} from round {name}"
             columns = masked_columns(FRAME, mask, UM)
-            found.append(Candidate(FRAME_SHIFT, where, (*SHIFTS, *TURNS), (Variant(columns),), 1.0))
-    return found
+            frame_shifts.append(Candidate(FRAME_SHIFT, where, (*SHIFTS, *TURNS), (Variant(columns),), 1.0))
+    return frame_shifts
 
 
 def _target_shifts(inputs: CandidateInputs) -> list[Candidate]:

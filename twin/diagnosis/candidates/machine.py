@@ -79,13 +79,13 @@ def machine_effects(inputs: CandidateInputs) -> Catalogue:
     )
     if not payloads and not any(isinstance(effect, GravityCompliance) for effect in loaded):
         payloads = None
-    found: list[Candidate] = []
+    candidates: list[Candidate] = []
     missing: list[Missing] = []
     for specification in TESTED_EFFECTS:
         places, lacking = specification.candidate_places(inputs.machine, inputs.state)
         missing += [(specification.name, where, what) for where, what in lacking]
-        found += [_effect_candidate(specification, where, inputs, payloads) for where in places]
-    return Catalogue(tuple(found), tuple(missing))
+        candidates += [_effect_candidate(specification, where, inputs, payloads) for where in places]
+    return Catalogue(tuple(candidates), tuple(missing))
 
 
 def _effect_candidate(
@@ -187,9 +187,11 @@ def _of_axis(inputs: CandidateInputs, axis: Axis) -> list[Candidate]:
     """Return the candidates of the error motions of an axis; those of one domain and degree share their functions."""
     alike: dict[tuple[tuple[float, float], int], dict[int, tuple[CurveSpace, dict[float, np.ndarray]]]] = {}
     for component in range(len(DIRECTIONS)):
-        found = _space_and_mistakes(inputs, axis, component)
-        if found is not None:
-            alike.setdefault((found[0].domain, found[0].count), {})[component] = found
+        space_and_mistakes = _space_and_mistakes(inputs, axis, component)
+        if space_and_mistakes is not None:
+            alike.setdefault((space_and_mistakes[0].domain, space_and_mistakes[0].count), {})[component] = (
+                space_and_mistakes
+            )
     candidates: dict[int, Candidate] = {}
     for (domain, count), own in alike.items():
         shapes = [shape for _, patterns in own.values() for shape in patterns.values()]
@@ -327,7 +329,7 @@ def added_payloads(inputs: CandidateInputs) -> Catalogue:
     every = {side: [one for one in compliant if side_of(one.axis) == side] for side in SIDES}
     sides = [side for side in SIDES if every[side]]
     known = {payload.side for one in compliant for payload in one.payloads if payload.carried}
-    found: list[Candidate] = []
+    candidates: list[Candidate] = []
     missing: list[Missing] = []
     carrying = is_carrying(inputs.state)
     varied = carrying and bool(np.ptp(inputs.state[LOAD]) > 0.0)
@@ -336,14 +338,14 @@ def added_payloads(inputs: CandidateInputs) -> Catalogue:
         missing += [(CARRIED_LOAD.name, side, f"readings at different {LOAD}") for side in own]
     for side in sides:
         if not carrying or varied:
-            found.append(_payload_candidate(inputs, side, every[side], carried=False))
+            candidates.append(_payload_candidate(inputs, side, every[side], carried=False))
         else:
             missing.append((PAYLOAD.name, side, f"readings at different {LOAD}"))
         if carrying and side in (known or sides):
-            found.append(_payload_candidate(inputs, side, every[side], carried=True))
+            candidates.append(_payload_candidate(inputs, side, every[side], carried=True))
         elif not carrying:
             missing.append((CARRIED_LOAD.name, side, LOAD))
-    return Catalogue(tuple(found), tuple(missing))
+    return Catalogue(tuple(candidates), tuple(missing))
 
 
 def _payload_candidate(
@@ -433,12 +435,12 @@ def _rigid(machine: Machine, side: Side, compliant: Sequence[GravityCompliance])
     The calibration says nothing of them: readings without the load may not have loaded them.
     """
     known = {one.axis.name for one in compliant}
-    found = []
+    rigid = []
     for axis in machine.axes:
         like = [one.compliance for one in compliant if one.axis.linear == axis.linear]
         if like and axis.name not in known and side_of(axis) == side:
-            found.append(gravity_compliance(machine, axis.name, float(np.sqrt(np.mean(np.square(like))))))
-    return found
+            rigid.append(gravity_compliance(machine, axis.name, float(np.sqrt(np.mean(np.square(like))))))
+    return rigid
 
 
 def _mass_and_centre(values: np.ndarray) -> np.ndarray:
@@ -473,7 +475,7 @@ REVERSAL_SPIKE: Final = Specification(
 
 def reversal_spikes(inputs: CandidateInputs) -> Catalogue:
     """Return a candidate for every axis that reversed while it was measured in motion."""
-    found = []
+    candidates = []
     for name, velocity in velocities(inputs.data, inputs.machine).items():
         since, interval = time_since_reversal(inputs.data, velocity)
         if not np.any(np.isfinite(since)):
@@ -485,8 +487,8 @@ def reversal_spikes(inputs: CandidateInputs) -> Catalogue:
             column = tabulated_column({i: late * part for i, part in along_command(inputs.machine, axis)})
             variants.append(Variant((column,), {"time_constant": rows * interval}))
         names = (("amplitude", "um" if axis.linear else "urad"),)
-        found.append(Candidate(REVERSAL_SPIKE, name, names, tuple(variants), 2.0))
-    return Catalogue(tuple(found))
+        candidates.append(Candidate(REVERSAL_SPIKE, name, names, tuple(variants), 2.0))
+    return Catalogue(tuple(candidates))
 
 
 def time_since_reversal(data: Measurements, velocity: np.ndarray) -> tuple[np.ndarray, float]:
@@ -554,7 +556,7 @@ READ_BACK: Final = Specification(
 
 def following_errors(inputs: CandidateInputs) -> Catalogue:
     """Return a candidate for every axis with reported positions that differ from the command."""
-    found, missing = [], []
+    candidates, missing = [], []
     for i, axis in enumerate(inputs.machine.axes):
         reported = inputs.data.readback[:, i]
         if np.all(np.isnan(reported)):
@@ -563,8 +565,8 @@ def following_errors(inputs: CandidateInputs) -> Catalogue:
         difference = np.where(np.isfinite(reported), (reported - inputs.data.positions[:, i]) * axis.scale / UM, 0.0)
         if np.abs(difference).max() >= LEAST_UM:
             column = tabulated_column({i: difference * part for i, part in along_command(inputs.machine, axis)})
-            found.append(Candidate(FOLLOWING_ERROR, axis.name, (("share", "1"),), (Variant((column,)),), 1.0))
-    return Catalogue(tuple(found), tuple(missing))
+            candidates.append(Candidate(FOLLOWING_ERROR, axis.name, (("share", "1"),), (Variant((column,)),), 1.0))
+    return Catalogue(tuple(candidates), tuple(missing))
 
 
 FOLLOWING_ERROR_SOURCE: Final = CandidateSource((FOLLOWING_ERROR, READ_BACK), following_errors)

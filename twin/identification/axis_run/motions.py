@@ -127,18 +127,18 @@ def error_motions(layout: AxisLayout, readings: BeamReadings, *, spread: Spread 
             file=readings.source,
             value=f"{len(readings)} rows of {len(state)} states",
         )
-    found = _displacement(layout, readings)
-    values, by_pose = _error_frames(layout, readings, found)
+    displacement = _displacement(layout, readings)
+    values, by_pose = _error_frames(layout, readings, displacement)
     group = group.reshape(-1)
     count = np.bincount(group)
     mean_weights = (np.arange(len(state))[:, None] == group) / count[:, None]
     mean = mean_weights @ values
     deviations = values - mean[group]
     pooled = deviations.T @ deviations / repeats if repeats else np.full((6, 6), np.nan)
-    own = by_pose @ found.noise_covariance @ by_pose.transpose(0, 2, 1)
+    own = by_pose @ displacement.noise_covariance @ by_pose.transpose(0, 2, 1)
     each = pooled / count[:, None, None] if spread == "repeats" else np.einsum("gn,nij->gij", mean_weights**2, own)
-    flat = np.einsum("gn,nip->gip", mean_weights, by_pose @ found.by_installation).reshape(6 * len(state), -1)
-    joint = flat @ found.installation_covariance @ flat.T
+    flat = np.einsum("gn,nip->gip", mean_weights, by_pose @ displacement.by_installation).reshape(6 * len(state), -1)
+    joint = flat @ displacement.installation_covariance @ flat.T
     common = np.sqrt(np.diag(joint)).reshape(-1, 6)
     for g in range(len(state)):
         joint[6 * g : 6 * g + 6, 6 * g : 6 * g + 6] += each[g]
@@ -151,10 +151,10 @@ def error_motions(layout: AxisLayout, readings: BeamReadings, *, spread: Spread 
         covariance=read_only((joint + joint.T) / 2.0),
         u_installation=read_only(common),
         repeatability=read_only(np.sqrt(np.diag(pooled))),
-        chi2=_chi2(layout, found),
-        dof=int(np.count_nonzero(np.isfinite(found.residual))) - 6 * len(readings),
+        chi2=_chi2(layout, displacement),
+        dof=int(np.count_nonzero(np.isfinite(displacement.residual))) - 6 * len(readings),
         spread=spread,
-        displacement=found,
+        displacement=displacement,
         instrument=layout.name,
         mirrors=len(layout.beams.mirrors),
         simulated=readings.simulated,
@@ -168,17 +168,17 @@ def _displacement(layout: AxisLayout, readings: BeamReadings) -> Displacement:
         InputError: beams that do not determine six motions; no convergence.
     """
     start = np.concatenate([layout.travel(readings.position_mm), np.zeros((len(readings), 3))], axis=1)
-    found = measure(
+    displacement = measure(
         layout.beams, readings.paths(layout), noise=layout.noise, installation_u=layout.installation_u, poses=start
     )
-    if not found.converged:
+    if not displacement.converged:
         raise InputError(
             "no pose of the carriage agrees with the readings",
             expected="changes of path of this layout, in mm",
             file=readings.source,
-            value=f"residuals up to {np.nanmax(np.abs(found.residual)) * 1e3:.3g} mm",
+            value=f"residuals up to {np.nanmax(np.abs(displacement.residual)) * 1e3:.3g} mm",
         )
-    return found
+    return displacement
 
 
 def _error_frames(layout: AxisLayout, readings: BeamReadings, found: Displacement) -> tuple[np.ndarray, np.ndarray]:
@@ -354,18 +354,18 @@ def _fitted(
 
 def disagreements(motions: Motions, curves: AxisCurves) -> tuple[str, ...]:
     """Return how the readings contradict the stated uncertainties or the curves; empty if they do not."""
-    found = []
+    disagreements = []
     if motions.p_value < SIGNIFICANCE:
-        found.append(
+        disagreements.append(
             f"readings of the beams disagree by more than stated (chi² {motions.chi2:.0f} for {motions.dof} degrees of "
             "freedom): a beam, the layout or its uncertainties are not as stated"
         )
     if curves.p_value < SIGNIFICANCE:
-        found.append(
+        disagreements.append(
             f"the motions deviate from the curves by more than their uncertainty (chi² {curves.chi2:.0f} for {curves.dof} degrees of "
             "freedom): short-wave errors, or more noise than stated"
         )
-    return tuple(found)
+    return tuple(disagreements)
 
 
 def _with_measurement(curves: AxisCurves, motions: Motions) -> Calibration:
@@ -406,20 +406,20 @@ REPEAT_RATIO: Final = 3.0
 
 def notices(motions: Motions, curves: AxisCurves) -> tuple[str, ...]:
     """Return the facts to know before using the result."""
-    found = list(disagreements(motions, curves))
+    notices = list(disagreements(motions, curves))
     own = np.sqrt(np.einsum("nii->ni", motions.displacement.noise_covariance)).mean(axis=0) * 1e6
     varying = [i for i in range(6) if motions.spread == "stated" and motions.repeatability[i] > REPEAT_RATIO * own[i]]
     if varying:
         names = ", ".join(f"E_{NAMES[i]}{motions.axis}" for i in varying)
-        found.append(f"{names}: repeats vary more than the beams' noise explains; base the uncertainty on repeats")
-    return tuple(found)
+        notices.append(f"{names}: repeats vary more than the beams' noise explains; base the uncertainty on repeats")
+    return tuple(notices)
 
 
 def to_dict(layout: AxisLayout, readings: BeamReadings, motions: Motions, curves: AxisCurves) -> dict[str, Any]:
     """Return the report as JSON."""
     installation, names = motions.displacement, [f"E_{letter}{motions.axis}" for letter in NAMES]
     installation_u, u = np.sqrt(np.diag(installation.installation_covariance)), motions.u
-    found = {
+    entry = {
         "schema": SCHEMA,
         "layout": layout.name,
         "axis": motions.axis,
@@ -451,7 +451,7 @@ def to_dict(layout: AxisLayout, readings: BeamReadings, motions: Motions, curves
         "notices": [*readings.notices, *notices(motions, curves)],
         "set_aside": [{"line": note.line, "reason": note.text} for note in readings.set_aside],
     }
-    return dict(json_form(found))
+    return dict(json_form(entry))
 
 
 def to_text(layout: AxisLayout, readings: BeamReadings, motions: Motions, curves: AxisCurves) -> str:

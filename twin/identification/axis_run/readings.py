@@ -150,7 +150,7 @@ class AxisLayout:
                 mirror=read_only(np.array([mirrors.index(one.mirror) for one in entries.beams.values()])),
                 mirrors=mirrors,
                 normal=read_only(np.array(normals)),
-                distance=read_only(np.array([one.distance_mm for one in entries.mirrors.values()]) * MM),
+                distance=read_only(np.array([mirror.distance_mm for mirror in entries.mirrors.values()]) * MM),
                 planar=False,
             )
         except InputError as error:

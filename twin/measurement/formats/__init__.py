@@ -181,19 +181,19 @@ def convert(
     for path, form in zip(files, forms, strict=True):
         if form is not forms[0]:
             raise InputError("files of different formats", expected=forms[0].name, file=path, value=form.name)
-    found = [
+    conversions = [
         _with_round(form.read(path, machine, given, str(k)), str(k), several=len(files) > 1)
         for k, (path, form) in enumerate(zip(files, forms, strict=True), start=1)
     ]
-    for own in (one.measurements for one in found):
+    for own in (conversion.measurements for conversion in conversions):
         check_ranges(machine.axes, own.positions, own.lines, own.source)
-    table = Measurements.join([one.measurements for one in found])
+    table = Measurements.join([conversion.measurements for conversion in conversions])
     named = np.full(len(table), forms[0].specification.instrument, dtype=object)
     return ConvertedFiles(
         forms[0].specification,
         replace(table, instrument=read_only(named)),
-        tuple(dict.fromkeys(note for one in found for note in one.notes)),
-        tuple(centre for one in found for centre in one.centres),
+        tuple(dict.fromkeys(note for conversion in conversions for note in conversion.notes)),
+        tuple(centre for conversion in conversions for centre in conversion.centres),
         tuple(_origin(path) for path in files),
     )
 

@@ -208,7 +208,7 @@ def reduced(
     rounds: Any = numbered_rounds(sphere, poses, given.contacts)
     if rows[0].round is not None:
         rounds = np.array([row.round for row in rows], dtype=object)
-    found = reduce_contacts(
+    reduction = reduce_contacts(
         Contacts(
             source=str(path),
             lines=np.array([row.line for row in rows]),
@@ -221,7 +221,7 @@ def reduced(
         machine,
         given.probing,
     )
-    return Conversion(found.measurements, found.notes, found.centres)
+    return Conversion(reduction.measurements, reduction.notes, reduction.centres)
 
 
 # --- Numbers, lines and texts of foreign files, read with file, line and value in every message ---

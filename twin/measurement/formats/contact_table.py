@@ -76,5 +76,5 @@ class ContactTable(MeasuredFormat):
         ]
         known = {*CONTACT_COLUMNS, *optional}
         notes = [unused_column_note(name, sorted(known)) for name in header if name not in known]
-        found = reduced(contacts, path, machine, given, simulated=bool(simulated_comments(comments)))
-        return found.with_notes(*notes)
+        conversion = reduced(contacts, path, machine, given, simulated=bool(simulated_comments(comments)))
+        return conversion.with_notes(*notes)

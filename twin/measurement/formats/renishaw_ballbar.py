@@ -98,12 +98,12 @@ class RenishawBallbar(MeasuredFormat):
             table, note = _run(run, trace, k, circle, centre + given.offsets(machine), path, machine, given)
             tables.append(table)
             notes.add(note)
-        found = sorted({trace.attributes.get("NAME", trace.name) for trace in traces})
+        names = sorted({trace.attributes.get("NAME", trace.name) for trace in traces})
         named = "as named" if given.trace is not None else "the only list of lengths in each run"
         return Conversion(
             Measurements.join(tables),
             (
-                f"assumed: the readings are in {', '.join(found)}, {named}",
+                f"assumed: the readings are in {', '.join(names)}, {named}",
                 f"assumed: first reading at {given.start_deg:g}° from +{circle.axes[0]}, last after {given.sweep_deg:g}°, equal steps",
                 *sorted(notes),
             ),
@@ -148,10 +148,10 @@ def _circle(root: Element, machine: Machine, path: Path) -> _Circle:
 
 def _only(element: Element, name: str, path: Path) -> Element:
     """Return the only element of that name below another one."""
-    found = [one for one in element.within() if one.name == name]
-    if len(found) != 1:
-        raise InputError(f"{len(found)} <{name}>", expected=f"one <{name}>", file=path, line=element.line)
-    return found[0]
+    elements = [one for one in element.within() if one.name == name]
+    if len(elements) != 1:
+        raise InputError(f"{len(elements)} <{name}>", expected=f"one <{name}>", file=path, line=element.line)
+    return elements[0]
 
 
 def _values(element: Element) -> list[str]:
@@ -193,16 +193,16 @@ def _trace(run: Element, named: str | None, path: Path) -> Element:
             line=run.line,
             setting="trace",
         )
-    (found,) = fitting
-    if found.attributes.get("DT") not in LENGTHS:
+    (trace,) = fitting
+    if trace.attributes.get("DT") not in LENGTHS:
         raise InputError(
             "unknown unit of the readings",
             expected=f'DT="{" or ".join(LENGTHS)}"',
             file=path,
-            line=found.line,
-            value=found.attributes.get("DT", "none"),
+            line=trace.line,
+            value=trace.attributes.get("DT", "none"),
         )
-    return found
+    return trace
 
 
 def _run(
@@ -266,10 +266,10 @@ def _run(
 
 def _feed(run: Element, circle: _Circle, path: Path) -> float:
     """Return the feed that was measured, or the programmed one."""
-    found = [one for one in run.each("FEATURE") if one.attributes.get("NAME") == "AF_CALCULATED_FEEDRATE"]
-    if not found:
+    features = [one for one in run.each("FEATURE") if one.attributes.get("NAME") == "AF_CALCULATED_FEEDRATE"]
+    if not features:
         return circle.feed_mm_min
-    if found[0].attributes.get("DT") != FEED:
-        unit = found[0].attributes.get("DT", "none")
-        raise InputError("unknown unit of the feed", expected=FEED, file=path, line=found[0].line, value=unit)
-    return number_in(found[0].text, "the feed", path, found[0].line)
+    if features[0].attributes.get("DT") != FEED:
+        unit = features[0].attributes.get("DT", "none")
+        raise InputError("unknown unit of the feed", expected=FEED, file=path, line=features[0].line, value=unit)
+    return number_in(features[0].text, "the feed", path, features[0].line)

@@ -266,7 +266,7 @@ def _converted(
 
 def _temperatures(parts: _File, path: Path, n: int) -> tuple[dict[str, np.ndarray], tuple[str, ...]]:
     """Return the temperatures by sensor, the mean of start and end, and notes on entries that are not used."""
-    found, notes = {}, []
+    temperatures, notes = {}, []
     for (section, name), (line, text) in parts.entries.items():
         if section != "ENVIRONMENT" or name not in TEMPERATURES:
             continue
@@ -281,7 +281,7 @@ def _temperatures(parts: _File, path: Path, n: int) -> tuple[dict[str, np.ndarra
         if start == end == NO_SENSOR:
             notes.append(f"{name}: {NO_SENSOR:g} at the start and at the end, assumed to mean no sensor")
             continue
-        found[TEMPERATURES[name]] = read_only(np.full(n, round((start + end) / 2.0, 6)))
-    if found:
+        temperatures[TEMPERATURES[name]] = read_only(np.full(n, round((start + end) / 2.0, 6)))
+    if temperatures:
         notes.append("temperatures are the means of start and end")
-    return found, tuple(notes)
+    return temperatures, tuple(notes)

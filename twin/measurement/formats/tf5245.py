@@ -108,10 +108,10 @@ def _converted(records: list[_Record], rounds: np.ndarray, path: Path, machine: 
             ContactRow(record.line, dict(zip("XYZ", point, strict=True)) | angles, "sphere", round=str(name))
             for point in record.contacts
         ]
-    found = reduced(rows, path, machine, given) if rows else None
-    if found is not None:
-        tables.append(found.measurements)
-        notes += list(found.notes)
+    conversion = reduced(rows, path, machine, given) if rows else None
+    if conversion is not None:
+        tables.append(conversion.measurements)
+        notes += list(conversion.notes)
     if centres:
         positions = np.zeros((len(centres), len(machine.axes)))
         for i, k in enumerate(centres):
@@ -132,7 +132,9 @@ def _converted(records: list[_Record], rounds: np.ndarray, path: Path, machine: 
         notes.append(f"{count_with_noun(len(centres), 'centre')} as the file states them, without uncertainty")
     joined = Measurements.join(tables)
     table = joined.select(np.argsort(joined.lines, kind="stable"))
-    return Conversion(table, (*notes, "assumed: one sphere in all poses"), found.centres if found is not None else ())
+    return Conversion(
+        table, (*notes, "assumed: one sphere in all poses"), conversion.centres if conversion is not None else ()
+    )
 
 
 def _records(path: Path) -> Iterator[_Record]:

@@ -147,19 +147,19 @@ def _decoded(data: bytes, path: Path, encoding: str) -> tuple[str, str]:
     Raises:
         InputError: it is not text, or not of the encoding given.
     """
-    found = encoding or _encoding(data)
+    coding = encoding or _encoding(data)
     try:
-        text = data.decode(found).removeprefix("\ufeff")
+        text = data.decode(coding).removeprefix("\ufeff")
     except (UnicodeDecodeError, LookupError) as error:
-        if not encoding and found == "cp1252":
-            found, text = "latin-1", data.decode("latin-1")
+        if not encoding and coding == "cp1252":
+            coding, text = "latin-1", data.decode("latin-1")
         else:
-            raise InputError("not text of this encoding", expected=f"{found} text", file=path, value=error) from error
+            raise InputError("not text of this encoding", expected=f"{coding} text", file=path, value=error) from error
     odd = re.search("[\0-\x08\x0e-\x1f]", text)
     if odd is not None:
         line = text.count("\n", 0, odd.start()) + 1
         raise InputError("not a text file", expected="a text file or an Excel workbook (.xlsx)", file=path, line=line)
-    return text.replace("\r\n", "\n").replace("\r", "\n"), found
+    return text.replace("\r\n", "\n").replace("\r", "\n"), coding
 
 
 def _encoding(data: bytes) -> str:
@@ -180,7 +180,7 @@ def _encoding(data: bytes) -> str:
 
 def _delimiter_name(text: str) -> str:
     """Return the name of the delimiter that gives most rows the same number of cells, two or more."""
-    best, found = 0.0, "comma"
+    best, delimiter_name = 0.0, "comma"
     for delimiter, name in DELIMITERS.items():
         try:
             rows = [row for _, row in islice(_split(text, delimiter), SAMPLE_ROWS) if any(row)]
@@ -191,8 +191,8 @@ def _delimiter_name(text: str) -> str:
         same = widths.most_common(1)[0][1] if widths else 0
         share = same / max(len(rows), 1)
         if share > 1.2 * best:
-            best, found = share, name
-    return found
+            best, delimiter_name = share, name
+    return delimiter_name
 
 
 def _split(text: str, delimiter: str) -> Iterator[tuple[int, list[str]]]:
@@ -544,8 +544,8 @@ def _is_units(row: Sequence[str]) -> bool:
 def _unique(names: Sequence[str]) -> list[str]:
     """Return names with a number appended to those that repeat an earlier one."""
     seen: Counter[str] = Counter()
-    found = []
+    unique = []
     for name in names:
         seen[name] += 1
-        found.append(name if seen[name] == 1 else f"{name} ({seen[name]})")
-    return found
+        unique.append(name if seen[name] == 1 else f"{name} ({seen[name]})")
+    return unique

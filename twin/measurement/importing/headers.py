@@ -274,19 +274,19 @@ def meaning_of(header: str, machine: Machine) -> Meaning:
         if joined in phrases and not (joined in ("", "t") and unit.casefold() in ("°c", "degc", "k", "c")):
             return Meaning(kind, kind, unit)
     axes = {axis.casefold(): axis for axis in machine.names}
-    found = [word for word in words if word in axes or word in ("x", "y", "z")]
-    rest = [word for word in words if word not in found and word not in NOISE]
+    meant = [word for word in words if word in axes or word in ("x", "y", "z")]
+    rest = [word for word in words if word not in meant and word not in NOISE]
     known = unit_named(unit)
     temperature = ROLES["temperature"] & {*rest} or (known is not None and known.table_unit == "degC")
     if temperature:
-        name = "_".join(word for word in [*found, *rest] if word not in ROLES["temperature"]) or "air"
+        name = "_".join(word for word in [*meant, *rest] if word not in ROLES["temperature"]) or "air"
         return Meaning("temperature", axes.get(name, name), unit)
-    if len(found) != 1:
+    if len(meant) != 1:
         role = next(
             (role for role, known in ROLES.items() if {*rest} & known and role in ("approach", "deviation")), ""
         )
         return Meaning(role, "", unit)
-    axis = axes.get(found[0], found[0])
+    axis = axes.get(meant[0], meant[0])
     if not rest:
         return Meaning("bare", axis, unit)
     roles = [

@@ -270,7 +270,7 @@ def _finished(applied: Applied, machine: Machine, plan: PlanPoints | None, propo
         PlanPoints.check_commands(cells, from_plan, layout, machine)
         cells = from_plan | cells
     cells = _in_order(cells, machine)
-    found = wrong_columns(machine, _unchecked(cells, machine))
+    notices = wrong_columns(machine, _unchecked(cells, machine))
     comments = _comments(layout, mapping, cells)
     assumptions = () if proposal is None else tuple(proposal.assumptions)
     notes = [] if proposal is None else list(proposal.notes)
@@ -278,9 +278,9 @@ def _finished(applied: Applied, machine: Machine, plan: PlanPoints | None, propo
     try:
         measurements = _read_back(cells, comments, layout, machine)
     except InputError as error:
-        if not assumptions and not found:
+        if not assumptions and not notices:
             raise
-        if not found:
+        if not notices:
             notes.append(f"not a valid measurement table yet: {error}")
     if measurements is not None:
         notes += [
@@ -300,11 +300,11 @@ def _finished(applied: Applied, machine: Machine, plan: PlanPoints | None, propo
         layout=", ".join(parts),
         mapping=mapping,
         assumptions=assumptions,
-        findings=tuple(one.text for one in found),
+        findings=tuple(notice.text for notice in notices),
         notes=tuple(notes),
         columns=cells,
         measurements=measurements,
-        remarks={} if proposal is None else _remarks(proposal, found),
+        remarks={} if proposal is None else _remarks(proposal, notices),
         comments=tuple(comments),
     )
 
@@ -395,7 +395,7 @@ def _read_back(
         made = folder / "measured.csv"
         made.write_text(csv_text(cells, head), encoding="utf-8")
         try:
-            found = Measurements.load(made, machine)
+            measurements = Measurements.load(made, machine)
         except InputError as error:
             line = (
                 None
@@ -414,8 +414,8 @@ def _read_back(
             ) from error
     origin = np.array([line for line, _ in layout.rows])
     return replace(
-        found,
+        measurements,
         source=str(layout.raw.path),
-        lines=read_only(origin[found.lines - first]),
-        set_aside=tuple(replace(one, line=int(origin[one.line - first])) for one in found.set_aside),
+        lines=read_only(origin[measurements.lines - first]),
+        set_aside=tuple(replace(one, line=int(origin[one.line - first])) for one in measurements.set_aside),
     )

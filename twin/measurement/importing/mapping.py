@@ -118,10 +118,10 @@ class ColumnMapping:
                 that does not fit a column, or an entry without an origin.
         """
         entries, lines = load_yaml(path, ColumnsFile, SCHEMA)
-        found = cls(entries, path, MappingProxyType(dict(lines)))
+        mapping = cls(entries, path, MappingProxyType(dict(lines)))
         for name, entry in entries.columns.items():
-            found.check_entry(name, entry, machine)
-        return found
+            mapping.check_entry(name, entry, machine)
+        return mapping
 
     def check_copy(self, path: Path) -> None:
         """Raise `InputError` unless a file written from this mapping reads back as the same entries."""
@@ -310,12 +310,12 @@ class PlanPoints:
 
     def columns(self, rows: np.ndarray, machine: Machine) -> dict[str, list[str]]:
         """Return the cells of the columns that the plan gives, for some of its rows."""
-        found: dict[str, list[str]] = {}
+        columns: dict[str, list[str]] = {}
         for part in table_columns(machine):
             if part.field in FIELDS:
                 cells = part.written(getattr(self.table, part.field))
-                found |= {name: [values[row] for row in rows] for name, values in cells.items()}
-        return found
+                columns |= {name: [values[row] for row in rows] for name, values in cells.items()}
+        return columns
 
     @staticmethod
     def check_commands(

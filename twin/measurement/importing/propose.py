@@ -97,8 +97,8 @@ class Proposal:
 
     def values(self, name: str) -> np.ndarray:
         """Return the numbers of a column of the file, NaN where a cell holds none."""
-        found = [decimal_value(cell, self.sign) if cell else None for cell in self.layout.column(name)]
-        return np.array([np.nan if value is None else float(value) for value in found])
+        numbers = [decimal_value(cell, self.sign) if cell else None for cell in self.layout.column(name)]
+        return np.array([np.nan if value is None else float(value) for value in numbers])
 
 
 def quoted(names: Sequence[str]) -> str:
@@ -185,30 +185,30 @@ class Applied:
 
     def _directions(self, name: str, entry: OriginEntry) -> list[str]:
         words = {plain_words(word): meaning for word, meaning in (entry.words or {}).items()}
-        found = []
+        directions = []
         for row, cell in enumerate(self.layout.column(entry.sources[0])):
             value = words.get(plain_words(cell), direction_of(cell))
             if value is None or str(value) not in ("-1", "0", "1"):
                 expected = "+, -, up, down, vorwärts, rückwärts, +1, -1 or 0, or an entry of `words` in the mapping"
                 raise self._error(f"{name} is not a direction", row, cell, expected)
-            found.append(str(int(value) * entry.sign))
-        return found
+            directions.append(str(int(value) * entry.sign))
+        return directions
 
     def _numbers(self, name: str, entry: OriginEntry) -> list[str]:
         unit, sign = self._unit(name, entry), self.mapping.entries.sign
         offset = Decimal(repr(entry.offset))
-        found = []
+        numbers = []
         for row, cell in enumerate(self.layout.column(entry.sources[0])):
             if not cell:
-                found.append("")
+                numbers.append("")
                 continue
             value = decimal_value(cell, "." if self.layout.raw.sheet and "," not in cell else sign)
             if value is None:
                 expected = f"a number with a decimal {SIGNS[sign]}, or an empty cell"
                 raise self._error(f"{entry.sources[0]} ({name}) is not a number", row, cell, expected)
             value = value if unit is None else unit.to_table(value)
-            found.append(decimal_text(value * entry.sign + offset if entry.sign < 0 or offset else value))
-        return found
+            numbers.append(decimal_text(value * entry.sign + offset if entry.sign < 0 or offset else value))
+        return numbers
 
     def _unit(self, name: str, entry: OriginEntry) -> Unit | None:
         return unit_named(entry.unit) if entry.unit else next(iter(units_of(name)), None) if table_unit(name) else None
@@ -218,17 +218,17 @@ class Applied:
         columns = [self.layout.column(source) for source in entry.sources]
         texts = [" ".join(parts) for parts in zip(*columns, strict=True)]
         first: datetime | None = None
-        found = []
+        seconds = []
         for row, text in enumerate(texts):
             if not text.strip():
-                found.append("")
+                seconds.append("")
                 continue
             moment = moment_in(text, entry.format or "")
             if moment is None:
                 raise self._error("not a date and time", row, text, f"the form {entry.format}")
             first = moment if first is None else first
-            found.append(decimal_text(Decimal((moment - first) // timedelta(microseconds=1)) / 1_000_000))
-        return found
+            seconds.append(decimal_text(Decimal((moment - first) // timedelta(microseconds=1)) / 1_000_000))
+        return seconds
 
 
 def moment_in(text: str, form: str) -> datetime | None:
@@ -281,7 +281,8 @@ def commands_of(found: Proposal) -> np.ndarray:
     columns = [found.entries.get(name) for name in axis_columns(found.machine)]
     zero = np.zeros(len(found.layout.rows))
     return np.stack(
-        [np.nan_to_num(found.values(one.sources[0])) if one and one.sources else zero for one in columns], axis=1
+        [np.nan_to_num(found.values(column.sources[0])) if column and column.sources else zero for column in columns],
+        axis=1,
     )
 
 
@@ -358,29 +359,29 @@ def proposed(layout: Layout, machine: Machine, plan: PlanPoints | None) -> Propo
     Raises:
         InputError: decimal commas and points in one file; no commanded positions; no header.
     """
-    found = Proposal(layout, machine, plan)
+    proposed = Proposal(layout, machine, plan)
     meanings = {name: meaning_of(name, machine) for name in layout.names}
-    _choose_sign(found, exact=any(one.kind == "exact" for one in meanings.values()))
+    _choose_sign(proposed, exact=any(meaning.kind == "exact" for meaning in meanings.values()))
     if not layout.header_line:
-        meanings = _without_header(found)
-    _add_numbers(found, meanings)
+        meanings = _without_header(proposed)
+    _add_numbers(proposed, meanings)
     if plan is None:
-        _check_commands(found, meanings)
+        _check_commands(proposed, meanings)
     else:
-        _match_plan(found, meanings)
-    add_names(found, meanings)
-    add_directions(found, meanings)
-    add_times(found, meanings)
+        _match_plan(proposed, meanings)
+    add_names(proposed, meanings)
+    add_directions(proposed, meanings)
+    add_times(proposed, meanings)
     if plan is None:
-        _add_missing(found)
-    unused = [name for name in layout.names if name not in found.used and any(layout.column(name))]
+        _add_missing(proposed)
+    unused = [name for name in layout.names if name not in proposed.used and any(layout.column(name))]
     if unused:
-        found.notes.append(f"not used: {quoted(unused)}")
+        proposed.notes.append(f"not used: {quoted(unused)}")
     if layout.left_out:
         lines = ", ".join(f"{line} ({text[:40]})" for line, text in layout.left_out[:3])
         more = f" and {len(layout.left_out) - 3} more" if len(layout.left_out) > 3 else ""
-        found.notes.append(f"rows without a number are left out: line {lines}{more}")
-    return found
+        proposed.notes.append(f"rows without a number are left out: line {lines}{more}")
+    return proposed
 
 
 def _choose_sign(found: Proposal, *, exact: bool) -> None:

@@ -49,7 +49,7 @@ def instrument_named(name: str) -> Instrument:
         InputError: an unknown name.
     """
     require_name("instrument", name, families.INSTRUMENTS)
-    return next(one for one in INSTRUMENTS if one.name == name)
+    return next(instrument for instrument in INSTRUMENTS if instrument.name == name)
 
 
 def default_instrument(reads: Reads, side: str = SIDES[0], largest_mm: float = np.inf) -> Instrument:
@@ -61,11 +61,11 @@ def default_instrument(reads: Reads, side: str = SIDES[0], largest_mm: float = n
         largest_mm: largest reading.
     """
     fitting = [
-        one
-        for one in INSTRUMENTS
-        if one.specification.reads == reads
-        and side in one.specification.rides_on
-        and largest_mm <= one.specification.range_mm
+        instrument
+        for instrument in INSTRUMENTS
+        if instrument.specification.reads == reads
+        and side in instrument.specification.rides_on
+        and largest_mm <= instrument.specification.range_mm
     ]
     return min(fitting, key=lambda one: one.specification.range_mm)
 

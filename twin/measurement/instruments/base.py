@@ -231,17 +231,17 @@ class StationInstruments:
 
     def covariance(self, points: np.ndarray, stations: np.ndarray) -> np.ndarray:
         """Return (n, 3, 3) the covariance of the readings of (n, 3) points by the instruments of (n,) stations, m²."""
-        found = np.empty((len(points), 3, 3))
+        covariance = np.empty((len(points), 3, 3))
         for instrument, rows in self.groups(stations):
-            found[rows] = instrument.covariance(points[rows])
-        return found
+            covariance[rows] = instrument.covariance(points[rows])
+        return covariance
 
 
 def _first_only(variance: np.ndarray) -> np.ndarray:
     """Return (n, 3, 3) covariances of readings of one number, from (n,) variances."""
-    found = np.zeros((len(variance), 3, 3))
-    found[:, 0, 0] = variance
-    return found
+    first_only = np.zeros((len(variance), 3, 3))
+    first_only[:, 0, 0] = variance
+    return first_only
 
 
 def along_and_across(points: np.ndarray, along: np.ndarray, across: np.ndarray) -> np.ndarray:

@@ -42,9 +42,9 @@ class LinearInterferometer(LengthReading):
 
     def read(self, points: np.ndarray) -> np.ndarray:
         """See `Instrument.read`."""
-        found = np.full((len(points), 3), np.nan)
-        found[:, 0] = points[:, 0]
-        return found
+        readings = np.full((len(points), 3), np.nan)
+        readings[:, 0] = points[:, 0]
+        return readings
 
     def jacobian(self, points: np.ndarray) -> np.ndarray:
         """See `Instrument.jacobian`."""

@@ -242,15 +242,15 @@ def tilt_letters(vector: np.ndarray, *, planar: bool) -> str:
 
 def tilt_axes(vectors: np.ndarray, *, planar: bool) -> np.ndarray:
     """Return (m, 3, 1 or 2) the unit vectors about which each vector is tilted: the axes of `tilt_letters`, orthogonalised."""
-    found = np.zeros((len(vectors), 3, 1 if planar else 2))
+    tilt_axes = np.zeros((len(vectors), 3, 1 if planar else 2))
     for i, vector in enumerate(vectors):
         basis: list[np.ndarray] = []
         for letter in tilt_letters(vector, planar=planar):
             axis = np.eye(3)["xyz".index(letter)]
             square = axis - sum((axis @ v * v for v in [vector, *basis]), np.zeros(3))
             basis.append(square / np.linalg.norm(square))
-        found[i] = np.stack(basis, axis=1)
-    return read_only(found)
+        tilt_axes[i] = np.stack(basis, axis=1)
+    return read_only(tilt_axes)
 
 
 def tilted(vectors: np.ndarray, axes: np.ndarray, angles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -265,9 +265,9 @@ def tilted(vectors: np.ndarray, axes: np.ndarray, angles: np.ndarray) -> tuple[n
         (m, 3), and (m, 3, k) derivatives with respect to the angles.
     """
     rotation, left = rotation_and_jacobian(np.einsum("mik,mk->mi", axes, angles))
-    found = np.einsum("mij,mj->mi", rotation, vectors)
-    by = np.cross(np.einsum("mij,mjk->mki", left, axes), found[:, None]).transpose(0, 2, 1)
-    return found, by
+    vectors_tilted = np.einsum("mij,mj->mi", rotation, vectors)
+    by = np.cross(np.einsum("mij,mjk->mki", left, axes), vectors_tilted[:, None]).transpose(0, 2, 1)
+    return vectors_tilted, by
 
 
 def _factor(c: np.ndarray) -> np.ndarray:
@@ -399,28 +399,28 @@ def measure(
         InputError: arrays of the wrong shape; too few beams at a position.
     """
     run = _checked(layout, readings, noise, np.asarray(installation_u, dtype=float), poses)
-    installation, found, motions = np.zeros(len(installation_u)), np.array(poses, dtype=float), list(layout.motions)
-    step, taken, converged = run.step(found, installation), 0, False
+    installation, measured, motions = np.zeros(len(installation_u)), np.array(poses, dtype=float), list(layout.motions)
+    step, taken, converged = run.step(measured, installation), 0, False
     while not converged and taken < STEPS:
         taken += 1
-        before = run.chi2(found, installation)
+        before = run.chi2(measured, installation)
         # The tilt of a beam acts by its square only, so a full step may change its sign back and forth.
         for halvings in range(HALVINGS):
-            next_installation, next_found = installation.copy(), found.copy()
+            next_installation, next_found = installation.copy(), measured.copy()
             next_installation[run.free] += step.installation * 0.5**halvings
             next_found[:, motions] += step.poses * 0.5**halvings
             after = run.chi2(next_found, next_installation)
             if after < before:
-                installation, found = next_installation, next_found
+                installation, measured = next_installation, next_found
                 break
         converged = before - after <= SETTLED
-        step = run.step(found, installation)
+        step = run.step(measured, installation)
     by_installation = np.zeros((*step.poses.shape, len(installation)))
     by_installation[:, :, run.free] = step.by_installation
     covariance = np.zeros((len(installation), len(installation)))
     covariance[np.ix_(run.free, run.free)] = step.root @ step.root.T
     return Displacement(
-        poses=read_only(found),
+        poses=read_only(measured),
         installation=read_only(installation),
         noise_covariance=read_only(step.inverse @ step.inverse.transpose(0, 2, 1)),
         by_installation=read_only(by_installation),

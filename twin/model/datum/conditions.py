@@ -108,36 +108,36 @@ class DatumLink:
 
     def values(self, numbers: Numbers) -> np.ndarray:
         """Return the values (6, n) of the axis's curves at the nodes, µm and µrad."""
-        found = np.zeros((6, len(self.nodes)))
+        values = np.zeros((6, len(self.nodes)))
         for i, letter in enumerate(DIRECTIONS):
             curve = numbers.curves.get(f"E_{letter}{self.axis.name}")
             if curve is not None:
                 motion = curve.motion(wrapped=self.axis.lower is None)
-                found[i] = motion.components({self.axis.name: self.nodes})[i]
-        return found
+                values[i] = motion.components({self.axis.name: self.nodes})[i]
+        return values
 
     def shape(self, name: str) -> np.ndarray:
         """Return the contribution (6, n) of one unit of a squareness or location of this axis to its error frame."""
         effect: Effect = Squareness(name, 1.0, self.axis) if self.axis.linear else AxisLocation(name, 1.0)
-        found = np.zeros((6, len(self.nodes)))
+        shape = np.zeros((6, len(self.nodes)))
         for i, values in effect.components({self.axis.name: self.nodes}).items():
-            found[i] = values
-        return found
+            shape[i] = values
+        return shape
 
     def rates(self, gaps: int) -> np.ndarray:
         """Return the first derivatives (6, n, 6·gaps) of the error frame at the nodes by the motions at the gaps; µm and µrad."""
-        found = np.zeros((6, len(self.nodes), 6 * gaps))
+        rates = np.zeros((6, len(self.nodes), 6 * gaps))
         turns, travel = self.motion()
         if self.before is not None:
             at = travel if self.axis.linear else np.zeros_like(travel)
             inverse = self.rotation.T
             # The motion at the gap before, in the frame of the axis at its position.
-            found[:, :, 6 * self.before : 6 * self.before + 6] -= _adjoint(
+            rates[:, :, 6 * self.before : 6 * self.before + 6] -= _adjoint(
                 np.broadcast_to(inverse, (len(at), 3, 3)), -(self.translation_m @ self.rotation) - at
             )
         if self.after is not None:
-            found[:, :, 6 * self.after : 6 * self.after + 6] += _adjoint(turns, np.zeros_like(travel))
-        return found
+            rates[:, :, 6 * self.after : 6 * self.after + 6] += _adjoint(turns, np.zeros_like(travel))
+        return rates
 
     def moved(self, values: np.ndarray, before: np.ndarray, after: np.ndarray, inserted: np.ndarray) -> np.ndarray:
         """Return the error frame with motions inserted at the gaps, without approximation.
@@ -164,8 +164,8 @@ class DatumLink:
         if self.after is not None:
             turn = _matrices(turns, np.zeros_like(travel))
             frames = frames @ turn @ _frames(inserted[6 * self.after : 6 * self.after + 6][None]) @ _inverse(turn)
-        found = np.concatenate([frames[:, :3, 3], rotation_log(frames[:, :3, :3])], axis=1)
-        return np.asarray(found.T / SI[:, None])
+        displacement = np.concatenate([frames[:, :3, 3], rotation_log(frames[:, :3, :3])], axis=1)
+        return np.asarray(displacement.T / SI[:, None])
 
 
 def links_of(numbers: Numbers) -> tuple[tuple[DatumLink, ...], int]:
@@ -179,7 +179,7 @@ def links_of(numbers: Numbers) -> tuple[tuple[DatumLink, ...], int]:
         for side in ("tool", "work")
     ]  # fmt: skip
     gaps = int(all(on_side))
-    found = []
+    links = []
     for axes, joints in zip(on_side, sides, strict=True):
         gap: int | None = 0 if all(on_side) else None
         previous, orientation = root, np.eye(3)
@@ -190,7 +190,7 @@ def links_of(numbers: Numbers) -> tuple[tuple[DatumLink, ...], int]:
             last = axis is axes[-1]
             after = None if last else gaps
             gaps += 0 if last else 1
-            found.append(
+            links.append(
                 _link(numbers, axis, (gap, after), orientation.T @ place.rotation, orientation.T @ place.translation)
             )
             gap = after
@@ -200,7 +200,7 @@ def links_of(numbers: Numbers) -> tuple[tuple[DatumLink, ...], int]:
             else:
                 # The frame of the gap turns with the axis and has the directions of the axis's error frame.
                 orientation = np.asarray(model.jointPlacements[previous].rotation).T
-    return tuple(found), gaps
+    return tuple(links), gaps
 
 
 def _link(
@@ -243,9 +243,9 @@ def _frames(values: np.ndarray) -> np.ndarray:
 
 
 def _matrices(rotation: np.ndarray, translation: np.ndarray) -> np.ndarray:
-    found = np.zeros((max(len(rotation), len(translation)), 4, 4))
-    found[:, :3, :3], found[:, :3, 3], found[:, 3, 3] = rotation, translation, 1.0
-    return found
+    matrices = np.zeros((max(len(rotation), len(translation)), 4, 4))
+    matrices[:, :3, :3], matrices[:, :3, 3], matrices[:, 3, 3] = rotation, translation, 1.0
+    return matrices
 
 
 def _inverse(frames: np.ndarray) -> np.ndarray:
@@ -294,26 +294,26 @@ class Condition:
 
 def conditions_of(links: Sequence[DatumLink], datum: Datum) -> tuple[Condition, ...]:
     """Return all conditions of a datum on the axes of a machine."""
-    found: list[Condition] = []
+    conditions: list[Condition] = []
     slopes: list[Condition] = []
     tilts: list[np.ndarray] = []
     for i, link in enumerate(links):
         name = link.axis.name
         if not link.axis.linear:
-            found += _of_rotary(i, link)
+            conditions += _of_rotary(i, link)
             continue
         for c, letter in enumerate(DIRECTIONS):
             curve, mean = f"E_{letter}{name}", link.weights
             if c >= 3:
-                found.append(Condition(curve, "mean", LAST_AXES if link.last else 1, ((i, c, mean),)))
+                conditions.append(Condition(curve, "mean", LAST_AXES if link.last else 1, ((i, c, mean),)))
             elif along(link.axis, letter):
-                found.append(Condition(curve, "mean", 5, ((i, c, mean),)))
+                conditions.append(Condition(curve, "mean", 5, ((i, c, mean),)))
             else:
                 mean, slope = _line(link, datum)
-                found.append(Condition(curve, "mean", 4 if link.last else 3, ((i, c, mean),)))
+                conditions.append(Condition(curve, "mean", 4 if link.last else 3, ((i, c, mean),)))
                 slopes.append(Condition(curve, "slope", 2, ((i, c, slope),)))
                 tilts.append(_tilt_of_turn(link, c))
-    return (*found, *_intrinsic(slopes, np.array(tilts).reshape(-1, 3)), *slopes)
+    return (*conditions, *_intrinsic(slopes, np.array(tilts).reshape(-1, 3)), *slopes)
 
 
 def turning_patterns(axis: Axis) -> list[tuple[Callable[[np.ndarray], np.ndarray], ...]]:
@@ -322,14 +322,14 @@ def turning_patterns(axis: Axis) -> list[tuple[Callable[[np.ndarray], np.ndarray
     For u perpendicular to the axis d: Rot(d, θ)·u = u cos θ + (d × u) sin θ.
     """
     d = np.array(axis.direction)
-    found = []
+    turning_patterns = []
     for i, letter in enumerate(DIRECTIONS[:3]):
         if along(axis, letter):
             continue
         u = np.eye(3)[i] - d[i] * d
         v = np.cross(d, u)
-        found.append(tuple(_wave(float(a), float(b)) for a, b in zip(u, v, strict=True)))
-    return found
+        turning_patterns.append(tuple(_wave(float(a), float(b)) for a, b in zip(u, v, strict=True)))
+    return turning_patterns
 
 
 def along(axis: Axis, letter: str) -> bool:
@@ -340,17 +340,17 @@ def along(axis: Axis, letter: str) -> bool:
 def _of_rotary(i: int, link: DatumLink) -> list[Condition]:
     name = link.axis.name
     shift, tilt = (LAST_AXES, LAST_AXES) if link.last else (3, 1)
-    found = []
+    conditions = []
     for c, letter in enumerate(DIRECTIONS):
         own = along(link.axis, DIRECTIONS[c % 3])
         group = (shift if own else 3) if c < 3 else (tilt if own else 1)
-        found.append(Condition(f"E_{letter}{name}", "mean", group, ((i, c, link.weights),)))
+        conditions.append(Condition(f"E_{letter}{name}", "mean", group, ((i, c, link.weights),)))
     for first, what, group in ((0, "fixed shift", shift), (3, "fixed tilt", tilt)):
         for k, pattern in enumerate(turning_patterns(link.axis)):
             weights = [(i, first + c, read_only(link.weights * part(link.nodes))) for c, part in enumerate(pattern)]
             across = [c for c in range(3) if not along(link.axis, DIRECTIONS[c])]
-            found.append(Condition(f"E_{DIRECTIONS[first + across[k]]}{name}", what, group, tuple(weights)))
-    return found
+            conditions.append(Condition(f"E_{DIRECTIONS[first + across[k]]}{name}", what, group, tuple(weights)))
+    return conditions
 
 
 def _line(link: DatumLink, datum: Datum) -> tuple[np.ndarray, np.ndarray]:
@@ -377,15 +377,15 @@ def _intrinsic(slopes: Sequence[Condition], tilts: np.ndarray) -> list[Condition
     size = np.linalg.norm(tilts, axis=1)
     directions = tilts / size[:, None]
     rest = np.eye(len(slopes)) - directions @ np.linalg.pinv(directions)
-    found = []
+    intrinsic = []
     for row, own in zip(rest, slopes, strict=True):
         weights = tuple(
             (i, c, share / scale * values)
             for share, scale, one in zip(row, size, slopes, strict=True)
             for i, c, values in one.weights
         )
-        found.append(Condition(own.curve, "slope", 1, weights))
-    return found
+        intrinsic.append(Condition(own.curve, "slope", 1, weights))
+    return intrinsic
 
 
 def _wave(a: float, b: float) -> Callable[[np.ndarray], np.ndarray]:

@@ -274,18 +274,18 @@ def _linear(gauge: _Gauge, old: Numbers, new: Numbers) -> Converted:
 def _amounts(gauge: _Gauge, numbers: Numbers, column: Mapping[str, int]) -> np.ndarray:
     """Return the first derivatives (conditions + constants, parameters) of the amounts by the parameters."""
     conditions = len(gauge.conditions)
-    found = np.zeros((conditions + len(gauge.names), len(column)))
+    amounts = np.zeros((conditions + len(gauge.names), len(column)))
     for i, link in enumerate(gauge.links):
         for c, letter in enumerate(DIRECTIONS):
             curve = numbers.curves.get(f"E_{letter}{link.axis.name}")
             if curve is not None:
                 count, start = len(curve.coefficients), column[f"{curve.name}[0]"]
                 values = functions(curve.family, curve.domain, link, count)
-                found[:conditions, start : start + count] = gauge.weights[i][:, c] @ values
+                amounts[:conditions, start : start + count] = gauge.weights[i][:, c] @ values
     for k, name in enumerate(gauge.names):
         if name in column:
-            found[conditions + k, column[name]] = 1.0
-    return found
+            amounts[conditions + k, column[name]] = 1.0
+    return amounts
 
 
 def _coefficient_map(old: Numbers, new: Numbers, name: str, link: DatumLink | None) -> np.ndarray | None:
@@ -340,23 +340,23 @@ class _Gauge:
     @cached_property
     def weights(self) -> list[np.ndarray]:
         """Weights of the conditions by link, (conditions, 6, n)."""
-        found = [np.zeros((len(self.conditions), 6, len(link.nodes))) for link in self.links]
+        weights = [np.zeros((len(self.conditions), 6, len(link.nodes))) for link in self.links]
         for row, condition in enumerate(self.conditions):
             for i, c, values in condition.weights:
-                found[i][row, c] += values
-        return found
+                weights[i][row, c] += values
+        return weights
 
     @cached_property
     def rates(self) -> list[np.ndarray]:
         """First derivatives of the curves by the motions at the gaps and the constants, by link, (6, n, unknowns)."""
-        found = []
+        rates = []
         for link in self.links:
             own = np.zeros((6, len(link.nodes), len(self.names)))
             for k, name in enumerate(self.names):
                 if split_name(name)[2] == link.axis.name:
                     own[:, :, k] = -link.shape(name)
-            found.append(np.concatenate([link.rates(self.gaps), own], axis=2))
-        return found
+            rates.append(np.concatenate([link.rates(self.gaps), own], axis=2))
+        return rates
 
     @cached_property
     def derivative(self) -> np.ndarray:

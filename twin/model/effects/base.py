@@ -316,9 +316,9 @@ class Payload:
     @property
     def weights(self) -> np.ndarray:
         """Factors (9,) of the loads of `twin.machine.chain.gravity_load`, kg and kg·m."""
-        found, first = np.zeros(9), 1 + 4 * SIDES.index(self.side)
-        found[first : first + 4] = self.mass_kg * np.array([1.0, *(1e-3 * value for value in self.centre_mm)])
-        return found
+        weights, first = np.zeros(9), 1 + 4 * SIDES.index(self.side)
+        weights[first : first + 4] = self.mass_kg * np.array([1.0, *(1e-3 * value for value in self.centre_mm)])
+        return weights
 
     def checked(self) -> Payload:
         """Return the payload itself if its values are within their limits.
@@ -349,7 +349,9 @@ def loads(payloads: Sequence[Payload]) -> np.ndarray:
 
 def loads_per_kg(payloads: Sequence[Payload], side: Side) -> np.ndarray:
     """Return the factors (9,) of the loads of `twin.machine.chain.gravity_load` per kg of the load carried on one side."""
-    return np.asarray(sum((one.weights for one in payloads if one.carried and one.side == side), np.zeros(9)))
+    return np.asarray(
+        sum((payload.weights for payload in payloads if payload.carried and payload.side == side), np.zeros(9))
+    )
 
 
 def is_carrying(state: Mapping[str, np.ndarray]) -> bool:
@@ -359,8 +361,8 @@ def is_carrying(state: Mapping[str, np.ndarray]) -> bool:
 
 def sum_of(payloads: Sequence[Payload]) -> Payload:
     """Return one payload with the mass and the first moments of several of one kind on one side."""
-    mass = sum(one.mass_kg for one in payloads)
-    x, y, z = (sum(one.mass_kg * one.centre_mm[i] for one in payloads) / mass for i in range(3))
+    mass = sum(payload.mass_kg for payload in payloads)
+    x, y, z = (sum(payload.mass_kg * payload.centre_mm[i] for payload in payloads) / mass for i in range(3))
     return Payload(payloads[0].side, mass, (x, y, z), payloads[0].carried)
 
 

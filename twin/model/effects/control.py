@@ -77,15 +77,15 @@ def tables_of(control: ControlSection, machine: Machine) -> tuple[ControlCorrect
     Raises:
         InputError: a table cannot be read, differs from the recorded file, or moves an axis that the machine does not have.
     """
-    found: list[ControlCorrection] = []
+    corrections: list[ControlCorrection] = []
     for kind in control.formats if control.errors_are == "uncorrected" else ():
         entries = control.of(kind)
         for entry in entries:
             entry.check()
         classes = tuple(dict.fromkeys(name for entry in entries for name in entry.classes))
         table = read_tables(kind, [entry.file for entry in entries], machine)
-        found += [ControlCorrection(machine.by_name[axis], table, kind, classes) for axis in table.axes]
-    return tuple(found)
+        corrections += [ControlCorrection(machine.by_name[axis], table, kind, classes) for axis in table.axes]
+    return tuple(corrections)
 
 
 def kinematics_of(control: ControlSection, machine: Machine) -> tuple[ControlCorrection, ...]:
@@ -94,10 +94,12 @@ def kinematics_of(control: ControlSection, machine: Machine) -> tuple[ControlCor
     Raises:
         InputError: the file cannot be read, or differs from the recorded one.
     """
-    found: list[ControlCorrection] = []
+    corrections: list[ControlCorrection] = []
     for entry in control.kinematics:
         entry.check()
         geometry = kinematics_named(entry.format).read(entry.file, machine)
         held = KinematicCorrection(machine, geometry, machine.tool_length_mm)
-        found += [ControlCorrection(machine.by_name[axis], held, entry.format, entry.classes) for axis in held.axes]
-    return tuple(found)
+        corrections += [
+            ControlCorrection(machine.by_name[axis], held, entry.format, entry.classes) for axis in held.axes
+        ]
+    return tuple(corrections)

@@ -108,7 +108,7 @@ class Empirical(Effect):
     def components(self, positions: Mapping[str, Any]) -> Mapping[int, Any]:
         """See `Effect.components`; needs a channel for each column (``approach_<axis>``, ``T_<sensor>_degC``)."""
         functions = self._functions(positions)
-        found: dict[int, Any] = {}
+        components: dict[int, Any] = {}
         for i in range(3):
             own = [
                 (value, k)
@@ -118,8 +118,8 @@ class Empirical(Effect):
             if own:
                 shift = sum(value * functions[k] for value, k in own)
                 for component, part in self._turning.column(positions, i).items():
-                    found[component] = found.get(component, 0.0) + part * shift
-        return found or {0: 0.0 * functions[0]}
+                    components[component] = components.get(component, 0.0) + part * shift
+        return components or {0: 0.0 * functions[0]}
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -135,28 +135,28 @@ class Empirical(Effect):
     def shift(self, positions: Mapping[str, Any]) -> np.ndarray:
         """Return the shift (n, 3) in µm along the axes of ``along``, at arrays of positions and channels."""
         functions = self._functions(positions)
-        found = np.zeros((len(np.atleast_1d(functions[0])), 3))
+        shift = np.zeros((len(np.atleast_1d(functions[0])), 3))
         for (i, k), value in zip(self._at, self.coefficients.values(), strict=True):
-            found[:, i] += value * functions[k]
-        return found
+            shift[:, i] += value * functions[k]
+        return shift
 
     def outside(self, positions: Mapping[str, Any]) -> dict[str, Any]:
         """Return, by column with a range, whether (n,) values leave it by more than rounding. Other columns are omitted."""
-        found = {}
+        outside = {}
         for column in self.columns:
             name = channel_name(column.column)
             if column.range is not None and name in positions:
-                found[column.column] = column.outside(np.asarray(positions[name], dtype=float))
-        return found
+                outside[column.column] = column.outside(np.asarray(positions[name], dtype=float))
+        return outside
 
     def _functions(self, positions: Mapping[str, Any]) -> list[Any]:
         own = [column.values(channel(positions, channel_name(column.column), self.name)) for column in self.columns]
         if len(own) == 1:
             return own[0]
-        found = []
+        functions = []
         for i, j in self._terms:
-            found.append(own[1][j - 1] if i == 0 else own[0][i - 1] if j == 0 else own[0][i - 1] * own[1][j - 1])
-        return found
+            functions.append(own[1][j - 1] if i == 0 else own[0][i - 1] if j == 0 else own[0][i - 1] * own[1][j - 1])
+        return functions
 
 
 def check_ranges(

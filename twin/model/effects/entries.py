@@ -90,8 +90,8 @@ def payloads_on(effects: Sequence[Effect]) -> tuple[Payload, ...]:
     loaded = [effect for kind in (GravityCompliance, TableLoad) for effect in effects if isinstance(effect, kind)]
     kinds: dict[tuple[Side, bool], Payload] = {}
     for effect in loaded:
-        for one in effect.payloads:
-            kinds.setdefault((one.side, one.carried), one)
+        for payload in effect.payloads:
+            kinds.setdefault((payload.side, payload.carried), payload)
     return tuple(kinds.values())
 
 
@@ -110,7 +110,14 @@ def payload_entries(effects: Sequence[Effect]) -> list[dict[str, Any]]:
 def drawn_period(effect: Effect) -> float:
     """Return the period of an effect along the position of its axis, mm or degrees; 0 if it has none."""
     name = effect.name.partition(":")[0]
-    return next((one.drawing.period(effect.numbers) for one in MACHINE_EFFECTS if one.name == name), 0.0)
+    return next(
+        (
+            machine_effect.drawing.period(effect.numbers)
+            for machine_effect in MACHINE_EFFECTS
+            if machine_effect.name == name
+        ),
+        0.0,
+    )
 
 
 def entry_of(effect: Effect) -> dict[str, Any]:

@@ -174,17 +174,17 @@ def carrying(machine: Machine, extra: Sequence[Effect], known: int, added: Added
             compliances after them were found together with the load.
         added: the load.
     """
-    found: list[Effect] = list(extra)
+    carrying: list[Effect] = list(extra)
     whole = added.payload
-    for k, one in enumerate(found):
+    for k, one in enumerate(carrying):
         if not isinstance(one, GravityCompliance) or side_of(one.axis) != added.side:
             continue
         own = tuple(other for other in one.payloads if (other.side, other.carried) == (added.side, added.carried))
         if k < known:
             whole = sum_of((*own, added.payload))
         others = tuple(other for other in one.payloads if other not in own)
-        found[k] = gravity_compliance(machine, one.axis.name, one.compliance, (*others, whole))
-    return found
+        carrying[k] = gravity_compliance(machine, one.axis.name, one.compliance, (*others, whole))
+    return carrying
 
 
 def _unit(axis: Axis) -> str:
@@ -239,12 +239,12 @@ def refined_form(payload: Payload | None, carried: Payload | None) -> dict[str, 
 
 def payloads_of(axis: Axis, fixed: Mapping[str, float]) -> tuple[Payload, ...]:
     """Return the payload and the carried load with which a form was refined; empty if it was refined with none."""
-    side, found = side_of(axis), []
+    side, payloads = side_of(axis), []
     if fixed.get(MASS):
-        found.append(Payload.of(side, fixed))
+        payloads.append(Payload.of(side, fixed))
     if fixed.get(RATIO):
-        found.append(Payload.of(side, {name: fixed[key] for name, key in _KEYS.items()}, carried=True))
-    return tuple(found)
+        payloads.append(Payload.of(side, {name: fixed[key] for name, key in _KEYS.items()}, carried=True))
+    return tuple(payloads)
 
 
 def combined(payloads: Sequence[Payload], added: Sequence[Payload]) -> tuple[Payload, ...]:
@@ -257,14 +257,14 @@ def combined(payloads: Sequence[Payload], added: Sequence[Payload]) -> tuple[Pay
 
 def _free_payload(machine: Machine, axis: Axis, values: np.ndarray) -> tuple[Payload, ...]:
     """Return the payload and the carried load that one joint alone implies, from its compliance and free loads (5 or 9,)."""
-    side, found = side_of(axis), []
+    side, free_payload = side_of(axis), []
     if values[0] and values[1] / values[0] > 0.0:
         shares = [values[1] / values[0], *np.clip(values[2:5] / values[1], -1.0, 1.0)]
-        found.append(Payload.of_shares(side, max_payload_kg(machine), shares))
+        free_payload.append(Payload.of_shares(side, max_payload_kg(machine), shares))
     if len(values) > FREE_LOADS and values[0] and values[FREE_LOADS] / values[0] > 0.0:
         shares = [values[FREE_LOADS] / values[0], *np.clip(values[FREE_LOADS + 1 :] / values[FREE_LOADS], -1.0, 1.0)]
-        found.append(replace(Payload.of_shares(side, 1.0, shares), carried=True))
-    return tuple(found)
+        free_payload.append(replace(Payload.of_shares(side, 1.0, shares), carried=True))
+    return tuple(free_payload)
 
 
 def _forms(machine: Machine, where: str, state: State, known: Sequence[Payload] | None) -> Forms:

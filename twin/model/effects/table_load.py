@@ -106,7 +106,7 @@ def _make(machine: Machine, where: str, numbers: Mapping[str, float], payloads: 
         return TableLoad(where, vector, numbers["tilt"])
     if abs(moment) < LEAST_MOMENT:
         raise InputError(f"moment of table_load {where}", expected="N·m, other than zero", value=moment)
-    own = tuple(one for one in payloads if one.side == "work")
+    own = tuple(payload for payload in payloads if payload.side == "work")
     torque = _torques(machine, where)
     added = float(torque @ loads(own)) - float(torque[0]), float(torque @ loads_per_kg(own, "work"))
     return TableLoad(where, vector, numbers["tilt"], moment, own, added)
@@ -115,8 +115,10 @@ def _make(machine: Machine, where: str, numbers: Mapping[str, float], payloads: 
 def with_payloads(machine: Machine, effects: Sequence[Effect], payloads: Sequence[Payload]) -> list[Effect]:
     """Return effects whose table loads with a stated moment carry the given payloads, as in a calibration file."""
     return [
-        _make(machine, one.frame.axis, one.numbers, payloads) if isinstance(one, TableLoad) and payloads else one
-        for one in effects
+        _make(machine, effect.frame.axis, effect.numbers, payloads)
+        if isinstance(effect, TableLoad) and payloads
+        else effect
+        for effect in effects
     ]
 
 

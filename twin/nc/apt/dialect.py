@@ -56,10 +56,10 @@ _SURFACE: Final = frozenset({"SFM", "SMM", "SURF"})
 
 def line_words(text: str) -> LineWords:
     """Return what a line says."""
-    found = _STATEMENT.match(text)
-    if found is None:
+    match = _STATEMENT.match(text)
+    if match is None:
         return NOTHING
-    word, arguments = found[1].upper(), [part.strip().upper() for part in found[2].split(",")]
+    word, arguments = match[1].upper(), [part.strip().upper() for part in match[2].split(",")]
     numbers = [value for value in map(number, arguments) if value == value]
     first = numbers[0] if numbers else nan
     if word == "UNITS":
@@ -67,12 +67,12 @@ def line_words(text: str) -> LineWords:
     if word == "DELAY":
         return LineWords(dwell_s=first)
     if word == "FEDRAT":
-        unit = next((_UNITS[one] for one in arguments if one in _UNITS), FeedUnit.MINUTE)
+        unit = next((_UNITS[argument] for argument in arguments if argument in _UNITS), FeedUnit.MINUTE)
         inch, metric = (bool(set(arguments) & those) for those in ({"IPM", "IPR"}, {"MMPM", "MMPR"}))
         return LineWords(feed=first * (MM_PER_INCH if inch else 1.0), unit=unit, metric=inch or metric)
     if word == "FINI" or "OFF" in arguments:
         return LineWords(off_after=word == "FINI", turning=None if word == "FINI" else False)
-    varying = next((one for one in arguments if one in _SURFACE), None)
+    varying = next((argument for argument in arguments if argument in _SURFACE), None)
     return LineWords(speed_rpm=first if numbers else None, turning=True, varying=varying)
 
 

@@ -88,20 +88,20 @@ def written(job: TogetherJob, said: Said | None) -> tuple[str, Said | None]:
 
 def _fixed(values: np.ndarray, places: np.ndarray) -> list[str]:
     """Return numbers as `format_number` does with these many decimals and no fewer."""
-    found = list(map("%.*f".__mod__, zip(places.tolist(), values.tolist(), strict=True)))
+    fixed = list(map("%.*f".__mod__, zip(places.tolist(), values.tolist(), strict=True)))
     for i in np.flatnonzero(np.signbit(values) & (np.abs(values) < 1.0)).tolist():
-        found[i] = format_number(float(values[i]), int(places[i]), Style(min_decimals=int(places[i])))
-    return found
+        fixed[i] = format_number(float(values[i]), int(places[i]), Style(min_decimals=int(places[i])))
+    return fixed
 
 
 def _shortest(values: np.ndarray) -> list[str]:
     """Return the components of tool vectors as `twin.nc.writer.vector_texts` does."""
-    found = [
+    shortest = [
         text.rstrip("0").rstrip(".") if text[-1] == "0" else text for text in map(_COMPONENT.__mod__, values.tolist())
     ]
     for i in np.flatnonzero(np.signbit(values) & (np.abs(values) < 10.0**-VECTOR_DECIMALS)).tolist():
-        found[i] = format_number(float(values[i]), VECTOR_DECIMALS, Style())
-    return found
+        shortest[i] = format_number(float(values[i]), VECTOR_DECIMALS, Style())
+    return shortest
 
 
 class _LocationJob(ctypes.Structure):
@@ -173,10 +173,10 @@ def together_code(lines: int) -> Together:
 def _compiled() -> _CompiledLocations | None:
     """Return the compiled code; None if it cannot be compiled, or differs from `written` on a sample."""
     jobs = {"write_locations": _LocationJob}
-    found = compiler.confirmed_library(
+    confirmed_library = compiler.confirmed_library(
         "twin.nc.apt", "locations.cpp", jobs, lambda one: _agrees(_CompiledLocations(one))
     )
-    return None if found is None else _CompiledLocations(found)
+    return None if confirmed_library is None else _CompiledLocations(confirmed_library)
 
 
 def _agrees(compiled: _CompiledLocations) -> bool:

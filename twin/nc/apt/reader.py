@@ -63,14 +63,14 @@ class Statement(NamedTuple):
     @property
     def fields(self) -> list[AptField]:
         """The arguments with their ranges."""
-        found = []
+        fields = []
         at = self.at + (1 if self.arguments.startswith(",") else 0)
         for field in self._split_arguments():
             bare = field.strip()
             start = at + field.find(bare)
-            found.append(_new(AptField, (start, start + len(bare), bare)))
+            fields.append(_new(AptField, (start, start + len(bare), bare)))
             at += len(field) + 1
-        return found
+        return fields
 
     def _split_arguments(self) -> list[str]:
         arguments = self.arguments
@@ -161,17 +161,15 @@ def scan(data: bytes, names: tuple[str, ...], code: LineCode) -> Scan:
     image[commas] = np.where(headed[line], _LETTERS[np.minimum(place, len(_LETTERS) - 1)], ord(","))
     notes = starts[:-1][text.take(starts[:-1], mode="clip") == ord("$")]
     image[notes[text.take(notes + 1, mode="clip") == ord("$")]] = ord("%")
-    found = code.scan(image.tobytes(), _NAMES)
-    count = np.diff(found.first)
-    simple = found.simple & headed[: len(found.simple)] & ((count == 3) | (count == 6))
+    scan = code.scan(image.tobytes(), _NAMES)
+    count = np.diff(scan.first)
+    simple = scan.simple & headed[: len(scan.simple)] & ((count == 3) | (count == 6))
     tilted = np.flatnonzero(simple & (count == 6))
-    length = np.linalg.norm(found.words.value[found.first[tilted, None] + [3, 4, 5]], axis=1)
+    length = np.linalg.norm(scan.words.value[scan.first[tilted, None] + [3, 4, 5]], axis=1)
     simple[tilted[np.abs(length - 1.0) > 0.5 * NOTED]] = False
     blank = np.zeros(len(simple), dtype=bool)
-    blank[[i for i in np.flatnonzero(found.blank).tolist() if _NOTE.fullmatch(data, found.start[i], found.end[i])]] = (
-        True
-    )
-    return replace(found, data=data, text=text, simple=simple, blank=blank)
+    blank[[i for i in np.flatnonzero(scan.blank).tolist() if _NOTE.fullmatch(data, scan.start[i], scan.end[i])]] = True
+    return replace(scan, data=data, text=text, simple=simple, blank=blank)
 
 
 def locations(found: Scan, lines: np.ndarray) -> np.ndarray:

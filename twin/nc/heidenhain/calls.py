@@ -156,8 +156,8 @@ def _name(found: re.Match[str]) -> str:
 
 def _label(line: Line) -> str:
     """Return the name of the label in a line, empty if it has none."""
-    found = _LABEL.match(_bare(line))
-    return "" if found is None else _name(found)
+    match = _LABEL.match(_bare(line))
+    return "" if match is None else _name(match)
 
 
 def _as_remark(line: Line) -> Line:
@@ -248,15 +248,15 @@ def scan(data: bytes, names: tuple[str, ...], code: LineCode) -> Scan:
     if b"FMAX" in image:
         rapids = [match.start() for match in _RAPID.finditer(image)]
         image = _RAPID.sub(b"     ", image)
-    found = code.scan(image, names)
-    text, words = np.frombuffer(data, dtype=np.uint8), found.words
+    scan = code.scan(image, names)
+    text, words = np.frombuffer(data, dtype=np.uint8), scan.words
     before = text[words.start - 2]
-    simple = found.simple & (found.code == 1)
+    simple = scan.simple & (scan.code == 1)
     simple[words.line[(words.sign == 0) | ~((before == ord(" ")) | (before == ord("\t")))]] = False
-    motion = np.where(simple, found.code, np.int8(-1))
-    with_fmax = np.searchsorted(found.end, np.array(rapids, dtype=int), side="right")
+    motion = np.where(simple, scan.code, np.int8(-1))
+    with_fmax = np.searchsorted(scan.end, np.array(rapids, dtype=int), side="right")
     motion[with_fmax[simple[with_fmax]]] = 0
-    return replace(found, data=data, text=text, simple=simple, code=motion)
+    return replace(scan, data=data, text=text, simple=simple, code=motion)
 
 
 def _with_iso_heads(data: bytes) -> bytes:

@@ -262,11 +262,11 @@ class Heidenhain(Dialect):
 
     def expanded(self, program: Program, folder: Path | None) -> Program:
         """See `Dialect.expanded`. Consecutive block numbers are renewed."""
-        found = HeidenhainInliner(program, folder).expanded()
-        if found is program:
+        expanded = HeidenhainInliner(program, folder).expanded()
+        if expanded is program:
             return program
         first = _first_number(program)
-        return found if first is None else replace(found, texts=tuple(_consecutive(found.texts, first)))
+        return expanded if first is None else replace(expanded, texts=tuple(_consecutive(expanded.texts, first)))
 
     def with_comments(self, text: str, comments: Sequence[str]) -> str:
         """See `Dialect.with_comments`: after ``BEGIN PGM``; the numbers of later blocks increase by the number of comments."""

@@ -70,11 +70,11 @@ class HeidenhainFrame(Interpreter):
         Raises:
             InputError: its number or ``DL`` is unknown.
         """
-        found = vocabulary.TOOL.match(body)
-        if found is None:
+        match = vocabulary.TOOL.match(body)
+        if match is None:
             return
         delta = vocabulary.TOOL_LENGTH.search(body.split(";")[0])
-        tool = found.group(1) if found.group(2) is None else found.group(2)
+        tool = match.group(1) if match.group(2) is None else match.group(2)
         if not self.tools_known:
             row = self.value_of(tool)
             held = "" if row == 0.0 else f"{row:g}" if row == row else tool
@@ -265,18 +265,18 @@ class HeidenhainInterpreter(HeidenhainFrame):
         return None if normal is None else self.unit_direction("surface normal", normal)
 
     def _body(self, block: PathBlock, body: str) -> None:
-        found = vocabulary.KEYWORD.match(body)
-        keyword = "" if found is None else found.group().upper()
+        match = vocabulary.KEYWORD.match(body)
+        keyword = "" if match is None else match.group().upper()
         if vocabulary.NUMBER_OF_ISO.match(body):
             raise self.error("block number with N", "block numbers of plain language, without N", body)
         if vocabulary.PARAXIAL.match(body) or (keyword[:1] == "M" and len(keyword) <= 2):
             self._path(block, "", block.head_end)
-        elif found is None:
+        elif match is None:
             raise self.error("unknown block", "a plain-language block such as L X+10 FMAX", body)
         elif keyword in ("L", "LN", "C", "CR"):
-            self._path(block, keyword, block.head_end + found.end())
+            self._path(block, keyword, block.head_end + match.end())
         elif keyword == "CC":
-            self._pole(block, block.head_end + found.end())
+            self._pole(block, block.head_end + match.end())
         else:
             self.continued = body.endswith("~")
             self._block_text = body
@@ -333,10 +333,10 @@ class HeidenhainInterpreter(HeidenhainFrame):
     def _cycle(self, block: PathBlock, body: str, upper: str) -> None:
         if upper.startswith("CYCL CALL"):
             raise self.error("cycle call", vocabulary.EXPANDED_CYCLE)
-        found = vocabulary.CYCLE.match(body)
-        if found is None:
+        match = vocabulary.CYCLE.match(body)
+        if match is None:
             raise self.error("cycle without a number", "CYCL DEF and a number")
-        cycle, part, rest = int(found.group(1)), found.group(2), found.group(3).split(";")[0].strip(" \t\r\n~")
+        cycle, part, rest = int(match.group(1)), match.group(2), match.group(3).split(";")[0].strip(" \t\r\n~")
         if cycle in vocabulary.RUN_AT_ONCE:
             raise self.error(f"cycle {cycle} is executed where it is defined", vocabulary.EXPANDED_CYCLE)
         if cycle == 247:
@@ -351,14 +351,14 @@ class HeidenhainInterpreter(HeidenhainFrame):
         self._assignments(body)
 
     def _fn(self, block: PathBlock, body: str, upper: str) -> None:
-        found = vocabulary.FN.match(body)
-        if found is None:
+        match = vocabulary.FN.match(body)
+        if match is None:
             raise self.error("parameter function without a number", "FN 0: Q1 = +5")
-        if 9 <= int(found.group(1)) <= 12:
+        if 9 <= int(match.group(1)) <= 12:
             raise self.error("control flow", vocabulary.NO_CALLS)
-        if int(found.group(1)) not in vocabulary.HARMLESS_FN:
+        if int(match.group(1)) not in vocabulary.HARMLESS_FN:
             self.lose(block, body)
-        self._assignments(found.group(2))
+        self._assignments(match.group(2))
 
     def _assignments(self, body: str) -> None:
         for name, text in vocabulary.ASSIGNED.findall(body):

@@ -134,18 +134,18 @@ class IsoInliner(Inliner):
 
     def main(self) -> list[Line]:
         """See `Inliner.main`: without the definitions of subprograms, up to the end of the program."""
-        found: list[Line] = []
+        lines: list[Line] = []
         inside = ""
         for line in self.lines:
             word = _O_WORD.match(_bare(line))
             if word is not None and word.group(2).upper() in ("SUB", "ENDSUB"):
                 inside = word.group(1) if word.group(2).upper() == "SUB" else ""
             elif not inside:
-                found.append(line)
+                lines.append(line)
                 if _END.search(_bare(line)):
                     tail = self.lines[-1]
-                    return [*found, tail] if tail.text.strip() == "%" and tail != line else found
-        return found
+                    return [*lines, tail] if tail.text.strip() == "%" and tail != line else lines
+        return lines
 
     def body(self, call: Call, line: Line) -> list[Line] | None:
         """See `Inliner.body`."""
@@ -163,7 +163,7 @@ class IsoInliner(Inliner):
             if path is None or str(path) == self.program.source:
                 return None
             lines = self.read_file(path)
-            if any(_O_WORD.match(_bare(one)) for one in lines):
+            if any(_O_WORD.match(_bare(line)) for line in lines):
                 lines = _between(lines, call.name)
         return _until_return(lines)
 
@@ -232,46 +232,46 @@ def _arguments(text: str | None) -> list[str]:
 
 def _between(lines: Sequence[Line], name: str) -> list[Line]:
     """Return the lines between ``o<name> sub`` and its end."""
-    found: list[Line] = []
+    between: list[Line] = []
     inside = False
     for line in lines:
         word = _O_WORD.match(_bare(line))
         if word is not None and f"O{word.group(1)}".upper() == name.upper() and word.group(2).upper() != "CALL":
             if inside:
-                return found
+                return between
             inside = word.group(2).upper() == "SUB"
         elif inside:
-            found.append(line)
-    return found
+            between.append(line)
+    return between
 
 
 def _until_return(lines: Sequence[Line]) -> list[Line]:
     """Return the lines of a subprogram up to its end, without it, its number and tape marks."""
-    found: list[Line] = []
+    until_return: list[Line] = []
     for line in lines:
         bare = _bare(line)
         if _RETURN.fullmatch(bare):
-            return found
+            return until_return
         if _RETURN.search(bare) and not bare.startswith("("):
             raise refused("return in a block with other words", "M99, M17 or RET in a block of its own", line)
         if _O_NUMBER.match(bare):
-            if found:
-                return found
+            if until_return:
+                return until_return
         elif bare != "%":
-            found.append(line)
-    return found
+            until_return.append(line)
+    return until_return
 
 
 def _parameters(text: str, values: Sequence[str], line: Line) -> dict[str, str]:
     """Return the values of ``REAL A, INT B=2`` by name."""
-    found: dict[str, str] = {}
+    parameters: dict[str, str] = {}
     for place, part in enumerate(part.strip() for part in text.split(",") if part.strip()):
         declared = re.fullmatch(r"(?:REAL|INT)[ \t]+(\w+)(?:[ \t]*=[ \t]*(\S+))?", part, _FLAGS)
         value = values[place] if place < len(values) and values[place] else None
         if declared is None or (value is None and declared.group(2) is None):
             raise refused("parameter without a value", "a call with a value for each REAL or INT parameter", line)
-        found[declared.group(1).upper()] = f"({value or declared.group(2)})"
-    return found
+        parameters[declared.group(1).upper()] = f"({value or declared.group(2)})"
+    return parameters
 
 
 def _replaced(line: Line, values: Mapping[str, str]) -> Line:

@@ -339,15 +339,15 @@ def _replaces_some(lines: Sequence[range], moves: MoveColumns, new: NewPositions
 
 def _rigid_lines(program: Program, drilled: Sequence[range], moves: MoveColumns) -> frozenset[int]:
     """Return the lines with M29 that belong to a thread of Fanuc: between the last move before it and its cycle."""
-    found = []
+    rigid_lines = []
     for part in drilled:
         if _TAPS.search(_NOTE.sub(" ", program.texts[part.start])):
             before = int(np.searchsorted(moves.line, part.start))
             first = int(moves.line[before - 1]) + 1 if before else 0
-            found += [
+            rigid_lines += [
                 line for line in range(first, part.start + 1) if _RIGID.search(_NOTE.sub(" ", program.texts[line]))
             ]
-    return frozenset(found)
+    return frozenset(rigid_lines)
 
 
 def _is_tape(line: str) -> bool:
@@ -366,8 +366,8 @@ def _comment(line: str) -> str | None:
         return body[1:].strip()
     if not body:
         return ""
-    found = _ROUND.fullmatch(body)
-    return None if found is None else found.group(1).strip()
+    match = _ROUND.fullmatch(body)
+    return None if match is None else match.group(1).strip()
 
 
 def _uses_semicolon(lines: Sequence[str]) -> bool:

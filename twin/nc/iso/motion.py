@@ -191,21 +191,23 @@ class IsoDrilling(IsoTilt):
 
     def strokes(self) -> list[Stroke]:
         """Return the strokes of the cycle from the present height, without those that do not move; only their blocks behind stay."""
-        height, found = self.position[2], list[Stroke]()
+        height, strokes = self.position[2], list[Stroke]()
         for stroke in () if self.cycle is None else self.cycle.strokes:
             if stroke.height == stroke.height and (abs(stroke.height - height) > 1e-9 or height != height):
                 height = stroke.height
-                found.append(stroke)
+                strokes.append(stroke)
             elif stroke.after or stroke.thread is not None:
-                found.append(stroke._replace(height=math.nan))
-        return found
+                strokes.append(stroke._replace(height=math.nan))
+        return strokes
 
     @property
     def repeated(self) -> tuple[tuple[float, bool], ...] | None:  # type: ignore[override]
         """See `Interpreter`."""
         if self.cycle is None:
             return None
-        return tuple((one.height, one.kind is Kind.RAPID) for one in self.strokes() if one.height == one.height)
+        return tuple(
+            (stroke.height, stroke.kind is Kind.RAPID) for stroke in self.strokes() if stroke.height == stroke.height
+        )
 
     def drill(self, block: IsoBlock, cycle: Drilling) -> None:
         """Add the strokes of a cycle to the moves of a block, except those that do not move."""

@@ -126,9 +126,9 @@ class ChunkReader:
         Raises:
             InputError: as `twin.nc.dialect.Dialect.moves`.
         """
-        found = MoveBuilder(self._interpreter.names)
-        self.read_into(found, chunk)
-        return found.moves()
+        builder = MoveBuilder(self._interpreter.names)
+        self.read_into(builder, chunk)
+        return builder.moves()
 
     def read_into(self, found: MoveBuilder, chunk: Chunk) -> None:
         """As `read`, with the moves added to a builder."""
@@ -146,23 +146,23 @@ class ChunkReader:
         Raises:
             InputError: as `twin.nc.dialect.Dialect.moves`.
         """
-        found = MoveBuilder(self._interpreter.names)
+        builder = MoveBuilder(self._interpreter.names)
         for chunk in parts:
-            self.read_into(found, chunk)
+            self.read_into(builder, chunk)
         notices, lost = tuple(self.notices()), tuple(self.lost_positions())
-        return Interpretation(found.moves(), notices, lost, self.frames, tuple(self._interpreter.drilled))
+        return Interpretation(builder.moves(), notices, lost, self.frames, tuple(self._interpreter.drilled))
 
     def notices(self) -> list[Notice]:
         """Return the notices since the last call."""
-        found = self._interpreter.notices[self._notices :]
-        self._notices += len(found)
-        return found
+        notices = self._interpreter.notices[self._notices :]
+        self._notices += len(notices)
+        return notices
 
     def lost_positions(self) -> list[LostPositions]:
         """Return the unknown axis positions since the last call."""
-        found = self._interpreter.lost_positions[self._left :]
-        self._left += len(found)
-        return found
+        lost_positions = self._interpreter.lost_positions[self._left :]
+        self._left += len(lost_positions)
+        return lost_positions
 
     @property
     def frames(self) -> tuple[FrameChange, ...]:
@@ -396,12 +396,12 @@ class ChunkRewriter(ABC):
 
 def _segments(which: range, moves: MoveColumns, new: NewPositions) -> dict[int, Segments]:
     """Return the replacements of the moves of a line in the form of the writer of blocks."""
-    found = {}
+    segments = {}
     for place, index in enumerate(which):
         rewrite = new.of_move(index, moves[index])
         if rewrite is not None:
-            found[place] = (rewrite, rewrite.positions.tolist())
-    return found
+            segments[place] = (rewrite, rewrite.positions.tolist())
+    return segments
 
 
 def motions(scan: Scan, lines: np.ndarray, before: int | None) -> np.ndarray | None:

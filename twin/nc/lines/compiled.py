@@ -201,8 +201,10 @@ def line_code(lines: int) -> LineCode:
 def _compiled() -> _Compiled | None:
     """Return the compiled code; None if it cannot be compiled, or differs from the arrays on a sample."""
     jobs = {"scan": _Job, "rewrite": _RewriteJob}
-    found = compiler.confirmed_library("twin.nc.lines", "lines.cpp", jobs, lambda one: _agrees(_Compiled(one)))
-    return None if found is None else _Compiled(found)
+    confirmed_library = compiler.confirmed_library(
+        "twin.nc.lines", "lines.cpp", jobs, lambda one: _agrees(_Compiled(one))
+    )
+    return None if confirmed_library is None else _Compiled(confirmed_library)
 
 
 def _agrees(compiled: _Compiled) -> bool:

@@ -26,12 +26,12 @@ def basis_named(name: str) -> type[Basis]:
     Raises:
         InputError: there is no such basis.
     """
-    found = next((basis for basis in BASES if basis.name == name), None)
-    if found is None:
+    basis_named = next((basis for basis in BASES if basis.name == name), None)
+    if basis_named is None:
         known = [basis.name for basis in BASES]
         expected = f"one of {', '.join(known)}"
         raise InputError("no such basis", expected=expected, value=name, nearest=closest_name(name, known))
-    return found
+    return basis_named
 
 
 @cache

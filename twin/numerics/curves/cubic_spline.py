@@ -61,15 +61,15 @@ class CubicSpline(Basis):
         # Step functions at the knots; the first and last span are unbounded.
         begun = [0.0 * q + 1.0, *(1.0 * (q >= knot) for knot in self.knots[1:-1]), 0.0 * q]
         spans = [start - end for start, end in pairwise(begun)]
-        found: list[Any] = [None] * DEGREE + spans + [None] * DEGREE
+        splines: list[Any] = [None] * DEGREE + spans + [None] * DEGREE
         for d in range(1, DEGREE + 1):
-            found = [
+            splines = [
                 _sum(
                     _scaled(q - t[k], t[k + d] - t[k], left), _scaled(t[k + d + 1] - q, t[k + d + 1] - t[k + 1], right)
                 )
-                for k, (left, right) in enumerate(pairwise(found))
+                for k, (left, right) in enumerate(pairwise(splines))
             ]
-        return found[:count]
+        return splines[:count]
 
     def count_problem(self, count: int, *, rotary: bool) -> str | None:
         """See `Basis.count_problem`."""
@@ -99,7 +99,10 @@ class CubicSpline(Basis):
         u = [(2 * Fraction(knot) - lo - hi) / (hi - lo) for knot in self._repeated]
         return [
             [
-                sum((Fraction(prod(one)) for one in combinations(u[k + 1 : k + 1 + DEGREE], power)), Fraction(0))
+                sum(
+                    (Fraction(prod(combination)) for combination in combinations(u[k + 1 : k + 1 + DEGREE], power)),
+                    Fraction(0),
+                )
                 / comb(DEGREE, power)
                 for power in range(DEGREE + 1)
             ]

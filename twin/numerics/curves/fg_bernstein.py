@@ -57,14 +57,14 @@ class _Bidiagonal:
         Args:
             values: (n+1, d).
         """
-        found = np.array(values, dtype=float)
-        n = len(found) - 1
+        solution = np.array(values, dtype=float)
+        n = len(solution) - 1
         for j in range(n):
-            found[j + 1 :] -= self.lower[j + 1 :, j, None] * found[j:-1]
-        found /= self.pivots[:, None]
+            solution[j + 1 :] -= self.lower[j + 1 :, j, None] * solution[j:-1]
+        solution /= self.pivots[:, None]
         for j in reversed(range(n)):
-            found[j:-1] -= self.upper[j + 1 :, j, None] * found[j + 1 :]
-        return found
+            solution[j:-1] -= self.upper[j + 1 :, j, None] * solution[j + 1 :]
+        return solution
 
 
 @final
@@ -186,9 +186,9 @@ class FGBernstein:
         # Numerator and denominator have the same number of differences: the scale cancels and prevents overflow.
         apart /= np.exp(np.mean(np.log(np.abs(apart[chosen]))))
         apart[own] = 1.0
-        found = np.prod(apart, axis=1)[:, None] / apart / np.prod(apart[chosen], axis=1)
-        found[chosen] = np.eye(len(chosen))
-        return found
+        lagrange = np.prod(apart, axis=1)[:, None] / apart / np.prod(apart[chosen], axis=1)
+        lagrange[chosen] = np.eye(len(chosen))
+        return lagrange
 
     def _spread(self, t: np.ndarray) -> np.ndarray:
         """Return indices of n + 1 well-spaced parameters, increasing (Leja points).

@@ -22,10 +22,10 @@ class Fourier(Basis):
     def functions(self, q: Any, domain: tuple[float, float], count: int) -> list[Any]:
         """See `Basis.functions`."""
         angle = q * (pi / 180.0)
-        found = [0.0 * angle + 1.0]
+        functions = [0.0 * angle + 1.0]
         for order in range(1, (count + 1) // 2):
-            found += [cos(order * angle), sin(order * angle)]
-        return found
+            functions += [cos(order * angle), sin(order * angle)]
+        return functions
 
     def count_problem(self, count: int, *, rotary: bool) -> str | None:
         """See `Basis.count_problem`."""

@@ -37,7 +37,7 @@ def drift_plan(
         - ISO 230-3:2020, Determination of thermal effects.
     """
     require_name("drift test", name, families.DRIFTS)
-    return make_drift_plan(machine, next(one for one in DRIFTS if one.name == name), instrument, kit, **more)
+    return make_drift_plan(machine, next(drift for drift in DRIFTS if drift.name == name), instrument, kit, **more)
 
 
 __all__ = ["DRIFTS", "DriftPlan", "drift_plan"]

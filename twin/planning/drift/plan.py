@@ -76,7 +76,7 @@ class DriftPlan(Result):
         """Return what to know before carrying it out."""
         words = self.task.base.words
         parts = ", ".join(f"{name} at {x:g}, {y:g}, {z:g}" for name, (x, y, z) in self.task.base.places_mm.items())
-        found = [
+        notices = [
             f"parts on the table (work frame, mm): {parts}; the {words.tip} is {-self.task.base.tip_mm[2]:g} mm below the spindle nose",
             *self.schedule.notices,
             *self._uncertainties(),
@@ -84,15 +84,15 @@ class DriftPlan(Result):
             UNVERIFIED,
         ]
         if self.task.instrument == "probe":
-            found.append(
+            notices.append(
                 "X, Y and Z are nominal: write the positions at which the tip was at the centre, and 0 in x_mm, y_mm and z_mm"
             )
         if self.task.instrument == "displacement":
-            found.append(
+            notices.append(
                 "sensor 1 is near the end of the mandrel, sensor 2 near the spindle nose; add their distances to the comment: X1-X2=… "
                 "Y1-Y2=… in mm; the sensors count as the mandrel moves along + of the axis, else write X1=-X1"
             )
-        return found
+        return notices
 
     def _uncertainties(self) -> list[str]:
         """Return what the readings at a rotary axis determine, in words."""
@@ -343,11 +343,13 @@ def _two_places(task: DriftTask, part: str) -> dict[str, tuple[float, float, flo
     for riser, share in product(RISERS_MM, ASIDE):
         aside = round(share * riser)
         for dx, dy in ((-aside, 0.0), (0.0, aside), (0.0, -aside)):
-            found = {f"{part} 1": (x, y, z), f"{part} 2": (x + dx, y + dy, z + riser)}
-            above = found | {f"{part} 2": (x + dx, y + dy, z + riser + task.base.sizes.around_mm)}  # room to retract
-            tried = [replace(task.base, places_mm=MappingProxyType(places)) for places in (found, above)]
+            two_places = {f"{part} 1": (x, y, z), f"{part} 2": (x + dx, y + dy, z + riser)}
+            above = two_places | {
+                f"{part} 2": (x + dx, y + dy, z + riser + task.base.sizes.around_mm)
+            }  # room to retract
+            tried = [replace(task.base, places_mm=MappingProxyType(places)) for places in (two_places, above)]
             if not any(reach(base, _poses(replace(task, base=base))).dropped for base in tried):
-                return found
+                return two_places
     raise InputError(
         f"no default places for {task.moved.name}: its target positions are at two levels",
         expected="two places at different levels on the table, with room for the spindle beside the higher one",

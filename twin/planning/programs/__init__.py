@@ -30,10 +30,10 @@ def format_of(path: str | Path) -> ProgramFormat:
         InputError: no format has this suffix.
     """
     suffix = Path(path).suffix.lower()
-    for one in PROGRAMS:
-        if suffix in one.suffixes:
-            return one
-    every = ", ".join(f"{suffix} ({one.title})" for one in PROGRAMS for suffix in one.suffixes)
+    for program in PROGRAMS:
+        if suffix in program.suffixes:
+            return program
+    every = ", ".join(f"{suffix} ({program.title})" for program in PROGRAMS for suffix in program.suffixes)
     raise InputError("no control has programs with this suffix", expected=every, file=Path(path), value=suffix)
 
 

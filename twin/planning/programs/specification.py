@@ -135,16 +135,16 @@ class AxisWordsWriter:
 
     def words(self, position: np.ndarray, *, remember: bool = True) -> list[str]:
         """Return the words of a position; it counts as reached only if ``remember``."""
-        found = []
+        words = []
         for axis, value in zip(self.machine.axes, position, strict=True):
             if not np.isfinite(value):
                 continue
             text = f"{value:.3f}".replace("-0.000", "0.000")
             if self._last.get(axis.name) != text:
-                found.append(self.form(axis.name, text))
+                words.append(self.form(axis.name, text))
                 if remember:
                     self._last[axis.name] = text
-        return found
+        return words
 
     def forget(self) -> None:
         """Write all linear axes the next time: after a contact the position is not known."""

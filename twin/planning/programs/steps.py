@@ -132,19 +132,19 @@ class PoseBuilder:
         """Return the first positions: the axis along the tool first, then the rotary axes, then the others; NaN does not move."""
         linear, rotary = list(self.machine.linear), list(self.machine.rotary)
         along = max(linear, key=lambda i: abs(float(self.machine.axes[i].machine_direction[2])))
-        found, now = [], np.full(len(high), np.nan)
+        first, now = [], np.full(len(high), np.nan)
         for axes in ([along], rotary, linear):
             now = np.array(now)
             now[axes] = high[axes]
-            found.append(now)
-        return found
+            first.append(now)
+        return first
 
     def _contacts(self, number: int, pose: ContactPose) -> list[ProgramStep] | None:
         """Return the steps of the five contacts from above the sphere; None if one is out of range or without clearance."""
         around, touch = self.size.around_mm, self.size.contact_mm
         deep = touch - min(self.size.clearance_mm, SEARCH_SHARE * touch)
         above = pose.at(self.machine, around * pose.up)
-        found: list[ProgramStep] = []
+        contacts: list[ProgramStep] = []
         before = above
         for contact, out in enumerate((pose.up, *pose.sides), start=1):
             start, end = pose.at(self.machine, around * out), pose.at(self.machine, deep * out)
@@ -157,16 +157,16 @@ class PoseBuilder:
             along = (end - start)[list(self.machine.linear)]
             length = float(np.linalg.norm(along))
             x, y, z = (float(v) for v in along / length)
-            found += [ProgramStep("feed", q, number) for q in moves]
-            found.append(ProgramStep("probe", end, number, contact, (x, y, z), length))
-            found.append(ProgramStep("feed", start, number))
+            contacts += [ProgramStep("feed", q, number) for q in moves]
+            contacts.append(ProgramStep("probe", end, number, contact, (x, y, z), length))
+            contacts.append(ProgramStep("feed", start, number))
             before = start
             if contact > 1:
-                found.append(ProgramStep("feed", over, number))
+                contacts.append(ProgramStep("feed", over, number))
                 before = over
         if not self._clear([before, above]):
             return None
-        return found
+        return contacts
 
     def _inside(self, positions: list[np.ndarray]) -> bool:
         """Return whether all positions are within the ranges; unlimited axes always are."""
@@ -185,7 +185,7 @@ def _header(plan: SequencePlan, builder: PoseBuilder) -> list[str]:
     """Return the comments of the program."""
     size, task = plan.task.sizes, plan.task
     places = ", ".join(f"{name} at x {x:g} y {y:g} z {z:g}" for name, (x, y, z) in task.places_mm.items())
-    found = [
+    header = [
         "Measuring program by twin. UNTESTED ON A REAL CONTROL: read it, run it dry, then with low override.",
         f"machine: {plan.machine.name}; sequence {plan.sequence.name}, {builder.poses} poses, 5 contacts each",
         f"tool length {-task.tip_mm[2]:g} mm from the spindle nose to the centre of the stylus ball of {size.ball_mm:g} mm; "
@@ -201,10 +201,10 @@ def _header(plan: SequencePlan, builder: PoseBuilder) -> list[str]:
         f"{APPROACH_FEED:g}.",
     ]
     if builder.skipped:
-        found.append(
+        header.append(
             "NOT PROBED for lack of clearance: poses " + ", ".join(map(str, builder.skipped)) + " of the plan."
         )
-    return found
+    return header
 
 
 # --- Steps of the program of a drift test: spindle speeds, motion of the axis to and fro, dwells, and readings at their times
@@ -392,7 +392,9 @@ class _DriftBuilder(PoseBuilder):
         """Retract from a part on the table."""
         if self.at_sphere:
             here = self.here
-            pose = next(one for one in self.contact_poses if np.array_equal(one.centre, here))
+            pose = next(
+                contact_pose for contact_pose in self.contact_poses if np.array_equal(contact_pose.centre, here)
+            )
             self.steps.append(ProgramStep("feed", self._near(pose), number))
             self._moved(number, [self._retracted(pose)])
             self.at_sphere = False
@@ -469,7 +471,7 @@ def _drift_steps_header(plan: DriftPlan, builder: _DriftBuilder) -> list[str]:
     """Return the comments of the program."""
     base = plan.task.base
     places = ", ".join(f"{name} at x {x:g} y {y:g} z {z:g}" for name, (x, y, z) in base.places_mm.items())
-    found = [
+    drift_steps_header = [
         "Program of a drift test by twin. NOT RUN ON A MACHINE: read it, run it dry, then with low override.",
         f"machine: {base.machine.name}; drift test {plan.sequence.name} with {plan.task.instrument}, {len(plan.table)} readings in "
         f"{plan.minutes:.0f} minutes",
@@ -483,17 +485,17 @@ def _drift_steps_header(plan: DriftPlan, builder: _DriftBuilder) -> list[str]:
     ]
     if builder.ends is not None:
         axis, (low, high) = plan.task.axis, builder.ends
-        found.append(
+        drift_steps_header.append(
             f"{plan.task.moved.name} moves to and fro from {low[axis]:g} to {high[axis]:g} at feed {plan.task.feed:g}."
         )
     if builder.latest_s > 1.0:
-        found.append(
+        drift_steps_header.append(
             f"The program is up to {builder.latest_s:.0f} s behind the plan: write the times at which the readings were taken."
         )
     if plan.task.instrument == "probe":
-        found.append(f"Each reading: {CONTACTS} contacts.")
+        drift_steps_header.append(f"Each reading: {CONTACTS} contacts.")
     else:
-        found.append(
+        drift_steps_header.append(
             "The instrument logs by itself, with its clock started at reading 1; the program only moves, waits and turns the spindle."
         )
-    return found
+    return drift_steps_header

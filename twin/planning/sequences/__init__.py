@@ -43,7 +43,7 @@ def sequence_named(name: str | None, instrument: str) -> MeasuringSequence:
     Raises:
         InputError: no sequence for this instrument has this name, or it is a test of which there is no public description.
     """
-    known = [one for one in SEQUENCES if instrument in one.instruments]
+    known = [sequence for sequence in SEQUENCES if instrument in sequence.instruments]
     names = [one.name for one in known]
     if name is None and known:
         return known[0]

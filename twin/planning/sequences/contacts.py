@@ -102,9 +102,9 @@ class ContactPose:
 
     def at(self, machine: Machine, away_mm: np.ndarray) -> np.ndarray:
         """Return the position (axes,) with the tip away from the centre by a vector of the base frame, mm."""
-        found = np.array(self.centre)
-        found[list(machine.linear)] += self.to_axes @ away_mm
-        return found
+        position = np.array(self.centre)
+        position[list(machine.linear)] += self.to_axes @ away_mm
+        return position
 
     @property
     def stem_aside(self) -> bool:
@@ -222,19 +222,19 @@ def reach(task: SequenceTask, points: SequencePoints) -> Reached:
 def _clear(task: SequenceTask, positions: np.ndarray, places_mm: np.ndarray) -> np.ndarray:
     """Return (n,) whether poses have clearance, those of a probe also beside the sphere."""
     touching = clearance_of(task.machine, task)
-    found = np.array([touching.is_clear(position) for position in positions], dtype=bool)
+    clear = np.array([touching.is_clear(position) for position in positions], dtype=bool)
     if task.instrument.specification.reads != "null" or not len(positions):
-        return found
+        return clear
     apart = apart_clearance(touching)
     poses = contact_poses(task, positions, places_mm)
     for row, pose in enumerate(poses):
-        if found[row]:
-            found[row] = pose.stem_aside and all(
+        if clear[row]:
+            clear[row] = pose.stem_aside and all(
                 apart.is_clear(pose.at(task.machine, task.sizes.around_mm * out))
                 and touching.is_clear(pose.at(task.machine, task.sizes.contact_mm * out))
                 for out in (pose.up, *pose.sides)
             )
-    return found
+    return clear
 
 
 def apart_clearance(touching: Clearance) -> Clearance:

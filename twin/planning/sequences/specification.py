@@ -258,14 +258,14 @@ def approach_of(machine: Machine, positions: np.ndarray, *, linear: bool) -> np.
         linear: whether the linear axes have one; a probe touches the sphere from both sides.
     """
     sign = np.sign(np.diff(positions, axis=0, prepend=positions[:1]))
-    found = np.zeros(positions.shape)
+    approach = np.zeros(positions.shape)
     for i, axis in enumerate(machine.axes):
         moving = np.flatnonzero(sign[:, i])
         if len(moving) and (linear or not axis.linear):
             last = np.maximum.accumulate(np.where(sign[:, i] != 0.0, np.arange(len(sign)), moving[0]))
             last[: moving[0]] = moving[0]
-            found[:, i] = sign[last, i]
-    return found
+            approach[:, i] = sign[last, i]
+    return approach
 
 
 def seconds_of(machine: Machine, kit: Kit, table: Measurements) -> np.ndarray:
@@ -314,16 +314,16 @@ class Expectation:
         """
         headers, rows = self.rows(others)
         width = max(len(title) for title in headers[1:]) + 2
-        found = [
+        lines = [
             "constant errors, predicted standard uncertainty (k = 1); - where this sequence cannot determine it:",
             " " * 16 + "".join(f"{title:>{width}}" for title in headers[1:]),
             *(f"  {name:<14}" + "".join(f"{cell:>{width}}" for cell in cells) for name, *cells in rows),
         ]
-        found.append("what this sequence cannot tell:")
+        lines.append("what this sequence cannot tell:")
         for title, constants in self.by_knowledge.items():
             lost = "; ".join(constants.lost) or "nothing among the errors of the axes that it moves"
-            found.append(f"  {title}: {lost} ({constants.determined} of {len(constants.u)} determined)")
-        return found
+            lines.append(f"  {title}: {lost} ({constants.determined} of {len(constants.u)} determined)")
+        return lines
 
     def rows(
         self, others: Mapping[str, Mapping[str, float]] | None = None
@@ -382,13 +382,13 @@ def expectation(machine: Machine, table: Measurements, instrument: Instrument) -
         places: (stations, ~targets) if probing else (~stations, targets),
         f"{words.places} and {words.tip} known": (~stations, ~targets),
     }
-    found = {}
+    by_name = {}
     for name, (station_known, target_known) in states.items():
         of = replace(setup, station_known=station_known, target_known=target_known)
         constants = constant_errors(machine, read, instruments, of)
         if constants is not None:
-            found[name] = constants
-    return Expectation(MappingProxyType(found))
+            by_name[name] = constants
+    return Expectation(MappingProxyType(by_name))
 
 
 def with_nominal_readings(machine: Machine, table: Measurements, instrument: Instrument) -> Measurements:

@@ -219,12 +219,12 @@ def thinned(pieces: list[np.ndarray], limit: int, keep: int) -> list[np.ndarray]
     total = sum(len(piece) for piece in pieces)
     if total <= limit:
         return pieces
-    found = []
+    thinned = []
     for piece in pieces:
         count = max(2, round(limit * len(piece) / total))
         chosen = piece[np.unique(np.round(np.linspace(0, len(piece) - 1, min(count, len(piece)))).astype(int))]
-        found.append(np.unique(np.append(chosen, keep)) if piece[0] <= keep <= piece[-1] else chosen)
-    return found
+        thinned.append(np.unique(np.append(chosen, keep)) if piece[0] <= keep <= piece[-1] else chosen)
+    return thinned
 
 
 def arrow_blocks(path: ScenePath, count: int) -> np.ndarray:

@@ -169,14 +169,14 @@ def drift_series(
 
 def _from_reference(values: np.ndarray, target: np.ndarray, first: Mapping[int, int]) -> np.ndarray:
     """Return values from that of the reference row of each target, or from the first one read after it."""
-    found = np.full(values.shape, np.nan)
+    change = np.full(values.shape, np.nan)
     for number, row in first.items():
         here = target == number
         read = np.flatnonzero(here & np.isfinite(values))
         later = read[read >= row]
         if len(later):
-            found[here] = values[here] - values[later[0]]
-    return found
+            change[here] = values[here] - values[later[0]]
+    return change
 
 
 # --- Action of the location, the orientation and the zero of a rotary axis on the displacements that were read around it
@@ -248,9 +248,9 @@ def design_of(
     observation, q, side = Observation(machine), positions * machine.scale, "tool" if axis.side == "tool" else "work"
     places = _places(observation, q, on_tool, on_work)[side]
     errors = np.zeros((len(q), 6 * len(machine.frames)))
-    found = observation.carried(q, errors, np.full(len(q), side, dtype=object), places)
+    carried = observation.carried(q, errors, np.full(len(q), side, dtype=object), places)
     frame = next(k for k, one in enumerate(machine.frames) if one.axis == axis.name and one.role == "location")
-    by_error = found.by_error[:, :, 6 * frame : 6 * frame + 6]
+    by_error = carried.by_error[:, :, 6 * frame : 6 * frame + 6]
     directions = by_error[:, :, :3]
     lever = -0.5 * np.sum(np.cross(directions, by_error[:, :, 3:], axis=1), axis=2)
     located = [LETTERS.index(name[2]) for name in machine.location_names if name[4] == axis.name]
@@ -264,7 +264,7 @@ def design_of(
     moved[:, index] += STEP_DEG
     after = observation.points(moved * machine.scale, errors, np.full(len(q), side, dtype=object), places)
     about = np.cross(own, lever)
-    way = np.sign(np.sum((after - found.points) * about))
+    way = np.sign(np.sum((after - carried.points) * about))
     radius = float(np.mean(np.linalg.norm(radial, axis=1)))
     sign = 1.0 if side == "tool" else -1.0
     columns = [directions[:, :, k] if k < 3 else np.cross(directions[:, :, k - 3], lever) / MM * 1e-3 for k in located]
@@ -295,14 +295,14 @@ def _places(
     errors, zero = np.zeros((len(q), 6 * len(observation.machine.frames))), np.zeros((len(q), 3))
     blocks, origins, numbers = [], [], []
     for side, names in zip(CARRIERS, (on_tool, on_work), strict=True):
-        found = observation.carried(q, errors, np.full(len(q), side, dtype=object), zero)
+        carried = observation.carried(q, errors, np.full(len(q), side, dtype=object), zero)
         every = list(dict.fromkeys(names))
         number = np.array([every.index(name) for name in names])
         block = np.zeros((len(q), 3, 3 * len(every)))
         for k in range(len(every)):
-            block[number == k, :, 3 * k : 3 * k + 3] = found.rotation[number == k]
+            block[number == k, :, 3 * k : 3 * k + 3] = carried.rotation[number == k]
         blocks.append(block)
-        origins.append(found.points)
+        origins.append(carried.points)
         numbers.append(number)
     matrix = np.concatenate([blocks[0], -blocks[1]], axis=2).reshape(3 * len(q), -1)
     places = np.linalg.lstsq(matrix, (origins[1] - origins[0]).reshape(-1), rcond=1e-9)[0].reshape(-1, 3)

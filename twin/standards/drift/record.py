@@ -84,8 +84,8 @@ class SensorMap:
     @classmethod
     def of_comments(cls, comments: Sequence[str]) -> SensorMap:
         """Return the map that the comments of a table give; an empty one if they give none."""
-        found = [match[1] for match in map(COMMENT.match, comments) if match]
-        return cls.parse([entry for text in found for entry in re.split(r"[\s,;]+", text) if entry])
+        texts = [match[1] for match in map(COMMENT.match, comments) if match]
+        return cls.parse([entry for text in texts for entry in re.split(r"[\s,;]+", text) if entry])
 
     def __bool__(self) -> bool:
         return bool(self.sensor or self.distance_mm or self.ambient)
@@ -237,14 +237,14 @@ def load_displacements(path: str | Path, machine: Machine, sensors: SensorMap) -
     for name in [name for name in (TIME, SPEED, *axes) if name in numbers]:
         cells.refuse(np.isnan(numbers[name]), numbers[name], name, "a number in every row")
     check_course(cells, numbers)
-    found = {name[: -len(SUFFIX)]: numbers[name] for name in names if np.isfinite(numbers[name]).any()}
+    displacements = {name[: -len(SUFFIX)]: numbers[name] for name in names if np.isfinite(numbers[name]).any()}
     angles = {f"angle_{name[: -len(ANGLE)]}": numbers[name] for name in angular if np.isfinite(numbers[name]).any()}
-    if not (found or angles):
+    if not (displacements or angles):
         raise InputError("no displacement was read", expected="numbers in a column <name>_um or <name>_urad", file=file)
     measured = {sensor_of(name): numbers[name] for name in temperatures}
     directions = sensors or SensorMap.of_comments(comments)
     directions.check([name[: -len(SUFFIX)] for name in names], list(measured))
-    displacement, units, remarks = directions.applied(found)
+    displacement, units, remarks = directions.applied(displacements)
     known = {TIME, SPEED, ROUND, *axes, *names, *angular, *temperatures}
     none = np.zeros(len(rows))
     return DriftRecord(

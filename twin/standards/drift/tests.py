@@ -121,14 +121,14 @@ def rotary_test(record: DriftRecord, rows: np.ndarray, standard: str) -> Standar
 def _poses(record: DriftRecord, rows: np.ndarray) -> np.ndarray:
     """Return the number (n,) of the pose of each row, from 0: the same parts at the same positions."""
     seen: list[tuple[str, np.ndarray]] = []
-    found = np.zeros(len(rows), dtype=int)
+    poses = np.zeros(len(rows), dtype=int)
     for k, row in enumerate(rows):
         spot, at = str(record.spot[row]), record.positions[row]
         same = [n for n, (name, q) in enumerate(seen) if name == spot and np.abs(at - q).max() <= SAME_POSE]
-        found[k] = same[0] if same else len(seen)
+        poses[k] = same[0] if same else len(seen)
         if not same:
             seen.append((spot, at))
-    return found
+    return poses
 
 
 def _cycles(pose: np.ndarray) -> list[np.ndarray]:
@@ -325,10 +325,10 @@ def _without_work(
         )
     name = data.target[on_work][0]
     work = np.flatnonzero(on_work & (data.target == name))
-    found = deviation_um.copy()
+    deviation = deviation_um.copy()
     for k in range(3):
-        found[:, k] -= np.interp(data.time_s, data.time_s[work], deviation_um[work, k])
-    return found, tool, WORK_REMOVED.format(name)
+        deviation[:, k] -= np.interp(data.time_s, data.time_s[work], deviation_um[work, k])
+    return deviation, tool, WORK_REMOVED.format(name)
 
 
 # --- The tests of ISO 230-3 that a drift record allows, with their values -------------------------
@@ -380,16 +380,16 @@ def _tests(record: DriftRecord, rows: np.ndarray, machine: Machine) -> list[Stan
         return [rotary_test(record, rows, STANDARD)]
     if axis is not None:
         return [_axes_test(record, rows, machine, axis)]
-    found = []
+    tests = []
     for spot in dict.fromkeys(record.spot[rows]):
         own = rows[record.spot[rows] == spot]
         periods = _running_periods(record, own)
-        found += [
+        tests += [
             _spindle_test(record, period, k, len(periods), str(spot)) for k, period in enumerate(periods, start=1)
         ]
         if not periods:
-            found.append(_environment_test(record, own, str(spot)))
-    return found
+            tests.append(_environment_test(record, own, str(spot)))
+    return tests
 
 
 def _moving_axis(positions: np.ndarray, machine: Machine) -> int | None:
@@ -429,7 +429,7 @@ def _running_periods(record: DriftRecord, rows: np.ndarray) -> list[np.ndarray]:
 
 def _environment_test(record: DriftRecord, rows: np.ndarray, spot: str) -> StandardTest:
     """Evaluate the environmental temperature variation error."""
-    found = _series(record, rows, "environment", np.ones(len(rows), dtype=int))
+    series = _series(record, rows, "environment", np.ones(len(rows), dtype=int))
     remarks = [NOT_VERIFIED, *record.remarks]
     remarks += [NO_SPEED] if record.speed_rpm is None else []
     remarks += [] if record.ambient else [NO_AMBIENT]
@@ -438,33 +438,33 @@ def _environment_test(record: DriftRecord, rows: np.ndarray, spot: str) -> Stand
         name="ETVE",
         standard=STANDARD,
         axes=(),
-        place="; ".join(filter(None, [f"machine at rest for {_hours(found.duration_s)}", spot])),
-        values=tuple(_environment_values(record, found)),
-        remarks=(*remarks, *_noise_remark(record, found), *_temperature_remark(found)),
-        detail=found,
+        place="; ".join(filter(None, [f"machine at rest for {_hours(series.duration_s)}", spot])),
+        values=tuple(_environment_values(record, series)),
+        remarks=(*remarks, *_noise_remark(record, series), *_temperature_remark(series)),
+        detail=series,
     )
 
 
 def _spindle_test(record: DriftRecord, rows: np.ndarray, number: int, count: int, spot: str) -> StandardTest:
     """Evaluate one period of a rotating spindle."""
-    found = _series(record, rows, "spindle", np.ones(len(rows), dtype=int))
-    start, end = found.running_s or (0.0, 0.0)
-    highest = 0.0 if found.speed_rpm is None else float(np.nanmax(found.speed_rpm))
+    series = _series(record, rows, "spindle", np.ones(len(rows), dtype=int))
+    start, end = series.running_s or (0.0, 0.0)
+    highest = 0.0 if series.speed_rpm is None else float(np.nanmax(series.speed_rpm))
     return StandardTest(
         kind="rotating spindle",
         name="spindle" if count == 1 else f"spindle{number}",
         standard=STANDARD,
         axes=(),
         place="; ".join(filter(None, [f"running for {_hours(end - start)}, up to {highest:g} rpm", spot])),
-        values=tuple(_spindle_values(record, found)),
+        values=tuple(_spindle_values(record, series)),
         remarks=(
             *(NOT_VERIFIED, *record.remarks, AT_ONCE),
             *([SHORT] if end - start < FIRST_S else []),
             *([PERIODS] if count > 1 else []),
-            *_noise_remark(record, found),
-            *_temperature_remark(found),
+            *_noise_remark(record, series),
+            *_temperature_remark(series),
         ),
-        detail=found,
+        detail=series,
     )
 
 
@@ -473,20 +473,20 @@ def _axes_test(record: DriftRecord, rows: np.ndarray, machine: Machine, axis: in
     name = machine.axes[axis].name
     where = record.positions[rows, axis]
     targets, number = _target_positions(where)
-    found = _series(record, rows, "axes", number)
+    series = _series(record, rows, "axes", number)
     values = []
     for k, position in enumerate(targets, start=1):
-        for one, unit in found.units.items():
+        for one, unit in series.units.items():
             at = f"{one} at {name} {position:g}".replace("-", "−")
             values += [
-                _value(record, f"e({one}){k}", f"e_{one}_{k}", found.range(one, target=k), unit, f"range of {at}"),
-                _value(record, f"e({one}){k}end", f"e_{one}_{k}_end", found.end(one, target=k), unit, f"{at}, end of test"),
+                _value(record, f"e({one}){k}", f"e_{one}_{k}", series.range(one, target=k), unit, f"range of {at}"),
+                _value(record, f"e({one}){k}end", f"e_{one}_{k}_end", series.end(one, target=k), unit, f"{at}, end of test"),
             ]  # fmt: skip
-    along = next((one for one in (name, f"{name}1") if one in found.units), "")
+    along = next((one for one in (name, f"{name}1") if one in series.units), "")
     if len(targets) == 2 and along:
-        growth = found.end(along, target=2) - found.end(along, target=1)
+        growth = series.end(along, target=2) - series.end(along, target=1)
         words = f"change of the distance of {targets[1] - targets[0]:g} mm between the target positions"
-        values.append(_value(record, f"e({name})2−1", f"e_{name}_21", growth, found.units[along], words, 2.0**0.5))
+        values.append(_value(record, f"e({name})2−1", f"e_{name}_21", growth, series.units[along], words, 2.0**0.5))
     remarks = [NOT_VERIFIED, *record.remarks, "displacements count from the first reading at each target position"]
     beside = {one.name: float(np.ptp(record.positions[rows, i])) for i, one in enumerate(machine.axes) if i != axis}
     remarks += [
@@ -501,12 +501,12 @@ def _axes_test(record: DriftRecord, rows: np.ndarray, machine: Machine, axis: in
         name=name,
         standard=STANDARD,
         axes=(name,),
-        place=f"targets at {name} {', '.join(f'{one:g}' for one in targets)}, {_hours(found.duration_s)}".replace(
+        place=f"targets at {name} {', '.join(f'{target:g}' for target in targets)}, {_hours(series.duration_s)}".replace(
             "-", "−"
         ),
         values=tuple(values),
-        remarks=(*remarks, *_noise_remark(record, found), *_temperature_remark(found)),
-        detail=found,
+        remarks=(*remarks, *_noise_remark(record, series), *_temperature_remark(series)),
+        detail=series,
     )
 
 
