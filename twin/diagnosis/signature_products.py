@@ -361,7 +361,7 @@ class Signatures:
                 np.multiply(own, derivative[:, i, None], out=terms[i, :, at])
         return acting, terms
 
-    def within(self, groups: Sequence[np.ndarray], rows: np.ndarray | None = None) -> list[np.ndarray]:
+    def within(self, groups: Sequence[np.ndarray], rows: np.ndarray | None = None) -> list[np.ndarray]:  # noqa: C901
         """Return the inner products within groups of columns: (parts, groups, w, w) for each array (groups, w).
 
         An inner product is a sum of products of two functions times products of two derivatives; each product of functions is

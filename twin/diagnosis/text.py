@@ -244,7 +244,7 @@ NEXT_SECTION: Final = "“What to measure next”"
 SIZE_IN_TEXT: Final = re.compile(r"\d (µm|µrad|mm|°|ppm)")
 
 
-def headline(diagnosis: DiagnosisResult) -> tuple[str, Mood]:
+def headline(diagnosis: DiagnosisResult) -> tuple[str, Mood]:  # noqa: C901, PLR0911
     """Return the verdict in one sentence, and its mood (the colour it is shown in)."""
     kinds = {kind(cause.effect) for cause in diagnosis.causes}
     if diagnosis.verdict == "consistent":
@@ -509,7 +509,7 @@ ABSORBED_RATIO: Final = 0.9
 HARD_SPACE: Final = "\u00a0"
 
 
-def diagnosis_text(diagnosis: DiagnosisResult) -> str:
+def diagnosis_text(diagnosis: DiagnosisResult) -> str:  # noqa: C901, PLR0912
     """Return the verdict, each cause, what to do, the gain and what to measure next, in lines of at most `WIDTH` characters.
 
     Args:

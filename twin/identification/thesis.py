@@ -185,7 +185,7 @@ class _Frame:
         return np.asarray((points - self.origin) @ self.turn)
 
 
-def identify_as_thesis(
+def identify_as_thesis(  # noqa: C901, PLR0912
     measurements: Measurements,
     machine: Machine,
     *,

@@ -381,7 +381,7 @@ def load_urdf(path: Path) -> pin.Model:
         ) from error
 
 
-def check_entries(entries: MachineFile, source: pin.Model, path: Path, lines: Mapping[EntryPath, int]) -> None:
+def check_entries(entries: MachineFile, source: pin.Model, path: Path, lines: Mapping[EntryPath, int]) -> None:  # noqa: C901
     """Raise `InputError` unless the axes and frames of a machine file are in its URDF, each once, with a range."""
     joints = [name for name in source.names if name != "universe"]
     seen: set[str] = set()

@@ -204,7 +204,7 @@ def _temperature(column: str) -> bool:
     return re.fullmatch(r"T_.+_degC", column) is not None
 
 
-def _waves(where: str, given: ColumnSpec, machine: Machine) -> Waves:
+def _waves(where: str, given: ColumnSpec, machine: Machine) -> Waves:  # noqa: C901, PLR0912
     """Return one column after checking it."""
     name, what = given.column, f"{given.column} of {NAME} {where}"
     axis = machine.by_name.get(channel_name(name))

@@ -319,7 +319,7 @@ class WordWriter(ABC, Generic[B]):
         if block.vector_words or block.axis_bits >> self.linear:
             self._vector_text = None
 
-    def rewritten(self, block: B, segments: Segments) -> list[str]:
+    def rewritten(self, block: B, segments: Segments) -> list[str]:  # noqa: C901, PLR0912
         """Return the lines that replace a block.
 
         Args:

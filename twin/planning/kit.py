@@ -209,7 +209,7 @@ class Kit(Result):
         return replace(self, targets=MappingProxyType({}))
 
     @classmethod
-    def load(cls, path: str | Path, machine: Machine) -> Kit:
+    def load(cls, path: str | Path, machine: Machine) -> Kit:  # noqa: C901
         """Read a kit file (``schema: twin.kit/1``).
 
         Raises:

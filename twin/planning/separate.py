@@ -93,7 +93,7 @@ class NamedCause:
         return f"{self.effect} {self.where}"
 
 
-def separate(
+def separate(  # noqa: PLR0913
     machine: Machine,
     first: str,
     second: str,

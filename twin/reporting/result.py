@@ -334,7 +334,7 @@ class MachineReport(Result):
         )
 
 
-def machine_report(
+def machine_report(  # noqa: PLR0913
     machine: Machine,
     calibration: Calibration,
     *,

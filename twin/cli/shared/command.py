@@ -99,7 +99,7 @@ class CommandResult:
 Function = TypeVar("Function", bound=Callable[..., CommandResult | None])
 
 
-def command(*examples: str, name: str | None = None) -> Callable[[Function], Function]:
+def command(*examples: str, name: str | None = None) -> Callable[[Function], Function]:  # noqa: C901
     """Register a command whose inputs, outputs and numbers are checked before it runs, and whose result is reported after it.
 
     Args:
@@ -107,7 +107,7 @@ def command(*examples: str, name: str | None = None) -> Callable[[Function], Fun
         name: the command's name; the function's if None.
     """
 
-    def register(function: Function) -> Function:
+    def register(function: Function) -> Function:  # noqa: C901
         hints = {key: list(_nested_types(hint)) for key, hint in get_type_hints(function, include_extras=True).items()}
         paths = path_parameters(function)
 

@@ -250,7 +250,7 @@ ITSELF: Final = 0.0
 RANK_TOLERANCE: Final = 1e-9
 
 
-def flaw(space: CurveSpace, curve: Curve, correction: np.ndarray, covariance: np.ndarray) -> str:
+def flaw(space: CurveSpace, curve: Curve, correction: np.ndarray, covariance: np.ndarray) -> str:  # noqa: C901
     """Return the mistake in words; empty if none explains the correction, or the curve has more coefficients than functions.
 
     Args:

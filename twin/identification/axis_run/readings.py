@@ -378,7 +378,7 @@ def carriage_poses(
     return np.concatenate([(point[1:] - point[0]) @ back.T, rotation_log(back @ turned[1:])], axis=1)
 
 
-def simulate_run(
+def simulate_run(  # noqa: PLR0913
     layout: AxisLayout,
     machine: Machine,
     calibration: Calibration,

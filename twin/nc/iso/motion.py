@@ -255,7 +255,7 @@ class IsoMotion(IsoDrilling):
         """See `Interpreter.runs_allowed`: no pending work offset, incremental mode or tool vector, nor a cycle that changes."""
         return self.steady and self.set_up and not self.incremental and self.vector is None
 
-    def move(self, block: IsoBlock, centre: list[Item], *, machine: bool) -> None:
+    def move(self, block: IsoBlock, centre: list[Item], *, machine: bool) -> None:  # noqa: C901, PLR0912
         """Add the moves of a block whose axis words are known.
 
         Args:

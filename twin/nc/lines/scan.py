@@ -138,7 +138,7 @@ def tables(names: tuple[str, ...]) -> tuple[bytes, np.ndarray, np.ndarray, bytes
     return bytes(kind), rank, axis, bytes(bad)
 
 
-def scan(data: bytes, names: tuple[str, ...]) -> Scan:
+def scan(data: bytes, names: tuple[str, ...]) -> Scan:  # noqa: PLR0915
     """Find and read the simple lines of a chunk of a program.
 
     Args:

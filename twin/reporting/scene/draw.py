@@ -590,7 +590,7 @@ class Scene(DisplayedResult):
         return Display("Animation", below=(in_iframe(self.html, HEIGHT_PX),), small=self.execution.brief)
 
 
-def draw_program(
+def draw_program(  # noqa: PLR0913
     program: str | Path,
     machine: Machine,
     calibration: Calibration | None = None,
