@@ -124,7 +124,6 @@ def require_name(what: str, name: str, known: Iterable[str], **place: Any) -> No
 
     Args:
         what: what it is the name of, in words.
-        name: the name.
         known: all names.
         place: file, line or setting of the name.
     """

@@ -45,7 +45,6 @@ def folder_entries(folder: Path, what: str) -> list[Path]:
     """Return the paths in a folder by name.
 
     Args:
-        folder: the folder.
         what: what it is, in words, for the message.
 
     Raises:
@@ -69,7 +68,6 @@ def read_bytes(path: Path, *, most_bytes: int | None = None) -> bytes:
     """Return the content of a file.
 
     Args:
-        path: the file.
         most_bytes: size beyond which it is refused; None: any.
 
     Raises:
@@ -108,7 +106,6 @@ def read_text(path: Path, *, most_bytes: int = MAX_TEXT_BYTES) -> str:
     """Return the content of a UTF-8 text file.
 
     Args:
-        path: the file.
         most_bytes: size beyond which it is refused.
 
     Raises:
@@ -145,7 +142,6 @@ def read_json(path: Path, expected: str) -> Any:
     """Return the data of a JSON file.
 
     Args:
-        path: the file.
         expected: what the file should contain, for messages.
 
     Raises:
@@ -276,7 +272,6 @@ def check_folder(folder: Path, path: Path) -> None:
     """Check that files can be created in a folder, and remove what killed runs left there.
 
     Args:
-        folder: the folder.
         path: the output to be written there, for the message.
 
     Raises:
@@ -318,7 +313,6 @@ def write_atomic(path: Path, content: str | bytes, *, check: Callable[[Path], ob
     """Write a file atomically: at every moment the path holds the old content or the new one.
 
     Args:
-        path: the file.
         content: its content; text as UTF-8.
         check: reads the complete file, under a temporary name in the same folder, before it replaces the path. If it raises an
             `InputError`, the path keeps its old content.
@@ -334,7 +328,6 @@ def write_json(path: Path, data: Any, *, check: Callable[[Path], object] | None 
     """Write JSON atomically; a number that is not finite is written as null, meaning unknown.
 
     Args:
-        path: the file.
         data: its content.
         check: as for `write_atomic`.
 

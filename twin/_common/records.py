@@ -70,7 +70,6 @@ def read_log(path: str | Path, also: Callable[[str], bool] = lambda name: False)
     """Read the columns ``time_s``, ``T_<sensor>_degC`` and ``spindle_rpm`` of a record, and others.
 
     Args:
-        path: the file.
         also: whether to read a further column of that name.
 
     Raises:

@@ -55,7 +55,6 @@ def parse_xml(text: str, path: Path, expected: str) -> Element:
     """Return the root element of XML text.
 
     Args:
-        text: the text.
         path: its file, for messages.
         expected: kind of file, for messages.
 

@@ -68,7 +68,6 @@ def load_yaml(path: Path, schema: type[Schema], name: str) -> tuple[Schema, Mapp
     """Read a YAML file, validate it against a pydantic model, and return it with the line of every entry by its path in the file.
 
     Args:
-        path: the file.
         schema: the model it must match.
         name: the value its ``schema:`` entry must have.
 

@@ -42,7 +42,6 @@ class TableEntry:
     """One file of the control.
 
     Attributes:
-        file: its path.
         format: name of its format, one of `twin.controls.formats` or, for kinematics, of `twin.controls.kinematics`.
         classes: classes of ISO/TR 16907 whose errors it corrects, completely or in part.
         sha256: SHA-256 of the file when it was recorded.

@@ -142,7 +142,6 @@ class TableLine:
     """A line of a file, or a part of it.
 
     Attributes:
-        path: the file.
         number: number of the line, from 1 on; None for a missing line.
         text: text without leading and trailing blanks.
     """

@@ -30,7 +30,6 @@ class AxisErrors:
     """Six error motions of one axis as in a file, µm and µrad.
 
     Attributes:
-        axis: the axis.
         curves: curves by index of the component in ``XYZABC``.
     """
 

@@ -79,7 +79,6 @@ def with_limits(found: Diagnosis, network: Network) -> Diagnosis:
     """Return the diagnosis with the limits of its extended calibration stated in the calibration.
 
     Args:
-        found: the diagnosis.
         network: the readings and their instruments.
     """
     extended = found.extended

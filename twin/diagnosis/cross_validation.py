@@ -133,7 +133,6 @@ def held_out_squares(
 
     Args:
         candidates: all data.
-        split: the folds.
         predict: data without a fold → (3n,) prediction of each model fitted to them, whitened, for all readings.
     """
     problem = candidates.problem
@@ -181,8 +180,6 @@ def choose_folds(data: Measurements, machine: Machine, causes: Sequence[Candidat
     """Return the folds suited to the causes; None if nothing can be held out.
 
     Args:
-        data: the measurements.
-        machine: the machine.
         causes: the causes found.
     """
     changing = bool(causes) and all(cause.specification.varies == "with time" for cause in causes)
@@ -196,21 +193,13 @@ def choose_folds(data: Measurements, machine: Machine, causes: Sequence[Candidat
 
 
 def folds_in_time(data: Measurements) -> HeldOutFolds | None:
-    """Return folds of rounds, or of blocks of time for a single round; None for too few readings.
-
-    Args:
-        data: the measurements.
-    """
+    """Return folds of rounds, or of blocks of time for a single round; None for too few readings."""
     _, group = np.unique(data.round.astype(str), return_inverse=True)
     return _drawn("rounds", group.reshape(-1)) if group.max() > 0 else blocks_of_time(data)
 
 
 def blocks_of_time(data: Measurements) -> HeldOutFolds | None:
-    """Return `BLOCKS` consecutive blocks of readings, one fold each; None for too few readings.
-
-    Args:
-        data: the measurements.
-    """
+    """Return `BLOCKS` consecutive blocks of readings, one fold each; None for too few readings."""
     if len(data) < 2 * BLOCKS:
         return None
     group = np.empty(len(data), dtype=int)
@@ -222,7 +211,6 @@ def folds_at_positions(data: Measurements, axes: Sequence[int]) -> HeldOutFolds 
     """Return folds of positions of one axis, or of poses of several; None if there is only one.
 
     Args:
-        data: the measurements.
         axes: numbers of the axes that moved.
     """
     _, group = np.unique(np.round(data.positions[:, list(axes)], 3), axis=0, return_inverse=True)

@@ -370,7 +370,6 @@ class Candidates:
         """Return the projected inner products (columns, all) of any columns with those of the forms.
 
         Args:
-            columns: the columns.
             basis: (k, columns) their inner products with the nuisance basis, made orthonormal on these data (`Problem.root`).
         """
         return self.products.with_columns(columns) - basis.T @ self._on_basis

@@ -236,8 +236,6 @@ def _effect(
 
     Args:
         term: side, columns and ranges of the effect.
-        pattern_test: the pattern.
-        machine: the machine.
         likelihood: of all patterns.
         k: number of this pattern.
         which: numbers of its columns with a coefficient.
@@ -334,7 +332,6 @@ def residuals_as_written(
 
     Args:
         problem: the data.
-        extended: the calibration.
         instrument: (3n,) whitened effect of the instrument errors found, subtracted from the readings first.
         root: (n, 3, 3) square root of the covariance by the discrepancy, metres, for the weights of the set-up.
     """
@@ -375,7 +372,6 @@ def error_at_tool(
 
     Args:
         data: the measurements, for their temperatures and times.
-        machine: the machine.
         effects: the effects found.
         covariance: of their parameters.
     """

@@ -205,12 +205,7 @@ class ChannelFunctions:
 
 
 def patterns(machine: Machine, data: Measurements) -> list[Pattern]:
-    """Return the patterns of every column and pair, for every side with targets, in every frame that turns differently.
-
-    Args:
-        machine: the machine.
-        data: the measurements.
-    """
+    """Return the patterns of every column and pair, for every side with targets, in every frame that turns differently."""
     patterns = []
     channels = _channels(machine, data)
     for side in _sides(machine, data):

@@ -115,7 +115,6 @@ def residual_panels(found: DiagnosisResult, *, after: bool = False) -> list[Pane
     """Return the residuals against the columns they depend on, clearest first, or against every axis if they depend on none.
 
     Args:
-        found: the diagnosis.
         after: residuals with the causes in the model, on the scale of those without.
     """
     scales, data = scales_of(found), found.data
@@ -175,7 +174,6 @@ def cause_panels(found: DiagnosisResult, cause: Cause) -> list[Panel]:
     """Return a cause against the columns it depends on: in its own unit if it is one error motion, else as shifts of the targets.
 
     Args:
-        found: the diagnosis.
         cause: one of its causes.
     """
     effect = cause.effects[0] if len(cause.effects) == 1 else None
@@ -444,7 +442,6 @@ def plot_residuals(found: DiagnosisResult, *, after: bool = False, title: str = 
     """Plot the residuals against the columns that show them most clearly, in the directions of the machine's base.
 
     Args:
-        found: the diagnosis.
         after: plot the residuals with the causes in the model, on the same scale.
         title: heading; a default if empty.
     """
@@ -456,7 +453,6 @@ def plot_cause(found: DiagnosisResult, cause: int = 0, *, title: str = "") -> Fi
     """Plot a fitted cause, and the readings after removing all other causes.
 
     Args:
-        found: the diagnosis.
         cause: index in `DiagnosisResult.causes`.
         title: heading; a default if empty.
 
@@ -475,7 +471,6 @@ def plot_ranking(found: DiagnosisResult, *, title: str = "") -> Figure:
     """Plot the χ² that each cause tested explains by itself.
 
     Args:
-        found: the diagnosis.
         title: heading; a default if empty.
     """
     rows = found.ranking[::-1]
@@ -504,7 +499,6 @@ def plot_unexplained(found: DiagnosisResult, *, title: str = "") -> Figure | Non
     """Plot the unexplained residuals over the two columns they depend on, in the clearest direction; None for fewer columns.
 
     Args:
-        found: the diagnosis.
         title: heading; a default if empty.
     """
     left, scales, data = found.unexplained, scales_of(found), found.data
@@ -544,7 +538,6 @@ def draw(plot: Axes, panel: Panel, *, titled: bool = True) -> None:
     """Draw a panel on existing axes.
 
     Args:
-        plot: the axes.
         panel: what to draw.
         titled: whether its title is drawn too.
     """

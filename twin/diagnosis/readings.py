@@ -63,7 +63,6 @@ def from_repeats(
     """Return the noise along and across the beam estimated from repeats; None if they are too few.
 
     Args:
-        data: the measurements.
         view: their linearisation, with any isotropic whitening, which is undone here.
         read: (n, 3) whether a coordinate was measured.
         known: the candidate causes.
@@ -300,8 +299,6 @@ def readings(
     """Fit stations and targets, and determine the measurement noise and the outliers.
 
     Args:
-        data: the measurements.
-        machine: the machine.
         calibration: the model under test.
         instrument: instrument whose noise model is used; None to take the table's uncertainties, or to estimate from repeats. If
             repeats contradict either, they decide.

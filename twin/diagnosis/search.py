@@ -165,7 +165,6 @@ def excess_ratio_of(form: Form, values: np.ndarray, u: np.ndarray, gram: np.ndar
     """Return the ratio of `excess_ratio` for given values, in plausible sizes, with their standard uncertainties.
 
     Args:
-        form: the form.
         values: (w,) of its columns.
         u: (w,) standard uncertainties.
         gram: (w, w) inner products of its columns.

@@ -191,7 +191,6 @@ class Signatures:
 
     Args:
         view: linearisation at the points.
-        columns: the columns.
         parts: (n,) number of the part each point belongs to, from 0; a single part if None.
     """
 
@@ -469,7 +468,6 @@ class Signatures:
         """Return linear combinations (n, 3, r) of the signatures, from coefficients (columns, r).
 
         Args:
-            coefficients: the coefficients.
             points: numbers of the points, in ascending order; all if None.
         """
         width, runs = coefficients.shape[1], self._runs_of(points)[0]

@@ -88,7 +88,6 @@ def legend_below(figure: Figure, *, columns: int | None = None, size: float = 9.
     """Add the legend of a figure's first plot below all plots.
 
     Args:
-        figure: the figure.
         columns: number of columns; None for one row.
         size: font size.
     """
@@ -101,7 +100,6 @@ def polar_ticks(plot: PolarAxes, extent: float, domain: Sequence[float]) -> tupl
     """Set the radial range of a polar plot around its zero circle, and its angular range if less than a turn.
 
     Args:
-        plot: the plot.
         extent: largest absolute deviation.
         domain: ends of the angular range, degrees.
 
@@ -127,8 +125,6 @@ def save(figure: Figure, path: str | Path, *, dpi: int = 150) -> None:
     """Write a figure in the format of the file's suffix (png, pdf, svg).
 
     Args:
-        figure: the figure.
-        path: path of the file.
         dpi: dots per inch, for png.
     """
     figure.savefig(path, dpi=dpi)
@@ -213,7 +209,6 @@ def add_plain_axes(figure: Figure, place: tuple[float, float, float, float]) -> 
     """Return new axes of a figure, to be finished by `draw_plain_axes`.
 
     Args:
-        figure: the figure.
         place: left, bottom, width and height in shares of the figure.
     """
     plot = figure.add_axes(place, axes_class=_PlainAxes)

@@ -39,7 +39,6 @@ class Display:
     """Content of a display in a notebook.
 
     Attributes:
-        title: title.
         rows: names with their values, one per line; empty values are omitted.
         above: notes, tables and pictures above the rows.
         below: notes, tables and pictures below them.

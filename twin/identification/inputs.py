@@ -60,8 +60,6 @@ def prepare(machine: Machine, data: Measurements, instrument: Instrument | None)
     """Return the instruments, the rows whose command agrees with the readings, and the initial set-up.
 
     Args:
-        machine: the machine.
-        data: the measurements.
         instrument: the instrument of the stations whose instrument the table does not name; if None, the one that their readings
             indicate (`_instruments`).
 
@@ -360,7 +358,6 @@ def reading_noise(machine: Machine, placed: PreparedData, spread: Spread, *, nam
     to test its noise, and nothing names it, the assumption is stated.
 
     Args:
-        machine: the machine.
         placed: rows and instruments.
         spread: source that was asked for; with ``repeats`` they are taken in any case.
         named: whether the user named the instrument of the stations for which the table does not.

@@ -136,8 +136,6 @@ class Network:
     """Data, instrument and model of a least-squares problem.
 
     Args:
-        machine: the machine.
-        data: the measurements.
         instruments: those of its stations; their covariance is used where the table gives no uncertainties.
         unknowns: unknowns of the machine.
         base: errors that are known; none if None.

@@ -269,7 +269,6 @@ def plot_uncertainty(found: UncertaintyMap, horizontal: str, vertical: str, *, t
     """Plot U of the tool point over a plane of a grid (`ToolUncertainty.on_grid`), the other axes at the grid's middle position.
 
     Args:
-        found: the map.
         horizontal: name of the horizontal axis of the plot.
         vertical: name of the vertical axis of the plot.
         title: a heading.

@@ -154,7 +154,6 @@ class Identification(DisplayedResult):
         held_out: residuals at held-out poses; None if there are too few poses.
         discrepancy: residuals beyond the noise; it is in the weights and in the covariance.
         choice: number of functions of each curve, and prediction errors of the alternatives.
-        noise: noise of the readings.
         data: the rows used and the outliers.
         used: (n,) which rows were used.
         residual_mm: (n, 3) measured minus predicted, in each station's frame; NaN where nothing was read.

@@ -488,7 +488,6 @@ def misfit(
     Args:
         whitened: (n, 3) whitened residuals.
         read: (n, 3) which coordinates were read.
-        data: the measurements.
         determined: number of parameters determined by the readings.
         used: (n,) which points were used.
     """
@@ -518,7 +517,6 @@ class Repeats:
     """Repeated readings of one instrument, without outliers.
 
     Attributes:
-        instrument: the instrument.
         rows: (k,) its rows in the data.
         covariance: (k, 3, 3) of all its readings, from the repeats, m²: the instrument's model, pooled.
         dof: degrees of freedom of one coordinate.
@@ -548,7 +546,6 @@ def noise_text(instrument: Instrument, readings: np.ndarray, covariance: np.ndar
     """Return the median standard deviations of an instrument's readings in words.
 
     Args:
-        instrument: the instrument.
         readings: (k, 3) metres; NaN where nothing was read.
         covariance: (k, 3, 3) of them, m².
     """
@@ -570,8 +567,6 @@ def repeats_of(
     """Return the repeats of each instrument that has any.
 
     Args:
-        machine: the machine.
-        data: the measurements.
         instruments: those of their stations.
         stated: (n, 3, 3) stated covariance of the readings, m².
     """
@@ -625,7 +620,6 @@ def covariance_from_repeats(
     """Return (n, 3, 3) the covariance of the readings from repeats, m²: each instrument's model, pooled over all its points.
 
     Args:
-        data: the measurements.
         instruments: those of their stations.
         repeats: their repeats.
 

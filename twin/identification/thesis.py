@@ -383,8 +383,6 @@ def _linear(run: _AxisPoints, machine: Machine, turn: np.ndarray, origin: np.nda
     """Return (rounds, m, 6) the error motions of a linear axis.
 
     Args:
-        run: its points.
-        machine: the machine.
         turn: the base frame's axes in the station's frame.
         origin: the base frame's origin there, or None if only the table gives the places of the targets.
         source: for messages.

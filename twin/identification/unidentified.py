@@ -79,7 +79,6 @@ def determined_models(
     """Return the unknowns that the data determine at the nominal machine, one model for each family of bases.
 
     Args:
-        machine: the machine.
         placed: rows, instrument and set-up.
         wanted: whether an error of that name is to be estimated.
         covariance: (n, 3, 3) of the readings, m²; the stated one if None.
@@ -206,7 +205,6 @@ def constant_errors(
     """Return what a measurement determines of the constant errors of the axes that it moves, linearised at the nominal machine.
 
     Args:
-        machine: the machine.
         data: the positions, targets and stations, and which coordinates are read.
         instruments: those of the stations.
         setup: stations and targets; those that are known are not among the unknowns.
@@ -352,8 +350,6 @@ def unidentified(
     """Return the errors to be estimated that are not determined, and why.
 
     Args:
-        machine: the machine.
-        data: the measurements.
         model: the unknowns that they determine.
         wanted: whether an error of that name is to be estimated.
         setup: stations and targets.
@@ -492,7 +488,6 @@ class InstrumentShare:
 
     Attributes:
         instrument: its name.
-        stations: its stations.
         readings: number of coordinates or lengths that were used.
         rms_um: RMS of their residuals.
         reduced_chi2: mean square of their whitened residuals; about 1 if their stated uncertainty is right.

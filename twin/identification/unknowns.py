@@ -53,7 +53,6 @@ class Unknowns:
     """The unknowns of a machine, in a fixed order of columns.
 
     Args:
-        machine: the machine.
         curves: function spaces of its error motions.
         constants: names of squareness and locations.
         fixed_axes: axes next to a carrier on which all targets' places are known. Nothing else can compensate a constant or a
@@ -270,7 +269,6 @@ def spaces_for(
     """Return the largest function spaces that these positions can determine, and the constants of the axes that moved.
 
     Args:
-        machine: the machine.
         positions: (n, axes) commanded, mm and degrees.
         bases: family by axis name.
         most: largest number of functions of a curve.

@@ -129,8 +129,6 @@ def agreeing_rows(machine: Machine, data: Measurements, instruments: StationInst
     """Return the rows whose command agrees with the measured motion, and the set-up estimated with the nominal machine.
 
     Args:
-        machine: the machine.
-        data: the measurements.
         instruments: those of its stations.
 
     Raises:
@@ -240,7 +238,6 @@ def wrong_columns(machine: Machine, data: Measurements) -> list[ColumnChange]:
     """Return a change for each sign, order or unit of columns that seems to be wrong; empty if the data show none.
 
     Args:
-        machine: the machine.
         data: a table before it is checked: NaN, unknown sides and positions outside the ranges of their axes are allowed.
     """
     wrong_columns = [
@@ -334,8 +331,6 @@ def _one_change(
     """Return the changes that make the readings agree, the best first: commands swapped or of opposite sign, columns in another unit.
 
     Args:
-        machine: the machine.
-        data: the measurements.
         share: share of rows that do not agree.
         ratio: misfit over motion.
         instruments: those of its stations.

@@ -97,7 +97,6 @@ def refuse_contacts(header: Sequence[str], needed: Sequence[str], path: Path, li
     Args:
         header: names of its columns.
         needed: names of the columns that it must have.
-        path: the file.
         line: line of the header.
     """
     if not set(needed) <= set(header) and not {*CONTACT_COLUMNS}.isdisjoint(header):

@@ -201,7 +201,6 @@ def probe_table(
     """Return sphere centres in the form of the measurement table for a probe.
 
     Args:
-        machine: the machine.
         positions: (n, axes) positions at which the tip was at the centre.
         source: the file.
         lines: (n,) lines.

@@ -113,9 +113,6 @@ class CarriedTargets:
 class Observation:
     """Forward model of the reflectors on one machine.
 
-    Args:
-        machine: the machine.
-
     A place on the tool side is in the frame of the spindle nose (no tool length), on the work side in the work frame.
     """
 

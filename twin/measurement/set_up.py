@@ -215,8 +215,6 @@ def initial_setup(
     """Estimate the set-up with the nominal machine.
 
     Args:
-        machine: the machine.
-        data: the measurements.
         instruments: those of its stations. Stations that read lengths and others are estimated independently.
         mirrored: whether readings in a left-handed frame are accepted; they agree poorly.
 

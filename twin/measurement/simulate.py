@@ -281,7 +281,6 @@ def at_centres(
     """Return a plan with the positions of the linear axes at which the tips of probes are at the centres of their spheres.
 
     Args:
-        machine: the machine.
         calibration: its errors.
         plan: the plan; its linear positions are the initial values.
         setting: tips (the stations' origins) and spheres (the places).

@@ -247,7 +247,6 @@ class Measurements(DisplayedResult):
         """Read and check a measurement table.
 
         Args:
-            path: the file.
             machine: the machine that was measured.
             plan: whether the table is a plan: its coordinates are not read and their columns may be missing.
 
@@ -432,7 +431,6 @@ class Measurements(DisplayedResult):
         Simulated readings are rounded, and with them the positions of the linear axes, which are the readings of a probe (`printed`).
 
         Args:
-            machine: the machine.
             comment: comment lines that precede the table.
             planned: names of targets and stations whose places are planned, not known (`PLANNED`).
         """
@@ -550,7 +548,6 @@ def without_unusable_rows(table: Measurements, machine: Machine, unknown_cells: 
 
     Args:
         table: all rows.
-        machine: the machine.
         unknown_cells: cells of the unknown columns, one string per row; empty if there are no such columns.
 
     Raises:

@@ -64,7 +64,6 @@ class ColumnSpec:
 
     Attributes:
         column: name of the column in the table.
-        functions: kind of functions.
         order: highest order; None for a direction.
         range: range of the measured values; None if the functions need none.
     """
@@ -85,7 +84,6 @@ def empirical_named(
         along: frame whose axes the directions are.
         columns: one or two columns.
         numbers: coefficients, µm.
-        machine: the machine.
 
     Raises:
         InputError: the entry is inconsistent or does not fit the machine.
@@ -127,7 +125,6 @@ def acting_frame(side: str, along: Along, machine: Machine) -> tuple[Frame, Fram
     Args:
         side: ``tool`` or ``work``.
         along: ``base`` for the error frame nearest the base, which does not turn; else the last one before the targets of that side.
-        machine: the machine.
 
     Raises:
         InputError: no axis moves that side, or an axis nearer to the base turns both sides.
@@ -430,7 +427,6 @@ def effects_of(entries: Sequence[EffectEntry], machine: Machine, fail: Callable[
 
     Args:
         entries: entries of the file.
-        machine: the machine.
         fail: place in the file, what is wrong, what was expected, value and nearest valid name → the error.
 
     Raises:

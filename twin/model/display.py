@@ -58,7 +58,6 @@ def combined_uncertainty(
     """Return the standard uncertainty (k = 1) of the sum of some effects in one error component.
 
     Args:
-        effects: the effects.
         covariance: covariance of the calibration's parameters.
         state: positions and channels by name.
         component: index of the component, 0 to 5.
@@ -83,7 +82,6 @@ def about_rows(
 
     Args:
         source: origin in words.
-        path: its file.
         control: its section on the machine's control.
         drawn: names of illustrative errors.
         unknown: names of errors of unknown uncertainty.
@@ -106,7 +104,6 @@ def errors_html(
     """Return tables of all errors of a machine.
 
     Args:
-        machine: the machine.
         effects: its errors.
         covariance: covariance of their parameters.
         drawn: names of illustrative errors.

@@ -28,7 +28,6 @@ def iso_class(name: str, machine: Machine) -> str:
 
     Args:
         name: ISO 230-1 name, or ``control``, which is returned unchanged.
-        machine: the machine.
     """
     if name == CONTROL:
         return CONTROL
@@ -53,7 +52,6 @@ def error_motion_of(effect: Effect, machine: Machine) -> str:
 
     Args:
         effect: the effect; if it acts along several directions of its frame, the largest component counts.
-        machine: the machine.
     """
     if effect.name.startswith("E_"):
         return effect.name

@@ -37,7 +37,6 @@ def not_measured(
     """Return all errors of a machine that a method does not measure.
 
     Args:
-        machine: the machine.
         measured: names of the errors that it measures.
         moved: names of the axes that moved.
         why: the reason for the other errors of these axes.
@@ -92,8 +91,6 @@ class ErrorTerms:
     """Errors of the effects of a model as expressions, built once for all models that have some of these effects.
 
     Args:
-        machine: the machine.
-        effects: the effects.
         constant: numbers, by channel.
         varying: names of channels that are symbols.
 

@@ -313,7 +313,6 @@ class WatchedError:
     """An error over the checks.
 
     Attributes:
-        series: the series.
         verdict: ``steady``, ``changed`` (whatever a temperature did), ``follows temperature`` or ``undecided``.
         log_evidence: (n,) of a change after each check, temperatures ignored.
         log_evidence_apart: (n,) the same, whatever one of the temperatures explains; NaN without temperatures.

@@ -342,7 +342,6 @@ def deviations(machine: Machine, by_name: Mapping[str, float], covariance: np.nd
     """Return deviations of constant errors as a calibration.
 
     Args:
-        machine: the machine.
         by_name: deviations, µm, µrad and µm/m of a scale.
         covariance: (k, k) in that order.
     """

@@ -119,7 +119,6 @@ class Changes(DisplayedResult):
     """The changes between two calibrations of one machine.
 
     Attributes:
-        machine: the machine.
         first, second: names of the two (their files).
         errors: change of each error that both contain, tested by itself.
         not_compared: errors that could not be compared, with the reason.

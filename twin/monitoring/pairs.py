@@ -149,7 +149,6 @@ class NotCompared:
     """One error that could not be compared.
 
     Attributes:
-        name: its name.
         given_by: ``first`` or ``second`` if only one contains it, else ``both``.
         why: the reason, in words.
         peak: its largest absolute value; NaN if both contain it.

@@ -113,7 +113,6 @@ class ToolChange:
     """The change at the tool.
 
     Attributes:
-        tool_length_mm: tool length.
         poses: number of poses.
         everything: all errors of both calibrations, including those that only one contains, before aligning.
         everything_aligned: the same after aligning the workpiece.

@@ -100,11 +100,7 @@ def line_ends(text: np.ndarray, data: bytes) -> np.ndarray:
 
 @final
 class Lines(Sequence[str]):
-    """The lines of some bytes, as `lines_in`, each decoded when it is asked for.
-
-    Args:
-        data: the bytes.
-    """
+    """The lines of some bytes, as `lines_in`, each decoded when it is asked for."""
 
     def __init__(self, data: bytes) -> None:
         self._data = data
@@ -191,7 +187,6 @@ class Origin:
     """Origin of a line of a program whose subprograms are written out.
 
     Attributes:
-        file: its file.
         line: its number there.
         main: the number in the main program, of the line itself or of the call that leads to it.
     """

@@ -85,7 +85,6 @@ def carried(program: Program, words_of: Callable[[str], LineWords]) -> Technolog
     it on.
 
     Args:
-        program: the program.
         words_of: what a line says.
 
     Raises:
@@ -174,8 +173,6 @@ class Dialect(ABC):
         """Interpret a program.
 
         Args:
-            program: the program.
-            axes: axis words.
             tcp: whether tool centre point control is on from the start.
 
         Raises:
@@ -290,7 +287,6 @@ class NewProgram(ABC):
     """A program in axis words, written from its beginning.
 
     Args:
-        axes: axis words.
         style: number format.
 
     Attributes:

@@ -95,7 +95,6 @@ class Interpreter(ABC):
 
     Args:
         source: file name for messages.
-        axes: axis words.
         tcp: whether tool centre point control is on from the start.
         tcp_on, tcp_off: words that switch it, including those of the machine.
 
@@ -251,7 +250,6 @@ class Interpreter(ABC):
         """Mark axis positions as unknown after a block.
 
         Args:
-            block: the block.
             which: the axes.
             moved: True: the block moves them; False: it may; None: it does not, or moves them to a known place.
         """
@@ -317,8 +315,6 @@ class Interpreter(ABC):
         an incremental word moves by the difference, too. A switch of tool centre point control is another matter (`switch`).
 
         Args:
-            block: the block.
-            tool: the tool.
             length: the tool whose length is in force.
             along: the linear axis along the tool, the third one if None.
         """
@@ -467,7 +463,6 @@ class Interpreter(ABC):
         """Return the machine coordinates a block names; their place in program coordinates is unknown.
 
         Args:
-            block: the block.
             elsewhere: whether they count from a point of the machine's builder, which is not known.
         """
         position = [math.nan] * len(self.names)

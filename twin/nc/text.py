@@ -337,7 +337,6 @@ def insert_comments(
     """Return the text with comments inserted before one of its first lines.
 
     Args:
-        text: the text.
         lines: its first lines.
         at: index of the line.
         comments: texts of the comments.

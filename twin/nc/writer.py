@@ -279,7 +279,6 @@ class WordWriter(ABC, Generic[B]):
 
     Args:
         source: file name for messages.
-        axes: axis words.
         newline: line ending of the program.
         style: its number format.
 

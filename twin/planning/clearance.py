@@ -85,7 +85,6 @@ class Sight:
     """Visibility between the stations and reflectors of one machine.
 
     Args:
-        machine: the machine.
         kit: stations and targets.
 
     Raises:
@@ -258,7 +257,6 @@ class Clearance:
     """Clearance check for one machine.
 
     Args:
-        machine: the machine.
         kit: its reflectors belong to the sides that carry them.
         bodies: further bodies.
         margin_mm: minimum distance.
@@ -411,7 +409,6 @@ def candidates(machine: Machine, kit: Kit, rng: np.random.Generator, levels: int
     """Return every possible reading, one row each; the direction of approach of each axis is drawn per pose.
 
     Args:
-        machine: the machine.
         kit: instruments, stations and targets.
         rng: random generator for poses and directions of approach.
         levels: number of positions of each axis, equally spaced over its range (`Task.levels`); None: any multiple of `ROUNDED_TO`.
@@ -484,7 +481,6 @@ def plan_table(
     """Return a plan as a measurement table without coordinates, with the kit's stations and target positions.
 
     Args:
-        machine: the machine.
         kit: instruments, stations and targets.
         positions: (n, axes) mm and degrees.
         target: n names.

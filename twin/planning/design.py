@@ -53,8 +53,6 @@ class DesignProblem:
     """Design problem of one instrument: candidate readings and criterion.
 
     Attributes:
-        instrument: the instrument.
-        candidates: the candidate readings.
         prior: (f, f) prior precision of the unknowns' coordinates.
         rows: (n, 3, f) derivatives of the whitened readings.
         aim: the criterion to minimise.

@@ -370,9 +370,7 @@ class PlanModel:
     """Unknowns of a planned measurement and their prior.
 
     Attributes:
-        machine: the machine.
         plan: the readings.
-        instrument: the instrument.
         unknowns: unknowns of the machine.
         setting, setup: stations and targets as planned.
         plausible: (p,) plausible size of every unknown; the coordinates used here are in these units.
@@ -408,10 +406,8 @@ class PlanModel:
         A curve has no constant if the readings cannot separate it from a station or a location error.
 
         Args:
-            machine: the machine.
             plan: all readings in question; axes it does not move have no unknowns.
             setting: poses of stations and positions of targets.
-            instrument: the instrument.
             expected: expected size of the errors; curves it does not have get `EXPECTED_UM`.
             known: names of the stations and targets that an evaluation treats as exactly known.
         """

@@ -46,7 +46,6 @@ class SequencePlan(Result):
 
     Attributes:
         task: machine, instrument, parts and sizes.
-        sequence: the sequence.
         table: the plan, with the nominal places of the parts.
         dropped: number of points that are out of reach, by reason.
         expected: what it determines of the constant errors.

@@ -115,7 +115,6 @@ class Plan(DisplayedResult):
     Attributes:
         machine, kit: the machine and the equipment.
         aim: the uncertainty that is minimised.
-        instrument: the instrument.
         stations: names of the stations in order.
         route: the readings in order, with times.
         forecast: predicted uncertainty of every error; None for a plan that separates two causes.

@@ -41,7 +41,6 @@ def plot_places(table: Measurements, machine: Machine, *, title: str = "") -> Fi
 
     Args:
         table: a plan with the poses of its stations and the positions of its targets.
-        machine: the machine.
         title: heading of the figure.
 
     Raises:

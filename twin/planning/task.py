@@ -46,7 +46,6 @@ class Task:
     """Task of a plan.
 
     Attributes:
-        machine: the machine.
         kit: instruments, stations, reflectors and times.
         minutes: time budget, including set-up.
         expected: expected size of the errors, for the prior.
@@ -125,7 +124,6 @@ def levels_for(machine: Machine, readings: int, numbers: int, expected: Calibrat
     uncertainty would include the part left out.
 
     Args:
-        machine: the machine.
         readings: number of readings.
         numbers: coordinates per reading.
         expected: expected errors of the machine.

@@ -149,7 +149,6 @@ def advise(
     """Return the summary of a report in words.
 
     Args:
-        calibration: the calibration.
         found: the error budget.
         outcome: errors before and after compensation.
         identified: result of the identification, or None.

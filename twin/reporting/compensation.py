@@ -313,8 +313,6 @@ def compare_points(data: Measurements, machine: Machine, calibration: Calibratio
     """Fit the set-up to measured points with a fixed calibration and return the residuals.
 
     Args:
-        data: the measurements.
-        machine: the machine.
         calibration: the calibration, not changed.
         path: file of the data.
 

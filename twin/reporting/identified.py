@@ -107,7 +107,6 @@ class Identified:
     """Result of an identification, compared with a calibration.
 
     Attributes:
-        path: the file.
         file: its content.
         others: errors whose numbers differ from the calibration, because it is another one or was extended since.
     """

@@ -50,7 +50,6 @@ class Source:
 
     Attributes:
         role: kind of file, in words.
-        path: its path.
         sha256: SHA-256 digest of its bytes, in hexadecimal.
     """
 
@@ -65,7 +64,6 @@ class Sources:
     """Files, programs and seeds from which a report was made.
 
     Attributes:
-        files: the source files.
         programs: version of every program, by name.
         seeds: random seeds, by their use.
         made: date and time.
@@ -209,7 +207,6 @@ class MachineReport(Result):
     """Content of the report of a machine.
 
     Attributes:
-        machine: the machine.
         calibration: in the datum of mean lines, if it can be converted.
         datum: sentence that names the datum of the numbers.
         kinematics: with the errors that can be evaluated under the conditions.
@@ -349,7 +346,6 @@ def machine_report(  # noqa: PLR0913
     """Compute the report of a machine.
 
     Args:
-        machine: the machine.
         calibration: its errors.
         made: date and time of the report.
         tool_length_mm: None for the machine file's own.

@@ -106,7 +106,6 @@ class Wording:
     """Texts of one language.
 
     Attributes:
-        language: the language.
         texts: text by key; names in braces are filled in.
     """
 
@@ -203,7 +202,6 @@ class Translator:
     """Translation into one language.
 
     Attributes:
-        language: the language.
         patterns: the sentences, the most specific first.
         same: words that are the same in both languages.
         missing: sentences without translation met so far.

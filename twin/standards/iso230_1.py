@@ -42,7 +42,6 @@ def finite_array(name: str, values: ArrayLike, *dimensions: int) -> np.ndarray:
 
     Args:
         name: name of the values, for the message.
-        values: the values.
         dimensions: numbers of dimensions that are allowed.
 
     Raises:

@@ -42,7 +42,6 @@ def linear_positioning(run: MeasuredRun, machine: Machine, u_mm: np.ndarray) -> 
 
     Args:
         run: a run of the axis.
-        machine: the machine.
         u_mm: (n, 3) standard uncertainties of its readings.
 
     Raises:
@@ -65,7 +64,6 @@ def positioning(
 
     Args:
         run: a run of the axis.
-        machine: the machine.
         deviation: (n,) actual minus target, µm or µrad.
         u: standard uncertainty of one deviation; NaN if unknown.
         remarks: to be added to those of the evaluation.
@@ -181,7 +179,6 @@ def straightness_tests(
 
     Args:
         run: a run of the axis.
-        machine: the machine.
         frame: orientation of the station.
         u_mm: (n, 3) standard uncertainties of its readings.
 
@@ -219,7 +216,6 @@ def squareness_tests(found: Sequence[tuple[MeasuredRun, Straightness]], machine:
 
     Args:
         found: straightnesses with their runs.
-        machine: the machine.
     """
     for name, (first, second, _) in PAIRS.items():
         done: set[tuple[str, str]] = set()
@@ -263,7 +259,6 @@ def angular_tests(run: MeasuredRun, machine: Machine, u_mm: np.ndarray) -> Itera
 
     Args:
         run: a run of one axis, with angles.
-        machine: the machine.
         u_mm: (n, 3) standard uncertainties of its readings, mm at 1 m.
 
     Raises:

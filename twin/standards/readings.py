@@ -355,7 +355,6 @@ def relative_direction(run: MeasuredRun, machine: Machine) -> np.ndarray:
 
     Args:
         run: a run of one linear axis.
-        machine: the machine.
     """
     axis = machine.axes[run.axes[0]]
     target, station = carried_sides(run, axis)
@@ -372,7 +371,6 @@ def station_frame(runs: Sequence[MeasuredRun], machine: Machine) -> StationFrame
 
     Args:
         runs: its runs of one linear axis, of which those with three coordinates are used.
-        machine: the machine.
     """
     pairs = [
         (measured_direction(run), relative_direction(run, machine))
@@ -408,7 +406,6 @@ def along_axis_mm(run: MeasuredRun, axis: Axis, u_mm: np.ndarray) -> tuple[np.nd
 
     Args:
         run: a run of one linear axis.
-        axis: the axis.
         u_mm: (n, 3) standard uncertainties of the readings.
 
     Raises:
@@ -441,7 +438,6 @@ def across_axis_um(run: MeasuredRun, frame: StationFrame, machine: Machine) -> d
     Args:
         run: a run of one linear axis.
         frame: orientation of its station.
-        machine: the machine.
 
     Raises:
         NotPossible: the frame's orientation is unknown, or the axis is not parallel to an axis of the machine frame.

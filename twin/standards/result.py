@@ -120,7 +120,6 @@ class StandardTest:
         standard: standard and clause.
         axes: names of the axes that moved.
         place: positions of the other axes, and target and station, in words.
-        values: the values of the standard.
         remarks: requirements of the standard that are not met, assumptions, and what is not verified.
         detail: the complete result of the evaluation; for a kinematic test the (n, 3) deviations in µm.
     """

@@ -36,7 +36,6 @@ def kinematic_test(run: MeasuredRun, machine: Machine, u_mm: np.ndarray) -> Stan
 
     Args:
         run: a run in which linear and rotary axes move.
-        machine: the machine.
         u_mm: (n, 3) standard uncertainties of its readings.
 
     Raises:
@@ -121,7 +120,6 @@ class Circle:
     """Circle of a target about a rotary axis.
 
     Attributes:
-        radius_mm: its radius.
         radial_mm: (n,) distance from the axis.
         axial_mm: (n,) distance from the plane of the circle, positive on the side from which the angle rises anticlockwise.
         angle_deg: (n,) angle about the axis, rising with the commanded angle.
@@ -138,7 +136,6 @@ def rotary_tests(run: MeasuredRun, machine: Machine, u_mm: np.ndarray) -> Iterat
 
     Args:
         run: a run of the axis.
-        machine: the machine.
         u_mm: (n, 3) standard uncertainties of its readings.
 
     Raises:
@@ -252,7 +249,6 @@ def circle_test(run: MeasuredRun, machine: Machine, u_mm: np.ndarray) -> Standar
 
     Args:
         run: a run of two linear axes on a circle.
-        machine: the machine.
         u_mm: (n, 3) standard uncertainties of its readings.
 
     Raises:

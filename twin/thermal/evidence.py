@@ -159,7 +159,6 @@ def features(
 
     Args:
         record: the rows.
-        terms: the terms.
         inputs: what they are relative to.
         states: state of every lag at the first row; steady state if None.
     """

@@ -57,7 +57,6 @@ def named_terms(
         candidates: all candidates.
         x: candidates over the fitted rows (n, candidates).
         draws: the models drawn for its group.
-        average: its average.
         factor: factor of the standard uncertainties, from held-out data.
     """
     families: dict[tuple[str, str], list[int]] = {}

@@ -100,7 +100,6 @@ def thermal_html(model: ThermalModel, shown: Sequence[tuple[ThermalRecord, Therm
     """Return one self-contained HTML page.
 
     Args:
-        model: the model.
         shown: records with their predictions, drawn one after the other.
     """
     listed = sum(len(displacement.listed) for displacement in model.displacements)

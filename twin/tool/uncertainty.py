@@ -55,7 +55,6 @@ class BudgetRow:
 
     Attributes:
         name: ISO 230-1 name, or ISO/TR 16907 class.
-        iso_class: its class.
         unit: ``um`` or ``urad``; empty for a class.
         peak: largest absolute value over its domain; NaN for a class.
         peak_u: largest standard uncertainty (k = 1) over its domain, in ``unit``; NaN for a class, and if unknown.
@@ -184,7 +183,6 @@ def error_budget(
     A reversal counts as ± half its size, as directions of approach are random.
 
     Args:
-        machine: the machine.
         calibration: its errors, without effects whose channel the conditions do not give (`without_missing_channels`).
         tool_length_mm: tool length; None: that of the machine file.
         conditions: temperatures and time.

@@ -251,7 +251,6 @@ def setup(
     """Return the work offsets, the work origin and the tools of a program.
 
     Args:
-        machine: the machine.
         offset: words ``AXIS=value`` of one work offset.
         origin: text of the work origin.
         offsets: table of work offsets.

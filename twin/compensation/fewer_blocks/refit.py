@@ -196,7 +196,6 @@ class Refit(Result):
 
     Attributes:
         text: the program, to be written as latin-1.
-        report: its report.
     """
 
     text: str
@@ -213,7 +212,6 @@ class Refitter:
     """Refits programs on one machine with one calibration.
 
     Args:
-        machine: the machine.
         calibration: its errors.
         options: as in `twin.compensation.Options`; ``tolerance_mm`` is the whole tolerance.
         compensated: whether the output is compensated; otherwise it is for the machine without errors.

@@ -33,7 +33,6 @@ class UncertaintyContribution:
     """One contribution to an uncertainty budget.
 
     Attributes:
-        name: its name.
         standard_um: standard uncertainty (k = 1), µm; NaN if unknown.
         how: origin of the number.
     """

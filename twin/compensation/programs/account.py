@@ -276,7 +276,6 @@ class CompensationAccount:
         """Simulate points with nominal and with written commands, and add the deviations to the tallies.
 
         Args:
-            points: the points.
             pieces: the stretch they belong to.
             lines: (motions,) line number of each motion.
             first: number of the stretch's first motion within the program.

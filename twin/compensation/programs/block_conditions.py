@@ -215,7 +215,6 @@ class _Course:
         said: its feeds and speeds.
         columns: its motions.
         times: when they begin and end.
-        conditions: the conditions.
         required: channels that the effects need.
 
     Attributes:

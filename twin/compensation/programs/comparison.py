@@ -167,7 +167,6 @@ class PoseComparison:
         """Return the totals of `QUANTITIES` with nominal and with written commands, where the poses of both are known.
 
         Args:
-            nominal: nominal commands.
             written: as many written ones.
             before: (lines, axes) approach directions with nominal commands.
             after: the same with written commands.

@@ -170,7 +170,6 @@ def execute(
     """Execute a program as its control would: straight lines in words between blocks, also for rapids.
 
     Args:
-        program: the program.
         path: its motions (`twin.compensation.programs.follow`).
         space: conversion from words to commands on the machine without errors.
         real: the machine with errors, the same tool length, and the temperatures and time its effects need.

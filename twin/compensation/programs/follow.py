@@ -110,7 +110,6 @@ class Follower:
         """Return the motions of the next moves; consecutive plain ones are converted together.
 
         Args:
-            moves: the moves.
             left: lines among them that leave axes at unknown positions.
             text_of: function that returns the text of a line.
 
@@ -353,7 +352,6 @@ class FrameSpaces:
         """Return the conversion of words in a frame; the same object for equal work offsets and tool lengths.
 
         Args:
-            frame: the frame.
             source: name of the program, for messages.
             line: line of its first move in this frame.
             standing_deg: (rotary axes,) commands of the rotary axes before it.
@@ -440,7 +438,6 @@ class Section:
 
     Attributes:
         line: 0-based index of the first line.
-        frame: the frame.
         space: conversion of its words, with its work offset and tool.
         from_tables: whether a table of work offsets or tools is known.
         assumed_offset: name of the work offset in force before the program selects one; empty without a table of them.
@@ -541,7 +538,6 @@ def replace_first(path: ToolPath, before: WordSpace, space: WordSpace) -> ToolPa
     """Return a path whose first motion has no length: it stays on its end point, in words of another conversion.
 
     Args:
-        path: the path.
         before: conversion of its first motion.
         space: conversion of the other motions.
     """

@@ -69,9 +69,7 @@ class PreparedMachine:
     """One machine with one calibration and the options of a compensation, ready for any program.
 
     Args:
-        machine: the machine.
         calibration: its errors.
-        options: the options.
         space: conversion between words and commands; that of the options if None.
 
     Attributes:

@@ -50,9 +50,6 @@ PART_LINES: Final = 24_576
 class ProgramFile:
     """File of a program.
 
-    Args:
-        path: its path.
-
     Attributes:
         size: bytes.
         lines: approximate number of lines.
@@ -140,7 +137,6 @@ class PartReader:
 
     Args:
         prepared: machine, calibration and options.
-        source: the program.
         turns: whether it moves rotary axes; None to decide from its first motions.
 
     Attributes:

@@ -145,7 +145,6 @@ class FrameUse:
         offset: name of the work offset; empty if there is no table of them.
         assumed: whether the program has not selected it.
         tool: number or name of the tool; empty if the program has called none.
-        tool_length_mm: its length.
         work_offset: what is added to the words of each axis, mm and degrees; the tool length is included where the control adds it.
         work_origin_mm: the program's zero in the work frame, for tool-tip coordinates.
         tilted_deg: positions of the rotary axes in a tilted plane; empty if there is none.
@@ -182,7 +181,6 @@ def frame_uses(sections: Sequence[Section], numbers: np.ndarray) -> tuple[FrameU
     """Return the work offsets and tools of a program's sections; empty if the program has no tables of them.
 
     Args:
-        sections: the sections.
         numbers: (lines,) number of every line.
     """
     return tuple(
@@ -328,7 +326,6 @@ class Sample:
 
         Args:
             first: number of the first motion within the program.
-            points: the points.
             known: which of some points, each a line of its own, count.
         """
         # By motion, of which every one has many points.

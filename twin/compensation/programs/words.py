@@ -140,7 +140,6 @@ class WordSpace:
     """Conversion between words and commands, for one machine, tool length and set-up.
 
     Args:
-        machine: the machine.
         setup: work offsets and origin.
         tool_length_mm: tool length; None for the machine file's own.
         tilt: the tilted plane of the words; None if they are parallel to the linear axes.

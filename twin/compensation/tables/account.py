@@ -37,7 +37,6 @@ class Account:
     """Compensation tables, the error that remains with them, and the steps to load them.
 
     Attributes:
-        made: the tables.
         remains: error at the tool without and with the tables.
         carried: every error of the calibration and whether the tables correct it.
         missing: effects not included because a temperature or the time is not given, by channel.
@@ -265,7 +264,6 @@ def account_of(
     """Return the account of the tables; the remaining error is computed from the files as read back.
 
     Args:
-        made: the tables.
         errors: the calibration they were made from.
         known: the same without effects whose channel is not given.
         missing: the effects left out, by channel.
@@ -294,7 +292,6 @@ def write_folder(
     """Write the folder, created if necessary: the control's files first, the calibration that refers to them last.
 
     Args:
-        made: the tables.
         errors: the calibration they were made from.
         known: the same without effects whose channel is not given.
         missing: the effects left out, by channel.

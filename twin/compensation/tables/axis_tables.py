@@ -137,8 +137,6 @@ class ConstantKinematics:
     """Kinematics of a control, as a file and as read back from it.
 
     Attributes:
-        form: the format.
-        machine: the machine.
         text: text of the file.
         geometry: the geometry read back.
         displaced_rms_um, displaced_max_um: displacement of the functional point by the location errors over the volume.

@@ -112,7 +112,6 @@ class RequiredCorrections:
     """Corrections that a calibration requires.
 
     Args:
-        machine: the machine.
         calibration: its errors, without effects whose channel the conditions do not give; corrections by the control are disregarded.
         at: positions of the other axes while one moves, mm or degrees by axis; by default linear axes in the middle of their ranges,
             rotary axes as near to zero as they can be.
@@ -461,7 +460,6 @@ class ProofOfTables:
     """Comparison of the corrections of tables with their uncertainty.
 
     Args:
-        required: the required corrections.
         keep_all: whether unproven tables are kept.
 
     Attributes:
@@ -542,7 +540,6 @@ class Design(ABC, Generic[C]):
         """Return which share of one error the tables correct, and the reason if it is not the whole.
 
         Args:
-            required: the required corrections.
             effect: the error.
             others: axes it depends on, except its own.
             request: the format, and whether two tables are multiplied.

@@ -140,7 +140,6 @@ def compare_tables(
     """Read tables and compare them with a calibration.
 
     Args:
-        machine: the machine.
         calibration: its errors, without effects whose channel is not given.
         kind: a format of `twin.controls`.
         files: files of the control.

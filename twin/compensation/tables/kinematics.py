@@ -166,8 +166,6 @@ class ReadKinematics:
     Attributes:
         kind: name of the format.
         file: the file that was read.
-        geometry: its geometry.
-        calibration: the calibration.
         differs_rms_um, differs_max_um: difference at the functional point over the volume.
     """
 

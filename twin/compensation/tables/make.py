@@ -334,7 +334,6 @@ def make(
     """Make the tables and read them back.
 
     Args:
-        machine: the machine.
         calibration: its errors; corrections that its control applies are disregarded.
         request: format and settings.
         required: the required corrections, if known from another format with the same settings.

@@ -233,7 +233,6 @@ def corrected_shares(
     """Return every error of the calibration with the share of it that the tables correct.
 
     Args:
-        required: the required corrections.
         request: the format, classes, and whether two tables are multiplied.
         design: the class that computes the format's tables.
         unproven: tables that are not shown to be an improvement.

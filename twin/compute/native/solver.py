@@ -60,7 +60,6 @@ class InverseProblem:
     """A machine with errors, reduced to the data of its inverse; metres and radians unless stated otherwise.
 
     Attributes:
-        functions: functions of a step.
         axes: number of axes.
         rotary: indices of the rotary axes that may move; if there are none, no pose may be `Batch.loose`.
         sides: number of further inputs: directions of approach, and channels that differ from pose to pose.

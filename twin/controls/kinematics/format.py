@@ -255,7 +255,6 @@ class KinematicsFormat(ABC):
 
         Args:
             values: the parameters, as `nominal`.
-            machine: the machine.
             notes: texts for comments.
         """
 

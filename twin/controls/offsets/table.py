@@ -24,7 +24,6 @@ class OffsetTable(Result):
     """Work offsets of a machine.
 
     Attributes:
-        path: its file.
         rows: by name (``G54``, ``G54.1 P3``, ``G505``, the number of a preset): offset by axis, mm and degrees.
     """
 
@@ -42,7 +41,6 @@ class OffsetTable(Result):
         Args:
             name: its name; empty if the program has selected none: the one that is `assumed`.
             source: the program, for the message.
-            line: its line.
 
         Raises:
             InputError: there is no such offset.
@@ -71,7 +69,6 @@ class ToolTable(Result):
     """Tool lengths of a machine.
 
     Attributes:
-        path: its file.
         lengths_mm: by number and by name: length from the spindle nose to the tool tip; of a further edge as ``5 D2``.
     """
 
@@ -84,7 +81,6 @@ class ToolTable(Result):
         Args:
             name: its number or name.
             source: the program, for the message.
-            line: its line.
 
         Raises:
             InputError: there is no such tool.

@@ -142,7 +142,6 @@ def effect_columns(effect: Effect, machine: Machine, state: Mapping[str, Any]) -
 
     Args:
         effect: the effect, linearised at its parameters' values.
-        machine: the machine.
         state: positions and channels of all points.
     """
     return _of_shapes([effect], machine, state, effect.derivatives)
@@ -507,8 +506,6 @@ class CandidateInputs:
     """Inputs that candidates are generated from.
 
     Attributes:
-        machine: the machine.
-        data: the measurements.
         calibration: the model under test.
     """
 

@@ -53,8 +53,6 @@ def catalogue(
     """Return every effect of contract §5 that the machine, the columns of the data and the instruments allow.
 
     Args:
-        machine: the machine.
-        data: the measurements.
         calibration: the model under test; the curve of a rotary axis is a candidate only where it is a polynomial.
         instruments: those of the stations; errors that none of them can have are left out. None: not known.
     """

@@ -122,7 +122,6 @@ def variant_at(candidate: Candidate, fixed: Mapping[str, float], machine: Machin
     Args:
         candidate: the candidate; it has ``units`` or ``drift``.
         fixed: values of the non-linear parameters, by name.
-        machine: the machine.
         state: positions and channels of all readings.
     """
     if candidate.drift is not None:
@@ -267,7 +266,6 @@ def _domain_and_degree(axis: Axis, known: Curve | None, curve: Curve | None) -> 
     """Return the domain and largest degree of the correction of a curve; None if it cannot be corrected.
 
     Args:
-        axis: the axis.
         known: the calibration's curve; None if there is none.
         curve: the same in powers; None if it is not a polynomial.
     """

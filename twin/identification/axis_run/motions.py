@@ -240,7 +240,6 @@ def axis_curves(
 
     Args:
         motions: as measured.
-        machine: the machine.
         source: origin of the values, in words.
         wanted: whether a curve of that name is to be fitted.
 

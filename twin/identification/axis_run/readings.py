@@ -97,14 +97,12 @@ class AxisLayout:
 
     Attributes:
         name: its name in the file.
-        axis: the axis.
         beams: the nominal layout.
         reference_mm: commanded position at which the counters were set to zero.
         place: (3,) the carriage's point, from the origin of the axis's error frame.
         halved: whether a reading is half the change of path.
         noise: standard uncertainty of a change of path.
         installation_u: (p,) standard uncertainties in the order of `MultiAxis.installation`.
-        path: the file.
     """
 
     name: str
@@ -266,7 +264,6 @@ def load_readings(path: str | Path, layout: AxisLayout) -> BeamReadings:
     """Read and check a table of readings.
 
     Args:
-        path: the file.
         layout: layout of the interferometer.
 
     Raises:
@@ -348,7 +345,6 @@ def carriage_poses(
 
     Args:
         layout: layout in whose coordinates they are.
-        machine: the machine.
         calibration: its errors.
         positions_mm: (n,) commanded.
         approach: (n,) +1, −1, 0 of that axis; unknown if None. The reference position has none.
@@ -394,7 +390,6 @@ def simulate_run(  # noqa: PLR0913
 
     Args:
         layout: nominal, with its standard uncertainties.
-        machine: the machine.
         calibration: its errors.
         positions_mm: (n,) commanded.
         rng: random generator for the noise and the installation.

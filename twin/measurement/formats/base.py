@@ -79,7 +79,6 @@ class Given:
         """Return (axes,) the given positions; zero for axes that the file itself gives.
 
         Args:
-            machine: the machine.
             known: names of the axes that the file gives.
 
         Raises:
@@ -149,7 +148,6 @@ class MeasuredFormat(ABC):
         """Return the measurement table of one file.
 
         Args:
-            path: the file.
             machine: the machine that was measured.
             given: what the file does not say.
             round_name: name of the round, where the file has none.
@@ -188,7 +186,6 @@ def reduced(
     Args:
         rows: the contacts, in the order in which they were made.
         path: their file.
-        machine: the machine.
         given: offsets, positions of axes that the file does not contain, radii and noise.
         simulated: whether the contacts were simulated.
 

@@ -37,7 +37,6 @@ def load_export(
 
     Args:
         path: the file; mm, no header.
-        machine: the machine.
         positions: (p, axes) commanded positions of the lines of every block, mm and degrees.
         targets: names of the targets in the order of the blocks.
         carrier: the side on which they sit.

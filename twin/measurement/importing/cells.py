@@ -57,7 +57,6 @@ class RawTable:
     """Cells of a file as text, without any interpretation.
 
     Attributes:
-        path: the file.
         digest: SHA-256 of the file, hexadecimal.
         size: its size, bytes.
         rows: rows with their 1-based lines, cells without surrounding blanks; empty rows are left out.
@@ -87,7 +86,6 @@ def read_cells(path: Path, *, sheet: str | None = None, encoding: str = "", deli
     """Return the cells of a text file or of one sheet of an Excel workbook.
 
     Args:
-        path: the file.
         sheet: sheet of a workbook; None for the only one that is not empty.
         encoding: encoding of a text file; empty to find it from the content.
         delimiter: name of the delimiter (`DELIMITERS`); empty to find it from the content.
@@ -363,7 +361,6 @@ class DecimalSign(NamedTuple):
     """Decimal sign of a file.
 
     Attributes:
-        sign: the sign.
         ambiguous: a cell with a sign that could be a decimal sign or a sign of thousands; empty if there is none.
         contrary: a cell that is clear and has the other sign; empty otherwise.
     """

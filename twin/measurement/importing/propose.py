@@ -46,7 +46,6 @@ class Proposal:
 
     Attributes:
         layout: the file.
-        machine: the machine.
         plan: the plan that gives positions, or None.
         entries: origin of each column of the measurement table.
         assumptions: what was assumed, one sentence each.
@@ -124,7 +123,6 @@ class Applied:
 
     Attributes:
         layout: the file.
-        mapping: the mapping.
     """
 
     layout: Layout

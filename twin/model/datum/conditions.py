@@ -48,7 +48,6 @@ class Numbers:
     """The numbers of a calibration that depend on the datum.
 
     Attributes:
-        machine: the machine.
         curves: error motions by name.
         squareness: µrad by name.
         location: µm and µrad by name.
@@ -73,7 +72,6 @@ class DatumLink:
     """One axis between its two gaps.
 
     Attributes:
-        axis: the axis.
         before, after: indices of the gaps; None if nothing can be inserted.
         rotation, translation_m: nominal pose of the axis's error frame at position zero in the frame of the gap before.
         last: whether the axis is next to the tool or to the workpiece.

@@ -305,7 +305,6 @@ class _Gauge:
 
     Args:
         numbers: numbers of the calibration.
-        datum: the datum.
         names: errors that may change; all if None.
     """
 

@@ -112,7 +112,6 @@ class AlongAxis(Effect):
 
     Args:
         effect: name of the effect (contract §5).
-        axis: the axis.
     """
 
     def __init__(self, effect: str, axis: Axis) -> None:
@@ -135,9 +134,6 @@ def along(axis: Axis, value: Any) -> dict[int, Any]:
 @final
 class RecordingState(dict[str, Any]):
     """State of one pose inside the ranges that answers any request for a channel and records its name.
-
-    Args:
-        machine: the machine.
 
     Attributes:
         asked: names of the requested channels, in the order of the requests.

@@ -168,7 +168,6 @@ def check_ranges(
     """Raise `InputError` where positions or channels leave the range of an empirical effect.
 
     Args:
-        effects: the empirical effects.
         state: (n,) positions by axis, and channels; missing ones are not checked, and NaN counts as within every range.
         lines: (n,) line of each in the file.
         file: name of the file.

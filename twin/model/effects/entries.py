@@ -73,7 +73,6 @@ def payload_named(specification: Specification, where: str, numbers: Mapping[str
         specification: `PAYLOAD` or `CARRIED_LOAD`.
         where: ``tool`` or ``work``.
         numbers: its parameters by name.
-        machine: the machine.
 
     Raises:
         InputError: the place or a parameter is unknown; a parameter is missing or outside its limits.

@@ -68,7 +68,6 @@ class GravityCompliance(AlongAxis):
     """The axis deflects by its compliance times the force or torque of gravity along it.
 
     Args:
-        axis: the axis.
         load: positions → load along the axis by own weight, payloads and carried load, N or N·m (`twin.machine.chain.gravity_load`).
         compliance: µm/N or µrad/(N·m).
         payloads: loads that the URDF does not contain; not estimated.
@@ -168,11 +167,9 @@ def carrying(machine: Machine, extra: Sequence[Effect], known: int, added: Added
     """Return effects whose compliances on the side of an added load carry it.
 
     Args:
-        machine: the machine.
         extra: the effects of a calibration.
         known: number of those whose load does not contain it yet; a payload that they already carry is combined with it. The
             compliances after them were found together with the load.
-        added: the load.
     """
     carrying: list[Effect] = list(extra)
     whole = added.payload

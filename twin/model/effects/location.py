@@ -88,7 +88,6 @@ class Squareness(Effect):
 
     Args:
         name: ISO 230-1 name.
-        angle_urad: the angle.
         axis: the axis whose direction turns.
     """
 
@@ -147,7 +146,6 @@ class ZeroOffset(AlongAxis):
     """Zero offset of an axis: E_aa += offset.
 
     Args:
-        axis: the axis.
         offset: actual minus commanded position, µm or µrad, along the command.
     """
 

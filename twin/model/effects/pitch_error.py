@@ -34,7 +34,6 @@ class PitchError(AlongAxis):
     """Periodic positioning error of a linear axis: E_aa += A·sin(2πq/p + φ), q in mm.
 
     Args:
-        axis: the axis.
         amplitude: A, µm.
         period: p, mm.
         phase: φ, rad.

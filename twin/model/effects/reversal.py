@@ -31,7 +31,6 @@ class Reversal(AlongAxis):
     """Backlash: E_aa += ± size/2, by the direction of approach.
 
     Args:
-        axis: the axis.
         size: actual position approached in the + direction minus that approached in the − direction, µm or µrad, along the command.
     """
 

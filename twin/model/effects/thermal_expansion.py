@@ -28,7 +28,6 @@ class ThermalExpansion(AlongAxis):
     """Thermal expansion of the scale of a linear axis: E_aa += c·(T_a − 20 °C)·q.
 
     Args:
-        axis: the axis.
         coefficient: c, µm/(m·K).
     """
 
@@ -75,7 +74,6 @@ class ScaleGrowth(AlongAxis):
     """Thermal expansion of a scale about its fixed point: E_aa += (c·q + g)·(T_a − 20 °C), fixed at q = −g/c.
 
     Args:
-        axis: the axis.
         coefficient: c, µm/(m·K).
         offset: g, µm/K at q = 0.
     """

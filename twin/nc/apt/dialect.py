@@ -105,7 +105,6 @@ class AptWriter:
         """Return the segments of a location.
 
         Args:
-            statement: the statement.
             rewrite: its replacement.
             rows: the positions of the replacement, as lists.
             unit: mm per program unit.
@@ -203,9 +202,6 @@ def rewritten(program: Program, axes: AxisWords, moves: MoveColumns, new: NewPos
     """Return a program with its moves replaced, and every other byte kept.
 
     Args:
-        program: the program.
-        axes: axis words.
-        moves: its moves.
         new: their replacements.
     """
     reader = AptReader(program.source, axes)
@@ -237,7 +233,6 @@ def _parts(
     """Yield runs of statements to process together, and single statements, in order.
 
     Args:
-        program: the program.
         together: function that returns (lines,) which lines of a chunk can be processed together.
         alone: function that returns whether the next statement must be processed alone.
     """

@@ -179,7 +179,6 @@ class PathBlock(Block):
     Attributes:
         numbered: whether it has a number.
         keyword: ``L``, ``LN``, ``C``, ``CR``, or ``""`` for a paraxial block.
-        keyword_end: end of the keyword.
         rapid_text: ``FMAX`` as written, or empty.
         normal_text: the words ``NX NY NZ`` as written.
         normal: their components, or None.

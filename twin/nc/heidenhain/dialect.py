@@ -170,7 +170,6 @@ class HeidenhainRewriter(ChunkRewriter):
 
     Args:
         source: file name for messages.
-        axes: axis words.
         newline: line ending of the program.
         style: its number format (`twin.nc.text.style_in`).
         tcp: whether tool centre point control is on at the first move.
@@ -384,8 +383,6 @@ def _without_long_ways(
     """Return a reading with a notice on rapids on which ``M126`` turns a rotary axis in the opposite direction.
 
     Args:
-        program: the program.
-        axes: axis words.
         reading: its moves.
         shortest_way: lines of ``M126`` (True) and ``M127``, in order.
 

@@ -153,7 +153,6 @@ class HeidenhainInterpreter(HeidenhainFrame):
 
         Args:
             line: 0-based index of the line.
-            text: its text.
             known: its move, if it has been interpreted before.
 
         Raises:

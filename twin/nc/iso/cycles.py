@@ -182,7 +182,6 @@ def of_sinumerik(name: str, arguments: str, value_of: Callable[[str], float], un
     """Return a cycle of SINUMERIK: ``CYCLE81(RTP, RFP, SDIS, DP, DPR, …)``.
 
     Args:
-        name: its name.
         arguments: what stands between the parentheses.
         value_of: value of an argument in the program's units, NaN if unknown.
         unit_mm: the program's unit of length.

@@ -96,7 +96,6 @@ def iso_reader(source: str, axes: AxisWords, *, tcp: bool) -> ChunkReader:
 
     Args:
         source: file name for messages.
-        axes: axis words.
         tcp: whether tool centre point control is on from the start.
     """
     return ChunkReader(IsoInterpreter(source, axes, tcp=tcp))
@@ -108,7 +107,6 @@ class IsoRewriter(ChunkRewriter):
 
     Args:
         source: file name for messages.
-        axes: axis words.
         newline: line ending of the program.
         style: its number format (`twin.nc.text.style_in`).
         tcp: whether tool centre point control is on at the first move.

@@ -33,7 +33,6 @@ class IsoBlock(Block):
         codes: G words, named by their code.
         items: axis words, before their values are known.
         others: words that are not axis words.
-        m_words: M words.
         names: statements and their arguments.
         motion_word: the G word of the motion group, if the block has one.
         feed: the value of the F word.

@@ -51,7 +51,6 @@ class IsoInterpreter(IsoMotion):
 
         Args:
             line: 0-based index of the line.
-            text: its text.
 
         Raises:
             InputError: with file, line and value.

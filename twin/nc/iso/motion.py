@@ -259,7 +259,6 @@ class IsoMotion(IsoDrilling):
         """Add the moves of a block whose axis words are known.
 
         Args:
-            block: the block.
             centre: its words for a centre, a radius, full turns or a tool vector.
             machine: whether its axis words are machine coordinates.
 

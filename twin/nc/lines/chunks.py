@@ -274,7 +274,6 @@ class ChunkRewriter(ABC):
     """Writer of a program, chunk by chunk.
 
     Args:
-        axes: axis words.
         interpreter: interpreter of its blocks.
         writer: writer of its blocks.
         code: how simple lines are written.
@@ -292,7 +291,6 @@ class ChunkRewriter(ABC):
 
         Args:
             line: its 0-based index in the program.
-            text: its text.
             segments: replacements of its moves, by the index of the move in the line.
         """
 
@@ -323,8 +321,6 @@ class ChunkRewriter(ABC):
         """Return the next chunk with its moves replaced.
 
         Args:
-            chunk: the chunk.
-            moves: its moves.
             new: their replacements.
         """
         scan = chunk.scan

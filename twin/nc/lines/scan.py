@@ -79,7 +79,6 @@ class Scan:
     """A chunk of a program, in whole lines.
 
     Attributes:
-        data: its bytes.
         text: (n,) the bytes as numbers.
         start, end: (lines,) range of each line, including its ending.
         simple: (lines,) whether the line is simple.
@@ -234,7 +233,6 @@ def _with_replacements(
     """Return a text with some ranges replaced; they do not overlap, and insertions at one place are in order.
 
     Args:
-        text: the text.
         start: (n,) beginnings of the ranges.
         end: (n,) their ends.
         length: (n,) length of each replacement.

@@ -191,7 +191,6 @@ class CurveSpace:
 
     Attributes:
         name: ISO 230-1 name.
-        basis: the basis.
         domain: (lo, hi) mm or degrees.
         first: index of the first orthonormal function that is not fixed by the datum.
         count: number of functions, those before ``first`` included.

@@ -57,7 +57,6 @@ class DriftPlan(Result):
 
     Attributes:
         task: machine, instrument, parts on the table, speeds.
-        sequence: the sequence.
         schedule: times, speeds and targets.
         table: the readings to take, as a measurement table without coordinates.
     """
@@ -189,8 +188,6 @@ def make_drift_plan(
     """Plan a drift test.
 
     Args:
-        machine: the machine.
-        sequence: the sequence.
         instrument: one of `twin._common.families.DRIFT_INSTRUMENTS`.
         kit: usable ranges; `Kit.default` if None.
         places_mm: parts on the table by name, in the work frame; None: near the rim of the table.

@@ -151,7 +151,6 @@ def _repeated(task: DriftTask, steps: np.ndarray, stroke: float, notices: list[s
     """Return cycles of readings, one at each pose, with motion of the axis between the cycles.
 
     Args:
-        task: the task.
         steps: (poses - 1,) travel of the axis from pose to pose, mm or degrees.
         stroke: its travel to one side between the cycles.
         notices: the notices of the axis.

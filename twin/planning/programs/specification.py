@@ -61,7 +61,6 @@ class ProgramSteps:
     """Steps of a measuring program.
 
     Attributes:
-        machine: the machine.
         steps: the steps in order; the first come from an unknown position.
         poses: number of poses that are probed.
         skipped: numbers of the poses of the plan to which no path with clearance was found.
@@ -124,7 +123,6 @@ class AxisWordsWriter:
     """Axis words of the axes whose written value changes.
 
     Args:
-        machine: the machine.
         form: function that returns a word from name and number.
     """
 

@@ -25,9 +25,6 @@ SEARCH_SHARE: Final = 0.5
 def program_steps(plan: SequencePlan) -> ProgramSteps:
     """Return the steps of the measuring program of a plan with a touch probe.
 
-    Args:
-        plan: the plan.
-
     Raises:
         InputError: the plan is not for a probe, or no pose has a path with clearance.
     """
@@ -216,9 +213,6 @@ LEAST_DWELL_S: Final = 0.1
 
 def drift_steps(plan: DriftPlan) -> ProgramSteps:
     """Return the steps of the program of a drift test.
-
-    Args:
-        plan: the plan.
 
     Raises:
         InputError: a pose or the motion of the axis has no path with clearance inside the ranges.

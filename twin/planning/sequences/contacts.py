@@ -29,7 +29,6 @@ def linear_positions(
     """Return positions (n, axes) at which a part of the tool is at given places, from the nominal kinematics.
 
     Args:
-        machine: the machine.
         positions: (n, axes) mm and degrees; those of the linear axes are replaced.
         tip_mm: the part on the tool side, in the frame of the spindle nose.
         places_mm: (n, 3) places in the work frame.
@@ -63,7 +62,6 @@ def carried_points_mm(machine: Machine, positions: np.ndarray, side: str, places
     """Return (n, 3) points on the tool side or the work side of the nominal machine, base frame, mm.
 
     Args:
-        machine: the machine.
         positions: (n, axes) mm and degrees.
         side: ``tool`` or ``work``.
         places_mm: (n, 3) in the frame of that side.
@@ -270,7 +268,6 @@ def default_place(machine: Machine, tip_mm: tuple[float, float, float], *, centr
     It is above a turning table, or where the tool is in the middle of the ranges of its linear axes.
 
     Args:
-        machine: the machine.
         tip_mm: the part on the tool side.
         central: above the middle of the table, not near its rim.
     """

@@ -114,13 +114,11 @@ class SequenceTask:
     """Input of a sequence: machine, instrument, parts on the table and sizes.
 
     Attributes:
-        machine: the machine.
         instrument: the instrument, one of `SET_UPS`.
         kit: speeds and usable ranges; its stations, targets and times are not used.
         tip_mm: (3,) the tool-side part in the frame of the spindle nose.
         places_mm: the parts on the table by name, in the work frame.
         minutes: time budget, set-up included.
-        sizes: sizes of the instrument.
         seed: random seed.
     """
 
@@ -253,7 +251,6 @@ def approach_of(machine: Machine, positions: np.ndarray, *, linear: bool) -> np.
     """Return the direction of approach (n, axes) of positions in their order: +1, −1, or 0 for an axis that never moves.
 
     Args:
-        machine: the machine.
         positions: (n, axes) mm and degrees; the first is approached in the direction in which each axis continues.
         linear: whether the linear axes have one; a probe touches the sphere from both sides.
     """
@@ -367,9 +364,7 @@ def expectation(machine: Machine, table: Measurements, instrument: Instrument) -
     """Return what a plan determines of the constant errors: with nothing of the set-up known, with its parts known.
 
     Args:
-        machine: the machine.
         table: the plan, with planned places of stations and targets.
-        instrument: its instrument.
     """
     read = with_nominal_readings(machine, table, instrument)
     instruments = StationInstruments.same(instrument, read.station)

@@ -222,7 +222,6 @@ def axis_design(data: Measurements, machine: Machine) -> AxisDesign | None:
 
     Args:
         data: the table; its stations ride on the tool or the work.
-        machine: the machine.
 
     Returns:
         None if no rotary axis moves or several do, or if stations stand on the base.
@@ -243,7 +242,6 @@ def design_of(
         positions: (n, axes) mm and degrees.
         on_tool: (n,) names of the parts on the tool side.
         on_work: (n,) names of the parts on the work side.
-        machine: the machine.
     """
     observation, q, side = Observation(machine), positions * machine.scale, "tool" if axis.side == "tool" else "work"
     places = _places(observation, q, on_tool, on_work)[side]

@@ -218,7 +218,6 @@ def load_displacements(path: str | Path, machine: Machine, sensors: SensorMap) -
     ``spindle_rpm``, ``T_<sensor>_degC``, ``round`` and the axes' positions. A comment ``# sensors: d1=X1 …`` gives the directions.
 
     Args:
-        path: the file.
         machine: the machine, for the names of its axes.
         sensors: the sensors' directions; empty for those of the comment.
 

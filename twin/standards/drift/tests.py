@@ -221,7 +221,6 @@ def relative_displacements(
 
     Args:
         data: the table, of one side of the station.
-        machine: the machine.
         instrument: instrument whose noise model gives the uncertainty where the table does not; None for unknown.
         ambient: sensor of the ambient temperature; empty if unknown.
 
