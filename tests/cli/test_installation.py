@@ -9,7 +9,6 @@ import sys
 import tomllib
 from importlib import import_module
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -156,15 +155,6 @@ def test_the_oldest_packages_are_those_of_the_lower_bounds() -> None:
     pins = dict(line.split("==") for line in lines)
     assert len(pins) == len(lines)
     assert pins == lower_bounds()
-
-
-def test_the_bounds_of_the_test_environment_agree() -> None:
-    extras: dict[str, Any] = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
-    bounds = dict(entry.split(">=") for entry in extras["test"] if ">=" in entry)
-    known = lower_bounds()
-    assert {name: bound for name, bound in bounds.items() if name in known} == {
-        name: known[name] for name in ("dask", "distributed", "matplotlib")
-    }
 
 
 def test_doctor_checks_every_package() -> None:
