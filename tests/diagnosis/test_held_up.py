@@ -31,9 +31,9 @@ def diagnosed(folder: Path, offset_rad: float, seed: int) -> Diagnosis:
     return diagnose(data, machine, Calibration.default(machine))
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("seed", [2, pytest.param(1, marks=pytest.mark.slow), pytest.param(3, marks=pytest.mark.slow)])
 def test_random_errors_are_not_explained_by_many_causes(tmp_path: Path, seed: int) -> None:
+    """With discrepancy in the weights 15 harmonics predicted the poses left out, which had helped to choose them."""
     found = diagnosed(tmp_path, 0.0, seed)
     assert found.verdict == "unexplained" and len(found.causes) <= 2
     assert found.gain is None or found.gain.rms_after_um > 40.0
