@@ -158,6 +158,15 @@ def test_another_unit_is_found(machine: Machine, truth: TruthMachine, unit: str,
     assert found.text.startswith(f"columns x_mm, y_mm, z_mm look like {word}, not") and found.advice == f"unit: {unit}?"
 
 
+@pytest.mark.parametrize(("unit", "factor"), [("inch", 1 / 25.4), ("um", 1e3)])
+def test_a_mirrored_reading_in_another_unit_is_found(
+    machine: Machine, truth: TruthMachine, unit: str, factor: float
+) -> None:
+    rows = changed(measured(truth, 1, "lines"), coordinate=2)
+    scaled, mirrored = wrong_columns(machine, replace(rows, point_mm=rows.point_mm * factor))
+    assert scaled.advice == f"unit: {unit}?" and "seem to be mirrored" in mirrored.text
+
+
 def test_exchanged_commands_are_found(machine: Machine, truth: TruthMachine) -> None:
     rows = measured(truth, 1, "lines")
     (found,) = wrong_columns(machine, replace(rows, positions=rows.positions[:, [1, 0, 2, 3, 4]]))

@@ -240,22 +240,20 @@ def wrong_columns(machine: Machine, data: Measurements) -> list[ColumnChange]:
     Args:
         data: a table before it is checked: NaN, unknown sides and positions outside the ranges of their axes are allowed.
     """
-    wrong_columns = [
+    wrong = [
         _scaled(data, "positions", [i], -1.0, (_columns(machine)[i],), text, "sign: -1?")
         for i, q in enumerate(data.positions.T)
         if (text := _mirrored_by_range(machine.axes[i], q))
     ]
     sides = np.isin(data.carrier, CARRIERS) & np.isin(data.station_carrier, SIDES)
     data = data.select(np.isfinite(data.positions).all(axis=1) & np.isfinite(data.point_mm).all(axis=1) & sides)
-    for change in wrong_columns:
+    for change in wrong:
         data = change.of(data)
     stations = list(dict.fromkeys(data.station))
     for station in stations:
         own = _wrong_columns_of_station(machine, data.select(data.station == station))
-        wrong_columns += [
-            one._replace(text=f"station {station}: {one.text}") if len(stations) > 1 else one for one in own
-        ]
-    return wrong_columns
+        wrong += [one._replace(text=f"station {station}: {one.text}") if len(stations) > 1 else one for one in own]
+    return wrong
 
 
 def _mirrored_by_range(axis: Axis, q: np.ndarray) -> str:
@@ -272,9 +270,9 @@ def _mirrored_by_range(axis: Axis, q: np.ndarray) -> str:
 
 def _wrong_columns_of_station(machine: Machine, data: Measurements) -> list[ColumnChange]:
     """Return the changes after which the points of one station agree with the commands, found one after the other."""
-    wrong_columns_of_station: list[ColumnChange] = []
+    wrong: list[ColumnChange] = []
     instruments = StationInstruments.same(default_instrument("point"), data.station)
-    while len(data) >= FEWEST_ROWS and np.any(data.point_mm) and len(wrong_columns_of_station) < MOST_FINDINGS:
+    while len(data) >= FEWEST_ROWS and np.any(data.point_mm) and len(wrong) < MOST_FINDINGS:
         try:
             before = fit_of(machine, data, instruments, mirrored=True)
         except InputError:
@@ -284,14 +282,18 @@ def _wrong_columns_of_station(machine: Machine, data: Measurements) -> list[Colu
         mirror = _scaled(data, "point_mm", [0], -1.0)
         tried = [mirror], _swapped_or_mirrored(machine, data), _two_mirrored(machine, data)
         changes = _one_change(machine, data, before.share, before.ratio, instruments, tried)
+        negated = not changes
+        if negated:  # mirrored readings agree in no unit: the unit is sought with one column negated, and the mirror is found next
+            changes = _in_units(machine, mirror.of(data), before.share, before.ratio, instruments)
         if not changes:
             break
         data = changes[0].of(data)
-        after = fit_of(machine, data, instruments)
+        after = fit_of(machine, mirror.of(data) if negated else data, instruments)
         change = _mirror(after) if changes[0] is mirror else changes[0]
         size = f"RMS residual {after.rms_mm:.3g} mm instead of {before.rms_mm:.3g} mm"
-        wrong_columns_of_station.append(change._replace(text=f"{change.text}; {size}"))
-    return wrong_columns_of_station
+        size += ", with one column negated" if negated else ""
+        wrong.append(change._replace(text=f"{change.text}; {size}"))
+    return wrong
 
 
 def _mirror(after: Agreement) -> ColumnChange:
