@@ -253,7 +253,10 @@ def without_overfitting(candidates: Candidates, forms: Sequence[Form]) -> list[F
     )
 
     def predict(small: Candidates) -> list[np.ndarray]:
-        entered = _chosen_again(small, len(claimed)) if split.of == "poses" else claimed
+        entered = claimed
+        if split.of == "poses":
+            small.critical_table = candidates.critical_table  # what is excluded from the search is excluded here
+            entered = _chosen_again(small, len(claimed))
         return [predicted_shift(candidates.problem, small, entered[:k]) for k in range(len(claimed) + 1)]
 
     table = held_out_squares(candidates, split, predict)
@@ -267,7 +270,7 @@ def without_overfitting(candidates: Candidates, forms: Sequence[Form]) -> list[F
 
 
 def _chosen_again(part: Candidates, count: int) -> list[Form]:
-    """Return the causes that a part of the readings chooses, one after the other.
+    """Return the causes that a part of the readings chooses one after the other, at most a number of them.
 
     Causes that all readings have chosen fit the readings left out, too: where there are many candidates and few poses, random errors
     seem to be predicted (Hastie, Tibshirani, Friedman: The elements of statistical learning, 2009, 7.10.2).
@@ -277,7 +280,10 @@ def _chosen_again(part: Candidates, count: int) -> list[Form]:
         margins = part.margins(entered)
         taken = {form.slot for form in entered}
         margins[[form.index for form in part.forms if form.slot in taken]] = -np.inf
-        entered.append(part.forms[first_largest(margins)])
+        best = first_largest(margins)
+        if np.isneginf(margins[best]):
+            break
+        entered.append(part.forms[best])
     return entered
 
 
