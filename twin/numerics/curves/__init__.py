@@ -9,12 +9,10 @@ from functools import cache
 from typing import Final
 
 from twin._common.errors import InputError, closest_name
+from twin.numerics.curves.bases import Bernstein, Fourier, Power
 from twin.numerics.curves.basis import Basis, CurveSpace, conversion, legendre_in_basis
-from twin.numerics.curves.bernstein import Bernstein
 from twin.numerics.curves.cubic_spline import CubicSpline
 from twin.numerics.curves.fg_bernstein import FGBernstein
-from twin.numerics.curves.fourier import Fourier
-from twin.numerics.curves.power import Power
 
 BASES: Final[tuple[type[Basis], ...]] = (Power, Fourier, Bernstein, CubicSpline)
 POWER: Final = Power()
