@@ -13,7 +13,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, get_type_hints
@@ -33,6 +33,14 @@ from twin.cli.shared.command import path_parameters
 
 PART = "G90\nG0 X100 Y100 Z-100 B30 C10\nG1 X110 F500\nX100\n"
 BUNDLED = bundled_folder()
+
+
+@pytest.fixture(autouse=True)
+def hang_up_is_not_ignored() -> Iterator[None]:
+    """Tests run under nohup ignore SIGHUP, and so do their child processes: the commands then go on, as they should."""
+    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    yield
+    signal.signal(signal.SIGHUP, before)
 
 
 @pytest.fixture(scope="module")
