@@ -354,7 +354,7 @@ def _answer(
     alone: bool,
     seconds: float,
 ) -> Answer:
-    candidates = found.beside
+    candidates = found.given_patterns
     named = [candidates.forms[form.index] for form in found.structure.forms]
     groups = []
     for form in named:

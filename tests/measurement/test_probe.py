@@ -17,7 +17,7 @@ from twin.identification import identify
 from twin.identification.unidentified import ConstantErrors, constant_errors
 from twin.machine.machine import Machine
 from twin.measurement.instruments import StationInstruments, TouchProbe
-from twin.measurement.set_up import SetUp
+from twin.measurement.set_up import StationsAndTargets
 from twin.measurement.simulate import simulate
 from twin.measurement.table import Measurements
 from twin.model.calibration import Calibration
@@ -52,7 +52,7 @@ def constants_of(plan: Measurements, machine: Machine, *, places: bool, tip: boo
         station_pose=plan.station_pose if tip else exact.station_pose,
     )
     instruments = StationInstruments.same(TouchProbe(), plan.station)
-    setup = SetUp.from_table(known, instruments)
+    setup = StationsAndTargets.from_table(known, instruments)
     at = [int(np.flatnonzero(plan.target == name)[0]) for name in setup.targets]
     stations = [int(np.flatnonzero(plan.station == name)[0]) for name in setup.stations]
     setup = replace(setup, place=plan.place_mm[at] * 1e-3, origin=plan.station_pose[stations, :3] * 1e-3)

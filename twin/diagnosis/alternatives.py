@@ -47,10 +47,10 @@ def equivalent(found: Findings, form: Form, others: Sequence[Form]) -> tuple[tup
 
     Args:
         found: the selected causes and patterns.
-        form: the cause, of ``found.beside``.
+        form: the cause, of ``found.given_patterns``.
         others: the other causes, likewise.
     """
-    keys = _in_place(found.beside, form, others)
+    keys = _in_place(found.given_patterns, form, others)
     if not found.structure.pattern_tests or not keys:
         return keys
     plain = found.candidates

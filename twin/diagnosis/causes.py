@@ -56,7 +56,7 @@ class SizedCauses:
     Attributes:
         found: the selected causes and patterns.
         forms: the causes that are significant.
-        beside: the same forms with the patterns projected out.
+        given_patterns: the same forms with the patterns projected out.
         estimate: their sizes, fitted without the patterns.
         dropped: causes that are not significant against the variation between groups of readings.
         doubts: for each cause, why it is not valid between the measured positions; empty if it is.
@@ -65,7 +65,7 @@ class SizedCauses:
 
     found: Findings
     forms: tuple[Form, ...]
-    beside: tuple[Form, ...]
+    given_patterns: tuple[Form, ...]
     estimate: Estimate
     dropped: tuple[Form, ...]
     doubts: tuple[str, ...]
@@ -101,10 +101,6 @@ class SizedCauses:
         """Return all causes but one."""
         return [one for one in self.forms if one is not form]
 
-    def log_p(self, form: Form) -> float:
-        """Return the log p-value of a cause, corrected for multiple testing, with all unexplained residuals counted as noise."""
-        return log_p_beside(self.found, self.estimate, self.forms, form)
-
 
 def estimate_sizes(found: Findings) -> SizedCauses:
     """Estimate the sizes of the causes, and drop one by one those that groups of readings do not confirm.
@@ -115,12 +111,12 @@ def estimate_sizes(found: Findings) -> SizedCauses:
     forms = list(found.structure.forms)
     dropped: list[Form] = []
     while True:
-        estimated = estimate(found.problem, forms, found.task.noise.dof, found.structure.beside)
+        estimated = estimate(found.problem, forms, found.task.noise.dof, found.structure.random_effects)
         if found.structure.pattern_tests:
-            judged = [(log_p_beside(found, estimated, forms, form), form) for form in forms]
+            judged = [(_log_p_given_others(found, estimated, forms, form), form) for form in forms]
         else:
             judged = [
-                (_log_p(against) + form.log_tests, form)
+                (_log_p_of_groups(against) + form.log_tests, form)
                 for form, against in zip(forms, estimated.wald, strict=True)
                 if MANY_ROUNDS <= against[2] < np.inf
             ]
@@ -129,21 +125,21 @@ def estimate_sizes(found: Findings) -> SizedCauses:
             break
         dropped.append(worst[1])
         forms = [form for form in forms if form is not worst[1]]
-    beside = tuple(found.beside.forms[form.index] for form in forms)
+    given_patterns = tuple(found.given_patterns.forms[form.index] for form in forms)
     doubts = tuple(between_positions(found.candidates, forms, form) for form in forms)
-    sizes, discrepancy = reweighted(found.task, forms, estimated, found.structure.beside)
-    return SizedCauses(found, tuple(forms), beside, sizes, tuple(dropped), doubts, discrepancy)
+    sizes, discrepancy = reweighted(found.task, forms, estimated, found.structure.random_effects)
+    return SizedCauses(found, tuple(forms), given_patterns, sizes, tuple(dropped), doubts, discrepancy)
 
 
-def log_p_beside(found: Findings, estimated: Estimate, forms: Sequence[Form], form: Form) -> float:
-    """Return `SizedCauses.log_p` for given causes."""
+def _log_p_given_others(found: Findings, estimated: Estimate, forms: Sequence[Form], form: Form) -> float:
+    """Return the log p-value of a cause, corrected for multiple testing, with all unexplained residuals counted as noise."""
     explained, dof, _ = found.candidates.scores([one for one in forms if one is not form], [form.index])[0]
     variance_factor = max((found.problem.chi2 - estimated.explained) / max(found.problem.dof, 1), 1.0)
     chance = log_p_value(np.array(explained / variance_factor), max(float(dof), 1.0), found.candidates.dof)
     return min(float(chance) + form.log_tests, 0.0)
 
 
-def _log_p(against: tuple[float, int, float]) -> float:
+def _log_p_of_groups(against: tuple[float, int, float]) -> float:
     """Return the log p-value of a cause by its Wald statistic (F with the groups' degrees of freedom; Hotelling's T² for one cause)."""
     statistic, width, count = against
     free = count - width
@@ -205,7 +201,7 @@ def report_causes(sized: SizedCauses, calibration: Calibration) -> ReportedCause
     causes, loads = causes_with_payloads(found.candidates, forms, causes)
     order = largest_first(np.array([cause.share for cause in causes])).tolist()
     ordered = [causes[k] for k in order]
-    wanted = points_to_measure(found.beside, [sized.beside[k] for k in order], ordered)
+    wanted = points_to_measure(found.given_patterns, [sized.given_patterns[k] for k in order], ordered)
     further = () if comparison is None else comparison.further
     notices = (
         *_assumed_approach(sized),
@@ -254,12 +250,15 @@ def _sizes(form: Form, quantities: Sequence[Quantity]) -> list[Quantity]:
 def _cause(sized: SizedCauses, k: int, calibration: Calibration) -> Cause:
     """Return one cause; its share is relative to the other causes, its rivals also to the patterns."""
     found, form = sized.found, sized.forms[k]
-    others, other_forms = sized.others(form), [one for one in sized.beside if one is not sized.beside[k]]
+    others, other_forms = (
+        sized.others(form),
+        [one for one in sized.given_patterns if one is not sized.given_patterns[k]],
+    )
     explained = found.candidates.scores(others, [form.index])[0, 0]
     doubt, quantities = sized.doubts[k], sized.estimate.quantities[k]
     text = evidence(form, sized.estimate, k) + curve_flaw(found.candidates, sized.forms, form, calibration)
     text += _fixed_centre(form) + doubt
-    equal = equivalent(found, sized.beside[k], other_forms)
+    equal = equivalent(found, sized.given_patterns[k], other_forms)
     if why := _approach_doubt(sized, form):
         text, equal = f"{text}; {why}", (*equal, (READ_BACK.name, form.candidate.where))
     return Cause(
@@ -267,7 +266,7 @@ def _cause(sized: SizedCauses, k: int, calibration: Calibration) -> Cause:
         where=form.candidate.where,
         origin=form.candidate.origin,
         parameters=quantities,
-        p_value=found.candidates.p_value(sized.log_p(form)),
+        p_value=found.candidates.p_value(_log_p_given_others(found, sized.estimate, sized.forms, form)),
         share=float(np.clip(explained / sized.excess, 0.0, 1.0)),
         equivalent=equal,
         evidence=text,
@@ -275,7 +274,7 @@ def _cause(sized: SizedCauses, k: int, calibration: Calibration) -> Cause:
         effects=() if doubt else sized.estimate.effects[k],
         promised=not doubt,
         bounded=doubt == IMPOSSIBLE or _bounded(form, quantities),
-        rivals=ruled_out(found.beside, sized.beside[k], other_forms, sized.excess),
+        rivals=ruled_out(found.given_patterns, sized.given_patterns[k], other_forms, sized.excess),
     )
 
 

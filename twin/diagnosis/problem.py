@@ -21,7 +21,7 @@ from twin.diagnosis.nuisance import Nuisance
 from twin.diagnosis.signature_products import PointBlock, Signatures, side_by_side
 from twin.identification.network import LinearisedReadings, Network
 from twin.measurement.observation import machine_state
-from twin.measurement.set_up import SetUp
+from twin.measurement.set_up import StationsAndTargets
 from twin.model.calibration import Calibration
 from twin.numerics.covariance import symmetric_root
 from twin.numerics.functions import Rows, pieces
@@ -65,7 +65,7 @@ class Problem:
     def __init__(
         self,
         network: Network,
-        setup: SetUp,
+        setup: StationsAndTargets,
         calibration: Calibration | None,
     ) -> None:
         self.network = network

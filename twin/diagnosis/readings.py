@@ -28,10 +28,10 @@ from twin.identification.solve import SIGNIFICANCE, repeats_of, solve
 from twin.identification.unknowns import Unknowns
 from twin.machine.machine import Machine
 from twin.measurement.checks import RowNote
-from twin.measurement.instruments import Instrument, StationInstruments
+from twin.measurement.instruments import Instrument
 from twin.measurement.instruments.base import along_and_across
 from twin.measurement.observation import repeat_groups
-from twin.measurement.set_up import SetUp
+from twin.measurement.set_up import StationsAndTargets
 from twin.measurement.table import Measurements
 from twin.model.calibration import Calibration
 
@@ -92,7 +92,11 @@ def from_repeats(
 
 
 def from_residuals(
-    network: Network, setup: SetUp, view: LinearisedReadings, known: tuple[Candidate, ...], seen: np.ndarray
+    network: Network,
+    setup: StationsAndTargets,
+    view: LinearisedReadings,
+    known: tuple[Candidate, ...],
+    seen: np.ndarray,
 ) -> ReadingNoise | None:
     """Return the noise along and across the beam from the residuals of a regression on the main form of every cause.
 
@@ -227,15 +231,10 @@ class DiagnosisTask:
     by_noise: Problem
     discrepancy: Discrepancy
 
-    @classmethod
-    def of(cls, problem: Problem, known: Catalogue, noise: ReadingNoise) -> DiagnosisTask:
-        """Return the task with the weights of the noise."""
-        return cls(problem, known, noise, problem, no_discrepancy(problem.network))
-
     def with_discrepancy(self, discrepancy: Discrepancy) -> DiagnosisTask:
         """Return the same task with another discrepancy in the weights."""
-        own = self.by_noise
-        weighted = Problem(own.network.with_discrepancy(discrepancy.root), own.setup, own.calibration)
+        network = self.by_noise.network.with_discrepancy(discrepancy.root)
+        weighted = Problem(network, self.by_noise.setup, self.by_noise.calibration)
         return replace(self, problem=weighted, discrepancy=discrepancy)
 
 
@@ -253,7 +252,7 @@ class Readings:
     """
 
     network: Network
-    setup: SetUp
+    setup: StationsAndTargets
     noise: ReadingNoise
     calibration: Calibration
     bad: np.ndarray
@@ -290,7 +289,8 @@ class Readings:
             notes = outlier_notes(network, difference, network.residual(np.zeros(0), self.setup), bad)
             kept = self.select_rows(np.flatnonzero(~bad), notes)
         known = catalogue(network.machine, kept.network.data, self.calibration, network.instruments)
-        return DiagnosisTask.of(Problem(kept.network, self.setup, self.calibration), known, kept.noise)
+        problem = Problem(kept.network, self.setup, self.calibration)
+        return DiagnosisTask(problem, known, kept.noise, problem, no_discrepancy(kept.network))
 
 
 def readings(
@@ -306,42 +306,37 @@ def readings(
     Raises:
         InputError: data that cannot be a measurement of this machine.
     """
-    reader, data, setup = prepare(machine, data, instrument)
+    instruments, data, setup = prepare(machine, data, instrument)
     no_unknowns = Unknowns(machine, (), ())
-    covariance = stated_covariance(data, reader)
     has_u = bool(np.isfinite(data.u_mm).any())
-    doubted = (instrument is not None or has_u) and _contradicted(machine, data, reader, covariance)
-    stated = (instrument is not None or has_u) and not doubted
-    preliminary = None if stated else _isotropic_from_repeats(data, covariance)
-    by_model, covariance = covariance, covariance if preliminary is None else preliminary
-    figures = "the table's uncertainties" if has_u else f"the noise model of the {reader.name}"
+    source = "the table's uncertainties" if has_u else f"the noise model of the {instruments.name}"
     if instrument is None and not has_u:
-        figures += ", assumed: no uncertainties stated, too few repeats"
-    noise = ReadingNoise(covariance, np.inf, figures)
-    network = Network(machine, data, reader, no_unknowns, calibration, covariance)
+        source += ", assumed: no uncertainties stated, too few repeats"
+    noise = stated = ReadingNoise(stated_covariance(data, instruments), np.inf, source)
+    is_stated = instrument is not None or has_u
+    contradicted = is_stated and any(
+        repeats.contradict for repeats in repeats_of(machine, data, instruments, stated.covariance)
+    )
+    if not is_stated or contradicted:
+        noise = replace(stated, covariance=_isotropic_from_repeats(data, stated.covariance))
+    network = Network(machine, data, instruments, no_unknowns, calibration, noise.covariance)
     setup, bad = _setup_without_outliers(network, setup)
-    if not stated:
-        known = catalogue(machine, data, calibration, reader).candidates
+    if not is_stated or contradicted:
+        known = catalogue(machine, data, calibration, instruments).candidates
         view = network.view(np.zeros(0), setup, np.flatnonzero(~bad))
         seen = network.view(np.zeros(0), setup, np.arange(len(data))).seen
         estimated = from_repeats(data.select(~bad), view, network.read[~bad], known, seen)
         if estimated is None:
             estimated = from_residuals(network, setup, view, known, seen)
-        if doubted and estimated is not None and not _larger(estimated, by_model, network.read):
-            # Only a known effect that changes between repeats made them vary.
-            estimated = ReadingNoise(by_model, np.inf, figures)
-        elif doubted and estimated is not None:
-            estimated = replace(estimated, source=f"{estimated.source}; they contradict {figures}")
+        if contradicted and estimated is not None:
+            # If it is not larger, only a known effect that changes between repeats made them vary.
+            larger = _larger(estimated, stated.covariance, network.read)
+            estimated = replace(estimated, source=f"{estimated.source}; they contradict {source}") if larger else stated
         if estimated is not None:
             noise = estimated
-            network = Network(machine, data, reader, no_unknowns, calibration, estimated.covariance)
+            network = Network(machine, data, instruments, no_unknowns, calibration, noise.covariance)
             setup, bad = _setup_without_outliers(network, setup)
     return Readings(network, setup, noise, calibration, bad)
-
-
-def _contradicted(machine: Machine, data: Measurements, reader: StationInstruments, covariance: np.ndarray) -> bool:
-    """Return whether repeats vary more than a stated covariance (n, 3, 3) allows."""
-    return any(one.contradict for one in repeats_of(machine, data, reader, covariance))
 
 
 def _larger(estimated: ReadingNoise, stated: np.ndarray, read: np.ndarray) -> bool:
@@ -352,8 +347,8 @@ def _larger(estimated: ReadingNoise, stated: np.ndarray, read: np.ndarray) -> bo
     return float(chi2_sf(mean * estimated.dof, estimated.dof)) < SIGNIFICANCE
 
 
-def _isotropic_from_repeats(data: Measurements, stated: np.ndarray) -> np.ndarray | None:
-    """Return an isotropic covariance (n, 3, 3) from the median distance of repeats, for a first outlier test; None without repeats.
+def _isotropic_from_repeats(data: Measurements, stated: np.ndarray) -> np.ndarray:
+    """Return an isotropic covariance (n, 3, 3) from the median distance of repeats, for a first outlier test; ``stated`` without them.
 
     The instrument's noise model is not suitable for this test: it is many times smaller along the beam than across, and data with
     isotropic noise would appear full of outliers.
@@ -361,25 +356,25 @@ def _isotropic_from_repeats(data: Measurements, stated: np.ndarray) -> np.ndarra
     group = repeat_groups(data)
     size = np.bincount(group)
     if np.sum(np.maximum(size - 1, 0)) < LEAST_DOF // 2:
-        return None
+        return stated
     points = np.where(np.isfinite(data.point_mm), data.point_mm, 0.0) * MM
     mean = np.stack([np.bincount(group, points[:, i]) / size for i in range(3)], axis=1)
-    again = size[group] > 1
-    deviation = (points - mean[group])[again] / np.sqrt(1.0 - 1.0 / size[group][again])[:, None]
+    repeated = size[group] > 1
+    deviation = (points - mean[group])[repeated] / np.sqrt(1.0 - 1.0 / size[group][repeated])[:, None]
     dimensions = int(np.isfinite(data.point_mm).any(axis=0).sum())
     sigma = float(np.sqrt(np.median(np.sum(deviation**2, axis=1)) / chi2_isf(0.5, dimensions)))
     if sigma <= 0.0:
-        return None
+        return stated
     return read_only(np.where(stated != 0.0, 1.0, 0.0) * np.eye(3) * sigma**2)
 
 
-def _setup_without_outliers(network: Network, setup: SetUp) -> tuple[SetUp, np.ndarray]:
+def _setup_without_outliers(network: Network, setup: StationsAndTargets) -> tuple[StationsAndTargets, np.ndarray]:
     """Return the set-up fitted without outliers, and (n,) whether a row is one."""
     bad = np.zeros(len(network.data), dtype=bool)
     for _ in range(PLACING_ITERATIONS):
         setup = solve(network, np.zeros(0), setup, (~bad).astype(float)).setup
-        found = outliers(network, network.residual(np.zeros(0), setup))
-        if np.array_equal(found, bad):
+        outlying = outliers(network, network.residual(np.zeros(0), setup))
+        if np.array_equal(outlying, bad):
             break
-        bad = found
+        bad = outlying
     return setup, bad

@@ -16,7 +16,6 @@ from twin.diagnosis.candidates.candidate import Candidate, Variant
 from twin.diagnosis.cross_validation import choose_folds
 from twin.diagnosis.estimate import estimate
 from twin.diagnosis.forms import ADDITIONAL_CAUSE_PENALTY, Candidates, Form
-from twin.diagnosis.problem import Problem
 from twin.diagnosis.readings import PLACING_ITERATIONS, DiagnosisTask, Readings
 from twin.identification.discrepancy import outliers
 
@@ -361,10 +360,10 @@ def exclude_outliers(placed: Readings) -> DiagnosisTask:
         placed: all rows, with the stations placed.
     """
     few = np.count_nonzero(placed.bad) < LEAST_OUTLIERS
-    return placed.without(placed.bad if few else _still_bad(placed))
+    return placed.without(placed.bad if few else _outliers_beside_causes(placed))
 
 
-def _still_bad(placed: Readings) -> np.ndarray:
+def _outliers_beside_causes(placed: Readings) -> np.ndarray:
     """Return (n,) which rows are outliers: the initial ones, unless causes explain more than half of them.
 
     A cause of such large residuals shows in other rows as well, so for very many rows a sample is used.
@@ -375,30 +374,30 @@ def _still_bad(placed: Readings) -> np.ndarray:
             np.flatnonzero(~placed.bad), OUTLIER_SAMPLE - len(bad), replace=False
         )
         rows = np.sort(np.concatenate([bad, drawn]))
-        still_bad = np.zeros(count, dtype=bool)
-        still_bad[rows] = _still_bad(placed.select_rows(rows))
-        return still_bad
-    everything = placed.without(np.zeros(len(placed.bad), dtype=bool))
-    whole, candidates = everything.problem, candidates_of(everything)
+        outlying = np.zeros(count, dtype=bool)
+        outlying[rows] = _outliers_beside_causes(placed.select_rows(rows))
+        return outlying
+    candidates = candidates_of(placed.without(np.zeros(len(placed.bad), dtype=bool)))
     size = np.linalg.norm(placed.network.residual(np.zeros(0), placed.setup), axis=1)
     for share in RETESTED_SHARES:
         bad = placed.bad & (size > np.quantile(size[placed.bad], share))
         for _ in range(PLACING_ITERATIONS):
-            still = _beyond(placed, whole, candidates, bad)
-            settled = np.count_nonzero(still & ~bad) == 0 and np.count_nonzero(still) > 0.9 * np.count_nonzero(bad)
-            if settled or np.count_nonzero(still) > 0.5 * np.count_nonzero(placed.bad):
+            outlying = _outlying(placed, candidates, bad)
+            settled = not np.any(outlying & ~bad) and np.count_nonzero(outlying) > 0.9 * np.count_nonzero(bad)
+            if settled or np.count_nonzero(outlying) > 0.5 * np.count_nonzero(placed.bad):
                 break
-            bad = still
-        if np.count_nonzero(still) <= 0.5 * np.count_nonzero(placed.bad):
-            return still
+            bad = outlying
+        if np.count_nonzero(outlying) <= 0.5 * np.count_nonzero(placed.bad):
+            return outlying
     return placed.bad
 
 
-def _beyond(placed: Readings, whole: Problem, candidates: Candidates, bad: np.ndarray) -> np.ndarray:
+def _outlying(placed: Readings, candidates: Candidates, bad: np.ndarray) -> np.ndarray:
     """Return (n,) which rows are outliers after removing the causes that the other rows show."""
-    part = whole.without(bad) if np.any(bad) else whole
+    problem = candidates.problem
+    part = problem.without(bad) if np.any(bad) else problem
     if part is None:
         return placed.bad
     forms = largest_causes(candidates.on_part(part), MAX_OUTLIER_CAUSES)
-    left = whole.residual - estimate(part, forms).signature.sum(axis=1)
-    return outliers(placed.network, part.refit_setup(left).reshape(-1, 3))
+    residual = problem.residual - estimate(part, forms).signature.sum(axis=1)
+    return outliers(placed.network, part.refit_setup(residual).reshape(-1, 3))

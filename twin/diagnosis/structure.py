@@ -90,7 +90,7 @@ class Structure:
         return () if self.likelihood is None else self.likelihood.pattern_tests
 
     @property
-    def beside(self) -> RandomEffects | None:
+    def random_effects(self) -> RandomEffects | None:
         """Return the patterns for a joint estimate with the causes; None without patterns."""
         if self.model is None or self.likelihood is None:
             return None
@@ -124,7 +124,7 @@ class Findings:
         task: the problem without outliers, and the causes tested.
         patterns: the unnamed patterns tested.
         candidates: the causes, with the set-up projected out.
-        beside: the same with the patterns found projected out as well; ``candidates`` itself without patterns.
+        given_patterns: the same with the patterns found projected out as well; ``candidates`` itself without patterns.
         structure: the selected causes and patterns.
         by_noise: the causes evaluated with the weights of the noise alone, as the first search left them.
         refuted: causes that fit the readings but do not predict held-out ones (`twin.diagnosis.cross_validation`).
@@ -133,7 +133,7 @@ class Findings:
     task: DiagnosisTask
     patterns: Sequence[Pattern]
     candidates: Candidates
-    beside: Candidates
+    given_patterns: Candidates
     structure: Structure
     by_noise: Candidates
     refuted: tuple[Form, ...] = ()
@@ -198,14 +198,14 @@ def refit_on_part(
         return tuple(forms), None
     likelihood = Likelihood(candidates, found.pattern_tests)
     if found.patterned:
-        stand = [candidates.forms[form.index] for form in found.forms]
-        return tuple(_dropped(likelihood, stand, likelihood.fit(stand))[0]), likelihood
+        kept = [candidates.forms[form.index] for form in found.forms]
+        return tuple(_dropped(likelihood, kept, likelihood.fit(kept))[0]), likelihood
     return tuple(without_parts(likelihood, forms, likelihood.fit(forms))), likelihood
 
 
 def with_patterns(candidates: Candidates, forms: Sequence[Form], tried: Sequence[Pattern]) -> Structure:
     """Return the given causes, without those that explain only part of a pattern, and the patterns found in the residuals."""
-    stand = list(forms)
+    kept = list(forms)
     pattern_tests: list[PatternTest] = []
     problem, likelihood, model = candidates.problem, None, None
     while True:
@@ -213,29 +213,29 @@ def with_patterns(candidates: Candidates, forms: Sequence[Form], tried: Sequence
         more = [
             pattern_test
             for pattern_test in (
-                scan_patterns(problem, tried, stand, candidates.dof) if len(pattern_tests) < MAX_PATTERNS else []
+                scan_patterns(problem, tried, kept, candidates.dof) if len(pattern_tests) < MAX_PATTERNS else []
             )
             if pattern_test.found and (pattern_test.pattern.side, pattern_test.pattern.names) not in seen
         ]
         if not more:
-            return Structure(tuple(stand), likelihood, model, problem, ())
+            return Structure(tuple(kept), likelihood, model, problem, ())
         likelihood = Likelihood(candidates, [*pattern_tests, more[0]])
-        model = likelihood.fit(stand)
-        whole = without_parts(likelihood, stand, model)
-        if len(whole) == len(stand):
+        model = likelihood.fit(kept)
+        remaining = without_parts(likelihood, kept, model)
+        if len(remaining) == len(kept):
             pattern_tests.append(more[0])
             problem = candidates.problem.with_random_effects(likelihood.random(model), model.variance_factor)
         else:
             # What these causes explained may belong to patterns or to other causes.
-            stand, pattern_tests, problem, likelihood, model = whole, [], candidates.problem, None, None
+            kept, pattern_tests, problem, likelihood, model = remaining, [], candidates.problem, None, None
 
 
 def _patterned(candidates: Candidates, tried: Sequence[Pattern]) -> Structure:
     """Return the selection starting from the most significant pattern; an empty one if none is significant."""
-    whole = scan_patterns(candidates.problem, tried, (), candidates.dof)
-    if not (whole and whole[0].found):
+    tests = scan_patterns(candidates.problem, tried, (), candidates.dof)
+    if not (tests and tests[0].found):
         return Structure((), None, None, candidates.problem, ())
-    return _from_pattern(candidates, whole[0], tried)
+    return _from_pattern(candidates, tests[0], tried)
 
 
 def _worth(candidates: Candidates, found: Structure) -> float:
@@ -288,12 +288,12 @@ def _from_pattern(candidates: Candidates, first: PatternTest, tried: Sequence[Pa
             pattern_tests = [*pattern_tests, more[0]]
             seen.add((more[0].pattern.side, more[0].pattern.names))
             continue
-        whole = without_parts(likelihood, forms, model)
-        if len(whole) == len(forms):
+        remaining = without_parts(likelihood, forms, model)
+        if len(remaining) == len(forms):
             forms, model = _simplified(likelihood, forms, model)
             return Structure(tuple(forms), likelihood, model, problem, (), impossible=impossible)
-        barred |= {int(candidates.key_of[form.index]) for form in forms if form not in whole}
-        forms = whole
+        barred |= {int(candidates.key_of[form.index]) for form in forms if form not in remaining}
+        forms = remaining
 
 
 def _stepwise(
@@ -306,38 +306,38 @@ def _stepwise(
     """
     impossible: list[Form] = []
     candidates = likelihood.candidates
-    stand, model = _dropped(likelihood, list(forms), likelihood.fit(forms))
-    while len(stand) < MAX_CAUSES:
+    kept, model = _dropped(likelihood, list(forms), likelihood.fit(forms))
+    while len(kept) < MAX_CAUSES:
         best: tuple[float, Form, Model] | None = None
         impossible = []
-        for form in _promising(likelihood, stand, model, barred):
-            with_it = likelihood.fit([*stand, form], model)
+        for form in _promising(likelihood, kept, model, barred):
+            with_it = likelihood.fit([*kept, form], model)
             gained = with_it.twice_log_ratio - model.twice_log_ratio - _cost(candidates, form)
             if gained > (best[0] if best else 0.0):
-                if not _possible(candidates, [*stand, form], with_it):
+                if not _possible(candidates, [*kept, form], with_it):
                     impossible.append(form)
                     continue
                 best = gained, form, with_it
-                if len(stand) >= MAX_EXCHANGED_CAUSES:
+                if len(kept) >= MAX_EXCHANGED_CAUSES:
                     break  # a model with very many errors: the order does not matter
         if best is None:
-            fewer, model = _dropped(likelihood, stand, model)
+            fewer, model = _dropped(likelihood, kept, model)
             other = _exchanged(likelihood, fewer, model, barred) if len(fewer) <= MAX_EXCHANGED_CAUSES else None
-            if other is None and len(fewer) == len(stand):
-                return stand, model, tuple(impossible)
-            stand, model = (fewer, model) if other is None else other
+            if other is None and len(fewer) == len(kept):
+                return kept, model, tuple(impossible)
+            kept, model = (fewer, model) if other is None else other
             continue
-        stand, model = [*stand, best[1]], best[2]
-    return *_dropped(likelihood, stand, model), tuple(impossible)
+        kept, model = [*kept, best[1]], best[2]
+    return *_dropped(likelihood, kept, model), tuple(impossible)
 
 
 def _exchanged(
-    likelihood: Likelihood, stand: list[Form], model: Model, barred: Collection[int]
+    likelihood: Likelihood, kept: list[Form], model: Model, barred: Collection[int]
 ) -> tuple[list[Form], Model] | None:
     """Return the set with one cause replaced by a likelier one; None if there is none."""
     candidates = likelihood.candidates
-    for form in stand:
-        others = [one for one in stand if one is not form]
+    for form in kept:
+        others = [one for one in kept if one is not form]
         less = likelihood.fit(others, model)
         for other in _promising(likelihood, others, less, barred):
             trial = [*others, other]
@@ -371,12 +371,12 @@ def _simplified(likelihood: Likelihood, forms: list[Form], model: Model) -> tupl
     return forms, model
 
 
-def _promising(likelihood: Likelihood, stand: Sequence[Form], model: Model, barred: Collection[int]) -> list[Form]:
+def _promising(likelihood: Likelihood, kept: Sequence[Form], model: Model, barred: Collection[int]) -> list[Form]:
     """Return the best form of each of the most promising candidates."""
     candidates = likelihood.candidates
-    explained, dof = likelihood.scan(stand, model)
+    explained, dof = likelihood.scan(kept, model)
     costs = candidates.critical_values(dof)
-    out = np.isin(candidates.slot_of, [candidates.slot_of[form.index] for form in stand]) | np.isin(
+    out = np.isin(candidates.slot_of, [candidates.slot_of[form.index] for form in kept]) | np.isin(
         candidates.key_of, list(barred)
     )
     margin = np.where(out, -np.inf, explained - costs)
@@ -394,47 +394,47 @@ def _promising(likelihood: Likelihood, stand: Sequence[Form], model: Model, barr
 
 def _dropped(likelihood: Likelihood, forms: list[Form], model: Model) -> tuple[list[Form], Model]:
     """Drop the causes that are not significant, those with the smallest gain at the present variances first."""
-    stand = list(forms)
+    kept = list(forms)
     while True:
-        prices = {form.index: _cost(likelihood.candidates, form) for form in stand}
-        gained = {form.index: likelihood.gain_bound(stand, model, form) for form in stand}
-        for form in [stand[i] for i in largest_first(np.array([prices[f.index] - gained[f.index] for f in stand]))]:
+        prices = {form.index: _cost(likelihood.candidates, form) for form in kept}
+        gained = {form.index: likelihood.gain_bound(kept, model, form) for form in kept}
+        for form in [kept[i] for i in largest_first(np.array([prices[f.index] - gained[f.index] for f in kept]))]:
             if gained[form.index] > KEPT_GAIN_RATIO * prices[form.index]:
                 continue
-            others = [one for one in stand if one is not form]
+            others = [one for one in kept if one is not form]
             less = likelihood.fit(others, model)
             if model.twice_log_ratio - less.twice_log_ratio < prices[form.index]:
-                stand, model = others, less
+                kept, model = others, less
                 break
         else:
-            return stand, model
+            return kept, model
 
 
 def without_parts(likelihood: Likelihood, forms: Sequence[Form], model: Model) -> list[Form]:
     """Return the causes without those that explain only part of a pattern."""
-    stand = list(forms)
-    while (part := _partial_cause(likelihood, stand, model)) is not None:
-        stand = [form for form in stand if form is not part]
-        model = likelihood.fit(stand, model)
-    return stand
+    kept = list(forms)
+    while (part := _partial_cause(likelihood, kept, model)) is not None:
+        kept = [form for form in kept if form is not part]
+        model = likelihood.fit(kept, model)
+    return kept
 
 
 def _partial_cause(likelihood: Likelihood, forms: Sequence[Form], model: Model) -> Form | None:
     """Return the cause that explains the smallest part of a pattern that can imitate it, if the pattern explains more; else None."""
-    left = likelihood.explained_by_patterns(forms, model)
-    whole = likelihood.candidates.explained_by(forms)
+    explained_by_patterns = likelihood.explained_by_patterns(forms, model)
+    explained = likelihood.candidates.explained_by(forms)
     worst: tuple[float, Form] | None = None
     for form in forms:
-        beside = float(likelihood.can_imitate(form) @ left)
-        if beside <= 0.0:
+        imitated = float(likelihood.can_imitate(form) @ explained_by_patterns)
+        if imitated <= 0.0:
             continue
         # A machine has all its constants: they are assessed together.
         constant = form.candidate.specification.constant
         alike = [one for one in forms if constant and one.candidate.specification.constant]
         others = [one for one in forms if one is not form and one not in alike]
-        carried = whole - likelihood.candidates.explained_by(others)
-        ratio = carried / max(beside, 1e-9)
-        if carried < LEAST_IMITATED_RATIO * beside and (worst is None or ratio < worst[0]):
+        carried = explained - likelihood.candidates.explained_by(others)
+        ratio = carried / max(imitated, 1e-9)
+        if carried < LEAST_IMITATED_RATIO * imitated and (worst is None or ratio < worst[0]):
             worst = ratio, form
     return None if worst is None else worst[1]
 
@@ -571,17 +571,17 @@ class Searcher:
 
     def run(self) -> Findings:
         """Return the best set of causes together with unnamed patterns."""
-        found, refuted = self._settled()
+        structure, refuted = self._settled()
         # A variant that does not predict held-out positions is replaced by the plain effect and unexplained residuals.
         while varying := [
             form
-            for form in found.forms
-            if form.candidate.specification.variant_of and not predicts_held_out(self.candidates, form, found.forms)
+            for form in structure.forms
+            if form.candidate.specification.variant_of and not predicts_held_out(self.candidates, form, structure.forms)
         ]:
             self.candidates.exclude({form.key for form in varying}, NOT_PREDICTED)
-            found, refuted = self._settled()
-        beside = self.candidates.for_problem(found.problem) if found.pattern_tests else self.candidates
-        return Findings(self.task, self.patterns, self.candidates, beside, found, self.candidates, refuted)
+            structure, refuted = self._settled()
+        given_patterns = self.candidates.for_problem(structure.problem) if structure.pattern_tests else self.candidates
+        return Findings(self.task, self.patterns, self.candidates, given_patterns, structure, self.candidates, refuted)
 
     def _settled(self) -> tuple[Structure, tuple[Form, ...]]:
         """Return the selected causes and patterns, and the causes that held-out readings refute.

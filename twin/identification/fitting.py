@@ -31,7 +31,7 @@ from twin.identification.discrepancy import (
 )
 from twin.identification.network import Network
 from twin.identification.solve import FitSolution, solve
-from twin.measurement.set_up import SetUp
+from twin.measurement.set_up import StationsAndTargets
 
 ROUNDS: Final = 8
 HOPELESS_MISFIT: Final = 100.0
@@ -68,7 +68,7 @@ class FinalEstimate(NamedTuple):
     rows: RowAssessment
 
 
-def robust_start(network: Network, setup: SetUp, triangle: np.ndarray) -> RobustStart:
+def robust_start(network: Network, setup: StationsAndTargets, triangle: np.ndarray) -> RobustStart:
     """Return an estimate that is not affected by a few wrong points.
 
     A misfit may be the effect of the outliers on the estimate. If the model fits without any row beyond the limit, these are the
@@ -85,7 +85,7 @@ def robust_start(network: Network, setup: SetUp, triangle: np.ndarray) -> Robust
     return start
 
 
-def _robust(network: Network, setup: SetUp, triangle: np.ndarray, *, separated: bool) -> RobustStart:
+def _robust(network: Network, setup: StationsAndTargets, triangle: np.ndarray, *, separated: bool) -> RobustStart:
     """Return a robust estimate; ``separated``: whether a gap separates every outlier from the other rows of a misfitting model.
 
     If the model does not fit, the first discrepancy is the misfit of the nominal machine, so that well-determined unknowns are fitted
@@ -132,7 +132,7 @@ def _assessed(network: Network, solution: FitSolution) -> RowAssessment:
 
 
 def _weighted(
-    network: Network, rows: RowAssessment, theta: np.ndarray, setup: SetUp, weight: np.ndarray
+    network: Network, rows: RowAssessment, theta: np.ndarray, setup: StationsAndTargets, weight: np.ndarray
 ) -> FitSolution:
     """Return the estimate weighted by the noise and by the misfit of an assessment."""
     weighted = network.with_discrepancy(isotropic(network, rows.size_m).root)

@@ -25,7 +25,7 @@ from twin.measurement.instruments import (
     others_alike,
 )
 from twin.measurement.observation import CarriedTargets, at_origin
-from twin.measurement.set_up import SetUp, least_motion, nominal_carriers
+from twin.measurement.set_up import StationsAndTargets, least_motion, nominal_carriers
 from twin.measurement.table import Measurements
 
 FEWEST_ROWS: Final = 3
@@ -53,7 +53,7 @@ class PreparedData(NamedTuple):
 
     instruments: StationInstruments
     data: Measurements
-    setup: SetUp
+    setup: StationsAndTargets
 
 
 def prepare(machine: Machine, data: Measurements, instrument: Instrument | None) -> PreparedData:
@@ -152,7 +152,7 @@ def _check_spheres(data: Measurements, points: CarriedTargets, station: str) -> 
             )
 
 
-def implausible_tips(data: Measurements, setup: SetUp) -> tuple[str, ...]:
+def implausible_tips(data: Measurements, setup: StationsAndTargets) -> tuple[str, ...]:
     """Return a notice for each probe whose tip would be above the spindle nose: the positions are probably those of the tip."""
     implausible_tips = []
     for i, name in enumerate(setup.stations):
@@ -168,10 +168,10 @@ def implausible_tips(data: Measurements, setup: SetUp) -> tuple[str, ...]:
 
 def _constant(data: Measurements, rows: np.ndarray) -> np.ndarray:
     """Return (3,) whether a coordinate was read in several of the rows and is the same in all of them."""
-    part = data.point_mm[rows]
-    low = np.min(np.where(np.isfinite(part), part, np.inf), axis=0)
-    high = np.max(np.where(np.isfinite(part), part, -np.inf), axis=0)
-    return (np.isfinite(part).sum(axis=0) >= FEWEST_ROWS) & (low == high)
+    point = data.point_mm[rows]
+    low = np.min(np.where(np.isfinite(point), point, np.inf), axis=0)
+    high = np.max(np.where(np.isfinite(point), point, -np.inf), axis=0)
+    return (np.isfinite(point).sum(axis=0) >= FEWEST_ROWS) & (low == high)
 
 
 def _constant_coordinates(data: Measurements, points: np.ndarray, station: str) -> list[str]:
@@ -199,7 +199,7 @@ def _unobserved_axes(machine: Machine, data: Measurements) -> list[str]:
     ]
 
 
-def _mirrored_planes(data: Measurements, setup: SetUp) -> list[str]:
+def _mirrored_planes(data: Measurements, setup: StationsAndTargets) -> list[str]:
     """Return a notice for each station that reads two coordinates and looks at their plane from the negative side.
 
     Readings in a plane fit either way: a station on the other side sees a mirror image.

@@ -21,7 +21,7 @@ from twin.machine.machine import Machine
 from twin.measurement.columns import CARRIERS
 from twin.measurement.instruments import StationInstruments
 from twin.measurement.observation import observation_of, of_angles
-from twin.measurement.set_up import SetUp
+from twin.measurement.set_up import StationsAndTargets
 from twin.measurement.table import Measurements
 from twin.model.calibration import Calibration
 from twin.numerics.functions import Rows
@@ -190,7 +190,7 @@ class Network:
         other.whitening = read_only(_whitening(other.covariance, self.read))
         return other
 
-    def _order(self, setup: SetUp) -> tuple[np.ndarray, np.ndarray]:
+    def _order(self, setup: StationsAndTargets) -> tuple[np.ndarray, np.ndarray]:
         """Return (n,) station and (n,) target of each row as indices of a set-up, which may come from other rows."""
         names = setup.stations, setup.targets
         if names not in self._orders:
@@ -210,7 +210,7 @@ class Network:
                     errors[:, at] += value * values[rows]
         return errors
 
-    def chunks(self, theta: np.ndarray, setup: SetUp) -> Iterator[WhitenedRows]:
+    def chunks(self, theta: np.ndarray, setup: StationsAndTargets) -> Iterator[WhitenedRows]:
         """Yield residuals and derivatives of all points in chunks, the machine's columns first, then the set-up's."""
         return (self.chunk(theta, setup, rows) for rows in self.row_chunks)
 
@@ -220,14 +220,14 @@ class Network:
         points = len(self.data)
         return [np.arange(start, min(start + CHUNK, points)) for start in range(0, points, CHUNK)]
 
-    def residual(self, theta: np.ndarray, setup: SetUp) -> np.ndarray:
+    def residual(self, theta: np.ndarray, setup: StationsAndTargets) -> np.ndarray:
         """Return (n, 3) whitened residuals, zero where nothing was read."""
         residual = np.zeros((len(self.data), 3))
         for rows in self.row_chunks:
             residual[rows] = np.einsum("nij,nj->ni", self.whitening[rows], self.residuals_m(theta, setup, rows))
         return residual
 
-    def residuals_m(self, theta: np.ndarray, setup: SetUp, rows: np.ndarray) -> np.ndarray:
+    def residuals_m(self, theta: np.ndarray, setup: StationsAndTargets, rows: np.ndarray) -> np.ndarray:
         """Return (k, 3) measured minus predicted, metres, in each station's frame; zero where nothing was read."""
         q, errors = self._q[rows], self.errors(theta, rows)
         place = setup.place[self._order(setup)[1][rows]]
@@ -237,19 +237,19 @@ class Network:
         seen = self._seen(points, setup, rows)
         return self._residuals(seen, setup, rows)
 
-    def _seen(self, points: np.ndarray, setup: SetUp, rows: np.ndarray) -> np.ndarray:
+    def _seen(self, points: np.ndarray, setup: StationsAndTargets, rows: np.ndarray) -> np.ndarray:
         """Return points of the base frame in the frame of the station that read them."""
         station = self._order(setup)[0][rows]
         return np.einsum("nji,nj->ni", setup.rotation[station], points - setup.origin[station])
 
-    def _residuals(self, seen: np.ndarray, setup: SetUp, rows: np.ndarray) -> np.ndarray:
+    def _residuals(self, seen: np.ndarray, setup: StationsAndTargets, rows: np.ndarray) -> np.ndarray:
         predicted = np.empty_like(seen)
         for instrument, some in self.instruments.groups(self.data.station[rows]):
             predicted[some] = np.nan_to_num(instrument.read(seen[some]), nan=0.0)
         predicted[:, 0] -= setup.dead[self._order(setup)[0][rows]]
         return np.where(self.read[rows], self.readings[rows] - predicted, 0.0)
 
-    def view(self, theta: np.ndarray, setup: SetUp, rows: np.ndarray) -> LinearisedReadings:
+    def view(self, theta: np.ndarray, setup: StationsAndTargets, rows: np.ndarray) -> LinearisedReadings:
         """Return some points in their stations' frames, with every derivative an effect may need."""
         first = self._view(theta, setup, rows[:VIEW_CHUNK])
         if len(rows) <= VIEW_CHUNK:
@@ -263,7 +263,7 @@ class Network:
                 whole[some] = own
         return view
 
-    def _view(self, theta: np.ndarray, setup: SetUp, rows: np.ndarray) -> LinearisedReadings:
+    def _view(self, theta: np.ndarray, setup: StationsAndTargets, rows: np.ndarray) -> LinearisedReadings:
         station, target = (of[rows] for of in self._order(setup))
         carried = self._observation.carried(
             self._q[rows],
@@ -298,7 +298,7 @@ class Network:
             shown=np.where(self._angles[rows, None], np.nan, 1.0 * on - rides),
         )
 
-    def chunk(self, theta: np.ndarray, setup: SetUp, rows: np.ndarray) -> WhitenedRows:
+    def chunk(self, theta: np.ndarray, setup: StationsAndTargets, rows: np.ndarray) -> WhitenedRows:
         """Return residuals and derivatives of some points."""
         view = self.view(theta, setup, rows)
         machine = len(self._shapes)
@@ -312,7 +312,7 @@ class Network:
         self.fill_setup_columns(view, setup, columns[machine:-1].transpose(1, 2, 0))
         return WhitenedRows(rows, columns)
 
-    def fill_setup_columns(self, view: LinearisedReadings, setup: SetUp, into: np.ndarray) -> None:
+    def fill_setup_columns(self, view: LinearisedReadings, setup: StationsAndTargets, into: np.ndarray) -> None:
         """Write the derivatives with respect to the set-up's unknowns into (k, 3, unknowns) of zeros."""
         station, target = (of[view.rows] for of in self._order(setup))
         for kind, i, at in setup.slots:

@@ -26,7 +26,7 @@ from twin.identification.unidentified import ConstantErrors, InstrumentShare, Un
 from twin.identification.unknowns import Unknowns
 from twin.machine.chain import frame_pose
 from twin.measurement.checks import RowNote, assumptions, grouped_notes
-from twin.measurement.set_up import SetUp
+from twin.measurement.set_up import StationsAndTargets
 from twin.measurement.table import Measurements
 from twin.model.calibration import Calibration
 from twin.model.calibration_file import MisfitEntry
@@ -166,7 +166,7 @@ class Identification(DisplayedResult):
     calibration: Calibration
     unidentified: tuple[Unidentified, ...]
     held_by_prior: Mapping[str, float]
-    setup: SetUp
+    setup: StationsAndTargets
     constants: ConstantErrors | None
     shares: tuple[InstrumentShare, ...]
     setup_u: Mapping[str, float]
@@ -478,7 +478,9 @@ def rms_um(residual_mm: np.ndarray) -> float:
     return float(np.sqrt(np.nanmean(residual_mm**2))) * 1e3
 
 
-def residuals_of(calibration: Calibration, network: Network, setup: SetUp) -> tuple[np.ndarray, np.ndarray]:
+def residuals_of(
+    calibration: Calibration, network: Network, setup: StationsAndTargets
+) -> tuple[np.ndarray, np.ndarray]:
     """Evaluate a calibration on the rows of an estimate.
 
     Args:

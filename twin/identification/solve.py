@@ -31,7 +31,7 @@ from twin.identification.unknowns import UnknownNumber, Unknowns
 from twin.machine.machine import Machine
 from twin.measurement.instruments import Instrument, StationInstruments
 from twin.measurement.observation import FEWEST_REPEATS, at_origin, repeat_groups
-from twin.measurement.set_up import SetUp, nominal_carriers
+from twin.measurement.set_up import StationsAndTargets, nominal_carriers
 from twin.measurement.table import Measurements
 from twin.model.effects import unit_of
 from twin.numerics.observability import SINGULAR_VALUE_TOLERANCE, Determinability, Spectrum, Unknown, decompose
@@ -84,7 +84,7 @@ class FitSolution:
     """
 
     theta: np.ndarray
-    setup: SetUp
+    setup: StationsAndTargets
     triangle: np.ndarray
     spectrum: Spectrum
     determined: float
@@ -157,7 +157,7 @@ class FitSolution:
         return Determinability(all_unknowns(unknowns, self.setup), self.spectrum, SINGULAR_VALUE_TOLERANCE, readings)
 
 
-def all_unknowns(unknowns: Unknowns, setup: SetUp) -> tuple[Unknown, ...]:
+def all_unknowns(unknowns: Unknowns, setup: StationsAndTargets) -> tuple[Unknown, ...]:
     """Return every unknown of a machine and its set-up with a name for the user.
 
     Args:
@@ -171,7 +171,7 @@ def all_unknowns(unknowns: Unknowns, setup: SetUp) -> tuple[Unknown, ...]:
     return (*of_machine, *setup_unknowns(setup))
 
 
-def setup_unknowns(setup: SetUp) -> tuple[Unknown, ...]:
+def setup_unknowns(setup: StationsAndTargets) -> tuple[Unknown, ...]:
     """Return every unknown of a set-up with a name for the user."""
     setup_unknowns = []
     for name, size in zip(setup.names, setup.plausible, strict=True):
@@ -188,7 +188,7 @@ def _name(column: UnknownNumber, unknowns: Unknowns) -> str:
 def solve(
     network: Network,
     theta: np.ndarray,
-    setup: SetUp,
+    setup: StationsAndTargets,
     weight: np.ndarray,
     *,
     precision: np.ndarray | None = None,
@@ -201,7 +201,7 @@ def solve(
     Args:
         network: data and model.
         theta: initial values of the machine's unknowns, µm and µrad.
-        setup: initial stations and targets; their deviation from the prior is in it (`SetUp.shift`).
+        setup: initial stations and targets; their deviation from the prior is in it (`StationsAndTargets.shift`).
         weight: (n,) weight of each point.
         precision: (columns,) priors of the machine's unknowns about zero, one over µm² or µrad²; none if None.
         incomplete: whether the model does not fit within the noise; see the module.
@@ -250,7 +250,7 @@ class _Iterate:
     """An iterate: the machine's unknowns and the set-up."""
 
     theta: np.ndarray
-    setup: SetUp
+    setup: StationsAndTargets
 
     @property
     def deviation(self) -> np.ndarray:
@@ -286,7 +286,9 @@ class _Problem:
     near: np.ndarray
 
     @classmethod
-    def of(cls, network: Network, setup: SetUp, precision: np.ndarray | None, *, incomplete: bool) -> _Problem:
+    def of(
+        cls, network: Network, setup: StationsAndTargets, precision: np.ndarray | None, *, incomplete: bool
+    ) -> _Problem:
         """Return the constants of an estimate; arguments as of `solve`."""
         machine = len(network.unknowns)
         held = np.zeros(machine) if precision is None else precision
@@ -348,7 +350,7 @@ def _with_prior(strength: np.ndarray, *, incomplete: bool) -> np.ndarray:
     return np.ones_like(strength) if incomplete else (strength <= SINGULAR_VALUE_TOLERANCE).astype(float)
 
 
-def factor(network: Network, theta: np.ndarray, setup: SetUp, weight: np.ndarray) -> np.ndarray:
+def factor(network: Network, theta: np.ndarray, setup: StationsAndTargets, weight: np.ndarray) -> np.ndarray:
     """Return the (p + 1, p + 1) triangular factor of [J | r], rows weighted, which contains all that a least-squares step needs.
 
     Args:

@@ -23,7 +23,7 @@ from twin.identification.unknowns import Unknowns
 from twin.machine.machine import Machine
 from twin.measurement.instruments import StationInstruments
 from twin.measurement.instruments.base import SetUpWords
-from twin.measurement.set_up import SetUp
+from twin.measurement.set_up import StationsAndTargets
 from twin.measurement.table import Measurements
 from twin.model.effects import split_name
 from twin.model.unknown_errors import NO_REFERENCE, at_rest
@@ -199,7 +199,7 @@ def constant_errors(
     machine: Machine,
     data: Measurements,
     instruments: StationInstruments,
-    setup: SetUp,
+    setup: StationsAndTargets,
     covariance: np.ndarray | None = None,
 ) -> ConstantErrors | None:
     """Return what a measurement determines of the constant errors of the axes that it moves, linearised at the nominal machine.
@@ -251,7 +251,7 @@ def constant_rows(
     machine: Machine,
     data: Measurements,
     instruments: StationInstruments,
-    setup: SetUp,
+    setup: StationsAndTargets,
     covariance: np.ndarray | None = None,
 ) -> tuple[Unknowns, np.ndarray] | None:
     """Return the constant errors of the moved axes, and the derivatives of each reading; arguments as of `constant_errors`.
@@ -345,7 +345,12 @@ def held_by_prior(model: DeterminedModel, solution: FitSolution) -> list[str]:
 
 
 def unidentified(
-    machine: Machine, data: Measurements, model: DeterminedModel, wanted: Wanted, setup: SetUp, held: Sequence[str]
+    machine: Machine,
+    data: Measurements,
+    model: DeterminedModel,
+    wanted: Wanted,
+    setup: StationsAndTargets,
+    held: Sequence[str],
 ) -> tuple[Unidentified, ...]:
     """Return the errors to be estimated that are not determined, and why.
 
@@ -376,7 +381,7 @@ def unidentified(
     return tuple(unidentified)
 
 
-def _parts(setup: SetUp, data: Measurements) -> dict[str, _Part]:
+def _parts(setup: StationsAndTargets, data: Measurements) -> dict[str, _Part]:
     """Return the stations and targets of a set-up, by their names among the unknowns."""
     reads = dict(zip(setup.stations, setup.reads, strict=True))
     reader = dict(zip(data.target[::-1].tolist(), data.station[::-1].tolist(), strict=True))
@@ -417,7 +422,7 @@ def _confounded_with(name: str, direction: NullDirection, parts: Mapping[str, _P
 def _remedy(
     name: str,
     machine: Machine,
-    setup: SetUp,
+    setup: StationsAndTargets,
     parts: Mapping[str, _Part],
     direction: NullDirection | None,
     confounded: bool,
@@ -512,7 +517,7 @@ class InstrumentShare:
 
 
 def instrument_shares(
-    network: Network, setup: SetUp, used: np.ndarray, residual_mm: np.ndarray, whitened: np.ndarray
+    network: Network, setup: StationsAndTargets, used: np.ndarray, residual_mm: np.ndarray, whitened: np.ndarray
 ) -> tuple[InstrumentShare, ...]:
     """Return the part of each instrument; empty if there is only one.
 

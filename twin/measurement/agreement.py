@@ -22,7 +22,7 @@ from twin.machine.machine import Axis, Machine
 from twin.measurement.checks import SYSTEMATIC_ROWS, RowNote, outside_axis_range
 from twin.measurement.columns import CARRIERS, POINT_COLUMNS
 from twin.measurement.instruments import SIDES, StationInstruments, default_instrument
-from twin.measurement.set_up import LARGEST_MISFIT_M, SetUp, initial_setup, nominal_carriers
+from twin.measurement.set_up import LARGEST_MISFIT_M, StationsAndTargets, initial_setup, nominal_carriers
 from twin.measurement.table import Measurements
 
 WRONG_COLUMN_SHARE: Final = 0.2
@@ -95,7 +95,7 @@ class Agreement(NamedTuple):
         motion: largest motion of a target, metres.
     """
 
-    setup: SetUp
+    setup: StationsAndTargets
     miss: np.ndarray
     limit: float
     ratio: float
@@ -125,7 +125,9 @@ def fit_of(
     return Agreement(setup, miss, miss_limit(data, miss), *misfit_ratio(machine, data, setup, miss))
 
 
-def agreeing_rows(machine: Machine, data: Measurements, instruments: StationInstruments) -> tuple[Measurements, SetUp]:
+def agreeing_rows(
+    machine: Machine, data: Measurements, instruments: StationInstruments
+) -> tuple[Measurements, StationsAndTargets]:
     """Return the rows whose command agrees with the measured motion, and the set-up estimated with the nominal machine.
 
     Args:
@@ -161,11 +163,10 @@ def agreeing_rows(machine: Machine, data: Measurements, instruments: StationInst
     agreeing = replace(data.select(~bad), set_aside=(*data.set_aside, *notes))
     if set(agreeing.target) != set(data.target) or set(agreeing.station) != set(data.station):
         without_rows = sorted({*data.target, *data.station} - {*agreeing.target, *agreeing.station})
-        raise InputError(
+        raise data.error(
             f"no reading of {', '.join(without_rows)} agrees with its command",
             expected="readings that follow the commands",
-            file=data.source,
-            line=notes[0].line,
+            row=np.flatnonzero(bad)[0],
         )
     return agreeing, initial_setup(machine, agreeing, instruments)[0]
 
@@ -197,7 +198,9 @@ def miss_limit(data: Measurements, miss: np.ndarray) -> float:
     return max(LARGEST_MISFIT_M, OUTLYING_FACTOR * typical) if typical < NOMINAL_SHARE * span else LARGEST_MISFIT_M
 
 
-def misfit_ratio(machine: Machine, data: Measurements, setup: SetUp, miss: np.ndarray) -> tuple[float, float]:
+def misfit_ratio(
+    machine: Machine, data: Measurements, setup: StationsAndTargets, miss: np.ndarray
+) -> tuple[float, float]:
     """Return mean misfit over mean commanded motion of the targets (for lengths, over their change), and the largest motion.
 
     A row's misfit is limited to the largest motion, so that a lost beam does not dominate. Zero if hardly anything moves. Metres.
@@ -424,8 +427,9 @@ def _units(machine: Machine, data: Measurements, *, single: bool) -> Iterator[Co
     for field, labels, columns, (unit, word, factor) in tried:
         groups = [[i] for i in columns] if single and len(columns) > 1 else [] if single or not columns else [columns]
         for some in groups:
-            q = data.positions * factor
-            if field == "positions" and any(np.any(outside_axis_range(machine.axes[i], q[:, i])) for i in some):
+            if field == "positions" and any(
+                np.any(outside_axis_range(machine.axes[i], data.positions[:, i] * factor)) for i in some
+            ):
                 continue
             named = tuple(labels[i] for i in some)
             look = f"columns {', '.join(named)} look" if len(named) > 1 else f"column {named[0]} looks"

@@ -48,7 +48,7 @@ class Slot(NamedTuple):
 
 @final
 @dataclass(frozen=True)
-class SetUp:
+class StationsAndTargets:
     """Poses of stations and places of targets; metres and radians, in the frame on which each station rides (usually the base frame).
 
     Attributes:
@@ -77,12 +77,13 @@ class SetUp:
     shift: np.ndarray | None = None
 
     @classmethod
-    def from_table(cls, data: Measurements, instruments: StationInstruments) -> SetUp:
+    def from_table(cls, data: Measurements, instruments: StationInstruments) -> StationsAndTargets:
         """Return the poses and places given in a table; identity and zero for the others."""
         stations, first = _first_rows(data.station)
         targets, first_target = _first_rows(data.target)
         pose, place = data.station_pose[first], data.place_mm[first_target] * MM
-        station_known, target_known = (np.asarray(np.isfinite(given).all(axis=1)) for given in (pose, place))
+        station_known = np.asarray(np.isfinite(pose).all(axis=1))
+        target_known = np.asarray(np.isfinite(place).all(axis=1))
         rotation = np.tile(np.eye(3), (len(stations), 1, 1))
         for i in np.flatnonzero(station_known):
             rotation[i] = rotation_exp(pose[i, 3:] * DEG)
@@ -94,7 +95,7 @@ class SetUp:
         place[lines & ~target_known] = VERTICAL_M
         return cls(stations, rotation, origin, dead, targets, place, station_known, target_known, reads, lines)
 
-    def of(self, data: Measurements) -> SetUp:
+    def of(self, data: Measurements) -> StationsAndTargets:
         """Return the stations and targets of other data, with the values of this set-up.
 
         Raises:
@@ -166,7 +167,7 @@ class SetUp:
             [kinds.get(kind, STATION_PLAUSIBLE) for kind, _, at in self.slots for _ in range(at.stop - at.start)]
         )
 
-    def moved(self, step: np.ndarray) -> SetUp:
+    def moved(self, step: np.ndarray) -> StationsAndTargets:
         """Return the set-up after a step; rotations are rotation vectors in the station's own frame."""
         rotation = np.array(self.rotation)
         shifted = {"origin": np.array(self.origin), "dead path": np.array(self.dead), "place": np.array(self.place)}
@@ -202,17 +203,10 @@ LARGEST_TURN: Final = 0.5
 LEAST_ROTATION: Final = 1e-10
 
 
-class InitialSetUp(NamedTuple):
-    """Initial set-up, and (n,) the misfit of each reading, metres."""
-
-    setup: SetUp
-    miss: np.ndarray
-
-
 def initial_setup(
     machine: Machine, data: Measurements, instruments: StationInstruments, *, mirrored: bool = False
-) -> InitialSetUp:
-    """Estimate the set-up with the nominal machine.
+) -> tuple[StationsAndTargets, np.ndarray]:
+    """Return the set-up estimated with the nominal machine, and (n,) the misfit of each reading, metres.
 
     Args:
         instruments: those of its stations. Stations that read lengths and others are estimated independently.
@@ -221,7 +215,7 @@ def initial_setup(
     Raises:
         InputError: a station with fewer than three points, or one whose readings are in a left-handed frame.
     """
-    initial = SetUp.from_table(data, instruments)
+    initial = StationsAndTargets.from_table(data, instruments)
     kinds = np.array([read.reads if read.reads in ("length", "angle") else "point" for read in initial.reads])
     if len(set(kinds)) > 1:
         return _by_kind(machine, data, instruments, initial, kinds)
@@ -263,81 +257,95 @@ def least_motion(points: np.ndarray, rotation: np.ndarray, place: np.ndarray) ->
 
 
 def _by_kind(
-    machine: Machine, data: Measurements, instruments: StationInstruments, initial: SetUp, kinds: np.ndarray
-) -> InitialSetUp:
+    machine: Machine,
+    data: Measurements,
+    instruments: StationInstruments,
+    initial: StationsAndTargets,
+    kinds: np.ndarray,
+) -> tuple[StationsAndTargets, np.ndarray]:
     """Return the set-up of stations that read points, lengths and angles, each kind estimated from its own rows."""
-    rotation, origin, dead, place = (
-        np.array(x) for x in (initial.rotation, initial.origin, initial.dead, initial.place)
-    )
+    rotation, origin = np.array(initial.rotation), np.array(initial.origin)
+    dead, place = np.array(initial.dead), np.array(initial.place)
     miss, placed = np.zeros(len(data)), set()
     for kind in ("point", "length", "angle"):
-        names = [name for name, own_kind in zip(initial.stations, kinds, strict=True) if own_kind == kind]
-        if not names:
+        names = np.array(initial.stations)[kinds == kind]
+        if not len(names):
             continue
         rows = np.flatnonzero(np.isin(data.station.astype(str), names))
-        own, miss[rows] = initial_setup(machine, data.select(rows), instruments)
-        at = [initial.stations.index(name) for name in own.stations]
-        rotation[at], origin[at], dead[at] = own.rotation, own.origin, own.dead
-        for name, own_place in zip(own.targets, own.place, strict=True):
+        of_kind, miss[rows] = initial_setup(machine, data.select(rows), instruments)
+        at = [initial.stations.index(name) for name in of_kind.stations]
+        rotation[at], origin[at], dead[at] = of_kind.rotation, of_kind.origin, of_kind.dead
+        for target, name in enumerate(of_kind.targets):
             if name not in placed:
-                place[initial.targets.index(name)] = own_place
+                place[initial.targets.index(name)] = of_kind.place[target]
                 placed.add(name)
-    return InitialSetUp(replace(initial, rotation=rotation, origin=origin, dead=dead, place=place), miss)
+    return replace(initial, rotation=rotation, origin=origin, dead=dead, place=place), miss
 
 
-def _by_angles(initial: SetUp, carried: CarriedTargets, data: Measurements, station: np.ndarray) -> InitialSetUp:
+def _by_angles(
+    initial: StationsAndTargets, carried: CarriedTargets, data: Measurements, station: np.ndarray
+) -> tuple[StationsAndTargets, np.ndarray]:
     """Return the set-up of levels: vertical lines on their carriers, and the mean reading as the origin of each station."""
     y = np.nan_to_num(data.point_mm) * MM
     off = carried.points - y
     origin = np.array([off[station == i].mean(axis=0) for i in range(len(initial.stations))])
     origin = np.where(initial.station_known[:, None], initial.origin, origin)
     miss = np.linalg.norm(np.where(np.isfinite(data.point_mm), off - origin[station], 0.0), axis=1)
-    return InitialSetUp(replace(initial, origin=read_only(origin)), miss)
+    return replace(initial, origin=read_only(origin)), miss
 
 
 @final
-@dataclass(frozen=True)
 class _Equations:
     """Equations R·y + o − A·t = b of all rows, linear in the unknowns of the set-up: R and o of each station, t of each target.
 
-    Attributes:
+    Args:
         initial: set-up with the poses and places that are given.
-        y: (n, 3) readings minus the mean of their station, metres; zero for incomplete rows.
-        centre: (stations, 3) these means. Centring keeps the position of points in a plane or line from affecting the rotation.
-        b: (n, 3) origins of the carriers.
-        matrix: (n, 3, unknowns).
-        known: (unknowns,) which have a value.
-        values: (unknowns,) the values; zero for the others.
+        point: (n, 3) readings, metres; zero for incomplete rows.
         whole: (n,) rows with every coordinate.
-        station: (n,) index.
+        carried: the carriers of the targets.
+        station, target: (n,) indices.
     """
 
-    initial: SetUp
-    y: np.ndarray
-    centre: np.ndarray
-    b: np.ndarray
-    matrix: np.ndarray
-    known: np.ndarray
-    values: np.ndarray
-    whole: np.ndarray
-    station: np.ndarray
-
-    @property
-    def station_unknowns(self) -> int:
-        """Number of unknowns of the stations: twelve each."""
-        return 12 * len(self.initial.stations)
+    def __init__(
+        self,
+        initial: StationsAndTargets,
+        point: np.ndarray,
+        whole: np.ndarray,
+        carried: CarriedTargets,
+        station: np.ndarray,
+        target: np.ndarray,
+    ) -> None:
+        self.initial, self.whole, self.station, self.b = initial, whole, station, carried.points
+        stations, rows = len(initial.stations), np.arange(len(point))
+        # Centred by station, so that the position of points in a plane or line does not affect the rotation.
+        self.centre = np.zeros((stations, 3))
+        for i in range(stations):
+            of = whole & (station == i)
+            self.centre[i] = point[of].mean(axis=0) if np.any(of) else 0.0
+        self.y = np.where(whole[:, None], point - self.centre[station], 0.0)
+        self.matrix = np.zeros((len(point), 3, 12 * stations + 3 * len(initial.targets)))
+        for i in range(3):
+            for j in range(3):
+                self.matrix[rows, i, 12 * station + 3 * i + j] = self.y[:, j]
+                self.matrix[rows, i, 12 * stations + 3 * target + j] = -carried.rotation[:, i, j]
+            self.matrix[rows, i, 12 * station + 9 + i] = 1.0
+        self.known = np.concatenate([np.repeat(initial.station_known, 12), np.repeat(initial.target_known, 3)])
+        origin = initial.origin + _rotate_each(initial.rotation, self.centre)
+        poses = np.concatenate([initial.rotation.reshape(stations, 9), origin], axis=1)
+        self.values = np.where(self.known, np.concatenate([poses.ravel(), initial.place.ravel()]), 0.0)
+        self.station_unknowns = 12 * stations
 
     def solve(self) -> tuple[np.ndarray, np.ndarray]:
         """Return (unknowns,) the robust linear estimate, with the entries of R independent of each other, and (n,) the weights."""
-        weight, found = self.whole.astype(float), self.values
+        weight, estimate = self.whole.astype(float), self.values
         for _ in range(SWEEPS):
-            found = self._weighted(weight)
-            misfit = np.linalg.norm(self.b - self.matrix @ found, axis=1)
+            estimate = self._weighted(weight)
+            misfit = np.linalg.norm(self.b - self.matrix @ estimate, axis=1)
             new_weight = np.where(self.whole, 1.0 / np.maximum(misfit, FLOOR), 0.0) * FLOOR
             if np.allclose(new_weight, weight, atol=1e-3):
                 break
             weight = new_weight
-        return found, weight
+        return estimate, weight
 
     def _weighted(self, weight: np.ndarray) -> np.ndarray:
         root, unknown = np.sqrt(weight)[:, None], ~self.known
@@ -358,16 +366,61 @@ class _Equations:
         weighted[unknown] = directions @ ((directions.T @ (flat.T @ right / scale)) / strength[seen]) / scale
         return weighted
 
+    def with_fitted_rotations(self, rotation: np.ndarray, weight: np.ndarray) -> tuple[StationsAndTargets, np.ndarray]:
+        """Return the set-up with rotations fitted as rotations, together with origins and places.
+
+        The nearest rotation is not the best fit, and it is far from it where a motion along one line leaves entries undetermined.
+        """
+        initial, matrix, y, station = self.initial, self.matrix, self.y, self.station
+        index = np.arange(matrix.shape[2])
+        in_rotation = (index < self.station_unknowns) & (index % 12 < 9)
+        linear = ~in_rotation & ~self.known
+        values = np.where(in_rotation | linear, 0.0, self.values)
+        free = np.flatnonzero(~initial.station_known)
+        of_station = np.concatenate(
+            [np.ones(3 * len(free), dtype=bool), np.flatnonzero(linear) < self.station_unknowns]
+        )
+        for _ in range(SWEEPS):
+            right = self.b - np.einsum("nij,nj->ni", rotation[station], y) - matrix @ values
+            by_turn = np.zeros((len(y), 3, 3 * len(free)))
+            for k, i in enumerate(free.tolist()):
+                of = station == i
+                by_turn[of, :, 3 * k : 3 * k + 3] = -rotation[i] @ cross_matrix(y[of])
+            root = np.sqrt(weight)[:, None]
+            flat = (np.concatenate([by_turn, matrix[:, :, linear]], axis=2) * root[:, :, None]).reshape(3 * len(y), -1)
+            scale = np.maximum(np.linalg.norm(flat, axis=0), 1e-12)
+            # If only the sum of a station's origin and a target's place is determined, it is attributed to the station.
+            solved = np.zeros(flat.shape[1])
+            for part in (of_station, np.ones_like(of_station)):
+                residual = (right * root).ravel() - flat @ solved
+                solved[part] += np.linalg.lstsq(flat[:, part] / scale[part], residual, rcond=1e-9)[0] / scale[part]
+            turned, solved = solved[: 3 * len(free)].reshape(-1, 3), solved[3 * len(free) :]
+            turned *= min(1.0, LARGEST_TURN / max(float(np.abs(turned).max(initial=0.0)), 1e-12))
+            for i, part in zip(free.tolist(), turned, strict=True):
+                rotation[i] = rotation[i] @ rotation_exp(part)
+            misfit = np.linalg.norm(right - matrix[:, :, linear] @ solved, axis=1)
+            weight = np.where(self.whole, FLOOR / np.maximum(misfit, FLOOR), 0.0)
+            if np.abs(turned).max(initial=0.0) < LEAST_ROTATION:
+                break
+        values[linear] = solved
+        of_stations, place = np.split(values, [self.station_unknowns])
+        origin = of_stations.reshape(-1, 12)[:, 9:] - _rotate_each(rotation, self.centre)
+        origin = np.where(initial.station_known[:, None], initial.origin, origin)
+        setup = replace(
+            initial, rotation=read_only(rotation), origin=read_only(origin), place=read_only(place.reshape(-1, 3))
+        )
+        return setup, np.where(self.whole, misfit, 0.0)
+
 
 def _by_points(
-    initial: SetUp,
+    initial: StationsAndTargets,
     carried: CarriedTargets,
     data: Measurements,
     station: np.ndarray,
     target: np.ndarray,
     *,
     mirrored: bool,
-) -> InitialSetUp:
+) -> tuple[StationsAndTargets, np.ndarray]:
     point = _zero_for_unread(initial, data.point_mm, station)
     whole = np.isfinite(point).all(axis=1)
     for i, name in enumerate(initial.stations):
@@ -377,37 +430,14 @@ def _by_points(
                 expected="more points of this station, or its pose in the station columns",
                 row=int(np.flatnonzero(station == i)[0]),
             )
-    equations = _equations(initial, np.where(whole[:, None], point, 0.0) * MM, whole, carried, station, target)
-    found, weight = equations.solve()
-    rotation = _nearest_rotations(initial, found, data, station, mirrored=mirrored)
-    return _with_fitted_rotations(equations, rotation, weight)
-
-
-def _equations(
-    initial: SetUp, y: np.ndarray, whole: np.ndarray, carried: CarriedTargets, station: np.ndarray, target: np.ndarray
-) -> _Equations:
-    n, stations, targets = len(y), len(initial.stations), len(initial.targets)
-    centre = np.zeros((stations, 3))
-    for i in range(stations):
-        of = whole & (station == i)
-        centre[i] = y[of].mean(axis=0) if np.any(of) else 0.0
-    y = np.where(whole[:, None], y - centre[station], 0.0)
-    matrix = np.zeros((n, 3, 12 * stations + 3 * targets))
-    rows = np.arange(n)
-    for i in range(3):
-        for j in range(3):
-            matrix[rows, i, 12 * station + 3 * i + j] = y[:, j]
-            matrix[rows, i, 12 * stations + 3 * target + j] = -carried.rotation[:, i, j]
-        matrix[rows, i, 12 * station + 9 + i] = 1.0
-    known = np.concatenate([np.repeat(initial.station_known, 12), np.repeat(initial.target_known, 3)])
-    origin = initial.origin + _rotate_each(initial.rotation, centre)
-    placed = np.concatenate([initial.rotation.reshape(stations, 9), origin], axis=1)
-    values = np.where(known, np.concatenate([placed.ravel(), initial.place.ravel()]), 0.0)
-    return _Equations(initial, y, centre, carried.points, matrix, known, values, whole, station)
+    equations = _Equations(initial, np.where(whole[:, None], point, 0.0) * MM, whole, carried, station, target)
+    estimate, weight = equations.solve()
+    rotation = _nearest_rotations(initial, estimate, data, station, mirrored=mirrored)
+    return equations.with_fitted_rotations(rotation, weight)
 
 
 def _nearest_rotations(
-    initial: SetUp, found: np.ndarray, data: Measurements, station: np.ndarray, *, mirrored: bool
+    initial: StationsAndTargets, estimate: np.ndarray, data: Measurements, station: np.ndarray, *, mirrored: bool
 ) -> np.ndarray:
     """Return (stations, 3, 3) the rotations nearest to the estimated entries; known rotations unchanged.
 
@@ -416,7 +446,7 @@ def _nearest_rotations(
     """
     rotation = np.array(initial.rotation)
     for i in np.flatnonzero(~initial.station_known):
-        raw = found[12 * i : 12 * i + 9].reshape(3, 3)
+        raw = estimate[12 * i : 12 * i + 9].reshape(3, 3)
         u, s, v = np.linalg.svd(raw)
         if not mirrored and np.linalg.det(raw) < 0.0 and s[2] > 0.5:
             raise data.error(
@@ -428,56 +458,11 @@ def _nearest_rotations(
     return rotation
 
 
-def _with_fitted_rotations(equations: _Equations, rotation: np.ndarray, weight: np.ndarray) -> InitialSetUp:
-    """Return the set-up with rotations fitted as rotations, together with origins and places.
-
-    The nearest rotation is not the best fit, and it is far from it where a motion along one line leaves entries undetermined.
-    """
-    initial, matrix, y, station = equations.initial, equations.matrix, equations.y, equations.station
-    index = np.arange(matrix.shape[2])
-    entry = (index < equations.station_unknowns) & (index % 12 < 9)
-    keep = ~entry & ~equations.known
-    fixed = np.where(entry | keep, 0.0, equations.values)
-    free = np.flatnonzero(~initial.station_known)
-    of_station = np.concatenate([np.ones(3 * len(free), dtype=bool), np.flatnonzero(keep) < equations.station_unknowns])
-    for _ in range(SWEEPS):
-        right = equations.b - np.einsum("nij,nj->ni", rotation[station], y) - matrix @ fixed
-        by_turn = np.zeros((len(y), 3, 3 * len(free)))
-        for k, i in enumerate(free.tolist()):
-            of = station == i
-            by_turn[of, :, 3 * k : 3 * k + 3] = -rotation[i] @ cross_matrix(y[of])
-        root = np.sqrt(weight)[:, None]
-        flat = (np.concatenate([by_turn, matrix[:, :, keep]], axis=2) * root[:, :, None]).reshape(3 * len(y), -1)
-        scale = np.maximum(np.linalg.norm(flat, axis=0), 1e-12)
-        # If only the sum of a station's origin and a target's place is determined, it is attributed to the station.
-        solved = np.zeros(flat.shape[1])
-        for part in (of_station, np.ones_like(of_station)):
-            residual = (right * root).ravel() - flat @ solved
-            solved[part] += np.linalg.lstsq(flat[:, part] / scale[part], residual, rcond=1e-9)[0] / scale[part]
-        turned, solved = solved[: 3 * len(free)].reshape(-1, 3), solved[3 * len(free) :]
-        turned *= min(1.0, LARGEST_TURN / max(float(np.abs(turned).max(initial=0.0)), 1e-12))
-        for i, part in zip(free.tolist(), turned, strict=True):
-            rotation[i] = rotation[i] @ rotation_exp(part)
-        misfit = np.linalg.norm(right - matrix[:, :, keep] @ solved, axis=1)
-        weight = np.where(equations.whole, FLOOR / np.maximum(misfit, FLOOR), 0.0)
-        if np.abs(turned).max(initial=0.0) < LEAST_ROTATION:
-            break
-    full = fixed
-    full[keep] = solved
-    of_stations, place = np.split(full, [equations.station_unknowns])
-    origin = of_stations.reshape(-1, 12)[:, 9:] - _rotate_each(rotation, equations.centre)
-    origin = np.where(initial.station_known[:, None], initial.origin, origin)
-    setup = replace(
-        initial, rotation=read_only(rotation), origin=read_only(origin), place=read_only(place.reshape(-1, 3))
-    )
-    return InitialSetUp(setup, np.where(equations.whole, misfit, 0.0))
-
-
 def _rotate_each(rotation: np.ndarray, vectors: np.ndarray) -> np.ndarray:
     return np.array([turn @ vector for turn, vector in zip(rotation, vectors, strict=True)])
 
 
-def _zero_for_unread(initial: SetUp, point_mm: np.ndarray, station: np.ndarray) -> np.ndarray:
+def _zero_for_unread(initial: StationsAndTargets, point_mm: np.ndarray, station: np.ndarray) -> np.ndarray:
     """Return (n, 3) points, mm, with zero for coordinates that a station never read (readings in a plane or on a line)."""
     point = np.array(point_mm)
     for i in np.flatnonzero(~initial.station_known):
@@ -498,11 +483,11 @@ class _Lengths:
     station: np.ndarray
     target: np.ndarray
 
-    def points(self, setup: SetUp) -> np.ndarray:
+    def points(self, setup: StationsAndTargets) -> np.ndarray:
         """Return (n, 3) the targets."""
         return np.asarray(self.base + np.einsum("nij,nj->ni", self.rotation, setup.place[self.target]))
 
-    def step(self, setup: SetUp) -> tuple[SetUp, float, np.ndarray]:
+    def step(self, setup: StationsAndTargets) -> tuple[StationsAndTargets, float, np.ndarray]:
         """Return the set-up after a damped, robust Gauss-Newton step, its largest change, and (n,) the misfit of the readings."""
         beam = self.points(setup) - setup.origin[self.station]
         far = np.linalg.norm(beam, axis=1)
@@ -521,7 +506,7 @@ class _Lengths:
         return setup.moved(step), float(np.abs(step).max(initial=0.0)), np.abs(misfit)
 
 
-def _by_lengths(initial: SetUp, lengths: _Lengths) -> InitialSetUp:
+def _by_lengths(initial: StationsAndTargets, lengths: _Lengths) -> tuple[StationsAndTargets, np.ndarray]:
     origin, dead, points = np.array(initial.origin), np.array(initial.dead), lengths.points(initial)
     for i in range(len(initial.stations)):
         of = np.flatnonzero(lengths.station == i)
@@ -537,7 +522,7 @@ def _by_lengths(initial: SetUp, lengths: _Lengths) -> InitialSetUp:
         setup, change, misfit = lengths.step(setup)
         if change < 1e-9:
             break
-    return InitialSetUp(replace(setup, shift=None), misfit)
+    return replace(setup, shift=None), misfit
 
 
 def _multilateration(p: np.ndarray, l: np.ndarray, *, free_start: bool) -> tuple[np.ndarray, float]:

@@ -26,7 +26,7 @@ from twin.identification.unknowns import Unknowns
 from twin.machine.machine import Machine
 from twin.measurement.checks import grouped_notes
 from twin.measurement.observation import observation_of
-from twin.measurement.set_up import SetUp
+from twin.measurement.set_up import StationsAndTargets
 from twin.measurement.table import Measurements
 from twin.model.calibration import Calibration
 from twin.model.effects import unit_of
@@ -222,7 +222,7 @@ def read_check(
     )
 
 
-def _solved(network: Network, setup: SetUp, calibration: Calibration) -> FitSolution:
+def _solved(network: Network, setup: StationsAndTargets, calibration: Calibration) -> FitSolution:
     """Return the estimate; stations on the tool or the work start parallel to their carrier, and anew if that does not converge.
 
     An R-test follows the ball, so that its readings hardly show the orientation of its frame: an initial value from them may be
@@ -237,7 +237,9 @@ def _solved(network: Network, setup: SetUp, calibration: Calibration) -> FitSolu
     return solve(network, zero, setup, weights)
 
 
-def _parallel(network: Network, setup: SetUp, calibration: Calibration, free: np.ndarray) -> SetUp:
+def _parallel(
+    network: Network, setup: StationsAndTargets, calibration: Calibration, free: np.ndarray
+) -> StationsAndTargets:
     """Return the set-up with some stations parallel to their carriers."""
     data, targets, stations = network.data, list(setup.targets), np.array(setup.stations)
     target = np.array([targets.index(str(name)) for name in data.target])

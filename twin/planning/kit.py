@@ -34,7 +34,7 @@ from twin.identification.solve import all_unknowns, free_directions
 from twin.identification.unknowns import Unknowns, axes_with_known_places, least_determined_offset, spaces_for
 from twin.machine.machine import Machine
 from twin.measurement.instruments import INSTRUMENTS, Instrument, StationInstruments
-from twin.measurement.set_up import SetUp
+from twin.measurement.set_up import StationsAndTargets
 from twin.measurement.simulate import Placement, Station, simulate, three_floats
 from twin.measurement.table import Measurements
 from twin.model.calibration import Calibration
@@ -385,7 +385,7 @@ class PlanModel:
     instrument: Instrument
     unknowns: Unknowns
     setting: Placement
-    setup: SetUp
+    setup: StationsAndTargets
     plausible: np.ndarray
     free: np.ndarray
     prior: np.ndarray
@@ -584,9 +584,9 @@ def as_evaluated(plan: Measurements, known: Collection[str]) -> Measurements:
     )
 
 
-def setup_of(plan: Measurements, setting: Placement, instrument: Instrument) -> SetUp:
+def setup_of(plan: Measurements, setting: Placement, instrument: Instrument) -> StationsAndTargets:
     """Return the set-up at the planned poses and positions; known are only those the plan gives to an evaluation."""
-    known = SetUp.from_table(plan, StationInstruments.same(instrument, plan.station))
+    known = StationsAndTargets.from_table(plan, StationInstruments.same(instrument, plan.station))
     return replace(
         known,
         rotation=rotation_exp(np.array([setting.stations[name].rotation_rad for name in known.stations])),

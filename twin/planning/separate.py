@@ -30,7 +30,7 @@ from twin.identification.unknowns import Unknowns
 from twin.machine.machine import Machine
 from twin.measurement.agreement import agreeing_rows
 from twin.measurement.instruments import Instrument, Reads, StationInstruments, default_instrument
-from twin.measurement.set_up import SetUp
+from twin.measurement.set_up import StationsAndTargets
 from twin.measurement.simulate import simulate
 from twin.measurement.table import Measurements
 from twin.model.calibration import Calibration
@@ -214,7 +214,7 @@ class _Question:
         evaluated = as_evaluated(replace(measured, station_pose=every.station_pose, place_mm=every.place_mm), kit.known)
         return self._problem(evaluated, instrument, setup_of(evaluated, kit.setting, instrument))
 
-    def _problem(self, data: Measurements, instrument: Instrument, setup: SetUp) -> Problem:
+    def _problem(self, data: Measurements, instrument: Instrument, setup: StationsAndTargets) -> Problem:
         machine, known = self.task.machine, self.task.expected
         instruments = StationInstruments.same(instrument, data.station)
         return Problem(Network(machine, data, instruments, Unknowns(machine, [], []), known), setup, known)

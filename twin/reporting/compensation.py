@@ -27,7 +27,7 @@ from twin.identification.solve import solve
 from twin.identification.unknowns import Unknowns
 from twin.machine.machine import Machine
 from twin.measurement.observation import machine_state
-from twin.measurement.set_up import SetUp
+from twin.measurement.set_up import StationsAndTargets
 from twin.measurement.table import Measurements
 from twin.model.calibration import Calibration
 from twin.model.conditions import APPROACH, required_channels
@@ -354,7 +354,9 @@ def _rms(residual: np.ndarray, read: np.ndarray) -> float:
     return float(np.sqrt(np.mean(residual[read] ** 2))) / UM
 
 
-def _estimates(network: Network, setup: SetUp, calibration: Calibration) -> dict[str, tuple[PositionEstimates, ...]]:
+def _estimates(
+    network: Network, setup: StationsAndTargets, calibration: Calibration
+) -> dict[str, tuple[PositionEstimates, ...]]:
     machine, data = network.machine, network.data
     view = network.view(np.zeros(0), setup, np.arange(len(data)))
     state = machine_state(data, machine)

@@ -23,7 +23,7 @@ from twin.identification.network import Network
 from twin.identification.solve import FitSolution, solve
 from twin.machine.machine import Machine
 from twin.measurement.instruments import LaserTracker
-from twin.measurement.set_up import SetUp
+from twin.measurement.set_up import StationsAndTargets
 from twin.measurement.simulate import simulate
 from twin.measurement.table import Measurements
 from twin.model.calibration import Calibration
@@ -46,7 +46,7 @@ class Fit:
     """
 
     network: Network
-    setup: SetUp
+    setup: StationsAndTargets
     estimate: FitSolution
     weight: np.ndarray
 
@@ -55,7 +55,7 @@ class Fit:
         """(p, f) change of all unknowns for a change of each free coordinate."""
         return self.estimate.spectrum.scale[:, None] * self.estimate.basis
 
-    def unknowns(self, x: np.ndarray) -> tuple[np.ndarray, SetUp]:
+    def unknowns(self, x: np.ndarray) -> tuple[np.ndarray, StationsAndTargets]:
         """Return the machine's unknowns and the set-up of (f,) free coordinates."""
         step = self.coordinates @ x
         machine = len(self.network.unknowns)
@@ -93,7 +93,7 @@ def by_scipy(fit: Fit, jacobian: Callable[[np.ndarray], np.ndarray] | str) -> Me
     return Measured(timing.each(n), n, difference(fit, *fit.unknowns(found[-1])))
 
 
-def difference(fit: Fit, theta: np.ndarray, setup: SetUp) -> str:
+def difference(fit: Fit, theta: np.ndarray, setup: StationsAndTargets) -> str:
     """Return, in words, how an estimate differs from that of `twin`."""
     ours, other = (fit.network.residual(*at) for at in ((fit.estimate.theta, fit.estimate.setup), (theta, setup)))
     used = np.sqrt(fit.weight)[:, None]

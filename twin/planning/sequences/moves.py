@@ -23,7 +23,7 @@ import numpy as np
 from twin._common.errors import InputError
 from twin.identification.unidentified import constant_rows, without_setup
 from twin.measurement.instruments import StationInstruments
-from twin.measurement.set_up import SetUp
+from twin.measurement.set_up import StationsAndTargets
 from twin.planning.design import Exchange
 from twin.planning.sequences.contacts import reach
 from twin.planning.sequences.specification import (
@@ -137,7 +137,7 @@ def _problem(task: SequenceTask, candidates: SequencePoints) -> tuple[np.ndarray
     """
     table = with_nominal_readings(task.machine, sequence_table(task, candidates), task.instrument)
     instruments = StationInstruments.same(task.instrument, table.station)
-    setup = SetUp.from_table(table, instruments)
+    setup = StationsAndTargets.from_table(table, instruments)
     unknown = replace(
         setup,
         station_known=np.zeros(len(setup.stations), dtype=bool),

@@ -19,7 +19,7 @@ from twin.identification.unidentified import ConstantErrors, constant_errors
 from twin.machine.machine import Machine
 from twin.measurement.instruments import Instrument, StationInstruments
 from twin.measurement.observation import Observation
-from twin.measurement.set_up import SetUp
+from twin.measurement.set_up import StationsAndTargets
 from twin.measurement.simulate import Station
 from twin.measurement.table import Measurements
 from twin.model.calibration import Calibration
@@ -368,7 +368,7 @@ def expectation(machine: Machine, table: Measurements, instrument: Instrument) -
     """
     read = with_nominal_readings(machine, table, instrument)
     instruments = StationInstruments.same(instrument, read.station)
-    setup = SetUp.from_table(read, instruments)
+    setup = StationsAndTargets.from_table(read, instruments)
     words, probing = SET_UPS[instrument.name], instrument.specification.reads == "null"
     stations, targets = np.zeros(len(setup.stations), dtype=bool), np.zeros(len(setup.targets), dtype=bool)
     places = f"{words.places} known"
