@@ -1,59 +1,48 @@
-"""Run a command of `twin` repeatedly and kill it at each of its file operations in a folder, one operation later each time.
+"""Run a command of `twin` and note what a kill at each of its file operations in a folder would leave in a file.
 
-`python -m tests.cli.killed FOLDER FILE ARGUMENT…` prints, as JSON, the content of FILE after each kill and, last, after an undisturbed
-run. Kills happen at operations, not at times, so that they do not depend on the speed of the computer.
+`python -m tests.cli.killed FOLDER FILE ARGUMENT…` prints, as JSON, the content of FILE just before each operation and, last, after the
+run: a process killed at that moment can no longer change it. The moments are operations, not times, so that they do not depend on the
+speed of the computer.
 """
 
 from __future__ import annotations
 
+import io
 import json
 import os
-import signal
 import sys
 from pathlib import Path
 
 from twin import cli
-from twin.cli.commands import load
 
 STEPS = ("open", "os.chmod", "os.rename", "os.remove")  # audit events, raised before the operation
 
 
-def run(folder: Path, arguments: list[str], last: int) -> None:
-    """Run the command until just before its `last` operation in the folder."""
-    taken = 0
+def main(folder: str, file: str, *arguments: str) -> None:
+    """Print the content of the file before each operation and after the run."""
+    out, found = Path(file), []
+    reading = False
 
     def audit(event: str, arguments_of_event: tuple[object, ...]) -> None:
-        nonlocal taken
+        nonlocal reading
         if (
             event in STEPS
+            and not reading
             and isinstance(arguments_of_event[0], str | os.PathLike)
-            and folder in Path(arguments_of_event[0]).parents
+            and Path(folder) in Path(arguments_of_event[0]).parents
         ):
-            taken += 1
-            if taken == last:
-                os.kill(os.getpid(), signal.SIGKILL)
+            reading = True
+            found.append(out.read_text())
+            reading = False
 
     sys.addaudithook(audit)
-    cli.main(arguments)
-
-
-def main(folder: str, file: str, *arguments: str) -> None:
-    """Print the content of the file after each kill."""
-    out = Path(file)
-    old, found = out.read_text(), []
-    load(arguments[0])  # once, before the forks
-    while True:
-        out.write_text(old)
-        child = os.fork()
-        if not child:
-            sys.stdout = sys.stderr = open(os.devnull, "w")
-            run(Path(folder), list(arguments), len(found) + 1)
-            os._exit(0)
-        _, status = os.waitpid(child, 0)
-        found.append(out.read_text())
-        if not os.WIFSIGNALED(status):
-            print(json.dumps(found))
-            sys.exit(os.waitstatus_to_exitcode(status))
+    printed, sys.stdout = sys.stdout, io.StringIO()
+    try:
+        cli.main(list(arguments))
+    except SystemExit as end:
+        assert not end.code
+    reading = True
+    printed.write(json.dumps([*found, out.read_text()]))
 
 
 if __name__ == "__main__":

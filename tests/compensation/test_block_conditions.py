@@ -243,7 +243,7 @@ def test_a_block_that_lasts_longer_than_the_machine_warms(dmu50: Machine, tmp_pa
 
 
 def test_times_of_blocks_by_hand(dmu50: Machine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Lines, rapids, arcs, a feed that an axis cannot follow; in tool-tip words the path of the tip, unless only the tool turns."""
+    """Lines, rapids, arcs, inverse time, a feed beyond an axis; in tool-tip words the path of the tip, unless only the tool turns."""
     lines = [
         "G21 G90 G94 G17",
         "G0 X0 Y0 Z-100 B0 C0",
@@ -254,6 +254,7 @@ def test_times_of_blocks_by_hand(dmu50: Machine, tmp_path: Path, monkeypatch: py
         "G1 X0 C90 F1000000",
     ]
     lines += ["G43.4 H1", "G1 X0 Y0 Z0 C90 F600", "G1 X10 C120", "G1 C150"]
+    lines += ["G93 G1 X30 F4"]  # a quarter of a minute, whatever the way
     source, dialect = read_program(program(tmp_path, "\n".join([*lines, "M30", ""])))
     space = WordSpace(dmu50, Setup(), LENGTH)
     path = follow(source, dialect.moves(source, space.axes, tcp=False), space)
@@ -262,7 +263,7 @@ def test_times_of_blocks_by_hand(dmu50: Machine, tmp_path: Path, monkeypatch: py
     )
     times = block_conditions.durations_s(source.source, dialect.technology(source), path, [(0, space)])
     assert times[:5] == pytest.approx([0.0, 5.0, np.pi / 2.0, 100.0 / 500.0, 90.0 / 180.0], rel=1e-9)
-    assert times[6:] == pytest.approx([1.0, 3.0], rel=1e-9)
+    assert times[6:] == pytest.approx([1.0, 3.0, 15.0], rel=1e-9)
 
 
 def test_a_part_of_a_program_keeps_its_times() -> None:

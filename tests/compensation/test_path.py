@@ -288,6 +288,9 @@ def test_tool_tip_mode_in_plain_language(dmu50: Machine) -> None:
     assert hausdorff(inside[0] * scale, inside[1] * scale) <= 0.02 + READ
     assert result.report.angle_deg == pytest.approx(np.degrees(0.02 / 120.0))
     assert run.blocks_out < 0.5 * run.blocks
+    # Half an increment of 1 µm and 0.001° in each axis; the angles count at the length of the tool.
+    half_um = 0.5 * np.array([1.0, 1.0, 1.0, *[np.radians(1.0) * 120.0] * 2])
+    assert result.report.shares.rounding == pytest.approx(np.linalg.norm(half_um))
     numbers = [int(row.split()[0]) for row in result.text.splitlines()]
     assert numbers == list(range(len(numbers)))
     assert result.text.splitlines()[-3].split(" ", 1)[1] == source.splitlines()[-3].split(" ", 1)[1]
@@ -321,6 +324,32 @@ def test_a_run_outside_a_range_is_left_unchanged(dmu50: Machine) -> None:
     result = refitted(dmu50, text, 0.01)
     assert result.text == text
     assert "range" in result.report.runs[0].why
+
+
+def test_a_curve_that_touches_a_limit_is_left_unchanged(dmu50: Machine) -> None:
+    """The blocks of a curve lie on both sides of it: here they would leave the range of X, which the program does not."""
+    text = program_of(circle() - [210.0, 0.0, 0.0])
+    assert feed_path(text)[:, 0].min() == 0.0
+    assert refitted(dmu50, text, 0.02).text == text
+
+
+def test_every_feed_begins_where_it_began(dmu50: Machine) -> None:
+    """Blocks with different feeds are not joined: the second feed begins at its point, rounded to the increment of 1 µm."""
+    points = circle(240)
+    lines = program_of(points).splitlines(keepends=True)
+    lines[3 + 120] = lines[3 + 120].replace("\n", " F200\n")
+    first, second = refitted(dmu50, "".join(lines), 0.02).text.split(" F200\n")
+    assert first.count("\n") + second.count("\n") < 120
+    before = [float(word[1:]) for word in first.splitlines()[-2].split()]
+    assert before == pytest.approx(points[120], abs=6e-4)
+
+
+def test_control_points_are_those_of_the_chain_of_curves(dmu50: Machine) -> None:
+    """Curves share the points at their joints: degrees plus one; an unchanged run has one more point than blocks."""
+    (run,) = refitted(dmu50, program_of(circle()), 0.02).report.runs
+    assert run.degrees == ("t2", "t2") and run.control_points == 5
+    (run,) = refitted(dmu50, program_of(circle(30)), 0.001).report.runs
+    assert run.why and run.control_points == run.blocks + 1 == 31
 
 
 # -------------------------------------------------------------------- points

@@ -22,6 +22,7 @@ from twin import cli
 from twin._common.errors import InputError, OutputError
 from twin.compensation import Compensator, Options, compensate_file
 from twin.compensation.programs.report import LineNote, grouped
+from twin.compensation.programs.uncertainty import CorrectionTally
 from twin.compensation.programs.uncorrected import FoundShortfalls, ShortfallTally
 from twin.compensation.programs.words import Setup
 from twin.compute.native import OUT_OF_RANGE
@@ -31,6 +32,7 @@ from twin.model.iso16907 import Scope
 from twin.nc.iso.dialect import Iso
 from twin.tool.forward import Kinematics
 from twin.tool.inverse import Inverse, Solution
+from twin.tool.uncertainty import ToolUncertainty
 
 ARC = "G0 X100 Y5 Z-100\nG1 F500 Y2\nG3 X96 Y-2 I-4 J0\n"
 
@@ -381,6 +383,33 @@ def test_a_tally_by_hand() -> None:
     assert second.lines == (7,) and second.missed == ()
     tally.add(FoundShortfalls("range", "far", "um", np.arange(100, 200), np.zeros(100), np.zeros(100, dtype=bool)))
     assert "103 blocks (lines 3, 9, 12, 100, 101, 102, 103, 104 … and 95 more)" in tally.shortfalls()[0].text
+
+
+def test_corrections_and_their_uncertainty_by_hand(dmu50: Machine) -> None:
+    """A block counts once, with the RMS over its pieces; the headline compares RMS with RMS, and equal is not shown."""
+    tool = ToolUncertainty(Kinematics(dmu50, Calibration.zero(dmu50)))
+    tally = CorrectionTally("tool point", "um")
+    size = np.array([3.0, 4.0, 10.0])
+    tally.add(
+        np.array([5, 5, 8]),
+        np.array([0, 0, 1]),
+        size,
+        np.array([[3.6, 1.0, 0.0, 2.0]] * 2 + [[9.0, 1.0, 0.0, 2.0]]),
+        tool,
+    )
+    found = tally.correction()
+    assert found is not None
+    assert (found.blocks, found.max, found.max_line, found.max_expanded) == (2, 10.0, 8, 9.0)
+    assert found.rms == pytest.approx(np.sqrt(125.0 / 3.0))
+    assert found.expanded_rms == pytest.approx(np.sqrt(106.92 / 3.0)) and found.expanded_max_line == 8
+    assert found.standard_rms == pytest.approx((1.0, 0.0, 2.0))
+    # Its second piece alone is larger than 3.6, both together are √12.5.
+    (below,) = found.below.tolist()
+    assert below == pytest.approx((5, np.sqrt(12.5), 3.6))
+    known = replace(found, known=True, without_uncertainty=(), rms=5.0, max_expanded=9.0, expanded_rms=4.0)
+    assert known.shown is True
+    assert replace(known, expanded_rms=5.0).shown is False
+    assert replace(known, without_uncertainty=("E_XX",)).shown is None
 
 
 def test_notes_of_one_text_are_one_line() -> None:

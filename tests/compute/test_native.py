@@ -11,6 +11,7 @@ import stat
 import subprocess
 import sys
 import warnings
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -24,7 +25,7 @@ from tests.tool.test_kinematics import random_commands
 from twin.compute import along as batch
 from twin.compute.native import compiler, solver, solver_description
 from twin.compute.native.compiler import Compiler, CompilerError
-from twin.compute.native.solver import BatchOutcome
+from twin.compute.native.solver import Batch, BatchOutcome, InverseProblem, NumpySolver, Solver
 from twin.compute.native.tape import Tape, UnknownOperationError
 from twin.machine.machine import Machine
 from twin.model.calibration import Calibration
@@ -223,6 +224,61 @@ def test_a_directed_machine(dmu50: Machine, calibration: Calibration) -> None:
     known, unknown = (inverse.solve(target, start, rotary=False, approach=side) for side in (sides, None))
     good = known.where(Status.CONVERGED) & unknown.where(Status.CONVERGED)
     assert known.positions[good, 1] - unknown.positions[good, 1] == pytest.approx(-0.003 * sides[good, 1], abs=2e-5)
+
+
+@pytest.fixture(params=[NumpySolver, pytest.param(Solver, marks=compiled)])
+def solve(request: pytest.FixtureRequest, eager: None) -> Callable[[InverseProblem, Batch], BatchOutcome]:
+    """Return a function that solves with NumPy or with compiled code."""
+
+    def solved(problem: InverseProblem, batch: Batch) -> BatchOutcome:
+        chosen = request.param(problem)
+        outcome = chosen.solve(batch)
+        assert isinstance(chosen, NumpySolver) or chosen._native is not None
+        return outcome
+
+    return solved
+
+
+def tilted(dmu50: Machine, calibration: Calibration) -> tuple[InverseProblem, Batch]:
+    """Return the problem of a machine with errors, and nominal poses with B = 40° that start at their own commands."""
+    inverse = Inverse(Kinematics(dmu50, calibration, tool_length_mm=100.0))
+    q = np.array([[250.0, 225.0, -200.0, 40.0, c] for c in np.linspace(0.0, 350.0, 64)])
+    target = Kinematics(dmu50, Calibration.zero(dmu50), tool_length_mm=100.0).forward(q)
+    return inverse._solver.problem, Batch(q, target.point_mm, target.axis, None, np.full(len(q), True))
+
+
+def test_a_pose_farther_than_the_tolerance_is_not_called_reached(
+    dmu50: Machine, calibration: Calibration, solve: Callable[[InverseProblem, Batch], BatchOutcome]
+) -> None:
+    """A tolerance finer than rounding is missed by many poses inside every range; each of them says so."""
+    problem, batch = tilted(dmu50, calibration)
+    fine = dataclasses.replace(problem, tolerance=1e-17)
+    found = solve(fine, batch)
+    missed = found.distance * problem.mm > 2.0 * fine.tolerance
+    assert missed.sum() > len(missed) / 2 and found.distance.max() < 1e-9
+    assert np.array_equal(found.code == solver.OUT_OF_RANGE, missed)
+
+
+@pytest.mark.parametrize("side", [0, 1])
+def test_a_rotary_axis_stops_at_its_limit(
+    dmu50: Machine, calibration: Calibration, side: int, solve: Callable[[InverseProblem, Batch], BatchOutcome]
+) -> None:
+    """The whole orientation lies behind the limit: the axis stays before it, and the linear axes reach the point."""
+    problem, batch = tilted(dmu50, calibration)
+    free = solve(problem, batch)
+    assert np.all(free.code == solver.CONVERGED)
+    b = free.positions[:, 3]
+    middle, outward = float(np.median(b)), 2 * side - 1
+    limits = problem.limits.copy()
+    limits[0, side] = np.radians(middle)
+    beyond = outward * b > outward * middle
+    assert 0 < beyond.sum() < len(b)
+    start = batch.start.copy()
+    start[:, 3] = middle - outward * 0.01
+    found = solve(dataclasses.replace(problem, limits=limits), dataclasses.replace(batch, start=start))
+    assert np.array_equal(found.code == solver.SINGULAR, beyond)
+    assert found.positions[~beyond] == pytest.approx(free.positions[~beyond], abs=1e-8)
+    assert found.distance.max() <= 2e-9
 
 
 @compiled

@@ -20,14 +20,18 @@ POSES = 24
 RANDOM_RAD = 2e-4
 
 
-def diagnosed(folder: Path, offset_rad: float, seed: int) -> Diagnosis:
-    """Diagnose an arm with a zero offset of J3 and random errors of all joints; noise 4 µm, as stated."""
+def arm_with_random_errors(folder: Path, offset_rad: float, seed: int) -> tuple[Machine, Measurements]:
+    """Return an arm, and poses measured with a zero offset of J3 and random errors of all joints; noise 4 µm, as stated."""
     rng = np.random.default_rng(seed)
     machine = Machine.load(str(write_arm(folder)))
     q = np.round(rng.uniform(-HIGH, HIGH, (POSES, 6)), 3)
     off = RANDOM_RAD * rng.standard_normal(q.shape)
     off[:, 2] += offset_rad
-    data = Measurements.load(table(folder / "arm.csv", q, links(np.radians(q) + off)[-1], rng), machine)
+    return machine, Measurements.load(table(folder / "arm.csv", q, links(np.radians(q) + off)[-1], rng), machine)
+
+
+def diagnosed(folder: Path, offset_rad: float, seed: int) -> Diagnosis:
+    machine, data = arm_with_random_errors(folder, offset_rad, seed)
     return diagnose(data, machine, Calibration.default(machine))
 
 

@@ -108,8 +108,8 @@ def test_first_order_against_monte_carlo(dmu50: Machine, uncertain: Calibration)
     assert np.abs(drawn.mean / spread).max() < 5 * noise
     # The 95 % quantile of a length: its own error is 2 % of a standard deviation at 1e4 draws, 0.6 % here; U is up to 0.54 % large.
     assert np.abs(drawn.radius_um / first.expanded_um - 1).max() < 0.01
-    again = sampled(tool, q, np.random.default_rng(6), trials)
-    assert np.array_equal(again.interval_um, drawn.interval_um)
+    once, again = (sampled(tool, q[:1], np.random.default_rng(6), 1000) for _ in range(2))
+    assert np.array_equal(again.interval_um, once.interval_um)
 
 
 def test_where_first_order_is_not_sufficient_it_is_not_validated(dmu50: Machine) -> None:

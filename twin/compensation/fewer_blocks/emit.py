@@ -191,23 +191,20 @@ class Executed:
 
     Attributes:
         block: (n,) index of each point's move among those of the program.
-        words: (n, axes) commanded words.
         point_mm: (n, 3) tool points in the work frame.
     """
 
     block: np.ndarray
-    words: np.ndarray
     point_mm: np.ndarray
 
     def without(self, blocks: np.ndarray) -> Executed:
         """Return the points without those of some moves."""
         keep = ~np.isin(self.block, blocks)
-        return Executed(self.block[keep], self.words[keep], self.point_mm[keep])
+        return Executed(self.block[keep], self.point_mm[keep])
 
-    def between(self, first: int, last: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return words and points of the moves from ``first`` to ``last``, both included."""
-        part = slice(*np.searchsorted(self.block, [first, last + 1]))
-        return self.words[part], self.point_mm[part]
+    def between(self, first: int, last: int) -> np.ndarray:
+        """Return the points of the moves from ``first`` to ``last``, both included."""
+        return self.point_mm[slice(*np.searchsorted(self.block, [first, last + 1]))]
 
 
 def execute_words(
@@ -229,7 +226,7 @@ def execute_words(
     commands = space.commands(words, path.columns.tcp[of])
     sides = Backlash(real.calibration).sides(path, of, commands)
     point = real.reached(commands * space.machine.scale, sides)[1] * 1e3
-    return Executed(moves[of], words, point)
+    return Executed(moves[of], point)
 
 
 def _fractions(motion: PathMotion) -> np.ndarray:
@@ -240,20 +237,17 @@ def _fractions(motion: PathMotion) -> np.ndarray:
     return np.arange(int(np.ceil(steps)) + 1) / np.ceil(steps)
 
 
-def path_distance_mm(
-    one: tuple[np.ndarray, np.ndarray], other: tuple[np.ndarray, np.ndarray], lever_mm: float, tolerance_mm: float
-) -> float:
-    """Return the largest distance between two executed paths in both directions, mm; each is given by words and points.
+def path_distance_mm(one: np.ndarray, other: np.ndarray, tolerance_mm: float) -> float:
+    """Return the largest distance between two executed paths of (n, 3) points in both directions, mm.
 
-    The nearest point is first searched at about the same distance along the path. Rotary words count towards this distance, so that it
-    also increases while a tool only turns.
+    The nearest point is first searched at about the same share of the distance along the path.
     """
-    at = [_shares(words, points, lever_mm) for words, points in (one, other)]
-    return largest_distance(one[1], at[0], other[1], at[1], SEARCHED_SHARE * tolerance_mm, tolerance_mm, anywhere=True)
+    at = [_shares(points) for points in (one, other)]
+    return largest_distance(one, at[0], other, at[1], SEARCHED_SHARE * tolerance_mm, tolerance_mm, anywhere=True)
 
 
-def _shares(words: np.ndarray, points: np.ndarray, lever_mm: float) -> np.ndarray:
-    way = lengths(np.concatenate([points, np.radians(words[:, 3:]) * lever_mm], axis=1))
+def _shares(points: np.ndarray) -> np.ndarray:
+    way = lengths(points)
     return np.asarray(way / way[-1]) if way[-1] > 0.0 else way
 
 

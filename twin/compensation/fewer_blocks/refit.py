@@ -132,7 +132,7 @@ def _runs(refitter: RunRefitter, job: RefitJob) -> Iterator[RunReport]:
     done = _done(refitter, job, np.repeat(in_run, counts), begins)
     ins = {move.line: i for i, move in enumerate(moves)}
     outs = {move.line: i for i, move in enumerate(short_moves)}
-    lever, tolerance = refitter.lever, refitter.prepared.options.tolerance_mm
+    tolerance = refitter.prepared.options.tolerance_mm
     for run in job.fitted:
         lines = run.end_points.run.lines
         kept = np.flatnonzero(run.end_points.kept)
@@ -150,9 +150,8 @@ def _runs(refitter: RunRefitter, job: RefitJob) -> Iterator[RunReport]:
             fit_um=run.tolerance_use.fit_mm * 1e3,
             chord_um=run.tolerance_use.chord_mm * 1e3,
             path_um=run.tolerance_use.path_mm * 1e3,
-            machine_um=path_distance_mm(executed, exact.between(first, last), lever, tolerance) * 1e3,
-            total_um=path_distance_mm(executed, nominal_path.between(ins[lines[0]], ins[lines[-1]]), lever, tolerance)
-            * 1e3,
+            machine_um=path_distance_mm(executed, exact.between(first, last), tolerance) * 1e3,
+            total_um=path_distance_mm(executed, nominal_path.between(ins[lines[0]], ins[lines[-1]]), tolerance) * 1e3,
             why=run.why,
         )
 

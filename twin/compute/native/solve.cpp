@@ -1,7 +1,7 @@
 // Newton's method on blocks of poses. Before this file: simd.hpp, the sizes
 //   A axes, N inputs of a routine, R rotary axes and ROTARY[], S sides, K numbers in the matrices of a step,
 // and the routines turn, again, follow, repair, check (StepFunctions in problem.py).
-// The algorithm is that of numpy_solver.py, pose by pose; tests compare the two.
+// The algorithm is that of `NumpySolver` (solver.py), pose by pose; tests compare the two.
 
 struct Job {
   int64_t rows;
