@@ -64,7 +64,7 @@ def test_a_fold_ends_where_no_cause_is_left(candidates: Candidates) -> None:
 
 
 def test_the_fewest_causes_within_one_standard_error_are_kept() -> None:
-    """The third cause is best by far less than its scatter over the groups; the first improves each group by as much."""
+    """The third cause is best by far less than its standard deviation over the groups; the first improves each group by as much."""
     groups = np.arange(8.0)
     first = np.full(8, 10.0)
     second = first - np.where(groups < 4, 3.0, -2.9)
