@@ -55,7 +55,7 @@ def test_a_fold_does_not_choose_what_the_search_may_not_name(candidates: Candida
 
 
 def test_a_fold_ends_where_no_cause_is_left(candidates: Candidates) -> None:
-    """Nothing is named twice, and nothing excluded fills the number asked for."""
+    """No cause is named twice, and no excluded one fills the number asked for."""
     named = largest_causes(candidates, 9)
     slots = {form.slot for form in named}
     candidates.exclude_forms([form for form in candidates.forms if form.slot not in slots])
