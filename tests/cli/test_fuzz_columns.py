@@ -29,7 +29,7 @@ NEEDED = {
 """Columns without which a table is refused at once; they stay in nine of ten subsets."""
 FEW, MANY = 6, 60
 """Subsets for a command in the default run and in a slow run, if it is not listed below."""
-COSTLY = {"identify": (3, 20), "diagnose": (2, 12), "watch": (2, 8), "report": (2, 3), "thermal": (3, 60)}
+COSTLY = {"identify": (3, 20), "diagnose": (2, 12), "watch": (2, 8), "report": (2, 3)}
 
 
 @cache

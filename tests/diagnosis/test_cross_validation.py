@@ -55,7 +55,7 @@ def test_a_fold_does_not_choose_what_the_search_may_not_name(candidates: Candida
 
 
 def test_a_fold_ends_where_no_cause_is_left(candidates: Candidates) -> None:
-    """Nothing is named twice, and nothing excluded fills the number asked for."""
+    """No cause is named twice, and no excluded one fills the number asked for."""
     named = largest_causes(candidates, 9)
     slots = {form.slot for form in named}
     candidates.exclude_forms([form for form in candidates.forms if form.slot not in slots])
@@ -64,7 +64,7 @@ def test_a_fold_ends_where_no_cause_is_left(candidates: Candidates) -> None:
 
 
 def test_the_fewest_causes_within_one_standard_error_are_kept() -> None:
-    """The third cause is best by far less than its scatter over the groups; the first improves each group by as much."""
+    """The third cause is best by far less than its standard deviation over the groups; the first improves each group by as much."""
     groups = np.arange(8.0)
     first = np.full(8, 10.0)
     second = first - np.where(groups < 4, 3.0, -2.9)
