@@ -85,6 +85,13 @@ class Inliner(ABC):
             InputError: a call that cannot be written out.
         """
 
+    def calls(self, line: Line) -> bool:
+        """Return whether a line may be a call, also one that cannot be written out."""
+        try:
+            return self.call(line) is not None
+        except InputError:
+            return True
+
     @abstractmethod
     def body(self, call: Call, line: Line) -> list[Line] | None:
         """Return the lines of a subprogram with the values of its parameters; None if there is no such subprogram.

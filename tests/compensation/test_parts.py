@@ -15,7 +15,7 @@ from tests.model.errors import random_calibration
 from tests.nested import alike
 from twin._common.errors import InputError, OutputError
 from twin.compensation import Compensator, Options
-from twin.compensation.programs import stream as parts
+from twin.compensation.programs import parts
 from twin.compensation.programs.uncorrected import CLASS_POSES
 from twin.compensation.programs.words import Setup
 from twin.machine.machine import Machine
