@@ -238,7 +238,7 @@ def compensate_file(
     options: Options | None = None,
     progress: Progress = silent,
 ) -> Report:
-    """Compensate the program of a file, or a sample program of twin, into another file; memory stays bounded for ISO programs.
+    """Compensate the program of a file, or a sample program of twin, into another file, as `Compensator.compensate_file`.
 
     Args:
         program: its path.

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import final
 
 import numpy as np
@@ -358,7 +359,10 @@ class FrameSpaces:
         if base.setup.offsets is None and base.setup.tools is None:
             key = tuple(sorted(base.setup.work_offset.items())), base.setup.work_origin_mm, base.tool_length_mm
             self._made[key] = base
-        self._nose = Kinematics(base.machine, Calibration.zero(base.machine), tool_length_mm=0.0)
+
+    @cached_property
+    def _nose(self) -> Kinematics:
+        return Kinematics(self._base.machine, Calibration.zero(self._base.machine), tool_length_mm=0.0)
 
     def of(self, frame: WordFrame, source: str, line: int, standing_deg: np.ndarray) -> WordSpace:
         """Return the conversion of words in a frame; the same object for equal work offsets and tool lengths.

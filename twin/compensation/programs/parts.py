@@ -203,7 +203,6 @@ class ProgramPart:
         path: their motions.
         sections: the sections that begin among them.
         turns: whether the program moves rotary axes, in the parts up to this one or as assumed.
-        last: whether it is the last part.
     """
 
     chunks: Sequence[Chunk]
@@ -212,7 +211,6 @@ class ProgramPart:
     path: ToolPath
     sections: Sequence[Section]
     turns: bool
-    last: bool
 
     def text_of(self, line: int) -> str:
         """Return the text of a line by its index in the program; empty if it is in a part before."""
@@ -264,7 +262,7 @@ class PartReader:
         a_part = self._source.lines / self._source.parts
         full, chunks = a_part, list[Chunk]()
         code = line_code(self._source.lines)
-        found = MoveBuilder(self._axes.names)
+        found, after = MoveBuilder(self._axes.names), 0
         try:
             for data in self._source.stretches():
                 chunk = self._source.dialect.chunk(data, self.lines, self._axes.names, code)
@@ -272,22 +270,23 @@ class PartReader:
                 self.lines += len(chunk)
                 if self._given is None:
                     found.extend(moves := self._reader.read(chunk))
-                    if self._source.parts > 1 and self.lines >= full and self._reader.may_end(_tail(chunk, moves)):
+                    after = int(moves.line[-1]) + 1 if len(moves) else after
+                    if self.lines >= full and self._source.parts > 1 and self._reader.may_end(_tail(chunks, after)):
                         full += a_part
-                        yield self._part(chunks, found.moves(), last=False)
+                        yield self._part(chunks, found.moves())
                         if self.failed is not None:
                             return
                         chunks, found = [], MoveBuilder(self._axes.names)
         except InputError as error:
             self.failed = error
-        yield self._part(chunks, found.moves() if self._given is None else self._given.moves, last=True)
+        yield self._part(chunks, found.moves() if self._given is None else self._given.moves)
 
-    def _part(self, chunks: Sequence[Chunk], given: Sequence[Move], *, last: bool) -> ProgramPart:
+    def _part(self, chunks: Sequence[Chunk], given: Sequence[Move]) -> ProgramPart:
         moves, reader = as_columns(self._axes.names, given), self._reader
         if self._given is None:
             beside = tuple(reader.lost_positions()), tuple(reader.frames()), tuple(reader.drilled())
             self.reading = Interpretation(moves, reader.notices, *beside)
-        part = ProgramPart(chunks, moves, self.reading.drilled, _NO_PATH, (), False, last)
+        part = ProgramPart(chunks, moves, self.reading.drilled, _NO_PATH, (), False)
         try:
             sections = self.sections.add(moves, self.reading.frames)
             self.follower.enter(sections)
@@ -306,10 +305,10 @@ class PartReader:
         return replace(part, path=path, sections=sections, turns=bool(self._assumed))
 
 
-def _tail(chunk: Chunk, moves: MoveColumns) -> str:
-    """Return the lines of a chunk after its last move."""
-    after = int(moves.line[-1]) + 1 - chunk.first if len(moves) else 0
-    return "" if after >= len(chunk) else chunk.scan.data[int(chunk.scan.start[after]) :].decode("latin-1")
+def _tail(chunks: Sequence[Chunk], after: int) -> str:
+    """Return the text of some chunks from a line (its index in the program) on."""
+    cuts = [(chunk.scan, max(after - chunk.first, 0)) for chunk in chunks if after < chunk.first + len(chunk)]
+    return b"".join(scan.data[int(scan.start[line]) :] for scan, line in cuts).decode("latin-1")
 
 
 # --- Check of the output: the written program is read back and compared with the intended positions
@@ -527,7 +526,8 @@ class Run:
             self._stage("reading", 0.0)
             with closing(self._solved(reader)) as parts:
                 for part, solved in parts:
-                    writer.write(part, solved.new)
+                    if reader.failed is None:
+                        writer.write(part, solved.new)
                     self.last = part, solved
                     rate, done = writer.moves / max(monotonic() - began, 1e-3), writer.lines / max(source.lines, 1)
                     self._progress(f"{writer.moves:,} blocks, {rate:,.0f}/s", min(0.99, done))
