@@ -6,11 +6,11 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from tests.model.errors import random_calibration
@@ -401,23 +401,40 @@ def numbered(text: str) -> str:
     return "".join(out)
 
 
-@settings(max_examples=25)
-@given(data=st.data(), into=st.sampled_from(["", "", ".nc", ".h"]))
-def test_split_anywhere(
-    data: st.DataObject, into: str, tabled: Compensator, tmp_path_factory: pytest.TempPathFactory
-) -> None:
+class Division(NamedTuple):
+    """A program, and how it is divided: bytes read at once, fewest lines solved together, suffix of the output of an APT program."""
+
+    name: str
+    features: tuple[str, ...]
+    numbers: bool
+    stretch: int
+    lines: int
+    into: str
+
+
+@st.composite
+def divisions(draw: st.DrawFn) -> Division:
+    name = draw(st.sampled_from([*FEATURES]))
+    chosen = draw(st.lists(st.sampled_from([*FEATURES[name]][1:-1]), min_size=2, max_size=6))
+    how = [
+        draw(st.sampled_from(values)) for values in ([False, True], [30, 90, 400], [1, 7, 40], [".cls", ".nc", ".h"])
+    ]
+    return Division(name, tuple(chosen), *how)
+
+
+@settings(max_examples=15)
+@example(division=Division("p.nc", ("threads", "holes", "tilted plane", "another tool"), False, 30, 1, ""))
+@example(division=Division("p.h", ("arcs", "another tool", "tilted plane", "long ways"), True, 30, 1, ""))
+@example(division=Division("p.cls", ("continued", "inches"), False, 30, 1, ".h"))
+@given(division=divisions())
+def test_split_anywhere(division: Division, tabled: Compensator, tmp_path_factory: pytest.TempPathFactory) -> None:
     """Any features in any order, divided after any line: the same bytes and the same report as in one part."""
-    name = data.draw(st.sampled_from([*FEATURES]))
-    features = FEATURES[name]
-    chosen = data.draw(st.lists(st.sampled_from([*features][1:-1]), min_size=2, max_size=6))
-    text = "".join(features[feature] for feature in ("head", *chosen, "end"))
-    if name == "p.h" and data.draw(st.booleans()):
-        text = numbered(text)
-    stretch, lines = data.draw(st.sampled_from([30, 90, 400])), data.draw(st.sampled_from([1, 7, 40]))
+    name = division.name
+    text = "".join(FEATURES[name][feature] for feature in ("head", *division.features, "end"))
     folder = tmp_path_factory.mktemp("split")
     source = folder / name
-    output = folder / f"out{into if name == 'p.cls' and into else source.suffix}"
-    source.write_text(text)
+    output = folder / f"out{division.into if name == 'p.cls' else source.suffix}"
+    source.write_text(numbered(text) if name == "p.h" and division.numbers else text)
     target = dialect_for(output)
     outcomes = []
     with pytest.MonkeyPatch.context() as patch:
@@ -427,9 +444,9 @@ def test_split_anywhere(
                     result = tabled.compensate(*read_program(source), into=target)
                     outcomes.append((result.text.encode("latin-1"), result.report.to_dict()))
                     continue
-                patch.setattr(parts, "STRETCH_BYTES", stretch)
+                patch.setattr(parts, "STRETCH_BYTES", division.stretch)
                 patch.setattr(chunks, "SHORTEST_RUN", 1)
-                patch.setattr(parts, "PART_LINES", lines)
+                patch.setattr(parts, "PART_LINES", division.lines)
                 report = tabled.compensate_file(source, output, into=target)
                 outcomes.append((output.read_bytes(), report.to_dict()))
             except InputError as error:

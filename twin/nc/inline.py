@@ -86,9 +86,10 @@ class Inliner(ABC):
         """
 
     def calls(self, line: Line) -> bool:
-        """Return whether a line may be a call, also one that cannot be written out."""
+        """Return whether a line calls a subprogram, also one that is missing or cannot be written out."""
         try:
-            return self.call(line) is not None
+            call = self.call(line)
+            return call is not None and (call.certain or self.body(call, line) is not None)
         except InputError:
             return True
 
