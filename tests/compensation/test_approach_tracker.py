@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from twin.compensation import Compensator, Options
-from twin.compensation.programs import compensator as compensator_module
+from twin.compensation.programs import parts
 from twin.compensation.programs.backlash import ApproachTracker, Backlash
 from twin.compensation.programs.correction import correct
 from twin.compensation.programs.motions import MotionColumns, Passage, ToolPath
@@ -104,7 +104,7 @@ def test_errors_between_end_points_are_those_of_the_final_rows(monkeypatch: pyte
     dialect = dialect_for(Path("p.nc"))
     program = dialect.read(f"G90 G21\nG1 F2000\n{''.join(lines)}M30\n".encode(), "p.nc")
     kept = []
-    monkeypatch.setattr(compensator_module, "correct", lambda *a, **b: kept.append(correct(*a, **b)) or kept[-1])
+    monkeypatch.setattr(parts, "correct", lambda *a, **b: kept.append(correct(*a, **b)) or kept[-1])
     compensator.compensate(program, dialect)
     assert kept
     for corrected in kept:

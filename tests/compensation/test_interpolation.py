@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.compensation.test_compensate import LENGTH, compensate, uncertain
-from tests.compensation.test_stream import HEAD, curve
+from tests.compensation.test_parts import HEAD, curve
 from twin.compensation.programs.uncorrected import ACCURACY, EVALUATED_POINTS, FIRST_INTERVAL, interpolated
 from twin.machine.machine import Machine
 from twin.model.calibration import Calibration

@@ -104,7 +104,7 @@ def test_a_new_program_or_cutter_locations(dialect: Dialect) -> None:
     np.testing.assert_allclose([move.position for move in moves], [[0, 0, 10, 0, 90], [1, 0, 10, 0, 90]])
     assert dialect.renumbered(program, text) == text
     with pytest.raises(ValueError, match="cannot be written"):
-        dialect.posted(program, reading, new_positions(reading, {}), AXES, dialect)
+        dialect.poster("a", AXES, dialect)
 
 
 @EVERY

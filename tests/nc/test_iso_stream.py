@@ -26,7 +26,7 @@ from tests.nc.test_simple_blocks import (
     way,
 )
 from twin.nc.blocks import AxisWords, Interpretation, MoveColumns, Program
-from twin.nc.iso.dialect import IsoRewriter, iso_reader
+from twin.nc.iso.dialect import IsoRewriter
 from twin.nc.iso.interpreter import IsoInterpreter
 from twin.nc.lines import chunks as line_chunks
 from twin.nc.lines.chunks import Chunk
@@ -54,10 +54,10 @@ def chunks(program: Program, names: tuple[str, ...], size: int, code: LineCode =
 def read(
     program: Program, axes: AxisWords, size: int, tcp: bool, code: LineCode = ARRAYS
 ) -> tuple[list[tuple[Chunk, MoveColumns]], Interpretation, bool]:
-    reader = iso_reader(program.source, axes, tcp=tcp)
+    reader = ISO.reader(program.source, axes, tcp=tcp)
     parts = [(chunk, reader.read(chunk)) for chunk in chunks(program, axes.names, size, code)]
     moves = tuple(move for _, columns in parts for move in columns)
-    return parts, Interpretation(moves, tuple(reader.notices()), tuple(reader.lost_positions())), reader.drills
+    return parts, Interpretation(moves, reader.notices, tuple(reader.lost_positions())), bool(reader.drilled())
 
 
 def check(
@@ -79,7 +79,9 @@ def check(
 
     def written() -> str:
         style = style_in(program.texts, Style(point=True))
-        rewriter = IsoRewriter(program.source, axes, newline_of(program), style, tcp=whole.moves[0].tcp, code=code)
+        rewriter = IsoRewriter(
+            program.source, axes, newline_of(program.texts), style, tcp=whole.moves[0].tcp, code=code
+        )
         out, at = [], 0
         for chunk, moves in parts:
             out.append(rewriter.write(chunk, moves, new.part(at, at + len(moves))))

@@ -30,7 +30,8 @@ def posted(to):
     program = APT.read(TEXT.encode(), "dir/my part.cls")
     reading = APT.moves(program, AXES, tcp=True)
     new = {i: (np.array(rows, dtype=float), None) for i, rows in enumerate(ROWS)}
-    return APT.posted(program, reading, new_positions(reading, new), AXES, dialect_for(Path(to)))
+    writer = APT.poster(program.source, AXES, dialect_for(Path(to)))
+    return APT.written(writer, program, AXES, reading, new_positions(reading, new))
 
 
 WANTED = [(0, 0, 10, 0, 0), (1, 1, 5, 10, 20), (1.5, 1.25, 4, 36.87, 90), (1.5, 4, 4, 36.87, 90)]
@@ -65,7 +66,7 @@ def test_a_move_nobody_solved_is_not_left_out_in_silence():
     reading = APT.moves(program, AXES, tcp=True)
     with pytest.raises(ValueError, match="line 5"):
         new = new_positions(reading, {1: (np.zeros((1, 5)), None)})
-        APT.posted(program, reading, new, AXES, dialect_for(Path("a.nc")))
+        APT.written(APT.poster("a.cls", AXES, dialect_for(Path("a.nc"))), program, AXES, reading, new)
 
 
 def test_programs_by_name(tmp_path):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from math import isnan, nan
@@ -15,7 +15,18 @@ import numpy as np
 
 from twin._common.arrays import read_only
 from twin._common.errors import InputError
-from twin.nc.blocks import AxisWords, Interpretation, NewPositions, Program
+from twin.nc.blocks import (
+    AxisWords,
+    Interpretation,
+    MoveBuilder,
+    NewPositions,
+    Program,
+    as_columns,
+    encoded,
+)
+from twin.nc.inline import Inliner
+from twin.nc.lines.chunks import CHUNK_LINES, DELETED_LINE, Chunk, ChunkReader, ChunkWriter
+from twin.nc.lines.compiled import LineCode, line_code
 from twin.nc.text import MM_PER_INCH, Style, format_number, read_lines
 from twin.nc.writer import OutputState
 
@@ -154,7 +165,7 @@ class Dialect(ABC):
         vector_decimals: decimals of a tool vector (7: 0.1 µrad).
         linear_increment_mm: least increment of the linear words, None for that of the machine's axes.
         cutter_locations: whether its programs are cutter locations, which can be posted to a language with axis words.
-        in_chunks: whether `twin.nc.iso.dialect` can process its programs in chunks.
+        numbers_lines: whether its lines are numbered, so that a line inserted changes all later ones.
         has_increments: whether controls exist that count numbers without a decimal point in least increments.
     """
 
@@ -165,10 +176,45 @@ class Dialect(ABC):
     vector_decimals: int = 7
     linear_increment_mm: float | None = None
     cutter_locations: bool = False
-    in_chunks: bool = False
+    numbers_lines: bool = False
     has_increments: bool = False
 
     @abstractmethod
+    def reader(self, source: str, axes: AxisWords, *, tcp: bool) -> ChunkReader:
+        """Return a reader of a program.
+
+        Args:
+            source: its name, for messages.
+            tcp: whether tool centre point control is on from the start.
+        """
+
+    @abstractmethod
+    def rewriter(self, source: str, texts: Iterable[str], lines: int, axes: AxisWords, *, tcp: bool) -> ChunkWriter:
+        """Return a writer of a program with some moves replaced and every other byte kept.
+
+        Unchanged moves keep their text. A rewritten block gets every axis word whose value differs from the last value in
+        the output for that axis, whether or not the original block has that word.
+
+        Args:
+            source: its name, for messages.
+            texts: its lines.
+            lines: about how many there are.
+            tcp: whether tool centre point control is on at the first move.
+        """
+
+    def poster(self, source: str, axes: AxisWords, into: Dialect) -> ChunkWriter:
+        """Return a writer of a program of cutter locations as axis words of another language.
+
+        Args:
+            source: its name.
+            axes: the machine's axis words.
+            into: the other language.
+
+        Raises:
+            ValueError: the program already has axis words (an error of the caller).
+        """
+        raise ValueError(f"{self.name} programs cannot be written in {into.name}")
+
     def moves(self, program: Program, axes: AxisWords, *, tcp: bool) -> Interpretation:
         """Interpret a program.
 
@@ -178,14 +224,58 @@ class Dialect(ABC):
         Raises:
             InputError: with file, line and value, for anything that cannot be understood or must not pass uncompensated.
         """
+        reader, found = self.reader(program.source, axes, tcp=tcp), MoveBuilder(axes.names)
+        for chunk in self.chunks(program, axes):
+            found.extend(reader.read(chunk))
+        beside = tuple(reader.lost_positions()), tuple(reader.frames()), tuple(reader.drilled())
+        return Interpretation(found.moves(), reader.notices, *beside)
 
-    @abstractmethod
     def rewrite(self, program: Program, axes: AxisWords, reading: Interpretation, new: NewPositions) -> str:
-        """Return the text with some moves replaced and every other byte kept.
+        """Return the text with some moves replaced, as by `rewriter`."""
+        if not np.any(new.count):
+            return program.text
+        tcp = bool(as_columns(axes.names, reading.moves).tcp[0])
+        writer = self.rewriter(program.source, program.texts, len(program.texts), axes, tcp=tcp)
+        return self.written(writer, program, axes, reading, new)
 
-        Unchanged moves keep their text. A rewritten block gets every axis word whose value differs from the last value in
-        the output for that axis, whether or not the original block has that word.
-        """
+    def written(
+        self, writer: ChunkWriter, program: Program, axes: AxisWords, reading: Interpretation, new: NewPositions
+    ) -> str:
+        """Return a program in memory as a writer writes it."""
+        moves, out, at = as_columns(axes.names, reading.moves), list[bytes](), 0
+        writer.drill(reading.drilled, lambda line: program.texts[line], moves, new)
+        for chunk in self.chunks(program, axes):
+            last = int(np.searchsorted(moves.line, chunk.first + len(chunk)))
+            out.append(writer.write(chunk, moves.part(at, last), new.part(at, last)))
+            at = last
+        text = b"".join([*out, writer.end()]).decode("latin-1")
+        return writer.finished(text.replace(DELETED_LINE, ""))
+
+    def chunks(self, program: Program, axes: AxisWords) -> Iterator[Chunk]:
+        """Yield a program in memory in chunks."""
+        code, first = line_code(len(program.texts)), 0
+        for data in self.stretches(program):
+            chunk = self.chunk(data, first, axes.names, code)
+            yield chunk
+            first += len(chunk)
+
+    def stretches(self, program: Program) -> Iterator[bytes]:
+        """Yield a program in memory in whole statements, with `DELETED_LINE` in place of empty texts."""
+        first, texts = 0, program.texts
+        while first < len(texts):
+            last = first + CHUNK_LINES
+            while last < len(texts) and self.continues(texts[last - 1]):
+                last += 1
+            yield encoded(texts, first, last, DELETED_LINE)
+            first = last
+
+    def chunk(self, data: bytes, first: int, names: tuple[str, ...], code: LineCode) -> Chunk:
+        """Return whole statements as a chunk; arguments as for `Chunk`."""
+        return Chunk(data, first, names, code)
+
+    def continues(self, text: str) -> bool:
+        """Return whether the statement of a line goes on in the next one, so that both are read together."""
+        return False
 
     @abstractmethod
     def with_comments(self, text: str, comments: Sequence[str]) -> str:
@@ -244,35 +334,27 @@ class Dialect(ABC):
         """Return whether programs can be written in another language."""
         return other.name == self.name or self.cutter_locations
 
-    def posted(
-        self, program: Program, reading: Interpretation, new: NewPositions, axes: AxisWords, into: Dialect
-    ) -> str:
-        """Return a program of cutter locations as axis words of another language.
+    def inliner(self, program: Program, folder: Path | None) -> Inliner | None:
+        """Return what writes out the subprograms of a program; None if the language has none.
 
         Args:
-            program: the program, of cutter locations.
-            reading: its moves.
-            new: positions of all axes for every move.
-            axes: the machine's axis words.
-            into: the other language.
-
-        Raises:
-            ValueError: a move has no new position or an unknown axis position, or the program already has axis words (errors of
-                the caller).
+            program: as read.
+            folder: where its subprograms may be; None for only itself.
         """
-        raise ValueError(f"{self.name} programs cannot be written in {into.name}")
+        return None
 
     def expanded(self, program: Program, folder: Path | None) -> Program:
         """Return a program with its subprograms written out in place of their calls; the program itself if it has none.
 
         Args:
             program: as read.
-            folder: where its subprograms may be; None for only itself.
+            folder: as for `inliner`.
 
         Raises:
             InputError: a call that cannot be written out, with file and line.
         """
-        return program
+        inliner = self.inliner(program, folder)
+        return program if inliner is None else inliner.expanded()
 
     def new_program(self, axes: AxisWords) -> NewProgram:
         """Return a new, empty program in axis words.
@@ -312,6 +394,11 @@ class NewProgram(ABC):
             new = not rapid and self.feed > 0 and self.feed != self._feed_said
             self._block(words, rapid, format_number(self.feed, 3, self._style._replace(plus=False)) if new else "")
             self._feed_said = self.feed if new else self._feed_said
+
+    def taken(self) -> bytes:
+        """Return what has been written since the last call."""
+        text, self.out = "".join(self.out), []
+        return text.encode("latin-1")
 
     @abstractmethod
     def start(self, source: str) -> None:

@@ -85,6 +85,14 @@ class Inliner(ABC):
             InputError: a call that cannot be written out.
         """
 
+    def calls(self, line: Line) -> bool:
+        """Return whether a line calls a subprogram, also one that is missing or cannot be written out."""
+        try:
+            call = self.call(line)
+            return call is not None and (call.certain or self.body(call, line) is not None)
+        except InputError:
+            return True
+
     @abstractmethod
     def body(self, call: Call, line: Line) -> list[Line] | None:
         """Return the lines of a subprogram with the values of its parameters; None if there is no such subprogram.

@@ -5,14 +5,14 @@ from __future__ import annotations
 import math
 import re
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Final, NamedTuple
 
 from twin._common.errors import InputError
 from twin.nc.arcs import ArcMisfit
 from twin.nc.arithmetic import evaluate
-from twin.nc.blocks import Arc, AxisWords, FrameChange, Kind, LostPositions, Move, Notice, WordFrame
+from twin.nc.blocks import Arc, AxisWords, FrameChange, Kind, LostPositions, Move, MoveColumns, Notice, WordFrame
 from twin.nc.text import LARGEST, number, unit_vector
 
 
@@ -102,6 +102,7 @@ class Interpreter(ABC):
         position: last commanded position, mm and degrees, NaN where unknown.
         vector: the tool vector in force, if orientation is given as one.
         notices: remarks for the report.
+        late_notices: further ones, which follow those of the whole program.
         lost_positions: lines after which axis positions are unknown.
         frame: the coordinates in force.
         frames: lines that change them.
@@ -136,6 +137,7 @@ class Interpreter(ABC):
         self.position: list[float] = [math.nan] * len(self.names)
         self.vector: tuple[float, float, float] | None = None
         self.notices: list[Notice] = []
+        self.late_notices: list[Notice] = []
         self.lost_positions: list[LostPositions] = []
         self.frame = WordFrame()
         self.frames: list[FrameChange] = []
@@ -170,6 +172,21 @@ class Interpreter(ABC):
     @abstractmethod
     def runs_allowed(self) -> bool:
         """Whether simple lines can be interpreted together in the present modal state."""
+
+    def checked(self, moves: MoveColumns, text_of: Callable[[int], str]) -> MoveColumns:
+        """Return the moves of the lines just interpreted.
+
+        Args:
+            text_of: function that returns the text of one of these lines by its 0-based index.
+
+        Raises:
+            InputError: one of them must not pass after those before it.
+        """
+        return moves
+
+    def may_end(self, tail: str) -> bool:
+        """Return whether a program may be divided here; ``tail``: its lines after the last move."""
+        return True
 
     # ------------------------------------------------------------------ messages
 

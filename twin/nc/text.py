@@ -108,9 +108,9 @@ def ending(text: str) -> str:
     return text[-1:] if text[-1:] in ("\n", "\r") else ""
 
 
-def newline_of(program: Program) -> str:
+def newline_of(texts: Iterable[str]) -> str:
     """Return the line ending of a program: that of its first line, LF if that has none."""
-    return ending(program.texts[0]) or "\n"
+    return ending(next(iter(texts))) or "\n"
 
 
 def number(text: str) -> float:

@@ -18,8 +18,8 @@ from tests.benchmarks import programs
 from tests.benchmarks.peers.record import Measured, Peer, Section, section
 from tests.benchmarks.timing import timed
 from twin.compensation import Options
+from twin.compensation.programs.parts import PartReader, ProgramFile
 from twin.compensation.programs.prepared import PreparedMachine
-from twin.compensation.programs.stream import PartReader, ProgramFile
 from twin.compensation.programs.words import axis_words
 from twin.machine.machine import Machine
 from twin.model.calibration import Calibration
@@ -78,8 +78,8 @@ def by_parts(machine: Machine) -> Measured:
         path.write_text(_text(OURS))
 
         def read() -> list[np.ndarray]:
-            reader = PartReader(prepared, ProgramFile(path), None)
-            found = [stretch.moves.position for part in reader.parts() for stretch in part.read]
+            reader = PartReader(prepared, ProgramFile(path, dialect_for(path)))
+            found = [part.moves.position for part in reader.parts()]
             if reader.failed is not None:
                 raise reader.failed
             return found

@@ -133,12 +133,11 @@ class CompensationAccount:
 
     Args:
         prepared: machine, calibration and options.
-        aim: what was corrected.
         source: the program's name.
     """
 
-    def __init__(self, prepared: PreparedMachine, aim: CorrectionAim, source: str) -> None:
-        self._prepared, self._aim, self._source = prepared, aim, source
+    def __init__(self, prepared: PreparedMachine, source: str) -> None:
+        self._prepared, self._source = prepared, source
         self._before, self._after = CompensationTally(4, 4), CompensationTally(4, 4)
         self._point, self._axis = CorrectionTally("tool point", "um"), CorrectionTally("tool axis", "urad")
         self._with_unknown = CompensationTally(1, 1)
@@ -147,7 +146,7 @@ class CompensationAccount:
         self._residual_um = {"rounding": 0.0, "solver": 0.0}
         self._largest = np.zeros(len(prepared.machine.axes))
         self._motions = self._split = self._added = self._rewritten = self._cutting = 0
-        self._idle = self._any_tcp = False
+        self._idle = self._any_tcp = self._turns = False
         self._all_tcp = True
         self._by_block = ""
         self._reversals = np.zeros(len(prepared.machine.axes), dtype=int)
@@ -157,6 +156,7 @@ class CompensationAccount:
         """Simulate a corrected stretch densely, before and after correction, and add the result to the totals."""
         pieces, rows, context = corrected.pieces, corrected.own, corrected.context
         self._idle, self._by_block = pieces.idle, pieces.conditions.source
+        self._turns |= pieces.aim.turns
         for points in self._simulated(corrected):
             self._compare(points, pieces, corrected.lines, self._motions - context)
         residual_um = self._end_point_residuals_um(pieces, rows)
@@ -237,6 +237,11 @@ class CompensationAccount:
             reversals=tuple(reversal_notes(prepared, self._aim, self._reversals)),
             control=self._control_note(),
         )
+
+    @property
+    def _aim(self) -> CorrectionAim:
+        """The errors that were corrected."""
+        return self._prepared.aim(turns=self._turns)
 
     # --- accumulation ------------------------------------------------------------------------------------------------
 

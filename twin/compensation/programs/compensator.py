@@ -5,37 +5,29 @@ The output is read back, compared with the intended positions and simulated befo
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from io import BytesIO
 from pathlib import Path
-from typing import BinaryIO, final
+from typing import final
 
 import numpy as np
 
 from twin._common.arrays import read_only
 from twin._common.bundled import find_program
-from twin._common.errors import InputError
 from twin._common.files import atomic_file, tracked_files
 from twin._common.resources import Progress, silent
-from twin.compensation.programs.account import CompensationAccount
-from twin.compensation.programs.block_conditions import block_conditions
-from twin.compensation.programs.correction import Corrected, correct, new_positions
-from twin.compensation.programs.follow import SectionMotions, follow, motionless, motions_of, sections, spaces
-from twin.compensation.programs.motions import ToolPath, increments_hinted
-from twin.compensation.programs.pieces import Pieces
+from twin.compensation.programs.correction import Corrected
+from twin.compensation.programs.motions import ToolPath
+from twin.compensation.programs.parts import ProgramFile, ProgramInMemory, ProgramSource, Run
 from twin.compensation.programs.prepared import Options, PreparedMachine
 from twin.compensation.programs.report import Report
-from twin.compensation.programs.stream import Streamed, check, unreadable
-from twin.compensation.programs.uncorrected import frame_uses
 from twin.display.results import Display, DisplayedResult
 from twin.machine.machine import Machine
 from twin.model.calibration import Calibration
 from twin.nc import dialect_for, dialect_of, read_program
-from twin.nc.blocks import Interpretation, NewPositions, Notice, Program, as_columns
+from twin.nc.blocks import Interpretation, NewPositions, Program
 from twin.nc.dialect import Dialect
-from twin.nc.inline import errors_in_files
-from twin.nc.modal import UNKNOWN_AFTER
 
 
 @final
@@ -127,132 +119,23 @@ class Compensator:
             InputError: the program cannot be read, or contains something that must not pass uncompensated.
             OutputError: the output, read back, differs from the intended positions; nothing was written.
         """
-        with (
-            errors_in_files(program),
-            increments_hinted(self.prepared.machine, dialect, lambda line: "".join(program.texts[line - 1 : line])),
-        ):
-            return self._compensate(program, dialect, progress, into, reading)
-
-    def _compensate(
-        self,
-        program: Program,
-        dialect: Dialect,
-        progress: Progress,
-        into: Dialect | None,
-        reading: Interpretation | None,
-    ) -> Compensation:
-        progress("reading", 0.0)
-        prepared, axes = self.prepared, self.prepared.space.axes
-        if reading is None:
-            reading = dialect.moves(program, axes, tcp=prepared.options.tcp)
-        parts = sections(prepared.space, program.source, reading)
-        first, later = spaces(parts)
-        path = follow(program, reading, first, later)
-        if not path.motions:
-            raise motionless(program.source, path.unknown)
-        written = dialect if into is None else into
-        posted = written.name != dialect.name
-        progress("solving", 0.1)
-        corrected = self._corrected(program, dialect, reading, path, motions_of(parts, path), progress, posted=posted)
-        new = _with_shares(new_positions(corrected, len(reading.moves), len(axes.names)), corrected)
-        progress("writing", 0.8)
-        if posted:
-            text = dialect.posted(program, reading, new, axes, written)
-        else:
-            text = dialect.rewrite(program, axes, reading, new)
-        if np.any(new.count):
-            text = written.with_comments(text, prepared.comments)
-        self._check(program, reading, new, text, written, posted=posted)
-        progress("checking", 0.9)
-        numbers = program.numbers
-        account = CompensationAccount(
-            prepared, prepared.aim(turns=any(one.pieces.aim.turns for one in corrected)), program.source
+        out = BytesIO()
+        run = Run(
+            self.prepared, ProgramInMemory(program, dialect), dialect if into is None else into, progress, reading
         )
-        for one in corrected:
-            account.add(one)
-        notices = [notice._replace(line=int(numbers[notice.line]) - 1) for notice in (*reading.notices, *path.notices)]
-        if program.origins:
-            notices.append(
-                Notice(0, "subprograms are written out in place of their calls: the output needs none of them")
-            )
-        report = account.report(
-            lines=len(program.texts),
-            moves=len(reading.moves),
-            notices=notices,
-            unknown=[one._replace(line=int(numbers[one.line]) - 1) for one in path.unknown],
-            frames=frame_uses(parts, numbers),
-            text_of=lambda number: (
-                program.texts[int(np.flatnonzero(numbers == number)[0])] if dialect.has_increments else ""
-            ),
-        )
-        progress("done", 1.0)
-        columns = [np.concatenate(column) for column in zip(*map(_columns, corrected), strict=True)]
-        return Compensation(text, report, reading, new, path, *map(read_only, columns))
-
-    def _corrected(
-        self,
-        program: Program,
-        dialect: Dialect,
-        reading: Interpretation,
-        path: ToolPath,
-        parts: Sequence[SectionMotions],
-        progress: Progress,
-        *,
-        posted: bool,
-    ) -> list[Corrected]:
-        """Return every section of the program corrected, under the conditions of its blocks."""
-        prepared = self.prepared
-        turns = as_columns(prepared.space.axes.names, reading.moves).turns(prepared.space.axes.rotary)
-        conditions = block_conditions(
-            program,
-            dialect,
-            path,
-            [(part.begin, part.space) for part in parts],
-            prepared.calibration,
-            prepared.options.conditions,
-        )
-        corrected = []
-        for part in parts:
-            within = prepared.within(part.space)
-            pieces = Pieces(
-                within,
-                part.path,
-                within.aim(turns=turns and part.space.tilt is None),
-                dialect,
-                source=program.source,
-                numbers=program.numbers,
-                conditions=conditions.part(part.begin - part.context, part.end),
-                posted=posted,
-            )
-            corrected.append(correct(pieces, progress, context=part.context))
-        return corrected
-
-    def _check(
-        self,
-        program: Program,
-        reading: Interpretation,
-        new: NewPositions,
-        text: str,
-        written: Dialect,
-        *,
-        posted: bool,
-    ) -> None:
-        """Read the output back and compare it with the intended positions."""
-        axes, tcp = self.prepared.space.axes, self.prepared.options.tcp and not posted
-        try:
-            read_back = written.moves(written.read(text.encode("latin-1"), program.source), axes, tcp=tcp)
-        except InputError as error:
-            raise unreadable(program.source, error) from error
-        moves, got = (as_columns(axes.names, one.moves) for one in (reading, read_back))
-        check(program.source, program.numbers[moves.line], new, got.position)
+        report = run.write(out)
+        part, solved = run.last
+        columns = [np.concatenate(column) for column in zip(*map(_columns, solved.stretches), strict=True)]
+        text = out.getvalue().decode("latin-1")
+        return Compensation(text, report, run.reader.reading, solved.new, part.path, *map(read_only, columns))
 
     def compensate_file(
         self, program: Path, output: Path, progress: Progress = silent, *, into: Dialect | None = None
     ) -> Report:
         """Compensate a program from file to file; the output is written atomically.
 
-        An ISO program on a machine without backlash, under conditions that apply to all of it, is processed in stretches, so memory
-        does not grow with its length. Any other program, and one with drilling cycles, is held in memory as a whole.
+        It is processed in parts, so that memory does not grow with its length, except with backlash, conditions of every block, or
+        subprograms (`twin.compensation.programs.parts`).
 
         Args:
             program: its path.
@@ -265,34 +148,19 @@ class Compensator:
                 the calibration.
             OutputError: as for `compensate`.
         """
-        dialect = dialect_of(program)
-        target = dialect if into is None else into
-        setup = self.prepared.options.setup
-        in_one_piece = bool(self.prepared.backlash.axes or self.prepared.by_block or setup.offsets or setup.tools)
-        streams = dialect.in_chunks and target.name == dialect.name and program.is_file() and not in_one_piece
-        with tracked_files() as files, ExitStack() as stack:
+        with tracked_files() as files, atomic_file(output) as out:
             for path in self._inputs(program):
                 files.add_input(path)
-            out = stack.enter_context(atomic_file(output))
-            report = self._streamed(program, out, progress) if streams else None
-            if report is None:
-                out.seek(0)
-                out.truncate()
-                result = self.compensate(*read_program(program), progress, into=into)
-                out.write(result.text.encode("latin-1"))
-                report = result.report
-        return report
+            source = self._source(program)
+            return Run(self.prepared, source, source.dialect if into is None else into, progress).write(out)
 
-    def _streamed(self, program: Path, out: BinaryIO, progress: Progress) -> Report | None:
-        """Compensate a program in stretches; None if it must be held as a whole: it has drilling cycles or calls subprograms."""
-        try:
-            report = Streamed(self.prepared, program, progress).run(out)
-        except InputError:
-            if read_program(program)[0].origins:
-                return None
-            raise
-        unknown = report is not None and any(UNKNOWN_AFTER in note.text for note in report.notes)
-        return None if unknown and read_program(program)[0].origins else report
+    def _source(self, program: Path) -> ProgramSource:
+        """Return a program in parts, or in memory if something needs the whole."""
+        if program.is_file() and not (self.prepared.backlash.axes or self.prepared.by_block):
+            file = ProgramFile(program, dialect_of(program))
+            if not (file.calls and read_program(program)[0].origins):
+                return file
+        return ProgramInMemory(*read_program(program))
 
     def _inputs(self, program: Path) -> Iterator[Path]:
         """Yield the input files of this compensation."""
@@ -370,7 +238,7 @@ def compensate_file(
     options: Options | None = None,
     progress: Progress = silent,
 ) -> Report:
-    """Compensate the program of a file, or a sample program of twin, into another file; memory stays bounded for ISO programs.
+    """Compensate the program of a file, or a sample program of twin, into another file, as `Compensator.compensate_file`.
 
     Args:
         program: its path.
@@ -402,22 +270,3 @@ def _columns(found: Corrected) -> tuple[np.ndarray, ...]:
     rows, columns = found.own, found.pieces.path.columns
     moves, lines = columns.move[rows.motion], found.lines[rows.motion]
     return rows.nominal, rows.exact, rows.commands, moves, lines, rows.backlash_move
-
-
-def _with_shares(new: NewPositions, stretches: Sequence[Corrected]) -> NewPositions:
-    """Return new positions with the shares of the moves' time, where moves are inserted that take up backlash."""
-    if not any(np.any(found.rows.backlash_move) for found in stretches):
-        return new
-    return replace(new, shares=np.concatenate([_shares(found) for found in stretches]))
-
-
-def _shares(found: Corrected) -> np.ndarray:
-    """Return (rows,) the share of its motion's time for each row, NaN if all are equal. One degree counts as one millimetre."""
-    rows, taken = found.rows, found.rows.backlash_move
-    starts = np.append(True, rows.motion[1:] != rows.motion[:-1])[: len(taken)]
-    shares = rows.fraction - np.where(starts, 0.0, np.roll(rows.fraction, 1))
-    way = np.linalg.norm(np.diff(rows.printed, axis=0, prepend=rows.printed[:1]), axis=1)
-    total = np.bincount(rows.motion, way)[rows.motion]
-    shares[taken] = way[taken] / np.maximum(total[taken], found.pieces.increment[0])
-    with_backlash = np.bincount(rows.motion, taken)[rows.motion] > 0
-    return np.where(with_backlash, np.clip(shares, 1e-6, 1.0), np.nan)

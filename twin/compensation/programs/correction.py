@@ -219,6 +219,8 @@ class Corrected:
 def new_positions(stretches: Sequence[Corrected], moves: int, axes: int) -> NewPositions:
     """Return the positions that replace the moves of a program, or of a part of it, corrected in stretches.
 
+    They have shares of the moves' time where moves are inserted that take up backlash.
+
     Args:
         stretches: consecutive stretches.
         moves: number of moves.
@@ -232,7 +234,21 @@ def new_positions(stretches: Sequence[Corrected], moves: int, axes: int) -> NewP
         begin += len(stretch.new.positions)
     positions = np.concatenate([np.zeros((0, axes)), *(stretch.new.positions for stretch in stretches)])
     vectors = np.concatenate([np.zeros((0, 3)), *(stretch.new.vectors for stretch in stretches)])
-    return NewPositions(first, count, positions, vectors)
+    inserted = any(np.any(stretch.rows.backlash_move) for stretch in stretches)
+    shares = np.concatenate([_shares(stretch) for stretch in stretches]) if inserted else None
+    return NewPositions(first, count, positions, vectors, shares)
+
+
+def _shares(found: Corrected) -> np.ndarray:
+    """Return (rows,) the share of its motion's time for each row, NaN if all are equal. One degree counts as one millimetre."""
+    rows, taken = found.rows, found.rows.backlash_move
+    starts = np.append(True, rows.motion[1:] != rows.motion[:-1])[: len(taken)]
+    shares = rows.fraction - np.where(starts, 0.0, np.roll(rows.fraction, 1))
+    way = np.linalg.norm(np.diff(rows.printed, axis=0, prepend=rows.printed[:1]), axis=1)
+    total = np.bincount(rows.motion, way)[rows.motion]
+    shares[taken] = way[taken] / np.maximum(total[taken], found.pieces.increment[0])
+    with_backlash = np.bincount(rows.motion, taken)[rows.motion] > 0
+    return np.where(with_backlash, np.clip(shares, 1e-6, 1.0), np.nan)
 
 
 def correct(pieces: Pieces, progress: Progress, *, context: int = 0, before: EndState | None = None) -> Corrected:

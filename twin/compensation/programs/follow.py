@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import final
 
 import numpy as np
@@ -31,6 +32,7 @@ from twin.compensation.programs.motions import (
 from twin.compensation.programs.words import Tilt, WordSpace
 from twin.model.calibration import Calibration
 from twin.nc.blocks import (
+    FrameChange,
     Interpretation,
     Kind,
     LostPositions,
@@ -48,25 +50,23 @@ TextOf = Callable[[int], str]
 """Function from a line's index in the program to its text."""
 
 
-def follow(
-    program: Program, reading: Interpretation, space: WordSpace, later: Sequence[tuple[int, WordSpace]] = ()
-) -> ToolPath:
+def follow(program: Program, reading: Interpretation, space: WordSpace, found: Sequence[Section] = ()) -> ToolPath:
     """Return a program as motions with known end points.
 
     Args:
         program: as read.
         reading: its moves.
         space: conversion from words to commands.
-        later: other conversions that apply from a line (0-based index) on, in order.
+        found: its sections, with conversions of their own.
 
     Raises:
         InputError: a feed move from or to a position the program has not given, or a tool vector the machine cannot reach.
     """
-    follower = Follower(program.source, space, later)
+    follower = Follower(program.source, space)
+    follower.enter(found)
     moves = as_columns(space.axes.names, reading.moves)
     columns = follower.columns(moves, reading.lost_positions, lambda line: program.texts[line])
-    passed = tuple(follower.notices), tuple(follower.passages), tuple(follower.unknown)
-    return ToolPath(ProgramMotions(columns, moves), columns, *passed)
+    return follower.path(columns, moves)
 
 
 def motionless(source: str, unknown: Sequence[LostBlock] = ()) -> InputError:
@@ -85,7 +85,6 @@ class Follower:
     Args:
         source: the program's name.
         space: conversion from words to commands.
-        later: other conversions that apply from a line (0-based index) on, in order.
 
     Attributes:
         notices: notices on lines that move axes but are passed through unchanged, and on assumptions, so far.
@@ -93,18 +92,29 @@ class Follower:
         unknown: blocks that go to unknown places, so far.
     """
 
-    def __init__(self, source: str, space: WordSpace, later: Sequence[tuple[int, WordSpace]] = ()) -> None:
+    def __init__(self, source: str, space: WordSpace) -> None:
         self.notices: list[Notice] = []
         self.passages: list[Passage] = []
         self.unknown: list[LostBlock] = []
         self._count = 0
         self._source = source
         self._space = space
-        self._later = list(later)[::-1]
+        self._later: list[tuple[int, WordSpace]] = []
         self._words = np.full(len(space.axes.names), np.nan)
         self._tcp: bool | None = None
         self._assumed = False
         self._left: list[LostPositions] = []
+
+    def path(self, columns: MotionColumns, moves: Sequence[Move]) -> ToolPath:
+        """Return all motions of a program, with its moves as read and what lies between them."""
+        passed = tuple(self.notices), tuple(self.passages), tuple(self.unknown)
+        return ToolPath(ProgramMotions(columns, moves), columns, *passed)
+
+    def enter(self, found: Sequence[Section]) -> None:
+        """Take over sections that begin at later moves, or at the first one."""
+        if found and self._tcp is None and not found[0].line:
+            self._space, found = found[0].space, found[1:]
+        self._later = [*((section.line, section.space) for section in found[::-1]), *self._later]
 
     def columns(self, moves: MoveColumns, left: Sequence[LostPositions], text_of: TextOf) -> MotionColumns:
         """Return the motions of the next moves; consecutive plain ones are converted together.
@@ -346,7 +356,13 @@ class FrameSpaces:
     def __init__(self, base: WordSpace) -> None:
         self._base = base
         self._made: dict[Hashable, WordSpace] = {}
-        self._nose = Kinematics(base.machine, Calibration.zero(base.machine), tool_length_mm=0.0)
+        if base.setup.offsets is None and base.setup.tools is None:
+            key = tuple(sorted(base.setup.work_offset.items())), base.setup.work_origin_mm, base.tool_length_mm
+            self._made[key] = base
+
+    @cached_property
+    def _nose(self) -> Kinematics:
+        return Kinematics(self._base.machine, Calibration.zero(self._base.machine), tool_length_mm=0.0)
 
     def of(self, frame: WordFrame, source: str, line: int, standing_deg: np.ndarray) -> WordSpace:
         """Return the conversion of words in a frame; the same object for equal work offsets and tool lengths.
@@ -439,27 +455,90 @@ class Section:
     Attributes:
         line: 0-based index of the first line.
         space: conversion of its words, with its work offset and tool.
-        from_tables: whether a table of work offsets or tools is known.
         assumed_offset: name of the work offset in force before the program selects one; empty without a table of them.
     """
 
     line: int
     frame: WordFrame
     space: WordSpace
-    from_tables: bool = False
     assumed_offset: str = ""
+
+
+@final
+class Sections:
+    """The sections of a program, found part by part.
+
+    Args:
+        base: conversion of words, with the tables of work offsets and tools.
+        source: name of the program, for messages.
+
+    Attributes:
+        found: the sections so far; none before the first move.
+        selects: whether the program selects frames: it has a table of work offsets or tools, or a frame that changes.
+    """
+
+    def __init__(self, base: WordSpace, source: str) -> None:
+        setup = base.setup
+        self.found: list[Section] = []
+        self._base, self._source = base, source
+        self._frames = FrameSpaces(base)
+        self.selects = setup.offsets is not None or setup.tools is not None
+        self._assumed = "" if setup.offsets is None else setup.offsets.assumed
+        self._frame = FrameChange(0, WordFrame())
+        self._decided = False
+        self._standing = base.start + base.offset[3:]
+        self._last = np.zeros((0, len(base.axes.names)))
+
+    def add(self, moves: MoveColumns, changes: Sequence[FrameChange]) -> list[Section]:
+        """Return the sections that begin among the next moves.
+
+        Args:
+            changes: the lines among them that change the frame.
+
+        Raises:
+            InputError: a work offset or a tool that is not in its table.
+        """
+        self.selects = self.selects or bool(changes)
+        known, new = ~moves.passes, len(self.found)
+        lines, positions = moves.line[known], moves.position[known]
+        ends = [*np.searchsorted(lines, [change.line for change in changes]).tolist(), len(lines)]
+        begin = 0
+        for change, end in zip((None, *changes), ends, strict=True):
+            if change is not None:
+                self._frame, self._decided = change, False
+            if not self._decided and end > begin:
+                self._enter(int(lines[begin]))
+            self._last = positions[end - 1 : end] if end > begin else self._last
+            begin = end
+        return self.found[new:]
+
+    def _enter(self, line: int) -> None:
+        """Begin the section of the frame in force, if it is another one; ``line``: that of its first move."""
+        change, frame, found = self._frame, self._frame.frame, self.found
+        at = self._standing if frame.plane is None else _standing(self._last, self._standing, self._base)
+        space = self._frames.of(frame, self._source, line + 1, at)
+        self._standing = self._standing if space.tilt is None else space.tilt.rotary_deg
+        self._decided = True
+        if not found or found[-1].space is not space:
+            found.append(Section(change.line if found else 0, frame, space, self._assumed))
+
+
+def _standing(positions: np.ndarray, first: np.ndarray, base: WordSpace) -> np.ndarray:
+    """Return (rotary axes,) the commands of the rotary axes after moves; ``first``: those at the beginning of their section."""
+    words = positions[-1, 3:] + base.offset[3:] if len(positions) else first
+    return np.where(np.isnan(words), first, words)
 
 
 @final
 @dataclass(frozen=True)
 class SectionMotions:
-    """The motions of a section.
+    """The motions of a section, or of a part of it.
 
     Attributes:
         space: conversion of the section's words.
         path: the motions, after ``context`` motions of the section before in the words of this one.
-        begin, end: the range of its own motions among those of the program.
-        context: 1, or 0 in the first section.
+        begin, end: the range of its own motions among those given.
+        context: 1, or 0 if no other section is before.
     """
 
     space: WordSpace
@@ -469,69 +548,36 @@ class SectionMotions:
     context: int
 
 
-def sections(base: WordSpace, source: str, reading: Interpretation) -> list[Section]:
-    """Return the sections of a program; one if it has neither a table of work offsets nor one of tools.
+def motions_of(
+    space: WordSpace, found: Sequence[Section], path: ToolPath, last: tuple[WordSpace, MotionColumns] | None = None
+) -> list[SectionMotions]:
+    """Return the motions of every section that has any.
 
     Args:
-        base: conversion of words, with the tables of work offsets and tools.
-        source: name of the program, for messages.
-        reading: its moves.
-
-    Raises:
-        InputError: a work offset or a tool that is not in its table.
+        space: conversion of words before the first section.
+        found: the sections that begin among these motions.
+        path: the motions of a program, or of a part of it.
+        last: of a part, the last motion of the part before, and the conversion of its words.
     """
-    setup = base.setup
-    if setup.offsets is None and setup.tools is None and not reading.frames:
-        return [Section(0, WordFrame(), base)]
-    frames = FrameSpaces(base)
-    standing = base.start + base.offset[3:]
-    assumed = "" if setup.offsets is None else setup.offsets.assumed
-    moves = as_columns(base.axes.names, reading.moves)
-    lines, positions = moves.line[~moves.passes], moves.position[~moves.passes]
-    starts = [(0, WordFrame()), *reading.frames]
-    found: list[Section] = []
-    for place, (line, frame) in enumerate(starts):
-        end = starts[place + 1][0] if place + 1 < len(starts) else np.inf
-        own = lines[(lines >= line) & (lines < end)]
-        if own.size:
-            before = positions[: np.searchsorted(lines, line)]
-            at = standing if frame.plane is None else _standing(before, standing, base)
-            space = frames.of(frame, source, int(own[0]) + 1, at)
-            standing = standing if space.tilt is None else space.tilt.rotary_deg
-            if not found or found[-1].space is not space:
-                found.append(Section(line if found else 0, frame, space, True, assumed))
-    return found or [Section(0, WordFrame(), base)]
-
-
-def _standing(positions: np.ndarray, first: np.ndarray, base: WordSpace) -> np.ndarray:
-    """Return (rotary axes,) the commands of the rotary axes after moves; ``first``: those at the beginning of their section."""
-    words = positions[-1, 3:] + base.offset[3:] if len(positions) else first
-    return np.where(np.isnan(words), first, words)
-
-
-def spaces(found: Sequence[Section]) -> tuple[WordSpace, list[tuple[int, WordSpace]]]:
-    """Return the conversion of the first section, and those of the others with their first lines, as `follow` takes them."""
-    return found[0].space, [(section.line, section.space) for section in found[1:]]
-
-
-def motions_of(found: Sequence[Section], path: ToolPath) -> list[SectionMotions]:
-    """Return the motions of every section that has any."""
-    if len(found) == 1:
-        return [SectionMotions(found[0].space, path, 0, len(path.columns), 0)]
-    cuts = np.searchsorted(path.columns.line, [section.line for section in found[1:]]).tolist()
+    cuts = np.searchsorted(path.columns.line, [section.line for section in found]).tolist()
     parts: list[SectionMotions] = []
-    before: WordSpace | None = None
-    for section, begin, end in zip(found, [0, *cuts], [*cuts, len(path.columns)], strict=True):
+    before = None if last is None else last[0]
+    for within, begin, end in zip(
+        (space, *(section.space for section in found)), (0, *cuts), (*cuts, len(path.columns)), strict=True
+    ):
         if begin == end:
             continue
-        space = section.space
-        context = 0 if before is None else 1
-        part = path.part(begin - context, end)
-        if before is not None:
-            part = replace_first(part, before, space)
-        parts.append(SectionMotions(space, part, begin, end, context))
-        before = space
-    return parts or [SectionMotions(found[0].space, path, 0, 0, 0)]
+        context = int(before is not None and before is not within)
+        if before is None or not context:
+            part = path if (begin, end) == (0, len(path.columns)) else path.part(begin, end)
+        elif begin == 0 and last is not None:
+            columns = MotionColumns.joined([last[1], path.columns.part(0, end)])
+            part = replace_first(ToolPath(columns, columns), before, within)
+        else:
+            part = replace_first(path.part(begin - 1, end), before, within)
+        parts.append(SectionMotions(within, part, begin, end, context))
+        before = within
+    return parts
 
 
 def replace_first(path: ToolPath, before: WordSpace, space: WordSpace) -> ToolPath:

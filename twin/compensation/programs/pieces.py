@@ -357,7 +357,7 @@ class Pieces:
         aim: errors to correct.
         dialect: the program's language.
         source: its name, for messages.
-        numbers: (lines,) number of every line of the program; in order if None.
+        number_of: function that returns the numbers of lines by their 0-based indices.
         conditions: those of every motion.
         posted: whether axis words are written even for tool-tip input (cutter locations posted for a control).
 
@@ -383,13 +383,13 @@ class Pieces:
         dialect: Dialect,
         *,
         source: str,
-        numbers: np.ndarray | None = None,
+        number_of: Callable[[np.ndarray], np.ndarray],
         conditions: BlockConditions = CONSTANT,
         posted: bool = False,
     ) -> None:
         self.prepared, self.path, self.aim, self.source, self.posted = prepared, path, aim, source, posted
         self.conditions = conditions
-        self.lines = path.columns.line + 1 if numbers is None else numbers[path.columns.line]
+        self.lines = number_of(path.columns.line)
         self.space = prepared.space
         self.idle = aim.idle and not posted
         self.increment = prepared.printed_increment(dialect, posted=posted)

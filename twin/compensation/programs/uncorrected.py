@@ -177,15 +177,15 @@ def offset_name(section: Section) -> str:
     return section.frame.offset or section.assumed_offset
 
 
-def frame_uses(sections: Sequence[Section], numbers: np.ndarray) -> tuple[FrameUse, ...]:
-    """Return the work offsets and tools of a program's sections; empty if the program has no tables of them.
+def frame_uses(sections: Sequence[Section], number_of: Callable[[int], int]) -> tuple[FrameUse, ...]:
+    """Return the work offsets and tools of a program's sections.
 
     Args:
-        numbers: (lines,) number of every line.
+        number_of: function that returns the number of a line by its 0-based index.
     """
     return tuple(
         FrameUse(
-            int(numbers[section.line]),
+            number_of(section.line),
             offset_name(section),
             not section.frame.offset,
             section.frame.length or section.frame.tool,
@@ -197,7 +197,6 @@ def frame_uses(sections: Sequence[Section], numbers: np.ndarray) -> tuple[FrameU
             else dict(zip(section.space.axes.rotary, section.space.tilt.rotary_deg.tolist(), strict=True)),
         )
         for section in sections
-        if section.from_tables
     )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from math import nan
 from typing import Final, final
@@ -21,20 +21,20 @@ from twin.nc.apt.locations import (
     TogetherJob,
     together_code,
 )
-from twin.nc.apt.reader import AptReader, Statement, locations, scan, statement_at, statements
+from twin.nc.apt.reader import AptReader, Statement, continues, locations, scan, statement_at
 from twin.nc.blocks import (
     AxisWords,
-    Interpretation,
     Kind,
+    Lines,
+    Move,
     MoveBuilder,
     MoveColumns,
     NewPositions,
-    Program,
     Rewrite,
-    as_columns,
 )
-from twin.nc.dialect import NOTHING, Dialect, FeedUnit, LineWords
-from twin.nc.lines.chunks import DELETED_LINE, Chunk, chunks, runs
+from twin.nc.dialect import NOTHING, Dialect, FeedUnit, LineWords, NewProgram
+from twin.nc.lines.chunks import DELETED_LINE, Chunk, ChunkReader, ChunkWriter, runs
+from twin.nc.lines.compiled import LineCode
 from twin.nc.text import (
     MM_PER_INCH,
     Style,
@@ -183,73 +183,143 @@ class _Run:
     lines: np.ndarray
 
 
-def read(program: Program, axes: AxisWords) -> Interpretation:
-    """Return the moves of a program.
+@final
+class AptChunkReader(ChunkReader):
+    """Reader of a program, chunk by chunk."""
+
+    def __init__(self, source: str, axes: AxisWords) -> None:
+        self._reader = AptReader(source, axes)
+        super().__init__(self._reader)
+
+    def read(self, chunk: Chunk) -> MoveColumns:
+        """See `ChunkReader.read`."""
+        reader, found = self._reader, MoveBuilder(self._reader.axes.names)
+        for part in _parts(chunk, chunk.scan.simple, lambda: reader.rapid or bool(reader.unknown)):
+            if isinstance(part, _Run):
+                found.extend(reader.run(part.chunk.first + part.lines, locations(part.chunk.scan, part.lines)))
+            elif (move := reader.step(part)) is not None:
+                found.add(move)
+        return found.moves()
+
+
+@final
+class AptChunkWriter(ChunkWriter):
+    """Writer of a program with its moves replaced, and every other byte kept, chunk by chunk."""
+
+    def __init__(self, source: str, axes: AxisWords, writer: AptWriter) -> None:
+        self._reader = AptReader(source, axes)
+        self._writer = writer
+
+    def write(self, chunk: Chunk, moves: MoveColumns, new: NewPositions) -> bytes:
+        """See `ChunkWriter.write`."""
+        reader, writer, out = self._reader, self._writer, list[str]()
+        for part in _parts(chunk, _replaced_together(chunk, moves, new), lambda: False):
+            if isinstance(part, _Run):
+                lines, scanned = part.lines, part.chunk.scan
+                reader.run(part.chunk.first + lines, locations(scanned, lines))
+                which = np.searchsorted(moves.line, part.chunk.first + lines)
+                rows = new.rows(which)
+                whole = slice(int(scanned.start[part.begin]), int(scanned.end[part.end - 1]))
+                positions, vectors = new.positions[rows] / reader.unit, new.vectors[rows]
+                out.append(writer.together(TogetherJob(scanned, whole, lines, new.count[which], positions, vectors)))
+                continue
+            moved = reader.step(part) is not None
+            index = int(np.searchsorted(moves.line, part.line)) if moved else -1
+            rewrite = new.of_move(index, moves[index]) if moved else None
+            if rewrite is None:
+                out.append(writer.unchanged(part.raw, tilts=moved and len(part.texts) == 6))
+            else:
+                out.append(writer.location(part, rewrite, rewrite.positions.tolist(), reader.unit))
+        return "".join(out).encode("latin-1")
+
+
+@final
+class AptPoster(ChunkWriter):
+    """Writer of cutter locations as axis words of another language, chunk by chunk.
 
     Raises:
-        InputError: as `twin.nc.dialect.Dialect.moves`.
+        ValueError: a move has no new position or an unknown axis position, or the program already has axis words (errors of
+            the caller).
     """
-    reader, found = AptReader(program.source, axes), MoveBuilder(axes.names)
-    for part in _parts(program, lambda chunk: chunk.scan.simple, lambda: reader.rapid or bool(reader.unknown)):
-        if isinstance(part, _Run):
-            found.extend(reader.run(part.chunk.first + part.lines, locations(part.chunk.scan, part.lines)))
-        elif (move := reader.step(part)) is not None:
-            found.add(move)
-    return Interpretation(found.moves(), tuple(reader.notices))
 
+    def __init__(self, source: str, program: NewProgram) -> None:
+        self._source, self._program = source, program
+        self._unit = 1.0
+        program.start(source)
 
-def rewritten(program: Program, axes: AxisWords, moves: MoveColumns, new: NewPositions) -> str:
-    """Return a program with its moves replaced, and every other byte kept.
+    def write(self, chunk: Chunk, moves: MoveColumns, new: NewPositions) -> bytes:
+        """See `ChunkWriter.write`.
 
-    Args:
-        new: their replacements.
-    """
-    reader = AptReader(program.source, axes)
-    writer = AptWriter(newline_of(program), together_code(len(program.texts)))
-    out: list[str] = []
-    for part in _parts(program, lambda chunk: _replaced_together(chunk, moves, new), lambda: False):
-        if isinstance(part, _Run):
-            lines, scanned = part.lines, part.chunk.scan
-            reader.run(part.chunk.first + lines, locations(scanned, lines))
-            which = np.searchsorted(moves.line, part.chunk.first + lines)
-            rows = new.rows(which)
-            whole = slice(int(scanned.start[part.begin]), int(scanned.end[part.end - 1]))
-            positions, vectors = new.positions[rows] / reader.unit, new.vectors[rows]
-            out.append(writer.together(TogetherJob(scanned, whole, lines, new.count[which], positions, vectors)))
-            continue
-        moved = reader.step(part) is not None
-        index = int(np.searchsorted(moves.line, part.line)) if moved else -1
-        rewrite = new.of_move(index, moves[index]) if moved else None
+        Raises:
+            InputError: an unknown location.
+        """
+        index_of = {line: index for index, line in enumerate(moves.line.tolist())}
+        texts, at, writer = _texts(chunk), 0, self._program
+        while at < len(texts):
+            statement, at = statement_at(texts, at, chunk.first)
+            if statement.line in index_of:
+                index = index_of[statement.line]
+                self._write_location(statement, moves[index], new.of_move(index, moves[index]))
+            elif statement.word == "UNITS":
+                inches = statement.arguments and statement.texts[0].upper().startswith("INCH")
+                self._unit = MM_PER_INCH if inches else 1.0
+            elif statement.word == "FEDRAT":
+                words = line_words(f"FEDRAT/{statement.arguments}")
+                writer.feed = _feed(words, self._unit, writer.feed)
+                if words.unit is not FeedUnit.MINUTE:
+                    writer.comment(" ".join(statement.raw.split()))
+            elif statement.word and statement.word not in ("RAPID", "FROM", "GOTO", "?"):
+                writer.comment(" ".join(statement.raw.split()))
+        return writer.taken()
+
+    def _write_location(self, statement: Statement, move: Move, rewrite: Rewrite | None) -> None:
+        if move.unknown:
+            raise InputError(
+                f"a location that cannot be posted: {move.unknown}",
+                expected="statements whose effect on the locations is known",
+                file=self._source,
+                line=move.line + 1,
+                value=statement.raw.strip(),
+            )
         if rewrite is None:
-            out.append(writer.unchanged(part.raw, tilts=moved and len(part.texts) == 6))
-        else:
-            out.append(writer.location(part, rewrite, rewrite.positions.tolist(), reader.unit))
-    return "".join(out).replace(DELETED_LINE, "")
+            raise ValueError(f"the move of line {move.line + 1} has no position")
+        if not np.all(np.isfinite(rewrite.positions)):
+            raise ValueError(f"the move of line {move.line + 1} has an unknown axis position")
+        for row in rewrite.positions.tolist():
+            self._program.move(row, rapid=move.kind is Kind.RAPID)
+
+    def end(self) -> bytes:
+        """See `ChunkWriter.end`."""
+        self._program.finish()
+        return self._program.taken()
 
 
-def _parts(
-    program: Program, together: Callable[[Chunk], np.ndarray], alone: Callable[[], bool]
-) -> Iterator[_Run | Statement]:
+def _texts(chunk: Chunk) -> Sequence[str]:
+    """Return the lines of a chunk, empty where they are deleted."""
+    lines = Lines(chunk.scan.data)
+    deleted = DELETED_LINE.encode("latin-1") in chunk.scan.data
+    return [line.replace(DELETED_LINE, "") for line in lines] if deleted else lines
+
+
+def _parts(chunk: Chunk, able: np.ndarray, alone: Callable[[], bool]) -> Iterator[_Run | Statement]:
     """Yield runs of statements to process together, and single statements, in order.
 
     Args:
-        together: function that returns (lines,) which lines of a chunk can be processed together.
+        chunk: whole statements.
+        able: (lines,) which of its lines can be processed together.
         alone: function that returns whether the next statement must be processed alone.
     """
-    behind = 0
-    for chunk in chunks(program, (), scan):
-        able = together(chunk)
-        for begin, end, long in runs(able, chunk.scan.blank):
-            at = max(chunk.first + begin, behind)
-            lines = begin + np.flatnonzero(able[begin:end]) if long else np.zeros(0, dtype=int)
-            while at < chunk.first + end:
-                if lines.size and lines[-1] >= at - chunk.first and not alone():
-                    yield _Run(chunk, at - chunk.first, end, lines[lines >= at - chunk.first])
-                    at = chunk.first + end
-                else:
-                    statement, at = statement_at(program.texts, at)
-                    yield statement
-            behind = at
+    texts, at = _texts(chunk), 0
+    for begin, end, long in runs(able, chunk.scan.blank):
+        at = max(begin, at)
+        lines = begin + np.flatnonzero(able[begin:end]) if long else np.zeros(0, dtype=int)
+        while at < end:
+            if lines.size and lines[-1] >= at and not alone():
+                yield _Run(chunk, at, end, lines[lines >= at])
+                at = end
+            else:
+                statement, at = statement_at(texts, at, chunk.first)
+                yield statement
 
 
 def _replaced_together(chunk: Chunk, moves: MoveColumns, new: NewPositions) -> np.ndarray:
@@ -281,15 +351,25 @@ class Apt(Dialect):
     linear_increment_mm = 1e-5
     cutter_locations = True
 
-    def moves(self, program: Program, axes: AxisWords, *, tcp: bool) -> Interpretation:
-        """See `Dialect.moves`. Cutter locations are tool-tip coordinates whatever ``tcp`` says."""
-        return read(program, axes)
+    def continues(self, text: str) -> bool:
+        """See `Dialect.continues`."""
+        return continues(text)
 
-    def rewrite(self, program: Program, axes: AxisWords, reading: Interpretation, new: NewPositions) -> str:
-        """See `Dialect.rewrite`."""
-        return (
-            rewritten(program, axes, as_columns(axes.names, reading.moves), new) if np.any(new.count) else program.text
-        )
+    def chunk(self, data: bytes, first: int, names: tuple[str, ...], code: LineCode) -> Chunk:
+        """See `Dialect.chunk`."""
+        return Chunk(data, first, names, code, scan)
+
+    def reader(self, source: str, axes: AxisWords, *, tcp: bool) -> ChunkReader:
+        """See `Dialect.reader`. Cutter locations are tool-tip coordinates whatever ``tcp`` says."""
+        return AptChunkReader(source, axes)
+
+    def rewriter(self, source: str, texts: Iterable[str], lines: int, axes: AxisWords, *, tcp: bool) -> ChunkWriter:
+        """See `Dialect.rewriter`."""
+        return AptChunkWriter(source, axes, AptWriter(newline_of(texts), together_code(lines)))
+
+    def poster(self, source: str, axes: AxisWords, into: Dialect) -> ChunkWriter:
+        """See `Dialect.poster`."""
+        return AptPoster(source, into.new_program(axes))
 
     def with_comments(self, text: str, comments: Sequence[str]) -> str:
         """See `Dialect.with_comments`: after ``PARTNO``."""
@@ -322,50 +402,6 @@ class Apt(Dialect):
     def is_motion_only(self, text: str, names: tuple[str, ...]) -> bool:
         """See `Dialect.is_motion_only`."""
         return _LOCATION.fullmatch(text) is not None
-
-    def posted(
-        self, program: Program, reading: Interpretation, new: NewPositions, axes: AxisWords, into: Dialect
-    ) -> str:
-        """See `Dialect.posted`."""
-        _check_known(program, reading)
-        writer = into.new_program(axes)
-        writer.start(program.source)
-        unit = 1.0
-        move_of = {move.line: (index, move) for index, move in enumerate(reading.moves)}
-        for statement in statements(program.texts):
-            if statement.line in move_of:
-                index, move = move_of[statement.line]
-                rewrite = new.of_move(index, move)
-                if rewrite is None:
-                    raise ValueError(f"the move of line {statement.line + 1} has no position")
-                if not np.all(np.isfinite(rewrite.positions)):
-                    raise ValueError(f"the move of line {statement.line + 1} has an unknown axis position")
-                for row in rewrite.positions.tolist():
-                    writer.move(row, rapid=move.kind is Kind.RAPID)
-            elif statement.word == "UNITS":
-                unit = MM_PER_INCH if statement.arguments and statement.texts[0].upper().startswith("INCH") else 1.0
-            elif statement.word == "FEDRAT":
-                words = line_words(f"FEDRAT/{statement.arguments}")
-                writer.feed = _feed(words, unit, writer.feed)
-                if words.unit is not FeedUnit.MINUTE:
-                    writer.comment(" ".join(statement.raw.split()))
-            elif statement.word and statement.word not in ("RAPID", "FROM", "GOTO", "?"):
-                writer.comment(" ".join(statement.raw.split()))
-        writer.finish()
-        return "".join(writer.out)
-
-
-def _check_known(program: Program, reading: Interpretation) -> None:
-    """Raise `InputError` for an unknown location."""
-    for lost in reading.moves:
-        if lost.unknown:
-            raise InputError(
-                f"a location that cannot be posted: {lost.unknown}",
-                expected="statements whose effect on the locations is known",
-                file=program.source,
-                line=lost.line + 1,
-                value=program.texts[lost.line].strip(),
-            )
 
 
 def _feed(words: LineWords, unit: float, last: float) -> float:

@@ -11,14 +11,24 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Final, NamedTuple, final
 
 import numpy as np
 
 from twin._common.errors import InputError
-from twin.nc.blocks import AxisWords, Kind, Move, MoveColumns, Notice, fill_forward, line_ends
+from twin.nc.blocks import (
+    AxisWords,
+    FrameChange,
+    Kind,
+    LostPositions,
+    Move,
+    MoveColumns,
+    Notice,
+    fill_forward,
+    line_ends,
+)
 from twin.nc.lines.chunks import DELETED_LINE
 from twin.nc.lines.compiled import LineCode
 from twin.nc.lines.scan import Scan
@@ -77,29 +87,28 @@ class Statement(NamedTuple):
         return arguments.removeprefix(",").split(",") if arguments else []
 
 
-def statements(texts: Sequence[str]) -> Iterator[Statement]:
-    """Yield the statements of a program's lines in order; their raw texts together are the program."""
-    index = 0
-    while index < len(texts):
-        statement, index = statement_at(texts, index)
-        yield statement
+def statement_at(texts: Sequence[str], first: int, line: int = 0) -> tuple[Statement, int]:
+    """Return the statement that begins at one of some lines, and the index of the line after it.
 
-
-def statement_at(texts: Sequence[str], first: int) -> tuple[Statement, int]:
-    """Return the statement that begins at a line, and the index of the line after it."""
+    Args:
+        texts: the lines.
+        first: index of the line.
+        line: index in the program of the first of the lines.
+    """
     raw = text = texts[first]
     index = first + 1
     if "$" in text:
         parts = [text]
-        while _continues(text) and index < len(texts):
+        while continues(text) and index < len(texts):
             text = texts[index]
             parts.append(text)
             index += 1
         raw = "".join(parts)
-    return _statement(first, raw), index
+    return _statement(line + first, raw), index
 
 
-def _continues(text: str) -> bool:
+def continues(text: str) -> bool:
+    """Return whether the statement of a line goes on in the next one."""
     at = text.find("$")
     return at >= 0 and not text.startswith("$$", at) and not text[at + 1 :].strip()
 
@@ -225,6 +234,10 @@ class AptReader:
         self.names = frozenset(axes.linear)
         self.rotary = (math.nan,) * len(axes.rotary)
         self.notices: list[Notice] = []
+        self.late_notices: list[Notice] = []
+        self.lost_positions: list[LostPositions] = []
+        self.frames: list[FrameChange] = []
+        self.drilled: list[range] = []
         self.unit = 1.0
         self.rapid = False
         self.unknown = ""

@@ -12,26 +12,15 @@ from typing import Final, final
 
 import numpy as np
 
-from twin._common.errors import InputError
 from twin._common.families import PROGRAM_SUFFIXES
-from twin.nc.blocks import (
-    AxisWords,
-    Interpretation,
-    Kind,
-    Move,
-    MoveColumns,
-    NewPositions,
-    Notice,
-    Program,
-    Rewrite,
-    as_columns,
-)
+from twin.nc.blocks import AxisWords, Kind, Move, Program, Rewrite
 from twin.nc.dialect import NOTHING, Dialect, FeedUnit, LineWords, NewProgram, as_comment, points_words
 from twin.nc.heidenhain import vocabulary
 from twin.nc.heidenhain.calls import HeidenhainInliner, PathBlock, scan
 from twin.nc.heidenhain.interpreter import HeidenhainInterpreter
 from twin.nc.heidenhain.vocabulary import HEAD, UNNUMBERED, numbered_as, renumbered, with_continued_marked
-from twin.nc.lines.chunks import Chunk, ChunkReader, ChunkRewriter, SimpleRun, chunks
+from twin.nc.inline import Inliner
+from twin.nc.lines.chunks import BlockReader, Chunk, ChunkReader, ChunkRewriter, ChunkWriter, SimpleRun
 from twin.nc.lines.compiled import LineCode, line_code
 from twin.nc.text import Style, first_lines, insert_comments, missing_comments, newline_of, number, style_in
 from twin.nc.writer import Edit, Formatting, Segments, WordWriter, vector_texts
@@ -182,9 +171,8 @@ class HeidenhainRewriter(ChunkRewriter):
         self._comma = False
         super().__init__(axes, self._interpreter, self._writer, code)
 
-    def whole(self, parts: Iterator[Chunk], moves: MoveColumns, new: NewPositions) -> str:
-        """See `ChunkRewriter.whole`."""
-        text = super().whole(parts, moves, new)
+    def finished(self, text: str) -> str:
+        """See `ChunkWriter.finished`."""
         return renumbered(text, _consecutive_lines) if self._writer.inserted else text.replace(UNNUMBERED, "")
 
     def line(self, line: int, text: str, segments: Mapping[int, Segments]) -> str:
@@ -229,10 +217,6 @@ def _consecutive_lines(numbers: Sequence[str]) -> Iterable[int]:
 _REMARK: Final = re.compile(r"[ \t]*+(?:\d++[ \t]*+)?+(?:[;*][^\r\n~]*+)?+[\r\n]*+", re.ASCII)
 
 
-LONGEST_TURN_DEG: Final = 180.5
-"""Turn of a rotary axis up to which its shortest way is that of its words; a correction may turn half a turn a little further."""
-
-
 @final
 class Heidenhain(Dialect):
     """Heidenhain plain language."""
@@ -242,26 +226,28 @@ class Heidenhain(Dialect):
     shared_suffixes = (".txt",)
     begins = re.compile(rb"\s*\d*\s*BEGIN\s+PGM\s", re.IGNORECASE)
 
-    def moves(self, program: Program, axes: AxisWords, *, tcp: bool) -> Interpretation:
-        """See `Dialect.moves`."""
-        interpreter = HeidenhainInterpreter(program.source, axes, tcp=tcp)
-        reading = ChunkReader(interpreter).whole(chunks(program, axes.names, scan))
-        return _without_long_ways(program, axes, reading, interpreter.shortest_way)
+    numbers_lines = True
 
-    def rewrite(self, program: Program, axes: AxisWords, reading: Interpretation, new: NewPositions) -> str:
-        """See `Dialect.rewrite`."""
-        moves = as_columns(axes.names, reading.moves)
-        if not np.any(new.count):
-            return program.text
-        style = style_in(program.texts, Style(plus=True))
-        code = line_code(len(program.texts))
-        newline, tcp = newline_of(program), bool(moves.tcp[0])
-        rewriter = HeidenhainRewriter(program.source, axes, newline, style, tcp=tcp, code=code)
-        return rewriter.whole(chunks(program, axes.names, scan), moves, new)
+    def chunk(self, data: bytes, first: int, names: tuple[str, ...], code: LineCode) -> Chunk:
+        """See `Dialect.chunk`."""
+        return Chunk(data, first, names, code, scan)
+
+    def reader(self, source: str, axes: AxisWords, *, tcp: bool) -> ChunkReader:
+        """See `Dialect.reader`."""
+        return BlockReader(HeidenhainInterpreter(source, axes, tcp=tcp))
+
+    def rewriter(self, source: str, texts: Iterable[str], lines: int, axes: AxisWords, *, tcp: bool) -> ChunkWriter:
+        """See `Dialect.rewriter`."""
+        style, code = style_in(texts, Style(plus=True)), line_code(lines)
+        return HeidenhainRewriter(source, axes, newline_of(texts), style, tcp=tcp, code=code)
+
+    def inliner(self, program: Program, folder: Path | None) -> Inliner:
+        """See `Dialect.inliner`."""
+        return HeidenhainInliner(program, folder)
 
     def expanded(self, program: Program, folder: Path | None) -> Program:
         """See `Dialect.expanded`. Consecutive block numbers are renewed."""
-        expanded = HeidenhainInliner(program, folder).expanded()
+        expanded = super().expanded(program, folder)
         if expanded is program:
             return program
         first = _first_number(program)
@@ -323,6 +309,7 @@ class Heidenhain(Dialect):
 @final
 class _NewHeidenhain(NewProgram):
     _title = "PROGRAM"
+    _number = 0
 
     def start(self, source: str) -> None:
         """See `NewProgram.start`."""
@@ -346,7 +333,8 @@ class _NewHeidenhain(NewProgram):
         self._line(" ".join(["L", *words, *end]))
 
     def _line(self, text: str) -> None:
-        self.out.append(f"{len(self.out)} {text}\n")
+        self.out.append(f"{self._number} {text}\n")
+        self._number += 1
 
 
 def _consecutive(lines: Iterable[str], first: int) -> Iterator[str]:
@@ -375,37 +363,3 @@ def _first_number(program: Program) -> int | None:
     numbers = [int(head[1][:15]) for head in map(HEAD.match, program.texts) if head is not None and head[1]]
     consecutive = bool(numbers) and numbers == list(range(numbers[0], numbers[0] + len(numbers)))
     return numbers[0] if consecutive else None
-
-
-def _without_long_ways(
-    program: Program, axes: AxisWords, reading: Interpretation, shortest_way: Sequence[tuple[int, bool]]
-) -> Interpretation:
-    """Return a reading with a notice on rapids on which ``M126`` turns a rotary axis in the opposite direction.
-
-    Args:
-        reading: its moves.
-        shortest_way: lines of ``M126`` (True) and ``M127``, in order.
-
-    Raises:
-        InputError: a feed that it turns so: the blocks that it is split into would turn the axis the long way.
-    """
-    if not shortest_way:
-        return reading
-    moves, linear = as_columns(axes.names, reading.moves), len(axes.linear)
-    lines, on = (np.array(column) for column in zip(*shortest_way, strict=True))
-    last = np.searchsorted(lines, moves.line, side="right") - 1
-    in_force = (last >= 0) & on[last]
-    turn = np.abs(np.diff(moves.position[:, linear:], axis=0, prepend=np.nan))
-    far = np.flatnonzero((turn > LONGEST_TURN_DEG).any(axis=1) & in_force)
-    fed = far[~moves.rapid[far]]
-    if fed.size:
-        raise InputError(
-            "a rotary axis turns by more than half a turn, or in the opposite direction (M126)",
-            expected="M127, or positions within half a turn of each other, such as C+370 after C+350",
-            file=program.source,
-            line=int(moves.line[fed[0]]) + 1,
-            value=program.texts[moves.line[fed[0]]].strip(),
-        )
-    text = "M126: a rotary axis turns in the opposite direction on this rapid; its end point is the same"
-    notices = [Notice(int(line), text) for line in moves.line[far]]
-    return replace(reading, notices=(*reading.notices, *notices))

@@ -7,15 +7,19 @@ import re
 from collections.abc import Callable, Mapping
 from typing import Final, final
 
+import numpy as np
+
 from twin._common.errors import InputError
 from twin.nc.arcs import ArcMisfit, arc_by_centre, arc_by_radius
-from twin.nc.blocks import Arc, AxisWords, Kind, Move, Plane, rotation_about
+from twin.nc.blocks import Arc, AxisWords, Kind, Move, MoveColumns, Notice, Plane, rotation_about
 from twin.nc.heidenhain import vocabulary
 from twin.nc.heidenhain.calls import PathBlock
 from twin.nc.modal import AxisWord, Block, Interpreter, Span
 from twin.nc.text import BLANK, MM_PER_INCH, number
 from twin.nc.writer import Vector
 
+LONGEST_TURN_DEG: Final = 180.5
+"""Turn of a rotary axis up to which its shortest way is that of its words; a correction may turn half a turn a little further."""
 _PRESET: Final = "Q339"
 _ANGLE: Final = re.compile(r"SP([ABC])[ \t]*([+-]?[ \t]*(?:[\d.,]+|Q[LR]?\d+))", re.ASCII | re.IGNORECASE)
 _CHOICE: Final = re.compile(r"(?:SEQ|SYM)[ \t]*([+-])", re.ASCII | re.IGNORECASE)
@@ -146,7 +150,8 @@ class HeidenhainInterpreter(HeidenhainFrame):
         super().__init__(source, axes, tcp=tcp, tcp_on=on, tcp_off=off)
         self.plane = _PLANES["Z"]
         self._simple = vocabulary.simple_pattern(self.names)
-        self.shortest_way: list[tuple[int, bool]] = []
+        self._shortest_way: list[tuple[int, bool]] = [(-1, False)]
+        self._turned_to = np.full((1, len(self.names) - self.linear), np.nan)
 
     def step(self, line: int, text: str, known: Move | None = None) -> PathBlock:
         """Interpret one line.
@@ -160,6 +165,29 @@ class HeidenhainInterpreter(HeidenhainFrame):
         """
         found = self._found(line, text)
         return self._block(text) if found is None else self._simple_block(found, known)
+
+    def checked(self, moves: MoveColumns, text_of: Callable[[int], str]) -> MoveColumns:
+        """See `Interpreter.checked`: with ``M126`` a rotary axis may turn in the opposite direction. A rapid that does is noted.
+
+        Raises:
+            InputError: a feed that turns so: the blocks that it is split into would turn the axis the long way.
+        """
+        turned_to = np.concatenate([self._turned_to, moves.position[:, self.linear :]])
+        self._turned_to = turned_to[-1:]
+        if len(self._shortest_way) > 1:
+            lines, on = (np.array(column) for column in zip(*self._shortest_way, strict=True))
+            in_force = on[np.searchsorted(lines, moves.line, side="right") - 1]
+            far = np.flatnonzero((np.abs(np.diff(turned_to, axis=0)) > LONGEST_TURN_DEG).any(axis=1) & in_force)
+            for line in moves.line[far[~moves.rapid[far]]][:1].tolist():
+                raise self.error(
+                    "a rotary axis turns by more than half a turn, or in the opposite direction (M126)",
+                    "M127, or positions within half a turn of each other, such as C+370 after C+350",
+                    text_of(line).strip(),
+                    line + 1,
+                )
+            text = "M126: a rotary axis turns in the opposite direction on this rapid; its end point is the same"
+            self.late_notices += [Notice(line, text) for line in moves.line[far].tolist()]
+        return moves
 
     @property
     def runs_allowed(self) -> bool:
@@ -423,7 +451,7 @@ class HeidenhainInterpreter(HeidenhainFrame):
             block.end_m_words.append(Span(match.start("misc"), match.end()))
         self.switch_by(block, word)
         if code in (126, 127):
-            self.shortest_way.append((self._line, code == 126))
+            self._shortest_way.append((self._line, code == 126))
         if not (code in vocabulary.HARMLESS_M or word in self.tcp_on | self.tcp_off):
             turned = [position for position in self.position[self.linear :] if not 0.0 <= position < 360.0]
             if code != 94 or turned:

@@ -4,20 +4,21 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Final, final
 
 import numpy as np
 
 from twin._common.families import PROGRAM_SUFFIXES
-from twin.nc.blocks import AxisWords, Interpretation, Kind, MoveColumns, NewPositions, Program, as_columns
+from twin.nc.blocks import AxisWords, Kind, MoveColumns, NewPositions, Program
 from twin.nc.dialect import NOTHING, Dialect, FeedUnit, LineWords, NewProgram, as_comment, points_words
+from twin.nc.inline import Inliner
 from twin.nc.iso import vocabulary
 from twin.nc.iso.calls import IsoInliner
-from twin.nc.iso.interpreter import IsoInterpreter
+from twin.nc.iso.interpreter import RIGID, IsoInterpreter
 from twin.nc.iso.writer import CODE, IsoWriter
-from twin.nc.lines.chunks import ChunkReader, ChunkRewriter, SimpleRun, chunks, only_places
+from twin.nc.lines.chunks import BlockReader, ChunkReader, ChunkRewriter, ChunkWriter, SimpleRun, only_places
 from twin.nc.lines.compiled import ARRAYS, LineCode, line_code
 from twin.nc.text import BOM, Style, first_lines, insert_comments, newline_of, number, style_in
 from twin.nc.writer import Formatting, Segments
@@ -91,16 +92,6 @@ def _dwell(values: Mapping[str, str]) -> float:
 _LINE: Final = re.compile(rb"[^\r\n]*+(?:\r\n|\n|\r)")
 
 
-def iso_reader(source: str, axes: AxisWords, *, tcp: bool) -> ChunkReader:
-    """Return a reader of ISO programs.
-
-    Args:
-        source: file name for messages.
-        tcp: whether tool centre point control is on from the start.
-    """
-    return ChunkReader(IsoInterpreter(source, axes, tcp=tcp))
-
-
 @final
 class IsoRewriter(ChunkRewriter):
     """Writer of a program, chunk by chunk.
@@ -110,8 +101,6 @@ class IsoRewriter(ChunkRewriter):
         newline: line ending of the program.
         style: its number format (`twin.nc.text.style_in`).
         tcp: whether tool centre point control is on at the first move.
-        expand_cycles: whether drilling cycles are expanded into blocks.
-        rigid_lines: as for `IsoWriter`.
         code: how simple lines are written.
     """
 
@@ -123,13 +112,19 @@ class IsoRewriter(ChunkRewriter):
         style: Style,
         *,
         tcp: bool,
-        expand_cycles: bool = False,
-        rigid_lines: frozenset[int] = frozenset(),
         code: LineCode = ARRAYS,
     ) -> None:
         self._interpreter = IsoInterpreter(source, axes, tcp=tcp)
-        self._writer = IsoWriter(source, axes, newline, style, expand_cycles=expand_cycles, rigid_lines=rigid_lines)
+        self._writer = IsoWriter(source, axes, newline, style)
         super().__init__(axes, self._interpreter, self._writer, code)
+
+    def drill(
+        self, drilled: Sequence[range], text_of: Callable[[int], str], moves: MoveColumns, new: NewPositions
+    ) -> None:
+        """See `ChunkWriter.drill`: cycles are expanded into blocks from the first part on in which a move of one is replaced."""
+        writer = self._writer
+        writer.expand_cycles = writer.expand_cycles or _replaces_some(drilled, moves, new)
+        writer.rigid_lines = _rigid_lines(text_of, drilled, moves) if writer.expand_cycles else frozenset()
 
     def line(self, line: int, text: str, segments: Mapping[int, Segments]) -> str:
         """See `ChunkRewriter.line`."""
@@ -227,7 +222,6 @@ _REMARK: Final = re.compile(
 
 _NOTE: Final = re.compile(r"\([^()]*\)|;.*")
 _TAPS: Final = re.compile(r"G0*(?:74|84)(?![\d.])", re.IGNORECASE)
-_RIGID: Final = re.compile(r"M0*29(?!\d)", re.IGNORECASE)
 
 
 @final
@@ -236,35 +230,20 @@ class Iso(Dialect):
 
     name = "iso"
     suffixes = PROGRAM_SUFFIXES["iso"]
-    in_chunks = True
     has_increments = True
 
-    def moves(self, program: Program, axes: AxisWords, *, tcp: bool) -> Interpretation:
-        """See `Dialect.moves`."""
-        return iso_reader(program.source, axes, tcp=tcp).whole(chunks(program, axes.names))
+    def reader(self, source: str, axes: AxisWords, *, tcp: bool) -> ChunkReader:
+        """See `Dialect.reader`."""
+        return BlockReader(IsoInterpreter(source, axes, tcp=tcp))
 
-    def rewrite(self, program: Program, axes: AxisWords, reading: Interpretation, new: NewPositions) -> str:
-        """See `Dialect.rewrite`."""
-        moves = as_columns(axes.names, reading.moves)
-        if not np.any(new.count):
-            return program.text
-        expand = _replaces_some(reading.drilled, moves, new)
-        rewriter = IsoRewriter(
-            program.source,
-            axes,
-            newline_of(program),
-            style_in(program.texts, Style(point=True)),
-            # If TCP control is switched before the first move, its initial state does not matter; else the first move has it.
-            tcp=bool(moves.tcp[0]),
-            expand_cycles=expand,
-            rigid_lines=_rigid_lines(program, reading.drilled, moves) if expand else frozenset(),
-            code=line_code(len(program.texts)),
-        )
-        return rewriter.whole(chunks(program, axes.names), moves, new)
+    def rewriter(self, source: str, texts: Iterable[str], lines: int, axes: AxisWords, *, tcp: bool) -> ChunkWriter:
+        """See `Dialect.rewriter`."""
+        style, code = style_in(texts, Style(point=True)), line_code(lines)
+        return IsoRewriter(source, axes, newline_of(texts), style, tcp=tcp, code=code)
 
-    def expanded(self, program: Program, folder: Path | None) -> Program:
-        """See `Dialect.expanded`."""
-        return IsoInliner(program, folder).expanded()
+    def inliner(self, program: Program, folder: Path | None) -> Inliner:
+        """See `Dialect.inliner`."""
+        return IsoInliner(program, folder)
 
     def with_comments(self, text: str, comments: Sequence[str]) -> str:
         """See `Dialect.with_comments`: after tape mark and program number.
@@ -335,15 +314,15 @@ def _replaces_some(lines: Sequence[range], moves: MoveColumns, new: NewPositions
     return any(bool(new.count[first:last].any()) for first, last in at.tolist())
 
 
-def _rigid_lines(program: Program, drilled: Sequence[range], moves: MoveColumns) -> frozenset[int]:
+def _rigid_lines(text_of: Callable[[int], str], drilled: Sequence[range], moves: MoveColumns) -> frozenset[int]:
     """Return the lines with M29 that belong to a thread of Fanuc: between the last move before it and its cycle."""
     rigid_lines = []
     for part in drilled:
-        if _TAPS.search(_NOTE.sub(" ", program.texts[part.start])):
+        if _TAPS.search(_NOTE.sub(" ", text_of(part.start))):
             before = int(np.searchsorted(moves.line, part.start))
             first = int(moves.line[before - 1]) + 1 if before else 0
             rigid_lines += [
-                line for line in range(first, part.start + 1) if _RIGID.search(_NOTE.sub(" ", program.texts[line]))
+                line for line in range(first, part.start + 1) if RIGID.search(_NOTE.sub(" ", text_of(line)))
             ]
     return frozenset(rigid_lines)
 

@@ -35,6 +35,10 @@ _MODES: Final[Mapping[str, tuple[str, Callable[[str], Any]]]] = {
 """For each group of G codes: the attribute of the interpreter that holds its state, and the conversion of a code to that state."""
 
 
+RIGID: Final = re.compile(r"M0*29(?!\d)", re.IGNORECASE)
+"""Rigid tapping of Fanuc."""
+
+
 @final
 class IsoInterpreter(IsoMotion):
     """Interpreter of blocks in order, with their modal state."""
@@ -70,6 +74,10 @@ class IsoInterpreter(IsoMotion):
             if kind != "note" and _TOKENS[kind](self, block, match):
                 break
         return self._apply(block) if self._started or block.names else None
+
+    def may_end(self, tail: str) -> bool:
+        """See `Interpreter.may_end`: not while a cycle is in force or between M29 and its thread, which are written together."""
+        return self.cycle is None and RIGID.search(tail) is None
 
     def moves(self, line: int, text: str) -> tuple[Move, ...]:
         """See `Interpreter.moves`."""

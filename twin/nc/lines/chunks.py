@@ -7,8 +7,9 @@ writer of blocks of the language.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Mapping
-from typing import Any, Final, NamedTuple, final
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any, Final, NamedTuple, Protocol, final
 
 import numpy as np
 
@@ -16,17 +17,14 @@ from twin.nc.blocks import (
     NO_VECTOR,
     AxisWords,
     FrameChange,
-    Interpretation,
     LostPositions,
     MoveBuilder,
     MoveColumns,
     NewPositions,
     Notice,
-    Program,
-    encoded,
     fill_forward,
 )
-from twin.nc.lines.compiled import ARRAYS, LineCode, line_code
+from twin.nc.lines.compiled import ARRAYS, LineCode
 from twin.nc.lines.scan import MOST_DIGITS, Scan
 from twin.nc.modal import Interpreter
 from twin.nc.text import MM_PER_INCH
@@ -100,38 +98,77 @@ def runs(bulk: np.ndarray, blank: np.ndarray) -> Iterator[tuple[int, int, bool]]
         at = stop + 1
 
 
-def chunks(program: Program, names: tuple[str, ...], scanner: Scanner | None = None) -> Iterator[Chunk]:
-    """Yield a program in memory in chunks, with `DELETED_LINE` in place of empty texts."""
-    code = line_code(len(program.texts))
-    for first in range(0, len(program.texts), CHUNK_LINES):
-        data = encoded(program.texts, first, first + CHUNK_LINES, DELETED_LINE)
-        yield Chunk(data, first, names, code, scanner)
+class Record(Protocol):
+    """Record that an interpreter keeps beside its moves, in order."""
+
+    notices: list[Notice]
+    late_notices: list[Notice]
+    lost_positions: list[LostPositions]
+    frames: list[FrameChange]
+    drilled: list[range]
 
 
-@final
-class ChunkReader:
+class ChunkReader(ABC):
     """Reader of a program, chunk by chunk.
 
     Args:
-        interpreter: interpreter of its blocks.
+        record: its interpreter.
     """
 
-    def __init__(self, interpreter: Interpreter) -> None:
-        self._interpreter = interpreter
-        self._notices = self._left = 0
+    def __init__(self, record: Record) -> None:
+        self._record = record
+        self._taken: Counter[str] = Counter()
 
+    @abstractmethod
     def read(self, chunk: Chunk) -> MoveColumns:
         """Return the moves of the next chunk.
 
         Raises:
             InputError: as `twin.nc.dialect.Dialect.moves`.
         """
-        builder = MoveBuilder(self._interpreter.names)
-        self.read_into(builder, chunk)
-        return builder.moves()
 
-    def read_into(self, found: MoveBuilder, chunk: Chunk) -> None:
-        """As `read`, with the moves added to a builder."""
+    def may_end(self, tail: str) -> bool:
+        """Return whether the program may be divided here; ``tail``: the lines after its last move."""
+        return True
+
+    @property
+    def notices(self) -> tuple[Notice, ...]:
+        """Notices so far."""
+        return (*self._record.notices, *self._record.late_notices)
+
+    def lost_positions(self) -> list[LostPositions]:
+        """Return the unknown axis positions since the last call."""
+        return self._new("lost_positions")
+
+    def frames(self) -> list[FrameChange]:
+        """Return the changes of the frame since the last call."""
+        return self._new("frames")
+
+    def drilled(self) -> list[range]:
+        """Return the ranges of lines since the last call that execute a drilling cycle."""
+        return self._new("drilled")
+
+    def _new(self, name: str) -> list[Any]:
+        new: list[Any] = getattr(self._record, name)[self._taken[name] :]
+        self._taken[name] += len(new)
+        return new
+
+
+@final
+class BlockReader(ChunkReader):
+    """Reader of a program whose lines are blocks, chunk by chunk.
+
+    Args:
+        interpreter: interpreter of its blocks.
+    """
+
+    def __init__(self, interpreter: Interpreter) -> None:
+        super().__init__(interpreter)
+        self._interpreter = interpreter
+
+    def read(self, chunk: Chunk) -> MoveColumns:
+        """See `ChunkReader.read`."""
+        found = MoveBuilder(self._interpreter.names)
         scan, first = chunk.scan, chunk.first
         for begin, end, together in runs(scan.simple, scan.blank):
             at = begin
@@ -139,40 +176,11 @@ class ChunkReader:
                 for move in self._interpreter.moves(first + at, scan.line(at)):
                     found.add(move)
                 at += 1
+        return self._interpreter.checked(found.moves(), chunk.text_of)
 
-    def whole(self, parts: Iterator[Chunk]) -> Interpretation:
-        """Return a program whose chunks are given in order.
-
-        Raises:
-            InputError: as `twin.nc.dialect.Dialect.moves`.
-        """
-        builder = MoveBuilder(self._interpreter.names)
-        for chunk in parts:
-            self.read_into(builder, chunk)
-        notices, lost = tuple(self.notices()), tuple(self.lost_positions())
-        return Interpretation(builder.moves(), notices, lost, self.frames, tuple(self._interpreter.drilled))
-
-    def notices(self) -> list[Notice]:
-        """Return the notices since the last call."""
-        notices = self._interpreter.notices[self._notices :]
-        self._notices += len(notices)
-        return notices
-
-    def lost_positions(self) -> list[LostPositions]:
-        """Return the unknown axis positions since the last call."""
-        lost_positions = self._interpreter.lost_positions[self._left :]
-        self._left += len(lost_positions)
-        return lost_positions
-
-    @property
-    def frames(self) -> tuple[FrameChange, ...]:
-        """Changes of the frame so far."""
-        return tuple(self._interpreter.frames)
-
-    @property
-    def drills(self) -> bool:
-        """Whether a block so far executes a drilling cycle."""
-        return bool(self._interpreter.drilled)
+    def may_end(self, tail: str) -> bool:
+        """See `ChunkReader.may_end`."""
+        return self._interpreter.may_end(tail)
 
     def _run(self, chunk: Chunk, begin: int, end: int, found: MoveBuilder) -> bool:
         """Read simple lines together; return False if the modal state does not allow it."""
@@ -270,8 +278,40 @@ class SimpleRun(NamedTuple):
     targets: np.ndarray
 
 
-class ChunkRewriter(ABC):
-    """Writer of a program, chunk by chunk.
+class ChunkWriter(ABC):
+    """Writer of a program with some of its moves replaced, chunk by chunk."""
+
+    @abstractmethod
+    def write(self, chunk: Chunk, moves: MoveColumns, new: NewPositions) -> bytes:
+        """Return the next chunk with its moves replaced.
+
+        Args:
+            new: their replacements.
+        """
+
+    def drill(  # noqa: B027  # most languages have nothing to prepare
+        self, drilled: Sequence[range], text_of: Callable[[int], str], moves: MoveColumns, new: NewPositions
+    ) -> None:
+        """Prepare for the drilling cycles of a part.
+
+        Args:
+            drilled: the ranges of its lines that execute one.
+            text_of: function that returns the text of a line by its 0-based index in the program.
+            moves: its moves.
+            new: their replacements.
+        """
+
+    def end(self) -> bytes:
+        """Return what follows the last chunk."""
+        return b""
+
+    def finished(self, text: str) -> str:
+        """Return the text of the whole program as written."""
+        return text
+
+
+class ChunkRewriter(ChunkWriter):
+    """Writer of a program whose lines are blocks, chunk by chunk.
 
     Args:
         interpreter: interpreter of its blocks.
@@ -308,21 +348,8 @@ class ChunkRewriter(ABC):
             formatting: formatting after the last of them.
         """
 
-    def whole(self, parts: Iterator[Chunk], moves: MoveColumns, new: NewPositions) -> str:
-        """Return a program whose chunks are given in order, with its moves replaced; deleted lines are omitted."""
-        out, at = [], 0
-        for chunk in parts:
-            last = int(np.searchsorted(moves.line, chunk.first + len(chunk)))
-            out.append(self.write(chunk, moves.part(at, last), new.part(at, last)))
-            at = last
-        return b"".join(out).decode("latin-1").replace(DELETED_LINE, "")
-
     def write(self, chunk: Chunk, moves: MoveColumns, new: NewPositions) -> bytes:
-        """Return the next chunk with its moves replaced.
-
-        Args:
-            new: their replacements.
-        """
+        """See `ChunkWriter.write`."""
         scan = chunk.scan
         at_line = moves.line - chunk.first
         of_line = np.searchsorted(at_line, np.arange(len(chunk) + 1))

@@ -6,21 +6,24 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
 
 from tests.model.errors import random_calibration
 from tests.nested import alike
 from twin._common.errors import InputError, OutputError
 from twin.compensation import Compensator, Options
-from twin.compensation.programs import stream as parts
+from twin.compensation.programs import parts
 from twin.compensation.programs.uncorrected import CLASS_POSES
 from twin.compensation.programs.words import Setup
+from twin.controls.offsets import OffsetTable, ToolTable
 from twin.machine.machine import Machine
 from twin.model.calibration import Calibration
-from twin.nc import read_program
+from twin.nc import dialect_for, read_program
 from twin.nc.iso.dialect import IsoRewriter
 from twin.nc.lines import chunks
 from twin.tool.forward import Kinematics
@@ -303,6 +306,154 @@ def test_output_that_differs_is_not_written(
     with pytest.raises(OutputError, match=r"p\.nc:105: the output has"):
         usual.compensate_file(source, tmp_path / "out.nc")
     assert [path.name for path in tmp_path.iterdir()] == ["p.nc"]
+
+
+# --- Split anywhere, over languages and what a program may hold ---------------------------------------------------------
+
+TABLES = Setup(
+    offsets=OffsetTable(
+        Path("o.csv"),
+        {
+            "G54": {"X": 250.0, "Y": 225.0, "Z": -390.0},
+            "G55": {"X": 200.0, "Y": 180.0, "Z": -350.0, "C": 12.5},
+            "7": {"X": 250.0, "Y": 225.0, "Z": -390.0},
+            "8": {"X": 200.0, "Y": 180.0, "Z": -350.0, "C": 12.5},
+        },
+    ),
+    tools=ToolTable(Path("t.csv"), {"1": 80.0, "2": 131.5}),
+)
+ROWS = tuple(
+    zip(range(-20, 40, 4), range(30, -30, -4), range(12, 42, 2), range(0, 45, 3), range(5, 95, 6), strict=True)
+)
+"""X, Y, Z, B, C of the blocks of a feature."""
+
+
+def rows(form: str, count: int) -> str:
+    return "".join(form.format(*row) for row in ROWS[:count])
+
+
+FEATURES = {
+    "p.nc": {
+        "head": "G90 G21 G17\nT1 M6\nG54\nG43 H1\nG0 X0. Y0. Z60. B0. C0.\nG1 F500.\n",
+        "axes": rows("G1 X{0}. Y{1}.5 Z{2}. B{3}. C{4}.\n", 9),
+        "three axes": rows("X{0}.25 Y{1}. Z{2}.\n", 9),
+        "arcs": "G0 X0. Y0. Z60.\n" + "G2 X10. Y0. I5. J0.\nG3 X0. Y0. R6.\n(note)\n" * 3 + "G1 X1.\n",
+        "another tool": "G0 Z60.\nG49\nT2 M6\nG55\nG43 H2\n\nG0 X0. Y0. Z60. B0. C0.\nG1 X5. Y5.\n",
+        "the first tool": "G0 Z60.\nG49\nT1 M6\nG54\nG43 H1\nG0 X0. Y0. Z60. B0. C0.\nG1 X5. Y5.\n",
+        "machine coordinates": "G53 G0 Z-1.\nG0 X0. Y0. Z60. B0. C0.\nG53 G0 X100.\n(x)\nG0 X3. Y0. Z60. B0. C0.\nG1 X4.\n",
+        "tilted plane": "G0 X0. Y0. Z60. B0. C0.\nG68.2 X1. Y2. Z3. I30. J20. K-40.\nG53.1\nG0 X0. Y0. Z20.\nG1 Z0.\nX9. Y3.\n"
+        "G2 X12. Y3. R2.\nG69\nG0 X0. Y0. Z60. B0. C0.\nG1 X1.\n",
+        "tip": "G49\nG43.4 H1\nG0 X0. Y0. Z60. B0. C0.\n"
+        + rows("G1 X{0}. Y{1}. Z{2}. B{3}. C{4}.\n", 7)
+        + "G49\nG43 H1\n"
+        "G0 X0. Y0. Z60. B0. C0.\nG1 X1.\n",
+        "holes": "G0 X0. Y0. Z60. B0. C0.\nG99 G81 X1. Y2. Z10. R20. F100.\n"
+        + rows("X{0}. Y{1}.\n", 12)
+        + "G80\nG1 X2.\n",
+        "threads": "G0 X0. Y0. Z60. B0. C0.\n(a)\nM29 S500\n(b)\nG99 G84 X1. Y2. Z10. R20. F1.\nX3.\nG80\nG1 X2.\n",
+        "inverse time": "G93\nG1 X1. Y2. F9.\nX30. F3.\nG94\nG1 X2. F500.\n",
+        "increments": "G91\nG1 X1. Y-1.\nX-1.\nG90\nG1 X0.\n",
+        "end": "M30\n",
+    },
+    "p.h": {
+        "head": "BEGIN PGM A MM\nTOOL CALL 1 Z S5000\nCYCL DEF 247 DATUM SETTING ~\n  Q339=+7 ;NUMBER\n"
+        "L X+0 Y+0 Z+60 B+0 C+0 FMAX\nL X+1 F500\n",
+        "axes": rows("L X{0:+} Y{1:+} Z{2:+} B{3:+} C{4:+}\n", 9),
+        "three axes": rows("L X{0:+}.25 Y{1:+} Z{2:+}\n", 9),
+        "arcs": "L X+0 Y+0 Z+60 FMAX\n" + "CC X+5 Y+0\nC X+10 Y+0 DR-\n; note\nL X+0 Y+0\n" * 3,
+        "another tool": "TOOL CALL 2 Z S5000 DL+0.25\nCYCL DEF 247 DATUM SETTING ~\n  Q339=+8 ;NUMBER\n"
+        "L X+0 Y+0 Z+60 B+0 C+0 FMAX\nL X+5\n",
+        "machine coordinates": "L Z-1 R0 FMAX M91\nL X+0 Y+0 Z+60 B+0 C+0 FMAX\nL X+4\n",
+        "tilted plane": "L X+0 Y+0 Z+60 B+0 C+0 FMAX\nPLANE SPATIAL SPA+20 SPB-30 SPC+15 TURN FMAX\nL X+0 Y+0 Z+20 FMAX\n"
+        "L Z+0\nL X+9 Y+3\n"
+        "PLANE RESET STAY\nL X+0 Y+0 Z+60 B+0 C+0 FMAX\nL X+1\n",
+        "tip": "M128\nL X+0 Y+0 Z+60 B+0 C+0 FMAX\n" + rows("L X{0:+} Y{1:+} Z{2:+} B{3:+} C{4:+}\n", 7) + "M129\n"
+        "L X+0 Y+0 Z+60 B+0 C+0 FMAX\nL X+1\n",
+        "long ways": "M126\nL C+300 FMAX\nL C+10 FMAX\nM127\nL X+2\n",
+        "increments": "L IX+1 IY-1\nL IX-1\n",
+        "end": "END PGM A MM\n",
+    },
+    "p.cls": {
+        "head": "PARTNO A\nUNITS/MM\nFEDRAT/500,MMPM\nGOTO/0,0,60,0,0,1\n",
+        "vectors": rows("GOTO/{0}.5,{1},{2},0.28,0,0.96\n", 9) + "GOTO/0,0,50,0,0,1\n",
+        "points": rows("GOTO/{0},{1},{2}\n", 9),
+        "continued": "GOTO/1,2, $\n 30,0,0.6,0.8\nGOTO/4,5,30, $\n 0, $\n 0,1\n",
+        "rapids": "RAPID\nGOTO/5,5,60\n$$ note\nFEDRAT/100,MMPM\nGOTO/6,6,50\nPPRINT X\n",
+        "inches": "UNITS/INCHES\nGOTO/1,0.5,2\nUNITS/MM\nGOTO/0,0,50\n",
+        "end": "FINI\n",
+    },
+}
+
+
+@pytest.fixture(scope="module")
+def tabled(dmu50: Machine) -> Compensator:
+    return Compensator(dmu50, random_calibration(dmu50, np.random.default_rng(5), size=30.0), Options(setup=TABLES))
+
+
+def numbered(text: str) -> str:
+    """Return plain language with its blocks numbered consecutively."""
+    lines = text.splitlines(keepends=True)
+    number, out = 0, []
+    for before, line in zip(("", *lines), lines, strict=False):
+        continues = before.rstrip().endswith("~")
+        out.append(line if continues else f"{number} {line}")
+        number += not continues
+    return "".join(out)
+
+
+class Division(NamedTuple):
+    """A program, and how it is divided: bytes read at once, fewest lines solved together, suffix of the output of an APT program."""
+
+    name: str
+    features: tuple[str, ...]
+    numbers: bool
+    stretch: int
+    lines: int
+    into: str
+
+
+@st.composite
+def divisions(draw: st.DrawFn) -> Division:
+    name = draw(st.sampled_from([*FEATURES]))
+    chosen = draw(st.lists(st.sampled_from([*FEATURES[name]][1:-1]), min_size=2, max_size=6))
+    how = [
+        draw(st.sampled_from(values)) for values in ([False, True], [30, 90, 400], [1, 7, 40], [".cls", ".nc", ".h"])
+    ]
+    return Division(name, tuple(chosen), *how)
+
+
+@settings(max_examples=15)
+@example(division=Division("p.nc", ("threads", "holes", "tilted plane", "another tool"), False, 30, 1, ""))
+@example(division=Division("p.h", ("arcs", "another tool", "tilted plane", "long ways"), True, 30, 1, ""))
+@example(division=Division("p.cls", ("continued", "inches"), False, 30, 1, ".h"))
+@given(division=divisions())
+def test_split_anywhere(division: Division, tabled: Compensator, tmp_path_factory: pytest.TempPathFactory) -> None:
+    """Any features in any order, divided after any line: the same bytes and the same report as in one part."""
+    name = division.name
+    text = "".join(FEATURES[name][feature] for feature in ("head", *division.features, "end"))
+    folder = tmp_path_factory.mktemp("split")
+    source = folder / name
+    output = folder / f"out{division.into if name == 'p.cls' else source.suffix}"
+    source.write_text(numbered(text) if name == "p.h" and division.numbers else text)
+    target = dialect_for(output)
+    outcomes = []
+    with pytest.MonkeyPatch.context() as patch:
+        for run in ("whole", "parts"):
+            try:
+                if run == "whole":
+                    result = tabled.compensate(*read_program(source), into=target)
+                    outcomes.append((result.text.encode("latin-1"), result.report.to_dict()))
+                    continue
+                patch.setattr(parts, "STRETCH_BYTES", division.stretch)
+                patch.setattr(chunks, "SHORTEST_RUN", 1)
+                patch.setattr(parts, "PART_LINES", division.lines)
+                report = tabled.compensate_file(source, output, into=target)
+                outcomes.append((output.read_bytes(), report.to_dict()))
+            except InputError as error:
+                outcomes.append((str(error).encode(), {}))
+    (whole, whole_report), (split, split_report) = outcomes
+    assert split.decode("latin-1") == whole.decode("latin-1")
+    alike(split_report, whole_report, rel=SUMS, least=SOLVER)
 
 
 PEAK = """
