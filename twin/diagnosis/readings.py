@@ -16,6 +16,7 @@ import numpy as np
 
 from twin._common.arrays import read_only
 from twin._common.distributions import chi2_isf, chi2_sf
+from twin._common.messages import Message
 from twin._common.units import MM
 from twin.diagnosis.candidates.candidate import Candidate, Catalogue, Column
 from twin.diagnosis.candidates.catalogue import catalogue
@@ -88,7 +89,7 @@ def from_repeats(
     np.add.at(total, group, values)
     values = (values - total[group] / size[group][:, None, None]) * repeated[:, None, None]
     dof = float(np.sum(np.where(repeated, 1.0 - 1.0 / size[group], 0.0)))
-    return _estimated(values, dof, view, read, seen, "repeats")
+    return _estimated(values, dof, view, read, seen, Message("repeats"))
 
 
 def from_residuals(
@@ -116,7 +117,7 @@ def from_residuals(
         "nij,njk->nik", raw, np.concatenate([view.residual[:, :, None], by_setup * setup.plausible, basis], axis=2)
     )
     values *= read[:, :, None]
-    return _estimated(values, float(len(view.rows)), view, read, seen, "the residuals of a fit of every cause")
+    return _estimated(values, float(len(view.rows)), view, read, seen, Message("the residuals of a fit of every cause"))
 
 
 def _main_columns(candidate: Candidate) -> tuple[Column, ...]:
@@ -150,7 +151,12 @@ def _estimated(
         return ReadingNoise(
             read_only(covariances),
             dof,
-            f"{source}: {np.sqrt(covariances[0, 0, 0]) * 1e6:.2g} µm ({dof:.0f} degrees of freedom)",
+            Message(
+                "{source}: {size:.2g} µm ({dof:.0f} degrees of freedom)",
+                source=source,
+                size=np.sqrt(covariances[0, 0, 0]) * 1e6,
+                dof=dof,
+            ),
         )
     if not read.all():
         # An instrument that measures two coordinates is no tracker: the same noise in both.
@@ -159,7 +165,12 @@ def _estimated(
         if dof < LEAST_DOF:
             return None
         sigma = float(np.sqrt(np.sum(residual**2) / dof))
-        text = f"{source}: {sigma * 1e6:.2g} µm a coordinate ({dof:.0f} degrees of freedom)"
+        text = Message(
+            "{source}: {size:.2g} µm a coordinate ({dof:.0f} degrees of freedom)",
+            source=source,
+            size=sigma * 1e6,
+            dof=dof,
+        )
         return ReadingNoise(read_only(np.tile(sigma**2 * np.eye(3), (len(seen), 1, 1))), dof, text)
     beam = view.seen / np.linalg.norm(view.seen, axis=1, keepdims=True)
     along_u = across_u = 1.0
@@ -180,9 +191,12 @@ def _estimated(
         residual, basis = _regressed(values)
         along_u = across_u = float(np.sqrt(np.sum(residual**2) / (3.0 * dof_each - basis.shape[2])))
     n = len(seen)
-    text = (
-        f"{source}: {along_u * 1e6:.2g} µm along the beam, {across_u * 1e6:.2g} µm across "
-        f"({dof_along + dof_across:.0f} degrees of freedom)"
+    text = Message(
+        "{source}: {along:.2g} µm along the beam, {across:.2g} µm across ({dof:.0f} degrees of freedom)",
+        source=source,
+        along=along_u * 1e6,
+        across=across_u * 1e6,
+        dof=dof_along + dof_across,
     )
     return ReadingNoise(
         read_only(along_and_across(seen, np.full(n, along_u), np.full(n, across_u))), dof_along + dof_across, text
@@ -314,9 +328,14 @@ def readings(
     stated = (instrument is not None or has_u) and not doubted
     preliminary = None if stated else _isotropic_from_repeats(data, covariance)
     by_model, covariance = covariance, covariance if preliminary is None else preliminary
-    figures = "the table's uncertainties" if has_u else f"the noise model of the {reader.name}"
-    if instrument is None and not has_u:
-        figures += ", assumed: no uncertainties stated, too few repeats"
+    if has_u:
+        figures = Message("the table's uncertainties")
+    elif instrument is not None:
+        figures = Message("the noise model of the {name}", name=reader.name)
+    else:
+        figures = Message(
+            "the noise model of the {name}, assumed: no uncertainties stated, too few repeats", name=reader.name
+        )
     noise = ReadingNoise(covariance, np.inf, figures)
     network = Network(machine, data, reader, no_unknowns, calibration, covariance)
     setup, bad = _setup_without_outliers(network, setup)
@@ -331,7 +350,10 @@ def readings(
             # Only a known effect that changes between repeats made them vary.
             estimated = ReadingNoise(by_model, np.inf, figures)
         elif doubted and estimated is not None:
-            estimated = replace(estimated, source=f"{estimated.source}; they contradict {figures}")
+            estimated = replace(
+                estimated,
+                source=Message("{source}; they contradict {figures}", source=estimated.source, figures=figures),
+            )
         if estimated is not None:
             noise = estimated
             network = Network(machine, data, reader, no_unknowns, calibration, estimated.covariance)
