@@ -138,7 +138,7 @@ class Identified:
 
     @property
     def noise(self) -> str:
-        """Where the noise of the readings comes from."""
+        """Source of the noise of the readings, in words."""
         return NOISE.get(self.file.uncertainty, Quoted(self.file.uncertainty))
 
     @property

@@ -55,50 +55,6 @@ ROWS: Final = 40
 """Largest number of excluded rows that are listed."""
 VIEWER: Final = "<!-- the field in 3D -->"
 """Placeholder of the viewer until the rest of the page is rendered."""
-FRONT_TEXTS: Final = MappingProxyType(
-    {
-        "simulated_readings": partial(
-            Message,
-            "SIMULATED READINGS: the readings were computed, not measured on a machine. Do not cut with their numbers.",
-        ),
-        "illustrative": partial(
-            Message,
-            "ILLUSTRATIVE: {count} error motions are assumed, not measured. Do not use these numbers for compensation, adjustment or "
-            "acceptance.",
-        ),
-        "unsettled_estimate": partial(
-            Message, "UNSETTLED ESTIMATE: the identification did not converge. Do not use its numbers."
-        ),
-        "not_identifiable": partial(
-            Message,
-            "NOT IDENTIFIED: some errors could not be determined from the readings; U includes their plausible size. The appendix "
-            "names them.",
-        ),
-        "misfit": partial(
-            Message,
-            "MISFIT: the calibration was not confirmed by its own readings; see the appendix. U may be too small.",
-        ),
-        "unknown_uncertainty": partial(
-            Message, "UNKNOWN UNCERTAINTY: some or all errors have no uncertainty; their items cannot be decided."
-        ),
-        "verdict_pass": partial(Message, "PASS: every item with a tolerance is within it, including its uncertainty."),
-        "verdict_fail": partial(
-            Message, "FAIL: {count} of {all} items with a tolerance exceed it, by more than their uncertainty."
-        ),
-        "verdict_undecided": partial(
-            Message, "UNDECIDED: no tolerance is exceeded beyond doubt, but {count} of {all} items cannot be decided."
-        ),
-        "verdict_none": partial(Message, "No tolerance was given, so there is no verdict."),
-        "pass": partial(Message, "pass"),
-        "fail": partial(Message, "fail"),
-        "undecided": partial(Message, "undecided"),
-        "reason_unknown": partial(Message, "unknown"),
-        "reason_incomplete": partial(Message, "U incomplete"),
-        "reason_assumed": partial(Message, "assumed"),
-        "reason_unsettled": partial(Message, "not converged"),
-    }
-)
-"""Texts of the first page that depend on a warning, a verdict or a reason."""
 PARAMETERS: Final = MappingProxyType(
     {
         "size": Message("size"),
@@ -159,7 +115,6 @@ def machine_html(report: MachineReport, front: FrontPage | None = None, language
             translation=translation,
             item_named=item_named,
             words_of=words_of,
-            front_texts=FRONT_TEXTS,
             symbols=SYMBOLS,
             over=_over(report),
             sections=SECTIONS,
