@@ -114,8 +114,8 @@ def identifiers() -> dict[str, str]:
                 case ast.Call(ast.Name("partial"), [ast.Name("Message"), ast.Constant(str(text)), *_]):
                     found[" ".join(text.split())] = path.name
     for path in root.rglob("*.j2"):
-        for call in templates().parse(path.read_text(encoding="utf-8")).find_all(nodes.Call):
-            match call.node, call.args:
+        for node in templates().parse(path.read_text(encoding="utf-8")).find_all(nodes.Call):
+            match node.node, node.args:
                 case nodes.Name(name="_" | "say"), [nodes.Const(value=str(text)), *_]:
                     found[" ".join(text.split())] = path.name
     return {text: file for text, file in found.items() if re.search(r"[^\W\d_]", PLACE.sub("", text))}
