@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import string
 from datetime import UTC, datetime
 from html.parser import HTMLParser
 from itertools import pairwise
@@ -22,7 +21,6 @@ from twin.model.calibration import Calibration
 from twin.reporting import machine_report
 from twin.reporting.front import TOOL, FrontPage, Job, front_page
 from twin.reporting.page import machine_html
-from twin.reporting.translation import wording
 
 MINE = """
 schema: twin.calibration/1
@@ -141,16 +139,6 @@ def test_command_says_the_verdict_and_leaves_by_it(
         cli.main(["report", "-c", str(calibration), "-o", str(tmp_path / "r.html"), "--tolerance", *tolerances])
     shown, _ = capsys.readouterr()
     assert ended.value.code == status and words in shown and "tolerances (ISO 14253-1)" in shown
-
-
-def test_both_languages_have_the_same_texts_and_values() -> None:
-    english, german = wording(Language.en).texts, wording(Language.de).texts
-    assert list(english) == list(german)
-    for key, text in english.items():
-        fields = [{name for _, name, _, _ in string.Formatter().parse(one) if name} for one in (text, german[key])]
-        assert fields[0] == fields[1], key
-        same = {"symbol", "version", "at_least", "date_format", "name"}
-        assert text != german[key] or key in same, key
 
 
 def test_both_languages_have_the_same_numbers_and_no_foreign_words(pages: dict[str, str]) -> None:

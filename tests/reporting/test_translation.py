@@ -1,37 +1,37 @@
-"""Tests of the translation of a report's appendix and pictures by sentences."""
+"""Tests of the German page of a report and of its catalogue."""
 
 from __future__ import annotations
 
+import ast
 import json
 import re
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from html import escape, unescape
-from importlib import resources
+from html import unescape
+from pathlib import Path
 
 import pytest
-import yaml
-from hypothesis import given
-from hypothesis import strategies as st
+from jinja2 import nodes
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
+import twin
 from tests.reporting.test_report import IDENTIFIED, MINE, TOOL_MM
 from twin._common.families import Language
+from twin._common.messages import PLACE
+from twin.display.markup import templates
 from twin.machine.machine import Machine
 from twin.model.calibration import Calibration
 from twin.model.conditions import Conditions
 from twin.reporting import machine_report
-from twin.reporting.page import machine_html
+from twin.reporting.page import catalogue, machine_html
 from twin.reporting.result import MachineReport
-from twin.reporting.translation import translator
 
 MADE = datetime(2026, 1, 2, tzinfo=UTC)
 ENGLISH = r"\b(the|of|and|is|not|error|axis|with|unknown|before|after|largest|over|from|at)\b"
 QUOTED = (
     r"<(?:code|style|script|title).*?</(?:code|style|script|title)>|<[^>]*translate=no[^>]*>[^<]*|<[^>]*lang=en>[^<]*"
 )
-CATALOGUE = yaml.safe_load(resources.files("twin.reporting").joinpath("wording/de_sentences.yaml").read_text("utf-8"))
 
 
 @dataclass(frozen=True)
@@ -92,61 +92,47 @@ def test_the_appendix_is_german(pages: list[Pages]) -> None:
 
 
 def test_what_has_no_translation_stays_english_and_is_counted(pages: list[Pages]) -> None:
-    """The reason in the test's JSON file is in no catalogue."""
+    """Texts of the test's JSON file have no identifier."""
     page = pages[1].german
-    assert "vorhandene Sätze der folgenden Abschnitte: 1." in page
-    assert re.findall(r"<span lang=en>([^<]*)", page) == ["E_X0B: it &lt;moves&gt; with the reflectors"]
-    assert "<!-- details" not in page and "<!-- number" not in page
+    assert "vorhandene Sätze der folgenden Abschnitte: 3." in page
+    assert re.findall(r"<span lang=en>([^<]*)", page) == [
+        "it &lt;moves&gt; with the reflectors",
+        "an outlier",
+        "the file says: simulated by a script",
+    ]
 
 
-@pytest.mark.parametrize("sentence", CATALOGUE["sentences"])
-def test_both_sentences_have_the_same_places(sentence: str) -> None:
-    places = [sorted(re.findall(r"\{(\w+)\}", text)) for text in (sentence, CATALOGUE["sentences"][sentence])]
-    assert places[0] == places[1]
+def identifiers() -> dict[str, str]:
+    """Return the identifiers of all messages of code and templates, each with a file that has it."""
+    found: dict[str, str] = {}
+    root = Path(twin.__file__).parent
+    for path in root.rglob("*.py"):
+        for call in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            match call:
+                case ast.Call(ast.Name("Message" | "say"), [ast.Constant(str(text)), *_]):
+                    found[" ".join(text.split())] = path.name
+                case ast.Call(ast.Name("partial"), [ast.Name("Message"), ast.Constant(str(text)), *_]):
+                    found[" ".join(text.split())] = path.name
+    for path in root.rglob("*.j2"):
+        for node in templates().parse(path.read_text(encoding="utf-8")).find_all(nodes.Call):
+            match node.node, node.args:
+                case nodes.Name(name="_" | "say"), [nodes.Const(value=str(text)), *_]:
+                    found[" ".join(text.split())] = path.name
+    return {text: file for text, file in found.items() if re.search(r"[^\W\d_]", PLACE.sub("", text))}
 
 
-@pytest.mark.parametrize(
-    ("english", "german"),
-    [
-        ("at least 1,234.5 µm", "mindestens 1\N{NARROW NO-BREAK SPACE}234,5 µm"),
-        ("E_XX, E_YY and 34 more", "E_XX, E_YY und 34 weitere"),
-        ("Y out of square to X (E_C0Y)", "Rechtwinkligkeit Y zu X (E_C0Y)"),
-        ("axis of C tilted about y (1 ± 2 µrad) and Z out of square to Y (3 ± 4 µrad)",
-         "Achslage C: Neigung um y (1 ± 2 µrad) und Rechtwinkligkeit Z zu Y (3 ± 4 µrad)"),
-        ("Use this calibration. Measure more first.", "Diese Kalibrierung verwenden. Zuerst mehr messen."),
-        ("python 3.11.7, twin 0.1.0 (ab12cd)", "python 3.11.7, twin 0.1.0 (ab12cd)"),
-        ("/tmp/a 1.5/c.yaml", "/tmp/a 1.5/c.yaml"),
-        ("60.0 µrad\n(± unknown)", "60,0 µrad\n(± unbekannt)"),
-        ("the file says: seed 3.5, with noise", "die Datei gibt an: seed 3.5, with noise"),
-    ],
-)  # fmt: skip
-def test_sentences(english: str, german: str) -> None:
-    assert translator(Language.de).text(english) == german
+def test_the_catalogue_has_every_message_and_no_other() -> None:
+    found, known = identifiers(), catalogue(Language.de)
+    assert len(found) > 400
+    assert {text: file for text, file in found.items() if text not in known} == {}
+    assert [text for text in known if text not in found] == []
 
 
-def test_a_sentence_is_never_translated_in_part() -> None:
-    to = translator(Language.de)
-    for text in (
-        "Largest uncertainties: the blue one.",
-        "Line: calibration. Purple things are 1.5 µm long.",
-        "A, b c and C",
-    ):
-        assert to.text(text) == text
-    assert len(to.missing) == 3
-    page = "<p>Line: calibration. Purple things are 1.5&nbsp;µm long.</p><p>a &lt; <b>b</b> &amp; c</p>"
-    assert to.page(page) == (
-        "<p>Linie: Kalibrierung. <span lang=en>Purple things are 1.5&nbsp;µm long.</span></p>"
-        "<p><span lang=en>a &lt;</span> <b><span lang=en>b</span></b> <span lang=en>&amp; c</span></p>"
-    )
-
-
-@given(st.text(st.characters(codec="utf-8", exclude_categories=["Cs"]), max_size=60))
-def test_any_text_survives(text: str) -> None:
-    """Text from a file, such as the name of a target, is never damaged, only marked."""
-    found = translator(Language.de).page(f"<p translate=no>{escape(text)}</p>")
-    quoted = unescape(f"<p translate=no>{escape(text)}</p>")
-    assert unescape(found).replace("\N{NO-BREAK SPACE}", " ") == quoted.replace("\N{NO-BREAK SPACE}", " ")
-    translator(Language.de).page(f"<p>{escape(text)}</p>")
+@pytest.mark.parametrize("english", catalogue(Language.de))
+def test_both_languages_have_the_same_places(english: str) -> None:
+    german = catalogue(Language.de)[english]
+    assert {*PLACE.findall(english)} == {*PLACE.findall(german)}
+    assert re.findall("`[^`]*`", english) == re.findall("`[^`]*`", german)
 
 
 def test_effects_on_the_first_page_are_german(pages: list[Pages]) -> None:

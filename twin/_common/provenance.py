@@ -10,6 +10,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Final, Literal, final
 
+from twin._common.messages import Message, joined
+
 Name = Literal[
     "illustrative",
     "simulated_readings",
@@ -56,7 +58,10 @@ class SourceWarning:
         if not self.errors:
             return self.explanation
         more = len(self.errors) - NAMED
-        return f"{', '.join(self.errors[:NAMED])}{f' and {more} more' if more > 0 else ''} {self.explanation}"
+        names: str = joined(", ", self.errors[:NAMED])
+        if more > 0:
+            names = Message("{names} and {count} more", names=names, count=str(more))
+        return joined(" ", [names, self.explanation])
 
     @property
     def text(self) -> str:
@@ -73,46 +78,62 @@ class SourceWarning:
 
 
 ILLUSTRATIVE: Final = SourceWarning(
-    "illustrative", "ILLUSTRATIVE", "some of the error motions are drawn, not measured. Do not cut with them."
+    "illustrative",
+    Message("ILLUSTRATIVE"),
+    Message("some of the error motions are drawn, not measured. Do not cut with them."),
 )
 SIMULATED: Final = SourceWarning(
     "simulated_readings",
-    "SIMULATED READINGS",
-    "the readings were computed, not measured on a machine. Do not cut with their numbers.",
+    Message("SIMULATED READINGS"),
+    Message("the readings were computed, not measured on a machine. Do not cut with their numbers."),
 )
 UNSETTLED_ESTIMATE: Final = SourceWarning(
-    "unsettled_estimate", "UNSETTLED ESTIMATE", "the identification did not converge. Do not use its numbers."
+    "unsettled_estimate",
+    Message("UNSETTLED ESTIMATE"),
+    Message("the identification did not converge. Do not use its numbers."),
 )
 NOT_IDENTIFIABLE: Final = SourceWarning(
     "not_identifiable",
-    "NOT IDENTIFIED",
-    "could not be determined from the readings. U includes the plausible range of the machine file for them.",
+    Message("NOT IDENTIFIED"),
+    Message("could not be determined from the readings. U includes the plausible range of the machine file for them."),
 )
 NOMINAL_KINEMATICS: Final = SourceWarning(
     "kinematics_not_identified",
-    "KINEMATICS NOT IDENTIFIED",
-    "were not identified: the values here are not measured. Do not load them into a control that was calibrated otherwise.",
+    Message("KINEMATICS NOT IDENTIFIED"),
+    Message(
+        "were not identified: the values here are not measured. Do not load them into a control that was calibrated otherwise."
+    ),
 )
 SYSTEMATIC_RESIDUALS: Final = SourceWarning(
     "misfit",
-    "SYSTEMATIC RESIDUALS",
-    "the readings contain a repeatable part that the calibration does not describe. Its uncertainties count it as random.",
+    Message("SYSTEMATIC RESIDUALS"),
+    Message(
+        "the readings contain a repeatable part that the calibration does not describe. Its uncertainties count it as random."
+    ),
 )
 NOISE_CONTRADICTED: Final = SourceWarning(
     "misfit",
-    "RESIDUALS LARGER THAN THE STATED UNCERTAINTY",
-    "the residuals contradict the noise stated for the readings: the model is incomplete, or the noise is larger.",
+    Message("RESIDUALS LARGER THAN THE STATED UNCERTAINTY"),
+    Message(
+        "the residuals contradict the noise stated for the readings: the model is incomplete, or the noise is larger."
+    ),
 )
 MODEL_NOT_TESTED: Final = SourceWarning(
     "misfit",
-    "MODEL NOT TESTED",
-    "the calibration was not tested against its readings: they were too few, or its method makes no such test.",
+    Message("MODEL NOT TESTED"),
+    Message(
+        "the calibration was not tested against its readings: they were too few, or its method makes no such test."
+    ),
 )
 UNKNOWN_UNCERTAINTY: Final = SourceWarning(
-    "unknown_uncertainty", "UNKNOWN UNCERTAINTY", "the calibration gives no uncertainty for its errors."
+    "unknown_uncertainty",
+    Message("UNKNOWN UNCERTAINTY"),
+    Message("the calibration gives no uncertainty for its errors."),
 )
 PARTLY_UNKNOWN_UNCERTAINTY: Final = SourceWarning(
-    "unknown_uncertainty", "UNKNOWN UNCERTAINTY", "the calibration gives no uncertainty for some of its errors."
+    "unknown_uncertainty",
+    Message("UNKNOWN UNCERTAINTY"),
+    Message("the calibration gives no uncertainty for some of its errors."),
 )
 
 

@@ -28,6 +28,7 @@ from typing import Any, Literal, final
 
 from twin._common.errors import InputError
 from twin._common.files import read_bytes
+from twin._common.messages import Message
 from twin.controls.correction import ControlCurve, ControlTerm, Correction, TableSum, TableSummary
 from twin.controls.format import TableFormat
 from twin.controls.formats import format_named, read_tables, table_formats
@@ -102,7 +103,7 @@ class ControlSection:
         """Warning that errors measured with active tables are valid for one tool length only; empty if it does not apply."""
         if self.errors_are == "uncorrected" or not any(format_named(name).knows_machine for name in self.formats):
             return ""
-        return (
+        return Message(
             "The control uses the length of the active tool: these errors were measured with its tables active and are valid only for "
             "the tool length at that time."
         )

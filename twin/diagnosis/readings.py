@@ -16,6 +16,7 @@ import numpy as np
 
 from twin._common.arrays import read_only
 from twin._common.distributions import chi2_isf, chi2_sf
+from twin._common.messages import Message
 from twin._common.units import MM
 from twin.diagnosis.candidates.candidate import Candidate, Catalogue, Column
 from twin.diagnosis.candidates.catalogue import catalogue
@@ -88,7 +89,7 @@ def from_repeats(
     np.add.at(total, group, values)
     values = (values - total[group] / size[group][:, None, None]) * repeated[:, None, None]
     dof = float(np.sum(np.where(repeated, 1.0 - 1.0 / size[group], 0.0)))
-    return _estimated(values, dof, view, read, seen, "repeats")
+    return _estimated(values, dof, view, read, seen, Message("repeats"))
 
 
 def from_residuals(
@@ -120,7 +121,7 @@ def from_residuals(
         "nij,njk->nik", raw, np.concatenate([view.residual[:, :, None], by_setup * setup.plausible, basis], axis=2)
     )
     values *= read[:, :, None]
-    return _estimated(values, float(len(view.rows)), view, read, seen, "the residuals of a fit of every cause")
+    return _estimated(values, float(len(view.rows)), view, read, seen, Message("the residuals of a fit of every cause"))
 
 
 def _main_columns(candidate: Candidate) -> tuple[Column, ...]:
@@ -154,7 +155,12 @@ def _estimated(
         return ReadingNoise(
             read_only(covariances),
             dof,
-            f"{source}: {np.sqrt(covariances[0, 0, 0]) * 1e6:.2g} µm ({dof:.0f} degrees of freedom)",
+            Message(
+                "{source}: {size:.2g} µm ({dof:.0f} degrees of freedom)",
+                source=source,
+                size=np.sqrt(covariances[0, 0, 0]) * 1e6,
+                dof=dof,
+            ),
         )
     if not read.all():
         # An instrument that measures two coordinates is no tracker: the same noise in both.
@@ -163,7 +169,12 @@ def _estimated(
         if dof < LEAST_DOF:
             return None
         sigma = float(np.sqrt(np.sum(residual**2) / dof))
-        text = f"{source}: {sigma * 1e6:.2g} µm a coordinate ({dof:.0f} degrees of freedom)"
+        text = Message(
+            "{source}: {size:.2g} µm a coordinate ({dof:.0f} degrees of freedom)",
+            source=source,
+            size=sigma * 1e6,
+            dof=dof,
+        )
         return ReadingNoise(read_only(np.tile(sigma**2 * np.eye(3), (len(seen), 1, 1))), dof, text)
     beam = view.seen / np.linalg.norm(view.seen, axis=1, keepdims=True)
     along_u = across_u = 1.0
@@ -184,9 +195,12 @@ def _estimated(
         residual, basis = _regressed(values)
         along_u = across_u = float(np.sqrt(np.sum(residual**2) / (3.0 * dof_each - basis.shape[2])))
     n = len(seen)
-    text = (
-        f"{source}: {along_u * 1e6:.2g} µm along the beam, {across_u * 1e6:.2g} µm across "
-        f"({dof_along + dof_across:.0f} degrees of freedom)"
+    text = Message(
+        "{source}: {along:.2g} µm along the beam, {across:.2g} µm across ({dof:.0f} degrees of freedom)",
+        source=source,
+        along=along_u * 1e6,
+        across=across_u * 1e6,
+        dof=dof_along + dof_across,
     )
     return ReadingNoise(
         read_only(along_and_across(seen, np.full(n, along_u), np.full(n, across_u))), dof_along + dof_across, text
@@ -309,9 +323,14 @@ def readings(
     instruments, data, setup = prepare(machine, data, instrument)
     no_unknowns = Unknowns(machine, (), ())
     has_u = bool(np.isfinite(data.u_mm).any())
-    source = "the table's uncertainties" if has_u else f"the noise model of the {instruments.name}"
-    if instrument is None and not has_u:
-        source += ", assumed: no uncertainties stated, too few repeats"
+    if has_u:
+        source = Message("the table's uncertainties")
+    elif instrument is not None:
+        source = Message("the noise model of the {name}", name=instruments.name)
+    else:
+        source = Message(
+            "the noise model of the {name}, assumed: no uncertainties stated, too few repeats", name=instruments.name
+        )
     noise = stated = ReadingNoise(stated_covariance(data, instruments), np.inf, source)
     is_stated = instrument is not None or has_u
     contradicted = is_stated and any(
@@ -331,7 +350,8 @@ def readings(
         if contradicted and estimated is not None:
             # If it is not larger, only a known effect that changes between repeats made them vary.
             larger = _larger(estimated, stated.covariance, network.read)
-            estimated = replace(estimated, source=f"{estimated.source}; they contradict {source}") if larger else stated
+            both = Message("{source}; they contradict {figures}", source=estimated.source, figures=source)
+            estimated = replace(estimated, source=both) if larger else stated
         if estimated is not None:
             noise = estimated
             network = Network(machine, data, instruments, no_unknowns, calibration, noise.covariance)

@@ -28,9 +28,10 @@ from matplotlib.markers import TICKDOWN, TICKLEFT, TICKRIGHT
 from matplotlib.projections.polar import PolarAxes, RadialAxis, ThetaAxis
 from matplotlib.text import Text
 from matplotlib.textpath import text_to_path
-from matplotlib.ticker import FixedLocator, MaxNLocator
+from matplotlib.ticker import FixedFormatter, FixedLocator, MaxNLocator
 from matplotlib.transforms import ScaledTranslation, Transform
 
+from twin._common.messages import Number, say
 from twin.display.markup import Html, part
 from twin.display.numbers import signed
 
@@ -118,7 +119,7 @@ def polar_ticks(plot: PolarAxes, extent: float, domain: Sequence[float]) -> tupl
 
 def radius_label(tick: float) -> str:
     """Return a deviation with its sign; zero has none."""
-    return signed(f"{tick:+g}") if tick else "0"
+    return say(Number(signed(f"{tick:+g}"))) if tick else "0"
 
 
 def save(figure: Figure, path: str | Path, *, dpi: int = 150) -> None:
@@ -345,7 +346,10 @@ def _numbers(plot: Axes, axis: Axis, size: float, *, upright: bool) -> tuple[np.
     locator = given if isinstance(given, FixedLocator) else MaxNLocator(most, steps=[1, 2, 2.5, 5, 10])
     low, high = sorted(axis.get_view_interval())
     at = np.asarray(locator.tick_values(low, high))
-    texts = axis.get_major_formatter().format_ticks(at.tolist())
+    formatter = axis.get_major_formatter()
+    texts = formatter.format_ticks(at.tolist())
+    if not isinstance(formatter, FixedFormatter):
+        texts = [say(Number(text)) for text in texts]
     slack = 1e-10 * (high - low)
     inside = (at >= low - slack) & (at <= high + slack)
     return at[inside], [text for text, shown in zip(texts, inside, strict=True) if shown]

@@ -8,6 +8,7 @@ from functools import cache
 from math import isfinite
 from typing import TYPE_CHECKING, Any, Final, final
 
+from twin._common.messages import Message, Number, Quoted, is_translated, say_html
 from twin.display.numbers import (
     UNKNOWN,
     capital,
@@ -53,7 +54,10 @@ Cell = str | Html
 
 @cache
 def templates() -> Environment:
-    """Return the environment of the package's templates, by path in the package; text is escaped unless it is `Html`."""
+    """Return the environment of the package's templates, by path in the package; text is escaped unless it is `Html`.
+
+    In templates, ``_`` makes a message; ``number`` and the filter ``quoted`` mark text as in `twin._common.messages`.
+    """
     from jinja2 import Environment, PackageLoader, StrictUndefined  # slow to import and needed only for HTML
 
     templates = Environment(
@@ -63,8 +67,9 @@ def templates() -> Environment:
         trim_blocks=True,
         lstrip_blocks=True,
         keep_trailing_newline=True,
+        finalize=_in_language,
     )
-    templates.globals |= {"ACCENT": ACCENT, "WARNING": WARNING, "UNKNOWN": UNKNOWN}
+    templates.globals |= {"ACCENT": ACCENT, "WARNING": WARNING, "UNKNOWN": UNKNOWN, "_": Message, "number": Number}
     templates.globals |= {
         one.__name__: one
         for one in (
@@ -82,9 +87,15 @@ def templates() -> Environment:
             with_half,
         )
     }
+    templates.filters["quoted"] = Quoted
     templates.filters["with_joined_units"] = lambda text: with_joined_units(str(text), "&nbsp;")
     templates.globals["page"] = templates.get_template(PARTS).module
     return templates
+
+
+def _in_language(value: Any) -> Any:
+    """Return a value for a template: text that the current language changes as HTML in that language, all else as it is."""
+    return Html(say_html(value)) if is_translated(value) else value
 
 
 def render(template: str, **context: Any) -> str:

@@ -7,11 +7,15 @@ from collections.abc import Mapping, Sequence
 from math import floor, isfinite, log10
 from typing import Final
 
+from twin._common.messages import Message, Number, joined
+
 COVERAGE: Final = 0.95
 """Coverage probability of every interval and radius that twin prints."""
 COVERAGE_FACTOR: Final = 1.959963984540054
 """Coverage factor k of a normal distribution for that probability: the interval is the value ± k u (JCGM 100, G.1.3)."""
-UNKNOWN: Final = "unknown"
+UNKNOWN: Final = Message("unknown")
+LEAST: Final = Message("at least")
+"""Before a lower bound."""
 TIED: Final = re.compile(r"(\d) (µm|µrad|mm|°|%|ppm)")
 """A number and its unit, to be joined by a non-breaking space."""
 _ROUND: Final = (1.0, 1.2, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)
@@ -38,7 +42,9 @@ def measured(value: float, u: float, unit: str) -> str:
         unit: unit as in files (``um``).
     """
     sign = readable(unit)
-    return f"{_interval(value, COVERAGE_FACTOR * u)} {sign}" if isfinite(u) else f"{plain(value)} {sign}, ± {UNKNOWN}"
+    if isfinite(u):
+        return Number(f"{_interval(value, COVERAGE_FACTOR * u)} {sign}")
+    return Message("{value} {unit}, ± unknown", value=Number(plain(value)), unit=sign)
 
 
 def with_half(value: float, half: float, unit: str) -> str:
@@ -51,8 +57,8 @@ def with_half(value: float, half: float, unit: str) -> str:
     """
     sign = readable(unit)
     if not isfinite(half):
-        return f"{figure(value, sign)} (± {UNKNOWN})"
-    return figure(value, sign) if half <= 0.0 else f"{_interval(value, half)} {sign}"
+        return Message("{value} (± unknown)", value=figure(value, sign))
+    return figure(value, sign) if half <= 0.0 else Number(f"{_interval(value, half)} {sign}")
 
 
 def figure(value: float, unit: str = "", *, digits: int = 3) -> str:
@@ -67,12 +73,13 @@ def figure(value: float, unit: str = "", *, digits: int = 3) -> str:
         return UNKNOWN
     decimals = 2 if value == 0.0 else min(max(digits - 1 - floor(log10(abs(value))), 0), 2)
     text = fixed(round(value, decimals), decimals)
-    return f"{text} {unit}" if unit else text
+    return Number(f"{text} {unit}" if unit else text)
 
 
-def expanded(value: float, *, complete: bool = True, unit: str = "µm", least: str = "at least ") -> str:
+def expanded(value: float, *, complete: bool = True, unit: str = "µm", least: str = LEAST) -> str:
     """Return U of the tool point as text: `UNKNOWN` for NaN, with ``least`` in front if incomplete, that is, a lower bound."""
-    return f"{'' if complete or not isfinite(value) else least}{figure(value, unit)}"
+    text = figure(value, unit)
+    return text if complete or not isfinite(value) else joined(" ", [least, text])
 
 
 def place(where: Mapping[str, float]) -> str:
@@ -83,9 +90,9 @@ def place(where: Mapping[str, float]) -> str:
 def compact(value: float) -> str:
     """Return a number with three significant digits, without trailing zeros and exponent."""
     if value == 0 or not 1e-3 <= abs(value) < 1e9:
-        return "0" if value == 0 else f"{value:.2g}"
+        return Number("0" if value == 0 else f"{value:.2g}")
     text = f"{value:.{max(0, 2 - floor(log10(abs(value))))}f}"
-    return text.rstrip("0").rstrip(".") if "." in text else f"{int(text):,}".replace(",", "\u202f")
+    return Number(text.rstrip("0").rstrip(".") if "." in text else f"{int(text):,}".replace(",", "\u202f"))
 
 
 def plain(value: float) -> str:
@@ -120,7 +127,7 @@ def ceiling(value: float) -> float:
 
 def p_value_text(p: float) -> str:
     """Return a p-value as a number: p = 0.012."""
-    return "p < 1e-99" if p < 1e-99 else f"p = {p:.2g}"
+    return Number("p < 1e-99" if p < 1e-99 else f"p = {p:.2g}")
 
 
 def with_joined_units(text: str, space: str) -> str:
@@ -145,17 +152,25 @@ MANY: Final = 8
 
 
 def capital(text: str) -> str:
-    """Return the text with a capital first letter."""
-    return text[:1].upper() + text[1:]
+    """Return the text with a capital first letter; a message in every language."""
+    letter = text[:1].upper()
+    return text.starting(letter) if isinstance(text, Message) else letter + text[1:]
 
 
 def lower(text: str) -> str:
     """Return a name for the middle of a sentence, in lower case unless it starts with the letter of an axis."""
-    return text if text[1:2] == " " else text[:1].lower() + text[1:]
+    if text[1:2] == " ":
+        return text
+    letter = text[:1].lower()
+    return text.starting(letter) if isinstance(text, Message) else letter + text[1:]
 
 
 def listed(names: Sequence[str], *, most: int = MANY) -> str:
     """Return the names as "A, B and C"; above ``most`` names, the first ones and the number of the others."""
     if len(names) > most:
-        return f"{', '.join(names[: most - 1])} and {len(names) - most + 1} more"
-    return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
+        return Message(
+            "{names} and {count} more", names=joined(", ", names[: most - 1]), count=str(len(names) - most + 1)
+        )
+    if len(names) < 2:
+        return names[0] if names else ""
+    return Message("{names} and {last}", names=joined(", ", names[:-1]), last=names[-1])

@@ -14,6 +14,7 @@ import numpy as np
 
 from twin._common.arrays import read_only
 from twin._common.errors import InputError
+from twin._common.messages import Message
 from twin._common.units import count_with_noun
 from twin.machine.machine import Axis
 
@@ -294,7 +295,7 @@ def missing_rounds(target: np.ndarray, names: np.ndarray, positions: np.ndarray)
     points: dict[tuple[str, str], set[bytes]] = {}
     for reflector, name, position in zip(target, names, positions, strict=True):
         points.setdefault((reflector, name), set()).add(position.tobytes())
-    notices = []
+    notices: list[str] = []
     for reflector in dict.fromkeys(target):
         of = {name: found for (other, name), found in points.items() if other == reflector}
         if len(of) < 2:
@@ -304,12 +305,18 @@ def missing_rounds(target: np.ndarray, names: np.ndarray, positions: np.ndarray)
             missing = len(everything) - len(found)
             if missing and all(len(found & other) > len(everything) // 2 for other in of.values()):
                 notices.append(
-                    f"target {reflector}: round {name} lacks {missing} of {count_with_noun(len(everything), 'position')}"
+                    Message(
+                        "target {target}: round {name} lacks {missing} of {count:,} positions",
+                        target=reflector,
+                        name=str(name),
+                        missing=missing,
+                        count=len(everything),
+                    )
                 )
     for name in dict.fromkeys(names):
         absent = [reflector for reflector in dict.fromkeys(target) if (reflector, name) not in points]
         if absent and len(dict.fromkeys(names)) > 1:
-            notices.append(f"round {name} has no target {', '.join(absent)}")
+            notices.append(Message("round {name} has no target {targets}", name=str(name), targets=", ".join(absent)))
     return notices
 
 

@@ -19,6 +19,7 @@ from twin._common.arrays import read_only
 from twin._common.csv_tables import Cells, read_table, unused_column_note
 from twin._common.errors import InputError, closest_name
 from twin._common.files import write_atomic
+from twin._common.messages import Message, Number
 from twin._common.units import count_with_noun
 from twin.display import Cell, note, spans
 from twin.display.results import Display, DisplayedResult
@@ -293,7 +294,7 @@ class Measurements(DisplayedResult):
             temperature_degC=MappingProxyType(temperatures),
             channels=MappingProxyType(channels),
             notices=(
-                *(f"the file says: {text}" for text in simulated_notes),
+                *(Message("the file says: {text}", text=text) for text in simulated_notes),
                 *notices,
                 *(unused_column_note(name, sorted(known)) for name in unknown_columns),
             ),
@@ -561,26 +562,32 @@ def without_unusable_rows(table: Measurements, machine: Machine, unknown_cells: 
             reasons.setdefault(int(row), RowNote(int(table.lines[row]), reason))
 
     finite = np.isfinite(table.positions)
-    aside(~finite.all(axis=1), "a commanded position is missing or not finite")
-    aside(np.isinf(table.point_mm).any(axis=1), "a measured coordinate is not finite")
-    aside((np.abs(table.point_mm) > LARGEST_MM).any(axis=1), f"a measured coordinate exceeds {LARGEST_MM:g} mm")
-    aside(np.isnan(table.point_mm).all(axis=1), "no coordinate was measured")
-    aside(np.any(table.u_mm < SMALLEST_U_MM, axis=1), f"a standard uncertainty is below {SMALLEST_U_MM:g} mm")
+    aside(~finite.all(axis=1), Message("a commanded position is missing or not finite"))
+    aside(np.isinf(table.point_mm).any(axis=1), Message("a measured coordinate is not finite"))
+    too_large = Message("a measured coordinate exceeds {most:g} mm", most=LARGEST_MM)
+    aside((np.abs(table.point_mm) > LARGEST_MM).any(axis=1), too_large)
+    aside(np.isnan(table.point_mm).all(axis=1), Message("no coordinate was measured"))
+    too_small = Message("a standard uncertainty is below {least:g} mm", least=SMALLEST_U_MM)
+    aside(np.any(table.u_mm < SMALLEST_U_MM, axis=1), too_small)
     for axis, q in zip(machine.axes, table.positions.T, strict=True):
         if axis.lower is not None and axis.upper is not None:
-            reach = f"{axis.lower:g} … {axis.upper:g} {axis.unit}"
-            aside(outside_axis_range(axis, q), f"the command of {axis.name} is outside its range {reach}")
+            reach = Number(f"{axis.lower:g} … {axis.upper:g} {axis.unit}")
+            aside(
+                outside_axis_range(axis, q),
+                Message("the command of {axis} is outside its range {reach}", axis=axis.name, reach=reach),
+            )
     usable_rows = np.array([row for row in range(len(table)) if row not in reasons], dtype=int)
     # A probe reads zero: equal rows are repeats.
     read = usable_rows[np.any(np.nan_to_num(table.point_mm[usable_rows]) != 0.0, axis=1)]
     for row, before in _copies(table, read, unknown_cells).items():
-        text = f"copy of line {table.lines[before]}: equal in every column"
+        text = Message("copy of line {line}: equal in every column", line=str(table.lines[before]))
         reasons[row] = RowNote(int(table.lines[row]), text, kind="copy of an earlier line: equal in every column")
     keep = np.array([row not in reasons for row in range(len(table))])
     for station in dict.fromkeys(table.station):
         of = keep & (table.station == station)
         if 0 < np.count_nonzero(of) < FEWEST_POINTS:
-            aside(of, f"station {station} has fewer than {FEWEST_POINTS} usable points")
+            few = Message("station {name} has fewer than {count} usable points", name=station, count=FEWEST_POINTS)
+            aside(of, few)
     keep = np.array([row not in reasons for row in range(len(table))])
     notes = tuple(note for _, note in sorted(reasons.items()))
     if not np.any(keep):

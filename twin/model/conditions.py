@@ -17,6 +17,7 @@ from typing import Final, final
 import numpy as np
 
 from twin._common.errors import InputError, closest_name
+from twin._common.messages import Message, joined
 from twin._common.records import SPEED, TIME, is_temperature, read_log, sensor_of
 from twin._common.units import count_with_noun
 from twin.display.results import Result
@@ -74,7 +75,9 @@ class MachineLog(Result):
 
 # --- Inputs of the error model besides the positions ----------------------------------------------
 
-WORDS: Final = MappingProxyType({TIME: "the time", SPEED: "the spindle speed", LOAD: "the load"})
+WORDS: Final = MappingProxyType(
+    {TIME: Message("the time"), SPEED: Message("the spindle speed"), LOAD: Message("the load")}
+)
 """Channels that are given by a single value, in words."""
 UNITS: Final = MappingProxyType(
     {TIME: "time {:g} s of the measured table", SPEED: "spindle {:g} 1/min", LOAD: "load {:g} kg"}
@@ -251,10 +254,15 @@ def needed_values(channels: Iterable[str]) -> str:
     """Return the values that supply the channels, in words: "the temperature of bed and X, the time"."""
     names = list(channels)
     temperatures = [sensor_of(name) for name in names if is_temperature(name)]
-    return ", ".join(
+    return joined(
+        ", ",
         [
-            *([f"the temperature of {' and '.join(temperatures)}"] if temperatures else []),
+            *([Message("the temperature of {sensors}", sensors=" and ".join(temperatures))] if temperatures else []),
             *(words for name, words in WORDS.items() if name in names),
-            *(f"{name}, which cannot be given yet" for name in names if not is_temperature(name) and name not in WORDS),
-        ]
+            *(
+                Message("{name}, which cannot be given yet", name=name)
+                for name in names
+                if not is_temperature(name) and name not in WORDS
+            ),
+        ],
     )

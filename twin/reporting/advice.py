@@ -10,10 +10,11 @@ from pathlib import Path
 from typing import Any, Final, Literal, final
 
 from twin._common.errors import InputError
+from twin._common.messages import Message, Number, Quoted, joined
 from twin._common.records import json_form
 from twin.compensation.tables import CorrectedShare, RemainingErrors, Request, account_of, make
 from twin.controls import TableSum, table_formats
-from twin.display import UNKNOWN, expanded, figure, with_half
+from twin.display import expanded, figure, with_half
 from twin.display.numbers import capital, listed, lower
 from twin.model.calibration import Calibration
 from twin.model.conditions import SETTINGS, needed_values
@@ -87,11 +88,11 @@ WORTH: Final = 0.05
 """Smallest share of the RMS error over the volume that an action must remove to be recommended."""
 MECHANICAL: Final = ("L-SQU", "R-POR")
 TABLES: Final = {
-    "L-POS": "positioning",
-    "L-STR": "straightness",
-    "L-SQU": "squareness",
-    "L-ANG": "angular errors of the linear axes",
-    "R-POS": "angular positioning",
+    "L-POS": Message("positioning"),
+    "L-STR": Message("straightness"),
+    "L-SQU": Message("squareness"),
+    "L-ANG": Message("angular errors of the linear axes"),
+    "R-POS": Message("angular positioning"),
 }
 """Errors that axis tables can compensate, by class."""
 SMALL_UM: Final = 2.0
@@ -156,20 +157,21 @@ def advise(
         points: measured points compared with the calibration.
         tables: remaining errors with tables in the control, the best first; empty if tables are in use already.
     """
-    rms, most = (figure(size, "µm") for size in (found.total.rms_um, found.total.max_um))
     if not found.errors and not left_out:
         steps = (
             Step(
                 "measure",
-                "Measure the machine",
-                f"An empty calibration does not describe an accurate machine. {_IDENTIFY}",
+                Message("Measure the machine"),
+                joined(" ", [Message("An empty calibration does not describe an accurate machine."), _IDENTIFY]),
             ),
             Step(
-                "never", "Assume that the machine is accurate", "No error is known, so every error counts as zero here."
+                "never",
+                Message("Assume that the machine is accurate"),
+                Message("No error is known, so every error counts as zero here."),
             ),
         )
         return MachineAdvice(
-            "This calibration contains no errors: the state of the machine is unknown.", "unknown", (), steps
+            Message("This calibration contains no errors: the state of the machine is unknown."), "unknown", (), steps
         )
     every = [
         *_void(calibration, calibration.settled and (identified is None or identified.file.converged)),
@@ -186,37 +188,51 @@ def advise(
         *_never(calibration, found),
     ]
     return MachineAdvice(
-        f"The error at the tool point is {rms} RMS over the working volume and up to {most}{_without(outcome)}.",
+        _headline(found, outcome),
         "well" if found.total.max_um <= SMALL_UM else "wrong",
         tuple(_line(error) for error in found.errors[:NAMED]),
         tuple(sorted(every, key=lambda step: _ORDER.index(step.kind))),
     )
 
 
-def _without(outcome: CompensationForecast) -> str:
-    """Return in words which errors a figure of the known errors does not contain."""
-    return (
-        f", without {listed(outcome.not_identified)}, which could not be determined" if outcome.not_identified else ""
+def _headline(found: Budget, outcome: CompensationForecast) -> str:
+    """Return the error at the tool, and which errors it does not contain."""
+    sizes = {"rms": figure(found.total.rms_um, "µm"), "largest": figure(found.total.max_um, "µm")}
+    if not outcome.not_identified:
+        return Message("The error at the tool point is {rms} RMS over the working volume and up to {largest}.", **sizes)
+    return Message(
+        "The error at the tool point is {rms} RMS over the working volume and up to {largest}, without {names}, which could not be "
+        "determined.",
+        **sizes,
+        names=listed(outcome.not_identified),
     )
 
 
 _ORDER: Final = ("unknown", "do", "measure", "never")
-_IDENTIFY: Final = "`twin plan` gives the positions to measure; `twin identify` makes a calibration with uncertainty from the readings."
+_IDENTIFY: Final = Message(
+    "`twin plan` gives the positions to measure; `twin identify` makes a calibration with uncertainty from the readings."
+)
 
 
 def _one_of(*ways: Iterator[Step]) -> Iterator[Step]:
     """Yield the steps of alternative actions; the title of each alternative after the first begins with "Or"."""
     again = False
     for step in chain(*ways):
-        yield replace(step, title=f"Or {lower(step.title)}") if again and step.kind == "do" else step
+        yield (
+            replace(step, title=Message("Or {title}", title=lower(step.title))) if again and step.kind == "do" else step
+        )
         again = again or step.kind == "do"
 
 
-def _line(one: Contribution) -> str:
-    return (
-        f"{one.words} ({one.name}): up to {with_half(one.peak, one.peak_half, one.unit)}; effect at the tool "
-        f"{figure(one.rms_um, 'µm')} RMS, up to {figure(one.max_um, 'µm')} "
-        f"(U {expanded(one.u_rms_um, complete=one.u_complete)})"
+def _line(one: Contribution) -> Message:
+    return Message(
+        "{words} ({name}): up to {peak}; effect at the tool {rms} RMS, up to {largest} (U {u})",
+        words=one.words,
+        name=one.name,
+        peak=with_half(one.peak, one.peak_half, one.unit),
+        rms=figure(one.rms_um, "µm"),
+        largest=figure(one.max_um, "µm"),
+        u=expanded(one.u_rms_um, complete=one.u_complete),
     )
 
 
@@ -224,61 +240,76 @@ def _incomplete(
     calibration: Calibration, left_out: Mapping[str, tuple[str, ...]], identified: Identified | None
 ) -> Iterator[Step]:
     for channel, names in left_out.items():
-        text = f"It needs {channel}: give {needed_values([channel])}. No number in this report includes it."
-        yield Step("unknown", f"{listed(names)} omitted", text)
+        text = Message(
+            "It needs {channel}: give {values}. No number in this report includes it.",
+            channel=channel,
+            values=needed_values([channel]),
+        )
+        yield Step("unknown", Message("{names} omitted", names=listed(names)), text)
     if identified is None:
         misfit = calibration.misfit
         if misfit is not None and misfit.warning is not None:
             yield Step(
                 "unknown",
                 capital(lower(misfit.warning.title)),
-                f"The identification reported: {misfit.says or misfit.verdict}",
+                Message("The identification reported: {text}", text=Quoted(misfit.says or misfit.verdict)),
             )
         return
     if identified.others:
-        text = (
-            f"{identified.path.name} gives other numbers for {listed(identified.others)}: it belongs to another calibration, or "
-            "this one was changed since. Its quality of fit does not apply to these numbers."
+        text = Message(
+            "{file} gives other numbers for {names}: it belongs to another calibration, or this one was changed since. Its quality of "
+            "fit does not apply to these numbers.",
+            file=identified.path.name,
+            names=listed(identified.others),
         )
-        yield Step("unknown", "The identification belongs to another calibration", text)
+        yield Step("unknown", Message("The identification belongs to another calibration"), text)
     fit = identified.file.misfit
     if fit.lack_of_fit_p_value is not None and fit.lack_of_fit_p_value < REPEATS:
-        text = (
-            f"The residuals contain a repeatable part (reduced chi² {fit.reduced_chi2:.3g}), which the uncertainties count as "
-            "random. `twin diagnose` looks for its cause."
+        text = Message(
+            "The residuals contain a repeatable part (reduced chi² {chi2:.3g}), which the uncertainties count as random. "
+            "`twin diagnose` looks for its cause.",
+            chi2=fit.reduced_chi2,
         )
-        yield Step("measure", "Find the cause of the lack of fit", text)
+        yield Step("measure", Message("Find the cause of the lack of fit"), text)
     elif identified.doubtful:
-        text = (
-            f"The residuals are larger than the stated noise (reduced chi² {fit.reduced_chi2:.3g}), and no reading was repeated: "
+        text = Message(
+            "The residuals are larger than the stated noise (reduced chi² {chi2:.3g}), and no reading was repeated: "
             "either the noise is larger than stated, or the machine has errors that were not identified. These numbers then contain a "
-            "part of those errors. `twin diagnose` looks for the cause."
+            "part of those errors. `twin diagnose` looks for the cause.",
+            chi2=fit.reduced_chi2,
         )
-        yield Step("unknown", "The calibration does not describe the readings", text)
+        yield Step("unknown", Message("The calibration does not describe the readings"), text)
     elif fit.p_value is not None and fit.p_value < REPEATS:
-        text = (
-            f"The noise of the readings is larger than stated (reduced chi² {fit.reduced_chi2:.3g}): the uncertainties here are "
-            "too small. Identify again with `--uncertainty repeats`, or use `twin diagnose`."
+        text = Message(
+            "The noise of the readings is larger than stated (reduced chi² {chi2:.3g}): the uncertainties here are too small. "
+            "Identify again with `--uncertainty repeats`, or use `twin diagnose`.",
+            chi2=fit.reduced_chi2,
         )
-        yield Step("measure", "Find the cause of the noise", text)
+        yield Step("measure", Message("Find the cause of the noise"), text)
 
 
 def _wait() -> Iterator[Step]:
     """Yield the step that replaces every correction while the calibration does not describe its own readings."""
-    text = "The corrections would contain errors of another kind, with a wrong size. Find the cause of the residuals first."
-    yield Step("never", "Compensate or adjust with this calibration", text)
+    text = Message(
+        "The corrections would contain errors of another kind, with a wrong size. Find the cause of the residuals first."
+    )
+    yield Step("never", Message("Compensate or adjust with this calibration"), text)
 
 
 def _misfit(points: Sequence[PointComparison], calibration: Calibration) -> Iterator[Step]:
     """Yield steps on measured points that do not fit this calibration."""
     for point in points:
         if point.far:
-            name, residual = Path(point.source).name, figure(point.rms_after_um, "µm")
-            text = (
-                f"{point.far:,} of the {point.points:,} points of {name} deviate by more than the measurement noise (RMS residual "
-                f"{residual} per coordinate over all). `twin diagnose {name}{_about(calibration)}` looks for the cause."
+            text = Message(
+                "{far:,} of the {points:,} points of {file} deviate by more than the measurement noise (RMS residual {residual} per "
+                "coordinate over all). `twin diagnose {file}{options}` looks for the cause.",
+                far=point.far,
+                points=point.points,
+                file=Path(point.source).name,
+                residual=figure(point.rms_after_um, "µm"),
+                options=_about(calibration),
             )
-            yield Step("measure", "Find the cause of the outliers", text)
+            yield Step("measure", Message("Find the cause of the outliers"), text)
 
 
 def _control(calibration: Calibration, outcome: CompensationForecast) -> Iterator[Step]:
@@ -288,65 +319,106 @@ def _control(calibration: Calibration, outcome: CompensationForecast) -> Iterato
     alike: dict[tuple[str, ...], list[str]] = {}
     for table in control.tables:
         alike.setdefault(table.classes, []).append(table.file.name)
-    names = "; ".join(f"{listed(files)}: {' '.join(classes)}" for classes, files in alike.items())
+    names = joined(
+        "; ",
+        [
+            Message("{files}: {classes}", files=listed(files), classes=" ".join(classes))
+            for classes, files in alike.items()
+        ],
+    )
+    texts: list[str]
     if control.errors_are == "remaining":
-        text = f"These errors were measured with the tables active ({names}) and remain in addition. Add a new table to them."
-        text += f" {control.caution}" if control.caution else ""
+        texts = [
+            Message(
+                "These errors were measured with the tables active ({names}) and remain in addition. Add a new table to them.",
+                names=names,
+            ),
+            *([control.caution] if control.caution else []),
+        ]
     else:
-        ends = (
-            None
-            if without_tables is None
-            else [figure(level.rms_um, "µm") for level in (without_tables, outcome.before)]
-        )
-        was = "" if ends is None else f" and reduce the error at the tool from {ends[0]} to {ends[1]} RMS"
-        text = (
-            f"The tables ({names}) compensate a part of the errors{was}. All numbers here are with the tables active."
-        )
-    yield Step("do", "Keep the control's tables active", text)
+        active = Message("All numbers here are with the tables active.")
+        if without_tables is None:
+            texts = [Message("The tables ({names}) compensate a part of the errors.", names=names), active]
+        else:
+            compensated = Message(
+                "The tables ({names}) compensate a part of the errors and reduce the error at the tool from {without} to {rms} RMS.",
+                names=names,
+                without=figure(without_tables.rms_um, "µm"),
+                rms=figure(outcome.before.rms_um, "µm"),
+            )
+            texts = [compensated, active]
+    yield Step("do", Message("Keep the control's tables active"), joined(" ", texts))
 
 
 def _compensate(calibration: Calibration, found: Budget, outcome: CompensationForecast) -> Iterator[Step]:
     if outcome.exact is None:
-        text = "Compensation needs three linear and at most two rotary axes."
-        yield Step("unknown", "Programs cannot be compensated", text)
+        text = Message("Compensation needs three linear and at most two rotary axes.")
+        yield Step("unknown", Message("Programs cannot be compensated"), text)
         return
     if found.total.rms_um <= 0.0:
         return
     start, exact = (figure(level.rms_um, "µm") for level in (outcome.before, outcome.exact))
     if outcome.judged is not None and outcome.judged.rms_um >= outcome.before.rms_um:
-        expected = figure(outcome.judged.rms_um, "µm")
-        text = f"Its uncertainty is too large: the expected RMS error would change from {start} to {expected}. Measure more first."
-        yield Step("never", "Compensate programs with this calibration", text)
+        text = Message(
+            "Its uncertainty is too large: the expected RMS error would change from {start} to {expected}. Measure more first.",
+            start=start,
+            expected=figure(outcome.judged.rms_um, "µm"),
+        )
+        yield Step("never", Message("Compensate programs with this calibration"), text)
         return
-    text = f"`twin compensate part.nc -o part.compensated.nc{_options(found, calibration)}` reduces the error from {start} RMS to "
+    known = {"options": _options(found, calibration), "start": start, "exact": exact}
+    texts = list[str]()
     if outcome.judged is None:
-        text += (
-            f"{exact} for an exact calibration. The expected error is {UNKNOWN}, because the calibration gives no "
-            "uncertainty."
+        texts.append(
+            Message(
+                "`twin compensate part.nc -o part.compensated.nc{options}` reduces the error from {start} RMS to {exact} for an exact "
+                "calibration. The expected error is unknown, because the calibration gives no uncertainty.",
+                **known,
+            )
         )
     else:
-        least = "" if outcome.complete else "at least "
-        text += (
-            f"{least}{figure(outcome.judged.rms_um, 'µm')}, including the uncertainty of the calibration ({exact} for an "
-            f"exact one); 95 % of positions within {least}{figure(outcome.judged.quantile(0.95), 'µm')}."
-        )
+        known |= {"rms": figure(outcome.judged.rms_um, "µm"), "within": figure(outcome.judged.quantile(0.95), "µm")}
+        texts.append(_compensated(known) if outcome.complete else _at_least_compensated(known))
         if outcome.not_identified and outcome.with_uncertainty is not None:
-            text += (
-                f" This does not include {listed(outcome.not_identified)}, which could not be determined and which no program "
-                f"corrects: with their plausible size {figure(outcome.with_uncertainty.rms_um, 'µm')} RMS remain."
+            texts.append(
+                Message(
+                    "This does not include {names}, which could not be determined and which no program corrects: with their plausible "
+                    "size {rms} RMS remain.",
+                    names=listed(outcome.not_identified),
+                    rms=figure(outcome.with_uncertainty.rms_um, "µm"),
+                )
             )
     if outcome.out_of_range:
-        share = 100.0 * outcome.out_of_range / outcome.poses
-        text += (
-            f" At {share:.2g} % of the positions, at the ends of travel, the correction exceeds the axis range: up to "
-            f"{figure(outcome.out_of_range_um, 'µm')} remains there."
+        texts.append(
+            Message(
+                "At {share:.2g} % of the positions, at the ends of travel, the correction exceeds the axis range: up to {largest} "
+                "remains there.",
+                share=100.0 * outcome.out_of_range / outcome.poses,
+                largest=figure(outcome.out_of_range_um, "µm"),
+            )
         )
-    yield Step("do", _with_measured("compensate the programs", calibration), text)
+    yield Step("do", _with_measured(Message("compensate the programs"), calibration), joined(" ", texts))
 
 
-def _with_measured(what: str, calibration: Calibration) -> str:
+def _compensated(known: Mapping[str, str]) -> str:
+    return Message(
+        "`twin compensate part.nc -o part.compensated.nc{options}` reduces the error from {start} RMS to {rms}, including the "
+        "uncertainty of the calibration ({exact} for an exact one); 95 % of positions within {within}.",
+        **known,
+    )
+
+
+def _at_least_compensated(known: Mapping[str, str]) -> str:
+    return Message(
+        "`twin compensate part.nc -o part.compensated.nc{options}` reduces the error from {start} RMS to at least {rms}, including the "
+        "uncertainty of the calibration ({exact} for an exact one); 95 % of positions within at least {within}.",
+        **known,
+    )
+
+
+def _with_measured(what: Message, calibration: Calibration) -> str:
     """Return a title; for an illustrative calibration it states that measured numbers are needed."""
-    return f"With measured numbers: {what}" if calibration.illustrative else capital(what)
+    return Message("With measured numbers: {what}", what=what) if calibration.illustrative else capital(what)
 
 
 def _about(calibration: Calibration) -> str:
@@ -366,7 +438,7 @@ def _options(found: Budget, calibration: Calibration) -> str:
 
 def _adjust(found: Budget) -> Iterator[Step]:
     """Yield mechanical adjustments of errors that are large and significant."""
-    significant, without_interval = [], []
+    significant, without_interval = list[Message](), list[Message]()
     for error in found.errors:
         # The RMS error cannot fall by more than that of the error removed.
         if error.iso_class not in MECHANICAL or error.illustrative or error.rms_um < WORTH * found.total.rms_um:
@@ -375,18 +447,24 @@ def _adjust(found: Budget) -> Iterator[Step]:
         if found.total.rms_um - rest < WORTH * found.total.rms_um:
             continue
         if not isfinite(error.peak_half):
-            without_interval.append(f"{lower(error.words)} ({error.name})")
+            words = Message("{words} ({name})", words=lower(error.words), name=error.name)
+            without_interval.append(words)
         elif error.peak > error.peak_half:
-            size = with_half(error.peak, error.peak_half, error.unit)
             significant.append(
-                f"{error.words} ({error.name}) by {size}: this reduces the error over the volume to {figure(rest, 'µm')} RMS."
+                Message(
+                    "{words} ({name}) by {size}: this reduces the error over the volume to {rms} RMS.",
+                    words=error.words,
+                    name=error.name,
+                    size=with_half(error.peak, error.peak_half, error.unit),
+                    rms=figure(rest, "µm"),
+                )
             )
     if significant:
-        text = f"{' '.join(significant)} Measure again after the adjustment: this calibration is then no longer valid."
-        yield Step("do", "Adjust the machine mechanically", text)
+        again = Message("Measure again after the adjustment: this calibration is then no longer valid.")
+        yield Step("do", Message("Adjust the machine mechanically"), joined(" ", [*significant, again]))
     if without_interval:
-        text = f"The uncertainty of {listed(without_interval)} is {UNKNOWN}."
-        yield Step("measure", "Measure before any adjustment", text)
+        text = Message("The uncertainty of {names} is unknown.", names=listed(without_interval))
+        yield Step("measure", Message("Measure before any adjustment"), text)
 
 
 def _tables(found: Budget, tables: Sequence[TablesLeft]) -> Iterator[Step]:
@@ -397,35 +475,46 @@ def _tables(found: Budget, tables: Sequence[TablesLeft]) -> Iterator[Step]:
     # An error smaller than its own 95 % half-width is not significant.
     shown = {error.name for error in found.errors if error.rms_um > 0.0 and not error.peak <= error.peak_half}
     classes = {one.iso_class for one in best.carried if one.share != "no" and one.name in shown}
-    names = [f"{words} ({name})" for name, words in TABLES.items() if name in classes]
+    names = [Message("{words} ({name})", words=words, name=name) for name, words in TABLES.items() if name in classes]
     if not names:
         return
     where = ", ".join(f"{name} {value:g}" for name, value in best.at.items()).replace("-", "−")
-    text = (
-        f"They compensate {listed(names)} for all programs. RMS error at the tool: {figure(best.remains.before.rms_um, 'µm')} without "
-        f"tables; {'; '.join(_remaining(table) for table in tables)}. Valid for tool length {best.tool_length_mm:g} mm and the "
-        f"other axes at {where}."
+    text = Message(
+        "They compensate {names} for all programs. RMS error at the tool: {rms} without tables; {remaining}. Valid for tool length "
+        "{length:g} mm and the other axes at {where}.",
+        names=listed(names),
+        rms=figure(best.remains.before.rms_um, "µm"),
+        remaining=joined("; ", [_remaining(table) for table in tables]),
+        length=best.tool_length_mm,
+        where=Number(where),
     )
     tables_left = best.remains.tables
     known = best.remains.uncertainty.identified_standard_rms_um
     larger = isfinite(known) and hypot(tables_left.rms_um, known) >= best.remains.before.rms_um
     if best.remains.reduction >= WORTH and not larger:
         calibration = found.kinematics.calibration
-        how = f"`twin control --to {best.kind} -o tables/{_options(found, calibration)}` writes the tables."
-        yield Step("do", _with_measured("use the control's axis tables", calibration), f"{text} {how}")
+        how = Message(
+            "`twin control --to {kind} -o tables/{options}` writes the tables.",
+            kind=best.kind,
+            options=_options(found, calibration),
+        )
+        title = _with_measured(Message("use the control's axis tables"), calibration)
+        yield Step("do", title, joined(" ", [text, how]))
     else:
-        yield Step("never", "Rely on the control's axis tables alone", text)
+        yield Step("never", Message("Rely on the control's axis tables alone"), text)
 
 
 def _remaining(one: TablesLeft) -> str:
     """Return the remaining error with the tables of a format, for the model and with its uncertainty."""
     remaining, u = one.remains.tables, one.remains.uncertainty
-    expected = (
-        f"{u.least}{figure(hypot(remaining.rms_um, u.identified_standard_rms_um), 'µm')} with uncertainty"
-        if isfinite(u.identified_standard_rms_um)
-        else f"U {UNKNOWN}"
+    if not isfinite(u.identified_standard_rms_um):
+        return Message("{kind} {rms} by the model, U unknown", kind=one.kind, rms=figure(remaining.rms_um, "µm"))
+    return Message(
+        "{kind} {rms} by the model, {expected} with uncertainty",
+        kind=one.kind,
+        rms=figure(remaining.rms_um, "µm"),
+        expected=expanded(hypot(remaining.rms_um, u.identified_standard_rms_um), complete=not u.least),
     )
-    return f"{one.kind} {figure(remaining.rms_um, 'µm')} by the model, {expected}"
 
 
 def _unknown(calibration: Calibration, outcome: CompensationForecast) -> Iterator[Step]:
@@ -435,68 +524,94 @@ def _unknown(calibration: Calibration, outcome: CompensationForecast) -> Iterato
         by_reason.setdefault(error.why, []).append(error.name)
     if not by_reason:
         return
-    reasons = [f"{listed(names)}: {why}" for why, names in list(by_reason.items())[:NAMED]]
-    more = len(by_reason) - len(reasons)
-    text = f"{'. '.join(reasons)}{f'. {more} more: see the file of the calibration' if more > 0 else ''}."
+    reasons = [
+        Message("{names}: {why}", names=listed(names), why=Quoted(why))
+        for why, names in list(by_reason.items())[:NAMED]
+    ]
+    if len(by_reason) > NAMED:
+        reasons.append(Message("{count} more: see the file of the calibration", count=len(by_reason) - NAMED))
+    texts = [Message("{reasons}.", reasons=joined(". ", reasons))]
     if outcome.not_identified:
-        text += f" U at the tool includes the plausible size of {listed(outcome.not_identified)} (machine file)."
-    yield Step("measure", "Determine the errors that were not identified", text)
+        names = listed(outcome.not_identified)
+        texts.append(Message("U at the tool includes the plausible size of {names} (machine file).", names=names))
+    yield Step("measure", Message("Determine the errors that were not identified"), joined(" ", texts))
 
 
 def _measure(found: Budget, outcome: CompensationForecast, instrument: str | None) -> Iterator[Step]:
     known = [error for error in found.errors if isfinite(error.u_rms_um) and error.u_rms_um > 0.0]
     if not known:
         if found.errors:
-            text = f"U at the tool is {UNKNOWN}: the calibration gives no uncertainty. {_IDENTIFY}"
-            yield Step("measure", "Determine the uncertainty", text)
+            text = Message("U at the tool is unknown: the calibration gives no uncertainty.")
+            yield Step("measure", Message("Determine the uncertainty"), joined(" ", [text, _IDENTIFY]))
         return
-    what = ""
+    reasons = []
     if outcome.judged is not None and outcome.exact is not None and outcome.judged.rms_um > 2.0 * outcome.exact.rms_um:
-        what = "The error after compensation is mostly due to the uncertainty of the calibration. Largest uncertainties"
+        reasons = [Message("The error after compensation is mostly due to the uncertainty of the calibration.")]
     elif outcome.exact is None and found.total.u_rms_um > found.total.rms_um:
-        what = f"U at the tool ({figure(found.total.u_rms_um, 'µm')}) exceeds the error itself. Largest uncertainties"
-    if what:
+        size = figure(found.total.u_rms_um, "µm")
+        reasons = [Message("U at the tool ({size}) exceeds the error itself.", size=size)]
+    if reasons:
         weak = sorted(known, key=lambda one: -one.u_rms_um)[:NAMED]
-        names = listed([f"{lower(one.words)} ({one.name}, U {figure(one.u_rms_um, 'µm')})" for one in weak])
+        names = listed(
+            [
+                Message("{words} ({name}, U {u})", words=lower(one.words), name=one.name, u=figure(one.u_rms_um, "µm"))
+                for one in weak
+            ]
+        )
         reduce = " ".join(one.name for one in weak if one.name.startswith("E_")) or "tool"
         aim = f"--reduce {reduce}" if instrument is None else f"--instrument {instrument}"
-        how = f"`twin plan -o plan.csv{found.kinematics.machine.as_option} {aim}` plans the measurement."
-        yield Step("measure", "Measure the most uncertain errors again", f"{what}: {names}. {how}")
+        largest = Message(
+            "Largest uncertainties: {names}. `twin plan -o plan.csv{machine} {aim}` plans the measurement.",
+            names=names,
+            machine=found.kinematics.machine.as_option,
+            aim=aim,
+        )
+        yield Step("measure", Message("Measure the most uncertain errors again"), joined(" ", [*reasons, largest]))
     if found.without_uncertainty:
-        text = f"{listed(found.without_uncertainty)}: the calibration gives a value but no uncertainty."
-        yield Step("unknown", "U is a lower bound", text)
+        text = Message(
+            "{names}: the calibration gives a value but no uncertainty.", names=listed(found.without_uncertainty)
+        )
+        yield Step("unknown", Message("U is a lower bound"), text)
 
 
 def _void(calibration: Calibration, settled: bool) -> Iterator[Step]:
     """Yield reasons against any use of the numbers."""
     drawn = sum(curve.illustrative for curve in calibration.curves.values())
     if drawn:
-        text = (
-            f"{drawn} of its {len(calibration.curves)} error motions are ILLUSTRATIVE: assumed, not measured. The numbers "
-            "below are an example of a report and do not describe your machine."
+        text = Message(
+            "{count} of its {all} error motions are ILLUSTRATIVE: assumed, not measured. The numbers below are an example of a report "
+            "and do not describe your machine.",
+            count=drawn,
+            all=len(calibration.curves),
         )
-        yield Step("never", "Use this calibration for compensation, adjustment or tables", text)
+        yield Step("never", Message("Use this calibration for compensation, adjustment or tables"), text)
     if not settled:
-        yield Step("never", "Use this calibration", "The identification did not converge.")
+        yield Step("never", Message("Use this calibration"), Message("The identification did not converge."))
 
 
 def _never(calibration: Calibration, found: Budget) -> Iterator[Step]:
     insignificant = [
-        f"{lower(error.words)} ({with_half(error.peak, error.peak_half, error.unit)})"
+        Message(
+            "{words} ({size})",
+            words=lower(error.words),
+            size=with_half(error.peak, error.peak_half, error.unit),
+        )
         for error in found.errors
         if error.iso_class in MECHANICAL and isfinite(error.peak_half) and 0.0 < error.peak <= error.peak_half
     ]
     if insignificant:
-        yield Step(
-            "never", "Adjust errors that are not significant", f"{listed(insignificant)}: smaller than its uncertainty."
-        )
+        text = Message("{names}: smaller than its uncertainty.", names=listed(insignificant))
+        yield Step("never", Message("Adjust errors that are not significant"), text)
     if found.total.rms_um > 0.0 and not calibration.illustrative:
-        text = (
+        text = Message(
             "If the control's tables are active, compensate programs only with the `calibration.yaml` written beside them, which "
             "contains what the tables correct. Do not use this calibration after the machine was adjusted."
         )
-        yield Step("never", "Correct the same error twice", text)
+        yield Step("never", Message("Correct the same error twice"), text)
     tilts = [error.name for error in found.errors if error.unit == "urad" and error.peak > 0.0 and error.rms_um == 0.0]
     if tilts and found.kinematics.tool_length_mm == 0.0:
-        text = f"At tool length 0 mm, {listed(tilts)} have no effect: give the tool length in use with `--tool-length`."
-        yield Step("unknown", "Computed for tool length zero", text)
+        text = Message(
+            "At tool length 0 mm, {names} have no effect: give the tool length in use with `--tool-length`.",
+            names=listed(tilts),
+        )
+        yield Step("unknown", Message("Computed for tool length zero"), text)

@@ -17,6 +17,7 @@ from typing import Any, Final, final
 import numpy as np
 
 from twin._common.arrays import read_only
+from twin._common.messages import Message
 from twin._common.records import json_form
 from twin._common.units import UM
 from twin.diagnosis.candidates.candidate import first_component
@@ -196,26 +197,27 @@ def forecast_compensation(found: Budget, seed: int) -> CompensationForecast:
     if real.calibration.corrections:
         bare = without(real, {table.name for table in real.calibration.corrections})
         remaining_bare = (bare.forward(q, sides).point_mm - found.nominal_poses.point_mm) * 1e3
-        without_tables = _distribution("without the control's tables", remaining_bare)
+        without_tables = _distribution(Message("without the control's tables"), remaining_bare)
     exact = with_uncertainty = identified = tilt_after = uncompensated = None
     out = unoriented_count = 0
     worst_out = np.nan
     uncertainty = ToolUncertainty(real)
     deviations = _Deviations(uncertainty, q, sides, seed)
     if real.machine.runs_programs:
+        name = Message("compensated, with uncertainty")
         commands, beyond, unoriented = _commanded(found)
         meant, reached = found.nominal_poses, real.forward(commands, sides)
         remaining = (reached.point_mm - meant.point_mm) * 1e3
-        exact = _distribution("compensated, for an exact calibration", remaining)
+        exact = _distribution(Message("compensated, for an exact calibration"), remaining)
         tilt_after = rms_and_max(reached.tilt_urad(meant))
         out, unoriented_count = int(np.count_nonzero(beyond)), int(np.count_nonzero(unoriented))
         if out:
             worst_out = float(np.linalg.norm(remaining[beyond], axis=1).max())
         if uncertainty.parameters:
-            also = " and errors not identified" if uncertainty.unknown else ""
-            with_uncertainty = deviations.distribution(f"compensated, with uncertainty{also}", remaining)
+            everything = Message("compensated, with uncertainty and errors not identified")
+            with_uncertainty = deviations.distribution(everything if uncertainty.unknown else name, remaining)
         if uncertainty.unknown:
-            name, alone = "compensated, with uncertainty", ToolUncertainty(real, "identified")
+            alone = ToolUncertainty(real, "identified")
             identified = (
                 _Deviations(alone, q, sides, seed).distribution(name, remaining)
                 if alone.parameters
@@ -224,7 +226,7 @@ def forecast_compensation(found: Budget, seed: int) -> CompensationForecast:
     if uncertainty.parameters:
         uncompensated = deviations.distribution("uncompensated, with uncertainty", found.error_um).machines
     return CompensationForecast(
-        before=ErrorDistribution("uncompensated", read_only(np.sort(before))),
+        before=ErrorDistribution(Message("uncompensated"), read_only(np.sort(before))),
         without_tables=without_tables,
         exact=exact,
         with_uncertainty=with_uncertainty,

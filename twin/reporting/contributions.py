@@ -22,7 +22,7 @@ from twin.model.effects.entries import drawn_period
 from twin.model.iso16907 import error_motion_of, iso_class
 from twin.model.unknown_errors import unknown_effects
 from twin.reporting.identified import curve_ranges, is_motion, sum_of_effects
-from twin.reporting.translation import named
+from twin.reporting.names import named
 from twin.tool.forward import Kinematics, Poses
 from twin.tool.uncertainty import (
     BudgetRow,

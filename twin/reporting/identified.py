@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Final, Literal, final
 
 import numpy as np
@@ -12,6 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from twin._common.errors import InputError
 from twin._common.files import read_json
+from twin._common.messages import Message, Quoted
 from twin._common.records import json_form
 from twin.measurement.instruments import INSTRUMENTS
 from twin.model.calibration import Calibration
@@ -19,6 +21,7 @@ from twin.model.effects import Effect, unit_of
 from twin.tool.forward import Kinematics
 
 SCHEMA: Final = "twin.identification/1"
+NOISE: Final[Mapping[str, str]] = MappingProxyType({"stated": Message("stated"), "repeats": Message("repeats")})
 POINTS: Final = 201
 """Number of points at which `twin identify` evaluates a curve for its peak."""
 DOUBTFUL: Final = 4.0
@@ -134,9 +137,14 @@ class Identified:
         return names.pop() if len(names) == 1 and names <= relative else None
 
     @property
+    def noise(self) -> str:
+        """Source of the noise of the readings, in words."""
+        return NOISE.get(self.file.uncertainty, Quoted(self.file.uncertainty))
+
+    @property
     def rows(self) -> tuple[tuple[int, str], ...]:
         """Excluded rows of the table: line and reason."""
-        return tuple((row.line, row.reason) for row in self.file.set_aside)
+        return tuple((row.line, Quoted(row.reason)) for row in self.file.set_aside)
 
     @classmethod
     def load(cls, path: str | Path, calibration: Calibration) -> Identified:

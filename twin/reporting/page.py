@@ -12,15 +12,19 @@ import re
 import shutil
 import subprocess
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
+from importlib import resources
 from pathlib import Path
-from typing import Final
+from types import MappingProxyType
+from typing import Any, Final
 
+import yaml
 from matplotlib.figure import Figure
 
 from twin._common.errors import InputError
 from twin._common.families import Language
+from twin._common.messages import Message, Number, Translation, joined, say, say_html, translated
 from twin.controls import ControlSection
 from twin.display import Html, place, render, with_half
 from twin.display.figures import embedded
@@ -33,32 +37,53 @@ from twin.reporting.compensation import MACHINES
 from twin.reporting.contributions import Motion
 from twin.reporting.front import FrontPage, front_page
 from twin.reporting.identified import PositionEstimates
+from twin.reporting.names import CLASSES, item_named
 from twin.reporting.result import MachineReport
 from twin.reporting.scene.draw import field_html
 from twin.reporting.scene.path import scale_top_um
-from twin.reporting.translation import CLASSES, Translator, translator, wording
 from twin.tool.uncertainty import DEFINITION
 
 COLOURS: Final = {"well": "#e8f3ea", "wrong": "#fdf2df", "unknown": "#fbe4de"}
-MARKS: Final = {"do": "✔ Do", "measure": "◎ Measure", "never": "✘ Do not", "unknown": "? Not known"}
+MARKS: Final = {
+    "do": Message("✔ Do"),
+    "measure": Message("◎ Measure"),
+    "never": Message("✘ Do not"),
+    "unknown": Message("? Not known"),
+}
 SYMBOLS: Final = {"pass": "✔", "fail": "✘", "undecided": "?"}
 ROWS: Final = 40
 """Largest number of excluded rows that are listed."""
 VIEWER: Final = "<!-- the field in 3D -->"
 """Placeholder of the viewer until the rest of the page is rendered."""
-DETAILS: Final = "<!-- details -->"
-"""Start of the sections that are translated by sentences; the first page has a wording of its own."""
-UNTRANSLATED: Final = "<!-- number of sentences without translation -->"
-AT_TOOL: Final = ["at the tool, RMS [µm]", "largest [µm]", "U [µm]"]
+PARAMETERS: Final = MappingProxyType(
+    {
+        "size": Message("size"),
+        "offset": Message("offset"),
+        "amplitude": Message("amplitude"),
+        "period": Message("period"),
+        "phase": Message("phase"),
+        "coefficient": Message("coefficient"),
+        "order": Message("order"),
+        "time_constant": Message("time_constant"),
+        "exponent": Message("exponent"),
+        "highest_rpm": Message("highest_rpm"),
+        "tilt": Message("tilt"),
+        "compliance": Message("compliance"),
+        "mass": Message("mass"),
+        "mass_ratio": Message("mass_ratio"),
+    }
+)
+"""Names of the parameters of effects, in words where a language has them."""
+AT_TOOL: Final[list[str]] = [Message("at the tool, RMS [µm]"), Message("largest [µm]"), "U [µm]"]
 SECTIONS: Final = (
-    ("Error budget at the tool", "budget"),
-    ("Error motions, axis by axis", "motions"),
-    ("Squareness and location of the rotary axes", "constants"),
-    ("Error over the working volume", "field"),
-    ("Before and after compensation", "compensation"),
-    ("Uncertainty", "known"),
-    ("Not covered by this calibration", "gaps"),
-    ("Sources", "sources"),
+    (Message("Error budget at the tool"), "budget"),
+    (Message("Error motions, axis by axis"), "motions"),
+    (Message("Squareness and location of the rotary axes"), "constants"),
+    (Message("Error over the working volume"), "field"),
+    (Message("Before and after compensation"), "compensation"),
+    (Message("Uncertainty"), "known"),
+    (Message("Not covered by this calibration"), "gaps"),
+    (Message("Sources"), "sources"),
 )
 """Heading and template of every section below the summary."""
 
@@ -75,90 +100,96 @@ def machine_html(report: MachineReport, front: FrontPage | None = None, language
     def stops_of(name: str) -> tuple[PositionEstimates, ...]:
         return tuple(stop for comparison in report.comparisons for stop in comparison.stops.get(name, ()))
 
-    to, own = None if language is Language.en else translator(language), wording(language)
+    def words_of(name: str) -> str:
+        return item_named(name, report.machine, references.get(name, ""))
 
-    def error_of(name: str, reference: str = "") -> str:
-        words = own.error(name, report.machine, reference)
-        return words if to is None or own.knows(name) else to.text(words)
-
-    page = render(
-        "reporting/templates/report.html.j2",
-        title=f"{report.machine.name}: report of the machine",
-        report=report,
-        front=front_page(report) if front is None else front,
-        lang=language.value,
-        t=own,
-        error_of=error_of,
-        symbols=SYMBOLS,
-        to_of={constant.name: constant.to for constant in report.constants},
-        over=_over(report),
-        sections=SECTIONS,
-        colours=COLOURS,
-        marks=MARKS,
-        stops_of=stops_of,
-        plots=plots,
-        AT_TOOL=AT_TOOL,
-        CLASSES=CLASSES,
-        MACHINES=MACHINES,
-        DEFINITION=DEFINITION,
-        ROWS=ROWS,
-        VIEWER=VIEWER,
-        DETAILS=DETAILS,
-        UNTRANSLATED=UNTRANSLATED,
-        coded=_coded,
-        degree=_degree,
-        embedded=embedded if to is None else partial(_embedded, to),
-        numbers=_numbers,
-        rows_of=_rows_of,
-        scale_top_um=scale_top_um,
-        tables_of=_tables_of,
-    )
-    # Inserted last: the page's filter ties numbers to their units, which must not change the viewer's code.
-    viewer = _viewer(report, to) if VIEWER in page else ""
-    return _translated(page, to).replace(VIEWER, viewer)
-
-
-def _embedded(to: Translator, picture: Figure, words: str, caption: str = "", kind: str = "") -> Html:
-    """Return an embedded picture with translated labels; its texts in the page are translated with the page."""
-    return embedded(to.picture(picture), words, caption, kind)
+    references = {constant.name: constant.to for constant in report.constants}
+    translation = None if language is Language.en else Translation(catalogue(language))
+    with translated(translation):
+        page = render(
+            "reporting/templates/report.html.j2",
+            title=f"{report.machine.name}: report of the machine",
+            report=report,
+            front=front_page(report) if front is None else front,
+            lang=language.value,
+            translation=translation,
+            item_named=item_named,
+            words_of=words_of,
+            symbols=SYMBOLS,
+            over=_over(report),
+            sections=SECTIONS,
+            colours=COLOURS,
+            marks=MARKS,
+            stops_of=stops_of,
+            plots=plots,
+            AT_TOOL=AT_TOOL,
+            CLASSES=CLASSES,
+            MACHINES=MACHINES,
+            DEFINITION=DEFINITION,
+            ROWS=ROWS,
+            VIEWER=VIEWER,
+            coded=_coded,
+            degree=_degree,
+            embedded=_embedded,
+            numbers=_numbers,
+            rows_of=_rows_of,
+            say=say,
+            scale_top_um=scale_top_um,
+            spacing=_spacing,
+            tables_of=_tables_of,
+        )
+        # Inserted last: the page's filter ties numbers to their units, which must not change the viewer's code.
+        return page.replace(VIEWER, _viewer(report)) if VIEWER in page else page
 
 
-def _translated(page: str, to: Translator | None) -> str:
-    """Return the page with its details translated, and the number of sentences that are not."""
-    front, _, details = page.partition(DETAILS)
-    note = ""
-    if to is not None:
-        details = to.page(details)
-        missing = wording(to.language)("appendix_language", count=len(to.missing))
-        note = f"<p><b>{missing}</b></p>" if to.missing else ""
-    return front.replace(UNTRANSLATED, note) + details
+def catalogue(language: Language) -> dict[str, str]:
+    """Return the format strings of a language other than English, by identifier."""
+    text = (resources.files("twin.reporting") / "wording" / f"{language.value}.yaml").read_text(encoding="utf-8")
+    return dict(yaml.safe_load(text))
 
 
-def _over(report: MachineReport) -> str:
+def _embedded(picture: Figure, words: str, caption: str = "", kind: str = "") -> Html:
+    """Return an embedded picture with the numbers of its axes in the language of the page."""
+    for plot in picture.axes:
+        for axis in (plot.xaxis, plot.yaxis):
+            formatter = axis.get_major_formatter()
+            formatter.format_ticks = partial(_ticks, formatter.format_ticks)  # type: ignore[method-assign]
+    return embedded(picture, say(words), caption, kind)
+
+
+def _ticks(format_ticks: Callable[[Any], list[str]], values: Any) -> list[str]:
+    return [say(Number(text)) for text in format_ticks(values)]
+
+
+def _over(report: MachineReport) -> Message:
     field = report.field
-    stands = f", at {place(field.standing)}" if field.standing else ""
-    return f"over {listed(list(field.spread))}{stands}"
+    axes = listed(list(field.spread))
+    if not field.standing:
+        return Message("over {axes}", axes=axes)
+    return Message("over {axes}, at {place}", axes=axes, place=place(field.standing))
 
 
-def _viewer(report: MachineReport, to: Translator | None) -> str:
+def _spacing(steps_mm: Mapping[str, float]) -> Number:
+    return Number(", ".join(f"{name} {step:.3g} mm" for name, step in steps_mm.items()))
+
+
+def _viewer(report: MachineReport) -> str:
     """Return the interactive 3D field in an iframe."""
     field, rows = report.field, report.field.drawn
     inner = field_html(
         field.point_mm[rows],
         field.error_um[rows],
-        title=f"Error of the tool point {_over(report)}",
+        title=say("Error of the tool point {over}", over=_over(report)),
         edges=field.edges(),
         illustrative=bool(report.illustrative),
     )
-    title = "Error field in 3D: drag to rotate"
-    if to is not None:
-        inner, title = to.page(inner), to.text(title)
+    title = say("Error field in 3D: drag to rotate")
     return f'<iframe title="{html.escape(title)}" srcdoc="{html.escape(inner)}"></iframe>'
 
 
 def _coded(text: str) -> Html:
     """Return plain text as HTML, with text in back quotes as code."""
-    return Html(re.sub(r"`([^`]*)`", r"<code>\1</code>", html.escape(text)))
+    return Html(re.sub(r"`([^`]*)`", r"<code>\1</code>", say_html(text)))
 
 
 def _degree(report: MachineReport, motion: Motion) -> str:
@@ -167,23 +198,30 @@ def _degree(report: MachineReport, motion: Motion) -> str:
     identified = report.identified
     chosen = None if identified is None or identified.others else identified.orders.get(motion.name)
     noun = basis_named(motion.basis).order_noun if motion.basis else Basis.order_noun
-    text = "–" if order is None else f"{noun} {order}"
-    if chosen is not None and chosen != order:
-        text = f"{text}, {'nothing above the noise' if chosen == 0 else f'{noun} {chosen} above the noise'}"
-    return " + ".join([text, *([", ".join(motion.added)] if motion.added else [])])
+    text: str = "–" if order is None else Message("{noun} {order}", noun=noun, order=order)
+    if chosen == 0 and chosen != order:
+        text = Message("{terms}, nothing above the noise", terms=text)
+    elif chosen is not None and chosen != order:
+        text = Message("{terms}, {noun} {order} above the noise", terms=text, noun=noun, order=chosen)
+    return joined(" + ", [text, *([", ".join(motion.added)] if motion.added else [])])
 
 
 def _numbers(report: MachineReport, effect: Effect) -> str:
     """Return the parameters of an effect with their 95 % intervals."""
     known = report.calibration.covariance
-    halves = [(parameter, COVERAGE_FACTOR * uncertainty_of(parameter.name, known)) for parameter in effect.parameters]
-    return "; ".join(f"{one.name.rpartition('.')[2]} {with_half(one.value, half, one.unit)}" for one, half in halves)
+    texts = []
+    for one in effect.parameters:
+        name = one.name.rpartition(".")[2]
+        half = COVERAGE_FACTOR * uncertainty_of(one.name, known)
+        texts.append(joined(" ", [PARAMETERS.get(name, name), with_half(one.value, half, one.unit)]))
+    return joined("; ", texts)
 
 
 def _rows_of(rows: Sequence[tuple[int, str]]) -> list[str]:
     """Return lines on excluded rows, with their reasons."""
-    more = [f"and {len(rows) - ROWS} more, all in the JSON"] if len(rows) > ROWS else []
-    return [*(f"line {line}: {reason}" for line, reason in rows[:ROWS]), *more]
+    texts: list[str] = [Message("line {line}: {reason}", line=line, reason=reason) for line, reason in rows[:ROWS]]
+    more = len(rows) - ROWS
+    return [*texts, Message("and {count} more, all in the JSON", count=more)] if more > 0 else texts
 
 
 def _tables_of(control: ControlSection) -> list[str]:

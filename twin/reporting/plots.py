@@ -16,6 +16,7 @@ from matplotlib.colors import ListedColormap, Normalize
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedFormatter, FixedLocator
 
+from twin._common.messages import Message, Number, say
 from twin._common.units import DEG, TURN
 from twin.display import figure, readable, with_half
 from twin.display.figures import (
@@ -64,9 +65,9 @@ SIDE: Final = 2.75
 MOST_HIGH: Final = 3.4
 """Largest width and height of a plane, inches; both axes have the same scale."""
 SIDES: Final = {
-    0: ("s", BACKWARD, "readings"),
-    1: ("^", BACKWARD, "readings, from below"),
-    -1: ("v", THIRD, "from above"),
+    0: ("s", BACKWARD, Message("readings")),
+    1: ("^", BACKWARD, Message("readings, from below")),
+    -1: ("v", THIRD, Message("from above")),
 }
 VIRIDIS: Final = ListedColormap(viridis(np.linspace(0.0, 1.0, 256)).tolist(), "viridis of the field")
 
@@ -80,14 +81,15 @@ def plot_budget(rows: Sequence[Contribution], *, total: Contribution) -> Figure:
     """
     shown = [*rows[:BARS], total]
     names = [
-        f"{one.name}{' *' if one.illustrative else ''}{'' if np.isfinite(one.u_rms_um) else ' ?'}" for one in shown
+        f"{say('all') if one is total else one.name}{' *' if one.illustrative else ''}{'' if np.isfinite(one.u_rms_um) else ' ?'}"
+        for one in shown
     ]
     # Names of effects can have more than twenty letters.
     plot = _plot(WIDTH, 0.75 + 0.27 * len(shown), left=max(0.85, 0.2 + LETTER * max(map(len, names))), plain=True)
     at = np.arange(len(shown))[::-1]
     colours = [FORWARD] * (len(shown) - 1) + [BOTH]
-    plot.barh(at, [one.rms_um for one in shown], height=0.62, color=colours, label="RMS over the volume")
-    plot_markers(plot, [one.max_um for one in shown], at, BACKWARD, "D", label="largest")
+    plot.barh(at, [one.rms_um for one in shown], height=0.62, color=colours, label=say("RMS over the volume"))
+    plot_markers(plot, [one.max_um for one in shown], at, BACKWARD, "D", label=say("largest"))
     whisker: dict[str, Any] = {"color": "#777777", "linewidth": 1.6}
     for y, one in zip(at, shown, strict=True):
         if np.isfinite(one.u_rms_um):
@@ -96,7 +98,7 @@ def plot_budget(rows: Sequence[Contribution], *, total: Contribution) -> Figure:
     if any(np.isfinite(one.u_rms_um) for one in shown):
         plot.plot([], [], **whisker, label="U (95 %)")
     plot.set_xlim(left=0.0)
-    plot.set(xlabel="error of the tool point [µm]", ylim=(-0.6, len(shown) - 0.4))
+    plot.set(xlabel=say("error of the tool point [µm]"), ylim=(-0.6, len(shown) - 0.4))
     _name_rows(plot, at, names)
     draw_plain_axes(plot, NUMBERS, grid="x")
     _legend(plot, columns=3)
@@ -137,7 +139,9 @@ def plot_constants(found: Sequence[Constant]) -> Figure:
                 plot.plot([one.value - one.half, one.value + one.half], [y, y], color=FORWARD, linewidth=2.0)
             plot_markers(plot, one.value, y, FORWARD, "o", 6, markerfacecolor=FORWARD if one.known else "white")
         plot.axvline(0.0, color=BOTH, linewidth=0.8)
-        plot.set(ylim=(-0.6, len(group) - 0.4), xlabel=f"value and 95 % interval [{readable(group[0].unit)}]")
+        plot.set(
+            ylim=(-0.6, len(group) - 0.4), xlabel=say("value and 95 % interval [{unit}]", unit=readable(group[0].unit))
+        )
         _name_rows(plot, at, [one.name + ("" if one.known else " ?") for one in group])
         draw_plain_axes(plot, NUMBERS)
     return drawing
@@ -177,8 +181,8 @@ def plot_squareness(one: Constant, largest_urad: float) -> Figure:
     middle: dict[str, Any] = {"ha": "center", "va": "center", "fontsize": LETTERS}
     plot.text(1.0, -0.13, f"{one.to}+", **middle)
     plot.text(tip[0], 1.08, f"{one.axis}+", **middle, color=BACKWARD)
-    size = with_half(one.value, one.half, "urad").replace(" ±", "\n±").replace(" (±", "\n(±")
-    plot.text(0.5, 0.4, size + ("\nnot significant" if faint else ""), fontsize=LETTERS)
+    size = say(with_half(one.value, one.half, "urad")).replace(" ±", "\n±").replace(" (±", "\n(±")
+    plot.text(0.5, 0.4, size + (f"\n{say('not significant')}" if faint else ""), fontsize=LETTERS)
     plot.set(xlim=(-0.35, 1.3), ylim=(-0.25, 1.2))
     return drawing
 
@@ -206,7 +210,7 @@ def plot_field(field: Field) -> Figure:
         plot.set_box_aspect(np.maximum(np.ptp(np.concatenate([points, points + arrows]), axis=0), 1.0), zoom=0.92)
     plot.view_init(elev=24, azim=-62)
     bar = drawing.colorbar(_scale(top), cax=drawing.add_axes((0.873, 0.156, 0.026, 0.688)))
-    bar.set_label(f"error [µm]; arrows × {factor:,.0f}".replace(",", " "))
+    bar.set_label(say("error [µm]; arrows × {factor}", factor=f"{factor:,.0f}".replace(",", " ")))
     return drawing
 
 
@@ -228,7 +232,7 @@ def plot_slice(one: Slice, values: np.ndarray, top: float, label: str) -> Figure
     levels = np.linspace(0.0, top, 9)
     plot.contourf(one.across, one.up, np.minimum(values, top), levels=levels, cmap=VIRIDIS)
     lines = plot.contour(one.across, one.up, values, levels=levels[1:-1], colors="white", linewidths=0.6)
-    plot.clabel(lines, fmt="%g", fontsize=8)
+    plot.clabel(lines, fmt=lambda value: say(Number(f"{value:g}")), fontsize=8)
     plot.set(xlabel=f"{one.horizontal} [mm]", ylabel=f"{one.vertical} [mm]")
     draw_plain_axes(plot, NUMBERS, grid="")
     beside = add_plain_axes(drawing, ((0.72 + wide + 0.12) / WIDTH, 0.55 / height, 0.13 / WIDTH, wide * high / height))
@@ -247,13 +251,13 @@ def plot_compensation(outcome: CompensationForecast) -> Figure:
     for level, colour, style in zip(outcome.levels, _styles(outcome), ("-", "--", "-.", ":"), strict=False):
         share = 100.0 * (np.arange(len(level.size_um)) + 1) / len(level.size_um)
         thin = np.unique(np.linspace(0, len(share) - 1, 600).astype(int))
-        text = f"{level.name}: {figure(level.rms_um, 'µm')} RMS"
+        text = say("{name}: {rms}", name=level.name, rms=figure(level.rms_um, "µm RMS"))
         plot.plot(level.size_um[thin], share[thin], color=colour, linestyle=style, linewidth=2.0, label=text)
     if any(level.size_um[-1] > 0.0 for level in outcome.levels):
         plot.set_xscale("log")
         plot.set_xlim(left=max(min(smallest), 0.01))
         plot.xaxis.set_major_formatter(lambda value, position: f"{value:g}")
-    plot.set(ylim=(0.0, 101.0), xlabel="error of the tool point [µm]", ylabel="share of positions below [%]")
+    plot.set(ylim=(0.0, 101.0), xlabel=say("error of the tool point [µm]"), ylabel=say("share of positions below [%]"))
     _legend(plot, columns=1)
     return cast(Figure, plot.figure)
 
@@ -262,15 +266,15 @@ def plot_residuals(one: PointComparison) -> Figure:
     """Draw the cumulative distribution of residuals of measured points, for the nominal machine and for the calibration."""
     plot = _plot(WIDTH, 3.0)
     for values, colour, style, text in (
-        (one.before_um, BACKWARD, "--", "nominal machine"),
-        (one.after_um, FORWARD, "-", "with this calibration"),
+        (one.before_um, BACKWARD, "--", say("nominal machine")),
+        (one.after_um, FORWARD, "-", say("with this calibration")),
     ):
         ordered = np.maximum(np.sort(values), 1e-3)
         share = 100.0 * (np.arange(len(ordered)) + 1) / max(len(ordered), 1)
         plot.plot(ordered, share, color=colour, linestyle=style, linewidth=1.8, label=text)
     plot.set_xscale("log")
     plot.xaxis.set_major_formatter(lambda value, position: f"{value:g}")
-    plot.set(ylim=(0.0, 101.0), xlabel="residual of a point [µm]", ylabel="share of points below [%]")
+    plot.set(ylim=(0.0, 101.0), xlabel=say("residual of a point [µm]"), ylabel=say("share of points below [%]"))
     _legend(plot, columns=2)
     return cast(Figure, plot.figure)
 
@@ -281,7 +285,7 @@ def _styles(outcome: CompensationForecast) -> list[str]:
 
 def _along(motion: Motion, stops: Sequence[PositionEstimates]) -> Figure:
     plot = _plot(WIDTH, 3.0, legend=2, plain=True)
-    _curves(plot, motion, 1.0, "approach from below (+)", (1.8, 1.4))
+    _curves(plot, motion, 1.0, say("approach from below (+)"), (1.8, 1.4))
     _stops(plot, stops, 1.0)
     plot.axhline(0.0, color=BOTH, linewidth=0.7)
     plot.set(xlabel=f"{motion.axis} [{motion.axis_unit}]", ylabel=f"{motion.name} [{readable(motion.unit)}]")
@@ -297,7 +301,7 @@ def _polar(motion: Motion, stops: Sequence[PositionEstimates]) -> Figure:
     drawing = new_figure(WIDTH, height, layout=None)
     plot = add_plain_polar(drawing, (0.0, 0.0, 1.0, 1.0))
     q = motion.position * DEG
-    lines = _curves(plot, motion, DEG, "from below (+)", (1.6, 1.3))
+    lines = _curves(plot, motion, DEG, say("from below (+)"), (1.6, 1.3))
     _stops(plot, stops, DEG)
     reach = np.nan_to_num(motion.half, nan=0.0)
     extent = max(
@@ -323,13 +327,13 @@ def _curves(plot: Axes, motion: Motion, scale: float, below: str, widths: tuple[
     q = motion.position * scale
     if np.all(np.isfinite(motion.half)):
         low, high = motion.value - motion.half, motion.value + motion.half
-        plot.fill_between(q, low, high, color=FORWARD, alpha=SHADE, linewidth=0, label="95 % interval")
+        plot.fill_between(q, low, high, color=FORWARD, alpha=SHADE, linewidth=0, label=say("95 % interval"))
     lines = [motion.value] if motion.ways is None else list(motion.ways)
-    labels = ["calibration"] if motion.ways is None else [below, "from above (−)"]
+    labels = [say("calibration")] if motion.ways is None else [below, say("from above (−)")]
     for values, text, colour, style in zip(lines, labels, (FORWARD, THIRD), ("-", "--"), strict=False):
         plot.plot(q, values, color=colour, linestyle=style, linewidth=widths[0], label=text)
     if motion.corrected is not None:
-        label = "after the control's tables"
+        label = say("after the control's tables")
         plot.plot(q, motion.corrected, color=BOTH, linewidth=widths[1], linestyle=":", label=label)
     return lines
 
@@ -338,7 +342,7 @@ def _stops(plot: Axes, stops: Sequence[PositionEstimates], scale: float) -> None
     for stop in stops:
         marker, colour, text = SIDES[stop.side]
         looks: dict[str, Any] = {"marker": marker, "markersize": 3.5, "color": colour, "linewidth": 0.9, "capsize": 2}
-        plot.errorbar(stop.position * scale, stop.value, stop.half, linestyle="", **looks, label=text)
+        plot.errorbar(stop.position * scale, stop.value, stop.half, linestyle="", **looks, label=say(text))
 
 
 def _name_rows(plot: Axes, at: np.ndarray, names: Sequence[str]) -> None:

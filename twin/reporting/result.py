@@ -14,6 +14,7 @@ from typing import Any, Final, final
 import numpy as np
 
 from twin._common.errors import InputError
+from twin._common.messages import Message, Quoted
 from twin._common.provenance import SIMULATED, SourceWarning, merge_warnings, warnings_to_json
 from twin._common.records import json_form
 from twin._common.resources import Progress, silent
@@ -28,19 +29,24 @@ from twin.measurement.table import Measurements
 from twin.model.calibration import Calibration
 from twin.model.calibration_file import UnidentifiedEntry
 from twin.model.conditions import Conditions
-from twin.model.datum import EXPLANATION, MEAN_LINES
+from twin.model.datum import EXPLANATION, MEAN_LINES, Datum
 from twin.model.display import uncertainty_of
 from twin.model.effects import split_name, unit_of
 from twin.reporting.advice import MachineAdvice, TablesLeft, advise, tables_left
 from twin.reporting.compensation import CompensationForecast, forecast_compensation
 from twin.reporting.contributions import Budget, Field, Motion, budget, field, motions
 from twin.reporting.identified import Identified, PointComparison
-from twin.reporting.translation import named
+from twin.reporting.names import named
 from twin.tool.forward import Kinematics
 from twin.tool.uncertainty import BUDGET_SEED, DEFINITION, without_missing_channels
 
 MORE: Final = ("matplotlib", "meshcat")
-MISSING: Final = "not installed"
+MISSING: Final = Message("not installed")
+DATUM_NAMES: Final[Mapping[Datum, Message]] = {
+    "mean lines": Message("mean lines"),
+    "end points": Message("end points"),
+    "as given": Message("as given"),
+}
 
 
 @final
@@ -95,24 +101,30 @@ def sources(
         InputError: a file cannot be read.
     """
     machine = calibration.machine
-    files = [("machine file", machine.path), ("URDF", machine.urdf)]
+    files = [(Message("machine file"), machine.path), ("URDF", machine.urdf)]
     if calibration.path is not None:
-        files.append(("calibration", calibration.path))
+        files.append((Message("calibration"), calibration.path))
     if identified is not None:
-        files.append(("identification", identified))
-    files += [("measured", path) for path in measured]
+        files.append((Message("identification"), identified))
+    files += [(Message("measured"), path) for path in measured]
     # The control's tables as listed in the calibration: they are not read, so the files may be absent.
     tables = () if calibration.control is None else calibration.control.entries
     return Sources(
         files=(
             *(Source(role, str(path), file_sha256(path)) for role, path in files),
-            *(Source(f"table in the control ({table.format})", str(table.file), table.sha256) for table in tables),
+            *(
+                Source(Message("table in the control ({format})", format=table.format), str(table.file), table.sha256)
+                for table in tables
+            ),
         ),
         programs=MappingProxyType(
             versions() | {"python": platform.python_version()} | {name: _version(name) for name in MORE}
         ),
         seeds=MappingProxyType(
-            {"poses and directions of approach": BUDGET_SEED, "uncertainty of the calibration": seed}
+            {
+                Message("poses and directions of approach"): BUDGET_SEED,
+                Message("uncertainty of the calibration"): seed,
+            }
         ),
         made=made,
     )
@@ -435,10 +447,11 @@ def _in_mean_lines(calibration: Calibration) -> tuple[Calibration, str]:
     try:
         found = calibration.in_datum(MEAN_LINES, named)
     except InputError as error:
-        return calibration, f"{EXPLANATION[given]}; not converted: {error.what}"
+        return calibration, Message("{datum}; not converted: {why}", datum=EXPLANATION[given], why=Quoted(error.what))
     if found is calibration:
         return calibration, EXPLANATION[given]
-    return replace(found, path=calibration.path), f"{EXPLANATION[MEAN_LINES]}; converted from: {given}"
+    datum = Message("{datum}; converted from: {given}", datum=EXPLANATION[MEAN_LINES], given=DATUM_NAMES[given])
+    return replace(found, path=calibration.path), datum
 
 
 def _constants(real: Kinematics, error_budget: Budget) -> tuple[Constant, ...]:

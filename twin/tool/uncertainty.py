@@ -26,6 +26,7 @@ import numpy as np
 
 from twin._common.arrays import read_only
 from twin._common.errors import InputError, closest_name
+from twin._common.messages import Message
 from twin._common.units import count_with_noun
 from twin.display import UNKNOWN, expanded, place
 from twin.display.results import Result
@@ -260,7 +261,7 @@ def _entries(calibration: Calibration, state: Mapping[str, Any]) -> Iterator[tup
 
 # --- Uncertainty of the tool's pose, propagated from the covariance of the calibration ------------
 
-DEFINITION: Final = "U: radius within which the point lies with 95 % probability (normal distribution assumed)"
+DEFINITION: Final = Message("U: radius within which the point lies with 95 % probability (normal distribution assumed)")
 RADIUS: Final = (1.73085, -0.15300, 0.04808, -0.01687, 0.00799, -0.00311)
 """Polynomial of √(χ²_0.95(ν)/ν) in ν − 2 for 1 ≤ ν ≤ 3; its error is below 4e-5."""
 POSES_PER_STEP: Final = 1024

@@ -29,6 +29,7 @@ import numpy as np
 import pinocchio as pin
 
 from twin._common.arrays import read_only
+from twin._common.messages import Message
 from twin._common.units import UM, URAD
 from twin.machine.error_names import DIRECTIONS
 from twin.machine.machine import Axis, Machine
@@ -259,11 +260,16 @@ END_POINTS: Final = "end points"
 AS_GIVEN: Final = "as given"
 DATUMS: Final[tuple[Datum, ...]] = (MEAN_LINES, END_POINTS, AS_GIVEN)
 EXPLANATION: Final[Mapping[Datum, str]] = {
-    "mean lines": "datum mean lines: no mean in a curve, no slope in a straightness, if squareness or a location can absorb it "
-    "(twin doc datum)",
-    "end points": "datum end points: as mean lines, but every straightness is zero at both ends of its range (twin doc datum)",
-    "as given": "datum as given: means and slopes of the curves act like squareness and locations; convert to mean lines before "
-    "comparing numbers (twin doc datum)",
+    "mean lines": Message(
+        "datum mean lines: no mean in a curve, no slope in a straightness, if squareness or a location can absorb it (twin doc datum)"
+    ),
+    "end points": Message(
+        "datum end points: as mean lines, but every straightness is zero at both ends of its range (twin doc datum)"
+    ),
+    "as given": Message(
+        "datum as given: means and slopes of the curves act like squareness and locations; convert to mean lines before comparing "
+        "numbers (twin doc datum)"
+    ),
 }
 """Explanation of each datum, for the note below a table of errors."""
 LAST_AXES: Final = 6

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any, Final, final
 
+from twin._common.messages import Message
 from twin.machine.error_names import DIRECTIONS
 from twin.machine.machine import Machine
 from twin.model.effects.base import Effect, Frame, Parameter, Payload, direction_of, split_name
@@ -61,10 +62,12 @@ def _title(where: str) -> str:
     name, _, by = where.partition(" by ")
     component, _, axis = split_name(name)
     if DIRECTIONS[component] == axis:
-        return f"positioning of {axis} changes with {by}"
+        return Message("positioning of {axis} changes with {by}", axis=axis, by=by)
     if component < 3:
-        return f"straightness of {axis} in {direction_of(name)} changes with {by}"
-    return f"tilt of {axis} about {direction_of(name)} changes with {by}"
+        return Message(
+            "straightness of {axis} in {direction} changes with {by}", axis=axis, direction=direction_of(name), by=by
+        )
+    return Message("tilt of {axis} about {direction} changes with {by}", axis=axis, direction=direction_of(name), by=by)
 
 
 def _is_translation(where: str) -> bool:

@@ -11,6 +11,7 @@ import casadi as ca
 import numpy as np
 
 from twin._common.arrays import read_only
+from twin._common.messages import Message
 from twin.compute.along import BatchFunction
 from twin.machine.chain import gravity_load
 from twin.machine.machine import Axis, Machine
@@ -304,10 +305,12 @@ def _forms(machine: Machine, where: str, state: State, known: Sequence[Payload] 
     return Forms(names, build, units, tuple(trials), together=together)
 
 
+_SIDE: Final = {"tool": Message("tool"), "work": Message("work")}
+
 GRAVITY_COMPLIANCE: Final = Specification(
     name="gravity_compliance",
     kind="machine",
-    title=lambda where: f"deflection of {where} under gravity",
+    title=lambda where: Message("deflection of {where} under gravity", where=where),
     family="deflection under gravity",
     advice=Advice(
         "Service: clamp, drive and bearings of {axis}; the load it carries.",
@@ -328,7 +331,9 @@ GRAVITY_COMPLIANCE: Final = Specification(
 PAYLOAD: Final = Specification(
     name="payload",
     kind="machine",
-    title=lambda where: f"load on the {where} side that is missing from the machine description",
+    title=lambda where: Message(
+        "load on the {where} side that is missing from the machine description", where=_SIDE[where]
+    ),
     family="loads missing from the machine description",
     advice=Advice(
         "Set-up: what was mounted on the {where} side during the measurement; weigh it.",
@@ -347,7 +352,7 @@ PAYLOAD: Final = Specification(
 CARRIED_LOAD: Final = Specification(
     name="carried_load",
     kind="machine",
-    title=lambda where: f"deflection under the load that the {where} side carries",
+    title=lambda where: Message("deflection under the load that the {where} side carries", where=_SIDE[where]),
     family="deflection under the carried load",
     advice=Advice(
         "Set-up: the masses in the column load_kg, and how the load was held on the {where} side.",

@@ -18,6 +18,7 @@ from typing import Any, Final, Literal, final
 
 import numpy as np
 
+from twin._common.messages import Message
 from twin.machine.error_names import DIRECTIONS
 from twin.machine.machine import Machine
 from twin.model.effects.base import Effect, Frame, Parameter, Payload, direction_of, split_name, unit_of
@@ -125,10 +126,14 @@ def _forms(machine: Machine, where: str, state: State, payloads: Sequence[Payloa
 def _title(where: str) -> str:
     component, _, axis = split_name(where)
     if component < 3:
-        return f"shift of {axis} along {direction_of(where)} that repeats with its rotation"
+        return Message(
+            "shift of {axis} along {direction} that repeats with its rotation", axis=axis, direction=direction_of(where)
+        )
     if DIRECTIONS[component] == axis:
-        return f"angle error of {axis} that repeats with its rotation"
-    return f"wobble of {axis} about {direction_of(where)} that repeats with its rotation"
+        return Message("angle error of {axis} that repeats with its rotation", axis=axis)
+    return Message(
+        "wobble of {axis} about {direction} that repeats with its rotation", axis=axis, direction=direction_of(where)
+    )
 
 
 HARMONIC: Final = Specification(

@@ -7,6 +7,7 @@ from typing import Any, Final, final
 
 import numpy as np
 
+from twin._common.messages import Message
 from twin.machine.machine import Axis
 from twin.model.effects.base import (
     AlongAxis,
@@ -114,9 +115,9 @@ def _title(where: str) -> str:
     _, _, axis = split_name(where)
     others = [letter for letter in "XYZ" if letter not in (axis, direction_of(where).upper())]
     return (
-        f"{axis} out of square to {others[0]}"
+        Message("{axis} out of square to {others}", axis=axis, others=others[0])
         if len(others) == 1
-        else f"{axis} out of square about {direction_of(where)}"
+        else Message("{axis} out of square about {direction}", axis=axis, direction=direction_of(where))
     )
 
 
@@ -166,7 +167,7 @@ class ZeroOffset(AlongAxis):
 ZERO_OFFSET: Final = Specification(
     name="zero_offset",
     kind="machine",
-    title=lambda where: f"zero offset of {where}",
+    title=lambda where: Message("zero offset of {where}", where=where),
     family="zero offsets",
     advice=Advice(
         "Set-up: reference mark and homing of {axis}; ask whether there was a collision.",

@@ -8,6 +8,7 @@ from typing import Any, Final, final
 
 import numpy as np
 
+from twin._common.messages import Message
 from twin.machine.machine import Axis, Machine
 from twin.model.effects.base import AlongAxis, Frame, Parameter, Payload, along
 from twin.model.effects.specification import (
@@ -137,7 +138,7 @@ def _constrain(effect: PitchError, values: Sequence[float], longest: float) -> P
 PITCH_ERROR: Final = Specification(
     name="pitch_error",
     kind="machine",
-    title=lambda where: f"periodic positioning error of {where}",
+    title=lambda where: Message("periodic positioning error of {where}", where=where),
     family="periodic positioning errors",
     advice=Advice(
         "Service: the part of {axis} that has this period: screw (its lead), coupling, gear, or grating of the scale.",

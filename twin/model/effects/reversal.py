@@ -7,6 +7,7 @@ from typing import Any, Final, final
 
 import numpy as np
 
+from twin._common.messages import Message
 from twin.machine.machine import Axis, Machine
 from twin.model.effects.base import AlongAxis, Frame, Parameter, Payload, along, channel
 from twin.model.effects.specification import (
@@ -56,7 +57,7 @@ class Reversal(AlongAxis):
 REVERSAL: Final = Specification(
     name="reversal",
     kind="machine",
-    title=lambda where: f"backlash of {where}",
+    title=lambda where: Message("backlash of {where}", where=where),
     family="backlash",
     advice=Advice(
         "Service: screw nut and preload of {axis} (rotary axis: worm or gear), thrust bearing, coupling, mounting of the scale.",
@@ -178,7 +179,7 @@ def _evidence(fit: FittedCause) -> str:
 REVERSAL_CURVE: Final = Specification(
     name="reversal_curve",
     kind="machine",
-    title=lambda where: f"backlash of {where} that varies along its travel",
+    title=lambda where: Message("backlash of {where} that varies along its travel", where=where),
     family="backlash that varies along the travel",
     advice=Advice(
         "Service: wear of the screw and nut of {axis} where it is used most, tension of the screw, friction of the guideway.",

@@ -8,6 +8,7 @@ from typing import Any, Final, final
 
 import numpy as np
 
+from twin._common.messages import Message
 from twin._common.records import SPEED, TIME
 from twin.machine.machine import Machine
 from twin.model.effects.base import HistoryShift, Parameter, Payload, ToolSide, channel, directions, tool_side
@@ -127,7 +128,7 @@ def _constrain(effect: SpindleGrowth, values: Sequence[float], longest: float) -
 SPINDLE_GROWTH: Final = Specification(
     name="spindle_growth",
     kind="machine",
-    title=lambda where: f"growth along {where.lower()} with spindle speed",
+    title=lambda where: Message("growth along {direction} with spindle speed", direction=where.lower()),
     family="growth with spindle speed",
     advice=Advice(
         "Shop floor: spindle speeds during the measurement, and how long each was held. "

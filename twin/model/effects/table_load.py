@@ -9,6 +9,7 @@ from typing import Any, Final, final
 import numpy as np
 
 from twin._common.errors import InputError
+from twin._common.messages import Message
 from twin.machine.machine import Machine
 from twin.model.effects.base import (
     LOAD,
@@ -151,7 +152,7 @@ def _candidates(machine: Machine, state: State) -> tuple[list[str], list[tuple[s
 TABLE_LOAD: Final = Specification(
     name="table_load",
     kind="machine",
-    title=lambda where: f"table on {where} sags as {where} turns",
+    title=lambda where: Message("table on {where} sags as {where} turns", where=where),
     family="sag of the table",
     advice=Advice(
         "Set-up: load on the table during the calibration, and load on it now. Service: bearings of {axis}.",

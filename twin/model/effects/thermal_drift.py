@@ -7,6 +7,7 @@ from typing import Any, Final, final
 
 import numpy as np
 
+from twin._common.messages import Message
 from twin.machine.machine import Machine
 from twin.model.effects.base import Parameter, Payload, ToolSide, ToolSideShift, channel, directions, tool_side
 from twin.model.effects.specification import EXTENDING, Advice, Drawing, FittedCause, Forms, Specification, State
@@ -147,7 +148,7 @@ def _constrain(effect: ThermalDrift, values: Sequence[float], longest: float) ->
 THERMAL_DRIFT: Final = Specification(
     name="thermal_drift",
     kind="machine",
-    title=lambda where: f"warm-up drift along {where.lower()}",
+    title=lambda where: Message("warm-up drift along {direction}", direction=where.lower()),
     family="warm-up drift",
     advice=Advice(
         "Shop floor: how long the machine had run before work and before the measurement. Service: spindle cooling.",

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any, Final, final
 
+from twin._common.messages import Message
 from twin.machine.machine import Axis, Machine
 from twin.model.effects.base import AlongAxis, Parameter, Payload, along, channel
 from twin.model.effects.specification import (
@@ -49,7 +50,7 @@ class ThermalExpansion(AlongAxis):
 THERMAL_EXPANSION: Final = Specification(
     name="thermal_expansion",
     kind="machine",
-    title=lambda where: f"thermal expansion of the scale of {where}",
+    title=lambda where: Message("thermal expansion of the scale of {where}", where=where),
     family="thermal expansion of scales",
     advice=Advice(
         "Service: where the scale of {axis} is fixed, and what the control's own temperature compensation does.",
@@ -120,7 +121,7 @@ def _evidence(fit: FittedCause) -> str:
 SCALE_GROWTH: Final = Specification(
     name="scale_growth",
     kind="machine",
-    title=lambda where: f"thermal expansion of the scale of {where} about its fixed point",
+    title=lambda where: Message("thermal expansion of the scale of {where} about its fixed point", where=where),
     family="thermal expansion of scales about their fixed points",
     advice=Advice(
         "Service: where the scale of {axis} is fixed, and what the control's own temperature compensation assumes.",

@@ -7,6 +7,7 @@ from typing import Any, Final, final
 
 import numpy as np
 
+from twin._common.messages import Message
 from twin._common.records import TIME, is_temperature, sensor_of
 from twin.machine.machine import Machine
 from twin.model.effects.base import (
@@ -103,7 +104,11 @@ def _forms(machine: Machine, where: str, state: State, payloads: Sequence[Payloa
 THERMAL_GROWTH: Final = Specification(
     name="thermal_growth",
     kind="machine",
-    title=lambda where: f"growth along {where[:1].lower()} with the temperature of {where.partition(' by ')[2]}",
+    title=lambda where: Message(
+        "growth along {direction} with the temperature of {sensor}",
+        direction=where[:1].lower(),
+        sensor=where.partition(" by ")[2],
+    ),
     family="growth with temperature",
     advice=Advice(
         "Shop floor and service: heat sources near that sensor: coolant, drives, sunlight, draughts.",
@@ -203,8 +208,10 @@ def _constrain(effect: ThermalLag, values: Sequence[float], longest: float) -> T
 THERMAL_LAG: Final = Specification(
     name="thermal_lag",
     kind="machine",
-    title=lambda where: (
-        f"growth along {where[:1].lower()} that lags behind the temperature of {where.partition(' by ')[2]}"
+    title=lambda where: Message(
+        "growth along {direction} that lags behind the temperature of {sensor}",
+        direction=where[:1].lower(),
+        sensor=where.partition(" by ")[2],
     ),
     family="growth that lags behind a temperature",
     advice=Advice(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any, Final, final
 
+from twin._common.messages import Message
 from twin.machine.machine import Machine
 from twin.model.effects.base import Effect, Frame, Parameter, Payload, channel, direction_of, split_name
 from twin.model.effects.specification import (
@@ -77,7 +78,12 @@ def _forms(machine: Machine, where: str, state: State, payloads: Sequence[Payloa
 
 def _title(where: str) -> str:
     name, _, sensor = where.partition(" by ")
-    return f"tilt of {split_name(name)[2]} about {direction_of(name)} with the temperature of {sensor}"
+    return Message(
+        "tilt of {axis} about {direction} with the temperature of {sensor}",
+        axis=split_name(name)[2],
+        direction=direction_of(name),
+        sensor=sensor,
+    )
 
 
 THERMAL_TILT: Final = Specification(

@@ -7,6 +7,7 @@ from fractions import Fraction
 from math import comb, pi
 from typing import Any, final
 
+from twin._common.messages import Message
 from twin.numerics.curves.basis import Basis, Exact
 from twin.numerics.curves.fg_bernstein import MOST_DEGREE
 from twin.numerics.functions import cos, sin
@@ -54,7 +55,7 @@ class Fourier(Basis):
 
     name = "fourier"
     formula = "f = 1, cos θ, sin θ, cos 2θ, sin 2θ, …, θ the axis angle itself; rotary axes only."
-    order_noun = "harmonics"
+    order_noun = Message("harmonics")
 
     def functions(self, q: Any, domain: tuple[float, float], count: int) -> list[Any]:
         """See `Basis.functions`."""

@@ -18,6 +18,7 @@ import numpy as np
 
 from twin._common.arrays import read_only
 from twin._common.errors import InputError
+from twin._common.messages import Message
 
 Exact = list[list[Fraction]]
 """A matrix of rational numbers, row by row."""
@@ -37,7 +38,7 @@ class Basis(ABC):
 
     name: ClassVar[str]
     formula: ClassVar[str]
-    order_noun: ClassVar[str] = "degree"
+    order_noun: ClassVar[str] = Message("degree")
     takes_knots: ClassVar[bool] = False
     knots: tuple[float, ...] = ()
 

@@ -11,6 +11,7 @@ from typing import Any, Final, final
 import numpy as np
 
 from twin._common.errors import InputError
+from twin._common.messages import Message
 from twin.numerics.curves.basis import Basis, Exact
 
 DEGREE: Final = 3
@@ -41,7 +42,7 @@ class CubicSpline(Basis):
         "cubic B-splines over `knots:`, mm or degrees, both ends of the domain among them (each taken four times); "
         "two coefficients more than knots (C. de Boor, A Practical Guide to Splines, 1978, chapter X)."
     )
-    order_noun = "spans"
+    order_noun = Message("spans")
     takes_knots = True
 
     def __post_init__(self) -> None:
