@@ -625,11 +625,13 @@ class _Check:
 
     def control(self, entry: ControlEntry) -> ControlSection:
         folder = self.path.parent
-        tables, kinematics = (
-            tuple(TableEntry(folder / one.file, one.format, one.classes, one.sha256) for one in listed)
-            for listed in (entry.tables, entry.kinematics)
+        return ControlSection(
+            entry.errors_are,
+            *(
+                tuple(TableEntry(folder / one.file, one.format, one.classes, one.sha256) for one in listed)
+                for listed in (entry.tables, entry.kinematics, entry.live)
+            ),
         )
-        return ControlSection(entry.errors_are, tables, kinematics)
 
     def joint(self, entry: CovarianceEntry, calibration: Calibration) -> Covariance:
         known = [parameter.name for effect in calibration.effects for parameter in effect.parameters]
