@@ -22,7 +22,7 @@ from twin.controls import ControlSection, TableEntry, file_sha256
 from twin.machine.machine import Machine
 from twin.model.calibration import Calibration
 from twin.model.conditions import needed
-from twin.model.effects.base import HistoryShift
+from twin.model.effects.base import HistoryShift, RecordingState
 from twin.tool.forward import Kinematics, rms_and_max
 from twin.tool.uncertainty import random_approach, volume_inside_domains
 
@@ -240,8 +240,12 @@ def _channels(calibrations: Sequence[Calibration]) -> tuple[str, ...]:
     """
     names: dict[str, None] = {}
     for one in calibrations:
-        lags = {name for effect in one.effects if isinstance(effect, HistoryShift) for name in effect.factor_channels}
-        names |= dict.fromkeys(name for name in needed(one) if name not in lags)
+        lags = [effect for effect in one.effects if isinstance(effect, HistoryShift)]
+        names |= dict.fromkeys(needed(one.where(lambda name, lags=lags: name not in {lag.name for lag in lags})))
+        asked = RecordingState(one.machine)
+        for lag in lags:
+            lag.driven(asked)
+        names |= dict.fromkeys(asked.asked)
     for name in names:
         if not PIN_NAME.fullmatch(channel_of(name).pin):
             raise InputError(

@@ -35,7 +35,7 @@ from twin.model.unknown_errors import ErrorTerms
 
 STEPS: Final = 3
 """Newton steps: errors of 100 µm leave 0.1 nm after the second; the third is for large turns near a singular position."""
-STEEPEST: Final = 0.25
+STEEPEST: Final = 0.7
 """Slope of the damped turn by a position at σ = 0, rad/rad: below 1, n → n + c(n) is invertible."""
 REGION: Final = 2.0
 """ε in units of λ₀: the slope does not exceed `STEEPEST` by much anywhere between."""

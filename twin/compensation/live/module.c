@@ -93,19 +93,24 @@ static void write_pose(const double *position, EmcPose *pose)
     for (i = 0; i < AXES; i++) *words[WORD[i]] = position[i] / SCALE[i];
 }
 
-/* Between the coordinates of the workpiece and the positions of the linear axes, without errors; the tool as the control counts it. */
-static void transform(int to_axes, const EmcPose *pose, double *position)
+/* Positions of the linear axes from the coordinates of the workpiece, and back, without errors. The control has added the tool to the
+   coordinates already. */
+static void transform(int to_axes, double *position)
 {
-    double tool[3], offset[3], result[3];
-    const double *arguments[3] = {position, tool, 0};
+    double tool[3], result[3];
+    const double *arguments[2] = {position, tool};
     double *results[1] = {result};
     int i;
-    for (i = 0; i < 3; i++) { tool[i] = *pins->tool[i] * 1e-3; offset[i] = to_axes ? -tool[i] : tool[i]; }
-    for (i = 0; i < 3 && to_axes; i++) position[LINEAR[i]] += offset[i];
-    if (to_axes) twin_to_axes(arguments, results, 0, 0, 0);
-    else twin_to_workpiece(arguments, results, 0, 0, 0);
-    for (i = 0; i < 3; i++) position[LINEAR[i]] = result[i] + (to_axes ? 0.0 : offset[i]);
-    (void)pose;
+
+    for (i = 0; i < 3; i++) tool[i] = *pins->tool[i] * 1e-3;
+    if (to_axes) {
+        for (i = 0; i < 3; i++) position[LINEAR[i]] -= tool[i];
+        twin_to_axes(arguments, results, 0, 0, 0);
+    } else {
+        twin_to_workpiece(arguments, results, 0, 0, 0);
+        for (i = 0; i < 3; i++) result[i] += tool[i];
+    }
+    for (i = 0; i < 3; i++) position[LINEAR[i]] = result[i];
 }
 
 int kinematicsInverse(const EmcPose *pose, double *joints, const KINEMATICS_INVERSE_FLAGS *iflags, KINEMATICS_FORWARD_FLAGS *fflags)
@@ -115,7 +120,7 @@ int kinematicsInverse(const EmcPose *pose, double *joints, const KINEMATICS_INVE
     (void)iflags; (void)fflags;
     read_pose(pose, position);
     for (i = 0; i < AXES; i++) if (!isfinite(position[i])) return -1;
-    if (kinematics_type == 1) transform(1, pose, position);
+    if (kinematics_type == 1) transform(1, position);
     correct(position, correction);
     for (i = 0; i < AXES; i++) joints[i] = (position[i] + correction[i]) / SCALE[i];
     return 0;
@@ -131,13 +136,14 @@ int kinematicsForward(const double *joints, EmcPose *pose, const KINEMATICS_FORW
         if (!isfinite(command[i])) return -1;
     }
     uncorrect(command, position);
-    if (kinematics_type == 1) transform(0, pose, position);
+    if (kinematics_type == 1) transform(0, position);
     write_pose(position, pose);
     return 0;
 }
 
 KINEMATICS_TYPE kinematicsType(void) { return KINEMATICS_BOTH; }
 int kinematicsSwitchable(void) { return AXES > 3; }
+/* 0: axis words, 1: coordinates of the workpiece. */
 int kinematicsSwitch(int type)
 {
     if (type != 0 && type != 1) return -1;
@@ -152,14 +158,11 @@ static void follow_sides(const double *position, double step)
     for (i = 0; i < AXES; i++) {
         double distance = pins->reversal_distance[i] * SCALE[i];
         if (!state.started) state.turned[i] = position[i];
-        if (state.side[i] >= 0.0 && position[i] > state.turned[i] + (state.side[i] > 0.0 ? 0.0 : distance)) {
+        /* turned: the farthest position in the present direction; unknown at first. */
+        if (position[i] > state.turned[i] + (state.side[i] > 0.0 ? 0.0 : distance)) {
             state.side[i] = 1.0; state.turned[i] = position[i];
-        } else if (state.side[i] <= 0.0 && position[i] < state.turned[i] - (state.side[i] < 0.0 ? 0.0 : distance)) {
+        } else if (position[i] < state.turned[i] - (state.side[i] < 0.0 ? 0.0 : distance)) {
             state.side[i] = -1.0; state.turned[i] = position[i];
-        } else if (state.side[i] > 0.0 && position[i] < state.turned[i] - distance) {
-            state.side[i] = -1.0; state.turned[i] = position[i];
-        } else if (state.side[i] < 0.0 && position[i] > state.turned[i] + distance) {
-            state.side[i] = 1.0; state.turned[i] = position[i];
         }
         state.channels[i] = towards(state.channels[i], state.side[i], step);
     }
@@ -189,15 +192,21 @@ static void follow_channels(double seconds)
 static void update(void *unused, long period)
 {
     double seconds = period * 1e-9, correction[AXES];
-    int i;
+    int i, turn;
     (void)unused;
     state.outside = 0;
-    correct(state.nominal, correction);
+    /* Where the axes are meant to be, to some 0.01 µm: twice, because a rapid changes the correction by micrometres a cycle. */
+    for (turn = 0; turn < 2; turn++) {
+        correct(state.nominal, correction);
+        for (i = 0; i < AXES; i++) {
+            double command = *pins->command[i] * SCALE[i];
+            if (isfinite(command)) state.nominal[i] = command - correction[i];
+            else state.outside = 1;
+        }
+    }
     for (i = 0; i < AXES; i++) {
-        double command = *pins->command[i] * SCALE[i];
-        if (!isfinite(command)) { command = state.nominal[i]; state.outside = 1; }
-        state.nominal[i] = command - correction[i];
         if (state.nominal[i] < DOMAIN_LOW[i] || state.nominal[i] > DOMAIN_HIGH[i]) state.outside = 1;
+        *pins->correction[i] = correction[i] / SCALE[i];
     }
     follow_sides(state.nominal, pins->reversal_rate * seconds);
     follow_channels(seconds);
@@ -208,8 +217,6 @@ static void update(void *unused, long period)
     state.orientation = state.fade > 0.0 ? towards(state.orientation, *pins->orientation, pins->fade_rate * seconds) : *pins->orientation;
     state.fade = towards(state.fade, *pins->enable, pins->fade_rate * seconds);
     state.started = 1;
-    correct(state.nominal, correction);
-    for (i = 0; i < AXES; i++) *pins->correction[i] = correction[i] / SCALE[i];
     *pins->fade = state.fade;
     *pins->out_of_range = state.outside;
 }
