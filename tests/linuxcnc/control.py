@@ -50,6 +50,8 @@ class Ran:
     def samples(self, name: str) -> np.ndarray:
         """Return what was recorded into a file: (n, pins)."""
         rows = [line.split() for line in (self.folder / name).read_text().splitlines()]
+        # What was lost before the first sample does not matter.
+        rows = rows[sum(row == ["overrun"] for row in rows[:1]) :]
         assert all(len(row) >= self.pins for row in rows[:-1]), "no sample was lost"
         return np.array([row[-self.pins :] for row in rows if len(row) >= self.pins], dtype=float)
 
@@ -117,7 +119,14 @@ def _run(folder: Path, words: list[str], seconds: float) -> subprocess.Completed
     environment = {"PATH": "/usr/bin:/bin:/usr/sbin:/sbin", "HOME": home, "USER": user, "LANG": "C.UTF-8"}
     try:
         return subprocess.run(
-            words, cwd=folder, env=environment, capture_output=True, text=True, timeout=seconds, check=False, stdin=subprocess.DEVNULL
+            words,
+            cwd=folder,
+            env=environment,
+            capture_output=True,
+            text=True,
+            timeout=seconds,
+            check=False,
+            stdin=subprocess.DEVNULL,
         )
     except subprocess.TimeoutExpired as error:
         raise AssertionError(f"the control did not end: {error.stdout}\n{error.stderr}") from None
@@ -181,6 +190,10 @@ def _sampler(pins: Sequence[str]) -> str:
     """Return the lines that record pins, or signals (names without a dot)."""
     if not pins:
         return ""
-    lines = [f"loadrt sampler depth=200000 cfg={'f' * len(pins)}", "addf sampler.0 servo-thread", "setp sampler.0.enable 0"]
+    lines = [
+        f"loadrt sampler depth=200000 cfg={'f' * len(pins)}",
+        "addf sampler.0 servo-thread",
+        "setp sampler.0.enable 0",
+    ]
     lines += [f"net {f'sampled-{i} {pin}' if '.' in pin else pin} => sampler.0.pin.{i}" for i, pin in enumerate(pins)]
     return "\n".join(lines) + "\n"

@@ -319,6 +319,15 @@ class Calibration(DisplayedResult):
                 value="settled: false",
             )
 
+    def check_not_live(self) -> None:
+        """Raise `InputError` if a kinematics module in the control corrects these errors already."""
+        if self.control is not None and self.control.live and self.control.errors_are == "uncorrected":
+            raise InputError(
+                "a kinematics module in the control corrects these errors: they would be corrected twice",
+                expected=f"programs as they are; with the module switched off, the calibration {self.control.live[-1].file.name}",
+                file=self.path,
+            )
+
     def with_tool(self, tool_length_mm: float) -> Calibration:
         """Return the same errors for a tool of the given length, where the control's correction depends on it."""
         corrections = tuple(correction.with_tool(tool_length_mm) for correction in self.corrections)

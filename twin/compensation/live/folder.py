@@ -21,9 +21,9 @@ from twin.compute.along import BatchFunction
 from twin.controls import ControlSection, TableEntry, file_sha256
 from twin.machine.machine import Machine
 from twin.model.calibration import Calibration
-from twin.model.conditions import needed
+from twin.model.conditions import APPROACH
 from twin.model.effects.base import HistoryShift, RecordingState
-from twin.tool.forward import Kinematics, rms_and_max
+from twin.tool.forward import Kinematics
 from twin.tool.uncertainty import random_approach, volume_inside_domains
 
 SCHEMA: Final = "twin.compensation.live/1"
@@ -36,7 +36,7 @@ MARGIN: Final = 1.5
 PIN_NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,30}")
 """Characters of a pin of HAL; its name has at most 47 with the prefix."""
 TEXT_OF_SOURCE: Final = (
-    "This file holds numbers and formulas of one machine, and the code of the module. The macro MODULE_LICENSE is what LinuxCNC asks of "
+    "This file holds the numbers and formulas of your machine, and the code of the module. MODULE_LICENSE is what LinuxCNC asks of "
     "every module."
 )
 
@@ -48,23 +48,18 @@ class Proof:
 
     Attributes:
         poses: number of poses, each with random directions of approach and random values of the channels.
-        before_rms_um, before_max_um: error of the tool centre point without the correction.
-        after_rms_um, after_max_um: with it.
-        tilt_before_urad, tilt_after_urad: largest tilt of the tool axis.
-        tilt_after_rms_urad: RMS tilt with the correction.
+        point_before_um, point_after_um: RMS and largest error of the tool centre point, without the correction and with it.
+        tilt_before_urad, tilt_after_urad: RMS and largest tilt of the tool axis.
         damped: share of the poses that are close to a singular position, where the orientation is corrected in part.
         largest: (axes,) largest correction, mm and degrees.
         steepest: largest change of the correction with a position; below 1 the forward kinematics exists.
     """
 
     poses: int
-    before_rms_um: float
-    before_max_um: float
-    after_rms_um: float
-    after_max_um: float
-    tilt_before_urad: float
-    tilt_after_urad: float
-    tilt_after_rms_urad: float
+    point_before_um: tuple[float, float]
+    point_after_um: tuple[float, float]
+    tilt_before_urad: tuple[float, float]
+    tilt_after_urad: tuple[float, float]
     damped: float
     largest: tuple[float, ...]
     steepest: float
@@ -119,25 +114,30 @@ class LiveKinematics:
             f"calibration: {self.errors.path or 'no file: the nominal machine'}",
             "",
             f"Error at the tool over the volume ({proof.poses} poses, tool {self.tool_length_mm:g} mm), by the model",
-            f"  without: {proof.before_rms_um:.2f} µm RMS, {proof.before_max_um:.2f} µm largest; tool axis {proof.tilt_before_urad:.1f} µrad largest",
-            f"  with:    {proof.after_rms_um:.4f} µm RMS, {proof.after_max_um:.4f} µm largest; tool axis {proof.tilt_after_rms_urad:.2f} µrad "
-            f"RMS, {proof.tilt_after_urad:.1f} largest",
+            f"{'':12}{'point, µm RMS':>16}{'largest':>12}{'tool axis, µrad RMS':>22}{'largest':>12}",
+            *(
+                f"  {name:10}{point[0]:>16.4f}{point[1]:>12.4f}{tilt[0]:>22.2f}{tilt[1]:>12.2f}"
+                for name, point, tilt in (
+                    ("without", proof.point_before_um, proof.tilt_before_urad),
+                    ("with", proof.point_after_um, proof.tilt_after_urad),
+                )
+            ),
             f"  largest correction: {corrections}",
         ]
         if proof.damped > 0.0:
             lines.append(
-                f"  At {100 * proof.damped:.1f} % of the poses, close to a singular position, the orientation is corrected in part; the "
-                "position in full everywhere."
+                f"  At {100 * proof.damped:.1f} % of the poses, close to a singular position, the orientation is corrected in part, the "
+                "position in full."
             )
         lines += [
             "  The uncertainty of the calibration is not reduced by any correction: see `twin volume`.",
             "",
             "Build and load (LinuxCNC 2.9)",
             f"  1. sudo halcompile --install {NAME}.c",
-            f"  2. INI file: take over {NAME}.ini. HAL: `HALFILE = {NAME}.hal` after the file that loads `[KINS]KINEMATICS` and motmod.",
+            f"  2. Take the lines of {NAME}.ini into the INI file: {NAME}.hal comes after the HAL file that loads motmod.",
             "  3. Home the machine with the correction off (it is off until the pin is set).",
             f"  4. halcmd setp {NAME}.enable 1: the correction is faded in, within 1 s (parameter fade-rate, 1/s).",
-            "  5. Move every axis once in both directions: before that the direction of approach is unknown, and the mean is corrected.",
+            "  5. Move every axis once: before that its direction of approach is unknown, and the mean of both is corrected.",
             "",
             "Check before cutting",
             f"  halcmd show pin {NAME}: correction-N, in mm and degrees, must have the sizes above; out-of-range must be FALSE.",
@@ -173,7 +173,7 @@ class LiveKinematics:
         return "\n".join(lines) + "\n"
 
 
-def make(
+def make_module(
     errors: Calibration, *, tool_length_mm: float | None = None, earlier: Sequence[Calibration] = ()
 ) -> LiveKinematics:
     """Make the module.
@@ -193,7 +193,7 @@ def make(
     plain = _channels(bare)
     length = machine.tool_length_mm if tool_length_mm is None else tool_length_mm
     trial = LiveCorrection(bare, plain, Damping.for_tilt(0.0))
-    tilt, _, _ = _tilt_and_lever(trial, length)
+    tilt, _, _ = _tilt_and_poses(trial, length)
     live = LiveCorrection(bare, plain, Damping.for_tilt(MARGIN * tilt))
     proof = _proof(live, length)
     if proof.steepest >= 1.0:
@@ -211,6 +211,32 @@ def make(
         TEXT_OF_SOURCE,
     ]
     return LiveKinematics(live, proof, errors, tuple(earlier), c_file(live, largest, header), length)
+
+
+def earlier_of(errors: Calibration, *, add: bool) -> tuple[Calibration, ...]:
+    """Return the errors that a module in the control corrected already when a calibration was measured.
+
+    Args:
+        errors: the calibration.
+        add: whether the user wants them added.
+
+    Raises:
+        InputError: the control corrects these very errors already; or a module was active, and it is not said that its errors are to
+            be added.
+    """
+    errors.check_not_live()
+    section = errors.control
+    if section is None or not section.live:
+        return ()
+    if not add:
+        raise InputError(
+            "these errors were measured with the module active: a new module must hold the old ones as well",
+            expected="--add",
+            file=errors.path,
+        )
+    for entry in section.live:
+        entry.check()
+    return tuple(Calibration.load(entry.file, errors.machine) for entry in section.live)
 
 
 def _check(errors: Calibration) -> None:
@@ -240,12 +266,13 @@ def _channels(calibrations: Sequence[Calibration]) -> tuple[str, ...]:
     """
     names: dict[str, None] = {}
     for one in calibrations:
-        lags = [effect for effect in one.effects if isinstance(effect, HistoryShift)]
-        names |= dict.fromkeys(needed(one.where(lambda name, lags=lags: name not in {lag.name for lag in lags})))
         asked = RecordingState(one.machine)
-        for lag in lags:
-            lag.driven(asked)
-        names |= dict.fromkeys(asked.asked)
+        for effect in one.effects:
+            if isinstance(effect, HistoryShift):
+                effect.driven(asked)
+            else:
+                effect.components(asked)
+        names |= dict.fromkeys(name for name in asked.asked if not name.startswith(APPROACH))
     for name in names:
         if not PIN_NAME.fullmatch(channel_of(name).pin):
             raise InputError(
@@ -280,17 +307,12 @@ def _usual(name: str) -> tuple[float, float]:
     )
 
 
-def _tilt_and_lever(live: LiveCorrection, length_mm: float) -> tuple[float, Any, Any]:
-    q = volume_inside_domains(live_calibration(live))
+def _tilt_and_poses(live: LiveCorrection, length_mm: float) -> tuple[float, Any, Any]:
+    q = volume_inside_domains(live.calibrations[0])
     states = _states(live, len(q))
     nominal = Kinematics(live.machine, Calibration.zero(live.machine), tool_length_mm=length_mm)
     off = nominal.with_errors(q, _errors(live, q, states)).tilt_urad(nominal.forward(q))
     return float(np.linalg.norm(off, axis=1).max()) * 1e-6, q, states
-
-
-def live_calibration(live: LiveCorrection) -> Calibration:
-    """Return the first of the calibrations."""
-    return live.calibrations[0]
 
 
 def _errors(live: LiveCorrection, q: np.ndarray, states: np.ndarray) -> np.ndarray:
@@ -300,7 +322,7 @@ def _errors(live: LiveCorrection, q: np.ndarray, states: np.ndarray) -> np.ndarr
 
 def _proof(live: LiveCorrection, length_mm: float) -> Proof:
     machine = live.machine
-    tilt, q, states = _tilt_and_lever(live, length_mm)
+    _, q, states = _tilt_and_poses(live, length_mm)
     nominal = Kinematics(machine, Calibration.zero(machine), tool_length_mm=length_mm)
     goal, before = nominal.forward(q), nominal.with_errors(q, _errors(live, q, states))
     tool = np.tile([0.0, 0.0, 1e-3 * length_mm], (len(q), 1))
@@ -312,17 +334,18 @@ def _proof(live: LiveCorrection, length_mm: float) -> Proof:
     (smallest, slopes) = BatchFunction(live.slopes)(q * machine.scale, states, tool)
     return Proof(
         poses=len(q),
-        before_rms_um=float(np.sqrt(np.mean(off[0] ** 2))),
-        before_max_um=float(off[0].max()),
-        after_rms_um=float(np.sqrt(np.mean(off[1] ** 2))),
-        after_max_um=float(off[1].max()),
-        tilt_before_urad=float(tilts[0].max()),
-        tilt_after_urad=float(tilts[1].max()),
-        tilt_after_rms_urad=float(np.sqrt(np.mean(tilts[1] ** 2))),
+        point_before_um=_rms_and_largest(off[0]),
+        point_after_um=_rms_and_largest(off[1]),
+        tilt_before_urad=_rms_and_largest(tilts[0]),
+        tilt_after_urad=_rms_and_largest(tilts[1]),
         damped=float(np.mean(smallest < live.damping.region)) if machine.rotary else 0.0,
         largest=tuple((np.abs(correction) / machine.scale).max(axis=0).tolist()),
         steepest=float(np.abs(slopes).max()),
     )
+
+
+def _rms_and_largest(values: np.ndarray) -> tuple[float, float]:
+    return float(np.sqrt(np.mean(values**2))), float(values.max())
 
 
 def _bounds(live: LiveCorrection) -> tuple[np.ndarray, np.ndarray]:
@@ -335,7 +358,7 @@ def outputs_of(folder: Path) -> list[Path]:
     return [folder / name for name in FILES]
 
 
-def write(made: LiveKinematics, folder: Path) -> None:
+def write_module(made: LiveKinematics, folder: Path) -> None:
     """Write the folder, created if necessary; the calibration that refers to the other files last.
 
     Raises:

@@ -184,7 +184,7 @@ class LiveCorrection:
 
     @cached_property
     def drives(self) -> ca.Function:
-        """channels → the inputs of the lags (histories,); one zero if there are none."""
+        """Function of the channels: the inputs of the lags (histories,); one zero if there are none."""
         channels = ca.SX.sym("channels", self.channel_count)
         first = len(self.machine.axes)
         state = dict(zip(self.plain, ca.vertsplit(channels)[first:], strict=False))

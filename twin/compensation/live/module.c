@@ -245,7 +245,7 @@ static int export_pins(void)
     failed |= hal_param_float_newf(HAL_RW, &pins->tool_rate, component, NAME ".tool-rate");
     pins->fade_rate = 1.0;       /* 1/s */
     pins->reversal_rate = 20.0;  /* 1/s: from one side to the other in 0.1 s */
-    pins->tool_rate = 100.0;     /* mm/s */
+    pins->tool_rate = 500.0;     /* mm/s */
     if (!failed) *pins->orientation = 1;
     return failed;
 }

@@ -261,6 +261,7 @@ def make_both(
             identified, unless the request accepts them.
     """
     errors.check_settled()
+    errors.check_not_live()
     if not request.unidentified:
         _check_identified(errors)
     if request.tables is not None and format_named(request.tables.kind).knows_machine:
