@@ -31,7 +31,7 @@ LETTERS = "XYZABCUVW"
 
 @dataclass(frozen=True)
 class Ran:
-    """What the control did.
+    """Results of a run of the control.
 
     Attributes:
         done: name and result of every action.
@@ -50,7 +50,7 @@ class Ran:
     def samples(self, name: str) -> np.ndarray:
         """Return what was recorded into a file: (n, pins)."""
         rows = [line.split() for line in (self.folder / name).read_text().splitlines()]
-        # What was lost before the first sample does not matter.
+        # Samples lost before the first one do not matter.
         rows = rows[sum(row == ["overrun"] for row in rows[:1]) :]
         assert all(len(row) >= self.pins for row in rows[:-1]), "no sample was lost"
         return np.array([row[-self.pins :] for row in rows if len(row) >= self.pins], dtype=float)

@@ -126,8 +126,8 @@ class LiveKinematics:
         ]
         if proof.damped > 0.0:
             lines.append(
-                f"  At {100 * proof.damped:.1f} % of the poses, close to a singular position, the orientation is corrected in part, the "
-                "position in full."
+                f"  At {100 * proof.damped:.1f} % of the poses, close to a singular one, the position is corrected in full and the "
+                "orientation in part."
             )
         lines += [
             "  The uncertainty of the calibration is not reduced by any correction: see `twin volume`.",
@@ -166,8 +166,8 @@ class LiveKinematics:
         lines += [
             "",
             "What it does not do",
-            "  Positions outside the range of a curve are corrected as at its end (out-of-range is TRUE). A position is not checked "
-            "against the limits of the joints with the correction added: leave some 1 mm between the limits and the stops.",
+            "  Positions outside the range of a curve are corrected as at the end of the range; out-of-range is TRUE there. The "
+            "limits of the joints do not count the correction: leave 1 mm or more between the limits and the stops.",
             f"  {CALIBRATION} records that the control corrects these errors; {CORRECTED} holds their numbers.",
         ]
         return "\n".join(lines) + "\n"
@@ -242,6 +242,7 @@ def earlier_of(errors: Calibration, *, add: bool) -> tuple[Calibration, ...]:
 def _check(errors: Calibration) -> None:
     machine = errors.machine
     errors.check_settled()
+    errors.check_not_live()
     for axis in machine.axes:
         if axis.name not in LETTERS:
             raise InputError(

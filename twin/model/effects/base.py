@@ -419,7 +419,7 @@ class HistoryShift(ToolSideShift):
 
     history = True
     time_constant: float
-    """Of the first-order lag, s."""
+    """Time constant of the lag, s."""
     starts_settled: ClassVar[bool]
     """Whether the lag is equal to its input at the first reading, or zero."""
 
