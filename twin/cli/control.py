@@ -139,7 +139,7 @@ def control(
         of_tables = {"--kinematics": kinematics, "--at": at, "--scope": scope, "--tolerance": tolerance, "--step": step}
         at_pins = {"--temperature": temperature, "--time": time, "--rpm": rpm, "--load": load}
         _check_live({**of_tables, "--tables": tables, **at_pins})
-        _write_live(errors, add, tool_length, output, json_file)
+        _write_live(errors, add, force, tool_length, output, json_file)
         return
     notes = _notes(loaded, errors)
     own: dict[str, Any] = {
@@ -242,7 +242,7 @@ def _check_live(given: Mapping[str, object]) -> None:
 
 
 def _write_live(
-    errors: Calibration, add: bool, tool_length: float | None, output: Path, json_file: Path | None
+    errors: Calibration, add: bool, force: bool, tool_length: float | None, output: Path, json_file: Path | None
 ) -> None:
     """Make the kinematics module, write the folder and print the account."""
     from twin.compensation.live import earlier_of, make_module, outputs_of, write_module
@@ -250,7 +250,7 @@ def _write_live(
     _check_folder(output, outputs_of(output))
     with progress_bar() as bar:
         bar("kinematics module", 0.0)
-        made = make_module(errors, tool_length_mm=tool_length, earlier=earlier_of(errors, add=add))
+        made = make_module(errors, tool_length_mm=tool_length, earlier=earlier_of(errors, add=add), unidentified=force)
         write_module(made, output)
     if json_file is not None:
         write_json(json_file, made.to_dict())

@@ -13,7 +13,7 @@ import numpy as np
 from twin._common.errors import InputError
 from twin._common.families import BASIC
 from twin._common.files import write_atomic
-from twin._common.provenance import ILLUSTRATIVE, warning_texts, warnings_to_json
+from twin._common.provenance import ILLUSTRATIVE, SourceWarning, merge_warnings, warning_texts, warnings_to_json
 from twin._common.records import json_form
 from twin.compensation.live.graph import Damping, LiveCorrection
 from twin.compensation.live.module import FORMAT, LETTERS, NAME, c_file, channel_of
@@ -23,6 +23,7 @@ from twin.machine.machine import Machine
 from twin.model.calibration import Calibration
 from twin.model.conditions import APPROACH
 from twin.model.effects.base import HistoryShift, RecordingState
+from twin.model.unknown_errors import check_locations_identified, nominal_locations
 from twin.tool.forward import Kinematics
 from twin.tool.uncertainty import random_approach, volume_inside_domains
 
@@ -85,6 +86,11 @@ class LiveKinematics:
     text: str
     tool_length_mm: float
 
+    @property
+    def warnings(self) -> tuple[SourceWarning, ...]:
+        """Warnings about the source of the numbers."""
+        return merge_warnings(self.errors.warnings, nominal_locations(self.errors))
+
     def to_dict(self) -> dict[str, Any]:
         """Return the account as JSON."""
         return {
@@ -93,7 +99,7 @@ class LiveKinematics:
             "machine": self.live.machine.name,
             "calibration": str(self.errors.path or "no file"),
             "illustrative": ILLUSTRATIVE in self.errors.warnings,
-            "warnings": warnings_to_json(self.errors.warnings),
+            "warnings": warnings_to_json(self.warnings),
             "tool_length_mm": self.tool_length_mm,
             "pins": [one.pin for one in map(channel_of, self.live.plain)],
             "files": list(FILES),
@@ -110,7 +116,7 @@ class LiveKinematics:
         channels = [channel_of(name) for name in self.live.plain]
         lines = [
             f"LinuxCNC kinematics with the errors of {machine.name}",
-            *warning_texts(self.errors.warnings),
+            *warning_texts(self.warnings),
             f"calibration: {self.errors.path or 'no file: the nominal machine'}",
             "",
             f"Error at the tool over the volume ({proof.poses} poses, tool {self.tool_length_mm:g} mm), by the model",
@@ -174,7 +180,11 @@ class LiveKinematics:
 
 
 def make_module(
-    errors: Calibration, *, tool_length_mm: float | None = None, earlier: Sequence[Calibration] = ()
+    errors: Calibration,
+    *,
+    tool_length_mm: float | None = None,
+    earlier: Sequence[Calibration] = (),
+    unidentified: bool = False,
 ) -> LiveKinematics:
     """Make the module.
 
@@ -182,13 +192,17 @@ def make_module(
         errors: the errors to be corrected.
         tool_length_mm: tool length for which the effect over the volume is computed; None: that of the machine file.
         earlier: errors that the control corrected already when ``errors`` were measured.
+        unidentified: whether the module is made although locations of rotary axes were not identified.
 
     Raises:
-        InputError: a chain that the module does not carry; an axis that is no word of LinuxCNC; a channel without a pin; an estimate
-            that did not settle; a correction too steep for the forward kinematics.
+        InputError: a location that was not identified, unless that is accepted; a chain that the module does not carry; an axis that
+            is no word of LinuxCNC; a channel without a pin; an estimate that did not settle; errors that the control corrects
+            already; a correction too steep for the forward kinematics.
     """
     machine = errors.machine
     _check(errors)
+    if not unidentified:
+        check_locations_identified(errors)
     bare = [one.with_control(None) for one in (*earlier, errors)]
     plain = _channels(bare)
     length = machine.tool_length_mm if tool_length_mm is None else tool_length_mm
@@ -206,7 +220,7 @@ def make_module(
     largest = MARGIN * np.array(proof.largest) * machine.scale
     header = [
         f"LinuxCNC kinematics with the errors of {machine.name}, written by twin. Build: halcompile --install {NAME}.c",
-        *warning_texts(errors.warnings),
+        *warning_texts(merge_warnings(errors.warnings, nominal_locations(errors))),
         *(f"calibration: {one.path or 'nominal'}" for one in (*earlier, errors)),
         TEXT_OF_SOURCE,
     ]
