@@ -76,7 +76,7 @@ def test_without_orientation_the_rotary_axes_stay(errors: twin.Calibration) -> N
 
 
 def test_the_correction_can_be_undone_everywhere(errors: twin.Calibration) -> None:
-    """Its slope is below one half, also at a singular position and beyond the ranges: n → n + c(n) is invertible."""
+    """The slope is below one half, also at a singular position and beyond the ranges: n → n + c(n) is invertible."""
     machine, live = errors.machine, make_module(errors, tool_length_mm=TOOL_MM).live
     tool, still = np.array([0.0, 0.0, 1e-3 * TOOL_MM]), np.zeros(len(machine.axes))
     n = poses(machine, 200)

@@ -33,7 +33,7 @@ REVERSAL_MM: Final = 0.001
 
 @final
 @dataclass(frozen=True)
-class Channel:
+class SuppliedChannel:
     """A channel that the control supplies.
 
     Attributes:
@@ -54,18 +54,18 @@ class Channel:
     rate: float
 
 
-def channel_of(name: str) -> Channel:
+def channel_of(name: str) -> SuppliedChannel:
     """Return the pin of a channel.
 
     Raises:
         InputError: a channel that has no pin.
     """
     if is_temperature(name):
-        return Channel(name, f"temperature-{sensor_of(name)}", "degC", 20.0, 0.0, 60.0, 0.2)
+        return SuppliedChannel(name, f"temperature-{sensor_of(name)}", "degC", 20.0, 0.0, 60.0, 0.2)
     known = {
-        SPEED: Channel(name, "spindle-speed", "1/min", 0.0, 0.0, 1e6, 1e6),
-        TIME: Channel(name, "time", "s since the start of the measurement's clock", 0.0, 0.0, 1e8, 1e8),
-        LOAD: Channel(name, "load", "kg", 0.0, 0.0, 1e5, 50.0),
+        SPEED: SuppliedChannel(name, "spindle-speed", "1/min", 0.0, 0.0, 1e6, 1e6),
+        TIME: SuppliedChannel(name, "time", "s since the start of the measurement's clock", 0.0, 0.0, 1e8, 1e8),
+        LOAD: SuppliedChannel(name, "load", "kg", 0.0, 0.0, 1e5, 50.0),
     }
     if name not in known:
         raise InputError(
