@@ -10,12 +10,14 @@ import numpy as np
 import pytest
 
 from tests.cli.test_warnings_travel import PROGRAMS, run
-from twin.compensation.tables.kinematics import nominal_locations
+from twin._common.errors import InputError
+from twin.compensation.live import make_module
 from twin.identification.thesis import identify_as_thesis
 from twin.machine.machine import Machine
 from twin.measurement.instruments import LaserTracker
 from twin.measurement.simulate import simulate
 from twin.model.calibration import Calibration
+from twin.model.unknown_errors import nominal_locations
 from twin.samples import thesis_plan
 
 Files = dict[str, Path]
@@ -187,3 +189,5 @@ def test_the_thesis_method_says_what_it_cannot_identify(
     found.save(tmp_path / "thesis.yaml")
     assert Calibration.load(tmp_path / "thesis.yaml", dmu50).not_identifiable == found.not_identifiable
     assert [one.errors for one in nominal_locations(found)] == [dmu50.location_names]  # bars kinematics
+    with pytest.raises(InputError, match="were not identified"):
+        make_module(found)

@@ -75,6 +75,8 @@ EFFECTS: Final = {
     "carried_load": "gravity_compliance:CARRIED_LOAD",
 }
 """Effects of a machine: `twin.model.effects`."""
+LIVE_FORMATS: Final = ("linuxcnc-kinematics",)
+"""Kinematics modules that a control executes in every cycle: `twin.compensation.live`."""
 SEQUENCES: Final = {
     "best": "moves:BEST",
     "turns": "moves:TURNS",

@@ -11,6 +11,7 @@ import typer
 
 from twin._common.bundled import DEFAULT
 from twin._common.errors import InputError
+from twin._common.families import LIVE_FORMATS
 from twin._common.files import check_folder, check_writable, write_json
 from twin.cli.shared.command import POSITIVE, JsonOption, Output, command, progress_bar
 from twin.cli.shared.complete import LISTS, one_of
@@ -49,7 +50,7 @@ if TYPE_CHECKING:
 Files = Annotated[list[Path] | None, typer.Argument(metavar="FILES", help="Files of the control, with --read.")]
 To = Annotated[
     str | None,
-    typer.Option("--to", help="Format of the tables to write.", **one_of("table_formats")),
+    typer.Option("--to", help="Format of the tables, or kinematics module, to write.", **one_of("written_formats")),
 ]
 OutputFolder = Annotated[
     Path | None, typer.Option("--output", "-o", help="Folder for the tables."), Output(folder=True)
@@ -90,6 +91,7 @@ Force = Annotated[bool, typer.Option("--force", help=FORCE_HELP)]
     "twin control --to siemens -o tables/ --tool-length 120",
     "twin control --to linuxcnc -o tables/ -c mine.yaml --at Y=225 Z=-200 --tolerance 0.0005 --json tables.json",
     "twin control --kinematics siemens-chain --to siemens -o control/ --tool-length 120",
+    "twin control --to linuxcnc-kinematics -o live/ -c mine.yaml --tool-length 120",
     "twin control --read X.comp Y.comp joints.ini --format linuxcnc -c mine.yaml",
 )
 def control(
@@ -133,6 +135,12 @@ def control(
     if read and kind is not None and files:
         _read(errors, kind, files, fixed, tool_length, around, json_file)
         return
+    if to in LIVE_FORMATS and output is not None:
+        of_tables = {"--kinematics": kinematics, "--at": at, "--scope": scope, "--tolerance": tolerance, "--step": step}
+        at_pins = {"--temperature": temperature, "--time": time, "--rpm": rpm, "--load": load}
+        _check_live({**of_tables, "--tables": tables, **at_pins})
+        _write_live(errors, add, force, tool_length, output, json_file)
+        return
     notes = _notes(loaded, errors)
     own: dict[str, Any] = {
         "at": fixed,
@@ -173,7 +181,7 @@ def _check_use(
         expected = "FILES --format F, and neither --to nor --kinematics nor -o"
         raise InputError("invalid use of --read", expected=expected, value=" ".join(map(str, files or [])))
     if not read and ((to is None and kinematics is None) or output is None or files or kind is not None):
-        formats = f"--to {'|'.join(LISTS['table_formats'])} or --kinematics {'|'.join(LISTS['kinematics_formats'])}"
+        formats = f"--to {'|'.join(LISTS['written_formats'])} or --kinematics {'|'.join(LISTS['kinematics_formats'])}"
         raise InputError("no output chosen", expected=f"{formats} with -o FOLDER, or --read FILES --format F")
 
 
@@ -220,6 +228,34 @@ def _write(machine: Machine, errors: Calibration, request: Request, output: Path
         account = write_folder(made, errors, known, missing, output)
     _print(account, errors, request.conditions, json_file)
     _finish(account, output, written_by(made), json_file)
+
+
+def _check_live(given: Mapping[str, object]) -> None:
+    """Raise `InputError` if an option is given that means nothing for a kinematics module."""
+    for option, value in given.items():
+        if value is not None:
+            raise InputError(
+                f"{option} means nothing for a kinematics module: it corrects all errors, and conditions come to its pins",
+                expected="--to linuxcnc-kinematics with -o, -m, -c, --tool-length, --add, --json",
+                setting=option.removeprefix("--"),
+            )
+
+
+def _write_live(
+    errors: Calibration, add: bool, force: bool, tool_length: float | None, output: Path, json_file: Path | None
+) -> None:
+    """Make the kinematics module, write the folder and print the account."""
+    from twin.compensation.live import earlier_of, make_module, outputs_of, write_module
+
+    _check_folder(output, outputs_of(output))
+    with progress_bar() as bar:
+        bar("kinematics module", 0.0)
+        made = make_module(errors, tool_length_mm=tool_length, earlier=earlier_of(errors, add=add), unidentified=force)
+        write_module(made, output)
+    if json_file is not None:
+        write_json(json_file, made.to_dict())
+    echo(made.to_text(), end="")
+    echo(f"\nwritten: {output}/ {' '.join(path.name for path in outputs_of(output))}")
 
 
 def _write_kinematics(errors: Calibration, request: KinematicsRequest, output: Path, json_file: Path | None) -> None:

@@ -13,6 +13,8 @@ The `control:` section of a calibration file: which tables are active, and wheth
 corrected only for the remainder. ``remaining``: the errors were measured with the tables active and remain with them. A program is
 corrected for all of them; a new table must be added to the old one and cannot replace it.
 
+``live``: a kinematics module executes the errors of these calibrations in every cycle (`twin.compensation.live`).
+
 ``kinematics``: the control's transformation has the locations of the rotary axes in this file (`twin.controls.kinematics`). It
 acts in tool centre point mode only, and new kinematics always replace the old ones: errors are measured without a transformation.
 """
@@ -82,16 +84,18 @@ class ControlSection:
         errors_are: ``uncorrected`` or ``remaining``.
         tables: the tables active in the control.
         kinematics: the file of the transformation's kinematics, if they were written from a calibration; at most one.
+        live: calibrations whose errors a kinematics module in the control corrects, completely.
     """
 
     errors_are: ErrorsAre
     tables: tuple[TableEntry, ...]
     kinematics: tuple[TableEntry, ...] = ()
+    live: tuple[TableEntry, ...] = ()
 
     @property
     def entries(self) -> tuple[TableEntry, ...]:
         """All its files."""
-        return (*self.tables, *self.kinematics)
+        return (*self.tables, *self.kinematics, *self.live)
 
     @property
     def formats(self) -> tuple[str, ...]:
@@ -126,7 +130,8 @@ class ControlSection:
             ]
 
         found: dict[str, Any] = {"errors_are": self.errors_are, "tables": listed(self.tables)}
-        return found | ({"kinematics": listed(self.kinematics)} if self.kinematics else {})
+        more = {"kinematics": self.kinematics, "live": self.live}
+        return found | {name: listed(entries) for name, entries in more.items() if entries}
 
     def of(self, kind: str) -> tuple[TableEntry, ...]:
         """Return the tables of one format."""

@@ -319,6 +319,15 @@ class Calibration(DisplayedResult):
                 value="settled: false",
             )
 
+    def check_not_live(self) -> None:
+        """Raise `InputError` if a kinematics module in the control corrects these errors already."""
+        if self.control is not None and self.control.live and self.control.errors_are == "uncorrected":
+            raise InputError(
+                "a kinematics module in the control corrects these errors: they would be corrected twice",
+                expected=f"programs as they are; with the module switched off, the calibration {self.control.live[-1].file.name}",
+                file=self.path,
+            )
+
     def with_tool(self, tool_length_mm: float) -> Calibration:
         """Return the same errors for a tool of the given length, where the control's correction depends on it."""
         corrections = tuple(correction.with_tool(tool_length_mm) for correction in self.corrections)
@@ -625,11 +634,13 @@ class _Check:
 
     def control(self, entry: ControlEntry) -> ControlSection:
         folder = self.path.parent
-        tables, kinematics = (
-            tuple(TableEntry(folder / one.file, one.format, one.classes, one.sha256) for one in listed)
-            for listed in (entry.tables, entry.kinematics)
+        return ControlSection(
+            entry.errors_are,
+            *(
+                tuple(TableEntry(folder / one.file, one.format, one.classes, one.sha256) for one in listed)
+                for listed in (entry.tables, entry.kinematics, entry.live)
+            ),
         )
-        return ControlSection(entry.errors_are, tables, kinematics)
 
     def joint(self, entry: CovarianceEntry, calibration: Calibration) -> Covariance:
         known = [parameter.name for effect in calibration.effects for parameter in effect.parameters]

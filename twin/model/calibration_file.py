@@ -324,11 +324,12 @@ class ControlEntry(BaseModel):
     errors_are: Literal["uncorrected", "remaining"]
     tables: tuple[TableFileEntry, ...] = ()
     kinematics: Annotated[tuple[TableFileEntry, ...], Field(max_length=1)] = ()
+    live: tuple[TableFileEntry, ...] = ()
 
     @model_validator(mode="after")
     def _not_empty(self) -> ControlEntry:
-        if not self.tables and not self.kinematics:
-            raise ValueError("tables or kinematics are required")
+        if not (self.tables or self.kinematics or self.live):
+            raise ValueError("tables, kinematics or live are required")
         return self
 
 

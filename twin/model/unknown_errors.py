@@ -16,6 +16,8 @@ import casadi as ca
 import numpy as np
 
 from twin._common.arrays import read_only
+from twin._common.errors import InputError
+from twin._common.provenance import NOMINAL_KINEMATICS, SourceWarning
 from twin.machine.machine import Machine
 from twin.model.calibration import Calibration
 from twin.model.calibration_file import UnidentifiedEntry
@@ -74,6 +76,26 @@ def _effect(name: str, machine: Machine) -> Effect:
         return AxisLocation(name, 0.0)
     axis = machine.by_name[split_name(name)[2]]
     return ErrorMotion(name, basis_named("power")(()), axis.domain, (0.0,), wrapped=axis.lower is None)
+
+
+def nominal_locations(errors: Calibration) -> tuple[SourceWarning, ...]:
+    """Return a warning of the locations that were not identified: kinematics hold the nominal value of each, or one that is a guess."""
+    unknown = {error.name for error in errors.not_identifiable} | (set(errors.not_estimated) - set(errors.location))
+    names = [name for name in errors.machine.location_names if name in unknown]
+    return (NOMINAL_KINEMATICS.about(names),) if names else ()
+
+
+def check_locations_identified(errors: Calibration) -> None:
+    """Raise `InputError` if a location was not identified: the file would overwrite what the control's own cycle has calibrated."""
+    for warning in nominal_locations(errors):
+        why = {error.name: error.why for error in errors.not_identifiable}
+        reason = why.get(warning.errors[0], "it was left out of the estimate")
+        raise InputError(
+            f"{', '.join(warning.errors)} were not identified: kinematics with them would hold values that are not measured",
+            expected=f"the location of every rotary axis identified ({warning.errors[0]}: {reason}), or a file not measured in full",
+            file=errors.path,
+            setting="force",
+        )
 
 
 # --- The errors of a model as one vector, the input of `twin.machine.chain` -----------------------

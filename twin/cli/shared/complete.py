@@ -35,6 +35,7 @@ LISTS: Final[Mapping[str, Sequence[str]]] = MappingProxyType(
         "drift_instruments": families.DRIFT_INSTRUMENTS,
         "measured_formats": tuple(families.MEASURED_FORMATS),
         "table_formats": tuple(families.TABLE_FORMATS),
+        "written_formats": (*families.TABLE_FORMATS, *families.LIVE_FORMATS),
         "kinematics_formats": tuple(families.KINEMATICS_FORMATS),
         "control_formats": (*families.TABLE_FORMATS, *families.KINEMATICS_FORMATS),
         "effects": tuple(families.EFFECTS),

@@ -97,6 +97,7 @@ class PreparedMachine:
         self._given = calibration
         self._within: dict[WordSpace, PreparedMachine] = {}
         calibration.check_settled()
+        calibration.check_not_live()
         self.calibration = calibration = calibration.with_transformation() if options.tcp else calibration
         options.conditions.require(calibration)
         self.by_block = channels_by_block(calibration, options.conditions)

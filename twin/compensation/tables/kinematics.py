@@ -14,7 +14,6 @@ from twin._common.families import BASIC
 from twin._common.files import write_atomic
 from twin._common.provenance import (
     ILLUSTRATIVE,
-    NOMINAL_KINEMATICS,
     SourceWarning,
     merge_warnings,
     warning_texts,
@@ -29,6 +28,7 @@ from twin.controls import ControlSection, TableEntry, format_named
 from twin.controls.kinematics import TableGeometry, linear_shift
 from twin.model.calibration import Calibration
 from twin.model.conditions import Conditions
+from twin.model.unknown_errors import check_locations_identified, nominal_locations
 from twin.tool.uncertainty import volume
 
 CLASSES: Final = ("R-POR",)
@@ -226,26 +226,6 @@ def kinematics_outputs(folder: Path, request: KinematicsRequest, made: ConstantK
     return list(dict.fromkeys([*tables, *(folder / name for name in (made.form.file, README, CALIBRATION))]))
 
 
-def nominal_locations(errors: Calibration) -> tuple[SourceWarning, ...]:
-    """Return a warning of the locations that were not identified: kinematics hold the nominal value of each, or one that is a guess."""
-    unknown = {error.name for error in errors.not_identifiable} | (set(errors.not_estimated) - set(errors.location))
-    names = [name for name in errors.machine.location_names if name in unknown]
-    return (NOMINAL_KINEMATICS.about(names),) if names else ()
-
-
-def _check_identified(errors: Calibration) -> None:
-    """Raise `InputError` if a location was not identified: the file would overwrite what the control's own cycle has calibrated."""
-    for warning in nominal_locations(errors):
-        why = {error.name: error.why for error in errors.not_identifiable}
-        reason = why.get(warning.errors[0], "it was left out of the estimate")
-        raise InputError(
-            f"{', '.join(warning.errors)} were not identified: kinematics with them would hold values that are not measured",
-            expected=f"the location of every rotary axis identified ({warning.errors[0]}: {reason}), or a file not measured in full",
-            file=errors.path,
-            setting="force",
-        )
-
-
 def make_both(
     errors: Calibration, known: Calibration, request: KinematicsRequest
 ) -> tuple[ConstantKinematics, ControlTables | None]:
@@ -261,8 +241,9 @@ def make_both(
             identified, unless the request accepts them.
     """
     errors.check_settled()
+    errors.check_not_live()
     if not request.unidentified:
-        _check_identified(errors)
+        check_locations_identified(errors)
     if request.tables is not None and format_named(request.tables.kind).knows_machine:
         raise InputError(
             "these tables correct the location of the rotary axes themselves: with kinematics in addition it would be corrected twice",

@@ -346,6 +346,7 @@ def make(
     if not request.tolerance_um > 0.0:
         raise InputError("tolerance must be positive", expected="µm", value=request.tolerance_um)
     calibration.check_settled()
+    calibration.check_not_live()
     form = request.form
     doubts = (f"not checked against public documentation: {one}" for one in form.unchecked)
     held = values_in_words(request.conditions.used(calibration)).replace("°C", "degC")

@@ -418,6 +418,18 @@ class HistoryShift(ToolSideShift):
     """
 
     history = True
+    time_constant: float
+    """Time constant of the lag, s."""
+    starts_settled: ClassVar[bool]
+    """Whether the lag is equal to its input at the first reading, or zero."""
+
+    @abstractmethod
+    def driven(self, positions: Mapping[str, Any]) -> Any:
+        """Return the input of the lag whose output is the derivative by the first parameter.
+
+        Raises:
+            InputError: a channel that the effect needs is missing.
+        """
 
     @property
     def factor_channels(self) -> tuple[str, ...]:

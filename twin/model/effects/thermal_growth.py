@@ -148,6 +148,8 @@ class ThermalLag(HistoryShift):
         time_constant: τ, s.
     """
 
+    starts_settled = True
+
     def __init__(self, side: ToolSide, sensor: str, coefficient: float, time_constant: float) -> None:
         super().__init__(f"thermal_lag:{side.direction} by {sensor}", side)
         self.sensor = sensor
@@ -166,9 +168,13 @@ class ThermalLag(HistoryShift):
             self._number("time_constant", "s", self.time_constant),
         )
 
+    def driven(self, positions: Mapping[str, Any]) -> Any:
+        """See `HistoryShift.driven`; needs ``T_<sensor>_degC``."""
+        return channel(positions, f"T_{self.sensor}_degC", self.name) - REFERENCE_DEGC
+
     def factors(self, state: Mapping[str, Any]) -> Sequence[np.ndarray]:
         """See `HistoryShift.factors`; needs ``T_<sensor>_degC``, and ``time_s`` if there is more than one reading."""
-        warm = np.asarray(channel(state, f"T_{self.sensor}_degC", self.name), dtype=float) - REFERENCE_DEGC
+        warm = np.asarray(self.driven(state), dtype=float)
         if warm.size == 1:
             return warm, np.zeros_like(warm)
         time = np.broadcast_to(np.asarray(channel(state, TIME, self.name), dtype=float), warm.shape)

@@ -1,0 +1,205 @@
+"""The kinematics module for LinuxCNC: what its functions do, and what is refused; `tests/linuxcnc` lets the control execute it."""
+
+from __future__ import annotations
+
+import ctypes
+import json
+import shutil
+import subprocess
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import twin
+from tests.cli.commands import TWIN
+from twin._common.errors import InputError
+from twin.compensation.live import earlier_of, make_module, write_module
+from twin.compensation.live.graph import Damping, LiveCorrection
+
+TOOL_MM = 120.0
+MACHINES = ("dmu50", "trunnion_ac", "xyzbc_trunnion")
+
+
+def with_errors(name: str, size: float = 60.0) -> twin.Calibration:
+    """Return a calibration with constant errors of a size, and curves where the machine has them."""
+    machine, rng = twin.Machine.load(name), np.random.default_rng(3)
+    draw = lambda names: {one: float(rng.normal(0.0, size)) for one in names}  # noqa: E731
+    errors = twin.Calibration.default(machine)
+    return replace(errors, squareness=draw(machine.squareness_names), location=draw(machine.location_names))
+
+
+@pytest.fixture(scope="module", params=MACHINES)
+def errors(request: pytest.FixtureRequest) -> twin.Calibration:
+    return with_errors(request.param)
+
+
+def poses(machine: twin.Machine, count: int = 300) -> np.ndarray:
+    """Return positions inside the ranges, away from their ends by more than any correction: metres and radians."""
+    low, high = np.array([axis.domain for axis in machine.axes]).T
+    share = np.random.default_rng(1).uniform(0.02, 0.98, (count, len(machine.axes)))
+    return (low + share * (high - low)) * machine.scale
+
+
+def test_the_machine_with_errors_goes_where_the_program_means(errors: twin.Calibration) -> None:
+    machine = errors.machine
+    made = make_module(errors, tool_length_mm=TOOL_MM)
+    n = poses(machine)
+    tool = np.array([0.0, 0.0, 1e-3 * TOOL_MM])
+    still = np.zeros(len(machine.axes))
+    c = np.array([made.live.correction(row, still, tool, 1.0) for row in n]).reshape(n.shape)
+    real, nominal = (
+        twin.Kinematics(machine, one, tool_length_mm=TOOL_MM) for one in (errors, twin.Calibration.zero(machine))
+    )
+    (turn, goal), (after, reached), (before, plain) = nominal.reached(n), real.reached(n + c), real.reached(n)
+    assert np.linalg.norm(plain - goal, axis=1).max() > 50e-6
+    assert np.linalg.norm(reached - goal, axis=1).max() < 0.05e-6
+    sigma = np.array([float(made.live.slopes(row, still, tool)[0]) for row in n])
+    whole = sigma > made.live.damping.region
+    assert 0.3 < whole.mean() < 1.0
+    tilt = np.linalg.norm((after - turn)[:, 6:], axis=1)
+    assert tilt[whole].max() < 1e-8 < 1e-4 < np.linalg.norm((before - turn)[:, 6:], axis=1).max()
+    assert np.all(tilt <= 1.01 * np.linalg.norm((before - turn)[:, 6:], axis=1) + 1e-9)
+
+
+def test_without_orientation_the_rotary_axes_stay(errors: twin.Calibration) -> None:
+    machine, live = errors.machine, make_module(errors, tool_length_mm=TOOL_MM).live
+    n, tool = poses(machine, 5), np.array([0.0, 0.0, 1e-3 * TOOL_MM])
+    real, nominal = (
+        twin.Kinematics(machine, one, tool_length_mm=TOOL_MM) for one in (errors, twin.Calibration.zero(machine))
+    )
+    for row in n:
+        c = np.array(live.correction(row, np.zeros(len(row)), tool, 0.0)).ravel()
+        assert np.all(c[list(machine.rotary)] == 0.0)
+        assert np.linalg.norm(real.reached((row + c)[None])[1] - nominal.reached(row[None])[1]) < 0.05e-6
+
+
+def test_the_correction_can_be_undone_everywhere(errors: twin.Calibration) -> None:
+    """The slope is below one half, also at a singular position and beyond the ranges: n → n + c(n) is invertible."""
+    machine, live = errors.machine, make_module(errors, tool_length_mm=TOOL_MM).live
+    tool, still = np.array([0.0, 0.0, 1e-3 * TOOL_MM]), np.zeros(len(machine.axes))
+    n = poses(machine, 200)
+    first = machine.rotary[0]
+    n[:100, first] = np.random.default_rng(5).uniform(-0.1, 0.1, 100)
+    n[100:110] *= 2.0
+    for row in n:
+        slope = np.array(live.slopes(row, still, tool)[1])
+        assert np.all(np.isfinite(slope)) and np.linalg.norm(slope, 2) < 0.5
+
+
+@pytest.mark.parametrize("name", MACHINES)
+def test_coordinates_of_the_workpiece_and_axes_are_inverse(name: str) -> None:
+    machine = twin.Machine.load(name)
+    live = LiveCorrection([twin.Calibration.zero(machine)], (), Damping.for_tilt(0.0))
+    tool, linear = np.array([0.01, -0.02, 0.12]), list(machine.linear)
+    nominal = twin.Kinematics(machine, twin.Calibration.zero(machine), tool_length_mm=120.0)
+    for row in poses(machine, 10):
+        words = row.copy()
+        words[linear] = np.array(live.to_workpiece(row, tool)).ravel()
+        assert np.allclose(np.array(live.to_axes(words, tool)).ravel(), row[linear], atol=1e-14)
+        at_rest = np.where(np.isin(np.arange(len(row)), linear), row, 0.0)
+        assert np.allclose(np.array(live.to_workpiece(at_rest, tool)).ravel(), row[linear] - tool, atol=1e-14)
+        # A point of the workpiece: the distance of two tips on the table is that of their coordinates.
+        other = row.copy()
+        other[linear] += [0.03, -0.02, 0.01]
+        ends = [np.array(live.to_workpiece(one, np.array([0, 0, 0.12]))).ravel() for one in (row, other)]
+        tips = nominal.reached(np.array([row, other]))[1]
+        assert np.linalg.norm(ends[1] - ends[0]) == pytest.approx(np.linalg.norm(tips[1] - tips[0]), abs=1e-14)
+
+
+@pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler")
+def test_the_c_file_computes_what_the_graph_does(errors: twin.Calibration, tmp_path: Path) -> None:
+    made = make_module(errors, tool_length_mm=TOOL_MM)
+    text = made.text.partition("/* --- What follows")[0]
+    (tmp_path / "functions.c").write_text(text)
+    command = ["cc", "-O1", "-w", "-shared", "-fPIC", "functions.c", "-o", "functions.so", "-lm"]
+    subprocess.run(command, cwd=tmp_path, check=True)
+    library = ctypes.CDLL(str(tmp_path / "functions.so"))
+    numbers = ctypes.POINTER(ctypes.c_double)
+    n = poses(errors.machine, 20)
+    still, tool, one = np.zeros(n.shape[1]), np.array([0.0, 0.0, 0.12]), np.ones(1)
+    for row in n:
+        found = np.zeros(n.shape[1])
+        arguments = (numbers * 4)(*(value.ctypes.data_as(numbers) for value in (row.copy(), still, tool, one)))
+        assert library.twin_correction(arguments, (numbers * 1)(found.ctypes.data_as(numbers)), None, None, None) == 0
+        expected = np.array(made.live.correction(row, still, tool, 1.0)).ravel()
+        assert np.allclose(found, expected, rtol=0.0, atol=1e-13)
+
+
+def test_the_folder_knows_what_the_control_corrects(tmp_path: Path) -> None:
+    errors = with_errors("dmu50")
+    errors.save(tmp_path / "mine.yaml")
+    words = [*TWIN, "control", "--to", "linuxcnc-kinematics", "-o", "live", "-c", "mine.yaml", "--json", "a.json"]
+    done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    account = json.loads((tmp_path / "a.json").read_text())
+    assert account["point_after_um"][1] < 0.1 < 50.0 < account["point_before_um"][0]
+    assert (tmp_path / "live" / "README.txt").read_text() in done.stdout
+    written = twin.Calibration.load(tmp_path / "live" / "calibration.yaml", errors.machine)
+    corrected = twin.Calibration.load(tmp_path / "live" / "corrected.yaml", errors.machine)
+    assert corrected.location == pytest.approx(dict(errors.location))
+    for use in (
+        lambda: make_module(written),
+        lambda: earlier_of(written, add=True),
+        lambda: twin.compensate("cone_frustum.nc", errors.machine, written),
+    ):
+        with pytest.raises(InputError, match="would be corrected twice"):
+            use()
+    assert twin.compensate("cone_frustum.nc", errors.machine, corrected).report.complete
+
+
+def test_errors_measured_with_the_module_are_added_to_its_own(tmp_path: Path) -> None:
+    errors, rest = with_errors("dmu50"), with_errors("dmu50", 7.0)
+    write_module(make_module(errors), tmp_path / "first")
+    section = twin.Calibration.load(tmp_path / "first" / "calibration.yaml", errors.machine).control
+    remaining = rest.with_control(replace(section, errors_are="remaining"))
+    with pytest.raises(InputError, match="--add"):
+        earlier_of(remaining, add=False)
+    earlier = earlier_of(remaining, add=True)
+    both = make_module(remaining, earlier=earlier, tool_length_mm=TOOL_MM).live
+    locations = {name: value + rest.location[name] for name, value in errors.location.items()}
+    angles = {name: value + rest.squareness[name] for name, value in errors.squareness.items()}
+    curves = {
+        name: replace(curve, coefficients=tuple(2.0 * value for value in curve.coefficients))
+        for name, curve in errors.curves.items()
+    }
+    alone = make_module(
+        replace(errors, curves=curves, location=locations, squareness=angles), tool_length_mm=TOOL_MM
+    ).live
+    row, tool = poses(errors.machine, 1)[0], np.array([0.0, 0.0, 0.12])
+    found, expected = (np.array(one.correction(row, np.zeros(5), tool, 1.0)).ravel() for one in (both, alone))
+    assert np.allclose(found, expected, rtol=1e-9)
+
+
+def test_effects_of_time_and_temperature_get_pins() -> None:
+    machine = twin.Machine.load("dmu50")
+    lag = {"coefficient": 5.0, "time_constant": 600.0}
+    growth = {"amplitude": 20.0, "exponent": 1.5, "time_constant": 300.0, "highest_rpm": 12000.0}
+    extra = (
+        twin.effect_named("thermal_lag", "Z by bed", lag, machine),
+        twin.effect_named("spindle_growth", "Z", growth, machine),
+    )
+    made = make_module(replace(twin.Calibration.default(machine), extra=extra))
+    assert made.to_dict()["pins"] == ["temperature-bed", "spindle-speed"]
+    drives = np.array(made.live.drives(np.array([0, 0, 0, 0, 0, 26.0, 6000.0, 0.0, 0.0]))).ravel()
+    assert drives == pytest.approx([6.0, 0.5**1.5])
+    row, tool = poses(machine, 1)[0], np.array([0.0, 0.0, 0.12])
+    rest, warm = (
+        np.array(made.live.correction(row, np.array([0, 0, 0, 0, 0, 20.0, 0.0, *lags]), tool, 1.0)).ravel()
+        for lags in ((0.0, 0.0), (6.0, 0.5))
+    )
+    assert (warm - rest)[2] == pytest.approx(-40e-6, rel=1e-2)  # 6 K · 5 µm/K + half of 20 µm
+
+
+def test_what_it_cannot_carry_is_refused(tmp_path: Path) -> None:
+    machine = twin.Machine.load("dmu50")
+    errors = twin.Calibration.default(machine)
+    growth = twin.effect_named("thermal_growth", "Z by oil tank", {"coefficient": 1.0}, machine)
+    with pytest.raises(InputError, match="name of a pin"):
+        make_module(replace(errors, extra=(growth,)))
+    with pytest.raises(InputError, match="did not settle"):
+        make_module(replace(errors, settled=False))
+    words = [*TWIN, "control", "--to", "linuxcnc-kinematics", "-o", str(tmp_path / "no"), "--step", "5"]
+    done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 2 and "--step means nothing" in done.stderr and not (tmp_path / "no").exists()

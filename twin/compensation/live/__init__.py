@@ -1,0 +1,8 @@
+"""Volumetric compensation inside the control: kinematics with errors, executed by the control in every cycle.
+
+Manual: `twin doc control`.
+"""
+
+from twin.compensation.live.folder import LiveKinematics, Proof, earlier_of, make_module, outputs_of, write_module
+
+__all__ = ["LiveKinematics", "Proof", "earlier_of", "make_module", "outputs_of", "write_module"]

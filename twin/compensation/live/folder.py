@@ -1,0 +1,424 @@
+"""Make the kinematics module, check it over the volume, and write its folder."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Final, final
+
+import numpy as np
+
+from twin._common.errors import InputError
+from twin._common.families import BASIC
+from twin._common.files import write_atomic
+from twin._common.provenance import ILLUSTRATIVE, SourceWarning, merge_warnings, warning_texts, warnings_to_json
+from twin._common.records import json_form
+from twin.compensation.live.graph import Damping, LiveCorrection
+from twin.compensation.live.module import FORMAT, LETTERS, NAME, c_file, channel_of
+from twin.compute.along import BatchFunction
+from twin.controls import ControlSection, TableEntry, file_sha256
+from twin.machine.machine import Machine
+from twin.model.calibration import Calibration
+from twin.model.conditions import APPROACH
+from twin.model.effects.base import HistoryShift, RecordingState
+from twin.model.unknown_errors import check_locations_identified, nominal_locations
+from twin.tool.forward import Kinematics
+from twin.tool.uncertainty import random_approach, volume_inside_domains
+
+SCHEMA: Final = "twin.compensation.live/1"
+README: Final = "README.txt"
+CALIBRATION: Final = "calibration.yaml"
+CORRECTED: Final = "corrected.yaml"
+FILES: Final = (f"{NAME}.c", f"{NAME}.hal", f"{NAME}.ini", README, CORRECTED, CALIBRATION)
+MARGIN: Final = 1.5
+"""Factor on the largest tilt and the largest correction seen over the volume: tools and temperatures differ from those tried."""
+PIN_NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,30}")
+"""Characters of a pin of HAL; its name has at most 47 with the prefix."""
+TEXT_OF_SOURCE: Final = (
+    "This file holds the numbers and formulas of your machine, and the code of the module. MODULE_LICENSE is what LinuxCNC asks of "
+    "every module."
+)
+
+
+@final
+@dataclass(frozen=True)
+class Proof:
+    """The correction over the volume, evaluated from the functions in the file.
+
+    Attributes:
+        poses: number of poses, each with random directions of approach and random values of the channels.
+        point_before_um, point_after_um: RMS and largest error of the tool centre point, without the correction and with it.
+        tilt_before_urad, tilt_after_urad: RMS and largest tilt of the tool axis.
+        damped: share of the poses that are close to a singular position, where the orientation is corrected in part.
+        largest: (axes,) largest correction, mm and degrees.
+        steepest: largest change of the correction with a position; below 1 the forward kinematics exists.
+    """
+
+    poses: int
+    point_before_um: tuple[float, float]
+    point_after_um: tuple[float, float]
+    tilt_before_urad: tuple[float, float]
+    tilt_after_urad: tuple[float, float]
+    damped: float
+    largest: tuple[float, ...]
+    steepest: float
+
+
+@final
+@dataclass(frozen=True)
+class LiveKinematics:
+    """The module and what it does.
+
+    Attributes:
+        live: the correction.
+        proof: its effect over the volume.
+        errors: the calibration it was made from.
+        earlier: calibrations that the control corrected already when that one was measured; their errors are added.
+        text: the C file.
+    """
+
+    live: LiveCorrection
+    proof: Proof
+    errors: Calibration
+    earlier: tuple[Calibration, ...]
+    text: str
+    tool_length_mm: float
+
+    @property
+    def warnings(self) -> tuple[SourceWarning, ...]:
+        """Warnings about the source of the numbers."""
+        return merge_warnings(self.errors.warnings, nominal_locations(self.errors))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the account as JSON."""
+        return {
+            "schema": SCHEMA,
+            "format": FORMAT,
+            "machine": self.live.machine.name,
+            "calibration": str(self.errors.path or "no file"),
+            "illustrative": ILLUSTRATIVE in self.errors.warnings,
+            "warnings": warnings_to_json(self.warnings),
+            "tool_length_mm": self.tool_length_mm,
+            "pins": [one.pin for one in map(channel_of, self.live.plain)],
+            "files": list(FILES),
+            **json_form(self.proof),
+        }
+
+    def to_text(self) -> str:
+        """Return README.txt, which is also printed."""
+        machine, proof, names = self.live.machine, self.proof, self.live.machine.names
+        corrections = ", ".join(
+            f"{name} {size:.4f} {'mm' if axis.linear else '°'}"
+            for name, size, axis in zip(names, proof.largest, machine.axes, strict=True)
+        )
+        channels = [channel_of(name) for name in self.live.plain]
+        lines = [
+            f"LinuxCNC kinematics with the errors of {machine.name}",
+            *warning_texts(self.warnings),
+            f"calibration: {self.errors.path or 'no file: the nominal machine'}",
+            "",
+            f"Error at the tool over the volume ({proof.poses} poses, tool {self.tool_length_mm:g} mm), by the model",
+            f"{'':12}{'point, µm RMS':>16}{'largest':>12}{'tool axis, µrad RMS':>22}{'largest':>12}",
+            *(
+                f"  {name:10}{point[0]:>16.4f}{point[1]:>12.4f}{tilt[0]:>22.2f}{tilt[1]:>12.2f}"
+                for name, point, tilt in (
+                    ("without", proof.point_before_um, proof.tilt_before_urad),
+                    ("with", proof.point_after_um, proof.tilt_after_urad),
+                )
+            ),
+            f"  largest correction: {corrections}",
+        ]
+        if proof.damped > 0.0:
+            lines.append(
+                f"  At {100 * proof.damped:.1f} % of the poses, close to a singular one, the position is corrected in full and the "
+                "orientation in part."
+            )
+        lines += [
+            "  The uncertainty of the calibration is not reduced by any correction: see `twin volume`.",
+            "",
+            "Build and load (LinuxCNC 2.9)",
+            f"  1. sudo halcompile --install {NAME}.c",
+            f"  2. Take the lines of {NAME}.ini into the INI file: {NAME}.hal comes after the HAL file that loads motmod.",
+            "  3. Home the machine with the correction off (it is off until the pin is set).",
+            f"  4. halcmd setp {NAME}.enable 1: the correction is faded in, within 1 s (parameter fade-rate, 1/s).",
+            "  5. Move every axis once: before that its direction of approach is unknown, and the mean of both is corrected.",
+            "",
+            "Check before cutting",
+            f"  halcmd show pin {NAME}: correction-N, in mm and degrees, must have the sizes above; out-of-range must be FALSE.",
+            "  Touch a sphere or a gauge in several positions of the rotary axes with the correction off, and again with it on: the "
+            "deviations must become smaller. If they grow, switch it off and compare the signs of the axes with the machine file.",
+            "",
+            "Switch off",
+            f"  halcmd setp {NAME}.enable 0, or {NAME}.orientation 0 for the position alone. The module can stay loaded: off, it is "
+            "`trivkins`.",
+            "",
+            "Programs",
+            "  In axis words: as they are; do not compensate them by twin as well. The correction counts the tool by motion.tooloffset "
+            "(G43). If the lengths are in the program instead, without G43, connect nothing to tool-z and set it to the length.",
+        ]
+        if machine.rotary:
+            lines += [
+                "  In coordinates of the workpiece (tool centre point): M68 E3 Q1, then M66 E0 L0, with G43; back with M68 E3 Q0. At "
+                "rotary zero both are the same.",
+            ]
+        if channels:
+            lines += ["", "Pins that you must connect (a value outside the range sets out-of-range)"]
+            lines += [
+                f"  {NAME}.{one.pin}: {one.unit}, {one.low:g} to {one.high:g}; unconnected: {one.start:g}"
+                for one in channels
+            ]
+        lines += [
+            "",
+            "What it does not do",
+            "  Positions outside the range of a curve are corrected as at the end of the range; out-of-range is TRUE there. The "
+            "limits of the joints do not count the correction: leave 1 mm or more between the limits and the stops.",
+            f"  {CALIBRATION} records that the control corrects these errors; {CORRECTED} holds their numbers.",
+        ]
+        return "\n".join(lines) + "\n"
+
+
+def make_module(
+    errors: Calibration,
+    *,
+    tool_length_mm: float | None = None,
+    earlier: Sequence[Calibration] = (),
+    unidentified: bool = False,
+) -> LiveKinematics:
+    """Make the module.
+
+    Args:
+        errors: the errors to be corrected.
+        tool_length_mm: tool length for which the effect over the volume is computed; None: that of the machine file.
+        earlier: errors that the control corrected already when ``errors`` were measured.
+        unidentified: whether the module is made although locations of rotary axes were not identified.
+
+    Raises:
+        InputError: a location that was not identified, unless that is accepted; a chain that the module does not carry; an axis that
+            is no word of LinuxCNC; a channel without a pin; an estimate that did not settle; errors that the control corrects
+            already; a correction too steep for the forward kinematics.
+    """
+    machine = errors.machine
+    _check(errors)
+    if not unidentified:
+        check_locations_identified(errors)
+    bare = [one.with_control(None) for one in (*earlier, errors)]
+    plain = _channels(bare)
+    length = machine.tool_length_mm if tool_length_mm is None else tool_length_mm
+    trial = LiveCorrection(bare, plain, Damping.for_tilt(0.0))
+    tilt, _, _ = _tilt_and_poses(trial, length)
+    live = LiveCorrection(bare, plain, Damping.for_tilt(MARGIN * tilt))
+    proof = _proof(live, length)
+    if proof.steepest >= 1.0:
+        raise InputError(
+            "the correction changes by more than the position does",
+            expected="errors whose slope is far below 1: a curve of this calibration is not one of a machine",
+            file=errors.path,
+            value=f"{proof.steepest:.2f}",
+        )
+    largest = MARGIN * np.array(proof.largest) * machine.scale
+    header = [
+        f"LinuxCNC kinematics with the errors of {machine.name}, written by twin. Build: halcompile --install {NAME}.c",
+        *warning_texts(merge_warnings(errors.warnings, nominal_locations(errors))),
+        *(f"calibration: {one.path or 'nominal'}" for one in (*earlier, errors)),
+        TEXT_OF_SOURCE,
+    ]
+    return LiveKinematics(live, proof, errors, tuple(earlier), c_file(live, largest, header), length)
+
+
+def earlier_of(errors: Calibration, *, add: bool) -> tuple[Calibration, ...]:
+    """Return the errors that a module in the control corrected already when a calibration was measured.
+
+    Args:
+        errors: the calibration.
+        add: whether the user wants them added.
+
+    Raises:
+        InputError: the control corrects these very errors already; or a module was active, and it is not said that its errors are to
+            be added.
+    """
+    errors.check_not_live()
+    section = errors.control
+    if section is None or not section.live:
+        return ()
+    if not add:
+        raise InputError(
+            "these errors were measured with the module active: a new module must hold the old ones as well",
+            expected="--add",
+            file=errors.path,
+        )
+    for entry in section.live:
+        entry.check()
+    return tuple(Calibration.load(entry.file, errors.machine) for entry in section.live)
+
+
+def _check(errors: Calibration) -> None:
+    machine = errors.machine
+    errors.check_settled()
+    errors.check_not_live()
+    for axis in machine.axes:
+        if axis.name not in LETTERS:
+            raise InputError(
+                f"{machine.name}: an axis has no word in LinuxCNC",
+                expected=f"one of {' '.join(LETTERS)}",
+                value=axis.name,
+            )
+    section = errors.control
+    if section is not None and (section.tables or section.kinematics):
+        raise InputError(
+            "the control has tables or kinematics: with the module in addition their errors would be corrected twice",
+            expected="a calibration measured without tables, or tables and kinematics taken out of the control",
+            file=errors.path,
+        )
+
+
+def _channels(calibrations: Sequence[Calibration]) -> tuple[str, ...]:
+    """Return the channels that the control must supply.
+
+    Raises:
+        InputError: a channel without a pin.
+    """
+    names: dict[str, None] = {}
+    for one in calibrations:
+        asked = RecordingState(one.machine)
+        for effect in one.effects:
+            if isinstance(effect, HistoryShift):
+                effect.driven(asked)
+            else:
+                effect.components(asked)
+        names |= dict.fromkeys(name for name in asked.asked if not name.startswith(APPROACH))
+    for name in names:
+        if not PIN_NAME.fullmatch(channel_of(name).pin):
+            raise InputError(
+                "the name of a sensor cannot be the name of a pin",
+                expected="letters, digits, - and _, at most 18",
+                value=name,
+            )
+    return tuple(names)
+
+
+def _states(live: LiveCorrection, poses: int) -> np.ndarray:
+    """Return random channels (poses, channels): directions of approach, values within the ranges of the pins."""
+    rng = np.random.default_rng(20)
+    values = [random_approach(np.zeros((poses, len(live.machine.axes))))]
+    usual = [_usual(name) for name in live.plain]
+    values += [rng.uniform(low, high, (poses, 1)) for low, high in usual]
+    plain = np.hstack(values) if live.plain else values[0]
+    held = np.hstack([plain, np.zeros((poses, len(live.histories)))])
+    if not live.histories:
+        return held
+    (drives,) = BatchFunction(live.drives)(held)
+    return np.hstack([plain, drives])
+
+
+def _usual(name: str) -> tuple[float, float]:
+    """Return a range of a channel as it occurs in a shop."""
+    channel = channel_of(name)
+    if channel.unit == "degC":
+        return 15.0, 35.0
+    return (
+        (0.0, 28800.0) if channel.pin == "time" else (0.0, 12000.0) if channel.pin == "spindle-speed" else (0.0, 100.0)
+    )
+
+
+def _tilt_and_poses(live: LiveCorrection, length_mm: float) -> tuple[float, Any, Any]:
+    q = volume_inside_domains(live.calibrations[0])
+    states = _states(live, len(q))
+    nominal = Kinematics(live.machine, Calibration.zero(live.machine), tool_length_mm=length_mm)
+    off = nominal.with_errors(q, _errors(live, q, states)).tilt_urad(nominal.forward(q))
+    return float(np.linalg.norm(off, axis=1).max()) * 1e-6, q, states
+
+
+def _errors(live: LiveCorrection, q: np.ndarray, states: np.ndarray) -> np.ndarray:
+    (errors,) = BatchFunction(live.errors)(q * live.machine.scale, states)
+    return np.asarray(errors)
+
+
+def _proof(live: LiveCorrection, length_mm: float) -> Proof:
+    machine = live.machine
+    _, q, states = _tilt_and_poses(live, length_mm)
+    nominal = Kinematics(machine, Calibration.zero(machine), tool_length_mm=length_mm)
+    goal, before = nominal.forward(q), nominal.with_errors(q, _errors(live, q, states))
+    tool = np.tile([0.0, 0.0, 1e-3 * length_mm], (len(q), 1))
+    (correction,) = BatchFunction(live.correction)(q * machine.scale, states, tool, np.ones((len(q), 1)))
+    corrected = q + correction / machine.scale
+    after = nominal.with_errors(corrected, _errors(live, np.clip(corrected, *_bounds(live)), states))
+    off = [1e3 * np.linalg.norm(one.point_mm - goal.point_mm, axis=1) for one in (before, after)]
+    tilts = [np.linalg.norm(one.tilt_urad(goal), axis=1) for one in (before, after)]
+    (smallest, slopes) = BatchFunction(live.slopes)(q * machine.scale, states, tool)
+    return Proof(
+        poses=len(q),
+        point_before_um=_rms_and_largest(off[0]),
+        point_after_um=_rms_and_largest(off[1]),
+        tilt_before_urad=_rms_and_largest(tilts[0]),
+        tilt_after_urad=_rms_and_largest(tilts[1]),
+        damped=float(np.mean(smallest < live.damping.region)) if machine.rotary else 0.0,
+        largest=tuple((np.abs(correction) / machine.scale).max(axis=0).tolist()),
+        steepest=float(np.abs(slopes).max()),
+    )
+
+
+def _rms_and_largest(values: np.ndarray) -> tuple[float, float]:
+    return float(np.sqrt(np.mean(values**2))), float(values.max())
+
+
+def _bounds(live: LiveCorrection) -> tuple[np.ndarray, np.ndarray]:
+    low, high = (live.domains / live.machine.scale[:, None]).T
+    return low, high
+
+
+def outputs_of(folder: Path) -> list[Path]:
+    """Return every file that is written into a folder."""
+    return [folder / name for name in FILES]
+
+
+def write_module(made: LiveKinematics, folder: Path) -> None:
+    """Write the folder, created if necessary; the calibration that refers to the other files last.
+
+    Raises:
+        InputError: an output is also an input, or cannot be written.
+    """
+    errors = made.errors
+    inputs = {one.path.resolve() for one in (errors, *made.earlier) if one.path is not None}
+    for path in outputs_of(folder):
+        if path.resolve() in inputs:
+            raise InputError("an output is one of the inputs", expected="another folder", file=path)
+    folder.mkdir(parents=True, exist_ok=True)
+    write_atomic(folder / f"{NAME}.c", made.text)
+    write_atomic(folder / f"{NAME}.hal", hal_lines(made.live))
+    write_atomic(folder / f"{NAME}.ini", ini_lines(made.live.machine))
+    write_atomic(folder / README, made.to_text())
+    errors.with_control(None).save(folder / CORRECTED)
+    entry = TableEntry(folder / CORRECTED, FORMAT, BASIC, file_sha256(folder / CORRECTED))
+    section = ControlSection("uncorrected", (), (), (entry,))
+    marked = replace(errors, source=f"{errors.source}; the control has the kinematics module {NAME}")
+    marked.with_control(section).save(folder / CALIBRATION)
+
+
+def hal_lines(live: LiveCorrection) -> str:
+    """Return the HAL file."""
+    lines = [
+        "# After the HAL file that loads [KINS]KINEMATICS and motmod.",
+        "# The module works before the motion controller in every cycle:",
+        f"addf {NAME}.update servo-thread 1",
+        *(f"net {NAME}-command-{i} joint.{i}.pos-cmd => {NAME}.command-{i}" for i in range(len(live.machine.axes))),
+        *(f"net {NAME}-tool-{letter} motion.tooloffset.{letter} => {NAME}.tool-{letter}" for letter in "xyz"),
+    ]
+    if live.machine.rotary:
+        lines += [
+            "# M68 E3 Q1 (then M66 E0 L0): tool centre point; M68 E3 Q0: axis words",
+            f"net {NAME}-type motion.analog-out-03 => motion.switchkins-type",
+        ]
+    for one in map(channel_of, live.plain):
+        lines.append(f"# net {NAME}-{one.pin} YOUR-SENSOR => {NAME}.{one.pin}  # {one.unit}")
+    return "\n".join([*lines, "# off until everything is homed:", f"setp {NAME}.enable 0"]) + "\n"
+
+
+def ini_lines(machine: Machine) -> str:
+    """Return the lines of the INI file."""
+    letters = " ".join(machine.names)
+    return (
+        f"[KINS]\nKINEMATICS = {NAME}\nJOINTS = {len(machine.axes)}\n\n[TRAJ]\nCOORDINATES = {letters}\n\n[HAL]\n"
+        f"# after the other HALFILE lines\nHALFILE = {NAME}.hal\n"
+    )
