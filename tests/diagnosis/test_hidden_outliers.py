@@ -84,7 +84,7 @@ def test_the_first_reading_of_a_target_and_of_a_station_may_be_bad(
 def test_of_very_many_rows_some_show_why_others_are_off(
     tmp_path: Path, dmu50: Machine, calibration: Calibration, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(rows, "LOOKED_AT", 800)
+    monkeypatch.setattr(rows, "OUTLIER_SAMPLE", 800)
     result, lines = look(tmp_path, dmu50, calibration, [BUMP], 5, stated=True)
     assert {note.line for note in result.data.set_aside} == lines
     assert [(cause.effect, cause.where) for cause in result.causes] == [BUMP.key]
