@@ -453,6 +453,10 @@ def test_split_anywhere(division: Division, tabled: Compensator, tmp_path_factor
                 outcomes.append((str(error).encode(), {}))
     (whole, whole_report), (split, split_report) = outcomes
     assert split.decode("latin-1") == whole.decode("latin-1")
+    for report in (split_report, whole_report):
+        for name in {"before", "after"} & report.keys():
+            # Several lines may have the largest distance, to the solver's accuracy: which one is named is arbitrary.
+            del report[name]["worst_line"]
     alike(split_report, whole_report, rel=SUMS, least=SOLVER)
 
 

@@ -24,7 +24,8 @@ MODULES = Path("/usr/lib/linuxcnc/modules")
 LAG = 2
 TOOL = 120.0
 HOME = {"X": 250.0, "Y": 225.0, "Z": -100.0, "B": 20.0, "C": 0.0}
-ON = [["hal", ["setp", "twinkins.enable", "1"]], ["sleep", 1.3]]
+FADE = ["hal", ["setp", "twinkins.fade-rate", "10"]]
+ON = [["hal", ["setp", "twinkins.enable", "1"]], ["sleep", 0.3]]
 
 
 @pytest.fixture(scope="module")
@@ -73,8 +74,12 @@ def run(folder: Path, tmp_path: Path, machine: twin.Machine, actions: Sequence[S
 def synchronous(samples: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return joints and axes (n, axes) at the same time."""
     half = samples.shape[1] // 2
-    axes = samples[:-LAG, half:]
-    return samples[LAG:, :half][1:-1], (axes[:-2] + 4.0 * axes[1:-1] + axes[2:]) / 6.0
+    return samples[LAG:, :half][1:-1], smoothed(samples[:-LAG, half:])
+
+
+def smoothed(positions: np.ndarray) -> np.ndarray:
+    """Return what the control's cubic interpolation makes of (n, axes) positions, without the first and the last."""
+    return (positions[:-2] + 4.0 * positions[1:-1] + positions[2:]) / 6.0
 
 
 def sides(axes: np.ndarray, back: float = 0.001) -> tuple[np.ndarray, np.ndarray]:
@@ -118,6 +123,7 @@ def test_a_program_in_axis_words_is_cut_right_without_being_compensated(
 ) -> None:
     text = Path(twin.__file__).with_name("samples").joinpath("cone_frustum.nc").read_text()
     lines = [line for line in text.splitlines() if not line.startswith(("%", "O")) and "T1" not in line]
+    lines = [line.replace("F800", "F3000") for line in lines]
     (tmp_path / "part.ngc").write_text("\n".join(lines) + "\n")
     actions = [
         ["home"],
@@ -125,6 +131,7 @@ def test_a_program_in_axis_words_is_cut_right_without_being_compensated(
         ["hal", ["setp", "twinkins.tool-z", f"{TOOL}"]],
         ["hal", ["setp", "twinkins.temperature-bed", "26"]],
         ["hal", ["setp", "twinkins.temperature-X", "23"]],
+        FADE,
         *ON,
         ["record", "part.txt"],
         ["mdi", "G0 X250 Y225 Z-100 B10 C-170"],
@@ -137,7 +144,7 @@ def test_a_program_in_axis_words_is_cut_right_without_being_compensated(
     ran = run(loaded, tmp_path, machine, actions)
     conditions = twin.Conditions(temperature_degC={"bed": 26.0, "X": 23.0}, spindle_rpm=0.0, time_s=0.0)
     distance, tilt, plain = off(machine, errors, ran.samples("part.txt"), conditions)
-    assert len(distance) > 20000 and plain.mean() > 25.0
+    assert len(distance) > 8000 and plain.mean() > 25.0
     assert np.median(distance) < 0.002 and distance.max() < 0.02 and tilt.max() < 1.0
 
 
@@ -153,7 +160,7 @@ POSES = (
 
 def test_nothing_jumps_when_it_is_switched_on_and_off(loaded: Path, machine: twin.Machine, tmp_path: Path) -> None:
     """The axes stay where they are, to a nanometre, anywhere; the joints are moved at the stated rate; off, all is as without it."""
-    actions: list[list[Any]] = [["home"], ["mdi", "M61 Q1 G43 H1"]]
+    actions: list[list[Any]] = [["home"], FADE, ["mdi", "M61 Q1 G43 H1"]]
     for i, pose in enumerate(POSES):
         words = " ".join(f"{name}{value}" for name, value in zip(machine.names, pose, strict=True))
         actions += [
@@ -165,13 +172,13 @@ def test_nothing_jumps_when_it_is_switched_on_and_off(loaded: Path, machine: twi
             ["position"],
             ["hal", ["getp", "twinkins.out-of-range"]],
             ["hal", ["setp", "twinkins.orientation", "0"]],
-            ["sleep", 1.3],
+            ["sleep", 0.3],
             ["position"],
             ["hal", ["setp", "twinkins.enable", "0"]],
-            ["sleep", 1.3],
+            ["sleep", 0.3],
             ["position"],
             ["hal", ["setp", "twinkins.orientation", "1"]],
-            ["sleep", 1.3],
+            ["sleep", 0.3],
         ]
     ran = run(loaded, tmp_path, machine, actions)
     places = ran.results("position")
@@ -184,8 +191,8 @@ def test_nothing_jumps_when_it_is_switched_on_and_off(loaded: Path, machine: twi
         assert np.allclose(before["joints"], pose, atol=1e-12) and np.allclose(after["joints"], pose, atol=1e-12)
         correction = np.array(on["joints"]) - np.array(pose)
         assert np.abs(correction[:3]).max() > 0.005
-        # One part in a thousand of the correction a cycle of 1 ms.
-        assert np.all(np.abs(np.diff(joints, axis=0)).max(axis=0) < 1.3e-3 * np.abs(correction) + 1e-9)
+        # One part in a hundred of the correction a cycle of 1 ms.
+        assert np.all(np.abs(np.diff(joints, axis=0)).max(axis=0) < 1.3e-2 * np.abs(correction) + 1e-9)
         assert np.allclose(np.array(no_turn["joints"])[rotary], np.array(pose)[rotary], atol=1e-12)
         names = [LETTERS.index(name) for name in machine.names]
         assert np.allclose(np.array(on["axes"])[names], pose, atol=1e-9)
@@ -202,7 +209,7 @@ def test_the_singular_position_is_passed_smoothly(
         "F3000\nG53 G1 B0 C40\nG53 G1 B0 C100\nG53 G1 B0.3 C150\n"
         "G53 G1 B0\nG53 G1 B8 C200\nM2\n"
     )
-    actions = [["home"], *ON, ["record", "zero.txt"], ["program", "zero.ngc"], ["stop"]]
+    actions = [["home"], FADE, *ON, ["record", "zero.txt"], ["program", "zero.ngc"], ["stop"]]
     ran = run(loaded, tmp_path, machine, actions)
     conditions = twin.Conditions(temperature_degC={"bed": 20.0, "X": 20.0}, spindle_rpm=0.0, time_s=0.0)
     samples = ran.samples("zero.txt")
@@ -223,26 +230,28 @@ def test_coordinates_of_the_workpiece_follow_the_tip(
         "M68 E3 Q1\nM66 E0 L0\nF4000\n"
         "G1 X260 Y230 Z-330 B20 C30\nG1 X270 Y220 B50 C80\nG1 X250 Y240 Z-320 B10 C10\nG1 B0 C0\nM68 E3 Q0\nM66 E0 L0\nM2\n"
     )
-    actions = [["home"], *ON, ["record", "tcp.txt"], ["program", "tcp.ngc"], ["stop"], ["position"]]
+    actions = [["home"], FADE, *ON, ["record", "tcp.txt"], ["program", "tcp.ngc"], ["stop"], ["position"]]
     ran = run(loaded, tmp_path, machine, actions)
-    joints, words = synchronous(ran.samples("tcp.txt"))
+    joints, words = np.hsplit(ran.samples("tcp.txt"), 2)
+    joints, words = joints[LAG:], words[:-LAG]
     turned = np.flatnonzero(words[:, 3] > 0.6)
-    joints, words = (
-        one[turned[0] : turned[-1]] for one in (joints, words)
-    )  # before and after, words are those of the axes
+    # Before and after, the words are those of the axes.
+    joints, words = (values[turned[0] : turned[-1]] for values in (joints, words))
     nominal = twin.Kinematics(machine, twin.Calibration.zero(machine), tool_length_mm=TOOL)
     start, by = nominal.travel(np.zeros((1, len(machine.names))))
-    meant = start[0] + words[:, :3] @ by[0][:, list(machine.linear)].T
-    # Where the axes of the machine without errors stand, for their sides: the tip is linear in the linear axes.
+    tips = start[0] + words[:, :3] @ by[0][:, list(machine.linear)].T
+    # Where the axes of the machine without errors stand: the tip is linear in the linear axes. The control smooths the joints.
     axes = words.copy()
     axes[:, :3] = 0.0
     there, by = nominal.travel(axes)
-    axes[:, :3] = np.linalg.solve(by[:, :, list(machine.linear)], (meant - there)[:, :, None])[:, :, 0]
+    axes[:, :3] = np.linalg.solve(by[:, :, list(machine.linear)], (tips - there)[:, :, None])[:, :, 0]
+    joints, axes = joints[1:-1], smoothed(axes)
+    _, meant = nominal.reached(axes * machine.scale)
     approach, settled = sides(axes)
     settled &= np.all(approach != 0.0, axis=1)
     conditions = twin.Conditions(temperature_degC={"bed": 20.0, "X": 20.0}, spindle_rpm=0.0, time_s=0.0)
     real = twin.Kinematics(machine, errors, tool_length_mm=TOOL, conditions=conditions)
     _, reached = real.reached(joints * machine.scale, approach)
-    distance = (1e3 * np.linalg.norm(1e3 * reached - meant, axis=1))[settled]
+    distance = (1e6 * np.linalg.norm(reached - meant, axis=1))[settled]
     assert len(distance) > 1000
-    assert distance.max() < 0.05  # of which the smoothing of a curved path makes most
+    assert distance.max() < 0.02

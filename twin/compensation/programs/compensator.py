@@ -19,7 +19,7 @@ from twin._common.files import atomic_file, tracked_files
 from twin._common.resources import Progress, silent
 from twin.compensation.programs.correction import Corrected
 from twin.compensation.programs.motions import ToolPath
-from twin.compensation.programs.parts import ProgramFile, ProgramInMemory, ProgramSource, Run
+from twin.compensation.programs.parts import ProgramFile, ProgramInMemory, ProgramRun, ProgramSource
 from twin.compensation.programs.prepared import Options, PreparedMachine
 from twin.compensation.programs.report import Report
 from twin.display.results import Display, DisplayedResult
@@ -120,7 +120,7 @@ class Compensator:
             OutputError: the output, read back, differs from the intended positions; nothing was written.
         """
         out = BytesIO()
-        run = Run(
+        run = ProgramRun(
             self.prepared, ProgramInMemory(program, dialect), dialect if into is None else into, progress, reading
         )
         report = run.write(out)
@@ -152,7 +152,7 @@ class Compensator:
             for path in self._inputs(program):
                 files.add_input(path)
             source = self._source(program)
-            return Run(self.prepared, source, source.dialect if into is None else into, progress).write(out)
+            return ProgramRun(self.prepared, source, source.dialect if into is None else into, progress).write(out)
 
     def _source(self, program: Path) -> ProgramSource:
         """Return a program in parts, or in memory if something needs the whole."""

@@ -464,7 +464,7 @@ class Solved(NamedTuple):
 
 
 @final
-class Run:
+class ProgramRun:
     """Compensation of one program.
 
     Args:
