@@ -288,11 +288,9 @@ def test_a_part_of_a_program_keeps_its_times() -> None:
 
 
 def test_dwells_add_up(dmu50: Machine, tmp_path: Path) -> None:
-    """Every motion begins after all dwells before it."""
+    """Every motion begins after all dwells before it; that of the first line at once."""
     lines = [
-        "G21 G90 G94",
-        "S6000 M3",
-        "G0 X0 Y0 Z-100 B0 C0",
+        "G21 G90 G94 S6000 M3 G0 X0 Y0 Z-100 B0 C0",
         "F600",
         "G1 X10",
         "G4 P2000",
