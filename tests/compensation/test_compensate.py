@@ -214,9 +214,7 @@ def test_three_axis_program_keeps_its_words(dmu50: Machine, calibration: Calibra
     assert any("taken as B = 0°, C = 0°" in note.text for note in result.report.notes)
 
 
-def test_a_rotary_position_that_was_lost_is_assumed_with_a_note_again(
-    dmu50: Machine, calibration: Calibration
-) -> None:
+def test_a_rotary_position_that_was_lost_is_assumed_with_a_note_again(dmu50: Machine, calibration: Calibration) -> None:
     lines = ["G90", "G0 X100 Y100 Z-100", "G1 X120 F300", "G28 B0", "G0 X100 Y100 Z-100", "G1 X120 F300", "M30"]
     notes = compensate("\n".join([*lines, ""]), dmu50, calibration).report.notes
     assumed = [(note.line, note.text.partition("taken as ")[2]) for note in notes if "taken as" in note.text]

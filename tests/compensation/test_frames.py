@@ -206,3 +206,75 @@ def test_real_programs_need_only_the_tables(programs: Path, name: str) -> None:
     assert report.after.max_um < 2.0
     # The programs were made for a machine whose tool-change position lies outside the range of this one.
     assert not [one for one in report.not_corrected if one.missed or one.kind == "tolerance"]
+
+
+SHIFTED = {
+    "G54": {"X": 210.5, "Y": 190.25, "Z": -300.125, "B": 3.5},
+    "G55": {"X": 180.0, "Y": 160.0, "Z": -280.0, "C": 12.5},
+}
+RANGES = {"X": (60.0, 440.0), "Y": (60.0, 390.0), "Z": (-340.0, -60.0), "B": (12.0, 90.0), "C": (-150.0, 150.0)}
+
+
+def random_statements(rng: np.random.Generator, *, lost: bool) -> list[tuple[str, dict[str, float]]]:
+    """Return statements with axis positions of the machine: moves of some axes, machine coordinates, other offsets.
+
+    Args:
+        lost: whether rotary positions are unknown, at first and after reference returns: they are assumed then, as words.
+    """
+
+    def some(names: str, least: int) -> dict[str, float]:
+        chosen = rng.permutation(list(names))[: rng.integers(least, len(names) + 1)]
+        return {name: round(float(rng.uniform(*RANGES[name])), 3) for name in names if name in chosen}
+
+    first = [("G0", some("Z", 1)), ("G0", some("XYZ", 3))] if lost else [("G0", some("XYZBC", 5))]
+    kinds = rng.choice(["G0", "G1", "G1", "G53", "G54", "G55", *(["G28"] if lost else [])], 14)
+    axes = {"G53": "XYZ", "G28": "BC" if lost else "Z"}
+    return [*first, *((str(kind), some(axes.get(str(kind), "XYZBC"), 1)) for kind in kinds)]
+
+
+def as_program(statements: list[tuple[str, dict[str, float]]], offsets: dict[str, dict[str, float]]) -> str:
+    lines, frame = ["G90 G21 G94", "F600", "G54"], "G54"
+    for kind, position in statements:
+        shift = {} if kind == "G53" else offsets[frame]
+        words = " ".join(f"{name}{value - shift.get(name, 0.0):.3f}" for name, value in position.items())
+        if kind in offsets:
+            frame = kind
+            lines.append(kind)
+        elif kind == "G28":
+            lines.append("G91 G28 " + " ".join(f"{name}0" for name in position) + "\nG90")
+        else:
+            lines.append(f"G53 G0 {words}" if kind == "G53" else f"{kind} {words}")
+    return "\n".join([*lines, "M30", ""])
+
+
+def positions_written(text: str, offsets: dict[str, dict[str, float]]) -> list[dict[str, float]]:
+    """Return the axis words of every line as positions of the machine."""
+    found, frame = [], "G54"
+    for line in text.splitlines():
+        words = [] if line.startswith("(") else line.split()
+        frame = next((word for word in words if word in offsets), frame)
+        shift = {} if {"G53", "G28"} & {*words} else offsets[frame]
+        found.append({word[0]: float(word[1:]) + shift.get(word[0], 0.0) for word in words if word[0] in RANGES})
+    return found
+
+
+@pytest.mark.parametrize("lost", [False, True])
+@pytest.mark.parametrize("seed", range(4))
+def test_a_program_means_the_same_in_any_work_offset(
+    dmu50: Machine, errors: Calibration, seed: int, lost: bool
+) -> None:
+    """The same positions of the machine, in two work offsets and in none, are compensated alike, with the same notes."""
+    statements = random_statements(np.random.default_rng(seed), lost=lost)
+    linear = {name: {axis: row[axis] for axis in row if axis in "XYZ"} for name, row in SHIFTED.items()}
+    outcomes = []
+    for offsets in ({name: {} for name in SHIFTED}, linear if lost else SHIFTED):
+        setup = Setup(offsets=OffsetTable(Path("offsets.csv"), offsets), tools=TOOLS)
+        result = compensated(as_program(statements, offsets), dmu50, errors, setup, 100.0)
+        notes = [(note.line, note.text) for note in result.report.notes]
+        outcomes.append((positions_written(result.text, offsets), notes, result.report.after.rms_um))
+    (bare, bare_notes, rms), (shifted, shifted_notes, shifted_rms) = outcomes
+    assert bare_notes == shifted_notes
+    assert len(bare) == len(shifted)
+    for one, other in zip(bare, shifted, strict=True):
+        assert one == pytest.approx(other, abs=0.0021)  # each is rounded
+    assert rms == pytest.approx(shifted_rms, abs=0.1)

@@ -167,7 +167,7 @@ class Follower:
         """
         part = slice(begin, end)
         named = moves.position[part]
-        ends = np.where(np.isnan(named), self._words, named)
+        ends = _carried_on(named, self._words)
         if np.isfinite(moves.vector[begin, 0]):
             solutions = self._space.branches.all(moves.vector[part])
             rotary = self._space.branches.along(solutions, self._words[3:], self._space.offset[3:])
@@ -442,6 +442,16 @@ class FrameSpaces:
         commands = np.array([[shift[axis.name] if axis.linear else 0.0 for axis in self._base.machine.axes]])
         x, y, z = self._nose.forward(commands).point_mm[0].tolist()
         return x, y, z
+
+
+def _carried_on(named: np.ndarray, before: np.ndarray) -> np.ndarray:
+    """Return (n, axes) words where each that a move does not name (NaN) is that of the move before; ``before``: of the first one."""
+    missing = np.isnan(named)
+    if not missing[1:].any():
+        return np.where(missing, before, named)
+    rows = np.where(missing, -1, np.arange(len(named))[:, None])
+    last = np.maximum.accumulate(rows, axis=0)
+    return np.where(last < 0, before, named[last, np.arange(named.shape[1])])
 
 
 # --- Sections of a program: consecutive motions in the same frame, with its own work offset and tool
