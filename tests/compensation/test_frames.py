@@ -14,7 +14,8 @@ from tests.model.errors import random_calibration
 from twin._common.errors import InputError
 from twin.compensation import Compensation, Compensator, Options
 from twin.compensation.programs.execute import execute_file
-from twin.compensation.programs.words import Setup
+from twin.compensation.programs.follow import follow
+from twin.compensation.programs.words import Setup, WordSpace
 from twin.controls.offsets import OffsetTable, ToolTable
 from twin.machine.machine import Machine
 from twin.model.calibration import Calibration
@@ -278,3 +279,23 @@ def test_a_program_means_the_same_in_any_work_offset(
     for one, other in zip(bare, shifted, strict=True):
         assert one == pytest.approx(other, abs=0.0021)  # each is rounded
     assert rms == pytest.approx(shifted_rms, abs=0.1)
+
+
+def test_machine_coordinates_leave_the_place_of_the_tip_unknown(dmu50: Machine, errors: Calibration) -> None:
+    """In tool centre point mode, a block that names one coordinate after them would be led from a place of before."""
+    lines = ["G90 G21", "G0 X100 Y100 Z-100 B20 C10", "G43.4 H1", "G1 X10 Y10 Z50 F500", "G53 G0 Z-10"]
+    with pytest.raises(InputError, match="position of Y, Z") as refused:
+        compensated("\n".join([*lines, "G1 X30", "M30", ""]), dmu50, errors, Setup(), 100.0)
+    assert refused.value.line == 6
+    whole = compensated("\n".join([*lines, "G1 X30 Y10 Z50", "M30", ""]), dmu50, errors, Setup(), 100.0)
+    assert whole.text.splitlines()[-2].startswith("G1 X30.0")
+
+
+def test_a_rapid_to_a_place_not_yet_known_is_one_of_the_machine(dmu50: Machine) -> None:
+    """Its direction decides on which side an axis with backlash then stands: with the work offset added."""
+    program = ISO.read(b"G90 G21\nG0 Z50\nG0 X10 Y20\nM30\n", "part.nc")
+    space = WordSpace(dmu50, Setup(work_offset={"X": 200.0, "Y": 100.0, "Z": -300.0}), 0.0)
+    path = follow(program, ISO.moves(program, space.axes, tcp=False), space)
+    (passage,) = path.passages
+    assert passage.moved.tolist() == [False, False, True, False, False]
+    assert passage.commands[2] == -250.0
