@@ -20,6 +20,7 @@ from twin.controls.offsets import OffsetTable, ToolTable
 from twin.machine.machine import Machine
 from twin.model.calibration import Calibration
 from twin.nc import DIALECTS, read_program
+from twin.tool.forward import Kinematics
 
 OFFSETS = OffsetTable(
     Path("offsets.csv"),
@@ -299,3 +300,20 @@ def test_a_rapid_to_a_place_not_yet_known_is_one_of_the_machine(dmu50: Machine) 
     (passage,) = path.passages
     assert passage.moved.tolist() == [False, False, True, False, False]
     assert passage.commands[2] == -250.0
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_a_tool_vector_is_reached_from_where_the_axes_stand(dmu50: Machine, count: int) -> None:
+    """Of the turns of C that point the tool along a vector, the nearest is taken: that of the machine, whatever the offset of C."""
+    nominal = Kinematics(dmu50, Calibration.zero(dmu50), tool_length_mm=100.0)
+    commands = [[0, 0, 0, 30, 150], [0, 0, 0, 40, 260]][:count]
+    vectors = nominal.forward(commands).axis
+    reached = []
+    for offset in (0.0, 180.0):
+        lines = ["G90 G710", "TRAORI", f"G1 X0 Y0 Z50 B30 C{10 - offset:g} F500"]
+        lines += [f"X{i} A3={v[0]:.9f} B3={v[1]:.9f} C3={v[2]:.9f}" for i, v in enumerate(vectors, 1)]
+        setup = Setup(work_offset={"C": offset}, work_origin_mm=(0.0, 0.0, -500.0))
+        result = compensated("\n".join([*lines, "M30", ""]), dmu50, Calibration.zero(dmu50), setup, 100.0)
+        reached.append(result.nominal)
+    assert reached[0] == pytest.approx(reached[1], abs=1e-6)
+    assert reached[0][-1, 3:] == pytest.approx(commands[-1][3:], abs=1e-5)
