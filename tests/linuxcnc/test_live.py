@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 import twin
-from tests.linuxcnc.control import LETTERS, Ran, control, needs_linuxcnc, needs_root
+from tests.linuxcnc.control import LETTERS, Ran, control, needs_linuxcnc, needs_root, skip_without_control
 from twin.compensation.live import make_module, outputs_of, write_module
 
 pytestmark = [needs_linuxcnc, needs_root, pytest.mark.xdist_group("linuxcnc")]
@@ -49,6 +49,7 @@ def errors(machine: twin.Machine) -> twin.Calibration:
 @pytest.fixture(scope="module")
 def loaded(errors: twin.Calibration, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     """Return the folder of the module, compiled into the control."""
+    skip_without_control(tmp_path_factory.mktemp("plain"), errors.machine)
     folder = tmp_path_factory.mktemp("live")
     write_module(make_module(errors, tool_length_mm=TOOL), folder)
     assert set(folder.iterdir()) == set(outputs_of(folder))
