@@ -66,7 +66,7 @@ def control(
     actions: Sequence[Sequence[Any]],
     *,
     home: Mapping[str, float],
-    kinematics: str = "trivkins",
+    kinematics: str = "",
     hal: str = "",
     pins: Sequence[str] = (),
     ini: str = "",
@@ -80,7 +80,7 @@ def control(
         machine: the machine whose axes it has.
         actions: name and arguments of each, as in `driver.py`.
         home: position of every axis at which it stands at first.
-        kinematics: the module.
+        kinematics: the module; by default that of axes without a transformation.
         hal: further lines of HAL, after motmod is loaded.
         pins: pins or signals that are recorded by the action ``record``, every millisecond.
         ini: further sections of the INI file.
@@ -88,7 +88,9 @@ def control(
         seconds: longest time.
     """
     (folder / "actions.json").write_text(json.dumps([*map(list, actions)]))
-    (folder / "machine.ini").write_text(_ini(machine, home, kinematics) + ini)
+    (folder / "machine.ini").write_text(
+        _ini(machine, home, kinematics or f"trivkins coordinates={''.join(machine.names)}") + ini
+    )
     (folder / "machine.hal").write_text(_hal(machine) + hal + _sampler(pins))
     (folder / "tool.tbl").write_text(tools)
     shutil.copy(DRIVER, folder / "driver.py")
