@@ -293,7 +293,7 @@ def test_machine_coordinates_leave_the_place_of_the_tip_unknown(dmu50: Machine, 
 
 
 def test_a_rapid_to_a_place_not_yet_known_is_one_of_the_machine(dmu50: Machine) -> None:
-    """Its direction decides on which side an axis with backlash then stands: with the work offset added."""
+    """The work offset is added: the direction of the rapid decides on which side an axis with backlash then stands."""
     program = ISO.read(b"G90 G21\nG0 Z50\nG0 X10 Y20\nM30\n", "part.nc")
     space = WordSpace(dmu50, Setup(work_offset={"X": 200.0, "Y": 100.0, "Z": -300.0}), 0.0)
     path = follow(program, ISO.moves(program, space.axes, tcp=False), space)
@@ -304,7 +304,7 @@ def test_a_rapid_to_a_place_not_yet_known_is_one_of_the_machine(dmu50: Machine) 
 
 @pytest.mark.parametrize("count", [1, 2])
 def test_a_tool_vector_is_reached_from_where_the_axes_stand(dmu50: Machine, count: int) -> None:
-    """Of the turns of C that point the tool along a vector, the nearest is taken: that of the machine, whatever the offset of C."""
+    """The nearest of the turns of C that point the tool along a vector is taken, nearest on the machine, whatever the offset of C."""
     nominal = Kinematics(dmu50, Calibration.zero(dmu50), tool_length_mm=100.0)
     commands = [[0, 0, 0, 30, 150], [0, 0, 0, 40, 260]][:count]
     vectors = nominal.forward(commands).axis
