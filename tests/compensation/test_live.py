@@ -157,7 +157,12 @@ def test_errors_measured_with_the_module_are_added_to_its_own(tmp_path: Path) ->
     with pytest.raises(InputError, match="--add"):
         earlier_of(remaining, add=False)
     earlier = earlier_of(remaining, add=True)
-    both = make_module(remaining, earlier=earlier, tool_length_mm=TOOL_MM).live
+    made = make_module(remaining, earlier=earlier, tool_length_mm=TOOL_MM)
+    both = made.live
+    write_module(made, tmp_path / "second")
+    again = twin.Calibration.load(tmp_path / "second" / "calibration.yaml", errors.machine).control
+    held = [twin.Calibration.load(entry.file, errors.machine).location["E_X0C"] for entry in again.live]
+    assert held == pytest.approx([errors.location["E_X0C"], rest.location["E_X0C"]]), "a third one needs both"
     locations = {name: value + rest.location[name] for name, value in errors.location.items()}
     angles = {name: value + rest.squareness[name] for name, value in errors.squareness.items()}
     curves = {

@@ -15,6 +15,7 @@ from twin._common.families import BASIC
 from twin._common.files import write_atomic
 from twin._common.provenance import ILLUSTRATIVE, SourceWarning, merge_warnings, warning_texts, warnings_to_json
 from twin._common.records import json_form
+from twin._common.units import URAD
 from twin.compensation.live.graph import Damping, LiveCorrection
 from twin.compensation.live.module import FORMAT, LETTERS, NAME, c_file, channel_of
 from twin.compute.along import BatchFunction
@@ -207,8 +208,7 @@ def make_module(
     plain = _channels(bare)
     length = machine.tool_length_mm if tool_length_mm is None else tool_length_mm
     trial = LiveCorrection(bare, plain, Damping.for_tilt(0.0))
-    tilt, _, _ = _tilt_and_poses(trial, length)
-    live = LiveCorrection(bare, plain, Damping.for_tilt(MARGIN * tilt))
+    live = LiveCorrection(bare, plain, Damping.for_tilt(MARGIN * _largest_tilt(trial, length)))
     proof = _proof(live, length)
     if proof.steepest >= 1.0:
         raise InputError(
@@ -322,12 +322,18 @@ def _usual(name: str) -> tuple[float, float]:
     )
 
 
-def _tilt_and_poses(live: LiveCorrection, length_mm: float) -> tuple[float, Any, Any]:
+def _poses(live: LiveCorrection) -> tuple[np.ndarray, np.ndarray]:
+    """Return poses (n, axes) over the volume, mm and degrees, and random channels (n, channels)."""
     q = volume_inside_domains(live.calibrations[0])
-    states = _states(live, len(q))
+    return q, _states(live, len(q))
+
+
+def _largest_tilt(live: LiveCorrection, length_mm: float) -> float:
+    """Return the largest tilt of the tool axis over the volume without a correction, radians."""
+    q, states = _poses(live)
     nominal = Kinematics(live.machine, Calibration.zero(live.machine), tool_length_mm=length_mm)
     off = nominal.with_errors(q, _errors(live, q, states)).tilt_urad(nominal.forward(q))
-    return float(np.linalg.norm(off, axis=1).max()) * 1e-6, q, states
+    return float(np.linalg.norm(off, axis=1).max()) * URAD
 
 
 def _errors(live: LiveCorrection, q: np.ndarray, states: np.ndarray) -> np.ndarray:
@@ -337,7 +343,7 @@ def _errors(live: LiveCorrection, q: np.ndarray, states: np.ndarray) -> np.ndarr
 
 def _proof(live: LiveCorrection, length_mm: float) -> Proof:
     machine = live.machine
-    _, q, states = _tilt_and_poses(live, length_mm)
+    q, states = _poses(live)
     nominal = Kinematics(machine, Calibration.zero(machine), tool_length_mm=length_mm)
     goal, before = nominal.forward(q), nominal.with_errors(q, _errors(live, q, states))
     tool = np.tile([0.0, 0.0, 1e-3 * length_mm], (len(q), 1))
@@ -391,7 +397,9 @@ def write_module(made: LiveKinematics, folder: Path) -> None:
     write_atomic(folder / README, made.to_text())
     errors.with_control(None).save(folder / CORRECTED)
     entry = TableEntry(folder / CORRECTED, FORMAT, BASIC, file_sha256(folder / CORRECTED))
-    section = ControlSection("uncorrected", (), (), (entry,))
+    # All that the module holds: of errors measured with an earlier one active, the earlier ones too.
+    held = errors.control.live if errors.control is not None and made.earlier else ()
+    section = ControlSection("uncorrected", (), (), (*held, entry))
     marked = replace(errors, source=f"{errors.source}; the control has the kinematics module {NAME}")
     marked.with_control(section).save(folder / CALIBRATION)
 
