@@ -15,6 +15,7 @@ import pytest
 import twin
 from tests.cli.commands import TWIN
 from twin._common.errors import InputError
+from twin._common.provenance import CORRECTED_IN_CONTROL
 from twin.compensation.live import earlier_of, make_module, write_module
 from twin.compensation.live.graph import Damping, LiveCorrection
 
@@ -139,6 +140,7 @@ def test_the_folder_knows_what_the_control_corrects(tmp_path: Path) -> None:
     written = twin.Calibration.load(tmp_path / "live" / "calibration.yaml", errors.machine)
     corrected = twin.Calibration.load(tmp_path / "live" / "corrected.yaml", errors.machine)
     assert corrected.location == pytest.approx(dict(errors.location))
+    assert CORRECTED_IN_CONTROL in written.warnings and CORRECTED_IN_CONTROL not in corrected.warnings
     for use in (
         lambda: make_module(written),
         lambda: earlier_of(written, add=True),

@@ -18,6 +18,7 @@ Name = Literal[
     "unsettled_estimate",
     "not_identifiable",
     "kinematics_not_identified",
+    "corrected_in_control",
     "misfit",
     "unknown_uncertainty",
 ]
@@ -25,6 +26,7 @@ ORDER: Final[tuple[Name, ...]] = (
     "illustrative",
     "simulated_readings",
     "unsettled_estimate",
+    "corrected_in_control",
     "kinematics_not_identified",
     "not_identifiable",
     "misfit",
@@ -102,6 +104,13 @@ NOMINAL_KINEMATICS: Final = SourceWarning(
     Message("KINEMATICS NOT IDENTIFIED"),
     Message(
         "were not identified: the values here are not measured. Do not load them into a control that was calibrated otherwise."
+    ),
+)
+CORRECTED_IN_CONTROL: Final = SourceWarning(
+    "corrected_in_control",
+    Message("CORRECTED IN THE CONTROL"),
+    Message(
+        "a kinematics module corrects these errors while it is switched on. The numbers are those of the machine with it switched off."
     ),
 )
 SYSTEMATIC_RESIDUALS: Final = SourceWarning(

@@ -15,6 +15,7 @@ from twin._common.arrays import outside_bounds, read_only
 from twin._common.errors import InputError, closest_name
 from twin._common.files import write_atomic
 from twin._common.provenance import (
+    CORRECTED_IN_CONTROL,
     ILLUSTRATIVE,
     NOT_IDENTIFIABLE,
     PARTLY_UNKNOWN_UNCERTAINTY,
@@ -319,9 +320,14 @@ class Calibration(DisplayedResult):
                 value="settled: false",
             )
 
+    @property
+    def corrected_in_control(self) -> bool:
+        """Whether a kinematics module in the control corrects these errors already."""
+        return self.control is not None and bool(self.control.live) and self.control.errors_are == "uncorrected"
+
     def check_not_live(self) -> None:
         """Raise `InputError` if a kinematics module in the control corrects these errors already."""
-        if self.control is not None and self.control.live and self.control.errors_are == "uncorrected":
+        if self.control is not None and self.corrected_in_control:
             raise InputError(
                 "a kinematics module in the control corrects these errors: they would be corrected twice",
                 expected=f"programs as they are; with the module switched off, the calibration {self.control.live[-1].file.name}",
@@ -442,6 +448,7 @@ class Calibration(DisplayedResult):
         warnings = [ILLUSTRATIVE] if self.illustrative else []
         warnings += [SIMULATED] if self.simulated else []
         warnings += [] if self.settled else [UNSETTLED_ESTIMATE]
+        warnings += [CORRECTED_IN_CONTROL] if self.corrected_in_control else []
         if self.not_identifiable:
             warnings.append(NOT_IDENTIFIABLE.about(error.name for error in self.not_identifiable))
         warnings += [] if self.misfit is None or self.misfit.warning is None else [self.misfit.warning]
