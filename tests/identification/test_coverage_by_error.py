@@ -21,7 +21,7 @@ from twin._common.arrays import read_only
 from twin.identification import fitting as priors_module
 from twin.identification import identify
 from twin.identification.discrepancy import covariance_of
-from twin.identification.fitting import RobustStart, prior_precision, robust_start
+from twin.identification.fitting import RobustStart, robust_start, shrunk_start
 from twin.identification.inputs import prepare
 from twin.identification.network import Network
 from twin.identification.solve import Spread, solve
@@ -85,22 +85,29 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.parametrize("seeds", [24, pytest.param(300, marks=pytest.mark.slow)])
 def test_intervals_of_each_error_motion_cover(folder: Path, seeds: int) -> None:
-    """95 % of each, with an error and without one; no alarm; and p-values of the misfit that are uniform."""
+    """95 % of each or more, with an error and without one; no alarm; and p-values of the misfit that are uniform.
+
+    A curve that is shrunk is closer to zero than its interval is wide: where there is no error, nearly all intervals cover. They are no
+    wider than those of priors that do not shrink a curve within the noise (1.6 µm and 15.5 µrad at the ends).
+    """
     machine, exact = stage(folder)
     q = np.linspace(0.0, 500.0, 11)
     inside: dict[str, list[float]] = {name: [] for name in MOTIONS}
+    widths: dict[str, list[float]] = {name: [] for name in MOTIONS}
     p_values, alarms = [], 0
     for seed in range(seeds):
         found = identify(noisy(exact, seed), machine)
         for i, name in enumerate(MOTIONS):
             value, u = found.interval(name, q)
             inside[name].append(float(np.mean(np.abs(value - errors(q)[:, i]) <= 1.959964 * u)))
+            widths[name].append(float(u[-1]))
         p_values.append(found.misfit.p_value)
         alarms += len(found.set_aside)
     for name, shares in inside.items():
         # Positions of a seed are not independent: the spread is that between seeds, and at least that of 24 of them.
         error = max(float(np.std(shares, ddof=1)), 0.08) / np.sqrt(seeds)
-        assert 0.94 - 3.7 * error <= np.mean(shares) <= 0.975 + 3.7 * error, (name, np.mean(shares))
+        assert np.mean(shares) >= 0.94 - 3.7 * error, (name, np.mean(shares))
+        assert np.mean(widths[name]) <= (1.6 if name[2] in "XYZ" else 15.5), (name, np.mean(widths[name]))
     assert alarms <= stats.binom.isf(RARE, seeds, 0.01)
     # The number of parameters that priors leave free is not known better than by a few of 198 degrees of freedom.
     assert stats.kstest(p_values, "uniform").pvalue > (RARE if seeds < 100 else RARE**2)
@@ -116,7 +123,7 @@ def test_a_noise_stated_too_large_does_not_shrink_more(folder: Path) -> None:
     """Twenty times the noise: weights fall by 400, and so does the precision of the priors, whose noise is that of the residuals."""
     machine, exact = stage(folder)
     starts = [start_of(machine, noisy(exact, 1, u)) for u in (SIGMA_MM, 20.0 * SIGMA_MM)]
-    right, large = (prior_precision(model.network, start) for model, start in starts)
+    right, large = (shrunk_start(model.network, start).priors.precision for model, start in starts)
     used = right > 0.0
     assert np.count_nonzero(used) > 20
     ratio = large[used] / right[used]
@@ -127,11 +134,11 @@ def test_prior_variances_have_converged(folder: Path, monkeypatch: pytest.Monkey
     """More iterations, or priors of the other unknowns that are wider by far, change next to nothing."""
     machine, exact = stage(folder)
     model, start = start_of(machine, noisy(exact, 2))
-    usual = prior_precision(model.network, start)
+    usual = shrunk_start(model.network, start).priors.precision
     monkeypatch.setattr(priors_module, "FREE", 1e-4)
-    np.testing.assert_allclose(prior_precision(model.network, start), usual, rtol=0.02)
+    np.testing.assert_allclose(shrunk_start(model.network, start).priors.precision, usual, rtol=0.02)
     monkeypatch.setattr(priors_module, "ITERATIONS", 40)
-    np.testing.assert_allclose(prior_precision(model.network, start), usual, rtol=0.3)
+    np.testing.assert_allclose(shrunk_start(model.network, start).priors.precision, usual, rtol=0.3)
 
 
 @pytest.mark.parametrize("spread", ["between poses", "between rounds"])

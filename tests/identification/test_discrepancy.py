@@ -187,7 +187,7 @@ def test_held_out_residuals_are_those_of_refits() -> None:
             found.solution.theta,
             found.setup,
             (~out).astype(float),
-            precision=found.solution.precision,
+            priors=found.solution.priors,
             incomplete=found.solution.incomplete,
         )
         square += float(np.sum(weighted.residuals_m(part.theta, part.setup, np.flatnonzero(out)) ** 2))

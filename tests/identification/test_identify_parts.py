@@ -22,7 +22,7 @@ from twin._common.arrays import read_only
 from twin._common.errors import InputError
 from twin.identification import Identification, identify
 from twin.identification.discrepancy import RowAssessment, assess_rows
-from twin.identification.fitting import DECAYS, SIZES, mean_variance, robust_start
+from twin.identification.fitting import DECAYS, SIZES, mixed_prior, robust_start
 from twin.identification.inputs import prepare
 from twin.identification.network import Network, stated_covariance
 from twin.identification.orders import _Fold, choose
@@ -292,27 +292,31 @@ def test_ten_repeats_are_needed(dmu50: Machine) -> None:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_the_variance_of_a_prior_is_its_mean_over_sizes_and_decays(seed: int) -> None:
+def test_a_mixed_prior_shrinks_as_its_sizes_and_decays_do_on_average(seed: int) -> None:
     """Evidence of each pair from the normal density of the least-squares estimate, which is N(0, C + prior): a second formulation."""
     rng, count = np.random.default_rng(seed), 5
-    root = rng.normal(size=(count, count)) * 10.0 ** rng.uniform(-3.5, -1.5)
-    noise = root @ root.T + 1e-9 * np.eye(count)
+    noise = np.diag(10.0 ** rng.uniform(-9, -5, count))
     estimate = rng.normal(size=count) * 10.0 ** rng.uniform(-4, -1) * 0.5 ** np.arange(count)
-    held = 10.0 ** rng.uniform(2, 5, count)
+    held, shares = 10.0 ** rng.uniform(2, 5, count), rng.dirichlet(np.ones(len(SIZES)))
     covariance = np.linalg.inv(np.linalg.inv(noise) + np.diag(held))
-    mean = covariance @ np.linalg.solve(noise, estimate)
-    log, variances = [], []
-    for size in SIZES:
-        for decay in DECAYS:
-            prior = size**2 * decay ** np.arange(count)
-            density = stats.multivariate_normal(np.zeros(count), noise + np.diag(prior)).logpdf(estimate)
-            # The grid is uniform in the logarithm of the size; uniform in the variance gives a weight of its square.
-            log.append(density + 2.0 * np.log(size))
-            variances.append(prior)
-    weight = np.exp(np.array(log) - max(log))
-    expected = weight @ np.array(variances) / weight.sum()
+    mixture = mixed_prior(covariance @ np.linalg.solve(noise, estimate), covariance, held, shares)
+    log = np.empty((len(SIZES), len(DECAYS)))
+    priors, estimates = np.empty((*log.shape, count)), np.empty((*log.shape, count))
+    for i, size in enumerate(SIZES):
+        for j, decay in enumerate(DECAYS):
+            priors[i, j] = size**2 * decay ** np.arange(count)
+            log[i, j] = stats.multivariate_normal(np.zeros(count), noise + np.diag(priors[i, j])).logpdf(estimate)
+            estimates[i, j] = estimate * priors[i, j] / (priors[i, j] + np.diag(noise))
+    likelihood = np.exp(log - log.max())
+    weight = likelihood * shares[:, None]
+    weight /= weight.sum()
+    np.testing.assert_allclose(mixture.share_of_size, weight.sum(axis=1), rtol=1e-6, atol=1e-12)
+    # Readings of independent coefficients: the one prior leaves each the mean of all estimates.
+    shrunk = estimate / (1.0 + np.diag(noise) * mixture.precision)
+    np.testing.assert_allclose(shrunk, np.einsum("ij,ijk->k", weight, estimates), rtol=1e-6)
     # The grid's sizes are far apart where a coefficient is determined to many digits; both round alike.
-    np.testing.assert_allclose(mean_variance(mean, covariance, held), expected, rtol=1e-6)
+    expected = np.einsum("ij,ijk->k", likelihood, priors) / likelihood.sum()
+    np.testing.assert_allclose(mixture.variance, expected, rtol=1e-6)
 
 
 def test_results_do_not_depend_on_the_size_of_chunks(dmu50: Machine, monkeypatch: pytest.MonkeyPatch) -> None:

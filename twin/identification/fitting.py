@@ -3,13 +3,15 @@
 No fixed number of functions is right: if those beyond are set to zero, intervals are too narrow (on the thesis's plan 95 % intervals
 then cover 68 %), and if those within are free, noise becomes a curve. So every function of a curve has a Gaussian prior with mean zero,
 whose variance decays from one orthonormal function to the next. Initial size and decay are unknown, especially for a curve within the
-noise, and are integrated over. On a grid of sizes (uniform in the variance, so that for a curve that the readings hardly determine the
-large sizes they allow count) and decays, every pair is weighted with the likelihood of the curve's coefficients, all other unknowns
-integrated out; the prior has the mean variance (hierarchical model; Gelman 2006). A function well above the noise is hardly changed.
+noise, and are averaged over (hierarchical model; Gelman 2006). On a grid of sizes and decays every pair is weighted with the likelihood
+of the curve's coefficients, all other unknowns integrated out, and with the share of the machine's curves that have this size, which is
+estimated from all curves (empirical Bayes; Robbins 1956): on a machine without curves, none is made of the noise of many. The prior
+shrinks each coefficient as the average of these models does (`mixed_prior`). A function well above the noise is hardly changed.
 
 The noise is that of the residuals of the largest model: stated uncertainties that are too large do not increase the shrinkage.
 
 A. Gelman: Prior distributions for variance parameters in hierarchical models, Bayesian Analysis 1 (2006) 515-534.
+H. Robbins: An empirical Bayes approach to statistics, Proc. Third Berkeley Symp. Math. Statist. Prob. 1 (1956) 157-163.
 """
 
 from __future__ import annotations
@@ -30,7 +32,7 @@ from twin.identification.discrepancy import (
     updated,
 )
 from twin.identification.network import Network
-from twin.identification.solve import FitSolution, solve
+from twin.identification.solve import FitSolution, Priors, solve
 from twin.measurement.set_up import StationsAndTargets
 
 ROUNDS: Final = 8
@@ -139,7 +141,7 @@ def _weighted(
     return solve(weighted, theta, setup, weight, incomplete=rows.noise > 1.0)
 
 
-def without_outliers(network: Network, start: RobustStart, precision: np.ndarray) -> FinalEstimate:
+def without_outliers(network: Network, start: RobustStart, shrunk: ShrunkStart) -> FinalEstimate:
     """Return least squares on all points that are not its outliers; a point that fits after all is used again.
 
     The discrepancy in the weights is estimated by restricted maximum likelihood from the residuals of these points.
@@ -147,24 +149,18 @@ def without_outliers(network: Network, start: RobustStart, precision: np.ndarray
     Args:
         network: data and model.
         start: a robust estimate.
-        precision: (columns,) precision of the priors of the machine's unknowns about zero (`twin.identification.fitting`).
+        shrunk: priors of the machine's unknowns, and the estimate with them at which it starts.
     """
-    solution, bad, discrepancy = start.solution, start.weight == 0.0, start.discrepancy
+    priors, theta, setup = shrunk
+    bad, discrepancy = start.weight == 0.0, start.discrepancy
     seen: set[bytes] = set()
-    triangle: np.ndarray | None = solution.triangle
     while True:
         for attempt in range(REWEIGHTINGS):
             weighted = network.with_discrepancy(discrepancy.root)
             solution = solve(
-                weighted,
-                solution.theta,
-                solution.setup,
-                (~bad).astype(float),
-                precision=precision,
-                incomplete=start.solution.incomplete,
-                triangle=triangle,
+                weighted, theta, setup, (~bad).astype(float), priors=priors, incomplete=start.solution.incomplete
             )
-            triangle = None
+            theta, setup = solution.theta, solution.setup
             further = updated(network, discrepancy, *residuals_of_estimate(weighted, solution), ~bad)
             if settled(network, discrepancy, further) or attempt == REWEIGHTINGS - 1:
                 break
@@ -182,7 +178,7 @@ DECAYS: Final = read_only(np.array([0.02, 0.05, 0.15, 0.3, 0.5, 0.7, 0.9, 1.0]))
 """Decay ratios of the grid: from a nearly straight line to a curve as rough as its highest function."""
 SIZES: Final = read_only(np.geomspace(1e-5, 0.3, 24))
 """Standard deviations of a curve's first function in the grid, relative to its plausible size: 0.01 µm to 300 µm if that is 1 mm."""
-ITERATIONS: Final = 6
+ITERATIONS: Final = 12
 FEWEST_DOF: Final = 10
 """Degrees of freedom below which residuals do not determine the noise."""
 LEAST_NOISE: Final = 1e-9
@@ -191,10 +187,22 @@ FREE: Final = 1.0
 """Precision of free unknowns, relative to their plausible size; negligible for all that the data determine."""
 
 
-def prior_precision(network: Network, start: RobustStart) -> np.ndarray:
-    """Return (columns,) the precision of each unknown's prior about zero, one over µm² or µrad².
+class ShrunkStart(NamedTuple):
+    """The priors of the machine's unknowns, and a linear estimate with them: weak directions have no values of the noise.
 
-    Zero for unknowns without a prior.
+    Attributes:
+        priors: of the machine's unknowns, about zero.
+        theta: (columns,) µm and µrad.
+        setup: stations and targets.
+    """
+
+    priors: Priors
+    theta: np.ndarray
+    setup: StationsAndTargets
+
+
+def shrunk_start(network: Network, start: RobustStart) -> ShrunkStart:
+    """Return the prior of each unknown of the machine, and the estimate with these near a robust one.
 
     Args:
         network: data and the largest model.
@@ -209,21 +217,37 @@ def prior_precision(network: Network, start: RobustStart) -> np.ndarray:
     normal = free.T @ (triangle.T @ triangle) @ free
     here = np.concatenate([solution.theta / unknowns.plausible, np.zeros(len(solution.setup))])
     right = free.T @ (triangle.T @ (solution.triangle[:, -1] / noise + triangle @ here))
-    own = {curve.name: np.array(unknowns.of(curve.name)) for curve in unknowns.curves}
-    own = {name: columns for name, columns in own.items() if len(columns)}
-    precision = np.full(len(here), FREE)
-    for columns in own.values():
+    columns_of = [np.array(unknowns.of(curve.name), dtype=int) for curve in unknowns.curves]
+    columns_of = [columns for columns in columns_of if len(columns)]
+    precision, variance = np.full(len(here), FREE), np.zeros(len(here))
+    for columns in columns_of:
         precision[columns] = 1.0 / SIZES[len(SIZES) // 2] ** 2
+    share_of_size = np.full(len(SIZES), 1.0 / len(SIZES))
     for _ in range(ITERATIONS):
         spread = np.linalg.inv(normal + free.T @ (precision[:, None] * free))
         mean = free @ (spread @ right)
-        for columns in own.values():
+        # One curve's worth of equal shares is added: a size that no curve has so far remains possible.
+        shares = np.full(len(SIZES), 1.0 / len(SIZES))
+        for columns in columns_of:
             covariance = free[columns] @ spread @ free[columns].T
-            precision[columns] = 1.0 / mean_variance(mean[columns], covariance, precision[columns])
-    prior_precision = np.zeros(machine)
-    for columns in own.values():
-        prior_precision[columns] = precision[columns] / unknowns.plausible[columns] ** 2 * noise**2
-    return prior_precision
+            mixture = mixed_prior(mean[columns], covariance, precision[columns], share_of_size)
+            precision[columns], variance[columns] = mixture.precision, mixture.variance
+            shares += mixture.share_of_size
+        share_of_size = shares / shares.sum()
+    has_prior = np.isin(np.arange(machine), np.concatenate([np.array([], dtype=int), *columns_of]))
+    unit = unknowns.plausible**2
+    priors = Priors(
+        np.where(has_prior, precision[:machine] / unit * noise**2, 0.0), variance[:machine] * unit / noise**2
+    )
+    # A step of orthogonal transformations: normal equations would lose half of the digits.
+    root = np.sqrt(precision)[:, None]
+    rows = np.concatenate([triangle @ free, root * free])
+    step = (
+        free
+        @ np.linalg.lstsq(rows, np.concatenate([solution.triangle[:, -1] / noise, -root[:, 0] * here]), rcond=None)[0]
+    )
+    step *= solution.spectrum.scale
+    return ShrunkStart(priors, solution.theta + step[:machine], solution.setup.moved(step[machine:]))
 
 
 def _noise(solution: FitSolution, readings: int) -> float:
@@ -234,13 +258,32 @@ def _noise(solution: FitSolution, readings: int) -> float:
     return float(np.clip(np.sqrt(solution.chi2 / dof), LEAST_NOISE, 1.0))
 
 
-def mean_variance(mean: np.ndarray, covariance: np.ndarray, precision: np.ndarray) -> np.ndarray:
-    """Return (k,) the prior variances of a curve's coefficients, integrated over size and decay.
+class Mixture(NamedTuple):
+    """The prior of a curve's k coefficients, a mixture of sizes and decays.
+
+    Attributes:
+        precision: (k,) of the one Gaussian prior that shrinks them as the mixture does.
+        variance: (k,) of the mixture in which each size has the same share.
+        share_of_size: (sizes,) probability of each size of this curve.
+    """
+
+    precision: np.ndarray
+    variance: np.ndarray
+    share_of_size: np.ndarray
+
+
+def mixed_prior(mean: np.ndarray, covariance: np.ndarray, precision: np.ndarray, share_of_size: np.ndarray) -> Mixture:
+    """Return the prior of a curve's coefficients, given the readings.
+
+    The estimate of the mixture is the mean of its members' estimates, each with its own covariance C and the weight of its likelihood.
+    With the precision of the readings L, a member's estimate is C L y, so that of the mixture has the mean covariance, and its prior
+    has the precision mean(C)⁻¹ − L, of which the diagonal is taken.
 
     Args:
         mean: (k,) their estimate under a prior.
         covariance: (k, k) its covariance.
         precision: (k,) precision of that prior.
+        share_of_size: (sizes,) share of the machine's curves that have each size.
     """
     count = len(mean)
     values, vectors = np.linalg.eigh(covariance)
@@ -254,8 +297,15 @@ def mean_variance(mean: np.ndarray, covariance: np.ndarray, precision: np.ndarra
     values, vectors = np.linalg.eigh((inner + inner.transpose(0, 2, 1)) / 2.0)
     values = np.maximum(values, 1.0)
     along = np.einsum("gij,gi->gj", vectors, sizes * right)
-    log = 0.5 * np.sum(along**2 / values - np.log(values), axis=1)
-    # The grid has equal steps of the logarithm, so a weight that is uniform in the variance increases with the square of the size.
-    log += 2.0 * np.repeat(np.log(SIZES), len(DECAYS))
+    log = 0.5 * np.sum(along**2 / values - np.log(values), axis=1) + np.log(np.repeat(share_of_size, len(DECAYS)))
     weight = np.exp(log - log.max())
-    return np.asarray(weight @ sizes**2 / weight.sum())
+    weight /= weight.sum()
+    root = sizes[:, :, None] * vectors * np.sqrt(weight[:, None] / values)[:, None, :]
+    mixed = np.einsum("gij,gkj->ik", root, root)
+    shrinking = np.diag(np.linalg.inv(mixed) - likelihood)
+    # Between the precision of the mean variance and the mean precision, its limits for readings that say nothing and everything.
+    clipped = np.clip(shrinking, 1.0 / (weight @ sizes**2), weight @ sizes**-2.0)
+    # Intervals give each size the same share: they hold for a curve that is unlike the others of its machine, too.
+    equal = weight / np.repeat(share_of_size, len(DECAYS))
+    variance = equal @ sizes**2 / equal.sum()
+    return Mixture(clipped, variance, weight.reshape(len(SIZES), -1).sum(axis=1))

@@ -12,7 +12,7 @@ from twin._common.errors import require_type
 from twin._common.resources import Progress, one_blas_thread, silent
 from twin._common.units import MM
 from twin.identification.discrepancy import covariance_of, many_outliers_notice, outlier_notes
-from twin.identification.fitting import FinalEstimate, RobustStart, prior_precision, robust_start, without_outliers
+from twin.identification.fitting import FinalEstimate, RobustStart, robust_start, shrunk_start, without_outliers
 from twin.identification.inputs import NoiseOfReadings, PreparedData, implausible_tips, prepare, reading_noise
 from twin.identification.network import Network
 from twin.identification.orders import Choice, choose, held_out_residuals
@@ -99,8 +99,8 @@ def identify(
         progress("choosing the curves", 0.1)
         model = _best(determined_models(machine, placed, wanted, noise.covariance), placed)
         progress("estimating", 0.75)
-        precision = prior_precision(model.determined.network, model.start)
-        estimate = without_outliers(model.determined.network, model.start, precision)
+        shrunk = shrunk_start(model.determined.network, model.start)
+        estimate = without_outliers(model.determined.network, model.start, shrunk)
         progress("uncertainty", 0.9)
         return _result(model, estimate, noise, wanted)
 

@@ -17,7 +17,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import Final, Literal, final
+from typing import Final, Literal, NamedTuple, final
 
 import numpy as np
 import scipy
@@ -64,6 +64,18 @@ step would be a thousandth of it or less, and the remainder 1e-7 of a standard u
 """
 
 
+class Priors(NamedTuple):
+    """Gaussian priors of the machine's unknowns about zero.
+
+    Attributes:
+        precision: (columns,) in the estimate, one over µm² or µrad²; zero without a prior.
+        variance: (columns,) of what the estimate holds back, µm² or µrad²: how far the unknowns may be from zero, for the covariance.
+    """
+
+    precision: np.ndarray
+    variance: np.ndarray
+
+
 @final
 @dataclass(frozen=True)
 class FitSolution:
@@ -79,7 +91,7 @@ class FitSolution:
         converged: whether the iteration converged.
         steps: number of steps.
         incomplete: whether the model does not fit, so that the prior acts on every direction.
-        precision: (columns,) further priors of the machine's unknowns about zero, one over µm² or µrad².
+        priors: further priors of the machine's unknowns about zero.
         free: (p, f) orthonormal directions that fulfil the datum's conditions.
     """
 
@@ -91,7 +103,7 @@ class FitSolution:
     converged: bool
     steps: int
     incomplete: bool
-    precision: np.ndarray
+    priors: Priors
     free: np.ndarray
 
     @cached_property
@@ -126,7 +138,7 @@ class FitSolution:
         j = self.triangle[:, :-1]
         middle = (j.T @ j if score_covariance is None else score_covariance) * np.outer(scale, scale)
         held = np.zeros(len(scale))
-        held[: len(self.precision)] = self.precision * scale[: len(self.precision)] ** 2
+        held[: len(self.theta)] = (self.priors.precision * scale[: len(self.theta)]) ** 2 * self.priors.variance
         inner = self.basis.T @ (middle + np.diag(held)) @ self.basis
         inner += np.diag(_with_prior(self.spectrum.values, incomplete=self.incomplete))
         root = self.basis * scale[:, None] / self.stiffness
@@ -191,7 +203,7 @@ def solve(
     setup: StationsAndTargets,
     weight: np.ndarray,
     *,
-    precision: np.ndarray | None = None,
+    priors: Priors | None = None,
     incomplete: bool = False,
     steps: int = STEPS,
     triangle: np.ndarray | None = None,
@@ -203,14 +215,14 @@ def solve(
         theta: initial values of the machine's unknowns, µm and µrad.
         setup: initial stations and targets; their deviation from the prior is in it (`StationsAndTargets.shift`).
         weight: (n,) weight of each point.
-        precision: (columns,) priors of the machine's unknowns about zero, one over µm² or µrad²; none if None.
+        priors: priors of the machine's unknowns; none if None.
         incomplete: whether the model does not fit within the noise; see the module.
         steps: largest number of steps.
         triangle: factor of [J | r] at the initial value; computed if None.
     """
-    problem = _Problem.of(network, setup, precision, incomplete=incomplete)
+    problem = _Problem.of(network, setup, priors, incomplete=incomplete)
     iterate = _Iterate(theta, setup)
-    weakest = LEAST_STRENGTH if precision is not None else SINGULAR_VALUE_TOLERANCE
+    weakest = LEAST_STRENGTH if priors is not None else SINGULAR_VALUE_TOLERANCE
     taken, halved, before, last = 0, 0, np.inf, iterate
     newton_steps: list[np.ndarray] = []
     steps_taken: list[np.ndarray] = []
@@ -271,32 +283,30 @@ class _Problem:
 
     Attributes:
         incomplete: see `solve`.
-        precision: (columns,) priors of the machine's unknowns about zero.
-        root: (columns, columns) root of it.
+        priors: priors of the machine's unknowns.
+        root: (columns, columns) root of their precision.
         free: (p, f) orthonormal directions that fulfil the datum's conditions.
         scale: (p,) prior standard deviations.
         near: (p,) prior standard deviations during the iteration (`SETUP_SHARE`).
     """
 
     incomplete: bool
-    precision: np.ndarray
+    priors: Priors
     root: np.ndarray
     free: np.ndarray
     scale: np.ndarray
     near: np.ndarray
 
     @classmethod
-    def of(
-        cls, network: Network, setup: StationsAndTargets, precision: np.ndarray | None, *, incomplete: bool
-    ) -> _Problem:
+    def of(cls, network: Network, setup: StationsAndTargets, priors: Priors | None, *, incomplete: bool) -> _Problem:
         """Return the constants of an estimate; arguments as of `solve`."""
         machine = len(network.unknowns)
-        held = np.zeros(machine) if precision is None else precision
+        held = Priors(np.zeros(machine), np.zeros(machine)) if priors is None else priors
         scale = np.concatenate([network.unknowns.plausible, setup.plausible])
         near = np.array(scale)
         near[machine:] *= SETUP_SHARE if incomplete else 1.0
         free = free_directions(network.unknowns.datum, machine, len(setup))
-        return cls(incomplete, held, np.diag(np.sqrt(held)), free, scale, near)
+        return cls(incomplete, held, np.diag(np.sqrt(held.precision)), free, scale, near)
 
     def cost(self, iterate: _Iterate, triangle: np.ndarray) -> float:
         """Return the sum of squares of readings and priors."""
@@ -338,7 +348,7 @@ class _Problem:
             converged=converged,
             steps=taken,
             incomplete=self.incomplete,
-            precision=self.precision,
+            priors=self.priors,
             free=self.free,
         )
         share = np.sum((triangle[:, :-1] * self.scale @ solution.basis) ** 2 / solution.stiffness)

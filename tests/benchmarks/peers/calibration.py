@@ -64,7 +64,7 @@ class Fit:
     @property
     def prior(self) -> np.ndarray:
         """(columns + weak directions, f) derivatives of the rows of the priors."""
-        root = self.estimate.noise * np.sqrt(self.estimate.precision)
+        root = np.sqrt(self.estimate.priors.precision)
         weak = np.eye(self.estimate.basis.shape[1])[len(self.estimate.spectrum.directions.T) :]
         return np.concatenate([root[:, None] * self.coordinates[: len(root)], weak])
 
@@ -122,7 +122,7 @@ def by_twin(fit: Fit) -> Measured:
 
     def once() -> FitSolution:
         zero, last = np.zeros(len(fit.network.unknowns)), fit.estimate
-        return solve(fit.network, zero, fit.setup, fit.weight, precision=last.precision, noise=last.noise)
+        return solve(fit.network, zero, fit.setup, fit.weight, priors=last.priors)
 
     found, n = once(), len(fit.network.data)
     result = f"{difference(fit, found.theta, found.setup)}; {found.steps} steps"
