@@ -143,6 +143,10 @@ class Findings:
         """Return the problem without outliers, whitened by noise and discrepancy."""
         return self.task.problem
 
+    def beside_patterns(self, forms: Sequence[Form]) -> list[Form]:
+        """Return forms of ``candidates`` as they are among ``given_patterns``."""
+        return [self.given_patterns.forms[form.index] for form in forms]
+
 
 def joint_selection(candidates: Candidates, forms: Sequence[Form], tried: Sequence[Pattern]) -> Structure:
     """Return the given causes, or, if patterns explain more than a small part, the joint selection of causes and patterns.
