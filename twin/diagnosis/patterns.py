@@ -98,6 +98,11 @@ class Pattern:
         return tuple(channel.name for channel in self.channels)
 
     @property
+    def key(self) -> tuple[str, tuple[str, ...]]:
+        """Side and columns."""
+        return self.side, self.names
+
+    @property
     def derivative(self) -> str:
         """Return which derivative of the readings it multiplies (`twin.diagnosis.candidates.candidate.ReadingDerivatives`)."""
         return f"{self.side} {self.field}"
