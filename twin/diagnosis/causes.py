@@ -157,7 +157,7 @@ def causes_with_alternatives(sized: SizedCauses, calibration: Calibration) -> tu
     candidates, structure = sized.findings.candidates, sized.findings.structure
     causes = [_cause(sized, k, calibration) for k in range(len(sized.forms))]
     if structure.pattern_tests:
-        return causes, Comparison((), ())
+        return causes, Comparison()
     # A variant of a cause with more parameters, such as ``reversal_curve`` of ``reversal``, counts as that cause.
     variants = {
         form.key: [
@@ -171,10 +171,10 @@ def causes_with_alternatives(sized: SizedCauses, calibration: Calibration) -> tu
     comparison = compare_with_search(second_opinion(candidates, structure.forms), groups)
     return [
         # The form of a curve that does not predict held-out positions is unknown, and so is its probability.
-        replace(cause, probability=compared.probability, credible=compared.instead or compared.credible)
+        replace(cause, probability=comparison.probability[k], credible=comparison.instead[k] or comparison.credible[k])
         if cause.promised
         else cause
-        for cause, compared in zip(causes, comparison.causes, strict=True)
+        for k, cause in enumerate(causes)
     ], comparison
 
 
