@@ -186,10 +186,7 @@ def next_points(
     """Return the points at which the predictions of a cause and its alternatives differ most.
 
     Args:
-        problem: the data.
         named: the cause, and the prediction of all causes at the candidate points (`_prediction`).
-        rivals: the alternatives.
-        others: the other causes.
         plan: the candidate points.
     """
     network, (form, ours) = problem.network, named
@@ -330,13 +327,7 @@ def curve_flaw(candidates: Candidates, forms: Sequence[Form], form: Form, calibr
 
 
 def between_positions(candidates: Candidates, forms: Sequence[Form], form: Form) -> str:
-    """Return why a cause is not valid between the measured positions; empty if it is.
-
-    Args:
-        candidates: the data.
-        forms: the causes.
-        form: one of them.
-    """
+    """Return why a cause is not valid between the measured positions; empty if it is."""
     periods = _other_periods(candidates, forms, form)
     if periods:
         other = listed([f"{period:.3g}" for period in periods])

@@ -191,8 +191,6 @@ def conclude(sized: SizedCauses, calibration: Calibration, *, empirical: bool = 
     """Return the complete diagnosis: the causes with their alternatives, what they leave, and what modelling them gains.
 
     Args:
-        sized: the causes with their sizes.
-        calibration: the calibration tested.
         empirical: whether unexplained patterns extend the calibration as well.
     """
     findings, forms = sized.findings, sized.forms
@@ -372,12 +370,7 @@ ITSELF: Final = "itself"
 
 
 def looks_like(problem: Problem, forms: Sequence[Form]) -> dict[tuple[str, str], str]:
-    """Return for each candidate that is not identifiable what it is confounded with, in words.
-
-    Args:
-        problem: the data.
-        forms: all forms of these candidates.
-    """
+    """Return for each candidate that is not identifiable what it is confounded with, in words."""
     every = list(dict.fromkeys((form.key, column) for form in forms for column in form.variant.columns))
     if not every:
         return {}

@@ -316,12 +316,7 @@ COMPATIBLE_SIGMA: Final = 3.0
 
 
 def readback_causes(candidates: Candidates, forms: Sequence[Form]) -> tuple[list[Cause], list[str]]:
-    """Return causes for axes whose reported positions the readings do not follow, and notices on undecided axes.
-
-    Args:
-        candidates: the forms tested.
-        forms: the forms selected.
-    """
+    """Return causes for axes whose reported positions the readings do not follow, and notices on undecided axes."""
     data, machine = candidates.problem.network.data, candidates.problem.network.machine
     causes, silent = [], []
     tried = [form for form in candidates.forms if form.candidate.specification is FOLLOWING_ERROR and form not in forms]
@@ -386,8 +381,6 @@ def causes_with_payloads(
     """Return the causes with uncertainties that include that of the payloads, and the payloads as causes.
 
     Args:
-        candidates: the forms.
-        forms: the forms selected.
         causes: the causes, with uncertainties for exactly known payloads.
     """
     causes, found = list(causes), []

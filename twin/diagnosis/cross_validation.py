@@ -37,7 +37,6 @@ def predicted_pattern_shift(likelihood: Likelihood, forms: Sequence[Form], writt
 
     Args:
         likelihood: the patterns on that part.
-        forms: the causes.
         written: numbers of the patterns.
     """
     which, values, _ = likelihood.most_likely(likelihood.fit(forms), likelihood.slope_beside(forms))
@@ -82,11 +81,6 @@ def predicts_held_out(candidates: Candidates, form: Form, forms: Sequence[Form])
     """Return whether a function of an axis's position predicts held-out positions of that axis.
 
     A variant of another effect must predict better than that effect, for example a reversal curve better than a constant reversal.
-
-    Args:
-        candidates: the data.
-        form: the cause.
-        forms: all causes.
     """
     if not form.candidate.specification.curve:
         return True
@@ -108,14 +102,7 @@ def predicts_held_out(candidates: Candidates, form: Form, forms: Sequence[Form])
 def gain_at_held_out_positions(
     candidates: Candidates, form: Form, others: Sequence[Form], split: HeldOutFolds
 ) -> tuple[float, float] | None:
-    """Return the 95 % interval of the gain of one cause at held-out positions, all others kept; None if there is no interval.
-
-    Args:
-        candidates: the data.
-        form: the cause.
-        others: the other causes.
-        split: the folds of positions.
-    """
+    """Return the 95 % interval of the gain of one cause at held-out positions, all others kept; None if there is no interval."""
 
     def predict(small: Candidates) -> tuple[np.ndarray, np.ndarray]:
         return predicted_shift(candidates.problem, small, others), predicted_shift(
@@ -132,7 +119,6 @@ def held_out_squares(
     """Return (groups, models + 1): sums of squared held-out residuals of each model, µm², and the number of values.
 
     Args:
-        candidates: all data.
         predict: data without a fold → (3n,) prediction of each model fitted to them, whitened, for all readings.
     """
     problem = candidates.problem
@@ -177,11 +163,7 @@ class HeldOutFolds:
 
 
 def choose_folds(data: Measurements, machine: Machine, causes: Sequence[Candidate]) -> HeldOutFolds | None:
-    """Return the folds suited to the causes; None if nothing can be held out.
-
-    Args:
-        causes: the causes found.
-    """
+    """Return the folds suited to the causes; None if nothing can be held out."""
     changing = bool(causes) and all(cause.specification.varies == "with time" for cause in causes)
     if not changing:
         moved = [i for i in range(len(machine.axes)) if np.ptp(data.positions[:, i]) > 0.0]
@@ -236,10 +218,6 @@ def without_overfitting(candidates: Candidates, forms: Sequence[Form]) -> list[F
     1960). Of these the smallest number is kept whose held-out error is within one standard error of the minimum (Breiman and others
     1984). For poses, each fold chooses its causes anew. If only one axis moved, causes that are not promised (`predicts_held_out`) are
     kept: they make no claim between the measured positions.
-
-    Args:
-        candidates: the data.
-        forms: the causes.
     """
     if AMPLE_FREEDOM * len(columns_of(forms)) < candidates.problem.dof:
         return list(forms)

@@ -56,7 +56,6 @@ def lacks_fit(problem: Problem, residual: np.ndarray, parameters: int, noise_dof
     """Return whether the residuals exceed the noise, overall or in the means of repeats (test of lack of fit).
 
     Args:
-        problem: the data.
         residual: (3n,) whitened residual of the fit.
         parameters: number of parameters fitted besides the set-up.
         noise_dof: degrees of freedom of the noise variance.
@@ -86,7 +85,6 @@ def robust_covariance(
     With too few groups: the covariance due to noise, and infinity.
 
     Args:
-        problem: the data.
         columns: (3n, k) signatures that were fitted.
         residual: (3n,) whitened residual of the fit.
         covariance: (k, k) covariance due to noise.
@@ -230,8 +228,6 @@ def estimate(
     """Estimate all parameters of the causes by Gauss-Newton iteration, with the set-up projected out.
 
     Args:
-        problem: the data.
-        forms: the causes.
         noise_dof: degrees of freedom of the noise variance.
         random_effects: patterns without a name; they are not fitted but increase the covariance.
         least: noncentrality at the largest plausible size below which a direction is not identifiable.
@@ -259,7 +255,6 @@ def fitted_effects(problem: Problem, forms: Sequence[Form]) -> tuple[list[tuple[
     """Return the effects of each of k causes with their parameters as `estimate` finds them, and the (3n, k) signatures.
 
     Args:
-        problem: the data.
         forms: the causes, at least one.
     """
     parts, _, signature = _fitted(problem, forms, machine_state(problem.network.data, problem.network.machine))
@@ -574,7 +569,6 @@ def remaining_discrepancy(
 
     Args:
         task: the data, with the weights of the estimate.
-        forms: the causes.
         found: their estimate.
         patterned: the same problem with the patterns projected out (`Problem.with_random_effects`); None to count them as discrepancy.
     """
@@ -597,7 +591,6 @@ def reweighted(
 
     Args:
         task: the data, with the weights of the estimate.
-        forms: the causes.
         found: their estimate.
         random_effects: patterns without a name (`estimate`).
     """

@@ -89,7 +89,6 @@ class Candidates:
     Inner products are projected: the set-up and the calibration's uncertainty are projected out.
 
     Args:
-        problem: the data.
         forms: (candidate, variant, log of the number of tests) of each form.
         dof: degrees of freedom of the noise variance; infinite where the variance is given.
         parts: (n,) number of the part each point belongs to, where parts are to be held out.
@@ -346,7 +345,6 @@ class Candidates:
         """Return the same as `scan`, given also some directions of unit weight.
 
         Args:
-            forms: the causes.
             cross: (r, all) inner products of the directions with all columns.
             slope: (r,) their inner products with the residual.
         """
@@ -378,7 +376,6 @@ class Candidates:
         """Return (tried, 3) reduction of chi², degrees of freedom and corrected log p of some forms, given others.
 
         Args:
-            forms: the causes already selected.
             tried: indices of the forms.
         """
         explained, dof = (values[list(tried)] for values in self.scan(forms))
@@ -469,7 +466,6 @@ class Candidates:
         """Return the factor (all, r) of the matrix to subtract from the inner products given some forms, and the slope left (all,).
 
         Args:
-            forms: the forms already selected.
             beside: (r, all) and (r,) of directions that are given too, as in `scan_beside`.
         """
         columns = columns_of(forms)

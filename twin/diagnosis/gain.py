@@ -85,7 +85,6 @@ def held_out_patterns(findings: Findings, forms: Sequence[Form], written: Collec
     """Return the residuals of held-out readings, with the causes alone and with some patterns added, fitted to the other readings.
 
     Args:
-        findings: the selected causes and patterns.
         forms: the causes; the same on every part.
         written: numbers of the patterns added.
     """
@@ -142,12 +141,7 @@ class EmpiricalExtension:
 
 
 def extend(sized: SizedCauses, calibration: Calibration) -> EmpiricalExtension:
-    """Fit an empirical effect to each pattern, and test on held-out readings whether the effects reduce the residuals.
-
-    Args:
-        sized: the causes with their sizes.
-        calibration: the calibration tested.
-    """
+    """Fit an empirical effect to each pattern, and test on held-out readings whether the effects reduce the residuals."""
     findings, forms, problem = sized.findings, sized.forms, sized.findings.problem
     likelihood, machine = findings.structure.likelihood, problem.network.machine
     if likelihood is None or not likelihood.pattern_tests:
@@ -272,9 +266,7 @@ def gain(
     """Return the gain of the extended calibration.
 
     Args:
-        sized: the causes with their sizes.
         residuals: (n, 3) µm with the given and with the extended calibration.
-        unexplained: the unexplained residuals.
         extension: the empirical effects fitted to them; None if not requested.
     """
     network = sized.findings.problem.network
@@ -310,7 +302,6 @@ def residuals_as_written(
     """Return the (n, 3) residuals in µm with a calibration as written, the set-up refitted; NaN where no coordinate was measured.
 
     Args:
-        problem: the data.
         instrument: (3n,) whitened effect of the instrument errors found, subtracted from the readings first.
         root: (n, 3, 3) square root of the covariance by the discrepancy, metres, for the weights of the set-up.
     """
@@ -351,7 +342,6 @@ def error_at_tool(
 
     Args:
         data: the measurements, for their temperatures and times.
-        effects: the effects found.
         covariance: of their parameters.
     """
     if not effects:

@@ -73,8 +73,6 @@ def scan_patterns(problem: Problem, tried: Sequence[Pattern], forms: Sequence[Fo
     """Return the most significant test of each pattern, most significant first.
 
     Args:
-        problem: the data.
-        tried: patterns to test.
         forms: causes that are projected out.
         dof: degrees of freedom of the noise estimate.
     """
@@ -240,10 +238,6 @@ class Likelihood:
 
     The columns of each variance are rotated so that they are orthogonal in the readings. The likelihood stays the same, and columns
     that the readings do not determine drop out: for few readings, that is most of the columns.
-
-    Args:
-        candidates: the data and the causes.
-        pattern_tests: the patterns.
     """
 
     def __init__(self, candidates: Candidates, pattern_tests: Sequence[PatternTest]) -> None:
@@ -276,7 +270,6 @@ class Likelihood:
         """Return the model at the most likely variances, for some causes.
 
         Args:
-            forms: the causes.
             start: model whose variances are the initial ones.
             without: number of a pattern to omit.
         """

@@ -317,9 +317,7 @@ class PatternScores:
     """Scores of patterns with set-up and causes projected out.
 
     Args:
-        problem: the data.
         forms: causes that are projected out.
-        tried: the patterns.
     """
 
     def __init__(self, problem: Problem, forms: Sequence[Form], tried: Sequence[Pattern]) -> None:

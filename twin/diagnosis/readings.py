@@ -66,7 +66,6 @@ def from_repeats(
     Args:
         view: their linearisation, with any isotropic whitening, which is undone here.
         read: (n, 3) whether a coordinate was measured.
-        known: the candidate causes.
         seen: (m, 3) the points, in their stations' frames, whose covariance is returned.
     """
     group = repeat_groups(data)
@@ -108,7 +107,6 @@ def from_residuals(
         network: data and model.
         setup: the fitted set-up; its unknowns are among the regressors.
         view: linearisation of the points used, with any isotropic whitening, which is undone here.
-        known: the candidate causes.
         seen: (m, 3) the points, in their stations' frames, whose covariance is returned.
     """
     columns = [column for candidate in known for column in _main_columns(candidate)]
@@ -313,7 +311,6 @@ def readings(
     """Fit stations and targets, and determine the measurement noise and the outliers.
 
     Args:
-        calibration: the model under test.
         instrument: instrument whose noise model is used; None to take the table's uncertainties, or to estimate from repeats. If
             repeats contradict either, they decide.
 

@@ -71,7 +71,6 @@ def select(candidates: Candidates, begun: Sequence[Form] = ()) -> Selection:
     """Return the best set of causes: forward selection from several starts, with removal and exchange after each step.
 
     Args:
-        candidates: the forms.
         begun: a set to start from instead, whose causes stay if each is significant.
     """
     selection = Selection((), 0.0)
@@ -120,7 +119,6 @@ def within_limits(candidates: Candidates, best: Selection, anew: bool) -> Select
     """Return the best set in which no cause is larger than possible (`excess_ratio`).
 
     Args:
-        candidates: the forms.
         best: the best set, whatever its size (`select`).
         anew: whether to search from the start without a cause that is too large, or to continue with the others.
     """
@@ -153,9 +151,7 @@ def excess_ratio(candidates: Candidates, form: Form, forms: Sequence[Form]) -> f
     A cause larger than the residuals needs another that cancels it; neither exists.
 
     Args:
-        candidates: the data.
         form: one of ``forms``.
-        forms: the selected forms.
     """
     return max(ratio for ratio, _ in _excesses(candidates, form, forms))
 
@@ -247,7 +243,6 @@ def forward_selection(
     """Add forms as long as each is significant.
 
     Args:
-        candidates: the forms.
         forms: the forms to start with.
         allowed: (forms,) which may be added.
         most: largest number of forms.

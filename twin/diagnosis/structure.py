@@ -152,9 +152,7 @@ def joint_selection(candidates: Candidates, forms: Sequence[Form], tried: Sequen
     """Return the given causes, or, if patterns explain more than a small part, the joint selection of causes and patterns.
 
     Args:
-        candidates: the data and the forms.
         forms: the causes selected without patterns.
-        tried: patterns to test.
     """
     structure = with_patterns(candidates, forms, tried)
     has_patterns, patterned = bool(structure.pattern_tests), False
