@@ -307,7 +307,7 @@ class Candidates:
         fresh = [form for form in forms if np.any(self._row[form.columns] < 0)]
         if len(fresh) > 1:
             # One new form needs no pass: its products with the others are in their rows, those within it are known.
-            self._cross_rows(columns_of(fresh[1:]))
+            self.cross(columns_of(fresh[1:]))
             return self.gram(forms)
         gram = np.zeros((len(columns), len(columns)))
         for form in fresh:
@@ -331,33 +331,27 @@ class Candidates:
         )
         return left < 1e-2 * min(own, 1.0)
 
-    def scan(self, forms: Sequence[Form]) -> tuple[np.ndarray, np.ndarray]:
-        """Return the reduction of chi² by every form given some others, and its degrees of freedom; (forms,) each."""
-        key = frozenset(form.index for form in forms)
-        if key in self._scans:
-            return self._scans[key]
-        explained, dof = self._scanned(*self._given(forms))
-        self._latest = explained - self.critical_values(dof)
-        self._scans[key] = explained, dof
-        return explained, dof
-
-    def scan_beside(self, forms: Sequence[Form], cross: np.ndarray, slope: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the same as `scan`, given also some directions of unit weight.
+    def scan(
+        self, forms: Sequence[Form], beside: tuple[np.ndarray, np.ndarray] | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return the reduction of chi² by every form given some others, and its degrees of freedom; (forms,) each.
 
         Args:
-            cross: (r, all) inner products of the directions with all columns.
-            slope: (r,) their inner products with the residual.
+            beside: further directions of unit weight that are given: their (r, all) inner products with all columns, and (r,) with
+                the residual.
         """
-        return self._scanned(*self._given(forms, (cross, slope)))
-
-    def _scanned(self, factor: np.ndarray, slope: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return chi² reduction and degrees of freedom of every form, with factor · factorᵀ subtracted from the inner products."""
+        key = frozenset(form.index for form in forms)
+        if beside is None and key in self._scans:
+            return self._scans[key]
+        factor, slope = self._given(forms, beside)
         explained, dof = np.zeros(len(self.forms)), np.zeros(len(self.forms), dtype=int)
-        for rows, columns, blocks in zip(self._rows, self._columns, self._inner, strict=True):
+        for rows, columns, blocks in self.blocks():
             removed = factor[columns]
-            explained[rows], dof[rows] = _fit_blocks(
-                blocks, blocks - removed @ removed.transpose(0, 2, 1), slope[columns]
-            )
+            given = blocks - removed @ removed.transpose(0, 2, 1)
+            explained[rows], dof[rows] = _fit_blocks(blocks, given, slope[columns])
+        if beside is None:
+            self._latest = explained - self.critical_values(dof)
+            self._scans[key] = explained, dof
         return explained, dof
 
     def critical_values(self, dof: np.ndarray) -> np.ndarray:
@@ -411,34 +405,25 @@ class Candidates:
         return list(zip(self._rows, self._columns, self._inner, strict=True))
 
     def cross(self, columns: np.ndarray) -> np.ndarray:
-        """Return the projected inner products (columns, all) of some columns with all."""
-        return self._cross_rows(columns)
+        """Return the projected inner products (columns, all) of some columns with all; missing ones are computed first."""
+        if np.any(self._row[columns] < 0):
+            fresh = self._with_expected(columns[self._row[columns] < 0])
+            products = self.products.cross(fresh) - self._on_basis[:, fresh].T @ self._on_basis
+            filled = int(self._row.max()) + 1
+            if filled + len(products) > len(self._cross):
+                grown = np.zeros((2 * filled + len(products), self._cross.shape[1]))
+                grown[:filled] = self._cross[:filled]
+                self._cross = grown
+            self._row[fresh] = filled + np.arange(len(fresh))
+            self._cross[self._row[fresh]] = products
+        return self._cross[self._row[columns]]
 
     def prepare(self, forms: Sequence[Form]) -> None:
         """Compute the inner products of some forms with all others in one pass; for part of the data only those already cached."""
         cached = self.products.cached
         few = [form for form in forms if not self._expected or cached[form.columns].all()]
         if few:
-            self._cross_rows(columns_of(few))
-
-    def _cross_rows(self, columns: np.ndarray) -> np.ndarray:
-        """Return the projected inner products (columns, all)."""
-        rows = self._row_indices(columns)
-        return self._cross[rows]
-
-    def _row_indices(self, columns: np.ndarray) -> np.ndarray:
-        """Return the rows of `_cross` of some columns; missing rows are computed first."""
-        if np.any(self._row[columns] < 0):
-            fresh = self._with_expected(columns[self._row[columns] < 0])
-            found = self.products.cross(fresh) - self._on_basis[:, fresh].T @ self._on_basis
-            filled = int(self._row.max()) + 1
-            if filled + len(found) > len(self._cross):
-                grown = np.zeros((2 * filled + len(found), self._cross.shape[1]))
-                grown[:filled] = self._cross[:filled]
-                self._cross = grown
-            self._row[fresh] = filled + np.arange(len(fresh))
-            self._cross[self._row[fresh]] = found
-        return self._row[columns]
+            self.cross(columns_of(few))
 
     def _with_expected(self, columns: np.ndarray) -> np.ndarray:
         """Return the columns and those likely to be needed next, since most of the cost is the pass over the data.
@@ -466,10 +451,10 @@ class Candidates:
         """Return the factor (all, r) of the matrix to subtract from the inner products given some forms, and the slope left (all,).
 
         Args:
-            beside: (r, all) and (r,) of directions that are given too, as in `scan_beside`.
+            beside: further directions, as in `scan`.
         """
         columns = columns_of(forms)
-        own = self._cross_rows(columns)
+        own = self.cross(columns)
         if beside is None:
             root = inverse_root(own[:, columns])
             return own.T @ root, self.slope - (root @ (root.T @ self.slope[columns])) @ own

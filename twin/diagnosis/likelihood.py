@@ -348,7 +348,7 @@ class Likelihood:
         lower = np.linalg.cholesky(inner)
         cross = scipy.linalg.solve_triangular(lower, self._cross[used] * deviation[:, None], lower=True)
         slope = scipy.linalg.solve_triangular(lower, self._slope[used] * deviation, lower=True)
-        explained, dof = self.candidates.scan_beside(forms, cross, slope)
+        explained, dof = self.candidates.scan(forms, (cross, slope))
         return explained / model.variance_factor, dof
 
     def explained_by_patterns(self, forms: Sequence[Form], model: Model) -> np.ndarray:
