@@ -23,13 +23,7 @@ from twin._common.distributions import chi2_sf, f_sf
 from twin._common.units import UM
 from twin.diagnosis.alternatives import points_to_measure
 from twin.diagnosis.candidates.candidate import LARGEST_ERROR
-from twin.diagnosis.causes import (
-    SizedCauses,
-    causes_with_alternatives,
-    causes_with_payloads,
-    notices,
-    readback_causes,
-)
+from twin.diagnosis.causes import SizedCauses, causes_with_alternatives, causes_with_payloads, notices, readback_causes
 from twin.diagnosis.forms import LEAST_NONCENTRALITY, Candidates, Form
 from twin.diagnosis.gain import EmpiricalExtension, extend, gain, residuals_as_written
 from twin.diagnosis.likelihood import PatternTest, scan_patterns

@@ -18,13 +18,7 @@ import numpy as np
 
 from twin._common.arrays import read_only
 from twin._common.distributions import f_log_sf, normal_sf
-from twin.diagnosis.alternatives import (
-    between_positions,
-    curve_flaw,
-    equivalent,
-    evidence,
-    ruled_out,
-)
+from twin.diagnosis.alternatives import between_positions, curve_flaw, equivalent, evidence, ruled_out
 from twin.diagnosis.candidates.catalogue import SPECIFICATIONS
 from twin.diagnosis.candidates.machine import FOLLOWING_ERROR, READ_BACK
 from twin.diagnosis.estimate import MANY_ROUNDS, Estimate, estimate, reweighted

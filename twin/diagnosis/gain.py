@@ -307,13 +307,7 @@ def residuals_as_written(
     """
     network = problem.network.with_discrepancy(root)
     as_written = Network(
-        network.machine,
-        network.data,
-        network.instruments,
-        network.unknowns,
-        extended,
-        network.covariance,
-        check=False,
+        network.machine, network.data, network.instruments, network.unknowns, extended, network.covariance, check=False
     )
     setup = solve(as_written, np.zeros(0), problem.setup, np.ones(len(network.data))).setup
     columns = np.empty((len(setup) + 1, len(network.data), 3))

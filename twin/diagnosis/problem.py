@@ -62,12 +62,7 @@ class Problem:
         calibration: the calibration whose covariance is taken into account; none if None.
     """
 
-    def __init__(
-        self,
-        network: Network,
-        setup: StationsAndTargets,
-        calibration: Calibration | None,
-    ) -> None:
+    def __init__(self, network: Network, setup: StationsAndTargets, calibration: Calibration | None) -> None:
         self.network = network
         self.setup = setup
         self.calibration = calibration

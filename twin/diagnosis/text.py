@@ -251,10 +251,7 @@ def headline(diagnosis: DiagnosisResult) -> tuple[str, Mood]:  # noqa: C901, PLR
         return "The readings agree with the model: no error found", "well"
     if diagnosis.verdict == "unexplained":
         if kinds and noisier_than_stated(diagnosis):
-            return (
-                "The readings are noisier than stated; the causes found may be artefacts of that noise",
-                "unknown",
-            )
+            return ("The readings are noisier than stated; the causes found may be artefacts of that noise", "unknown")
         if kinds:
             return "There is an error, and the causes found do not explain all of it", "unknown"
         if diagnosis.unexplained is not None and not diagnosis.unexplained.depends_on:
@@ -268,10 +265,7 @@ def headline(diagnosis: DiagnosisResult) -> tuple[str, Mood]:  # noqa: C901, PLR
             )
         return "There is an error, but these readings cannot decide which of several causes it has", "wrong"
     if kinds == {"instrument"}:
-        return (
-            "The measurement was disturbed; these readings show no error of the machine",
-            "disturbed",
-        )
+        return ("The measurement was disturbed; these readings show no error of the machine", "disturbed")
     if kinds == {"calibration"}:
         return "The calibration is wrong, not the machine. Found:", "wrong"
     if "instrument" in kinds:

@@ -241,11 +241,7 @@ def _fixed_by_datum(axis: Axis, component: int) -> int:
 
 
 def _curve_candidate(
-    axis: Axis,
-    component: int,
-    space: CurveSpace,
-    patterns: Mapping[float, np.ndarray],
-    columns: tuple[Column, ...],
+    axis: Axis, component: int, space: CurveSpace, patterns: Mapping[float, np.ndarray], columns: tuple[Column, ...]
 ) -> Candidate:
     """Return the candidate of one error motion, from the columns of its functions and of the mistakes in its curve."""
     first_free = _fixed_by_datum(axis, component)
