@@ -197,13 +197,15 @@ class _Part:
     moments: np.ndarray | None = None
 
     def set_values(self, values: np.ndarray, longest: float) -> None:
-        """Set the parameters, within the effect's limits."""
+        """Set the parameters, within the effect's limits; ``longest`` is the longest period or time constant tried."""
         self.values = values
-        if self.nonlinear:
-            self.effects = (_within_limits(self.form, self.effects[0], values, longest),)
-            self.values = np.array([parameter.value for parameter in self.effects[0].parameters])
-        else:
+        if not self.nonlinear:
             self.effects = _effects(self.form, values, self.fixed)
+            return
+        constrain = self.form.candidate.specification.constrain
+        if constrain is not None:
+            self.effects = (constrain(self.effects[0], [float(value) for value in values], longest),)
+        self.values = np.array([parameter.value for parameter in self.effects[0].parameters])
 
     def linearise(self, problem: Problem, state: Mapping[str, Any]) -> None:
         """Evaluate the columns at the current parameters."""
@@ -314,7 +316,7 @@ def _fit_drift_of(problem: Problem, part: _Part, others: Sequence[Column]) -> No
 
 def _gauss_newton(problem: Problem, parts: Sequence[_Part], state: Mapping[str, Any], least: float) -> np.ndarray:
     """Iterate until convergence and return the covariance of all parameters at the last step."""
-    longest = [_longest_scale(part.form) for part in parts]
+    longest = [max((part.form.candidate.range(name) for name in part.form.nonlinear), default=np.inf) for part in parts]
     for _ in range(STEPS if any(part.nonlinear for part in parts) else 1):
         for part in parts:
             part.linearise(problem, state)
@@ -471,19 +473,6 @@ def _is_nonlinear(form: Form, effects: Sequence[Effect]) -> bool:
     """Return whether the effect has the form's non-linear parameters among its own."""
     names = form.candidate.specification.nonlinear
     return bool(names and effects) and all(name in effects[0].numbers for name in names)
-
-
-def _longest_scale(form: Form) -> float:
-    """Return the longest period or time constant tried of a form."""
-    tried = [
-        variant.fixed[name] for variant in form.candidate.variants for name in form.nonlinear if name in variant.fixed
-    ]
-    return max(tried, default=np.inf)
-
-
-def _within_limits(form: Form, effect: Effect, values: np.ndarray, longest: float) -> Effect:
-    kept = form.candidate.specification.constrain
-    return effect if kept is None else kept(effect, [float(v) for v in values], longest)
 
 
 def _converted(
