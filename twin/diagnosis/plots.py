@@ -111,18 +111,18 @@ class Panel:
     limit: float | None = None
 
 
-def residual_panels(found: DiagnosisResult, *, after: bool = False) -> list[Panel]:
+def residual_panels(diagnosis: DiagnosisResult, *, after: bool = False) -> list[Panel]:
     """Return the residuals against the columns they depend on, clearest first, or against every axis if they depend on none.
 
     Args:
         after: residuals with the causes in the model, on the scale of those without.
     """
-    scales, data = scales_of(found), found.data
-    before = directed(found, found.residual_um)
-    values = directed(found, found.after_um) if after else before
+    scales, data = scales_of(diagnosis), diagnosis.data
+    before = directed(diagnosis, diagnosis.residual_um)
+    values = directed(diagnosis, diagnosis.after_um) if after else before
     panels = []
-    axes = [(f"{axis.name}_{axis.unit}", axis.side) for axis in found.calibration.machine.axes]
-    for name, carrier in _clearest_columns(found, scales)[:MAX_PANELS] or axes:
+    axes = [(f"{axis.name}_{axis.unit}", axis.side) for axis in diagnosis.calibration.machine.axes]
+    for name, carrier in _clearest_columns(diagnosis, scales)[:MAX_PANELS] or axes:
         rows = data.carrier == carrier if carrier in data.carrier else np.ones(len(data), dtype=bool)
         x = scales[name]
         if np.ptp(x.values[rows]) == 0.0:
@@ -140,13 +140,13 @@ def residual_panels(found: DiagnosisResult, *, after: bool = False) -> list[Pane
     return panels
 
 
-def _clearest_columns(found: DiagnosisResult, scales: Mapping[str, Scale]) -> list[tuple[str, str]]:
+def _clearest_columns(diagnosis: DiagnosisResult, scales: Mapping[str, Scale]) -> list[tuple[str, str]]:
     """Return (column, side) pairs that show the residuals; of correlated columns one, if possible a column of a cause."""
-    own = {name for cause in found.causes for name in _columns_of(found, cause)}
-    unexplained = found.unexplained
+    own = {name for cause in diagnosis.causes for name in _columns_of(diagnosis, cause)}
+    unexplained = diagnosis.unexplained
     wanted = [(name, unexplained.carrier) for name in unexplained.depends_on] if unexplained is not None else []
-    least = LEAST_CHI2_SHARE * max((trend.explains for trend in found.trends), default=0.0)
-    wanted += [(trend.column, trend.carrier) for trend in found.trends if trend.explains >= least]
+    least = LEAST_CHI2_SHARE * max((trend.explains for trend in diagnosis.trends), default=0.0)
+    wanted += [(trend.column, trend.carrier) for trend in diagnosis.trends if trend.explains >= least]
     chosen: list[tuple[str, str]] = []
     for name, carrier in wanted:
         alike = [
@@ -170,38 +170,38 @@ def _correlated(a: Scale, b: Scale) -> bool:
     return bool(abs(np.corrcoef(_ranks(a.values), _ranks(b.values))[0, 1]) > ALIKE_CORRELATION)
 
 
-def cause_panels(found: DiagnosisResult, cause: Cause) -> list[Panel]:
+def cause_panels(diagnosis: DiagnosisResult, cause: Cause) -> list[Panel]:
     """Return a cause against the columns it depends on: in its own unit if it is one error motion, else as shifts of the targets.
 
     Args:
         cause: one of its causes.
     """
     effect = cause.effects[0] if len(cause.effects) == 1 else None
-    parts = _single(effect, found) if effect is not None else None
+    parts = _single(effect, diagnosis) if effect is not None else None
     if effect is not None and parts is not None:
-        return _own_unit(found, cause, effect, *parts)
-    rows = _affected(found, cause)
+        return _own_unit(diagnosis, cause, effect, *parts)
+    rows = _affected(diagnosis, cause)
     if not np.any(rows):
         return []
     title = cause_title(cause.effect, cause.where)
     if not drawing_of(cause).by_state:
-        return [_against_prediction(title, cause.pattern_um[rows], found.after_um[rows], found.precision[rows])]
-    predicted, left = directed(found, cause.pattern_um), directed(found, found.after_um)
-    x = _scales_of_cause(found, cause)[0]
+        return [_against_prediction(title, cause.pattern_um[rows], diagnosis.after_um[rows], diagnosis.precision[rows])]
+    predicted, left = directed(diagnosis, cause.pattern_um), directed(diagnosis, diagnosis.after_um)
+    x = _scales_of_cause(diagnosis, cause)[0]
     series = tuple(
         _series(name, x.values[rows], (part + left[name])[rows], part[rows]) for name, part in predicted.items()
     )
     return [Panel(title, x.label, "shift of the points [µm]", series, x.ticks)]
 
 
-def _affected(found: DiagnosisResult, cause: Cause) -> np.ndarray:
+def _affected(diagnosis: DiagnosisResult, cause: Cause) -> np.ndarray:
     """Return (n,) which readings a cause affects, with the others of the same station or target."""
     size = np.linalg.norm(np.nan_to_num(cause.pattern_um), axis=1)
     rows = size > 1e-3 * max(float(size.max(initial=0.0)), 1e-12)
     shared = drawing_of(cause).shared
     if not shared:
         return rows
-    names = found.data.station if shared == "station" else found.data.target
+    names = diagnosis.data.station if shared == "station" else diagnosis.data.target
     return np.isin(names, names[rows])
 
 
@@ -215,9 +215,9 @@ def _against_prediction(title: str, predicted: np.ndarray, left: np.ndarray, pre
     return Panel(title, "shift predicted by this cause [µm]", "measured shift [µm]", (one,))
 
 
-def scales_of(found: DiagnosisResult) -> dict[str, Scale]:
+def scales_of(diagnosis: DiagnosisResult) -> dict[str, Scale]:
     """Return all columns that residuals can be plotted against, by their name in the table."""
-    data, machine = found.data, found.calibration.machine
+    data, machine = diagnosis.data, diagnosis.calibration.machine
     scales = {}
     for i, axis in enumerate(machine.axes):
         unit = "mm" if axis.linear else "°"
@@ -251,41 +251,43 @@ def _series(name: str, x: np.ndarray, y: np.ndarray, predicted: np.ndarray | Non
     )
 
 
-def directed(found: DiagnosisResult, values_um: np.ndarray) -> dict[str, np.ndarray]:
+def directed(diagnosis: DiagnosisResult, values_um: np.ndarray) -> dict[str, np.ndarray]:
     """Return measured coordinates as (n,) shifts by direction of the base, or along the beam if only lengths were measured."""
     read = np.isfinite(values_um)
     values = np.where(read, values_um, 0.0)
     nothing = np.where(read.any(axis=1), 0.0, np.nan)
-    base = np.einsum("nij,ni->nj", found.directions, values)
-    along_axes = np.abs(found.directions[read[:, 0], 0]).max(axis=1, initial=0.0).min(initial=1.0) >= 0.99
+    base = np.einsum("nij,ni->nj", diagnosis.directions, values)
+    along_axes = np.abs(diagnosis.directions[read[:, 0], 0]).max(axis=1, initial=0.0).min(initial=1.0) >= 0.99
     if not (read[:, 1:].any() or along_axes):
         return {"along the beam": values[:, 0] + nothing}
-    square = np.mean(np.einsum("nij->nj", found.directions**2), axis=0)
+    square = np.mean(np.einsum("nij->nj", diagnosis.directions**2), axis=0)
     seen = square > UNMEASURED_SHARE * max(float(square.max()), 1e-30)
     return {f"in {'xyz'[j]}": base[:, j] + nothing for j in range(3) if seen[j]}
 
 
-def _single(effect: Effect, found: DiagnosisResult) -> tuple[int, np.ndarray] | None:
+def _single(effect: Effect, diagnosis: DiagnosisResult) -> tuple[int, np.ndarray] | None:
     """Return the only component of an effect and its (n,) value at each reading; None for several components."""
-    machine = found.calibration.machine
-    parts = effect.components(machine_state(found.data, machine))
+    machine = diagnosis.calibration.machine
+    parts = effect.components(machine_state(diagnosis.data, machine))
     largest = {i: float(np.abs(np.asarray(v, dtype=float)).max(initial=0.0)) for i, v in parts.items()}
     most = max(largest.values(), default=0.0)
     strong = [i for i, size in largest.items() if size > 1e-6 * most]
     if most == 0.0 or len(strong) != 1:
         return None
-    return strong[0], np.broadcast_to(np.asarray(parts[strong[0]], dtype=float), len(found.data))
+    return strong[0], np.broadcast_to(np.asarray(parts[strong[0]], dtype=float), len(diagnosis.data))
 
 
-def _own_unit(found: DiagnosisResult, cause: Cause, effect: Effect, component: int, values: np.ndarray) -> list[Panel]:
+def _own_unit(
+    diagnosis: DiagnosisResult, cause: Cause, effect: Effect, component: int, values: np.ndarray
+) -> list[Panel]:
     """Return panels of the error motion itself: its weighted least-squares estimate from each reading, with weights."""
     shift = np.where(np.isfinite(cause.pattern_um), cause.pattern_um, 0.0)
-    left = np.where(np.isfinite(found.after_um), found.after_um, 0.0)
+    left = np.where(np.isfinite(diagnosis.after_um), diagnosis.after_um, 0.0)
     size = np.linalg.norm(shift, axis=1)
     rows = (np.abs(values) > LEAST_CAUSE_SHARE * np.abs(values).max()) & (size > 0.0)
     if not np.any(rows):
         return []
-    lever = np.einsum("nij,nj->ni", found.precision[rows], shift[rows] / values[rows, None])
+    lever = np.einsum("nij,nj->ni", diagnosis.precision[rows], shift[rows] / values[rows, None])
     weight = np.sum(lever * shift[rows], axis=1) / values[rows]
     read = values[rows] + np.sum(lever * left[rows], axis=1) / weight
     frame, mark = effect.frame.axis, "0" if effect.frame.role == "location" else ""
@@ -298,13 +300,13 @@ def _own_unit(found: DiagnosisResult, cause: Cause, effect: Effect, component: i
         else f"{motion_in_words(error)}, {error}"
     )
     panels = []
-    for x in _scales_of_cause(found, cause):
+    for x in _scales_of_cause(diagnosis, cause):
         at = x.values[rows]
         if np.ptp(at) == 0.0:
             continue
         series = tuple(
             Series(name, at[of], read[of], weight[of], values[rows][of], not drawn.spread)
-            for name, of in ((name, of[rows]) for name, of in _split(found, cause))
+            for name, of in ((name, of[rows]) for name, of in _split(diagnosis, cause))
             if np.count_nonzero(of) >= LEAST_READINGS
         )
         panels.append(Panel(cause_title(cause.effect, cause.where), x.label, f"{label} [{unit}]", series, x.ticks))
@@ -316,9 +318,9 @@ def drawing_of(cause: Cause) -> Drawing:
     return SPECIFICATIONS[cause.effect].drawing
 
 
-def _split(found: DiagnosisResult, cause: Cause) -> list[tuple[str, np.ndarray]]:
+def _split(diagnosis: DiagnosisResult, cause: Cause) -> list[tuple[str, np.ndarray]]:
     """Return the readings in named groups: by approach direction, or by ranges of another axis."""
-    data, machine = found.data, found.calibration.machine
+    data, machine = diagnosis.data, diagnosis.calibration.machine
     by = drawing_of(cause).split(cause.where)
     if by.startswith(APPROACH):
         sides = data.approach[:, machine.names.index(by.removeprefix(APPROACH))]
@@ -333,12 +335,12 @@ def _split(found: DiagnosisResult, cause: Cause) -> list[tuple[str, np.ndarray]]
     return [(f"{by} {edges[k]:.0f}…{edges[k + 1]:.0f} {unit}", of == k) for k in range(3)]
 
 
-def _scales_of_cause(found: DiagnosisResult, cause: Cause) -> list[Scale]:
+def _scales_of_cause(diagnosis: DiagnosisResult, cause: Cause) -> list[Scale]:
     """Return the scales that a cause is plotted against."""
-    machine, where, drawn = found.calibration.machine, cause.where, drawing_of(cause)
+    machine, where, drawn = diagnosis.calibration.machine, cause.where, drawing_of(cause)
     if drawn.size_of:
-        return [_derived_scale(found, where, drawn.size_of)]
-    scales = scales_of(found)
+        return [_derived_scale(diagnosis, where, drawn.size_of)]
+    scales = scales_of(diagnosis)
     wanted = () if drawn.columns is None else _named(drawn.columns(where), machine)
     if known := [scales[name] for name in wanted if name in scales]:
         return known
@@ -353,24 +355,24 @@ def _scales_of_cause(found: DiagnosisResult, cause: Cause) -> list[Scale]:
     return own
 
 
-def _derived_scale(found: DiagnosisResult, where: str, size_of: str) -> Scale:
+def _derived_scale(diagnosis: DiagnosisResult, where: str, size_of: str) -> Scale:
     """Return a scale that is no column of the table: distance from the instrument, or reported less commanded position."""
     if size_of == "distance":
-        distance = np.linalg.norm(np.nan_to_num(found.data.point_mm), axis=1)
+        distance = np.linalg.norm(np.nan_to_num(diagnosis.data.point_mm), axis=1)
         return Scale("distance from the instrument [m]", 1e-3 * distance)
-    machine = found.calibration.machine
+    machine = diagnosis.calibration.machine
     i = machine.names.index(where)
-    off = np.nan_to_num(found.data.readback[:, i] - found.data.positions[:, i])
+    off = np.nan_to_num(diagnosis.data.readback[:, i] - diagnosis.data.positions[:, i])
     unit, scale = ("µm", 1e3) if machine.axes[i].linear else ("°", 1.0)
     return Scale(f"{where}: reported less commanded position [{unit}]", off * scale)
 
 
-def _columns_of(found: DiagnosisResult, cause: Cause) -> list[str]:
+def _columns_of(diagnosis: DiagnosisResult, cause: Cause) -> list[str]:
     """Return the names of the columns a cause depends on."""
     if also := drawing_of(cause).depends_on(cause.where):
-        return _named(also, found.calibration.machine)
-    labels = [scale.label for scale in _scales_of_cause(found, cause)]
-    return [name for name, scale in scales_of(found).items() if scale.label in labels]
+        return _named(also, diagnosis.calibration.machine)
+    labels = [scale.label for scale in _scales_of_cause(diagnosis, cause)]
+    return [name for name, scale in scales_of(diagnosis).items() if scale.label in labels]
 
 
 def _named(names: Iterable[str], machine: Machine) -> list[str]:
@@ -438,7 +440,7 @@ LEGEND_ABOVE: Final[dict[str, Any]] = {
 STYLES: Final = ((FORWARD, "o", "-"), (BACKWARD, "s", "--"), (THIRD, "^", "-."))
 
 
-def plot_residuals(found: DiagnosisResult, *, after: bool = False, title: str = "") -> Figure:
+def plot_residuals(diagnosis: DiagnosisResult, *, after: bool = False, title: str = "") -> Figure:
     """Plot the residuals against the columns that show them most clearly, in the directions of the machine's base.
 
     Args:
@@ -446,10 +448,10 @@ def plot_residuals(found: DiagnosisResult, *, after: bool = False, title: str = 
         title: heading; a default if empty.
     """
     about = "Residuals with the causes in the model" if after else "Residuals"
-    return _drawn(residual_panels(found, after=after), title or about)
+    return _drawn(residual_panels(diagnosis, after=after), title or about)
 
 
-def plot_cause(found: DiagnosisResult, cause: int = 0, *, title: str = "") -> Figure:
+def plot_cause(diagnosis: DiagnosisResult, cause: int = 0, *, title: str = "") -> Figure:
     """Plot a fitted cause, and the readings after removing all other causes.
 
     Args:
@@ -459,25 +461,25 @@ def plot_cause(found: DiagnosisResult, cause: int = 0, *, title: str = "") -> Fi
     Raises:
         InputError: no such cause.
     """
-    if not 0 <= cause < len(found.causes):
-        raise InputError("no such cause", expected=f"less than {len(found.causes)}", value=cause)
-    one = found.causes[cause]
+    if not 0 <= cause < len(diagnosis.causes):
+        raise InputError("no such cause", expected=f"less than {len(diagnosis.causes)}", value=cause)
+    one = diagnosis.causes[cause]
     return _drawn(
-        cause_panels(found, one), title or f"{cause_title(one.effect, one.where)}: fitted (line), measured (dots)"
+        cause_panels(diagnosis, one), title or f"{cause_title(one.effect, one.where)}: fitted (line), measured (dots)"
     )
 
 
-def plot_ranking(found: DiagnosisResult, *, title: str = "") -> Figure:
+def plot_ranking(diagnosis: DiagnosisResult, *, title: str = "") -> Figure:
     """Plot the χ² that each cause tested explains by itself.
 
     Args:
         title: heading; a default if empty.
     """
-    rows = found.ranking[::-1]
+    rows = diagnosis.ranking[::-1]
     figure = new_figure(9.0, 0.9 + 0.34 * max(len(rows), 1))
     plot = figure.add_subplot()
-    named = {(cause.effect, cause.where) for cause in found.causes}
-    doubted = {key for cause in found.causes for key in cause.equivalent}
+    named = {(cause.effect, cause.where) for cause in diagnosis.causes}
+    doubted = {key for cause in diagnosis.causes for key in cause.equivalent}
     for colour, of, label in (
         (BACKWARD, named, "found"),
         (FORWARD, doubted - named, "confounded with a cause found"),
@@ -491,17 +493,17 @@ def plot_ranking(found: DiagnosisResult, *, title: str = "") -> Figure:
     plot.spines[["top", "right"]].set_visible(False)
     if rows:
         plot.legend(loc="lower right", frameon=False, fontsize=9)
-    heading(figure, title or f"The best of {found.tried} causes tested", 11)
+    heading(figure, title or f"The best of {diagnosis.tried} causes tested", 11)
     return figure
 
 
-def plot_unexplained(found: DiagnosisResult, *, title: str = "") -> Figure | None:
+def plot_unexplained(diagnosis: DiagnosisResult, *, title: str = "") -> Figure | None:
     """Plot the unexplained residuals over the two columns they depend on, in the clearest direction; None for fewer columns.
 
     Args:
         title: heading; a default if empty.
     """
-    left, scales, data = found.unexplained, scales_of(found), found.data
+    left, scales, data = diagnosis.unexplained, scales_of(diagnosis), diagnosis.data
     names = [name for name in left.depends_on if name in scales and not scales[name].ticks] if left is not None else []
     if left is None or len(names) < 2:
         return None
@@ -509,7 +511,7 @@ def plot_unexplained(found: DiagnosisResult, *, title: str = "") -> Figure | Non
     rows = data.carrier == left.carrier if left.carrier in data.carrier else np.ones(len(data), dtype=bool)
     edges = [np.linspace(v.min(), v.max(), CELLS + 1) for v in (x.values[rows], y.values[rows])]
     maps = {}
-    for name, values in directed(found, found.after_um).items():
+    for name, values in directed(diagnosis, diagnosis.after_um).items():
         of = rows & np.isfinite(values)
         count, *_ = np.histogram2d(x.values[of], y.values[of], edges)
         total, *_ = np.histogram2d(x.values[of], y.values[of], edges, weights=values[of])

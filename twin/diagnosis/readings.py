@@ -80,10 +80,7 @@ def from_repeats(
         for variant in candidate.variants[:: max(len(candidate.variants) // 4, 1)]
         for column in variant.columns
     ]
-    raw = np.linalg.inv(np.where(read[:, :, None] & read[:, None, :], view.whitening, np.eye(3)))
-    nuisance = signatures_of(view, columns)
-    values = np.einsum("nij,njk->nik", raw, np.concatenate([view.residual[:, :, None], nuisance], axis=2))
-    values *= read[:, :, None]
+    values = _deviations_and_regressors(view, read, signatures_of(view, columns))
     total = np.zeros((len(size), *values.shape[1:]))
     np.add.at(total, group, values)
     values = (values - total[group] / size[group][:, None, None]) * repeated[:, None, None]
@@ -113,13 +110,15 @@ def from_residuals(
     by_setup = np.zeros((len(view.rows), 3, len(setup)))
     network.fill_setup_columns(view, setup, by_setup)
     read = network.read[view.rows]
-    basis = signatures_of(view, columns)
-    raw = np.linalg.inv(np.where(read[:, :, None] & read[:, None, :], view.whitening, np.eye(3)))
-    values = np.einsum(
-        "nij,njk->nik", raw, np.concatenate([view.residual[:, :, None], by_setup * setup.plausible, basis], axis=2)
-    )
-    values *= read[:, :, None]
+    values = _deviations_and_regressors(view, read, by_setup * setup.plausible, signatures_of(view, columns))
     return _estimated(values, float(len(view.rows)), view, read, seen, Message("the residuals of a fit of every cause"))
+
+
+def _deviations_and_regressors(view: LinearisedReadings, read: np.ndarray, *regressors: np.ndarray) -> np.ndarray:
+    """Return (n, 3, k) m: the residuals, then (n, 3, …) regressors, without whitening; zero where a coordinate was not measured."""
+    raw = np.linalg.inv(np.where(read[:, :, None] & read[:, None, :], view.whitening, np.eye(3)))
+    values = np.einsum("nij,njk->nik", raw, np.concatenate([view.residual[:, :, None], *regressors], axis=2))
+    return np.asarray(values * read[:, :, None])
 
 
 def _main_columns(candidate: Candidate) -> tuple[Column, ...]:
@@ -150,16 +149,9 @@ def _estimated(
             return None
         covariances = np.zeros((len(seen), 3, 3))
         covariances[:, 0, 0] = np.sum(residual[:, 0] ** 2) / dof
-        return ReadingNoise(
-            read_only(covariances),
-            dof,
-            Message(
-                "{source}: {size:.2g} µm ({dof:.0f} degrees of freedom)",
-                source=source,
-                size=np.sqrt(covariances[0, 0, 0]) * 1e6,
-                dof=dof,
-            ),
-        )
+        size = np.sqrt(covariances[0, 0, 0]) * 1e6
+        text = Message("{source}: {size:.2g} µm ({dof:.0f} degrees of freedom)", source=source, size=size, dof=dof)
+        return ReadingNoise(read_only(covariances), dof, text)
     if not read.all():
         # An instrument that measures two coordinates is no tracker: the same noise in both.
         residual, basis = _regressed(values)
