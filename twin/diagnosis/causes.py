@@ -322,7 +322,7 @@ def readback_causes(candidates: Candidates, forms: Sequence[Form]) -> tuple[list
         columns, values, inverse = candidates.fitted([form, *forms])
         at, scale = int(np.searchsorted(columns, form.columns[0])), form.variant.columns[0].scale
         share, u = float(values[at] * scale), float(scale * np.sqrt(inverse[at, at]))
-        if candidates.scan([one for one in forms if one is not form])[1][form.index] == 0 or u == 0.0:
+        if candidates.scan([other for other in forms if other is not form])[1][form.index] == 0 or u == 0.0:
             if candidates.scan([])[1][form.index] > 0:
                 silent.append(
                     f"{text}; given the other causes, these data cannot decide which of the two the readings follow"
@@ -377,7 +377,7 @@ def causes_with_payloads(
     Args:
         causes: the causes, with uncertainties for exactly known payloads.
     """
-    causes, found = list(causes), []
+    causes, load_causes = list(causes), []
     for side in SIDES:
         load = loaded_joints(candidates, forms, side)
         known = (
@@ -385,16 +385,15 @@ def causes_with_payloads(
         )
         if load is None or not known:
             continue
-        own = {one.carried: one for one in known}
-        payload = own.get(False)
-        shares = load.shares_of(payload, own.get(True))
+        by_kind = {payload.carried: payload for payload in known}
+        shares = load.shares_of(by_kind.get(False), by_kind.get(True))
         at = [forms.index(form) for form in load.joints]
-        more, variances = load.covariances(shares, np.array([causes[k].parameters[0].u for k in at]))
+        factors, variances = load.covariances(shares, np.array([causes[k].parameters[0].u for k in at]))
         _, compliances = load.explained_under(shares)
-        for k, times, value in zip(at, more.tolist(), compliances.tolist(), strict=True):
-            causes[k] = _less_certain(causes[k], times, value, payload, load)
-        found += [_load_cause(candidates, load, one, shares, variances) for one in known]
-    return causes, found
+        for k, factor, compliance in zip(at, factors.tolist(), compliances.tolist(), strict=True):
+            causes[k] = _less_certain(causes[k], factor, compliance, by_kind.get(False), load)
+        load_causes += [_load_cause(candidates, load, payload, shares, variances) for payload in known]
+    return causes, load_causes
 
 
 def _is_heaviest(load: Load, payload: Payload | None) -> bool:
@@ -468,5 +467,5 @@ def _quantities(payload: Payload, u: np.ndarray, heaviest: float) -> tuple[Quant
     )
     if not payload.carried:
         return reported
-    known = [one for one, deviation in zip(reported[1:], u[1:], strict=True) if deviation < UNDETERMINED_SHARE]
-    return tuple(known) or reported[:1]
+    determined = [q for q, deviation in zip(reported[1:], u[1:], strict=True) if deviation < UNDETERMINED_SHARE]
+    return tuple(determined) or reported[:1]

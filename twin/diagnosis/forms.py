@@ -161,7 +161,7 @@ class Candidates:
             points = np.sort(rng.choice(count, SAMPLED_POINTS, replace=False))
             products = Products(problem, self.products.columns, self._columns, points)
             root = problem.orthonormal_on(points)
-            inner = [count / len(points) * own for own in self._projected_blocks(products, products.on_basis(root))]
+            inner = [count / len(points) * block for block in self._projected_blocks(products, products.on_basis(root))]
         basis = problem.rows(points).reshape(3 * len(points), len(problem.nuisance_coordinates))
         read = problem.network.read[points].reshape(-1)
         noise = rng.standard_normal((len(read), NULL_DATA_SETS)) * read[:, None]
@@ -177,11 +177,11 @@ class Candidates:
             values, vectors = np.linalg.eigh(blocks)
             seen = _identifiable(values, np.einsum("nii->ni", blocks).max(axis=1))
             root = vectors * np.where(seen, 1.0 / np.sqrt(np.where(seen, values, 1.0)), 0.0)[:, None, :]
-            found = np.sum((root.transpose(0, 2, 1) @ slope[columns]) ** 2, axis=1) / scale
+            explained = np.sum((root.transpose(0, 2, 1) @ slope[columns]) ** 2, axis=1) / scale
             dof, log_tests = seen.sum(axis=1), np.array([self.forms[i].log_tests for i in rows])
             for of in {*zip(dof.tolist(), log_tests.tolist(), strict=True)} if len(rows) else ():
                 if of[0]:
-                    most = found[(dof == of[0]) & (log_tests == of[1])].max(axis=0)
+                    most = explained[(dof == of[0]) & (log_tests == of[1])].max(axis=0)
                     smallest_log_p = np.minimum(smallest_log_p, log_p_value(most, float(of[0]), self.dof) + of[1])
         quantile = float(np.exp(np.quantile(smallest_log_p, CALIBRATION_QUANTILE)))
         # By Bonferroni's inequality the uncorrected level is a lower bound: correlation can only allow a higher one.
@@ -320,16 +320,14 @@ class Candidates:
 
     def contains(self, larger: Sequence[Form], others: Sequence[Form], form: Form) -> bool:
         """Return whether a larger set of forms already spans what a form adds to some others."""
-        alone = self._remaining(form, others)
-        left = self._remaining(form, larger)
-        return bool(np.trace(left) < 1e-3 * np.trace(alone))
+        return bool(np.trace(self._remaining(form, larger)) < 1e-3 * np.trace(self._remaining(form, others)))
 
     def cancels(self, form: Form, others: Sequence[Form], cause: Form) -> bool:
         """Return whether less than 1 % of a form's squared norm remains given others, and 1 % of the share that remains of a cause."""
-        left, own = (
-            float(np.trace(self._remaining(one, others)) / np.trace(self._remaining(one, ()))) for one in (form, cause)
+        share, share_of_cause = (
+            float(np.trace(self._remaining(f, others)) / np.trace(self._remaining(f, ()))) for f in (form, cause)
         )
-        return left < 1e-2 * min(own, 1.0)
+        return share < 1e-2 * min(share_of_cause, 1.0)
 
     def scan(
         self, forms: Sequence[Form], beside: tuple[np.ndarray, np.ndarray] | None = None
@@ -393,9 +391,9 @@ class Candidates:
         regular = _inverse_factor(gram + np.eye(len(columns)))
         for width, alike in _by_width(forms).items():
             at = np.searchsorted(columns, np.stack([form.columns for form in alike]))
-            own = regular[:, at].transpose(1, 2, 0)
-            left = np.linalg.inv(own @ own.transpose(0, 2, 1)) - np.eye(width)
-            seen = _identifiable(np.linalg.eigvalsh(left), np.diag(gram)[at].max(axis=1))
+            factor = regular[:, at].transpose(1, 2, 0)
+            given_others = np.linalg.inv(factor @ factor.transpose(0, 2, 1)) - np.eye(width)
+            seen = _identifiable(np.linalg.eigvalsh(given_others), np.diag(gram)[at].max(axis=1))
             for form, dof in zip(alike, seen.sum(axis=1).tolist(), strict=True):
                 total -= float(self._critical[form.index, dof]) if dof else self.critical_value(form, 1.0)
         return total
@@ -439,9 +437,9 @@ class Candidates:
         for i in np.argsort(-self._latest, kind="stable").tolist():
             if len(indices) >= BATCH or self._latest[i] <= 0.0:
                 break
-            key, own = int(self.key_of[i]), self.forms[i].columns
-            if key not in seen and (not here or cached[own].all()):
-                indices |= dict.fromkeys(own[self._row[own] < 0].tolist())
+            key, of_form = int(self.key_of[i]), self.forms[i].columns
+            if key not in seen and (not here or cached[of_form].all()):
+                indices |= dict.fromkeys(of_form[self._row[of_form] < 0].tolist())
             seen.add(key)
         return np.sort(np.array(list(indices), dtype=int))
 
@@ -454,15 +452,15 @@ class Candidates:
             beside: further directions, as in `scan`.
         """
         columns = columns_of(forms)
-        own = self.cross(columns)
+        rows = self.cross(columns)
         if beside is None:
-            root = inverse_root(own[:, columns])
-            return own.T @ root, self.slope - (root @ (root.T @ self.slope[columns])) @ own
-        cross, slope = beside
-        left = self.slope - cross.T @ slope
-        own = own - cross[:, columns].T @ cross
-        root = inverse_root(own[:, columns])
-        return np.concatenate([cross.T, own.T @ root], axis=1), left - (root @ (root.T @ left[columns])) @ own
+            root = inverse_root(rows[:, columns])
+            return rows.T @ root, self.slope - (root @ (root.T @ self.slope[columns])) @ rows
+        directions, along = beside
+        slope = self.slope - directions.T @ along
+        rows = rows - directions[:, columns].T @ directions
+        root = inverse_root(rows[:, columns])
+        return np.concatenate([directions.T, rows.T @ root], axis=1), slope - (root @ (root.T @ slope[columns])) @ rows
 
     def _remaining(self, form: Form, others: Sequence[Form]) -> np.ndarray:
         """Return the projected inner products (w, w) of a form given others; no pass over the data if one of all forms is new."""
@@ -471,9 +469,9 @@ class Candidates:
         if len(others) == 0:
             return np.asarray(block)
         columns, gram = columns_of([*others, form]), self.gram([*others, form])
-        own, given = (np.searchsorted(columns, one) for one in (form.columns, columns_of(others)))
+        at, given = (np.searchsorted(columns, some) for some in (form.columns, columns_of(others)))
         inverse = pseudo_inverse(gram[np.ix_(given, given)])
-        shared = gram[np.ix_(given, own)]
+        shared = gram[np.ix_(given, at)]
         return np.asarray(block - shared.T @ inverse @ shared)
 
 
@@ -505,9 +503,10 @@ def log_p_value(explained: np.ndarray, dof: np.ndarray | float, noise_dof: float
     # Where the library's sf underflows, use the leading term (Abramowitz and Stegun 1972, 6.5.32 and 26.5.4), which keeps the order.
     if np.isfinite(noise_dof):
         log_p = np.asarray(f_log_sf(explained / dof, dof, noise_dof))
-        far, rest = np.isneginf(log_p), noise_dof / 2.0
+        far, half_noise = np.isneginf(log_p), noise_dof / 2.0
         small = noise_dof / (noise_dof + np.where(far, explained, 1.0))
-        return np.where(far, rest * np.log(small) - np.log(rest) - scipy.special.betaln(rest, half), log_p)
+        tail = half_noise * np.log(small) - np.log(half_noise) - scipy.special.betaln(half_noise, half)
+        return np.where(far, tail, log_p)
     log_p = np.asarray(chi2_log_sf(explained, dof))
     far = np.isneginf(log_p)
     safe = np.where(far, explained, 1.0) / 2.0

@@ -346,25 +346,26 @@ def error_at_tool(
     rows = rng.integers(0, len(data), len(positions))
     measured = machine_state(data, machine)
     state: dict[str, Any] = {name: values[rows] for name, values in measured.items()}
-    state |= {f"approach_{name}": own for name, own in zip(machine.names, sides, strict=True)}
+    state |= {f"approach_{name}": side for name, side in zip(machine.names, sides, strict=True)}
     state |= {axis.name: positions[:, i] for i, axis in enumerate(machine.axes)}
     at_tip = Kinematics(machine, Calibration.zero(machine), tool_length_mm=tool_length_of(machine))
     by_error = at_tip.sensitivities(positions).error[:, :3]
     index = {(frame.axis, frame.role): 6 * i for i, frame in enumerate(machine.frames)}
 
-    def moved(effect: Effect, own: Mapping[int, Any]) -> np.ndarray:
-        at, found = index[effect.frame.axis, effect.frame.role], np.zeros((len(positions), 3))
-        for i, value in own.items():
+    def moved(effect: Effect, components: Mapping[int, Any]) -> np.ndarray:
+        at, shift = index[effect.frame.axis, effect.frame.role], np.zeros((len(positions), 3))
+        for i, value in components.items():
             # Effects that depend on earlier readings were evaluated on all readings in their order.
             values = np.asarray(value, dtype=float)[rows] if effect.history else np.asarray(value, dtype=float)
-            found += by_error[:, :, at + i] * np.broadcast_to(values, len(positions))[:, None]
-        return found
+            shift += by_error[:, :, at + i] * np.broadcast_to(values, len(positions))[:, None]
+        return shift
 
-    states = [measured if effect.history else state for effect in effects]
-    whole = np.sum([moved(one, one.components(own)) for one, own in zip(effects, states, strict=True)], axis=0)
+    whole = np.zeros((len(positions), 3))
     by_parameter: dict[str, np.ndarray] = {}
-    for effect, own in zip(effects, states, strict=True):
-        for parameter, derivative in zip(effect.parameters, effect.derivatives(own), strict=True):
+    for effect in effects:
+        at_effect = measured if effect.history else state
+        whole += moved(effect, effect.components(at_effect))
+        for parameter, derivative in zip(effect.parameters, effect.derivatives(at_effect), strict=True):
             # Effects in several frames share the parameters of an added load.
             by_parameter[parameter.name] = by_parameter.get(parameter.name, 0.0) + moved(effect, derivative)
     known = [name for name in covariance.names if name in by_parameter]
@@ -378,14 +379,14 @@ def _inside(positions: np.ndarray, machine: Machine, effects: Sequence[Effect]) 
     clipped = np.array(positions)
     for i, axis in enumerate(machine.axes):
         ranges = [
-            own
+            limits
             for effect in effects
             if isinstance(effect, Empirical)
-            for column, own in effect.ranges.items()
+            for column, limits in effect.ranges.items()
             if channel_name(column) == axis.name
         ]
         span = np.ptp(positions[:, i])
         if ranges and span > 0.0:
-            low, high = max(own[0] for own in ranges), min(own[1] for own in ranges)
+            low, high = max(limits[0] for limits in ranges), min(limits[1] for limits in ranges)
             clipped[:, i] = low + (positions[:, i] - positions[:, i].min()) / span * (high - low)
     return clipped

@@ -150,10 +150,10 @@ class Load:
         if payload is not None:
             shares[:CARRIED_INDEX] = [
                 payload.mass_kg / self.heaviest,
-                *(one / CENTRE_RANGE_MM for one in payload.centre_mm),
+                *(value / CENTRE_RANGE_MM for value in payload.centre_mm),
             ]
         if carried is not None:
-            shares[CARRIED_INDEX:] = [carried.mass_kg, *(one / CENTRE_RANGE_MM for one in carried.centre_mm)]
+            shares[CARRIED_INDEX:] = [carried.mass_kg, *(value / CENTRE_RANGE_MM for value in carried.centre_mm)]
         return shares
 
     def covariances(self, shares: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -168,18 +168,20 @@ class Load:
             np.concatenate([[shares[0]] * CARRIED_INDEX, [0.0], [shares[-CARRIED_INDEX]] * 3])[: len(shares)] != 0.0
         )
         step = np.eye(len(shares))[present] * 1e-6
-        by_share = [(weights(shares + one) - weights(shares - one)) / 2e-6 for one in step]
-        slopes = np.concatenate([self._shapes(shares), *[np.kron(values, one)[:, None] for one in by_share]], axis=1)
+        by_share = [(weights(shares + change) - weights(shares - change)) / 2e-6 for change in step]
+        slopes = np.concatenate(
+            [self._shapes(shares), *[np.kron(values, slope)[:, None] for slope in by_share]], axis=1
+        )
         known = slopes.T @ self.gram @ slopes
         count = len(values)
         given = np.diag(np.linalg.pinv(known[:count, :count], rcond=UNDETERMINED_SIZE, hermitian=True))
         known /= max(float(np.median(u**2 / np.maximum(given, 1e-300))), 1e-300)
         # Prior: a mass or centre that the data do not determine is uniformly distributed within its bounds.
         known[count:, count:] += CENTRE_PRIOR * np.eye(len(step))
-        found = np.diag(np.linalg.pinv(known, hermitian=True))
+        posterior = np.diag(np.linalg.pinv(known, hermitian=True))
         variances = np.zeros(len(shares))
-        variances[present] = found[count:]
-        return np.sqrt(np.maximum(found[:count] / np.maximum(u**2, 1e-300), 1.0)), variances
+        variances[present] = posterior[count:]
+        return np.sqrt(np.maximum(posterior[:count] / np.maximum(u**2, 1e-300), 1.0)), variances
 
 
 def weights(shares: np.ndarray) -> np.ndarray:
@@ -202,7 +204,8 @@ def select_with_payload(candidates: Candidates, before: Sequence[Form] = ()) -> 
     anew = not any(MASS in form.variant.fixed for form in before)
     best = select(candidates, () if anew else [candidates.forms[form.index] for form in before])
     for _ in range(ROUNDS):
-        moved = [_refine_side(candidates, side, *found) for side, found in _loads_found(candidates, best.forms).items()]
+        loads = _loads_found(candidates, best.forms)
+        moved = [_refine_side(candidates, side, *payloads) for side, payloads in loads.items()]
         if not any(moved):
             break
         _exclude_free_payloads(candidates)
@@ -335,8 +338,9 @@ def restore_payloads(candidates: Candidates, forms: Sequence[Form]) -> None:
             and side_of(axis_of_form(candidates, form)) == side
         ]
         for form in yielding[:1]:
-            own = {one.carried: one for one in payloads_of(axis_of_form(candidates, form), form.variant.fixed)}
-            _refine_side(candidates, side, own.get(False), own.get(True))
+            payloads = payloads_of(axis_of_form(candidates, form), form.variant.fixed)
+            by_kind = {payload.carried: payload for payload in payloads}
+            _refine_side(candidates, side, by_kind.get(False), by_kind.get(True))
 
 
 def select_on_part(part: Candidates, forms: Sequence[Form]) -> Selection:

@@ -132,17 +132,17 @@ def residual_panels(diagnosis: DiagnosisResult, *, after: bool = False) -> list[
         shown = [label for label, (_, half) in reach.items() if half <= WIDEST_INTERVAL * sharpest]
         series = tuple(_series(label, x.values[rows], values[label][rows]) for label in shown)
         where = side(carrier) if carrier in data.carrier else "all points"
-        rest = "" if len(shown) == len(values) else f", {' and '.join(shown)} (measured best)"
+        best = "" if len(shown) == len(values) else f", {' and '.join(shown)} (measured best)"
         only = f" {shown[0]}" if len(shown) == 1 else ""
         limit = max(reach[label][0] for label in shown)
-        title = f"against {column(name)}, {where}{rest}"
+        title = f"against {column(name)}, {where}{best}"
         panels.append(Panel(title, x.label, f"residual{only} [µm]", series, x.ticks, limit))
     return panels
 
 
 def _clearest_columns(diagnosis: DiagnosisResult, scales: Mapping[str, Scale]) -> list[tuple[str, str]]:
     """Return (column, side) pairs that show the residuals; of correlated columns one, if possible a column of a cause."""
-    own = {name for cause in diagnosis.causes for name in _columns_of(diagnosis, cause)}
+    of_causes = {name for cause in diagnosis.causes for name in _columns_of(diagnosis, cause)}
     unexplained = diagnosis.unexplained
     wanted = [(name, unexplained.carrier) for name in unexplained.depends_on] if unexplained is not None else []
     least = LEAST_CHI2_SHARE * max((trend.explains for trend in diagnosis.trends), default=0.0)
@@ -152,8 +152,8 @@ def _clearest_columns(diagnosis: DiagnosisResult, scales: Mapping[str, Scale]) -
         alike = [
             scale for scale in scales if name in scales and (scale == name or _correlated(scales[scale], scales[name]))
         ]
-        if alike and not any(one in alike for one, _ in chosen):
-            chosen.append((next((one for one in alike if one in own), name), carrier))
+        if alike and not any(other in alike for other, _ in chosen):
+            chosen.append((next((other for other in alike if other in of_causes), name), carrier))
     return chosen
 
 
@@ -186,10 +186,10 @@ def cause_panels(diagnosis: DiagnosisResult, cause: Cause) -> list[Panel]:
     title = cause_title(cause.effect, cause.where)
     if not drawing_of(cause).by_state:
         return [_against_prediction(title, cause.pattern_um[rows], diagnosis.after_um[rows], diagnosis.precision[rows])]
-    predicted, left = directed(diagnosis, cause.pattern_um), directed(diagnosis, diagnosis.after_um)
+    predicted, residual = directed(diagnosis, cause.pattern_um), directed(diagnosis, diagnosis.after_um)
     x = _scales_of_cause(diagnosis, cause)[0]
     series = tuple(
-        _series(name, x.values[rows], (part + left[name])[rows], part[rows]) for name, part in predicted.items()
+        _series(name, x.values[rows], (part + residual[name])[rows], part[rows]) for name, part in predicted.items()
     )
     return [Panel(title, x.label, "shift of the points [µm]", series, x.ticks)]
 
@@ -205,14 +205,14 @@ def _affected(diagnosis: DiagnosisResult, cause: Cause) -> np.ndarray:
     return np.isin(names, names[rows])
 
 
-def _against_prediction(title: str, predicted: np.ndarray, left: np.ndarray, precision: np.ndarray) -> Panel:
+def _against_prediction(title: str, predicted: np.ndarray, residual: np.ndarray, precision: np.ndarray) -> Panel:
     """Return all measured coordinates against the prediction of the cause."""
-    read = np.isfinite(predicted) & np.isfinite(left)
-    x, y = predicted[read], (predicted + left)[read]
+    read = np.isfinite(predicted) & np.isfinite(residual)
+    x, y = predicted[read], (predicted + residual)[read]
     some = np.abs(x) > LEAST_CAUSE_SHARE * np.abs(x).max(initial=0.0)
     weight = np.einsum("nii->ni", precision)[read][some]
-    one = Series("", x[some], y[some], weight, x[some], smooth=True)
-    return Panel(title, "shift predicted by this cause [µm]", "measured shift [µm]", (one,))
+    series = Series("", x[some], y[some], weight, x[some], smooth=True)
+    return Panel(title, "shift predicted by this cause [µm]", "measured shift [µm]", (series,))
 
 
 def scales_of(diagnosis: DiagnosisResult) -> dict[str, Scale]:
@@ -282,14 +282,14 @@ def _own_unit(
 ) -> list[Panel]:
     """Return panels of the error motion itself: its weighted least-squares estimate from each reading, with weights."""
     shift = np.where(np.isfinite(cause.pattern_um), cause.pattern_um, 0.0)
-    left = np.where(np.isfinite(diagnosis.after_um), diagnosis.after_um, 0.0)
+    residual = np.where(np.isfinite(diagnosis.after_um), diagnosis.after_um, 0.0)
     size = np.linalg.norm(shift, axis=1)
     rows = (np.abs(values) > LEAST_CAUSE_SHARE * np.abs(values).max()) & (size > 0.0)
     if not np.any(rows):
         return []
     lever = np.einsum("nij,nj->ni", diagnosis.precision[rows], shift[rows] / values[rows, None])
     weight = np.sum(lever * shift[rows], axis=1) / values[rows]
-    read = values[rows] + np.sum(lever * left[rows], axis=1) / weight
+    read = values[rows] + np.sum(lever * residual[rows], axis=1) / weight
     frame, mark = effect.frame.axis, "0" if effect.frame.role == "location" else ""
     error = f"E_{DIRECTIONS[component]}{mark}{frame}"
     unit = "µm" if component < 3 else "µrad"
@@ -347,12 +347,12 @@ def _scales_of_cause(diagnosis: DiagnosisResult, cause: Cause) -> list[Scale]:
     axes = [name for part in where.split(" ") if (name := axis_of(part)) in machine.by_name]
     if drawn.beyond and axes:
         axes = [*(axis.name for axis in machine.axes if not axis.linear and axis.name != axes[0]), axes[0]]
-    own = [scales[name] for name in _named(dict.fromkeys(axes or machine.names), machine)][:2]
+    scales_shown = [scales[name] for name in _named(dict.fromkeys(axes or machine.names), machine)][:2]
     period = drawn.period({q.name: q.value for q in cause.parameters})
     if period and axes:
         unit = "mm" if machine.by_name[axes[0]].linear else "°"
-        return [_folded(own[0], axes[0], period, unit)]
-    return own
+        return [_folded(scales_shown[0], axes[0], period, unit)]
+    return scales_shown
 
 
 def _derived_scale(diagnosis: DiagnosisResult, where: str, size_of: str) -> Scale:
@@ -463,9 +463,10 @@ def plot_cause(diagnosis: DiagnosisResult, cause: int = 0, *, title: str = "") -
     """
     if not 0 <= cause < len(diagnosis.causes):
         raise InputError("no such cause", expected=f"less than {len(diagnosis.causes)}", value=cause)
-    one = diagnosis.causes[cause]
+    chosen = diagnosis.causes[cause]
     return _drawn(
-        cause_panels(diagnosis, one), title or f"{cause_title(one.effect, one.where)}: fitted (line), measured (dots)"
+        cause_panels(diagnosis, chosen),
+        title or f"{cause_title(chosen.effect, chosen.where)}: fitted (line), measured (dots)",
     )
 
 
@@ -503,12 +504,16 @@ def plot_unexplained(diagnosis: DiagnosisResult, *, title: str = "") -> Figure |
     Args:
         title: heading; a default if empty.
     """
-    left, scales, data = diagnosis.unexplained, scales_of(diagnosis), diagnosis.data
-    names = [name for name in left.depends_on if name in scales and not scales[name].ticks] if left is not None else []
-    if left is None or len(names) < 2:
+    unexplained, scales, data = diagnosis.unexplained, scales_of(diagnosis), diagnosis.data
+    if unexplained is None:
+        return None
+    names = [name for name in unexplained.depends_on if name in scales and not scales[name].ticks]
+    if len(names) < 2:
         return None
     x, y = scales[names[0]], scales[names[1]]
-    rows = data.carrier == left.carrier if left.carrier in data.carrier else np.ones(len(data), dtype=bool)
+    rows = np.ones(len(data), dtype=bool)
+    if unexplained.carrier in data.carrier:
+        rows = data.carrier == unexplained.carrier
     edges = [np.linspace(v.min(), v.max(), CELLS + 1) for v in (x.values[rows], y.values[rows])]
     maps = {}
     for name, values in directed(diagnosis, diagnosis.after_um).items():
@@ -563,28 +568,30 @@ def draw(plot: Axes, panel: Panel, *, titled: bool = True) -> None:
 
 def _draw_series(plot: Axes, panel: Panel, k: int) -> list[tuple[Any, str]]:
     """Draw the k-th series of a panel and return its entries in the legend; the cause has an entry only if the series is single."""
-    one, count = panel.series[k], len(panel.series)
-    lone = count == 1 and one.predicted is not None
-    colour, marker, style = STYLES[PLOT_DIRECTIONS.index(one.name) if one.name in PLOT_DIRECTIONS else k % len(STYLES)]
-    groups = group_numbers(one.x)
-    centre, mean, half = group_means(one.x, one.y, one.weight, groups)
+    series, count = panel.series[k], len(panel.series)
+    lone = count == 1 and series.predicted is not None
+    colour, marker, style = STYLES[
+        PLOT_DIRECTIONS.index(series.name) if series.name in PLOT_DIRECTIONS else k % len(STYLES)
+    ]
+    groups = group_numbers(series.x)
+    centre, mean, half = group_means(series.x, series.y, series.weight, groups)
     # Shifted, so that the series do not hide each other.
-    offset = 0.0 if lone else 0.008 * (float(np.ptp(one.x)) or 1.0) * (k - 0.5 * (count - 1))
+    offset = 0.0 if lone else 0.008 * (float(np.ptp(series.x)) or 1.0) * (k - 0.5 * (count - 1))
     looks: dict[str, Any] = {"marker": marker, "markersize": 4.0, "linewidth": 0.0, "elinewidth": 1.0}
     dots = plot.errorbar(centre + offset, mean, half, color=BOTH if lone else colour, **looks)
-    if one.predicted is None:
+    if series.predicted is None:
         if not panel.ticks:
             plot.plot(centre + offset, mean, color=colour, linestyle=style, linewidth=0.8, alpha=0.6)
-        return [(dots, one.name)]
-    order = np.argsort(one.x)
+        return [(dots, series.name)]
+    order = np.argsort(series.x)
     x, predicted = (
-        (one.x[order], one.predicted[order])
-        if one.smooth
-        else group_means(one.x, one.predicted, one.weight, groups)[:2]
+        (series.x[order], series.predicted[order])
+        if series.smooth
+        else group_means(series.x, series.predicted, series.weight, groups)[:2]
     )
     colour, style = (BACKWARD, "-") if lone else (colour, style)
     (line,) = plot.plot(x, predicted, color=colour, linestyle=style, linewidth=2.0, alpha=0.75)
-    return [(dots, "measured"), (line, "fitted cause")] if lone else [(dots, one.name)]
+    return [(dots, "measured"), (line, "fitted cause")] if lone else [(dots, series.name)]
 
 
 def _drawn(panels: Sequence[Panel], title: str) -> Figure:
