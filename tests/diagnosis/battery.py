@@ -385,7 +385,7 @@ def alone(searcher: Searcher, key: Key, signature: np.ndarray) -> bool:
         (one for one in candidates.forms if one.key == key and dof[one.index] > 0),
         key=lambda one: explained[one.index] - candidates.critical_value(one, float(dof[one.index])),
     )
-    only = Structure((form,), None, None, problem, ())
+    only = Structure((form,), problem)
     found = Findings(replace(searcher.task, problem=problem), (), candidates, candidates, only, candidates)
     return not equivalent(found, form, [])
 

@@ -7,9 +7,9 @@ between them (twice the expected log-likelihood ratio; Atkinson and Fedorov 1975
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -28,7 +28,7 @@ from twin.identification.network import Network
 from twin.measurement.observation import machine_state
 from twin.measurement.table import Measurements
 from twin.model.calibration import Calibration
-from twin.model.effects import Effect, assemble
+from twin.model.effects import assemble
 from twin.model.effects.specification import FittedCause
 from twin.numerics.functions import SHORTEST_PERIOD, sampling_frequency
 from twin.tool.uncertainty import volume
@@ -39,61 +39,53 @@ RUNNERS_UP: Final = 2
 """Number of alternatives that are ruled out and listed with a cause."""
 
 
-def equivalent(found: Findings, form: Form, others: Sequence[Form]) -> tuple[tuple[str, str], ...]:
+def equivalent(findings: Findings, form: Form, others: Sequence[Form]) -> tuple[tuple[str, str], ...]:
     """Return the causes that a cause is confounded with, the other causes kept.
 
     With unnamed patterns, an alternative may fit only because the patterns take over the difference. It is kept only if, without the
     patterns, it explains less than the cause by no more than the patterns explain.
 
     Args:
-        found: the selected causes and patterns.
-        form: the cause, of ``found.given_patterns``.
+        form: the cause, of ``findings.given_patterns``.
         others: the other causes, likewise.
     """
-    keys = _in_place(found.given_patterns, form, others)
-    if not found.structure.pattern_tests or not keys:
+    keys = _in_place(findings.given_patterns, form, others)
+    if not findings.structure.pattern_tests or not keys:
         return keys
-    plain = found.candidates
-    kept = [plain.forms[other.index] for other in others]
-    explained, _ = plain.scan(kept)
-    explained_by_cause = float(explained[form.index])
-    allowed = found.structure.explained([*kept, plain.forms[form.index]]) + DEVIANCE_RULED_OUT
-    best = {key: 0.0 for key in keys}
-    for one in plain.forms:
-        if one.key in best:
-            best[one.key] = max(best[one.key], float(explained[one.index]))
-    return tuple(key for key in keys if best[key] > explained_by_cause - allowed)
+    plain = findings.candidates
+    plain_form, *plain_others = (plain.forms[cause.index] for cause in (form, *others))
+    explained, _ = plain.scan(plain_others)
+    allowed = findings.structure.explained([*plain_others, plain_form]) + DEVIANCE_RULED_OUT
+    least = float(explained[form.index]) - allowed
+    best = dict.fromkeys(keys, 0.0)
+    for other in plain.forms:
+        if other.key in best:
+            best[other.key] = max(best[other.key], float(explained[other.index]))
+    return tuple(key for key in keys if best[key] > least)
 
 
 def _in_place(candidates: Candidates, form: Form, others: Sequence[Form]) -> tuple[tuple[str, str], ...]:
     """Return the causes that explain as much in place of a cause, corrected for multiple testing."""
-    margin = _margin(candidates, form, others)
+    least = _margin(candidates, form, others) - DEVIANCE_RULED_OUT
     used = {other.key for other in others} | {form.key}
-    tried = [i for i, one in enumerate(candidates.forms) if one.key not in used]
-    scores = candidates.scores(others, tried)
+    tried = [other for other in candidates.forms if other.key not in used]
+    scores = candidates.scores(others, [other.index for other in tried])
+    dof_of_form = candidates.scores(others, [form.index])[0, 1]
     best: dict[tuple[str, str], float] = {}
-    own_dof = candidates.scores(others, [form.index])[0, 1]
-    for i, (explained, dof, _) in zip(tried, scores, strict=True):
-        if dof > 0:
-            worth = float(explained - candidates.critical_value(candidates.forms[i], dof))
-            elsewhere = candidates.forms[i].candidate.origin != form.candidate.origin
-            more = dof > own_dof and not elsewhere
-            if (
-                worth > margin - DEVIANCE_RULED_OUT
-                and more
-                and candidates.contains([*others, candidates.forms[i]], others, form)
-            ):
-                continue  # contains the cause, with more parameters
-            if worth > margin - DEVIANCE_RULED_OUT and candidates.cancels(candidates.forms[i], others, form):
-                continue
-            if (
-                worth > margin - DEVIANCE_RULED_OUT
-                and excess_ratio(candidates, candidates.forms[i], [*others, candidates.forms[i]]) > 1.0
-            ):
-                continue
-            best[candidates.forms[i].key] = max(best.get(candidates.forms[i].key, -np.inf), worth)
-    ranked = [list(best.items())[i] for i in largest_first(np.array(list(best.values())))]
-    keys = [key for key, worth in ranked if worth > margin - DEVIANCE_RULED_OUT]
+    for rival, (explained, dof, _) in zip(tried, scores, strict=True):
+        if dof <= 0:
+            continue
+        worth = float(explained - candidates.critical_value(rival, dof))
+        more_parameters = dof > dof_of_form and rival.candidate.origin == form.candidate.origin
+        if worth > least and (
+            (more_parameters and candidates.contains([*others, rival], others, form))
+            or candidates.cancels(rival, others, form)
+            or excess_ratio(candidates, rival, [*others, rival]) > 1.0
+        ):
+            continue
+        best[rival.key] = max(best.get(rival.key, -np.inf), worth)
+    ranked = [list(best)[i] for i in largest_first(np.array(list(best.values())))]
+    keys = [key for key in ranked if best[key] > least]
     return tuple(dict.fromkeys([*keys, *_several(candidates, form, others)]))
 
 
@@ -103,27 +95,25 @@ def _several(candidates: Candidates, form: Form, others: Sequence[Form]) -> list
     Example: drift of a station in three directions, and drift of the tool side along each of them.
     """
     explained, _ = candidates.scan(others)
-    used = {one.key for one in others} | {form.key}
+    used = {other.key for other in others} | {form.key}
     by_effect: dict[str, dict[tuple[str, str], Form]] = {}
-    for one in candidates.forms:
-        if one.candidate.origin != form.candidate.origin and one.key not in used and len(one.columns) == 1:
-            best = by_effect.setdefault(one.candidate.effect, {})
-            if one.key not in best or explained[one.index] > explained[best[one.key].index]:
-                best[one.key] = one
-    whole = candidates.explained_by([*others, form])
+    for rival in candidates.forms:
+        if rival.candidate.origin != form.candidate.origin and rival.key not in used and len(rival.columns) == 1:
+            best = by_effect.setdefault(rival.candidate.effect, {})
+            if rival.key not in best or explained[rival.index] > explained[best[rival.key].index]:
+                best[rival.key] = rival
+    least = candidates.explained_by([*others, form]) - DEVIANCE_RULED_OUT
     keys: list[tuple[str, str]] = []
     for group in (list(best.values()) for best in by_effect.values()):
         if not 1 < len(group) <= len(form.columns):
             continue
         together = candidates.explained_by([*others, *group])
-        if together < whole - DEVIANCE_RULED_OUT:
+        if together < least:
             continue
-        for one in group:
-            if (
-                candidates.explained_by([*others, *(other for other in group if other is not one)])
-                < together - DEVIANCE_RULED_OUT
-            ):
-                keys.append(one.key)
+        for rival in group:
+            without = candidates.explained_by([*others, *(other for other in group if other is not rival)])
+            if without < together - DEVIANCE_RULED_OUT:
+                keys.append(rival.key)
     return keys
 
 
@@ -137,34 +127,34 @@ def ruled_out(candidates: Candidates, form: Form, others: Sequence[Form], excess
     """Return the best alternatives to a cause that are ruled out."""
     margin = _margin(candidates, form, others)
     used = {other.key for other in others} | {form.key}
-    tried = [one for one in candidates.forms if one.key not in used]
+    tried = [other for other in candidates.forms if other.key not in used]
+    scores = candidates.scores(others, [other.index for other in tried])
     best: dict[tuple[str, str], Rival] = {}
-    for one, (explained, dof, _) in zip(tried, candidates.scores(others, [one.index for one in tried]), strict=True):
+    for other, (explained, dof, _) in zip(tried, scores, strict=True):
         if dof > 0:
-            behind = 0.5 * (margin - float(explained - candidates.critical_value(one, dof)))
-            if one.key not in best or behind < best[one.key].log_odds:
-                best[one.key] = Rival(*one.key, float(np.clip(explained / excess, 0.0, 1.0)), behind)
-    out = [rival for rival in best.values() if rival.log_odds >= 0.5 * DEVIANCE_RULED_OUT]
-    return tuple(out[i] for i in largest_first(np.array([-rival.log_odds for rival in out]))[:RUNNERS_UP])
+            log_odds = 0.5 * (margin - float(explained - candidates.critical_value(other, dof)))
+            if other.key not in best or log_odds < best[other.key].log_odds:
+                best[other.key] = Rival(*other.key, float(np.clip(explained / excess, 0.0, 1.0)), log_odds)
+    rivals = [rival for rival in best.values() if rival.log_odds >= 0.5 * DEVIANCE_RULED_OUT]
+    return tuple(rivals[i] for i in largest_first(np.array([-rival.log_odds for rival in rivals]))[:RUNNERS_UP])
 
 
 def points_to_measure(candidates: Candidates, named: Sequence[Form], causes: Sequence[Cause]) -> tuple[Next, ...]:
     """Return the points to measure next, which separate the causes from their alternatives."""
     points: list[Next] = []
-    plan = _possible(candidates.problem)
-    ours = _prediction(candidates.problem, named, plan) if any(cause.equivalent for cause in causes) else None
+    problem = candidates.problem
+    plan = _possible(problem)
+    prediction = _prediction(problem, named, plan) if any(cause.equivalent for cause in causes) else None
     for form, cause in zip(named, causes, strict=True):
-        others = [one for one in named if one is not form]
-        tried = {one.key for one in candidates.forms}
-        rivals = [_best(candidates, key, others) for key in cause.equivalent if key in tried][:ALTERNATIVES_SEPARATED]
-        if rivals:
-            points += next_points(candidates.problem, (form, ours), rivals, others, plan)
+        others = [other for other in named if other is not form]
+        rivals: list[Form] = []
+        for key in cause.equivalent:
+            tried = [other.index for other in candidates.forms if other.key == key]
+            if tried and len(rivals) < ALTERNATIVES_SEPARATED:
+                log_p = candidates.scores(others, tried)[:, 2]
+                rivals.append(candidates.forms[tried[first_largest(-log_p)]])
+        points += [point for rival in rivals for point in _separating(problem, form, prediction, rival, others, plan)]
     return tuple(points)
-
-
-def _best(candidates: Candidates, key: tuple[str, str], others: Sequence[Form]) -> Form:
-    tried = [i for i, form in enumerate(candidates.forms) if form.key == key]
-    return candidates.forms[tried[first_largest(-candidates.scores(others, tried)[:, 2])]]
 
 
 POSES: Final = 400
@@ -176,59 +166,49 @@ LEAST_POSE_DISTANCE: Final = 0.15
 """Smallest distance of two suggested poses, relative to the ranges of the axes."""
 
 
-def next_points(
-    problem: Problem,
-    named: tuple[Form, np.ndarray | None],
-    rivals: Sequence[Form],
-    others: Sequence[Form],
-    plan: Measurements,
-) -> tuple[Mapping[str, Any], ...]:
-    """Return the points at which the predictions of a cause and its alternatives differ most.
+def _separating(
+    problem: Problem, form: Form, prediction: np.ndarray | None, rival: Form, others: Sequence[Form], plan: Measurements
+) -> list[Next]:
+    """Return the points at which the predictions of a cause and an alternative differ most.
 
     Args:
-        problem: the data.
-        named: the cause, and the prediction of all causes at the candidate points (`_prediction`).
-        rivals: the alternatives.
-        others: the other causes.
+        prediction: that of all causes at the candidate points (`_prediction`).
         plan: the candidate points.
     """
-    network, (form, ours) = problem.network, named
-    points: list[Mapping[str, Any]] = []
-    for rival in rivals:
-        theirs = _prediction(problem, [rival, *others], plan)
-        name = f"{form.candidate.effect} {form.candidate.where}", f"{rival.candidate.effect} {rival.candidate.where}"
-        if ours is None or theirs is None:
-            text = f"to separate {name[0]} from {name[1]}: repeat the first round without touching the instrument or the targets"
-            points.append({"separates": list(name), "text": text})
-            continue
-        sigma = np.sqrt(np.einsum("nii->n", network.covariance).mean() / max(network.read.sum(axis=1).mean(), 1.0))
-        gain = np.sum(((ours - theirs) / sigma) ** 2, axis=1)
-        for row in _well_separated(problem, plan.positions, gain):
-            pose = {axis.name: round(float(plan.positions[row, i]), 1) for i, axis in enumerate(network.machine.axes)}
-            approach = {
-                axis.name: int(plan.approach[row, i])
-                for i, axis in enumerate(network.machine.axes)
-                if np.any(network.data.approach[:, i])
+    network, axes = problem.network, problem.network.machine.axes
+    of_rival = _prediction(problem, [rival, *others], plan)
+    separates = [f"{cause.candidate.effect} {cause.candidate.where}" for cause in (form, rival)]
+    if prediction is None or of_rival is None:
+        pair = " from ".join(separates)
+        text = f"to separate {pair}: repeat the first round without touching the instrument or the targets"
+        return [{"separates": separates, "text": text}]
+    sigma = np.sqrt(np.einsum("nii->n", network.covariance).mean() / max(network.read.sum(axis=1).mean(), 1.0))
+    chi2 = np.sum(((prediction - of_rival) / sigma) ** 2, axis=1)
+    points: list[Next] = []
+    for row in _well_separated(plan.positions, chi2):
+        pose = {axis.name: round(float(plan.positions[row, i]), 1) for i, axis in enumerate(axes)}
+        approach = {
+            axis.name: int(plan.approach[row, i]) for i, axis in enumerate(axes) if np.any(network.data.approach[:, i])
+        }
+        where = " ".join(f"{axis}{value:g}" for axis, value in pose.items())
+        sides = " ".join(f"{axis}{'+' if sign > 0 else '−'}" for axis, sign in approach.items())
+        text = (
+            f"{where}, target {plan.target[row]}, station {plan.station[row]}"
+            + (f", approached from {sides}" if sides else "")
+            + f": separates {' from '.join(separates)} with χ² {chi2[row]:.2g} per reading (25 in total is enough)"
+        )
+        points.append(
+            {
+                "separates": separates,
+                "pose": pose,
+                "approach": approach,
+                "target": str(plan.target[row]),
+                "station": str(plan.station[row]),
+                "expected_chi2": float(chi2[row]),
+                "text": text,
             }
-            where = " ".join(f"{axis}{value:g}" for axis, value in pose.items())
-            sides = " ".join(f"{axis}{'+' if sign > 0 else '−'}" for axis, sign in approach.items())
-            text = (
-                f"{where}, target {plan.target[row]}, station {plan.station[row]}"
-                + (f", approached from {sides}" if sides else "")
-                + f": separates {name[0]} from {name[1]} with χ² {gain[row]:.2g} per reading (25 in total is enough)"
-            )
-            points.append(
-                {
-                    "separates": list(name),
-                    "pose": pose,
-                    "approach": approach,
-                    "target": str(plan.target[row]),
-                    "station": str(plan.station[row]),
-                    "expected_chi2": float(gain[row]),
-                    "text": text,
-                }
-            )
-    return tuple(points)
+        )
+    return points
 
 
 def _possible(problem: Problem) -> Measurements:
@@ -248,29 +228,25 @@ def _prediction(problem: Problem, forms: Sequence[Form], plan: Measurements) -> 
     if any(form.candidate.build is None for form in forms):
         return None
     fitted, signature = fitted_effects(problem, forms)
-    remaining = problem.residual - signature.sum(axis=1)
-    effects = [effect for own in fitted for effect in own]
-    return _moves(problem, effects, problem.setup_step(remaining), plan)
-
-
-def _moves(problem: Problem, effects: Sequence[Effect], moved: np.ndarray, plan: Measurements) -> np.ndarray:
+    setup_step = problem.setup_step(problem.residual - signature.sum(axis=1))
     network = problem.network
     identities = np.broadcast_to(np.eye(3), (len(plan), 3, 3))
     planned = Network(network.machine, plan, network.instruments, network.unknowns, covariance=identities)
     view = planned.view(np.zeros(0), problem.setup, np.arange(len(plan)))
     by_setup = np.zeros((len(plan), 3, len(problem.setup)))
     planned.fill_setup_columns(view, problem.setup, by_setup)
+    effects = [effect for effects in fitted for effect in effects]
     frames = assemble(effects, network.machine.frames, machine_state(plan, network.machine))
     errors = np.stack([np.broadcast_to(np.asarray(v, dtype=float), len(plan)) for row in frames for v in row], axis=1)
-    return np.asarray(by_setup @ moved + np.einsum("nij,nj->ni", view.by_error, errors))
+    return np.asarray(by_setup @ setup_step + np.einsum("nij,nj->ni", view.by_error, errors))
 
 
-def _well_separated(problem: Problem, positions: np.ndarray, gain: np.ndarray) -> list[int]:
+def _well_separated(positions: np.ndarray, gain: np.ndarray) -> list[int]:
     span = np.maximum(np.ptp(positions, axis=0), MM)
     taken: list[int] = []
-    for row in largest_first(gain):
+    for row in largest_first(gain).tolist():
         if all(np.linalg.norm((positions[row] - positions[k]) / span) > LEAST_POSE_DISTANCE for k in taken):
-            taken.append(int(row))
+            taken.append(row)
         if len(taken) == POINTS_PER_PAIR:
             break
     return taken
@@ -282,14 +258,14 @@ ALIAS_CHI2: Final = 9.0
 """χ² (three standard deviations) by which a period must fit worse than the best to be ruled out."""
 
 
-def evidence(form: Form, found: Estimate, k: int) -> str:
+def evidence(form: Form, estimated: Estimate, k: int) -> str:
     """Return the effect of the k-th cause in words, with its size in standard uncertainties."""
     specification = form.candidate.specification
     others = {*specification.nonlinear, *specification.fixed, *form.variant.fixed}
-    sizes = [q for q in found.quantities[k] if q.name not in others]
+    sizes = [q for q in estimated.quantities[k] if q.name not in others]
     size = max(sizes, key=lambda q: abs(q.value) / q.u if q.u > 0.0 else 0.0)
-    numbers = {q.name: q.value for q in found.quantities[k]}
-    what = FittedCause(form.candidate.where, size.value, readable_unit(size.unit), numbers, found.effects[k])
+    numbers = {q.name: q.value for q in estimated.quantities[k]}
+    what = FittedCause(form.candidate.where, size.value, readable_unit(size.unit), numbers, estimated.effects[k])
     text = specification.evidence(what)
     return f"{text} ({abs(size.value) / size.u:.0f} standard uncertainties)" if size.u > 0.0 else text
 
@@ -303,22 +279,16 @@ def curve_flaw(candidates: Candidates, forms: Sequence[Form], form: Form, calibr
         return ""
     # With as many functions as the calibration's curve: all coefficients are needed, not only significant corrections.
     count = max(len(curve.coefficients), len(form.columns))
-    wide = next(
-        (
-            f
-            for f in candidates.forms
-            if f.key == form.key and len(f.columns) == count and f.variant.fixed.get("first") == 0.0
-        ),
-        form,
-    )
-    if "stops" in form.variant.fixed:
-        wide = form
-    columns, values, inverse = candidates.fitted([wide, *(one for one in forms if one is not form)])
+    stops, wide = form.variant.fixed.get("stops"), form
+    if stops is None:
+        alike = [other for other in candidates.forms if other.key == form.key and len(other.columns) == count]
+        wide = next((other for other in alike if other.variant.fixed.get("first") == 0.0), form)
+    columns, values, inverse = candidates.fitted([wide, *(other for other in forms if other is not form)])
     at = np.searchsorted(columns, wide.columns)
     scale = np.array([column.scale for column in wide.variant.columns])
-    if "stops" in form.variant.fixed:
+    if stops is not None:
         size = float(values[at[0]] * scale[0])
-        text = times(1.0 + size) if form.variant.fixed["stops"] == ITSELF else constant_dropped(curve, size)
+        text = times(1.0 + size) if stops == ITSELF else constant_dropped(curve, size)
     else:
         # For functions not in the form the correction is zero and has no uncertainty.
         first = round(wide.variant.fixed.get("first", 0.0))
@@ -330,13 +300,7 @@ def curve_flaw(candidates: Candidates, forms: Sequence[Form], form: Form, calibr
 
 
 def between_positions(candidates: Candidates, forms: Sequence[Form], form: Form) -> str:
-    """Return why a cause is not valid between the measured positions; empty if it is.
-
-    Args:
-        candidates: the data.
-        forms: the causes.
-        form: one of them.
-    """
+    """Return why a cause is not valid between the measured positions; empty if it is."""
     periods = _other_periods(candidates, forms, form)
     if periods:
         other = listed([f"{period:.3g}" for period in periods])
@@ -358,11 +322,10 @@ def _other_periods(candidates: Candidates, forms: Sequence[Form], form: Form) ->
         frequency = 1.0 / form.variant.fixed[name]
         aliases = (1.0 / max(abs(even - frequency), 1e-9), 1.0 / (even + frequency))
         return [float(aliase) for aliase in aliases if aliase >= SHORTEST_PERIOD]
-    tried = [one for one in candidates.forms if one.key == form.key and one is not form]
-    periods = np.array([one.variant.fixed[name] for one in tried])
-    explained = candidates.scores([one for one in forms if one is not form], [one.index for one in (form, *tried)])[
-        :, 0
-    ]
+    tried = [other for other in candidates.forms if other.key == form.key and other is not form]
+    periods = np.array([other.variant.fixed[name] for other in tried])
+    kept = [other for other in forms if other is not form]
+    explained = candidates.scores(kept, [other.index for other in (form, *tried)])[:, 0]
     away = np.abs(1.0 / periods - 1.0 / form.variant.fixed[name]) * span
     others: list[float] = []
     for i in largest_first(explained[1:]):

@@ -18,17 +18,18 @@ from typing import Final, Literal, final
 
 import numpy as np
 
-from twin._common.arrays import read_only
+from twin._common.arrays import largest_first, read_only
 from twin._common.distributions import chi2_sf, f_sf
 from twin._common.units import UM
+from twin.diagnosis.alternatives import points_to_measure
 from twin.diagnosis.candidates.candidate import LARGEST_ERROR
-from twin.diagnosis.causes import ReportedCauses, SizedCauses
+from twin.diagnosis.causes import SizedCauses, causes_with_alternatives, causes_with_payloads, notices, readback_causes
 from twin.diagnosis.forms import LEAST_NONCENTRALITY, Candidates, Form
 from twin.diagnosis.gain import EmpiricalExtension, extend, gain, residuals_as_written
 from twin.diagnosis.likelihood import PatternTest, scan_patterns
 from twin.diagnosis.problem import Problem, in_um, rewhitened, rms, unwhiten
 from twin.diagnosis.readings import ReadingNoise
-from twin.diagnosis.result import DiagnosisResult, Trend, Unexplained, Verdict
+from twin.diagnosis.result import Cause, DiagnosisResult, Trend, Unexplained, Verdict
 from twin.diagnosis.structure import Findings
 from twin.diagnosis.text import diagnosis_display, diagnosis_text, symbol
 from twin.display.numbers import listed
@@ -40,7 +41,7 @@ from twin.measurement.checks import overstated_noise
 from twin.measurement.columns import CARRIERS
 from twin.model.calibration import Calibration
 from twin.model.calibration_file import MeasuredWith, MisfitEntry, UnidentifiedEntry
-from twin.model.effects import Effect, split_name
+from twin.model.effects import split_name
 from twin.model.unknown_errors import at_rest
 from twin.numerics.covariance import Covariance
 from twin.numerics.observability import Unknown, determinability
@@ -75,105 +76,101 @@ VERDICTS: Final = ("consistent", "untested", "larger", "systematic")
 """Verdicts on the residuals, the best first."""
 
 
-def with_limits(found: Diagnosis, network: Network) -> Diagnosis:
+def with_limits(diagnosis: Diagnosis, network: Network) -> Diagnosis:
     """Return the diagnosis with the limits of its extended calibration stated in the calibration.
 
     Args:
         network: the readings and their instruments.
     """
-    extended = found.extended
+    extended, data = diagnosis.extended, network.data
     given = {error.name for error in extended.not_identifiable}
-    unknown = {name: why for name, why in _unknown(found) if name not in given}
-    return replace(
-        found,
-        extended=replace(
-            extended,
-            instruments=tuple(dict.fromkeys((*extended.instruments, *(one.name for one in network.instruments.every)))),
-            set_up=extended.set_up or _set_up(network),
-            misfit=_misfit(found, network),
-            not_identifiable=(
-                *extended.not_identifiable,
-                *(UnidentifiedEntry(name=name, why=why) for name, why in unknown.items()),
-            ),
+    unknown = {name: why for name, why in _unknown(diagnosis) if name not in given}
+    tool, work = (len(set(data.target[data.carrier == side].tolist())) for side in CARRIERS)
+    set_up = MeasuredWith(
+        stations=len(set(data.station.tolist())), targets_on_tool=tool, targets_on_work=work, points=len(data)
+    )
+    limited = replace(
+        extended,
+        instruments=tuple(
+            dict.fromkeys((*extended.instruments, *(instrument.name for instrument in network.instruments.every)))
+        ),
+        set_up=extended.set_up or set_up,
+        misfit=_misfit(diagnosis, network),
+        not_identifiable=(
+            *extended.not_identifiable,
+            *(UnidentifiedEntry(name=name, why=why) for name, why in unknown.items()),
         ),
     )
+    return replace(diagnosis, extended=limited)
 
 
-def _unknown(found: Diagnosis) -> Iterator[tuple[str, str]]:
+def _unknown(diagnosis: Diagnosis) -> Iterator[tuple[str, str]]:
     """Yield the errors that the readings could not determine and the calibration does not know, with the reason."""
-    machine = found.extended.machine
+    calibration, extended = diagnosis.calibration, diagnosis.extended
+    machine = extended.machine
     every = (*machine.motion_names, *machine.squareness_names, *machine.location_names)
-    known = {name.partition("[")[0] for name in found.extended.covariance.names}
-    for cause in found.causes:
+    known = {name.partition("[")[0] for name in extended.covariance.names}
+    for cause in diagnosis.causes:
         for _, where in cause.equivalent:
             if where in every and where not in known:
                 yield where, f"cannot be separated from {cause.effect} {cause.where}"
         if not cause.promised and cause.where in every and cause.where not in known:
             yield cause.where, "found in the readings, but not determined between the measured positions"
-    if not _is_silent(found.calibration):
+    if calibration.set_up is not None or calibration.instruments:
         return
-    data, values = found.data, {effect.name for effect in found.extended.effects}
+    # A calibration that does not say how it was measured: an absent error may be unknown instead of negligible.
+    positions, values = diagnosis.data.positions, {effect.name for effect in extended.effects}
     for name in every:
         axis = split_name(name)[2]
-        if name not in values and not np.ptp(data.positions[:, machine.names.index(axis)]) > 0.0:
+        if name not in values and not np.ptp(positions[:, machine.names.index(axis)]) > 0.0:
             yield name, at_rest(axis)
-    for key, why in found.looks_like.items():
-        if key[1] in every and key[1] not in values:
-            yield key[1], why
+    for (_, where), why in diagnosis.looks_like.items():
+        if where in every and where not in values:
+            yield where, why
 
 
-def _is_silent(calibration: Calibration) -> bool:
-    """Return whether a calibration does not say how it was measured, so that an absent error may be unknown instead of negligible."""
-    return calibration.set_up is None and not calibration.instruments
-
-
-def _set_up(network: Network) -> MeasuredWith:
-    data = network.data
-    tool, work = (len(dict.fromkeys(data.target[data.carrier == side].tolist())) for side in CARRIERS)
-    stations = len(dict.fromkeys(data.station.tolist()))
-    return MeasuredWith(stations=stations, targets_on_tool=tool, targets_on_work=work, points=len(data))
-
-
-def _misfit(found: Diagnosis, network: Network) -> MisfitEntry:
+def _misfit(diagnosis: Diagnosis, network: Network) -> MisfitEntry:
     """Return the residuals of the readings with the extended calibration, or the given ones if the readings cannot replace them."""
-    verdict, says = _verdict_within_limits(found)
-    after = np.nan_to_num(found.after_um)
-    chi2 = float(np.einsum("ni,nij,nj->", after, found.precision, after))
-    held_out = None if found.gain is None else found.gain.held_out
-    own = MisfitEntry(
+    verdict, says = _verdict_within_limits(diagnosis)
+    after, dof = np.nan_to_num(diagnosis.after_um), diagnosis.dof
+    chi2 = float(np.einsum("ni,nij,nj->", after, diagnosis.precision, after))
+    held_out = None if diagnosis.gain is None else diagnosis.gain.held_out
+    measured = MisfitEntry(
         verdict=verdict,
         says=says,
-        rms_um=rms(found.after_um, network.read),
-        reduced_chi2=chi2 / found.dof if found.dof > 0 else None,
-        dof=max(found.dof, 0),
+        rms_um=rms(diagnosis.after_um, network.read),
+        reduced_chi2=chi2 / dof if dof > 0 else None,
+        dof=max(dof, 0),
         held_out_rms_um=None if held_out is None else held_out.after_um,
     )
-    before = found.calibration.misfit
-    whole = bool(np.all(np.ptp(found.data.positions, axis=0) > 0.0))
-    if before is None or whole or VERDICTS.index(own.verdict) >= VERDICTS.index(before.verdict):
-        return own
-    return before
+    given = diagnosis.calibration.misfit
+    every_axis_moved = bool(np.all(np.ptp(diagnosis.data.positions, axis=0) > 0.0))
+    if given is None or every_axis_moved or VERDICTS.index(verdict) >= VERDICTS.index(given.verdict):
+        return measured
+    return given
 
 
-def _verdict_within_limits(found: Diagnosis) -> tuple[Literal["consistent", "systematic", "larger", "untested"], str]:
+def _verdict_within_limits(
+    diagnosis: Diagnosis,
+) -> tuple[Literal["consistent", "systematic", "larger", "untested"], str]:
     """Return whether the extended calibration fits the readings, and what it leaves, in words."""
-    left, machine = found.unexplained, [cause for cause in found.causes if cause.origin == "machine"]
+    unexplained, machine = diagnosis.unexplained, [cause for cause in diagnosis.causes if cause.origin == "machine"]
     absent = [f"{cause.effect} {cause.where}" for cause in machine if not cause.promised]
     unsure = [
         f"{cause.effect} {cause.where} cannot be separated from {listed([' '.join(key) for key in cause.equivalent])}"
-        for cause in found.causes
+        for cause in diagnosis.causes
         if cause.equivalent
     ]
     says = [f"{listed(absent)} found, but not in this calibration"] if absent else []
-    written = left is not None and left.extension is not None and left.extension.written
-    if left is not None:
-        says.append(f"{left.evidence}{'; an empirical effect describes it' if written else ''}")
+    written = unexplained is not None and unexplained.extension is not None and unexplained.extension.written
+    if unexplained is not None:
+        says.append(f"{unexplained.evidence}{'; an empirical effect describes it' if written else ''}")
     text = "; ".join([*says, *unsure])
-    if absent or (left is not None and left.depends_on and not written):
+    if absent or (unexplained is not None and unexplained.depends_on and not written):
         return "systematic", text
-    if left is not None and not written:
+    if unexplained is not None and not written:
         return "larger", text
-    return ("untested" if found.dof < FEWEST_DOF else "consistent"), text
+    return ("untested" if diagnosis.dof < FEWEST_DOF else "consistent"), text
 
 
 # --- From the causes to the result: unexplained residuals, the extended calibration, its gain, and the causes that are not id
@@ -184,112 +181,115 @@ MOST_RANKED: Final = 12
 """Largest number of causes in the ranking."""
 
 
-def conclude(reported: ReportedCauses, calibration: Calibration, *, empirical: bool = False) -> Diagnosis:
-    """Return the complete diagnosis.
+def conclude(sized: SizedCauses, calibration: Calibration, *, empirical: bool = False) -> Diagnosis:
+    """Return the complete diagnosis: the causes with their alternatives, what they leave, and what modelling them gains.
 
     Args:
-        reported: the causes as they are reported.
-        calibration: the calibration tested.
         empirical: whether unexplained patterns extend the calibration as well.
     """
-    sized, estimate = reported.sized, reported.sized.found
-    problem, network, by_noise = estimate.problem, estimate.problem.network, estimate.task.by_noise
-    misfit = residual_statistics(sized)
-    left = misfit.left
-    empirical_extension = extend(sized, calibration) if empirical and left is not None else None
-    if left is not None and empirical_extension is not None:
-        left = replace(left, extension=empirical_extension.extension)
-    extended = _extended(reported, calibration, empirical_extension)
-    changed = bool(sized.forms or extended is not calibration)
-    instrument = sized.estimate.signature[:, [not own for own in sized.estimate.effects]].sum(axis=1)
-    residual = in_um(problem.network, problem.residual)
-    after = residuals_as_written(problem, extended, instrument, sized.discrepancy.root) if changed else residual
-    hidden = _unidentifiable(estimate)
+    findings, forms = sized.findings, sized.forms
+    task, candidates, problem = findings.task, findings.candidates, findings.problem
+    by_noise, network = task.by_noise, problem.network
+    named, comparison = causes_with_alternatives(sized, calibration)
+    read_too_early, undecided = readback_causes(candidates, forms)
+    named, loads = causes_with_payloads(candidates, forms, named)
+    order = largest_first(np.array([cause.share for cause in named])).tolist()
+    named = [named[k] for k in order]
+    wanted = points_to_measure(findings.given_patterns, findings.beside_patterns([forms[k] for k in order]), named)
+    said = notices(sized, comparison, undecided)
+    causes = (*named, *read_too_early, *loads)
+    unexplained = _unexplained(sized)
+    extension = extend(sized, calibration) if empirical and unexplained is not None else None
+    if unexplained is not None and extension is not None:
+        unexplained = replace(unexplained, extension=extension.extension)
+    extended = _extended(sized, causes, calibration, extension)
+    changed = bool(forms or extended is not calibration)
+    by_instrument = sized.estimate.signature[:, [not effects for effects in sized.estimate.effects]].sum(axis=1)
+    residual = in_um(network, problem.residual)
+    after = residuals_as_written(problem, extended, by_instrument, sized.discrepancy.root) if changed else residual
+    hidden = _unidentifiable(findings)
     weights = by_noise.network.whitening
-    stated = not np.isfinite(estimate.task.noise.dof)
+    stated = not np.isfinite(task.noise.dof)
     overstated = overstated_noise(rms(residual, network.read), by_noise.chi2, by_noise.dof) if stated else ()
-    answer = Diagnosis(
-        verdict=_verdict(reported, left),
+    by_patterns = [float(np.exp(test.log_p_corrected)) for test in findings.structure.pattern_tests]
+    diagnosis = Diagnosis(
+        verdict=_verdict(causes, unexplained, disagree=comparison.disagree),
         rms_um=rms(residual, network.read),
         absorbed_rms_um=rms(in_um(by_noise.network, by_noise.projected), network.read),
-        expected_rms_um=misfit.expected_um,
+        expected_rms_um=_expected_um(by_noise),
         points=len(network.data),
         dof=problem.dof,
-        p_value=min([misfit.p_value, *(cause.p_value for cause in reported.causes)]),
-        causes=reported.causes,
-        unexplained=left,
+        p_value=min([_p_value(by_noise, task.noise), *by_patterns, *(cause.p_value for cause in causes)]),
+        causes=causes,
+        unexplained=unexplained,
         unidentifiable=tuple(hidden),
         looks_like=MappingProxyType(hidden),
-        not_evaluated=estimate.task.catalogue.not_evaluated,
-        next_measurement=reported.next_measurement,
-        trends=misfit.trends,
-        ranking=_ranking(estimate.candidates),
-        # Evaluated last: it resets the pool.
-        gain=gain(sized, (residual, after), left, empirical_extension) if changed else None,
-        tried=len(estimate.task.catalogue.candidates),
-        noise_source=estimate.task.noise.source,
+        not_evaluated=task.catalogue.not_evaluated,
+        next_measurement=wanted,
+        trends=_trends(findings),
+        ranking=_ranking(candidates),
+        # Evaluated last: it resets the candidates.
+        gain=gain(sized, (residual, after), unexplained, extension) if changed else None,
+        tried=len(task.catalogue.candidates),
+        noise_source=task.noise.source,
         calibration=calibration,
         extended=extended,
-        data=replace(network.data, notices=(*network.data.notices, *overstated, *reported.notices)),
+        data=replace(network.data, notices=(*network.data.notices, *overstated, *said)),
         residual_um=read_only(residual),
         after_um=read_only(after),
-        directions=read_only(unwhiten(problem.network, problem.view.by_base)),
+        directions=read_only(unwhiten(network, problem.view.by_base)),
         precision=read_only(np.einsum("nki,nkj->nij", weights, weights) * UM**2),
     )
-    return with_limits(answer, network)
+    return with_limits(diagnosis, network)
 
 
 def _extended(
-    reported: ReportedCauses, calibration: Calibration, empirical_extension: EmpiricalExtension | None
+    sized: SizedCauses, causes: Sequence[Cause], calibration: Calibration, extension: EmpiricalExtension | None
 ) -> Calibration:
     """Return the calibration extended by the promised causes and by the empirical effects, if any."""
-    effects: list[Effect] = reported.sized.effects
-    covariance = reported.sized.covariance
-    if empirical_extension is not None:
-        effects = [*effects, *empirical_extension.effects]
+    effects, covariance = sized.effects, sized.covariance
+    if extension is not None:
+        effects = [*effects, *extension.effects]
         # As independent blocks: the covariance of the causes already contains the influence of the patterns.
-        covariance = Covariance.of_blocks([covariance, empirical_extension.covariance])
+        covariance = Covariance.of_blocks([covariance, extension.covariance])
     if not effects:
         return calibration
     # An error that was unknown and cannot be separated from others stays unknown: it has a value, and its plausible range.
-    unclear = {cause.where for cause in reported.causes if cause.equivalent}
+    unclear = {cause.where for cause in causes if cause.equivalent}
     unclear &= {error.name for error in calibration.not_identifiable}
     covariance = covariance.where(lambda name: name.partition("[")[0] not in unclear)
-    data = reported.sized.found.problem.network.data
+    data = sized.findings.problem.network.data
     source = "extended by twin diagnose from " + data.source
     return calibration.extended(effects, covariance, source, simulated=data.simulated)
 
 
-def _verdict(reported: ReportedCauses, left: Unexplained | None) -> Verdict:
-    if left is not None and left.share > MOSTLY_EXPLAINED:
+def _verdict(causes: Sequence[Cause], unexplained: Unexplained | None, *, disagree: bool) -> Verdict:
+    if unexplained is not None and unexplained.share > MOSTLY_EXPLAINED:
         return "unexplained"
-    if not reported.causes:
-        return "ambiguous" if reported.disagree else "consistent"
-    return "ambiguous" if reported.disagree or any(cause.equivalent for cause in reported.causes) else "explained"
+    if disagree or any(cause.equivalent for cause in causes):
+        return "ambiguous"
+    return "explained" if causes else "consistent"
 
 
-def _unidentifiable(found: Findings) -> dict[tuple[str, str], str]:
+def _unidentifiable(findings: Findings) -> dict[tuple[str, str], str]:
     """Return the candidates that the data cannot show, with what each is confounded with."""
-    candidates = found.by_noise
-    seen: dict[tuple[str, str], bool] = {}
-    for form, score in zip(candidates.forms, candidates.scores([], range(len(candidates.forms))), strict=True):
-        seen[form.key] = seen.get(form.key, False) or score[1] > 0
-    hidden = [candidate.key for candidate in found.task.catalogue.candidates if not seen.get(candidate.key, True)]
-    why = looks_like(found.task.by_noise, [form for form in candidates.forms if form.key in set(hidden)])
+    candidates, task = findings.by_noise, findings.task
+    shown: dict[tuple[str, str], bool] = {}
+    for form, dof in zip(candidates.forms, candidates.scan([])[1], strict=True):
+        shown[form.key] = shown.get(form.key, False) or dof > 0
+    hidden = [candidate.key for candidate in task.catalogue.candidates if not shown.get(candidate.key, True)]
+    why = looks_like(task.by_noise, [form for form in candidates.forms if form.key in set(hidden)])
     return {key: why[key] for key in hidden}
 
 
 def _ranking(candidates: Candidates) -> tuple[tuple[str, str, float, float], ...]:
     best: dict[tuple[str, str], tuple[float, float]] = {}
-    for form, (explained, _, log_p) in zip(
-        candidates.forms, candidates.scores([], range(len(candidates.forms))), strict=True
-    ):
+    scores = candidates.scores([], range(len(candidates.forms)))
+    for form, (explained, _, log_p) in zip(candidates.forms, scores.tolist(), strict=True):
         if log_p < best.get(form.key, (0.0, 1.0))[1]:
-            best[form.key] = float(explained), float(log_p)
-    ranked = sorted(best.items(), key=lambda one: (one[1][1], -one[1][0]))[:MOST_RANKED]
-    return tuple(
-        (effect, where, explained, candidates.p_value(log_p)) for (effect, where), (explained, log_p) in ranked
-    )
+            best[form.key] = explained, log_p
+    ranked = sorted(best.items(), key=lambda entry: (entry[1][1], -entry[1][0]))[:MOST_RANKED]
+    return tuple((*key, explained, candidates.p_value(log_p)) for key, (explained, log_p) in ranked)
 
 
 SEEN_AT: Final = 0.05
@@ -300,86 +300,49 @@ NEGLIGIBLE_EXCESS: Final = 0.01
 """Share of the excess below which unexplained residuals are not a finding: real machines always have some."""
 
 
-@final
-@dataclass(frozen=True)
-class ResidualStatistics:
-    """The residuals of all readings.
-
-    Attributes:
-        p_value: of the residuals without any cause.
-        expected_um: RMS per coordinate expected from measurement noise.
-        trends: columns that the residuals depend on, one by one, before any cause is fitted.
-        left: unexplained residuals; None if they are compatible with noise.
-    """
-
-    p_value: float
-    expected_um: float
-    trends: tuple[Trend, ...]
-    left: Unexplained | None
-
-
-def residual_statistics(sized: SizedCauses) -> ResidualStatistics:
-    """Return the statistics of the residuals, and those the causes do not explain.
-
-    Args:
-        sized: the causes with their sizes.
-    """
-    estimate = sized.found
-    problem = estimate.task.by_noise
-    chances = [
-        _p_value(problem, estimate.task.noise),
-        *(float(np.exp(t.log_p_corrected)) for t in estimate.structure.pattern_tests),
-    ]
-    return ResidualStatistics(min(chances), _expected_um(problem), _trends(estimate), _unexplained(sized))
-
-
 def _unexplained(sized: SizedCauses) -> Unexplained | None:
-    """Return the unexplained residuals: unnamed patterns, or excess noise."""
-    estimate, forms, excess = sized.found, sized.forms, sized.excess
-    problem, structure, by_noise = estimate.problem, estimate.structure, estimate.task.by_noise
-    left = by_noise.residual - rewhitened(sized.estimate.signature.sum(axis=1), problem.network, by_noise.network)
-    after = float(left @ by_noise.project(left))
-    left_share = float((after - problem.dof) / max(by_noise.chi2 - problem.dof, 1e-30)) if forms else 1.0
-    weighted = problem.residual - sized.estimate.signature.sum(axis=1)
-    left_um = rms(in_um(problem.network, problem.project(weighted)), problem.network.read)
+    """Return the unexplained residuals: unnamed patterns, or excess noise; None if they are compatible with noise."""
+    findings, forms = sized.findings, sized.forms
+    problem, structure, by_noise = findings.problem, findings.structure, findings.task.by_noise
+    read, signature = problem.network.read, sized.estimate.signature.sum(axis=1)
+    residual_um = rms(in_um(problem.network, problem.project(problem.residual - signature)), read)
+    whitened_residual = by_noise.residual - rewhitened(signature, problem.network, by_noise.network)
+    chi2 = float(whitened_residual @ by_noise.project(whitened_residual))
+    chi2_share = float((chi2 - problem.dof) / max(by_noise.chi2 - problem.dof, 1e-30)) if forms else 1.0
     if structure.pattern_tests:
+        patterns = [test.pattern for test in structure.pattern_tests]
         patterns_um = in_um(problem.network, structure.pattern(forms))
-        share = float(np.clip(structure.explained(forms) / excess, 0.0, 1.0))
-        columns = tuple(
-            dict.fromkeys(name for pattern_test in structure.pattern_tests for name in pattern_test.pattern.names)
-        )
-        sides = {pattern_test.pattern.side for pattern_test in structure.pattern_tests}
+        share = float(np.clip(structure.explained(forms) / sized.excess, 0.0, 1.0))
+        columns = tuple(dict.fromkeys(name for pattern in patterns for name in pattern.names))
+        sides = {pattern.side for pattern in patterns}
         carrier = sides.pop() if len(sides) == 1 else "both"
         # No larger than what the causes leave: readings that do not determine a pattern leave its expected size to its prior.
-        size = min(rms(np.nan_to_num(patterns_um), problem.network.read), left_um)
+        size = min(rms(np.nan_to_num(patterns_um), read), residual_um)
         text = (
             f"a pattern that depends on {' and '.join(columns)} on the {carrier} side, {size:.2g} µm RMS per coordinate, "
             f"{100 * share:.2g} % of the excess, matches no known effect"
         )
         # Beside the patterns, what counts as discrepancy is unexplained as well.
-        return Unexplained(
-            max(share, left_share) if estimate.task.discrepancy.parts else share, columns, carrier, text, size
-        )
-    more = _p_value(by_noise, estimate.task.noise, after, len(forms))
-    if more >= NOISE_P_VALUE or (forms and left_share <= NEGLIGIBLE_EXCESS):
+        share = max(share, chi2_share) if findings.task.discrepancy.parts else share
+        return Unexplained(share, columns, carrier, text, size)
+    p_value = _p_value(by_noise, findings.task.noise, chi2, len(forms))
+    if p_value >= NOISE_P_VALUE or (forms and chi2_share <= NEGLIGIBLE_EXCESS):
         return None
-    size = float(np.sqrt(max(left_um**2 - _expected_um(by_noise) ** 2, 0.0)))
+    size = float(np.sqrt(max(residual_um**2 - _expected_um(by_noise) ** 2, 0.0)))
     what = "the residuals exceed the stated noise" + (" even with the causes in the model" if forms else "")
-    return Unexplained(left_share, (), "both", f"{what}, without a pattern in any column of the table", size)
+    return Unexplained(chi2_share, (), "both", f"{what}, without a pattern in any column of the table", size)
 
 
-def _trends(found: Findings) -> tuple[Trend, ...]:
+def _trends(findings: Findings) -> tuple[Trend, ...]:
     """Return the columns that the residuals depend on, one by one, before any cause is fitted."""
-    single = [pattern for pattern in found.patterns if len(pattern.channels) == 1]
+    single = [pattern for pattern in findings.patterns if len(pattern.channels) == 1 and pattern.field == "base"]
     best: dict[tuple[str, str], PatternTest] = {}
-    for pattern_test in scan_patterns(
-        found.task.by_noise, [one for one in single if one.field == "base"], (), found.task.noise.dof
-    ):
-        best.setdefault((pattern_test.pattern.side, pattern_test.pattern.names[0]), pattern_test)
+    for test in scan_patterns(findings.task.by_noise, single, (), findings.task.noise.dof):
+        best.setdefault((test.pattern.side, test.pattern.names[0]), test)
     return tuple(
-        Trend(column, side, pattern_test.explained, float(np.exp(pattern_test.log_p_corrected)))
-        for (side, column), pattern_test in best.items()
-        if pattern_test.log_p_corrected < np.log(SEEN_AT)
+        Trend(column, side, test.explained, float(np.exp(test.log_p_corrected)))
+        for (side, column), test in best.items()
+        if test.log_p_corrected < np.log(SEEN_AT)
     )
 
 
@@ -401,12 +364,7 @@ ITSELF: Final = "itself"
 
 
 def looks_like(problem: Problem, forms: Sequence[Form]) -> dict[tuple[str, str], str]:
-    """Return for each candidate that is not identifiable what it is confounded with, in words.
-
-    Args:
-        problem: the data.
-        forms: all forms of these candidates.
-    """
+    """Return for each candidate that is not identifiable what it is confounded with, in words."""
     every = list(dict.fromkeys((form.key, column) for form in forms for column in form.variant.columns))
     if not every:
         return {}
@@ -417,34 +375,34 @@ def looks_like(problem: Problem, forms: Sequence[Form]) -> dict[tuple[str, str],
     for i, ((key, _), size) in enumerate(zip(every, sizes_of.tolist(), strict=True)):
         if size > strongest.get(key, (-1.0, 0))[0]:
             strongest[key] = size, i
-    own = [i for _, i in strongest.values()]
+    clearest = [i for _, i in strongest.values()]
     setup = setup_unknowns(problem.setup)
     count, doubt = len(setup), len(problem.prior)
     # The whole in the directions of the basis, and the part of the causes orthogonal to it.
-    values, vectors = np.linalg.eigh(products.gram[np.ix_(own, own)])
+    values, vectors = np.linalg.eigh(products.gram[np.ix_(clearest, clearest)])
     beside = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
-    whole = np.zeros((len(problem.nuisance_coordinates) + len(own), doubt + count + len(own)))
-    whole[: len(problem.nuisance_coordinates)] = np.concatenate(
-        [problem.nuisance_coordinates[:, count:], problem.nuisance_coordinates[:, :count], products.basis[:, own]],
-        axis=1,
-    )
-    whole[len(problem.nuisance_coordinates) :, doubt + count :] = beside
+    coordinates = problem.nuisance_coordinates
+    whole = np.zeros((len(coordinates) + len(clearest), doubt + count + len(clearest)))
+    whole[: len(coordinates)] = np.hstack([coordinates[:, count:], coordinates[:, :count], products.basis[:, clearest]])
+    whole[len(coordinates) :, doubt + count :] = beside
     # Triangular, the calibration's uncertainty first: the rows below it hold what that uncertainty does not absorb, and any choice of
     # their columns is a factor of the corresponding part.
-    left = np.asarray(np.linalg.qr(whole, mode="r"))[doubt:, doubt:]
+    triangle = np.asarray(np.linalg.qr(whole, mode="r"))[doubt:, doubt:]
     # Columns are in plausible sizes; a unit of the cause is at most one millimetre or milliradian.
-    sizes = np.array([*(one.plausible * one.factor for one in setup), 1.0])
+    sizes = np.array([*(unknown.plausible * unknown.factor for unknown in setup), 1.0])
     unknowns = [*setup, Unknown(ITSELF, "", 1.0)]
     said = {}
     for k, (key, (size, _)) in enumerate(strongest.items()):
         if size**2 <= LEAST_NONCENTRALITY:
             said[key] = "no motion in the measurement shows it"
             continue
-        if float(np.linalg.norm(left[:, count + k])) ** 2 <= LEAST_NONCENTRALITY:
+        if float(np.linalg.norm(triangle[:, count + k])) ** 2 <= LEAST_NONCENTRALITY:
             said[key] = "the uncertainty of the calibration hides it"
             continue
         columns = np.array([*range(count), count + k])
-        observed = determinability(left[:, columns] / sizes, unknowns, tolerance=float(np.sqrt(LEAST_NONCENTRALITY)))
+        observed = determinability(
+            triangle[:, columns] / sizes, unknowns, tolerance=float(np.sqrt(LEAST_NONCENTRALITY))
+        )
         direction = observed.null_direction_of(ITSELF)
         if direction is None:
             said[key] = "confounded with the stations, the targets and the uncertainty of the calibration together"

@@ -10,31 +10,24 @@ Payloads under which joints were found to deflect are causes of their own.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final, final
 
 import numpy as np
 
-from twin._common.arrays import largest_first, read_only
+from twin._common.arrays import read_only
 from twin._common.distributions import f_log_sf, normal_sf
-from twin.diagnosis.alternatives import (
-    between_positions,
-    curve_flaw,
-    equivalent,
-    evidence,
-    points_to_measure,
-    ruled_out,
-)
+from twin.diagnosis.alternatives import between_positions, curve_flaw, equivalent, evidence, ruled_out
 from twin.diagnosis.candidates.catalogue import SPECIFICATIONS
 from twin.diagnosis.candidates.machine import FOLLOWING_ERROR, READ_BACK
 from twin.diagnosis.estimate import MANY_ROUNDS, Estimate, estimate, reweighted
 from twin.diagnosis.forms import Candidates, Form, log_p_value
 from twin.diagnosis.payload import CARRIED_INDEX, CENTRE_PRIOR, Load, axis_of_form, loaded_joints, weights
 from twin.diagnosis.problem import in_um
-from twin.diagnosis.result import Cause, Next, Quantity, readable_unit
+from twin.diagnosis.result import Cause, Quantity, readable_unit
 from twin.diagnosis.search import LIMIT_SIGMA, TOO_LARGE
-from twin.diagnosis.second_opinion import Comparison, SingleEffect, compare_with_search, second_opinion
+from twin.diagnosis.second_opinion import Comparison, compare_with_search, second_opinion
 from twin.diagnosis.structure import Findings
 from twin.identification.discrepancy import Discrepancy
 from twin.machine.machine import Machine
@@ -54,18 +47,16 @@ class SizedCauses:
     """The selected causes with their sizes.
 
     Attributes:
-        found: the selected causes and patterns.
+        findings: the selected causes and patterns.
         forms: the causes that are significant.
-        given_patterns: the same forms with the patterns projected out.
         estimate: their sizes, fitted without the patterns.
         dropped: causes that are not significant against the variation between groups of readings.
-        doubts: for each cause, why it is not valid between the measured positions; empty if it is.
+        doubts: for each cause, why it is not promised: not valid between the measured positions, or impossible; empty if it is.
         discrepancy: what the causes leave beyond the noise; it is in the weights of their sizes.
     """
 
-    found: Findings
+    findings: Findings
     forms: tuple[Form, ...]
-    given_patterns: tuple[Form, ...]
     estimate: Estimate
     dropped: tuple[Form, ...]
     doubts: tuple[str, ...]
@@ -74,69 +65,63 @@ class SizedCauses:
     @property
     def excess(self) -> float:
         """Return the excess of χ² over its expectation from noise."""
-        problem = self.found.problem
+        problem = self.findings.problem
         return max(problem.chi2 - problem.dof, self.estimate.explained, 1e-30)
-
-    @property
-    def promised(self) -> list[bool]:
-        """Return whether each cause is in the extended calibration."""
-        return [not doubt for doubt in self.doubts]
 
     @property
     def effects(self) -> list[Effect]:
         """Return the effects of the promised causes."""
         return [
-            one for own, promise in zip(self.estimate.effects, self.promised, strict=True) if promise for one in own
+            effect
+            for effects, doubt in zip(self.estimate.effects, self.doubts, strict=True)
+            if not doubt
+            for effect in effects
         ]
 
     @property
     def covariance(self) -> Covariance:
         """Return the covariance of the parameters of `effects`."""
         wanted = {parameter.name for effect in self.effects for parameter in effect.parameters}
-        names, matrix = self.estimate.covariance.names, self.estimate.covariance.matrix
-        at = [i for i, name in enumerate(names) if name in wanted]
-        return Covariance(tuple(names[i] for i in at), read_only(np.array(matrix[np.ix_(at, at)])))
-
-    def others(self, form: Form) -> list[Form]:
-        """Return all causes but one."""
-        return [one for one in self.forms if one is not form]
+        return self.estimate.covariance.where(lambda name: name in wanted)
 
 
-def estimate_sizes(found: Findings) -> SizedCauses:
-    """Estimate the sizes of the causes, and drop one by one those that groups of readings do not confirm.
-
-    Args:
-        found: the selected causes and patterns.
-    """
-    forms = list(found.structure.forms)
+def estimate_sizes(findings: Findings) -> SizedCauses:
+    """Estimate the sizes of the causes, and drop one by one those that groups of readings do not confirm."""
+    structure = findings.structure
+    forms = list(structure.forms)
     dropped: list[Form] = []
     while True:
-        estimated = estimate(found.problem, forms, found.task.noise.dof, found.structure.random_effects)
-        if found.structure.pattern_tests:
-            judged = [(_log_p_given_others(found, estimated, forms, form), form) for form in forms]
+        estimated = estimate(findings.problem, forms, findings.task.noise.dof, structure.random_effects)
+        if structure.pattern_tests:
+            judged = [(_log_p_given_others(findings, estimated, forms, form), form) for form in forms]
         else:
             judged = [
                 (_log_p_of_groups(against) + form.log_tests, form)
                 for form, against in zip(forms, estimated.wald, strict=True)
                 if MANY_ROUNDS <= against[2] < np.inf
             ]
-        worst = max(judged, key=lambda one: one[0], default=None)
-        if worst is None or worst[0] <= np.log(found.candidates.level):
+        log_p, weakest = max(judged, key=lambda pair: pair[0], default=(-np.inf, None))
+        if weakest is None or log_p <= np.log(findings.candidates.level):
             break
-        dropped.append(worst[1])
-        forms = [form for form in forms if form is not worst[1]]
-    given_patterns = tuple(found.given_patterns.forms[form.index] for form in forms)
-    doubts = tuple(between_positions(found.candidates, forms, form) for form in forms)
-    sizes, discrepancy = reweighted(found.task, forms, estimated, found.structure.random_effects)
-    return SizedCauses(found, tuple(forms), given_patterns, sizes, tuple(dropped), doubts, discrepancy)
+        dropped.append(weakest)
+        forms = [form for form in forms if form is not weakest]
+    sizes, discrepancy = reweighted(findings.task, forms, estimated, structure.random_effects)
+    # The search keeps sizes within their limits, but its last steps and the final weights move them: a mass near zero gives any centre.
+    doubts = tuple(
+        between_positions(findings.candidates, forms, form)
+        or (IMPOSSIBLE if _is_impossible(form, quantities, effects) else "")
+        for form, quantities, effects in zip(forms, sizes.quantities, sizes.effects, strict=True)
+    )
+    return SizedCauses(findings, tuple(forms), sizes, tuple(dropped), doubts, discrepancy)
 
 
-def _log_p_given_others(found: Findings, estimated: Estimate, forms: Sequence[Form], form: Form) -> float:
+def _log_p_given_others(findings: Findings, estimated: Estimate, forms: Sequence[Form], form: Form) -> float:
     """Return the log p-value of a cause, corrected for multiple testing, with all unexplained residuals counted as noise."""
-    explained, dof, _ = found.candidates.scores([one for one in forms if one is not form], [form.index])[0]
-    variance_factor = max((found.problem.chi2 - estimated.explained) / max(found.problem.dof, 1), 1.0)
-    chance = log_p_value(np.array(explained / variance_factor), max(float(dof), 1.0), found.candidates.dof)
-    return min(float(chance) + form.log_tests, 0.0)
+    problem, candidates = findings.problem, findings.candidates
+    explained, dof, _ = candidates.scores([other for other in forms if other is not form], [form.index])[0]
+    variance_factor = max((problem.chi2 - estimated.explained) / max(problem.dof, 1), 1.0)
+    log_p = log_p_value(np.array(explained / variance_factor), max(float(dof), 1.0), candidates.dof)
+    return min(float(log_p) + form.log_tests, 0.0)
 
 
 def _log_p_of_groups(against: tuple[float, int, float]) -> float:
@@ -149,83 +134,81 @@ def _log_p_of_groups(against: tuple[float, int, float]) -> float:
 # --- The causes as they are reported: with alternatives, probabilities and notices ----------------
 
 IMPOSSIBLE: Final = "; this size is physically impossible, so the readings do not determine it"
+ONLY_A_PART: Final = "they explain only part of a pattern that no known effect explains as a whole"
+OVERFITTED: Final = "they increase the residuals of held-out readings: too few readings for this number of causes"
+"""Reasons for which causes are left out, in words."""
 AT_BOUND: Final = 0.99
 """Ratio of a parameter to its bound from which on it counts as bounded."""
 UNDETERMINED_SHARE: Final = 0.9 / np.sqrt(CENTRE_PRIOR)
 """Standard uncertainty of a coordinate, as a share of its bound, from which on the readings do not determine it: almost the prior's."""
 
 
-@final
-@dataclass(frozen=True, eq=False)
-class ReportedCauses:
-    """The causes as they are reported.
+def causes_with_alternatives(sized: SizedCauses, calibration: Calibration) -> tuple[list[Cause], Comparison]:
+    """Return the causes with alternatives and probabilities, in the order of the forms, and what the second method says of them.
 
-    Attributes:
-        sized: the causes with their sizes.
-        causes: all of them, the strongest first.
-        next_measurement: points that separate them from their alternatives.
-        notices: causes not named, with the reason.
-        disagree: whether the second method explains the readings differently.
+    With unnamed patterns the selection was made by likelihood: no probability is given, and the comparison is empty.
     """
+    candidates, structure = sized.findings.candidates, sized.findings.structure
+    causes = [_cause(sized, k, calibration) for k in range(len(sized.forms))]
+    if structure.pattern_tests:
+        return causes, Comparison()
+    # A variant of a cause with more parameters, such as ``reversal_curve`` of ``reversal``, counts as that cause.
+    variants = {
+        form.key: [
+            (other.name, form.candidate.where) for other in SPECIFICATIONS.values() if other.variant_of == form.key[0]
+        ]
+        for form in sized.forms
+    }
+    groups = [
+        (form.key, *cause.equivalent, *variants[form.key]) for form, cause in zip(sized.forms, causes, strict=True)
+    ]
+    comparison = compare_with_search(second_opinion(candidates, structure.forms), groups)
+    return [
+        # The form of a curve that does not predict held-out positions is unknown, and so is its probability.
+        replace(cause, probability=comparison.probability[k], credible=comparison.instead[k] or comparison.credible[k])
+        if cause.promised
+        else cause
+        for k, cause in enumerate(causes)
+    ], comparison
 
-    sized: SizedCauses
-    causes: tuple[Cause, ...]
-    next_measurement: tuple[Next, ...]
-    notices: tuple[str, ...]
-    disagree: bool
 
-
-def report_causes(sized: SizedCauses, calibration: Calibration) -> ReportedCauses:
-    """Return the causes with alternatives, probabilities and notices.
+def notices(sized: SizedCauses, comparison: Comparison, undecided: Sequence[str]) -> tuple[str, ...]:
+    """Return what was assumed, and which causes are not named, with the reason.
 
     Args:
-        sized: the causes with their sizes.
-        calibration: the calibration tested.
+        comparison: of the causes with the second method.
+        undecided: notices of `readback_causes`.
     """
-    sized = _without_impossible(sized)
-    found, forms = sized.found, sized.forms
-    # Evaluated first: later steps reset the pool.
-    impossible = _impossible_notices(sized)
-    causes = [_cause(sized, k, calibration) for k in range(len(forms))]
-    # With unnamed patterns the selection was made by likelihood, and no posterior probability is given.
-    comparison = None if found.structure.pattern_tests else _second_method(sized, causes)
-    if comparison is not None:
-        causes = [
-            # The form of a curve that does not predict held-out positions is unknown, and so is its probability.
-            replace(cause, probability=opinion.probability, credible=opinion.instead or opinion.credible)
-            if cause.promised
-            else cause
-            for cause, opinion in zip(causes, comparison.causes, strict=True)
-        ]
-    also, silent = readback_causes(found.candidates, forms)
-    causes, loads = causes_with_payloads(found.candidates, forms, causes)
-    order = largest_first(np.array([cause.share for cause in causes])).tolist()
-    ordered = [causes[k] for k in order]
-    wanted = points_to_measure(found.given_patterns, [sized.given_patterns[k] for k in order], ordered)
-    further = () if comparison is None else comparison.further
-    notices = (
+    candidates, structure = sized.findings.candidates, sized.findings.structure
+    insignificant = [
+        f"{' '.join(form.key)} ({100.0 * float(candidates.scores(sized.forms, [form.index])[0, 0]) / sized.excess:.2g} %)"
+        for form in sized.dropped
+    ]
+    further = [
+        f"not named, but found by the second method: one of {', '.join(' '.join(key) for key in effect.credible)} "
+        f"(odds {np.exp(min(effect.log_odds, 99.0)):.2g} : 1)"
+        for effect in comparison.further
+    ]
+    left_out = {
+        ONLY_A_PART: [form.key for form in structure.rejected],
+        OVERFITTED: [form.key for form in sized.findings.refuted],
+    }
+    named = {form.key for form in sized.forms}
+    for key, why in (candidates.impossible | {form.key: TOO_LARGE for form in structure.impossible}).items():
+        if key not in named:
+            left_out.setdefault(why, []).append(key)
+    text = "not named, because not significant against the unexplained residuals (share of the excess): "
+    return (
         *_assumed_approach(sized),
-        *silent,
-        *_insignificant_notice(sized),
-        *(_further(effect) for effect in further),
-        *_rejected_notices(sized),
-        *impossible,
+        *undecided,
+        *([text + ", ".join(insignificant)] if insignificant else []),
+        *further,
+        *(
+            f"not named, because {why}: {', '.join(sorted({' '.join(key) for key in keys}))}"
+            for why, keys in left_out.items()
+            if keys
+        ),
     )
-    disagree = comparison is not None and comparison.disagree
-    return ReportedCauses(sized, (*ordered, *also, *loads), wanted, notices, disagree)
-
-
-def _without_impossible(sized: SizedCauses) -> SizedCauses:
-    """Return the causes, of which none with a size beyond its physical limits is promised.
-
-    The search keeps sizes within their limits, but its last steps and the final weights move them: a mass near zero gives any centre.
-    """
-    sizes = zip(sized.forms, sized.estimate.quantities, sized.estimate.effects, sized.doubts, strict=True)
-    doubts = tuple(
-        doubt or (IMPOSSIBLE if _is_impossible(form, estimated, effects) else "")
-        for form, estimated, effects, doubt in sizes
-    )
-    return replace(sized, doubts=doubts)
 
 
 def _is_impossible(form: Form, quantities: Sequence[Quantity], effects: Sequence[Effect]) -> bool:
@@ -249,62 +232,51 @@ def _sizes(form: Form, quantities: Sequence[Quantity]) -> list[Quantity]:
 
 def _cause(sized: SizedCauses, k: int, calibration: Calibration) -> Cause:
     """Return one cause; its share is relative to the other causes, its rivals also to the patterns."""
-    found, form = sized.found, sized.forms[k]
-    others, other_forms = (
-        sized.others(form),
-        [one for one in sized.given_patterns if one is not sized.given_patterns[k]],
-    )
-    explained = found.candidates.scores(others, [form.index])[0, 0]
+    findings, form, network = sized.findings, sized.forms[k], sized.findings.problem.network
+    candidates = findings.candidates
+    others = [other for other in sized.forms if other is not form]
+    form_beside, *others_beside = findings.beside_patterns([form, *others])
+    explained = candidates.scores(others, [form.index])[0, 0]
     doubt, quantities = sized.doubts[k], sized.estimate.quantities[k]
-    text = evidence(form, sized.estimate, k) + curve_flaw(found.candidates, sized.forms, form, calibration)
-    text += _fixed_centre(form) + doubt
-    equal = equivalent(found, sized.given_patterns[k], other_forms)
-    if why := _approach_doubt(sized, form):
+    text = evidence(form, sized.estimate, k) + curve_flaw(candidates, sized.forms, form, calibration)
+    if form.candidate.specification in (PAYLOAD, CARRIED_LOAD) and form.variant.fixed:
+        text += f"; the readings do not determine its centre of mass: the most likely one within ±{CENTRE_RANGE_MM:g} mm is taken"
+    text += doubt
+    equal = equivalent(findings, form_beside, others_beside)
+    why = reversal_doubt(network.data, network.machine, form.candidate.where) if _approach_axes(form) else ""
+    if why:
         text, equal = f"{text}; {why}", (*equal, (READ_BACK.name, form.candidate.where))
     return Cause(
         effect=form.candidate.effect,
         where=form.candidate.where,
         origin=form.candidate.origin,
         parameters=quantities,
-        p_value=found.candidates.p_value(_log_p_given_others(found, sized.estimate, sized.forms, form)),
+        p_value=candidates.p_value(_log_p_given_others(findings, sized.estimate, sized.forms, form)),
         share=float(np.clip(explained / sized.excess, 0.0, 1.0)),
         equivalent=equal,
         evidence=text,
-        pattern_um=read_only(in_um(found.problem.network, sized.estimate.signature[:, k])),
+        pattern_um=read_only(in_um(network, sized.estimate.signature[:, k])),
         effects=() if doubt else sized.estimate.effects[k],
         promised=not doubt,
         bounded=doubt == IMPOSSIBLE or _bounded(form, quantities),
-        rivals=ruled_out(found.given_patterns, sized.given_patterns[k], other_forms, sized.excess),
+        rivals=ruled_out(findings.given_patterns, form_beside, others_beside, sized.excess),
     )
-
-
-def _fixed_centre(form: Form) -> str:
-    """Return that the readings do not determine the centre of a load with the known compliances; empty if they do."""
-    if form.candidate.specification not in (PAYLOAD, CARRIED_LOAD) or not form.variant.fixed:
-        return ""
-    return f"; the readings do not determine its centre of mass: the most likely one within ±{CENTRE_RANGE_MM:g} mm is taken"
 
 
 def _assumed_approach(sized: SizedCauses) -> list[str]:
     """Return a notice for each axis with an effect of its approach direction that is unknown for some readings."""
-    network, notices = sized.found.problem.network, []
+    network, assumed = sized.findings.problem.network, []
     for form in sized.forms:
         for axis in _approach_axes(form):
             if axis not in network.machine.names:
                 continue
             unknown = int(np.count_nonzero(network.data.approach[:, network.machine.names.index(axis)] == 0.0))
             if unknown:
-                notices.append(
+                assumed.append(
                     f"{ASSUMED}where {APPROACH}{axis} is unknown (0), {axis} is in the middle of its backlash ({unknown} of "
                     f"{len(network.data)} readings); if it was on one side there, the size is wrong by up to a factor of two"
                 )
-    return list(dict.fromkeys(notices))
-
-
-def _approach_doubt(sized: SizedCauses, form: Form) -> str:
-    """Return why an effect of the approach direction may not exist; empty if there is no doubt."""
-    where, network = form.candidate.where, sized.found.problem.network
-    return reversal_doubt(network.data, network.machine, where) if _approach_axes(form) else ""
+    return list(dict.fromkeys(assumed))
 
 
 def _approach_axes(form: Form) -> list[str]:
@@ -327,61 +299,6 @@ def _bounded(form: Form, quantities: Sequence[Quantity]) -> bool:
     )
 
 
-def _insignificant_notice(sized: SizedCauses) -> list[str]:
-    candidates = sized.found.candidates
-    shares = [
-        100.0 * float(candidates.scores(sized.forms, [form.index])[0, 0]) / sized.excess for form in sized.dropped
-    ]
-    each = [f"{' '.join(form.key)} ({share:.2g} %)" for form, share in zip(sized.dropped, shares, strict=True)]
-    text = "not named, because not significant against the unexplained residuals (share of the excess): "
-    return [text + ", ".join(each)] if each else []
-
-
-def _rejected_notices(sized: SizedCauses) -> list[str]:
-    part = "they explain only part of a pattern that no known effect explains as a whole"
-    few = "they increase the residuals of held-out readings: too few readings for this number of causes"
-    return [
-        _not_named(why, [form.key for form in forms])
-        for why, forms in ((part, sized.found.structure.rejected), (few, sized.found.refuted))
-        if forms
-    ]
-
-
-def _impossible_notices(sized: SizedCauses) -> list[str]:
-    """Return a notice for each reason for which causes were left out although the readings speak for them."""
-    by_reason: dict[str, list[tuple[str, str]]] = {}
-    named = {form.key for form in sized.forms}
-    reasons = sized.found.candidates.impossible | {form.key: TOO_LARGE for form in sized.found.structure.impossible}
-    for key, why in reasons.items():
-        if key not in named:
-            by_reason.setdefault(why, []).append(key)
-    return [_not_named(why, keys) for why, keys in by_reason.items()]
-
-
-def _not_named(why: str, keys: Iterable[tuple[str, str]]) -> str:
-    return f"not named, because {why}: {', '.join(sorted({' '.join(key) for key in keys}))}"
-
-
-def _second_method(sized: SizedCauses, causes: Sequence[Cause]) -> Comparison:
-    pairs = zip(sized.forms, causes, strict=True)
-    groups = [(form.key, *cause.equivalent, *_variants(form.key)) for form, cause in pairs]
-    return compare_with_search(second_opinion(sized.found.candidates, sized.found.structure.forms), groups)
-
-
-def _variants(key: tuple[str, str]) -> list[tuple[str, str]]:
-    """Return the variants of a cause with more parameters, such as ``reversal_curve`` for ``reversal``."""
-    return [
-        (specification.name, key[1]) for specification in SPECIFICATIONS.values() if specification.variant_of == key[0]
-    ]
-
-
-def _further(effect: SingleEffect) -> str:
-    names = ", ".join(" ".join(key) for key in effect.credible)
-    return (
-        f"not named, but found by the second method: one of {names} (odds {np.exp(min(effect.log_odds, 99.0)):.2g} : 1)"
-    )
-
-
 OFF_GRID_INCREMENTS: Final = 0.01
 """Deviation of a position from a whole number of least increments that is attributed to rounding, in increments."""
 OFF_GRID_SHARE: Final = 0.5
@@ -393,23 +310,19 @@ COMPATIBLE_SIGMA: Final = 3.0
 
 
 def readback_causes(candidates: Candidates, forms: Sequence[Form]) -> tuple[list[Cause], list[str]]:
-    """Return causes for axes whose reported positions the readings do not follow, and notices on undecided axes.
-
-    Args:
-        candidates: the forms tested.
-        forms: the forms selected.
-    """
+    """Return causes for axes whose reported positions the readings do not follow, and notices on undecided axes."""
     data, machine = candidates.problem.network.data, candidates.problem.network.machine
     causes, silent = [], []
     tried = [form for form in candidates.forms if form.candidate.specification is FOLLOWING_ERROR and form not in forms]
     for form in tried:
         axis = machine.by_name[form.candidate.where]
-        off = largest_readback_error(data, machine.names.index(axis.name))
+        i = machine.names.index(axis.name)
+        off = float(np.nanmax(np.abs(data.readback[:, i] - data.positions[:, i])))
         text = f"the positions reported for {axis.name} differ from the commands by up to {off:.3g} {axis.unit}"
         columns, values, inverse = candidates.fitted([form, *forms])
         at, scale = int(np.searchsorted(columns, form.columns[0])), form.variant.columns[0].scale
         share, u = float(values[at] * scale), float(scale * np.sqrt(inverse[at, at]))
-        if candidates.scan([one for one in forms if one is not form])[1][form.index] == 0 or u == 0.0:
+        if candidates.scan([other for other in forms if other is not form])[1][form.index] == 0 or u == 0.0:
             if candidates.scan([])[1][form.index] > 0:
                 silent.append(
                     f"{text}; given the other causes, these data cannot decide which of the two the readings follow"
@@ -438,11 +351,6 @@ def readback_causes(candidates: Candidates, forms: Sequence[Form]) -> tuple[list
     return causes, silent
 
 
-def largest_readback_error(data: Measurements, axis: int) -> float:
-    """Return the largest difference of reported and commanded position of an axis, mm or degrees."""
-    return float(np.nanmax(np.abs(data.readback[:, axis] - data.positions[:, axis])))
-
-
 def reversal_doubt(data: Measurements, machine: Machine, where: str) -> str:
     """Return why a reversal of an axis may not exist; empty if there is no doubt.
 
@@ -467,11 +375,9 @@ def causes_with_payloads(
     """Return the causes with uncertainties that include that of the payloads, and the payloads as causes.
 
     Args:
-        candidates: the forms.
-        forms: the forms selected.
         causes: the causes, with uncertainties for exactly known payloads.
     """
-    causes, found = list(causes), []
+    causes, load_causes = list(causes), []
     for side in SIDES:
         load = loaded_joints(candidates, forms, side)
         known = (
@@ -479,16 +385,15 @@ def causes_with_payloads(
         )
         if load is None or not known:
             continue
-        own = {one.carried: one for one in known}
-        payload = own.get(False)
-        shares = load.shares_of(payload, own.get(True))
+        by_kind = {payload.carried: payload for payload in known}
+        shares = load.shares_of(by_kind.get(False), by_kind.get(True))
         at = [forms.index(form) for form in load.joints]
-        more, variances = load.covariances(shares, np.array([causes[k].parameters[0].u for k in at]))
+        factors, variances = load.covariances(shares, np.array([causes[k].parameters[0].u for k in at]))
         _, compliances = load.explained_under(shares)
-        for k, times, value in zip(at, more.tolist(), compliances.tolist(), strict=True):
-            causes[k] = _less_certain(causes[k], times, value, payload, load)
-        found += [_load_cause(candidates, load, one, shares, variances) for one in known]
-    return causes, found
+        for k, factor, compliance in zip(at, factors.tolist(), compliances.tolist(), strict=True):
+            causes[k] = _less_certain(causes[k], factor, compliance, by_kind.get(False), load)
+        load_causes += [_load_cause(candidates, load, payload, shares, variances) for payload in known]
+    return causes, load_causes
 
 
 def _is_heaviest(load: Load, payload: Payload | None) -> bool:
@@ -562,5 +467,5 @@ def _quantities(payload: Payload, u: np.ndarray, heaviest: float) -> tuple[Quant
     )
     if not payload.carried:
         return reported
-    known = [one for one, deviation in zip(reported[1:], u[1:], strict=True) if deviation < UNDETERMINED_SHARE]
-    return tuple(known) or reported[:1]
+    determined = [q for q, deviation in zip(reported[1:], u[1:], strict=True) if deviation < UNDETERMINED_SHARE]
+    return tuple(determined) or reported[:1]

@@ -37,12 +37,11 @@ def predicted_pattern_shift(likelihood: Likelihood, forms: Sequence[Form], writt
 
     Args:
         likelihood: the patterns on that part.
-        forms: the causes.
         written: numbers of the patterns.
     """
     which, values, _ = likelihood.most_likely(likelihood.fit(forms), likelihood.slope_beside(forms))
-    own = np.isin(likelihood.group[which] // 3, list(written))
-    return likelihood.effect_on_readings(which[own], values[own])
+    in_file = np.isin(likelihood.group[which] // 3, list(written))
+    return likelihood.effect_on_readings(which[in_file], values[in_file])
 
 
 def predicted_shift(problem: Problem, part: Candidates, forms: Sequence[Form]) -> np.ndarray:
@@ -69,61 +68,40 @@ def jackknife_interval(table: np.ndarray) -> tuple[float, float] | None:
     if count < GROUPS_FOR_AN_INTERVAL:
         return None
     total = table.sum(axis=0)
-    rest = np.maximum(total - table, 0.0)
-    used = np.maximum(rest[:, 2], 1.0)
-    whole = float(np.sqrt(total[0] / total[2]) - np.sqrt(total[1] / total[2]))
-    without = np.sqrt(rest[:, 0] / used) - np.sqrt(rest[:, 1] / used)
-    pseudo = count * whole - (count - 1) * without
+    others = np.maximum(total - table, 0.0)
+    values = np.maximum(others[:, 2], 1.0)
+    gain = float(np.sqrt(total[0] / total[2]) - np.sqrt(total[1] / total[2]))
+    gain_without = np.sqrt(others[:, 0] / values) - np.sqrt(others[:, 1] / values)
+    pseudo = count * gain - (count - 1) * gain_without
     half = float(student_isf(0.025, count - 1) * pseudo.std(ddof=1) / np.sqrt(count))
-    return whole - half, whole + half
+    return gain - half, gain + half
 
 
 def predicts_held_out(candidates: Candidates, form: Form, forms: Sequence[Form]) -> bool:
-    """Return whether a function of an axis's position predicts held-out positions of that axis.
+    """Return whether a function of an axis's position, one of some causes, predicts held-out positions of that axis.
 
     A variant of another effect must predict better than that effect, for example a reversal curve better than a constant reversal.
-
-    Args:
-        candidates: the data.
-        form: the cause.
-        forms: all causes.
     """
-    if not form.candidate.specification.curve:
+    specification, where = form.candidate.specification, form.candidate.where
+    if not specification.curve:
         return True
-    machine, data = candidates.problem.network.machine, candidates.problem.network.data
-    where = form.candidate.where
-    axis = machine.names.index(axis_of(where))
+    problem, data = candidates.problem, candidates.problem.network.data
+    axis = problem.network.machine.names.index(axis_of(where))
     if len(np.unique(np.round(data.positions[:, axis], 3))) > DENSE_POSITIONS:
         return True
-    split = folds_at_positions(data, [axis])
-    if split is None:
+    folds = folds_at_positions(data, [axis])
+    if folds is None:
         return False
-    others = [one for one in forms if one is not form]
-    if form.candidate.specification.variant_of:
-        others += [one for one in candidates.forms if one.key == (form.candidate.specification.variant_of, where)]
-    gained = gain_at_held_out_positions(candidates, form, others, split)
-    return gained is not None and gained[0] > 0.0
+    others = [other for other in forms if other is not form]
+    if specification.variant_of:
+        others += [other for other in candidates.forms if other.key == (specification.variant_of, where)]
 
+    def predict(part: Candidates) -> tuple[np.ndarray, np.ndarray]:
+        return predicted_shift(problem, part, others), predicted_shift(problem, part, [*others, form])
 
-def gain_at_held_out_positions(
-    candidates: Candidates, form: Form, others: Sequence[Form], split: HeldOutFolds
-) -> tuple[float, float] | None:
-    """Return the 95 % interval of the gain of one cause at held-out positions, all others kept; None if there is no interval.
-
-    Args:
-        candidates: the data.
-        form: the cause.
-        others: the other causes.
-        split: the folds of positions.
-    """
-
-    def predict(small: Candidates) -> tuple[np.ndarray, np.ndarray]:
-        return predicted_shift(candidates.problem, small, others), predicted_shift(
-            candidates.problem, small, [*others, form]
-        )
-
-    table = held_out_squares(candidates, split, predict)
-    return None if table is None else jackknife_interval(table)
+    squares = held_out_squares(candidates, folds, predict)
+    interval = None if squares is None else jackknife_interval(squares)
+    return interval is not None and interval[0] > 0.0
 
 
 def held_out_squares(
@@ -132,7 +110,6 @@ def held_out_squares(
     """Return (groups, models + 1): sums of squared held-out residuals of each model, µm², and the number of values.
 
     Args:
-        candidates: all data.
         predict: data without a fold → (3n,) prediction of each model fitted to them, whitened, for all readings.
     """
     problem = candidates.problem
@@ -142,11 +119,11 @@ def held_out_squares(
         part = problem.without(rows)
         if part is None:
             return None
-        small = candidates.on_part(part)
-        left = part.refitted_at_held_out(problem.residual[:, None] - np.stack(predict(small), axis=1))
-        squares = np.sum((unwhiten(problem.network, left, rows) * 1e6) ** 2, axis=1)
-        read = np.count_nonzero(problem.network.read[rows], axis=1).astype(float)
-        counted = np.column_stack([squares, read])
+        predicted = np.stack(predict(candidates.on_part(part)), axis=1)
+        whitened_residual = part.refitted_at_held_out(problem.residual[:, None] - predicted)
+        squares = np.sum((unwhiten(problem.network, whitened_residual, rows) * 1e6) ** 2, axis=1)
+        values = np.count_nonzero(problem.network.read[rows], axis=1).astype(float)
+        counted = np.column_stack([squares, values])
         table = np.zeros((int(split.group.max()) + 1, counted.shape[1])) if table is None else table
         np.add.at(table, split.group[rows], counted)
     return table
@@ -177,11 +154,7 @@ class HeldOutFolds:
 
 
 def choose_folds(data: Measurements, machine: Machine, causes: Sequence[Candidate]) -> HeldOutFolds | None:
-    """Return the folds suited to the causes; None if nothing can be held out.
-
-    Args:
-        causes: the causes found.
-    """
+    """Return the folds suited to the causes; None if nothing can be held out."""
     changing = bool(causes) and all(cause.specification.varies == "with time" for cause in causes)
     if not changing:
         moved = [i for i in range(len(machine.axes)) if np.ptp(data.positions[:, i]) > 0.0]
@@ -236,37 +209,35 @@ def without_overfitting(candidates: Candidates, forms: Sequence[Form]) -> list[F
     1960). Of these the smallest number is kept whose held-out error is within one standard error of the minimum (Breiman and others
     1984). For poses, each fold chooses its causes anew. If only one axis moved, causes that are not promised (`predicts_held_out`) are
     kept: they make no claim between the measured positions.
-
-    Args:
-        candidates: the data.
-        forms: the causes.
     """
-    if AMPLE_FREEDOM * len(columns_of(forms)) < candidates.problem.dof:
+    problem = candidates.problem
+    if AMPLE_FREEDOM * len(columns_of(forms)) < problem.dof:
         return list(forms)
-    split = choose_folds(
-        candidates.problem.network.data, candidates.problem.network.machine, [form.candidate for form in forms]
-    )
-    if split is None or split.of not in ("positions", "poses") or split.group.max() + 1 < GROUPS_FOR_AN_INTERVAL:
+    folds = choose_folds(problem.network.data, problem.network.machine, [form.candidate for form in forms])
+    if folds is None or folds.of not in ("positions", "poses") or folds.group.max() + 1 < GROUPS_FOR_AN_INTERVAL:
         return list(forms)
     claimed = _by_entry(
-        candidates, [form for form in forms if split.of == "poses" or predicts_held_out(candidates, form, forms)]
+        candidates, [form for form in forms if folds.of == "poses" or predicts_held_out(candidates, form, forms)]
     )
 
-    def predict(small: Candidates) -> list[np.ndarray]:
+    def predict(part: Candidates) -> list[np.ndarray]:
         entered = claimed
-        if split.of == "poses":
-            small.critical_table = candidates.critical_table  # what is excluded from the search is excluded here
-            entered = _chosen_again(small, len(claimed))
-        return [predicted_shift(candidates.problem, small, entered[:k]) for k in range(len(claimed) + 1)]
+        if folds.of == "poses":
+            part.critical_table = candidates.critical_table  # what is excluded from the search is excluded here
+            entered = _chosen_again(part, len(claimed))
+        return [predicted_shift(problem, part, entered[:k]) for k in range(len(claimed) + 1)]
 
-    table = held_out_squares(candidates, split, predict)
-    if (
-        table is None
-        or table[:, -2].sum() / table[:, -1].sum() <= (OVERFITTED_RATIO * _in_fit(candidates, claimed)) ** 2
-    ):
+    table = held_out_squares(candidates, folds, predict)
+    if table is None:
         return list(forms)
-    gone = {form.index for form in claimed[_fewest(table[:, : _beyond_rest(candidates, claimed) + 1]) :]}
-    return [form for form in forms if form.index not in gone]
+    fitted_um = in_um(
+        problem.network, problem.project(problem.residual - predicted_shift(problem, candidates, claimed))
+    )
+    fitted_rms = rms(fitted_um, problem.network.read)
+    if table[:, -2].sum() / table[:, -1].sum() <= (OVERFITTED_RATIO * fitted_rms) ** 2:
+        return list(forms)
+    overfitted = claimed[_fewest(table[:, : _significant(candidates, claimed) + 1]) :]
+    return [form for form in forms if form not in overfitted]
 
 
 def _chosen_again(part: Candidates, count: int) -> list[Form]:
@@ -287,15 +258,15 @@ def _chosen_again(part: Candidates, count: int) -> list[Form]:
     return entered
 
 
-def _beyond_rest(candidates: Candidates, forms: Sequence[Form]) -> int:
+def _significant(candidates: Candidates, forms: Sequence[Form]) -> int:
     """Return the number of forms, entered in this order, that are significant against the residual (F-to-enter)."""
     problem, free = candidates.problem, float(candidates.problem.dof)
     for k, form in enumerate(forms):
         explained, dof, _ = candidates.scores(forms[:k], [form.index])[0]
         free -= dof
-        left = (problem.chi2 - candidates.explained_by(forms[: k + 1])) / max(free, 1.0)
-        chance = log_p_value(np.array(explained / max(left, 1.0)), max(float(dof), 1.0), max(free, 1.0))
-        if float(chance) + form.log_tests > np.log(candidates.level):
+        variance_factor = (problem.chi2 - candidates.explained_by(forms[: k + 1])) / max(free, 1.0)
+        log_p = log_p_value(np.array(explained / max(variance_factor, 1.0)), max(float(dof), 1.0), max(free, 1.0))
+        if float(log_p) + form.log_tests > np.log(candidates.level):
             return k
     return len(forms)
 
@@ -309,15 +280,8 @@ def _fewest(squares: np.ndarray) -> int:
 
 def _by_entry(candidates: Candidates, forms: Sequence[Form]) -> list[Form]:
     """Return the forms in the order in which each explains most given those before it."""
-    rest, entered = list(forms), list[Form]()
-    while rest:
-        explained = candidates.scores(entered, [form.index for form in rest])[:, 0]
-        entered.append(rest.pop(first_largest(explained)))
+    waiting, entered = list(forms), list[Form]()
+    while waiting:
+        explained = candidates.scores(entered, [form.index for form in waiting])[:, 0]
+        entered.append(waiting.pop(first_largest(explained)))
     return entered
-
-
-def _in_fit(candidates: Candidates, forms: Sequence[Form]) -> float:
-    """Return the RMS residual of the fit, µm."""
-    problem = candidates.problem
-    residual = problem.project(problem.residual - predicted_shift(problem, candidates, forms))
-    return rms(in_um(problem.network, residual), problem.network.read)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from twin._common.errors import require_type
 from twin._common.resources import Progress, one_blas_thread, silent
 from twin.diagnosis.answer import Diagnosis, conclude
-from twin.diagnosis.causes import estimate_sizes, report_causes
+from twin.diagnosis.causes import estimate_sizes
 from twin.diagnosis.readings import readings
 from twin.diagnosis.search import exclude_outliers
 from twin.diagnosis.structure import select_causes
@@ -26,8 +26,9 @@ def diagnose(
 ) -> Diagnosis:
     """Find the errors that measured data show beyond the model, and their causes.
 
-    The stages: place the stations, set outliers aside, select causes and unnamed patterns, estimate the sizes of the causes, add
-    alternatives and probabilities, and conclude.
+    The stages: place the stations (`readings`), set outliers aside (`exclude_outliers`), select causes and unnamed patterns
+    (`select_causes`), estimate the sizes of the causes (`estimate_sizes`), and add alternatives, probabilities and what the causes
+    leave and gain (`conclude`).
 
     Args:
         data: the measurements.
@@ -73,8 +74,6 @@ def diagnose(
         progress("placing the stations", 0.0)
         placed = readings(data, machine, errors, instrument)
         progress("searching for causes", 0.2)
-        problem = exclude_outliers(placed)
-        found = select_causes(problem)
+        findings = select_causes(exclude_outliers(placed))
         progress("estimating their sizes", 0.7)
-        causes = report_causes(estimate_sizes(found), errors)
-        return conclude(causes, errors, empirical=empirical)
+        return conclude(estimate_sizes(findings), errors, empirical=empirical)

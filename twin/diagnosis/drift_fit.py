@@ -49,7 +49,6 @@ def fit_drift(problem: Problem, drift: Drift, others: Sequence[Column]) -> Fitte
     constants tried, with a prior uniform in the logarithm.
 
     Args:
-        problem: the data.
         drift: columns of the drift.
         others: columns of the other causes.
     """
@@ -95,7 +94,6 @@ def over_forms(problem: Problem, forms: Sequence[Sequence[Column]], others: Sequ
     """Return second moments (w, w) of the parameters about those of the first form, the forms weighted by their likelihood.
 
     Args:
-        problem: the data.
         forms: columns of each form the cause may have, the selected one first.
         others: columns of the other causes.
     """

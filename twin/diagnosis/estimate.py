@@ -23,8 +23,8 @@ import scipy
 
 from twin._common.arrays import read_only
 from twin._common.distributions import chi2_sf, f_sf
-from twin.diagnosis.candidates.candidate import STRAIGHT_LINE, Column, effect_columns
-from twin.diagnosis.drift_fit import fit_drift, over_forms
+from twin.diagnosis.candidates.candidate import STRAIGHT_LINE, Column, Drift, effect_columns
+from twin.diagnosis.drift_fit import FittedDrift, fit_drift, over_forms
 from twin.diagnosis.forms import LEAST_NONCENTRALITY, Form, pseudo_inverse
 from twin.diagnosis.problem import Problem, rewhitened, unwhiten
 from twin.diagnosis.readings import DiagnosisTask
@@ -56,7 +56,6 @@ def lacks_fit(problem: Problem, residual: np.ndarray, parameters: int, noise_dof
     """Return whether the residuals exceed the noise, overall or in the means of repeats (test of lack of fit).
 
     Args:
-        problem: the data.
         residual: (3n,) whitened residual of the fit.
         parameters: number of parameters fitted besides the set-up.
         noise_dof: degrees of freedom of the noise variance.
@@ -86,7 +85,6 @@ def robust_covariance(
     With too few groups: the covariance due to noise, and infinity.
 
     Args:
-        problem: the data.
         columns: (3n, k) signatures that were fitted.
         residual: (3n,) whitened residual of the fit.
         covariance: (k, k) covariance due to noise.
@@ -199,13 +197,25 @@ class _Part:
     moments: np.ndarray | None = None
 
     def set_values(self, values: np.ndarray, longest: float) -> None:
-        """Set the parameters, within the effect's limits."""
+        """Set the parameters, within the effect's limits; ``longest`` is the longest period or time constant tried."""
         self.values = values
-        if self.nonlinear:
-            self.effects = (_within_limits(self.form, self.effects[0], values, longest),)
-            self.values = np.array([parameter.value for parameter in self.effects[0].parameters])
-        else:
+        if not self.nonlinear:
             self.effects = _effects(self.form, values, self.fixed)
+            return
+        constrain = self.form.candidate.specification.constrain
+        if constrain is not None:
+            self.effects = (constrain(self.effects[0], [float(value) for value in values], longest),)
+        self.values = np.array([parameter.value for parameter in self.effects[0].parameters])
+
+    def set_drift(self, problem: Problem, drift: Drift, fitted: FittedDrift) -> None:
+        """Set a drift to its maximum-likelihood fit given the other causes."""
+        variant = drift.variant(fitted.time_constant)
+        self.fixed = dict(variant.fixed)
+        self.scales = np.array([column.scale for column in variant.columns])
+        self.columns, self.values = problem.signature(variant.columns) / self.scales, fitted.values
+        self.effects = _effects(self.form, fitted.values, self.fixed)
+        self.moments = fitted.moments
+        self.nonlinear = fitted.moments is None and fitted.time_constant != STRAIGHT_LINE
 
     def linearise(self, problem: Problem, state: Mapping[str, Any]) -> None:
         """Evaluate the columns at the current parameters."""
@@ -230,8 +240,6 @@ def estimate(
     """Estimate all parameters of the causes by Gauss-Newton iteration, with the set-up projected out.
 
     Args:
-        problem: the data.
-        forms: the causes.
         noise_dof: degrees of freedom of the noise variance.
         random_effects: patterns without a name; they are not fitted but increase the covariance.
         least: noncentrality at the largest plausible size below which a direction is not identifiable.
@@ -259,7 +267,6 @@ def fitted_effects(problem: Problem, forms: Sequence[Form]) -> tuple[list[tuple[
     """Return the effects of each of k causes with their parameters as `estimate` finds them, and the (3n, k) signatures.
 
     Args:
-        problem: the data.
         forms: the causes, at least one.
     """
     parts, _, signature = _fitted(problem, forms, machine_state(problem.network.data, problem.network.machine))
@@ -296,30 +303,16 @@ def _initial_parts(problem: Problem, forms: Sequence[Form], least: float) -> lis
         )
         parts.append(part)
     for part in parts:
-        _fit_drift_of(
-            problem, part, [column for form in forms if form is not part.form for column in form.variant.columns]
-        )
+        drift = part.form.candidate.drift
+        if drift is not None:
+            others = [column for form in forms if form is not part.form for column in form.variant.columns]
+            part.set_drift(problem, drift, fit_drift(problem, drift, others))
     return parts
-
-
-def _fit_drift_of(problem: Problem, part: _Part, others: Sequence[Column]) -> None:
-    """Set a drift to its maximum-likelihood fit given the other causes."""
-    drift = part.form.candidate.drift
-    if drift is None:
-        return
-    fitted = fit_drift(problem, drift, others)
-    variant = drift.variant(fitted.time_constant)
-    part.fixed = dict(variant.fixed)
-    part.scales = np.array([column.scale for column in variant.columns])
-    part.columns, part.values = problem.signature(variant.columns) / part.scales, fitted.values
-    part.effects = _effects(part.form, fitted.values, part.fixed)
-    part.moments = fitted.moments
-    part.nonlinear = fitted.moments is None and fitted.time_constant != STRAIGHT_LINE
 
 
 def _gauss_newton(problem: Problem, parts: Sequence[_Part], state: Mapping[str, Any], least: float) -> np.ndarray:
     """Iterate until convergence and return the covariance of all parameters at the last step."""
-    longest = [_longest_scale(part.form) for part in parts]
+    longest = [max((part.form.candidate.range(name) for name in part.form.nonlinear), default=np.inf) for part in parts]
     for _ in range(STEPS if any(part.nonlinear for part in parts) else 1):
         for part in parts:
             part.linearise(problem, state)
@@ -406,11 +399,11 @@ def _by_compliances(problem: Problem, parts: Sequence[_Part], state: Mapping[str
     """
     scales = np.concatenate([part.scales for part in parts])
     added = [effect for part in parts for effect in part.effects if isinstance(effect, AddedLoad)]
-    loads = [one for load in added for one in (load, *load.beside) if one.relative_u > 0.0]
+    loads = [effect for load in added for effect in (load, *load.beside) if effect.relative_u > 0.0]
     if not loads:
         return np.zeros((len(scales), len(scales)))
     scaled = np.concatenate([part.columns for part in parts], axis=1) * scales
-    moved = np.stack([one.relative_u * _signature_of(problem, state, (one,)) for one in loads], axis=1)
+    moved = np.stack([load.relative_u * _signature_of(problem, state, (load,)) for load in loads], axis=1)
     inverse_gram = pseudo_inverse(problem.inner(scaled))
     gain = inverse_gram @ problem.along(scaled, problem.project(moved))
     return np.asarray((gain @ gain.T) * np.outer(scales, scales))
@@ -468,7 +461,7 @@ def _over_variants(problem: Problem, forms: Sequence[Form], form: Form, covarian
     ]
     if not same:
         return covariance
-    others = [column for one in forms if one is not form for column in one.variant.columns]
+    others = [column for other in forms if other is not form for column in other.variant.columns]
     return upper_bound(covariance, over_forms(problem, [selected.columns, *same], others))
 
 
@@ -478,26 +471,13 @@ def _is_nonlinear(form: Form, effects: Sequence[Effect]) -> bool:
     return bool(names and effects) and all(name in effects[0].numbers for name in names)
 
 
-def _longest_scale(form: Form) -> float:
-    """Return the longest period or time constant tried of a form."""
-    tried = [
-        variant.fixed[name] for variant in form.candidate.variants for name in form.nonlinear if name in variant.fixed
-    ]
-    return max(tried, default=np.inf)
-
-
-def _within_limits(form: Form, effect: Effect, values: np.ndarray, longest: float) -> Effect:
-    kept = form.candidate.specification.constrain
-    return effect if kept is None else kept(effect, [float(v) for v in values], longest)
-
-
 def _converted(
     reported: Callable[[np.ndarray], np.ndarray], values: np.ndarray, covariance: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the parameters reported and their covariance, to first order (GUM 5.2.2)."""
     steps = 1e-4 * np.sqrt(np.maximum(np.diag(covariance), 1e-300))
     slopes = np.stack(
-        [(reported(values + one) - reported(values - one)) / (2.0 * one.sum()) for one in np.diag(steps)], axis=1
+        [(reported(values + step) - reported(values - step)) / (2.0 * step.sum()) for step in np.diag(steps)], axis=1
     )
     return reported(values), slopes @ covariance @ slopes.T
 
@@ -513,7 +493,7 @@ def _quantities(
         for name, unit in specification.fixed.items()
         if name in stated
     }
-    by_name |= {one.name: one for one in _estimated(form, fixed, effects, values, covariance)}
+    by_name |= {quantity.name: quantity for quantity in _estimated(form, fixed, effects, values, covariance)}
     order = [name for name in specification.parameters if name in by_name]
     return tuple(by_name[name] for name in (*order, *(name for name in by_name if name not in order)))
 
@@ -527,13 +507,13 @@ def _estimated(
     u = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     if _is_nonlinear(form, effects):
         return [
-            Quantity(p.name.rsplit(".", 1)[-1], p.value, p.unit, float(one))
-            for p, one in zip(effects[0].parameters, u, strict=True)
+            Quantity(p.name.rsplit(".", 1)[-1], p.value, p.unit, deviation)
+            for p, deviation in zip(effects[0].parameters, u.tolist(), strict=True)
         ]
     if effects and candidate.space is not None:
         return [
-            Quantity(f"c{k}", p.value, p.unit, float(one), coefficient=True)
-            for k, (p, one) in enumerate(zip(effects[0].parameters, u, strict=True))
+            Quantity(f"c{k}", p.value, p.unit, deviation, coefficient=True)
+            for k, (p, deviation) in enumerate(zip(effects[0].parameters, u.tolist(), strict=True))
         ]
     if effects and drift is not None:
         # A time constant longer than the record: only the rate is identifiable, and from it the drift over the record.
@@ -544,9 +524,9 @@ def _estimated(
             Quantity(rate.name.rsplit(".", 1)[-1], rate.value, rate.unit, float(u[0])),
         ]
     estimated = [
-        Quantity(name, float(value), unit, float(one))
-        for (name, unit), value, one in zip(candidate.names, values, u, strict=False)
-        if one > 1e-9 * u.max()  # a parameter that is not identifiable is left out
+        Quantity(name, float(value), unit, float(deviation))
+        for (name, unit), value, deviation in zip(candidate.names, values, u, strict=False)
+        if deviation > 1e-9 * u.max()  # a parameter that is not identifiable is left out
     ]
     # Parameters that the search fixed within their bounds, such as a centre that the readings do not determine.
     estimated += [
@@ -568,18 +548,17 @@ LOST: Final = 1e-6
 
 
 def remaining_discrepancy(
-    task: DiagnosisTask, forms: Sequence[Form], found: Estimate, patterned: Problem | None = None
+    task: DiagnosisTask, forms: Sequence[Form], estimated: Estimate, patterned: Problem | None = None
 ) -> Discrepancy:
     """Return the discrepancy of the residuals that causes, and patterns if any, leave.
 
     Args:
         task: the data, with the weights of the estimate.
-        forms: the causes.
-        found: their estimate.
+        estimated: their estimate.
         patterned: the same problem with the patterns projected out (`Problem.with_random_effects`); None to count them as discrepancy.
     """
     network, problem = task.by_noise.network, task.problem if patterned is None else patterned
-    residual = problem.residual - rewhitened(found.signature.sum(axis=1), task.problem.network, problem.network)
+    residual = problem.residual - rewhitened(estimated.signature.sum(axis=1), task.problem.network, problem.network)
     residual_m = unwhiten(problem.network, problem.project(residual).reshape(-1, 3)[:, :, None])[:, :, 0]
     # A direction with a prior takes up the share of a reading that its posterior variance has lost.
     absorbed = len(problem.nuisance_coordinates) - float(np.sum(problem.nuisances.prior**2))
@@ -589,7 +568,7 @@ def remaining_discrepancy(
 
 
 def reweighted(
-    task: DiagnosisTask, forms: Sequence[Form], found: Estimate, random_effects: RandomEffects | None
+    task: DiagnosisTask, forms: Sequence[Form], estimated: Estimate, random_effects: RandomEffects | None
 ) -> tuple[Estimate, Discrepancy]:
     """Return the estimate with all that the causes leave in its weights, patterns too, and this discrepancy.
 
@@ -597,43 +576,40 @@ def reweighted(
 
     Args:
         task: the data, with the weights of the estimate.
-        forms: the causes.
-        found: their estimate.
+        estimated: their estimate.
         random_effects: patterns without a name (`estimate`).
     """
     by_noise = task.by_noise
     whitened_residual = by_noise.residual - rewhitened(
-        found.signature.sum(axis=1), task.problem.network, by_noise.network
+        estimated.signature.sum(axis=1), task.problem.network, by_noise.network
     )
     if not forms or not lacks_fit(by_noise, whitened_residual, _width(forms), task.noise.dof):
-        return found, no_discrepancy(by_noise.network)
-    weighted, again = task, found
+        return estimated, no_discrepancy(by_noise.network)
+    weighted, again = task, estimated
     for attempt in range(REWEIGHTINGS):
         further = remaining_discrepancy(weighted, forms, again)
         if settled(by_noise.network, weighted.discrepancy, further) or attempt == REWEIGHTINGS - 1:
             break
         weighted = weighted.with_discrepancy(further)
         again = estimate(weighted.problem, forms, np.inf, random_effects)
-        if not _has_sizes(again, found):
+        if not _has_sizes(again, estimated):
             # Named by the readings, a cause has a size, even if these weights would no longer show its largest plausible one.
             again = estimate(weighted.problem, forms, np.inf, random_effects, least=0.0)
     signature = rewhitened(again.signature, weighted.problem.network, task.problem.network)
     return (
-        replace(again, signature=read_only(signature), explained=found.explained, wald=found.wald),
+        replace(again, signature=read_only(signature), explained=estimated.explained, wald=estimated.wald),
         weighted.discrepancy,
     )
 
 
-def _has_sizes(again: Estimate, found: Estimate) -> bool:
+def _has_sizes(again: Estimate, estimated: Estimate) -> bool:
     """Return whether no cause has lost its uncertainty, and with it its size, against an earlier estimate."""
 
     def largest_u(quantities: Sequence[Quantity]) -> float:
         return max((q.u for q in quantities if np.isfinite(q.u)), default=0.0)
 
-    return all(
-        largest_u(one) > LOST * largest_u(before) or largest_u(before) == 0.0
-        for one, before in zip(again.quantities, found.quantities, strict=True)
-    )
+    pairs = zip(again.quantities, estimated.quantities, strict=True)
+    return all(largest_u(now) > LOST * largest_u(before) or largest_u(before) == 0.0 for now, before in pairs)
 
 
 def _width(forms: Sequence[Form]) -> int:

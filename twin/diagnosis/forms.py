@@ -89,7 +89,6 @@ class Candidates:
     Inner products are projected: the set-up and the calibration's uncertainty are projected out.
 
     Args:
-        problem: the data.
         forms: (candidate, variant, log of the number of tests) of each form.
         dof: degrees of freedom of the noise variance; infinite where the variance is given.
         parts: (n,) number of the part each point belongs to, where parts are to be held out.
@@ -162,7 +161,7 @@ class Candidates:
             points = np.sort(rng.choice(count, SAMPLED_POINTS, replace=False))
             products = Products(problem, self.products.columns, self._columns, points)
             root = problem.orthonormal_on(points)
-            inner = [count / len(points) * own for own in self._projected_blocks(products, products.on_basis(root))]
+            inner = [count / len(points) * block for block in self._projected_blocks(products, products.on_basis(root))]
         basis = problem.rows(points).reshape(3 * len(points), len(problem.nuisance_coordinates))
         read = problem.network.read[points].reshape(-1)
         noise = rng.standard_normal((len(read), NULL_DATA_SETS)) * read[:, None]
@@ -178,11 +177,11 @@ class Candidates:
             values, vectors = np.linalg.eigh(blocks)
             seen = _identifiable(values, np.einsum("nii->ni", blocks).max(axis=1))
             root = vectors * np.where(seen, 1.0 / np.sqrt(np.where(seen, values, 1.0)), 0.0)[:, None, :]
-            found = np.sum((root.transpose(0, 2, 1) @ slope[columns]) ** 2, axis=1) / scale
+            explained = np.sum((root.transpose(0, 2, 1) @ slope[columns]) ** 2, axis=1) / scale
             dof, log_tests = seen.sum(axis=1), np.array([self.forms[i].log_tests for i in rows])
             for of in {*zip(dof.tolist(), log_tests.tolist(), strict=True)} if len(rows) else ():
                 if of[0]:
-                    most = found[(dof == of[0]) & (log_tests == of[1])].max(axis=0)
+                    most = explained[(dof == of[0]) & (log_tests == of[1])].max(axis=0)
                     smallest_log_p = np.minimum(smallest_log_p, log_p_value(most, float(of[0]), self.dof) + of[1])
         quantile = float(np.exp(np.quantile(smallest_log_p, CALIBRATION_QUANTILE)))
         # By Bonferroni's inequality the uncorrected level is a lower bound: correlation can only allow a higher one.
@@ -308,7 +307,7 @@ class Candidates:
         fresh = [form for form in forms if np.any(self._row[form.columns] < 0)]
         if len(fresh) > 1:
             # One new form needs no pass: its products with the others are in their rows, those within it are known.
-            self._cross_rows(columns_of(fresh[1:]))
+            self.cross(columns_of(fresh[1:]))
             return self.gram(forms)
         gram = np.zeros((len(columns), len(columns)))
         for form in fresh:
@@ -321,45 +320,36 @@ class Candidates:
 
     def contains(self, larger: Sequence[Form], others: Sequence[Form], form: Form) -> bool:
         """Return whether a larger set of forms already spans what a form adds to some others."""
-        alone = self._remaining(form, others)
-        left = self._remaining(form, larger)
-        return bool(np.trace(left) < 1e-3 * np.trace(alone))
+        return bool(np.trace(self._remaining(form, larger)) < 1e-3 * np.trace(self._remaining(form, others)))
 
     def cancels(self, form: Form, others: Sequence[Form], cause: Form) -> bool:
         """Return whether less than 1 % of a form's squared norm remains given others, and 1 % of the share that remains of a cause."""
-        left, own = (
-            float(np.trace(self._remaining(one, others)) / np.trace(self._remaining(one, ()))) for one in (form, cause)
+        share, share_of_cause = (
+            float(np.trace(self._remaining(f, others)) / np.trace(self._remaining(f, ()))) for f in (form, cause)
         )
-        return left < 1e-2 * min(own, 1.0)
+        return share < 1e-2 * min(share_of_cause, 1.0)
 
-    def scan(self, forms: Sequence[Form]) -> tuple[np.ndarray, np.ndarray]:
-        """Return the reduction of chi² by every form given some others, and its degrees of freedom; (forms,) each."""
-        key = frozenset(form.index for form in forms)
-        if key in self._scans:
-            return self._scans[key]
-        explained, dof = self._scanned(*self._given(forms))
-        self._latest = explained - self.critical_values(dof)
-        self._scans[key] = explained, dof
-        return explained, dof
-
-    def scan_beside(self, forms: Sequence[Form], cross: np.ndarray, slope: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the same as `scan`, given also some directions of unit weight.
+    def scan(
+        self, forms: Sequence[Form], beside: tuple[np.ndarray, np.ndarray] | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return the reduction of chi² by every form given some others, and its degrees of freedom; (forms,) each.
 
         Args:
-            forms: the causes.
-            cross: (r, all) inner products of the directions with all columns.
-            slope: (r,) their inner products with the residual.
+            beside: further directions of unit weight that are given: their (r, all) inner products with all columns, and (r,) with
+                the residual.
         """
-        return self._scanned(*self._given(forms, (cross, slope)))
-
-    def _scanned(self, factor: np.ndarray, slope: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return chi² reduction and degrees of freedom of every form, with factor · factorᵀ subtracted from the inner products."""
+        key = frozenset(form.index for form in forms)
+        if beside is None and key in self._scans:
+            return self._scans[key]
+        factor, slope = self._given(forms, beside)
         explained, dof = np.zeros(len(self.forms)), np.zeros(len(self.forms), dtype=int)
-        for rows, columns, blocks in zip(self._rows, self._columns, self._inner, strict=True):
+        for rows, columns, blocks in self.blocks():
             removed = factor[columns]
-            explained[rows], dof[rows] = _fit_blocks(
-                blocks, blocks - removed @ removed.transpose(0, 2, 1), slope[columns]
-            )
+            given = blocks - removed @ removed.transpose(0, 2, 1)
+            explained[rows], dof[rows] = _fit_blocks(blocks, given, slope[columns])
+        if beside is None:
+            self._latest = explained - self.critical_values(dof)
+            self._scans[key] = explained, dof
         return explained, dof
 
     def critical_values(self, dof: np.ndarray) -> np.ndarray:
@@ -378,7 +368,6 @@ class Candidates:
         """Return (tried, 3) reduction of chi², degrees of freedom and corrected log p of some forms, given others.
 
         Args:
-            forms: the causes already selected.
             tried: indices of the forms.
         """
         explained, dof = (values[list(tried)] for values in self.scan(forms))
@@ -402,9 +391,9 @@ class Candidates:
         regular = _inverse_factor(gram + np.eye(len(columns)))
         for width, alike in _by_width(forms).items():
             at = np.searchsorted(columns, np.stack([form.columns for form in alike]))
-            own = regular[:, at].transpose(1, 2, 0)
-            left = np.linalg.inv(own @ own.transpose(0, 2, 1)) - np.eye(width)
-            seen = _identifiable(np.linalg.eigvalsh(left), np.diag(gram)[at].max(axis=1))
+            factor = regular[:, at].transpose(1, 2, 0)
+            given_others = np.linalg.inv(factor @ factor.transpose(0, 2, 1)) - np.eye(width)
+            seen = _identifiable(np.linalg.eigvalsh(given_others), np.diag(gram)[at].max(axis=1))
             for form, dof in zip(alike, seen.sum(axis=1).tolist(), strict=True):
                 total -= float(self._critical[form.index, dof]) if dof else self.critical_value(form, 1.0)
         return total
@@ -414,34 +403,25 @@ class Candidates:
         return list(zip(self._rows, self._columns, self._inner, strict=True))
 
     def cross(self, columns: np.ndarray) -> np.ndarray:
-        """Return the projected inner products (columns, all) of some columns with all."""
-        return self._cross_rows(columns)
+        """Return the projected inner products (columns, all) of some columns with all; missing ones are computed first."""
+        if np.any(self._row[columns] < 0):
+            fresh = self._with_expected(columns[self._row[columns] < 0])
+            products = self.products.cross(fresh) - self._on_basis[:, fresh].T @ self._on_basis
+            filled = int(self._row.max()) + 1
+            if filled + len(products) > len(self._cross):
+                grown = np.zeros((2 * filled + len(products), self._cross.shape[1]))
+                grown[:filled] = self._cross[:filled]
+                self._cross = grown
+            self._row[fresh] = filled + np.arange(len(fresh))
+            self._cross[self._row[fresh]] = products
+        return self._cross[self._row[columns]]
 
     def prepare(self, forms: Sequence[Form]) -> None:
         """Compute the inner products of some forms with all others in one pass; for part of the data only those already cached."""
         cached = self.products.cached
         few = [form for form in forms if not self._expected or cached[form.columns].all()]
         if few:
-            self._cross_rows(columns_of(few))
-
-    def _cross_rows(self, columns: np.ndarray) -> np.ndarray:
-        """Return the projected inner products (columns, all)."""
-        rows = self._row_indices(columns)
-        return self._cross[rows]
-
-    def _row_indices(self, columns: np.ndarray) -> np.ndarray:
-        """Return the rows of `_cross` of some columns; missing rows are computed first."""
-        if np.any(self._row[columns] < 0):
-            fresh = self._with_expected(columns[self._row[columns] < 0])
-            found = self.products.cross(fresh) - self._on_basis[:, fresh].T @ self._on_basis
-            filled = int(self._row.max()) + 1
-            if filled + len(found) > len(self._cross):
-                grown = np.zeros((2 * filled + len(found), self._cross.shape[1]))
-                grown[:filled] = self._cross[:filled]
-                self._cross = grown
-            self._row[fresh] = filled + np.arange(len(fresh))
-            self._cross[self._row[fresh]] = found
-        return self._row[columns]
+            self.cross(columns_of(few))
 
     def _with_expected(self, columns: np.ndarray) -> np.ndarray:
         """Return the columns and those likely to be needed next, since most of the cost is the pass over the data.
@@ -457,9 +437,9 @@ class Candidates:
         for i in np.argsort(-self._latest, kind="stable").tolist():
             if len(indices) >= BATCH or self._latest[i] <= 0.0:
                 break
-            key, own = int(self.key_of[i]), self.forms[i].columns
-            if key not in seen and (not here or cached[own].all()):
-                indices |= dict.fromkeys(own[self._row[own] < 0].tolist())
+            key, of_form = int(self.key_of[i]), self.forms[i].columns
+            if key not in seen and (not here or cached[of_form].all()):
+                indices |= dict.fromkeys(of_form[self._row[of_form] < 0].tolist())
             seen.add(key)
         return np.sort(np.array(list(indices), dtype=int))
 
@@ -469,19 +449,18 @@ class Candidates:
         """Return the factor (all, r) of the matrix to subtract from the inner products given some forms, and the slope left (all,).
 
         Args:
-            forms: the forms already selected.
-            beside: (r, all) and (r,) of directions that are given too, as in `scan_beside`.
+            beside: further directions, as in `scan`.
         """
         columns = columns_of(forms)
-        own = self._cross_rows(columns)
+        rows = self.cross(columns)
         if beside is None:
-            root = inverse_root(own[:, columns])
-            return own.T @ root, self.slope - (root @ (root.T @ self.slope[columns])) @ own
-        cross, slope = beside
-        left = self.slope - cross.T @ slope
-        own = own - cross[:, columns].T @ cross
-        root = inverse_root(own[:, columns])
-        return np.concatenate([cross.T, own.T @ root], axis=1), left - (root @ (root.T @ left[columns])) @ own
+            root = inverse_root(rows[:, columns])
+            return rows.T @ root, self.slope - (root @ (root.T @ self.slope[columns])) @ rows
+        directions, along = beside
+        slope = self.slope - directions.T @ along
+        rows = rows - directions[:, columns].T @ directions
+        root = inverse_root(rows[:, columns])
+        return np.concatenate([directions.T, rows.T @ root], axis=1), slope - (root @ (root.T @ slope[columns])) @ rows
 
     def _remaining(self, form: Form, others: Sequence[Form]) -> np.ndarray:
         """Return the projected inner products (w, w) of a form given others; no pass over the data if one of all forms is new."""
@@ -490,9 +469,9 @@ class Candidates:
         if len(others) == 0:
             return np.asarray(block)
         columns, gram = columns_of([*others, form]), self.gram([*others, form])
-        own, given = (np.searchsorted(columns, one) for one in (form.columns, columns_of(others)))
+        at, given = (np.searchsorted(columns, some) for some in (form.columns, columns_of(others)))
         inverse = pseudo_inverse(gram[np.ix_(given, given)])
-        shared = gram[np.ix_(given, own)]
+        shared = gram[np.ix_(given, at)]
         return np.asarray(block - shared.T @ inverse @ shared)
 
 
@@ -524,9 +503,10 @@ def log_p_value(explained: np.ndarray, dof: np.ndarray | float, noise_dof: float
     # Where the library's sf underflows, use the leading term (Abramowitz and Stegun 1972, 6.5.32 and 26.5.4), which keeps the order.
     if np.isfinite(noise_dof):
         log_p = np.asarray(f_log_sf(explained / dof, dof, noise_dof))
-        far, rest = np.isneginf(log_p), noise_dof / 2.0
+        far, half_noise = np.isneginf(log_p), noise_dof / 2.0
         small = noise_dof / (noise_dof + np.where(far, explained, 1.0))
-        return np.where(far, rest * np.log(small) - np.log(rest) - scipy.special.betaln(rest, half), log_p)
+        tail = half_noise * np.log(small) - np.log(half_noise) - scipy.special.betaln(half_noise, half)
+        return np.where(far, tail, log_p)
     log_p = np.asarray(chi2_log_sf(explained, dof))
     far = np.isneginf(log_p)
     safe = np.where(far, explained, 1.0) / 2.0

@@ -60,9 +60,9 @@ def held_out(sized: SizedCauses, written: Collection[int] = ()) -> HeldOut | Non
         sized: the causes with their sizes; they decide what is held out (`twin.diagnosis.cross_validation`).
         written: numbers of the patterns that are in the file as well.
     """
-    estimate, forms = sized.found, sized.forms
-    problem, candidates = estimate.problem, estimate.candidates
-    barred = {form.key for form, promise in zip(forms, sized.promised, strict=True) if not promise}
+    findings, forms = sized.findings, sized.forms
+    problem, candidates = findings.problem, findings.candidates
+    barred = {form.key for form, doubt in zip(forms, sized.doubts, strict=True) if doubt}
     split = choose_folds(problem.network.data, problem.network.machine, [form.candidate for form in forms])
     candidates.set_problem(problem)
     restore_payloads(candidates, forms)
@@ -71,8 +71,8 @@ def held_out(sized: SizedCauses, written: Collection[int] = ()) -> HeldOut | Non
 
     def predict(small: Candidates) -> tuple[np.ndarray, np.ndarray]:
         # If held-out readings refuted causes, the remaining ones are not searched again.
-        chosen = forms if estimate.refuted else select_on_part(small, forms).forms
-        kept, likelihood = refit_on_part(small, chosen, estimate.structure)
+        chosen = forms if findings.refuted else select_on_part(small, forms).forms
+        kept, likelihood = refit_on_part(small, chosen, findings.structure)
         after = predicted_shift(problem, small, [form for form in kept if form.key not in barred])
         if written and likelihood is not None:
             after = after + predicted_pattern_shift(likelihood, kept, written)
@@ -81,16 +81,14 @@ def held_out(sized: SizedCauses, written: Collection[int] = ()) -> HeldOut | Non
     return _held_out(candidates, split, predict)
 
 
-def held_out_patterns(found: Findings, forms: Sequence[Form], written: Collection[int]) -> HeldOut | None:
+def held_out_patterns(findings: Findings, forms: Sequence[Form], written: Collection[int]) -> HeldOut | None:
     """Return the residuals of held-out readings, with the causes alone and with some patterns added, fitted to the other readings.
 
     Args:
-        found: the selected causes and patterns.
         forms: the causes; the same on every part.
         written: numbers of the patterns added.
     """
-    problem, structure = found.problem, found.structure
-    network, candidates = problem.network, found.candidates
+    problem, structure, network = findings.problem, findings.structure, findings.problem.network
     names = {name for k in written for name in structure.pattern_tests[k].pattern.names}
     # The approach direction of an axis is held out by the positions of that axis.
     axes = {channel_name(name).removeprefix(APPROACH) for name in names}
@@ -103,7 +101,7 @@ def held_out_patterns(found: Findings, forms: Sequence[Form], written: Collectio
         named = predicted_shift(problem, small, forms)
         return named, named + predicted_pattern_shift(Likelihood(small, structure.pattern_tests), forms, written)
 
-    return _held_out(candidates, split, predict)
+    return _held_out(findings.candidates, split, predict)
 
 
 def _held_out(
@@ -143,48 +141,42 @@ class EmpiricalExtension:
 
 
 def extend(sized: SizedCauses, calibration: Calibration) -> EmpiricalExtension:
-    """Fit an empirical effect to each pattern, and test on held-out readings whether the effects reduce the residuals.
-
-    Args:
-        sized: the causes with their sizes.
-        calibration: the calibration tested.
-    """
-    estimate, forms = sized.found, sized.forms
-    likelihood = estimate.structure.likelihood
+    """Fit an empirical effect to each pattern, and test on held-out readings whether the effects reduce the residuals."""
+    findings, forms, problem = sized.findings, sized.forms, sized.findings.problem
+    likelihood, machine = findings.structure.likelihood, problem.network.machine
     if likelihood is None or not likelihood.pattern_tests:
         return _not_extended(Extension((), 0.0, None, False, "it depends on no column of the table"))
-    machine, problem = estimate.problem.network.machine, estimate.problem
-    model = likelihood.fit(forms, estimate.structure.model)
-    left = problem.residual - sized.estimate.signature.sum(axis=1)
-    which, values, covariance = likelihood.most_likely(model, likelihood.slope_with(left))
+    model = likelihood.fit(forms, findings.structure.model)
+    slope = likelihood.slope_with(problem.residual - sized.estimate.signature.sum(axis=1))
+    which, values, covariance = likelihood.most_likely(model, slope)
     terms: list[Term] = []
     effects: list[Empirical] = []
     written: list[int] = []
-    kept = np.zeros(len(which), dtype=bool)
-    moved, stays = np.zeros((2, len(problem.residual)))
+    in_file = np.zeros(len(which), dtype=bool)
+    written_shift, other_shift = np.zeros((2, len(problem.residual)))
     taken = [effect.name for effect in calibration.extra]
     for k, pattern_test in enumerate(likelihood.pattern_tests):
-        own = likelihood.group[which] // DIRECTIONS == k
-        made = likelihood.effect_on_readings(which[own], values[own])
-        term = _term(pattern_test, machine, _rms(problem, made), taken)
+        of_pattern = likelihood.group[which] // DIRECTIONS == k
+        shift = likelihood.effect_on_readings(which[of_pattern], values[of_pattern])
+        term = _term(pattern_test, machine, _rms(problem, shift), taken)
+        terms.append(term)
         if term.reason is None:
-            effects.append(_effect(term, pattern_test, machine, likelihood, k, which[own], values[own]))
+            effects.append(_effect(term, machine, likelihood, k, which[of_pattern], values[of_pattern]))
             taken.append(effects[-1].name)
             written.append(k)
-            kept |= own
-            moved += made
+            in_file |= of_pattern
+            written_shift += shift
         else:
-            stays += made
-        terms.append(term)
-    held = held_out_patterns(estimate, forms, written) if effects else None
+            other_shift += shift
+    held = held_out_patterns(findings, forms, written) if effects else None
     reason = _unproven(held) if effects else "; ".join(dict.fromkeys(str(term.reason) for term in terms))
-    extension = Extension(tuple(terms), _rms(problem, moved), held, reason is None, reason)
+    extension = Extension(tuple(terms), _rms(problem, written_shift), held, reason is None, reason)
     if reason is not None:
         return _not_extended(extension)
     names = tuple(parameter.name for effect in effects for parameter in effect.parameters)
-    matrix = read_only(covariance[np.ix_(kept, kept)])
+    matrix = read_only(covariance[np.ix_(in_file, in_file)])
     return EmpiricalExtension(
-        extension, tuple(effects), Covariance(names, matrix), tuple(written), _rms(problem, stays)
+        extension, tuple(effects), Covariance(names, matrix), tuple(written), _rms(problem, other_shift)
     )
 
 
@@ -224,31 +216,24 @@ def _along(pattern_test: PatternTest) -> Literal["base", "tool", "work"]:
 
 
 def _effect(
-    term: Term,
-    pattern_test: PatternTest,
-    machine: Machine,
-    likelihood: Likelihood,
-    k: int,
-    which: np.ndarray,
-    values: np.ndarray,
+    term: Term, machine: Machine, likelihood: Likelihood, k: int, which: np.ndarray, values: np.ndarray
 ) -> Empirical:
-    """Return the empirical effect of one pattern.
+    """Return the empirical effect of the k-th pattern.
 
     Args:
         term: side, columns and ranges of the effect.
         likelihood: of all patterns.
-        k: number of this pattern.
-        which: numbers of its columns with a coefficient.
+        which: numbers of the pattern's columns with a coefficient.
         values: their coefficients, µm.
     """
-    columns = pattern_test.pattern.waves(pattern_test.level)
+    pattern_test = likelihood.pattern_tests[k]
+    columns, along = pattern_test.pattern.waves(pattern_test.level), _along(pattern_test)
     # Columns are sorted by direction, then by function.
     names = np.array(Empirical.names(columns)).ravel()
-    own = np.flatnonzero(likelihood.group // DIRECTIONS == k)
-    chosen = names[np.searchsorted(own, which)].tolist()
-    frame, turning = acting_frame(pattern_test.pattern.side, _along(pattern_test), machine)
-    numbers = dict(zip(chosen, values.tolist(), strict=True))
-    return Empirical(term.where, _along(pattern_test), columns, numbers, frame, turning)
+    of_pattern = np.flatnonzero(likelihood.group // DIRECTIONS == k)
+    chosen = names[np.searchsorted(of_pattern, which)].tolist()
+    frame, turning = acting_frame(pattern_test.pattern.side, along, machine)
+    return Empirical(term.where, along, columns, dict(zip(chosen, values.tolist(), strict=True)), frame, turning)
 
 
 def _unproven(held: HeldOut | None) -> str | None:
@@ -275,54 +260,40 @@ DEFAULT_TOOL_MM: Final = 100.0
 def gain(
     sized: SizedCauses,
     residuals: tuple[np.ndarray, np.ndarray],
-    left: Unexplained | None,
-    empirical_extension: EmpiricalExtension | None,
+    unexplained: Unexplained | None,
+    extension: EmpiricalExtension | None,
 ) -> Gain:
     """Return the gain of the extended calibration.
 
     Args:
-        sized: the causes with their sizes.
         residuals: (n, 3) µm with the given and with the extended calibration.
-        left: the unexplained residuals.
-        empirical_extension: the empirical effects fitted to them; None if not requested.
+        extension: the empirical effects fitted to them; None if not requested.
     """
-    network, problem = sized.found.problem.network, sized.found.problem
-    held = held_out(sized, () if empirical_extension is None else empirical_extension.written)
+    network = sized.findings.problem.network
+    data, machine = network.data, network.machine
+    held = held_out(sized, () if extension is None else extension.written)
     effects, covariance = sized.effects, sized.covariance
     # Errors that are not in the file remain: causes that are not promised, and unexplained residuals.
-    stays = [
-        float(np.nansum(in_um(problem.network, sized.estimate.signature[:, k]) ** 2) / len(network.data))
-        for k, own in enumerate(sized.promised)
-        if not own
-    ]
-    size = 0.0 if left is None or not left.depends_on else left.size_um
-    unseen = 0.0
-    if empirical_extension is not None and empirical_extension.effects:
-        effects = [*effects, *empirical_extension.effects]
-        covariance, size = (
-            Covariance.of_blocks([covariance, empirical_extension.covariance]),
-            empirical_extension.left_um,
-        )
-        # The true pattern is larger than the most likely one by its uncertainty, so that is part of the machine's error too.
-        unseen = error_at_tool(
-            network.data, network.machine, empirical_extension.effects, empirical_extension.covariance
-        )[1]
-    moved, doubt = error_at_tool(network.data, network.machine, effects, covariance)
-    rest = sum(stays) + 3.0 * size**2
-    before, after = residuals
-    return Gain(
-        rms(before, network.read),
-        rms(after, network.read),
-        held,
-        *_plausible(np.sqrt(moved**2 + unseen**2 + rest), np.sqrt(doubt**2 + rest)),
-        tool_length_of(network.machine),
+    not_promised = sum(
+        float(np.nansum(in_um(network, sized.estimate.signature[:, k]) ** 2) / len(data))
+        for k, doubt in enumerate(sized.doubts)
+        if doubt
     )
-
-
-def _plausible(before: float, after: float) -> tuple[float, float]:
-    """Return the errors at the tool before and after; both NaN if either is larger than the model describes."""
-    known = max(before, after) <= LARGEST_UM
-    return (float(before), float(after)) if known else (float("nan"), float("nan"))
+    pattern_um = 0.0 if unexplained is None or not unexplained.depends_on else unexplained.size_um
+    unseen = 0.0
+    if extension is not None and extension.effects:
+        effects = [*effects, *extension.effects]
+        covariance = Covariance.of_blocks([covariance, extension.covariance])
+        pattern_um = extension.left_um
+        # The true pattern is larger than the most likely one by its uncertainty, so that is part of the machine's error too.
+        unseen = error_at_tool(data, machine, extension.effects, extension.covariance)[1]
+    moved, doubt_um = error_at_tool(data, machine, effects, covariance)
+    remaining = not_promised + 3.0 * pattern_um**2
+    at_tool = float(np.sqrt(moved**2 + unseen**2 + remaining)), float(np.sqrt(doubt_um**2 + remaining))
+    before, after = (rms(residual_um, network.read) for residual_um in residuals)
+    if not max(at_tool) <= LARGEST_UM:
+        at_tool = float("nan"), float("nan")
+    return Gain(before, after, held, *at_tool, tool_length_of(machine))
 
 
 def residuals_as_written(
@@ -331,19 +302,12 @@ def residuals_as_written(
     """Return the (n, 3) residuals in µm with a calibration as written, the set-up refitted; NaN where no coordinate was measured.
 
     Args:
-        problem: the data.
         instrument: (3n,) whitened effect of the instrument errors found, subtracted from the readings first.
         root: (n, 3, 3) square root of the covariance by the discrepancy, metres, for the weights of the set-up.
     """
     network = problem.network.with_discrepancy(root)
     as_written = Network(
-        network.machine,
-        network.data,
-        network.instruments,
-        network.unknowns,
-        extended,
-        network.covariance,
-        check=False,
+        network.machine, network.data, network.instruments, network.unknowns, extended, network.covariance, check=False
     )
     setup = solve(as_written, np.zeros(0), problem.setup, np.ones(len(network.data))).setup
     columns = np.empty((len(setup) + 1, len(network.data), 3))
@@ -372,7 +336,6 @@ def error_at_tool(
 
     Args:
         data: the measurements, for their temperatures and times.
-        effects: the effects found.
         covariance: of their parameters.
     """
     if not effects:
@@ -383,25 +346,26 @@ def error_at_tool(
     rows = rng.integers(0, len(data), len(positions))
     measured = machine_state(data, machine)
     state: dict[str, Any] = {name: values[rows] for name, values in measured.items()}
-    state |= {f"approach_{name}": own for name, own in zip(machine.names, sides, strict=True)}
+    state |= {f"approach_{name}": side for name, side in zip(machine.names, sides, strict=True)}
     state |= {axis.name: positions[:, i] for i, axis in enumerate(machine.axes)}
     at_tip = Kinematics(machine, Calibration.zero(machine), tool_length_mm=tool_length_of(machine))
     by_error = at_tip.sensitivities(positions).error[:, :3]
     index = {(frame.axis, frame.role): 6 * i for i, frame in enumerate(machine.frames)}
 
-    def moved(effect: Effect, own: Mapping[int, Any]) -> np.ndarray:
-        at, found = index[effect.frame.axis, effect.frame.role], np.zeros((len(positions), 3))
-        for i, value in own.items():
+    def moved(effect: Effect, components: Mapping[int, Any]) -> np.ndarray:
+        at, shift = index[effect.frame.axis, effect.frame.role], np.zeros((len(positions), 3))
+        for i, value in components.items():
             # Effects that depend on earlier readings were evaluated on all readings in their order.
             values = np.asarray(value, dtype=float)[rows] if effect.history else np.asarray(value, dtype=float)
-            found += by_error[:, :, at + i] * np.broadcast_to(values, len(positions))[:, None]
-        return found
+            shift += by_error[:, :, at + i] * np.broadcast_to(values, len(positions))[:, None]
+        return shift
 
-    states = [measured if effect.history else state for effect in effects]
-    whole = np.sum([moved(one, one.components(own)) for one, own in zip(effects, states, strict=True)], axis=0)
+    whole = np.zeros((len(positions), 3))
     by_parameter: dict[str, np.ndarray] = {}
-    for effect, own in zip(effects, states, strict=True):
-        for parameter, derivative in zip(effect.parameters, effect.derivatives(own), strict=True):
+    for effect in effects:
+        at_effect = measured if effect.history else state
+        whole += moved(effect, effect.components(at_effect))
+        for parameter, derivative in zip(effect.parameters, effect.derivatives(at_effect), strict=True):
             # Effects in several frames share the parameters of an added load.
             by_parameter[parameter.name] = by_parameter.get(parameter.name, 0.0) + moved(effect, derivative)
     known = [name for name in covariance.names if name in by_parameter]
@@ -415,14 +379,14 @@ def _inside(positions: np.ndarray, machine: Machine, effects: Sequence[Effect]) 
     clipped = np.array(positions)
     for i, axis in enumerate(machine.axes):
         ranges = [
-            own
+            limits
             for effect in effects
             if isinstance(effect, Empirical)
-            for column, own in effect.ranges.items()
+            for column, limits in effect.ranges.items()
             if channel_name(column) == axis.name
         ]
         span = np.ptp(positions[:, i])
         if ranges and span > 0.0:
-            low, high = max(own[0] for own in ranges), min(own[1] for own in ranges)
+            low, high = max(limits[0] for limits in ranges), min(limits[1] for limits in ranges)
             clipped[:, i] = low + (positions[:, i] - positions[:, i].min()) / span * (high - low)
     return clipped

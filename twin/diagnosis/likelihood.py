@@ -73,8 +73,6 @@ def scan_patterns(problem: Problem, tried: Sequence[Pattern], forms: Sequence[Fo
     """Return the most significant test of each pattern, most significant first.
 
     Args:
-        problem: the data.
-        tried: patterns to test.
         forms: causes that are projected out.
         dof: degrees of freedom of the noise estimate.
     """
@@ -84,22 +82,22 @@ def scan_patterns(problem: Problem, tried: Sequence[Pattern], forms: Sequence[Fo
     kinds = [(pattern, level, where) for pattern in tried for level in pattern.levels for where in DIRECTIONS]
     along = _moments_along(scores, tried)
     moments = np.stack([along[:, :, list(where)].sum(axis=2) for where in DIRECTIONS], axis=1)
-    found, mean, variance = moments.reshape(-1, 3).T
+    score, mean, variance = moments.reshape(-1, 3).T
     varying = np.flatnonzero(variance > 0.0)
     log_p = np.zeros(len(kinds))
-    log_p[varying] = _two_moments(found[varying], mean[varying], variance[varying])
+    log_p[varying] = _two_moments(score[varying], mean[varying], variance[varying])
     tests = varying[np.argsort(log_p[varying], kind="stable")].tolist()
     price = float(np.log(max(len(tests), 1)))
     distributions = scores.distributions([kinds[i] for i in tests[:EXACT_P_VALUES]])
-    log_p[tests[:EXACT_P_VALUES]] = [log_tail(weights, score, dof) for weights, score in distributions]
+    log_p[tests[:EXACT_P_VALUES]] = [log_tail(weights, value, dof) for weights, value in distributions]
     best: dict[Pattern, PatternTest] = {}
     for i in tests:
         pattern, level, directions = kinds[i]
-        pattern_test = PatternTest(pattern, level, directions, float(log_p[i]), price, float(found[i] - mean[i]))
+        pattern_test = PatternTest(pattern, level, directions, float(log_p[i]), price, float(score[i] - mean[i]))
         if pattern not in best or pattern_test.log_p < best[pattern].log_p:
             best[pattern] = pattern_test
-    every = list(best.values())
-    return [every[i] for i in largest_first(np.array([-one.log_p for one in every]))]
+    clearest = list(best.values())
+    return [clearest[i] for i in largest_first(np.array([-test.log_p for test in clearest]))]
 
 
 def _moments_along(scores: PatternScores, tried: Sequence[Pattern]) -> np.ndarray:
@@ -123,8 +121,8 @@ def _moments_along(scores: PatternScores, tried: Sequence[Pattern]) -> np.ndarra
 def _fill(waiting: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]]) -> None:
     """Compute the moments (3, 3) of (3, m) scores and (3, m, m) Gram matrices with as many functions, and put them in place."""
     slopes, grams, places = zip(*waiting, strict=True)
-    own = _moments(np.concatenate(slopes), np.concatenate(grams))
-    for place, part in zip(places, np.split(own, len(places), axis=1), strict=True):
+    moments = _moments(np.concatenate(slopes), np.concatenate(grams))
+    for place, part in zip(places, np.split(moments, len(places), axis=1), strict=True):
         place[...] = part
 
 
@@ -240,10 +238,6 @@ class Likelihood:
 
     The columns of each variance are rotated so that they are orthogonal in the readings. The likelihood stays the same, and columns
     that the readings do not determine drop out: for few readings, that is most of the columns.
-
-    Args:
-        candidates: the data and the causes.
-        pattern_tests: the patterns.
     """
 
     def __init__(self, candidates: Candidates, pattern_tests: Sequence[PatternTest]) -> None:
@@ -276,7 +270,6 @@ class Likelihood:
         """Return the model at the most likely variances, for some causes.
 
         Args:
-            forms: the causes.
             start: model whose variances are the initial ones.
             without: number of a pattern to omit.
         """
@@ -326,28 +319,25 @@ class Likelihood:
         if len(columns):
             back = pseudo_inverse(fixed - cross.T @ cross)
             values = back @ (self.candidates.slope[columns] - cross.T @ slope_left)
-        found = inverse.T @ (slope_left - cross @ values)
-        explained = float(self.candidates.slope[columns] @ values + slope @ found)
+        amplitudes = inverse.T @ (slope_left - cross @ values)
+        explained = float(self.candidates.slope[columns] @ values + slope @ amplitudes)
         more = max((self._chi2 - explained) / self._dof, 1.0)
         # Relative to the stated noise alone, for which twice the log likelihood is −χ².
         twice_log_ratio = self._chi2 - (self._chi2 - explained) / more - self._dof * float(np.log(more)) - log_det
         groups = len(variances)
         share = 1.0 - np.einsum("ij,ij->j", inverse, inverse)
         known = np.bincount(self._own[used], share, groups)
-        squares = np.bincount(self._own[used], found**2, groups)
+        squares = np.bincount(self._own[used], amplitudes**2, groups)
         moved = np.where(known > 0.0, variances * squares / np.maximum(known, 1e-12) / variance_factor, variances)
         random = np.zeros(len(self._own))
-        random[used] = found * deviation
+        random[used] = amplitudes * deviation
         return Model(twice_log_ratio, variances, more, explained, values, random, back, float(share.sum())), moved
 
     def gain_bound(self, forms: Sequence[Form], model: Model, form: Form) -> float:
         """Return an upper bound of the gain in twice the log likelihood by one cause: variances are not re-estimated without it."""
         at = np.searchsorted(columns_of(forms), form.columns)
-        values = model.values[at]
-        return (
-            float(values @ np.linalg.pinv(model.covariance[np.ix_(at, at)], hermitian=True) @ values)
-            / model.variance_factor
-        )
+        precision = np.linalg.pinv(model.covariance[np.ix_(at, at)], hermitian=True)
+        return float(model.values[at] @ precision @ model.values[at]) / model.variance_factor
 
     def scan(self, forms: Sequence[Form], model: Model) -> tuple[np.ndarray, np.ndarray]:
         """Return the χ² that every form explains given causes and patterns, in units of the noise, and its degrees of freedom."""
@@ -355,7 +345,7 @@ class Likelihood:
         lower = np.linalg.cholesky(inner)
         cross = scipy.linalg.solve_triangular(lower, self._cross[used] * deviation[:, None], lower=True)
         slope = scipy.linalg.solve_triangular(lower, self._slope[used] * deviation, lower=True)
-        explained, dof = self.candidates.scan_beside(forms, cross, slope)
+        explained, dof = self.candidates.scan(forms, (cross, slope))
         return explained / model.variance_factor, dof
 
     def explained_by_patterns(self, forms: Sequence[Form], model: Model) -> np.ndarray:
@@ -371,14 +361,13 @@ class Likelihood:
         """Return (patterns,) one for each pattern that could reproduce most of the effect of a cause, else zero."""
         if form.index in self._imitated:
             return self._imitated[form.index]
-        own = form.columns
-        whole = self.candidates.gram([form])
-        values = np.ones(len(own)) if len(own) == 1 else self.candidates.fitted([form])[1]
-        size = float(values @ whole @ values)
+        columns = form.columns
+        values = np.ones(1) if len(columns) == 1 else self.candidates.fitted([form])[1]
+        size = float(values @ self.candidates.gram([form]) @ values)
         can_imitate = np.zeros(len(self.pattern_tests))
         for k in range(len(self.pattern_tests)):
-            mine, root = self._root_of(k)
-            along = root.T @ (self._cross[np.ix_(mine, own)] @ values)
+            of_pattern, root = self._root_of(k)
+            along = root.T @ (self._cross[np.ix_(of_pattern, columns)] @ values)
             can_imitate[k] = 1.0 if along @ along > IMITATED_SHARE * size else 0.0
         self._imitated[form.index] = can_imitate
         return can_imitate
@@ -386,10 +375,10 @@ class Likelihood:
     def _root_of(self, k: int) -> tuple[np.ndarray, np.ndarray]:
         """Return the columns of a pattern, and a square root of the pseudo-inverse of their inner products."""
         if k not in self._roots:
-            mine = np.flatnonzero(self._own // 3 == k)
-            eigenvalues, vectors = np.linalg.eigh(self._gram[np.ix_(mine, mine)])
+            columns = np.flatnonzero(self._own // 3 == k)
+            eigenvalues, vectors = np.linalg.eigh(self._gram[np.ix_(columns, columns)])
             kept = eigenvalues > NEARLY_DEPENDENT * eigenvalues.max(initial=0.0)
-            self._roots[k] = mine, vectors[:, kept] / np.sqrt(eigenvalues[kept])
+            self._roots[k] = columns, vectors[:, kept] / np.sqrt(eigenvalues[kept])
         return self._roots[k]
 
     def explained(self, forms: Sequence[Form], model: Model) -> float:

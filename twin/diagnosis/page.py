@@ -15,7 +15,7 @@ from typing import Final, final
 from twin._common.provenance import warning_texts
 from twin.diagnosis import plots, text
 from twin.diagnosis.plots import plot_panel, plot_unexplained
-from twin.diagnosis.result import Cause, DiagnosisResult, Quantity, readable_unit
+from twin.diagnosis.result import DiagnosisResult, readable_unit
 from twin.diagnosis.text import column
 from twin.display import Html, render
 from twin.display.figures import embedded
@@ -85,7 +85,6 @@ def diagnosis_html(diagnosis: DiagnosisResult) -> str:
         listed_causes=_listed_causes,
         picture=_picture,
         readable_unit=readable_unit,
-        listed_parameters=_listed_parameters,
     )
 
 
@@ -110,8 +109,3 @@ def _listed_causes(keys: Sequence[tuple[str, str]]) -> Html:
     """Return causes in words with their symbols, as HTML."""
     named = [(escape(lower(text.cause_title(*key))), escape(text.symbol(*key))) for key in keys]
     return Html(listed([f"{name} <span class=symbol>{sign}</span>" for name, sign in named]))
-
-
-def _listed_parameters(cause: Cause) -> list[Quantity]:
-    """Return the parameters of a cause without coefficients of curves, which mean nothing to a reader."""
-    return [quantity for quantity in cause.parameters if not quantity.coefficient]

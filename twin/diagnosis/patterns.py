@@ -98,6 +98,11 @@ class Pattern:
         return tuple(channel.name for channel in self.channels)
 
     @property
+    def key(self) -> tuple[str, tuple[str, ...]]:
+        """Side and columns."""
+        return self.side, self.names
+
+    @property
     def derivative(self) -> str:
         """Return which derivative of the readings it multiplies (`twin.diagnosis.candidates.candidate.ReadingDerivatives`)."""
         return f"{self.side} {self.field}"
@@ -312,9 +317,7 @@ class PatternScores:
     """Scores of patterns with set-up and causes projected out.
 
     Args:
-        problem: the data.
         forms: causes that are projected out.
-        tried: the patterns.
     """
 
     def __init__(self, problem: Problem, forms: Sequence[Form], tried: Sequence[Pattern]) -> None:
@@ -438,9 +441,11 @@ class PatternScores:
         """Return inner products (columns, k) with the orthonormal basis of nuisance and causes, and (columns,) with the residual."""
         problem, base, nuisance = self._problem, self._nuisance.base, self._nuisance
         causes = self._causes.reshape(len(self._kept), 3, -1)
+        random_effects = range(len(base.signatures.columns), len(nuisance.signatures.columns))
 
         def vectors(block: PointBlock) -> np.ndarray:
-            return side_by_side(self._more_raw(block), causes[block.rows], self._left[block.rows, :, None])
+            by_random_effects = nuisance.signatures.at(block, random_effects)
+            return side_by_side(by_random_effects, causes[block.rows], self._left[block.rows, :, None])
 
         keys = [("exact", column, problem.held_out.tobytes()) for column in columns]
         fresh = [column for key, column in zip(keys, columns, strict=True) if key not in base.known]
@@ -450,7 +455,10 @@ class PatternScores:
                 base.known["exact", column, problem.held_out.tobytes()] = own
         beside = Signatures(self._view, columns).along(vectors, rows)[0]
         more, own, slope = np.split(beside, [nuisance.raw_count - base.raw_count, beside.shape[1] - 1], axis=1)
-        by_raw = np.concatenate([np.stack([base.known[key] for key in keys]) * self._raw_scale, more], axis=1)
+        # The set-up's part of the derivatives is orthonormal with any weights.
+        in_setup = np.arange(base.raw_count) < base.setup_count
+        raw_scale = np.where(in_setup, nuisance.scale, nuisance.scale**2)
+        by_raw = np.concatenate([np.stack([base.known[key] for key in keys]) * raw_scale, more], axis=1)
         return np.concatenate(
             [by_raw @ self._change[: nuisance.raw_count, : problem.root.shape[1]], own], axis=1
         ), slope[:, 0]
@@ -476,17 +484,6 @@ class PatternScores:
                     gram[j, :, i] = gram[i, :, j].T
             known[key] = gram.reshape(count * gram.shape[1], -1)
         return known[key] * self._nuisance.scale**2
-
-    def _more_raw(self, block: PointBlock) -> np.ndarray:
-        """Return the nuisance derivatives (points, 3, r) of random effects at a block of points."""
-        own = self._nuisance.signatures
-        return own.at(block, range(len(self._nuisance.base.signatures.columns), len(own.columns)))
-
-    @property
-    def _raw_scale(self) -> np.ndarray:
-        """(raw,) factors on inner products with the base's nuisance derivatives, whose set-up part is orthonormal with any weights."""
-        nuisance, base = self._nuisance, self._nuisance.base
-        return np.where(np.arange(base.raw_count) < base.setup_count, nuisance.scale, nuisance.scale**2)
 
     def _sample_root(self, whole: np.ndarray, change: np.ndarray, count: int) -> np.ndarray:
         """Return a root R (used, k) of the projection on nuisance and causes, VRRᵀVᵀ, such that a sample stands for all rows.

@@ -150,10 +150,10 @@ class Load:
         if payload is not None:
             shares[:CARRIED_INDEX] = [
                 payload.mass_kg / self.heaviest,
-                *(one / CENTRE_RANGE_MM for one in payload.centre_mm),
+                *(value / CENTRE_RANGE_MM for value in payload.centre_mm),
             ]
         if carried is not None:
-            shares[CARRIED_INDEX:] = [carried.mass_kg, *(one / CENTRE_RANGE_MM for one in carried.centre_mm)]
+            shares[CARRIED_INDEX:] = [carried.mass_kg, *(value / CENTRE_RANGE_MM for value in carried.centre_mm)]
         return shares
 
     def covariances(self, shares: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -168,18 +168,20 @@ class Load:
             np.concatenate([[shares[0]] * CARRIED_INDEX, [0.0], [shares[-CARRIED_INDEX]] * 3])[: len(shares)] != 0.0
         )
         step = np.eye(len(shares))[present] * 1e-6
-        by_share = [(weights(shares + one) - weights(shares - one)) / 2e-6 for one in step]
-        slopes = np.concatenate([self._shapes(shares), *[np.kron(values, one)[:, None] for one in by_share]], axis=1)
+        by_share = [(weights(shares + change) - weights(shares - change)) / 2e-6 for change in step]
+        slopes = np.concatenate(
+            [self._shapes(shares), *[np.kron(values, slope)[:, None] for slope in by_share]], axis=1
+        )
         known = slopes.T @ self.gram @ slopes
         count = len(values)
         given = np.diag(np.linalg.pinv(known[:count, :count], rcond=UNDETERMINED_SIZE, hermitian=True))
         known /= max(float(np.median(u**2 / np.maximum(given, 1e-300))), 1e-300)
         # Prior: a mass or centre that the data do not determine is uniformly distributed within its bounds.
         known[count:, count:] += CENTRE_PRIOR * np.eye(len(step))
-        found = np.diag(np.linalg.pinv(known, hermitian=True))
+        posterior = np.diag(np.linalg.pinv(known, hermitian=True))
         variances = np.zeros(len(shares))
-        variances[present] = found[count:]
-        return np.sqrt(np.maximum(found[:count] / np.maximum(u**2, 1e-300), 1.0)), variances
+        variances[present] = posterior[count:]
+        return np.sqrt(np.maximum(posterior[:count] / np.maximum(u**2, 1e-300), 1.0)), variances
 
 
 def weights(shares: np.ndarray) -> np.ndarray:
@@ -202,7 +204,8 @@ def select_with_payload(candidates: Candidates, before: Sequence[Form] = ()) -> 
     anew = not any(MASS in form.variant.fixed for form in before)
     best = select(candidates, () if anew else [candidates.forms[form.index] for form in before])
     for _ in range(ROUNDS):
-        moved = [_refine_side(candidates, side, *found) for side, found in _loads_found(candidates, best.forms).items()]
+        loads = _loads_found(candidates, best.forms)
+        moved = [_refine_side(candidates, side, *payloads) for side, payloads in loads.items()]
         if not any(moved):
             break
         _exclude_free_payloads(candidates)
@@ -225,30 +228,30 @@ def _bounded_load(candidates: Candidates, form: Form, forms: Sequence[Form]) -> 
     added = next(iter(_added_loads(candidates, forms, (form,))), None)
     if added is None or added.plausible:
         return form
-    machine = candidates.problem.network.machine
-    free = next(one for one in candidates.forms if one.key == form.key and len(one.variant.columns) == CARRIED_INDEX)
-    heaviest = LARGEST_RATIO if added.carried else max_payload_kg(machine)
-    centre, mass = _bounded_centre(*_projected(candidates, free, [one for one in forms if one is not form]), heaviest)
+    by_width = {len(other.variant.columns): other for other in candidates.forms if other.key == form.key}
+    free, single = by_width[CARRIED_INDEX], by_width[1]
+    heaviest = LARGEST_RATIO if added.carried else max_payload_kg(candidates.problem.network.machine)
+    centre, mass = _bounded_centre(
+        *_projected(candidates, [free], [other for other in forms if other is not form]), heaviest
+    )
     if mass <= 0.0:
         candidates.exclude({form.key}, NO_MASS)
         return None
     candidates.exclude_forms([free])
-    single = next(one for one in candidates.forms if one.key == form.key and len(one.variant.columns) == 1)
     candidates.refine(single, with_centre(form.candidate, centre))
     return candidates.forms[single.index]
 
 
-def _projected(candidates: Candidates, form: Form, others: Sequence[Form]) -> tuple[np.ndarray, np.ndarray]:
-    """Return inner products of a form's columns and with the residual, other causes projected out, in units of the parameters."""
-    every = [*others, form]
-    columns, gram = columns_of(every), candidates.gram(every)
-    at = np.searchsorted(columns, form.columns)
-    rest = np.setdiff1d(np.arange(len(columns)), at)
-    slope = candidates.slope[columns]
-    along = gram[np.ix_(at, rest)] @ pseudo_inverse(gram[np.ix_(rest, rest)])
-    size = np.array([column.scale for column in form.variant.columns])
-    left = (gram[np.ix_(at, at)] - along @ gram[np.ix_(rest, at)]) / np.outer(size, size)
-    return left, (slope[at] - along @ slope[rest]) / size
+def _projected(candidates: Candidates, forms: Sequence[Form], others: Sequence[Form]) -> tuple[np.ndarray, np.ndarray]:
+    """Return inner products of some forms' columns and with the residual, other causes projected out, in units of the parameters."""
+    every = [*others, *forms]
+    columns, gram, slope = columns_of(every), candidates.gram(every), candidates.slope
+    at = np.concatenate([np.searchsorted(columns, form.columns) for form in forms])
+    given = np.setdiff1d(np.arange(len(columns)), at)
+    along = gram[np.ix_(at, given)] @ pseudo_inverse(gram[np.ix_(given, given)])
+    size = np.array([column.scale for form in forms for column in form.variant.columns])
+    projected = gram[np.ix_(at, at)] - along @ gram[np.ix_(given, at)]
+    return projected / np.outer(size, size), (slope[columns[at]] - along @ slope[columns[given]]) / size
 
 
 def _bounded_centre(gram: np.ndarray, slope: np.ndarray, heaviest: float) -> tuple[np.ndarray, float]:
@@ -297,26 +300,23 @@ def _loads_found(candidates: Candidates, forms: Sequence[Form]) -> dict[Side, tu
         # The other side's joints must not carry it either, even if none of them is among the causes yet.
         loads_found = {side: loads_found.get(side, (None, None)) for side in SIDES}
     # Further compliances of that side carry an added load as well.
-    for own in _added_loads(candidates, forms):
-        if not own.plausible:
-            continue
-        others = loads_found.get(own.side, (None, None))
-        kinds = [
-            sum_of((other, own)) if other is not None and other.carried == own.carried else other for other in others
-        ]
-        kinds[own.carried] = own if kinds[own.carried] is None else kinds[own.carried]
-        loads_found[own.side] = kinds[0], kinds[1]
+    for added in _added_loads(candidates, forms):
+        if added.plausible:
+            kinds = list(loads_found.get(added.side, (None, None)))
+            alike = kinds[added.carried]
+            kinds[added.carried] = added if alike is None else sum_of((alike, added))
+            loads_found[added.side] = kinds[0], kinds[1]
     return loads_found
 
 
 def _added_loads(candidates: Candidates, forms: Sequence[Form], of: Sequence[Form] | None = None) -> list[Payload]:
     """Return the loads found with the known compliances, fitted with all forms; of those forms only, if given."""
-    own = [form for form in of or forms if form.candidate.specification in (PAYLOAD, CARRIED_LOAD)]
-    if not own:
+    loads = [form for form in of or forms if form.candidate.specification in (PAYLOAD, CARRIED_LOAD)]
+    if not loads:
         return []
     columns, values, _ = candidates.fitted(forms)
     added_loads = []
-    for form in own:
+    for form in loads:
         at = np.searchsorted(columns, form.columns)
         scale = np.array([column.scale for column in form.variant.columns])
         built = () if form.candidate.build is None else form.candidate.build(values[at] * scale, form.variant.fixed)
@@ -338,8 +338,9 @@ def restore_payloads(candidates: Candidates, forms: Sequence[Form]) -> None:
             and side_of(axis_of_form(candidates, form)) == side
         ]
         for form in yielding[:1]:
-            own = {one.carried: one for one in payloads_of(axis_of_form(candidates, form), form.variant.fixed)}
-            _refine_side(candidates, side, own.get(False), own.get(True))
+            payloads = payloads_of(axis_of_form(candidates, form), form.variant.fixed)
+            by_kind = {payload.carried: payload for payload in payloads}
+            _refine_side(candidates, side, by_kind.get(False), by_kind.get(True))
 
 
 def select_on_part(part: Candidates, forms: Sequence[Form]) -> Selection:
@@ -364,18 +365,10 @@ def loaded_joints(candidates: Candidates, forms: Sequence[Form], side: Side) -> 
     joints = [form for form in forms if form.key in free and side_of(axis_of_form(candidates, form)) == side]
     if not any({UNKNOWN_PAYLOAD, MASS} & form.variant.fixed.keys() for form in joints):
         return None
-    own = [free[form.key] for form in joints]
-    every = [*(form for form in forms if form not in joints), *own]
-    columns, gram = columns_of(every), candidates.gram(every)
-    at = np.concatenate([np.searchsorted(columns, form.columns) for form in own])
-    rest = np.setdiff1d(np.arange(len(columns)), at)
-    slope = candidates.slope[columns]
-    inverse = pseudo_inverse(gram[np.ix_(rest, rest)])
-    along = gram[np.ix_(at, rest)] @ inverse
-    size = np.concatenate([[column.scale for column in form.variant.columns] for form in own])
-    left = (gram[np.ix_(at, at)] - along @ gram[np.ix_(rest, at)]) / np.outer(size, size)
+    with_free_loads = [free[form.key] for form in joints]
+    gram, slope = _projected(candidates, with_free_loads, [form for form in forms if form not in joints])
     heaviest = max_payload_kg(candidates.problem.network.machine)
-    return Load(side, heaviest, tuple(joints), tuple(own), left, (slope[at] - along @ slope[rest]) / size)
+    return Load(side, heaviest, tuple(joints), tuple(with_free_loads), gram, slope)
 
 
 def _refine_side(candidates: Candidates, side: Side, payload: Payload | None, carried: Payload | None) -> bool:

@@ -111,18 +111,18 @@ class Panel:
     limit: float | None = None
 
 
-def residual_panels(found: DiagnosisResult, *, after: bool = False) -> list[Panel]:
+def residual_panels(diagnosis: DiagnosisResult, *, after: bool = False) -> list[Panel]:
     """Return the residuals against the columns they depend on, clearest first, or against every axis if they depend on none.
 
     Args:
         after: residuals with the causes in the model, on the scale of those without.
     """
-    scales, data = scales_of(found), found.data
-    before = directed(found, found.residual_um)
-    values = directed(found, found.after_um) if after else before
+    scales, data = scales_of(diagnosis), diagnosis.data
+    before = directed(diagnosis, diagnosis.residual_um)
+    values = directed(diagnosis, diagnosis.after_um) if after else before
     panels = []
-    axes = [(f"{axis.name}_{axis.unit}", axis.side) for axis in found.calibration.machine.axes]
-    for name, carrier in _clearest_columns(found, scales)[:MAX_PANELS] or axes:
+    axes = [(f"{axis.name}_{axis.unit}", axis.side) for axis in diagnosis.calibration.machine.axes]
+    for name, carrier in _clearest_columns(diagnosis, scales)[:MAX_PANELS] or axes:
         rows = data.carrier == carrier if carrier in data.carrier else np.ones(len(data), dtype=bool)
         x = scales[name]
         if np.ptp(x.values[rows]) == 0.0:
@@ -132,28 +132,28 @@ def residual_panels(found: DiagnosisResult, *, after: bool = False) -> list[Pane
         shown = [label for label, (_, half) in reach.items() if half <= WIDEST_INTERVAL * sharpest]
         series = tuple(_series(label, x.values[rows], values[label][rows]) for label in shown)
         where = side(carrier) if carrier in data.carrier else "all points"
-        rest = "" if len(shown) == len(values) else f", {' and '.join(shown)} (measured best)"
+        best = "" if len(shown) == len(values) else f", {' and '.join(shown)} (measured best)"
         only = f" {shown[0]}" if len(shown) == 1 else ""
         limit = max(reach[label][0] for label in shown)
-        title = f"against {column(name)}, {where}{rest}"
+        title = f"against {column(name)}, {where}{best}"
         panels.append(Panel(title, x.label, f"residual{only} [µm]", series, x.ticks, limit))
     return panels
 
 
-def _clearest_columns(found: DiagnosisResult, scales: Mapping[str, Scale]) -> list[tuple[str, str]]:
+def _clearest_columns(diagnosis: DiagnosisResult, scales: Mapping[str, Scale]) -> list[tuple[str, str]]:
     """Return (column, side) pairs that show the residuals; of correlated columns one, if possible a column of a cause."""
-    own = {name for cause in found.causes for name in _columns_of(found, cause)}
-    unexplained = found.unexplained
+    of_causes = {name for cause in diagnosis.causes for name in _columns_of(diagnosis, cause)}
+    unexplained = diagnosis.unexplained
     wanted = [(name, unexplained.carrier) for name in unexplained.depends_on] if unexplained is not None else []
-    least = LEAST_CHI2_SHARE * max((trend.explains for trend in found.trends), default=0.0)
-    wanted += [(trend.column, trend.carrier) for trend in found.trends if trend.explains >= least]
+    least = LEAST_CHI2_SHARE * max((trend.explains for trend in diagnosis.trends), default=0.0)
+    wanted += [(trend.column, trend.carrier) for trend in diagnosis.trends if trend.explains >= least]
     chosen: list[tuple[str, str]] = []
     for name, carrier in wanted:
         alike = [
             scale for scale in scales if name in scales and (scale == name or _correlated(scales[scale], scales[name]))
         ]
-        if alike and not any(one in alike for one, _ in chosen):
-            chosen.append((next((one for one in alike if one in own), name), carrier))
+        if alike and not any(other in alike for other, _ in chosen):
+            chosen.append((next((other for other in alike if other in of_causes), name), carrier))
     return chosen
 
 
@@ -170,54 +170,54 @@ def _correlated(a: Scale, b: Scale) -> bool:
     return bool(abs(np.corrcoef(_ranks(a.values), _ranks(b.values))[0, 1]) > ALIKE_CORRELATION)
 
 
-def cause_panels(found: DiagnosisResult, cause: Cause) -> list[Panel]:
+def cause_panels(diagnosis: DiagnosisResult, cause: Cause) -> list[Panel]:
     """Return a cause against the columns it depends on: in its own unit if it is one error motion, else as shifts of the targets.
 
     Args:
         cause: one of its causes.
     """
     effect = cause.effects[0] if len(cause.effects) == 1 else None
-    parts = _single(effect, found) if effect is not None else None
+    parts = _single(effect, diagnosis) if effect is not None else None
     if effect is not None and parts is not None:
-        return _own_unit(found, cause, effect, *parts)
-    rows = _affected(found, cause)
+        return _own_unit(diagnosis, cause, effect, *parts)
+    rows = _affected(diagnosis, cause)
     if not np.any(rows):
         return []
     title = cause_title(cause.effect, cause.where)
     if not drawing_of(cause).by_state:
-        return [_against_prediction(title, cause.pattern_um[rows], found.after_um[rows], found.precision[rows])]
-    predicted, left = directed(found, cause.pattern_um), directed(found, found.after_um)
-    x = _scales_of_cause(found, cause)[0]
+        return [_against_prediction(title, cause.pattern_um[rows], diagnosis.after_um[rows], diagnosis.precision[rows])]
+    predicted, residual = directed(diagnosis, cause.pattern_um), directed(diagnosis, diagnosis.after_um)
+    x = _scales_of_cause(diagnosis, cause)[0]
     series = tuple(
-        _series(name, x.values[rows], (part + left[name])[rows], part[rows]) for name, part in predicted.items()
+        _series(name, x.values[rows], (part + residual[name])[rows], part[rows]) for name, part in predicted.items()
     )
     return [Panel(title, x.label, "shift of the points [µm]", series, x.ticks)]
 
 
-def _affected(found: DiagnosisResult, cause: Cause) -> np.ndarray:
+def _affected(diagnosis: DiagnosisResult, cause: Cause) -> np.ndarray:
     """Return (n,) which readings a cause affects, with the others of the same station or target."""
     size = np.linalg.norm(np.nan_to_num(cause.pattern_um), axis=1)
     rows = size > 1e-3 * max(float(size.max(initial=0.0)), 1e-12)
     shared = drawing_of(cause).shared
     if not shared:
         return rows
-    names = found.data.station if shared == "station" else found.data.target
+    names = diagnosis.data.station if shared == "station" else diagnosis.data.target
     return np.isin(names, names[rows])
 
 
-def _against_prediction(title: str, predicted: np.ndarray, left: np.ndarray, precision: np.ndarray) -> Panel:
+def _against_prediction(title: str, predicted: np.ndarray, residual: np.ndarray, precision: np.ndarray) -> Panel:
     """Return all measured coordinates against the prediction of the cause."""
-    read = np.isfinite(predicted) & np.isfinite(left)
-    x, y = predicted[read], (predicted + left)[read]
+    read = np.isfinite(predicted) & np.isfinite(residual)
+    x, y = predicted[read], (predicted + residual)[read]
     some = np.abs(x) > LEAST_CAUSE_SHARE * np.abs(x).max(initial=0.0)
     weight = np.einsum("nii->ni", precision)[read][some]
-    one = Series("", x[some], y[some], weight, x[some], smooth=True)
-    return Panel(title, "shift predicted by this cause [µm]", "measured shift [µm]", (one,))
+    series = Series("", x[some], y[some], weight, x[some], smooth=True)
+    return Panel(title, "shift predicted by this cause [µm]", "measured shift [µm]", (series,))
 
 
-def scales_of(found: DiagnosisResult) -> dict[str, Scale]:
+def scales_of(diagnosis: DiagnosisResult) -> dict[str, Scale]:
     """Return all columns that residuals can be plotted against, by their name in the table."""
-    data, machine = found.data, found.calibration.machine
+    data, machine = diagnosis.data, diagnosis.calibration.machine
     scales = {}
     for i, axis in enumerate(machine.axes):
         unit = "mm" if axis.linear else "°"
@@ -251,43 +251,45 @@ def _series(name: str, x: np.ndarray, y: np.ndarray, predicted: np.ndarray | Non
     )
 
 
-def directed(found: DiagnosisResult, values_um: np.ndarray) -> dict[str, np.ndarray]:
+def directed(diagnosis: DiagnosisResult, values_um: np.ndarray) -> dict[str, np.ndarray]:
     """Return measured coordinates as (n,) shifts by direction of the base, or along the beam if only lengths were measured."""
     read = np.isfinite(values_um)
     values = np.where(read, values_um, 0.0)
     nothing = np.where(read.any(axis=1), 0.0, np.nan)
-    base = np.einsum("nij,ni->nj", found.directions, values)
-    along_axes = np.abs(found.directions[read[:, 0], 0]).max(axis=1, initial=0.0).min(initial=1.0) >= 0.99
+    base = np.einsum("nij,ni->nj", diagnosis.directions, values)
+    along_axes = np.abs(diagnosis.directions[read[:, 0], 0]).max(axis=1, initial=0.0).min(initial=1.0) >= 0.99
     if not (read[:, 1:].any() or along_axes):
         return {"along the beam": values[:, 0] + nothing}
-    square = np.mean(np.einsum("nij->nj", found.directions**2), axis=0)
+    square = np.mean(np.einsum("nij->nj", diagnosis.directions**2), axis=0)
     seen = square > UNMEASURED_SHARE * max(float(square.max()), 1e-30)
     return {f"in {'xyz'[j]}": base[:, j] + nothing for j in range(3) if seen[j]}
 
 
-def _single(effect: Effect, found: DiagnosisResult) -> tuple[int, np.ndarray] | None:
+def _single(effect: Effect, diagnosis: DiagnosisResult) -> tuple[int, np.ndarray] | None:
     """Return the only component of an effect and its (n,) value at each reading; None for several components."""
-    machine = found.calibration.machine
-    parts = effect.components(machine_state(found.data, machine))
+    machine = diagnosis.calibration.machine
+    parts = effect.components(machine_state(diagnosis.data, machine))
     largest = {i: float(np.abs(np.asarray(v, dtype=float)).max(initial=0.0)) for i, v in parts.items()}
     most = max(largest.values(), default=0.0)
     strong = [i for i, size in largest.items() if size > 1e-6 * most]
     if most == 0.0 or len(strong) != 1:
         return None
-    return strong[0], np.broadcast_to(np.asarray(parts[strong[0]], dtype=float), len(found.data))
+    return strong[0], np.broadcast_to(np.asarray(parts[strong[0]], dtype=float), len(diagnosis.data))
 
 
-def _own_unit(found: DiagnosisResult, cause: Cause, effect: Effect, component: int, values: np.ndarray) -> list[Panel]:
+def _own_unit(
+    diagnosis: DiagnosisResult, cause: Cause, effect: Effect, component: int, values: np.ndarray
+) -> list[Panel]:
     """Return panels of the error motion itself: its weighted least-squares estimate from each reading, with weights."""
     shift = np.where(np.isfinite(cause.pattern_um), cause.pattern_um, 0.0)
-    left = np.where(np.isfinite(found.after_um), found.after_um, 0.0)
+    residual = np.where(np.isfinite(diagnosis.after_um), diagnosis.after_um, 0.0)
     size = np.linalg.norm(shift, axis=1)
     rows = (np.abs(values) > LEAST_CAUSE_SHARE * np.abs(values).max()) & (size > 0.0)
     if not np.any(rows):
         return []
-    lever = np.einsum("nij,nj->ni", found.precision[rows], shift[rows] / values[rows, None])
+    lever = np.einsum("nij,nj->ni", diagnosis.precision[rows], shift[rows] / values[rows, None])
     weight = np.sum(lever * shift[rows], axis=1) / values[rows]
-    read = values[rows] + np.sum(lever * left[rows], axis=1) / weight
+    read = values[rows] + np.sum(lever * residual[rows], axis=1) / weight
     frame, mark = effect.frame.axis, "0" if effect.frame.role == "location" else ""
     error = f"E_{DIRECTIONS[component]}{mark}{frame}"
     unit = "µm" if component < 3 else "µrad"
@@ -298,13 +300,13 @@ def _own_unit(found: DiagnosisResult, cause: Cause, effect: Effect, component: i
         else f"{motion_in_words(error)}, {error}"
     )
     panels = []
-    for x in _scales_of_cause(found, cause):
+    for x in _scales_of_cause(diagnosis, cause):
         at = x.values[rows]
         if np.ptp(at) == 0.0:
             continue
         series = tuple(
             Series(name, at[of], read[of], weight[of], values[rows][of], not drawn.spread)
-            for name, of in ((name, of[rows]) for name, of in _split(found, cause))
+            for name, of in ((name, of[rows]) for name, of in _split(diagnosis, cause))
             if np.count_nonzero(of) >= LEAST_READINGS
         )
         panels.append(Panel(cause_title(cause.effect, cause.where), x.label, f"{label} [{unit}]", series, x.ticks))
@@ -316,9 +318,9 @@ def drawing_of(cause: Cause) -> Drawing:
     return SPECIFICATIONS[cause.effect].drawing
 
 
-def _split(found: DiagnosisResult, cause: Cause) -> list[tuple[str, np.ndarray]]:
+def _split(diagnosis: DiagnosisResult, cause: Cause) -> list[tuple[str, np.ndarray]]:
     """Return the readings in named groups: by approach direction, or by ranges of another axis."""
-    data, machine = found.data, found.calibration.machine
+    data, machine = diagnosis.data, diagnosis.calibration.machine
     by = drawing_of(cause).split(cause.where)
     if by.startswith(APPROACH):
         sides = data.approach[:, machine.names.index(by.removeprefix(APPROACH))]
@@ -333,44 +335,44 @@ def _split(found: DiagnosisResult, cause: Cause) -> list[tuple[str, np.ndarray]]
     return [(f"{by} {edges[k]:.0f}…{edges[k + 1]:.0f} {unit}", of == k) for k in range(3)]
 
 
-def _scales_of_cause(found: DiagnosisResult, cause: Cause) -> list[Scale]:
+def _scales_of_cause(diagnosis: DiagnosisResult, cause: Cause) -> list[Scale]:
     """Return the scales that a cause is plotted against."""
-    machine, where, drawn = found.calibration.machine, cause.where, drawing_of(cause)
+    machine, where, drawn = diagnosis.calibration.machine, cause.where, drawing_of(cause)
     if drawn.size_of:
-        return [_derived_scale(found, where, drawn.size_of)]
-    scales = scales_of(found)
+        return [_derived_scale(diagnosis, where, drawn.size_of)]
+    scales = scales_of(diagnosis)
     wanted = () if drawn.columns is None else _named(drawn.columns(where), machine)
     if known := [scales[name] for name in wanted if name in scales]:
         return known
     axes = [name for part in where.split(" ") if (name := axis_of(part)) in machine.by_name]
     if drawn.beyond and axes:
         axes = [*(axis.name for axis in machine.axes if not axis.linear and axis.name != axes[0]), axes[0]]
-    own = [scales[name] for name in _named(dict.fromkeys(axes or machine.names), machine)][:2]
+    scales_shown = [scales[name] for name in _named(dict.fromkeys(axes or machine.names), machine)][:2]
     period = drawn.period({q.name: q.value for q in cause.parameters})
     if period and axes:
         unit = "mm" if machine.by_name[axes[0]].linear else "°"
-        return [_folded(own[0], axes[0], period, unit)]
-    return own
+        return [_folded(scales_shown[0], axes[0], period, unit)]
+    return scales_shown
 
 
-def _derived_scale(found: DiagnosisResult, where: str, size_of: str) -> Scale:
+def _derived_scale(diagnosis: DiagnosisResult, where: str, size_of: str) -> Scale:
     """Return a scale that is no column of the table: distance from the instrument, or reported less commanded position."""
     if size_of == "distance":
-        distance = np.linalg.norm(np.nan_to_num(found.data.point_mm), axis=1)
+        distance = np.linalg.norm(np.nan_to_num(diagnosis.data.point_mm), axis=1)
         return Scale("distance from the instrument [m]", 1e-3 * distance)
-    machine = found.calibration.machine
+    machine = diagnosis.calibration.machine
     i = machine.names.index(where)
-    off = np.nan_to_num(found.data.readback[:, i] - found.data.positions[:, i])
+    off = np.nan_to_num(diagnosis.data.readback[:, i] - diagnosis.data.positions[:, i])
     unit, scale = ("µm", 1e3) if machine.axes[i].linear else ("°", 1.0)
     return Scale(f"{where}: reported less commanded position [{unit}]", off * scale)
 
 
-def _columns_of(found: DiagnosisResult, cause: Cause) -> list[str]:
+def _columns_of(diagnosis: DiagnosisResult, cause: Cause) -> list[str]:
     """Return the names of the columns a cause depends on."""
     if also := drawing_of(cause).depends_on(cause.where):
-        return _named(also, found.calibration.machine)
-    labels = [scale.label for scale in _scales_of_cause(found, cause)]
-    return [name for name, scale in scales_of(found).items() if scale.label in labels]
+        return _named(also, diagnosis.calibration.machine)
+    labels = [scale.label for scale in _scales_of_cause(diagnosis, cause)]
+    return [name for name, scale in scales_of(diagnosis).items() if scale.label in labels]
 
 
 def _named(names: Iterable[str], machine: Machine) -> list[str]:
@@ -438,7 +440,7 @@ LEGEND_ABOVE: Final[dict[str, Any]] = {
 STYLES: Final = ((FORWARD, "o", "-"), (BACKWARD, "s", "--"), (THIRD, "^", "-."))
 
 
-def plot_residuals(found: DiagnosisResult, *, after: bool = False, title: str = "") -> Figure:
+def plot_residuals(diagnosis: DiagnosisResult, *, after: bool = False, title: str = "") -> Figure:
     """Plot the residuals against the columns that show them most clearly, in the directions of the machine's base.
 
     Args:
@@ -446,10 +448,10 @@ def plot_residuals(found: DiagnosisResult, *, after: bool = False, title: str = 
         title: heading; a default if empty.
     """
     about = "Residuals with the causes in the model" if after else "Residuals"
-    return _drawn(residual_panels(found, after=after), title or about)
+    return _drawn(residual_panels(diagnosis, after=after), title or about)
 
 
-def plot_cause(found: DiagnosisResult, cause: int = 0, *, title: str = "") -> Figure:
+def plot_cause(diagnosis: DiagnosisResult, cause: int = 0, *, title: str = "") -> Figure:
     """Plot a fitted cause, and the readings after removing all other causes.
 
     Args:
@@ -459,25 +461,26 @@ def plot_cause(found: DiagnosisResult, cause: int = 0, *, title: str = "") -> Fi
     Raises:
         InputError: no such cause.
     """
-    if not 0 <= cause < len(found.causes):
-        raise InputError("no such cause", expected=f"less than {len(found.causes)}", value=cause)
-    one = found.causes[cause]
+    if not 0 <= cause < len(diagnosis.causes):
+        raise InputError("no such cause", expected=f"less than {len(diagnosis.causes)}", value=cause)
+    chosen = diagnosis.causes[cause]
     return _drawn(
-        cause_panels(found, one), title or f"{cause_title(one.effect, one.where)}: fitted (line), measured (dots)"
+        cause_panels(diagnosis, chosen),
+        title or f"{cause_title(chosen.effect, chosen.where)}: fitted (line), measured (dots)",
     )
 
 
-def plot_ranking(found: DiagnosisResult, *, title: str = "") -> Figure:
+def plot_ranking(diagnosis: DiagnosisResult, *, title: str = "") -> Figure:
     """Plot the χ² that each cause tested explains by itself.
 
     Args:
         title: heading; a default if empty.
     """
-    rows = found.ranking[::-1]
+    rows = diagnosis.ranking[::-1]
     figure = new_figure(9.0, 0.9 + 0.34 * max(len(rows), 1))
     plot = figure.add_subplot()
-    named = {(cause.effect, cause.where) for cause in found.causes}
-    doubted = {key for cause in found.causes for key in cause.equivalent}
+    named = {(cause.effect, cause.where) for cause in diagnosis.causes}
+    doubted = {key for cause in diagnosis.causes for key in cause.equivalent}
     for colour, of, label in (
         (BACKWARD, named, "found"),
         (FORWARD, doubted - named, "confounded with a cause found"),
@@ -491,25 +494,29 @@ def plot_ranking(found: DiagnosisResult, *, title: str = "") -> Figure:
     plot.spines[["top", "right"]].set_visible(False)
     if rows:
         plot.legend(loc="lower right", frameon=False, fontsize=9)
-    heading(figure, title or f"The best of {found.tried} causes tested", 11)
+    heading(figure, title or f"The best of {diagnosis.tried} causes tested", 11)
     return figure
 
 
-def plot_unexplained(found: DiagnosisResult, *, title: str = "") -> Figure | None:
+def plot_unexplained(diagnosis: DiagnosisResult, *, title: str = "") -> Figure | None:
     """Plot the unexplained residuals over the two columns they depend on, in the clearest direction; None for fewer columns.
 
     Args:
         title: heading; a default if empty.
     """
-    left, scales, data = found.unexplained, scales_of(found), found.data
-    names = [name for name in left.depends_on if name in scales and not scales[name].ticks] if left is not None else []
-    if left is None or len(names) < 2:
+    unexplained, scales, data = diagnosis.unexplained, scales_of(diagnosis), diagnosis.data
+    if unexplained is None:
+        return None
+    names = [name for name in unexplained.depends_on if name in scales and not scales[name].ticks]
+    if len(names) < 2:
         return None
     x, y = scales[names[0]], scales[names[1]]
-    rows = data.carrier == left.carrier if left.carrier in data.carrier else np.ones(len(data), dtype=bool)
+    rows = np.ones(len(data), dtype=bool)
+    if unexplained.carrier in data.carrier:
+        rows = data.carrier == unexplained.carrier
     edges = [np.linspace(v.min(), v.max(), CELLS + 1) for v in (x.values[rows], y.values[rows])]
     maps = {}
-    for name, values in directed(found, found.after_um).items():
+    for name, values in directed(diagnosis, diagnosis.after_um).items():
         of = rows & np.isfinite(values)
         count, *_ = np.histogram2d(x.values[of], y.values[of], edges)
         total, *_ = np.histogram2d(x.values[of], y.values[of], edges, weights=values[of])
@@ -561,28 +568,30 @@ def draw(plot: Axes, panel: Panel, *, titled: bool = True) -> None:
 
 def _draw_series(plot: Axes, panel: Panel, k: int) -> list[tuple[Any, str]]:
     """Draw the k-th series of a panel and return its entries in the legend; the cause has an entry only if the series is single."""
-    one, count = panel.series[k], len(panel.series)
-    lone = count == 1 and one.predicted is not None
-    colour, marker, style = STYLES[PLOT_DIRECTIONS.index(one.name) if one.name in PLOT_DIRECTIONS else k % len(STYLES)]
-    groups = group_numbers(one.x)
-    centre, mean, half = group_means(one.x, one.y, one.weight, groups)
+    series, count = panel.series[k], len(panel.series)
+    lone = count == 1 and series.predicted is not None
+    colour, marker, style = STYLES[
+        PLOT_DIRECTIONS.index(series.name) if series.name in PLOT_DIRECTIONS else k % len(STYLES)
+    ]
+    groups = group_numbers(series.x)
+    centre, mean, half = group_means(series.x, series.y, series.weight, groups)
     # Shifted, so that the series do not hide each other.
-    offset = 0.0 if lone else 0.008 * (float(np.ptp(one.x)) or 1.0) * (k - 0.5 * (count - 1))
+    offset = 0.0 if lone else 0.008 * (float(np.ptp(series.x)) or 1.0) * (k - 0.5 * (count - 1))
     looks: dict[str, Any] = {"marker": marker, "markersize": 4.0, "linewidth": 0.0, "elinewidth": 1.0}
     dots = plot.errorbar(centre + offset, mean, half, color=BOTH if lone else colour, **looks)
-    if one.predicted is None:
+    if series.predicted is None:
         if not panel.ticks:
             plot.plot(centre + offset, mean, color=colour, linestyle=style, linewidth=0.8, alpha=0.6)
-        return [(dots, one.name)]
-    order = np.argsort(one.x)
+        return [(dots, series.name)]
+    order = np.argsort(series.x)
     x, predicted = (
-        (one.x[order], one.predicted[order])
-        if one.smooth
-        else group_means(one.x, one.predicted, one.weight, groups)[:2]
+        (series.x[order], series.predicted[order])
+        if series.smooth
+        else group_means(series.x, series.predicted, series.weight, groups)[:2]
     )
     colour, style = (BACKWARD, "-") if lone else (colour, style)
     (line,) = plot.plot(x, predicted, color=colour, linestyle=style, linewidth=2.0, alpha=0.75)
-    return [(dots, "measured"), (line, "fitted cause")] if lone else [(dots, one.name)]
+    return [(dots, "measured"), (line, "fitted cause")] if lone else [(dots, series.name)]
 
 
 def _drawn(panels: Sequence[Panel], title: str) -> Figure:

@@ -62,12 +62,7 @@ class Problem:
         calibration: the calibration whose covariance is taken into account; none if None.
     """
 
-    def __init__(
-        self,
-        network: Network,
-        setup: StationsAndTargets,
-        calibration: Calibration | None,
-    ) -> None:
+    def __init__(self, network: Network, setup: StationsAndTargets, calibration: Calibration | None) -> None:
         self.network = network
         self.setup = setup
         self.calibration = calibration
@@ -369,7 +364,8 @@ class Products:
         other = copy(self)
         part = None if self._parts is None else int(self._parts[points[0]])
         # Sums by part do not hold for columns that were refined since.
-        if part is not None and np.array_equal(points, np.flatnonzero(self._parts == part)) and self._unrefined():
+        unrefined = all(column is first for column, first in zip(self.columns, self._original_columns, strict=True))
+        if part is not None and unrefined and np.array_equal(points, np.flatnonzero(self._parts == part)):
             other._parent = self, part, 1.0
             within, by_raw, by_residual = (
                 [own[part] for own in self._within],
@@ -410,9 +406,6 @@ class Products:
         """Start without cached inner products."""
         self._cross, self._changed, self._beside, self._among = [], self._changed[:0], {}, {}
         self._row = np.full_like(self._row, -1)
-
-    def _unrefined(self) -> bool:
-        return all(one is other for one, other in zip(self.columns, self._original_columns, strict=True))
 
     def on_basis(self, root: np.ndarray) -> np.ndarray:
         """Return the inner products (k, all) with vectors of coordinates (directions, k) in the nuisance basis."""

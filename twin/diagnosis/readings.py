@@ -66,7 +66,6 @@ def from_repeats(
     Args:
         view: their linearisation, with any isotropic whitening, which is undone here.
         read: (n, 3) whether a coordinate was measured.
-        known: the candidate causes.
         seen: (m, 3) the points, in their stations' frames, whose covariance is returned.
     """
     group = repeat_groups(data)
@@ -81,10 +80,7 @@ def from_repeats(
         for variant in candidate.variants[:: max(len(candidate.variants) // 4, 1)]
         for column in variant.columns
     ]
-    raw = np.linalg.inv(np.where(read[:, :, None] & read[:, None, :], view.whitening, np.eye(3)))
-    nuisance = signatures_of(view, columns)
-    values = np.einsum("nij,njk->nik", raw, np.concatenate([view.residual[:, :, None], nuisance], axis=2))
-    values *= read[:, :, None]
+    values = _deviations_and_regressors(view, read, signatures_of(view, columns))
     total = np.zeros((len(size), *values.shape[1:]))
     np.add.at(total, group, values)
     values = (values - total[group] / size[group][:, None, None]) * repeated[:, None, None]
@@ -108,20 +104,21 @@ def from_residuals(
         network: data and model.
         setup: the fitted set-up; its unknowns are among the regressors.
         view: linearisation of the points used, with any isotropic whitening, which is undone here.
-        known: the candidate causes.
         seen: (m, 3) the points, in their stations' frames, whose covariance is returned.
     """
     columns = [column for candidate in known for column in _main_columns(candidate)]
     by_setup = np.zeros((len(view.rows), 3, len(setup)))
     network.fill_setup_columns(view, setup, by_setup)
     read = network.read[view.rows]
-    basis = signatures_of(view, columns)
-    raw = np.linalg.inv(np.where(read[:, :, None] & read[:, None, :], view.whitening, np.eye(3)))
-    values = np.einsum(
-        "nij,njk->nik", raw, np.concatenate([view.residual[:, :, None], by_setup * setup.plausible, basis], axis=2)
-    )
-    values *= read[:, :, None]
+    values = _deviations_and_regressors(view, read, by_setup * setup.plausible, signatures_of(view, columns))
     return _estimated(values, float(len(view.rows)), view, read, seen, Message("the residuals of a fit of every cause"))
+
+
+def _deviations_and_regressors(view: LinearisedReadings, read: np.ndarray, *regressors: np.ndarray) -> np.ndarray:
+    """Return (n, 3, k) m: the residuals, then (n, 3, …) regressors, without whitening; zero where a coordinate was not measured."""
+    raw = np.linalg.inv(np.where(read[:, :, None] & read[:, None, :], view.whitening, np.eye(3)))
+    values = np.einsum("nij,njk->nik", raw, np.concatenate([view.residual[:, :, None], *regressors], axis=2))
+    return np.asarray(values * read[:, :, None])
 
 
 def _main_columns(candidate: Candidate) -> tuple[Column, ...]:
@@ -152,16 +149,9 @@ def _estimated(
             return None
         covariances = np.zeros((len(seen), 3, 3))
         covariances[:, 0, 0] = np.sum(residual[:, 0] ** 2) / dof
-        return ReadingNoise(
-            read_only(covariances),
-            dof,
-            Message(
-                "{source}: {size:.2g} µm ({dof:.0f} degrees of freedom)",
-                source=source,
-                size=np.sqrt(covariances[0, 0, 0]) * 1e6,
-                dof=dof,
-            ),
-        )
+        size = np.sqrt(covariances[0, 0, 0]) * 1e6
+        text = Message("{source}: {size:.2g} µm ({dof:.0f} degrees of freedom)", source=source, size=size, dof=dof)
+        return ReadingNoise(read_only(covariances), dof, text)
     if not read.all():
         # An instrument that measures two coordinates is no tracker: the same noise in both.
         residual, basis = _regressed(values)
@@ -313,7 +303,6 @@ def readings(
     """Fit stations and targets, and determine the measurement noise and the outliers.
 
     Args:
-        calibration: the model under test.
         instrument: instrument whose noise model is used; None to take the table's uncertainties, or to estimate from repeats. If
             repeats contradict either, they decide.
 

@@ -12,7 +12,7 @@ from typing import Final, final
 import numpy as np
 
 from twin._common.arrays import first_largest, largest_first
-from twin.diagnosis.candidates.candidate import Candidate, Variant
+from twin.diagnosis.candidates.candidate import Candidate
 from twin.diagnosis.cross_validation import choose_folds
 from twin.diagnosis.estimate import estimate
 from twin.diagnosis.forms import ADDITIONAL_CAUSE_PENALTY, Candidates, Form
@@ -33,6 +33,8 @@ EQUAL_CHI2: Final = 0.01
 """Relative difference of explained χ² up to which two sets of forms count as equal."""
 MAX_EXCHANGES_EVALUATED: Final = 3
 """Number of exchanges evaluated in full."""
+MAX_EXCHANGE_ROUNDS: Final = 8
+"""Number of removals and exchanges after a step."""
 LIMIT_SIGMA: Final = 3.0
 """Standard uncertainties by which a value may exceed its physical limit."""
 MAX_CHI2_RATIO: Final = 10.0
@@ -71,40 +73,36 @@ def select(candidates: Candidates, begun: Sequence[Form] = ()) -> Selection:
     """Return the best set of causes: forward selection from several starts, with removal and exchange after each step.
 
     Args:
-        candidates: the forms.
         begun: a set to start from instead, whose causes stay if each is significant.
     """
-    selection = Selection((), 0.0)
     if not candidates.forms:
-        return selection
+        return Selection((), 0.0)
     if begun:
         candidates.prepare(begun)
-        forms = forward_selection(candidates, list(begun))
-        return Selection(tuple(forms), candidates.penalised_gain(forms))
+        return _selection(candidates, forward_selection(candidates, begun))
     margin = candidates.margins([])
-    order = [int(i) for i in largest_first(margin) if margin[i] > 0.0]
-    first: dict[int, int] = {}
-    for i in order:
-        first.setdefault(int(candidates.key_of[i]), i)
-    if not first:
-        return selection
-    candidates.prepare([candidates.forms[i] for i in list(first.values())[:FORMS_AT_ONCE]])
-    likely = [[candidates.forms[i]] for i in list(first.values())[:MAX_FIRST_CAUSES]]
-    for start in likely:
-        forms = forward_selection(candidates, start)
-        worth = candidates.penalised_gain(forms)
-        if worth > selection.worth + 1e-6:
-            selection = Selection(tuple(forms), worth)
-        if len(forms) > MAX_EXCHANGED_CAUSES:
+    first: dict[int, Form] = {}
+    for i in largest_first(margin).tolist():
+        if margin[i] > 0.0:
+            first.setdefault(int(candidates.key_of[i]), candidates.forms[i])
+    candidates.prepare(list(first.values())[:FORMS_AT_ONCE])
+    best = Selection((), 0.0)
+    for start in list(first.values())[:MAX_FIRST_CAUSES]:
+        selection = _selection(candidates, forward_selection(candidates, [start]))
+        if selection.worth > best.worth + 1e-6:
+            best = selection
+        if len(selection.forms) > MAX_EXCHANGED_CAUSES:
             break  # a model with very many errors: the start does not matter
-    if len(selection.forms) > MAX_EXCHANGED_CAUSES:
+    if len(best.forms) > MAX_EXCHANGED_CAUSES:
         # A machine whose constants were never identified: each explains little before the others are in the model.
-        numbers = np.array([form.candidate.specification.constant for form in candidates.forms])
-        forms = forward_selection(candidates, forward_selection(candidates, [], numbers))
-        worth = candidates.penalised_gain(forms)
-        if worth > (1.0 - EQUAL_CHI2) * selection.worth:
-            selection = Selection(tuple(forms), worth)
-    forms = _split(candidates, list(selection.forms))
+        constant = np.array([form.candidate.specification.constant for form in candidates.forms])
+        selection = _selection(candidates, forward_selection(candidates, forward_selection(candidates, [], constant)))
+        if selection.worth > (1.0 - EQUAL_CHI2) * best.worth:
+            best = selection
+    return _selection(candidates, _split(candidates, list(best.forms)))
+
+
+def _selection(candidates: Candidates, forms: Sequence[Form]) -> Selection:
     return Selection(tuple(forms), candidates.penalised_gain(forms))
 
 
@@ -120,42 +118,34 @@ def within_limits(candidates: Candidates, best: Selection, anew: bool) -> Select
     """Return the best set in which no cause is larger than possible (`excess_ratio`).
 
     Args:
-        candidates: the forms.
         best: the best set, whatever its size (`select`).
         anew: whether to search from the start without a cause that is too large, or to continue with the others.
     """
     allowed = candidates.critical_table
     while True:
-        if any(
-            form.candidate.specification.flexible and excess_ratio(candidates, form, best.forms) == np.inf
-            for form in best.forms
-        ):
+        flexible = [form for form in best.forms if form.candidate.specification.flexible]
+        if any(excess_ratio(candidates, form, best.forms) == np.inf for form in flexible):
             # Exclude all of them; causes they displaced return.
             candidates.critical_table = allowed
             candidates.exclude({form.key for form in candidates.forms if form.candidate.specification.flexible})
-            small = {form.key for form in best.forms if form.candidate.specification.flexible}
-            candidates.exclude(small, PART_OF_ANOTHER)
+            candidates.exclude({form.key for form in flexible}, PART_OF_ANOTHER)
             allowed = candidates.critical_table
-            best = select(candidates, () if anew else [f for f in best.forms if not f.candidate.specification.flexible])
+            best = select(candidates, () if anew else [form for form in best.forms if form not in flexible])
             continue
-        excess = [excess_ratio(candidates, form, best.forms) for form in best.forms]
-        if not excess or max(excess) <= 1.0:
+        excesses = [max(_excesses(candidates, form, best.forms), key=lambda pair: pair[0]) for form in best.forms]
+        if not excesses or max(ratio for ratio, _ in excesses) <= 1.0:
             return best
         # One at a time: another cause that it compensated may be possible without it.
-        worst = best.forms[first_largest(np.array(excess))]
-        candidates.exclude({worst.key}, max(_excesses(candidates, worst, best.forms), key=lambda one: one[0])[1])
-        best = select(candidates, () if anew else [form for form in best.forms if form.key != worst.key])
+        k = first_largest(np.array([ratio for ratio, _ in excesses]))
+        worst = best.forms[k].key
+        candidates.exclude({worst}, excesses[k][1])
+        best = select(candidates, () if anew else [form for form in best.forms if form.key != worst])
 
 
 def excess_ratio(candidates: Candidates, form: Form, forms: Sequence[Form]) -> float:
-    """Return the ratio of a form's size to the largest possible: by physics, or by the residuals it explains.
+    """Return the ratio of the size of one of some forms to the largest possible: by physics, or by the residuals it explains.
 
     A cause larger than the residuals needs another that cancels it; neither exists.
-
-    Args:
-        candidates: the data.
-        form: one of ``forms``.
-        forms: the selected forms.
     """
     return max(ratio for ratio, _ in _excesses(candidates, form, forms))
 
@@ -183,9 +173,9 @@ def _excesses(candidates: Candidates, form: Form, forms: Sequence[Form]) -> list
 def _excesses_of(
     form: Form, values: np.ndarray, u: np.ndarray, gram: np.ndarray, explained: float
 ) -> list[tuple[float, str]]:
-    own, specification = float(values @ gram @ values), form.candidate.specification
-    excesses = [(own / (MAX_CHI2_RATIO * (explained + NOISE_CHI2)), FIT_ONLY_TOGETHER)]
-    if specification.flexible and own < LEAST_FLEXIBLE_SHARE * explained:
+    chi2, specification = float(values @ gram @ values), form.candidate.specification
+    excesses = [(chi2 / (MAX_CHI2_RATIO * (explained + NOISE_CHI2)), FIT_ONLY_TOGETHER)]
+    if specification.flexible and chi2 < LEAST_FLEXIBLE_SHARE * explained:
         excesses.append((np.inf, PART_OF_ANOTHER))
     scale = np.array([column.scale for column in form.variant.columns])
     if np.isfinite(form.candidate.largest):
@@ -205,37 +195,39 @@ def _split(candidates: Candidates, forms: list[Form]) -> list[Form]:
     By the datum, a curve has neither (`twin.identification.unknowns`). If they are the smaller part of the curve, one cause is the
     simpler description; if they are the larger part, the error is the constant, and the curves that share it hide it.
     """
-    pure = {
-        (one.key, one.variant.columns[-1]): one for one in candidates.forms if one.variant.fixed.get("first", 0.0) > 0.0
+    remainder = {
+        (form.key, form.variant.columns[-1]): form
+        for form in candidates.forms
+        if form.variant.fixed.get("first", 0.0) > 0.0
     }
-    bent = [pure[form.key, form.variant.columns[-1]] for form in forms if form.variant.fixed.get("first") == 0.0]
+    whole_curves = [form for form in forms if form.variant.fixed.get("first") == 0.0]
+    remainders = [remainder[form.key, form.variant.columns[-1]] for form in whole_curves]
     trial = [form for form in forms if form.variant.fixed.get("first") != 0.0]
-    whole = candidates.explained_by(forms)
-    enough = whole - EQUAL_CHI2 * (whole - candidates.explained_by(trial))
-    trial += bent
-    numbers: list[Form] = []
-    while bent and candidates.explained_by(trial) < enough:
-        margin = np.where(
-            [form.candidate.specification.constant for form in candidates.forms], _free(candidates, trial), -np.inf
-        )
+    explained = candidates.explained_by(forms)
+    enough = explained - EQUAL_CHI2 * (explained - candidates.explained_by(trial))
+    trial += remainders
+    constants: list[Form] = []
+    is_constant = [form.candidate.specification.constant for form in candidates.forms]
+    while remainders and candidates.explained_by(trial) < enough:
+        margin = np.where(is_constant, _free(candidates, trial), -np.inf)
         if margin.max() <= 0.0:
             return forms
-        numbers.append(candidates.forms[first_largest(margin)])
-        trial.append(numbers[-1])
-    whole = candidates.explained_by(trial)
-    for number in numbers:
-        others = [other for other in trial if other is not number]
-        own = whole - candidates.explained_by(others)
-        hosts = []
-        for form, rest in zip([form for form in forms if form.variant.fixed.get("first") == 0.0], bent, strict=True):
-            hosted = candidates.explained_by([form if other is rest else other for other in others])
-            if hosted > whole - EQUAL_CHI2 * own:
-                hosts.append(whole - candidates.explained_by([other for other in trial if other is not rest]))
+        constants.append(candidates.forms[first_largest(margin)])
+        trial.append(constants[-1])
+    explained = candidates.explained_by(trial)
+    for constant in constants:
+        others = [form for form in trial if form is not constant]
+        by_constant = explained - candidates.explained_by(others)
+        by_hosts = []
+        for curve, bent in zip(whole_curves, remainders, strict=True):
+            hosted = candidates.explained_by([curve if form is bent else form for form in others])
+            if hosted > explained - EQUAL_CHI2 * by_constant:
+                by_hosts.append(explained - candidates.explained_by([form for form in trial if form is not bent]))
         # If several curves could contain the constant, none is preferred.
-        if len(hosts) == 1 and own < hosts[0]:
+        if len(by_hosts) == 1 and by_constant < by_hosts[0]:
             return forms
-    for rest in bent:
-        without = [one for one in trial if one is not rest]
+    for bent in remainders:
+        without = [form for form in trial if form is not bent]
         if candidates.penalised_gain(without) >= candidates.penalised_gain(trial):
             trial = without
     return trial
@@ -247,7 +239,6 @@ def forward_selection(
     """Add forms as long as each is significant.
 
     Args:
-        candidates: the forms.
         forms: the forms to start with.
         allowed: (forms,) which may be added.
         most: largest number of forms.
@@ -282,12 +273,12 @@ def _free(candidates: Candidates, forms: Sequence[Form]) -> np.ndarray:
 
 def _exchanged(candidates: Candidates, forms: list[Form], allowed: np.ndarray | bool) -> list[Form]:
     """Return the set with each cause replaced by a better one, or dropped, until nothing changes."""
-    now = candidates.penalised_gain(forms)
-    for _ in range(8):
-        better = _better(candidates, forms, now, allowed)
+    worth = candidates.penalised_gain(forms)
+    for _ in range(MAX_EXCHANGE_ROUNDS):
+        better = _better(candidates, forms, worth, allowed)
         if better is None:
             break
-        forms, now = better
+        forms, worth = better
     return forms
 
 
@@ -300,22 +291,13 @@ def _better(
         if others and (worth := candidates.penalised_gain(others)) >= now:
             return others, worth
         margin = np.where(allowed, _free(candidates, others), -np.inf)
-        for i in largest_first(margin)[:MAX_EXCHANGES_EVALUATED]:
-            trial = [*others, candidates.forms[int(i)]]
-            if (
-                np.isfinite(margin[i])
-                and candidates.forms[int(i)] is not forms[k]
-                and (worth := candidates.penalised_gain(trial)) > now + 1e-6
-            ):
-                return trial, worth
+        for i in largest_first(margin)[:MAX_EXCHANGES_EVALUATED].tolist():
+            new = candidates.forms[i]
+            if not np.isfinite(margin[i]) or new is forms[k]:
+                continue
+            if (worth := candidates.penalised_gain([*others, new])) > now + 1e-6:
+                return [*others, new], worth
     return None
-
-
-def priced_forms(
-    candidates: Sequence[Candidate], critical_values: dict[str, float]
-) -> list[tuple[Candidate, Variant, float]]:
-    """Return all forms of all candidates, with their corrections for multiple testing."""
-    return [(c, variant, critical_values[c.effect]) for c in candidates for variant in c.variants]
 
 
 def prices(candidates: Sequence[Candidate]) -> dict[str, float]:
@@ -333,11 +315,13 @@ def prices(candidates: Sequence[Candidate]) -> dict[str, float]:
 
 def candidates_of(task: DiagnosisTask) -> Candidates:
     """Return every form of every candidate with its correction for multiple testing, evaluated on the data."""
-    problem, known = task.problem, task.catalogue.candidates
-    split = choose_folds(problem.network.data, problem.network.machine, ())
-    return Candidates(
-        problem, priced_forms(known, prices(known)), task.noise.dof, None if split is None else split.fold
-    )
+    network, tested = task.problem.network, task.catalogue.candidates
+    log_tests = prices(tested)
+    forms = [
+        (candidate, variant, log_tests[candidate.effect]) for candidate in tested for variant in candidate.variants
+    ]
+    folds = choose_folds(network.data, network.machine, ())
+    return Candidates(task.problem, forms, task.noise.dof, None if folds is None else folds.fold)
 
 
 # --- Selection of rows: outliers are set aside, unless causes that the other rows show explain them

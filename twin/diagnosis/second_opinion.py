@@ -330,41 +330,9 @@ class SingleEffect:
         return float(min(share, 1.0) / (1.0 + np.exp(-self.log_odds)))
 
 
-@final
-@dataclass(frozen=True)
-class SecondOpinion:
-    """Independent single effects.
-
-    Attributes:
-        effects: those found, the strongest first, followed by one that was not.
-    """
-
-    effects: tuple[SingleEffect, ...]
-
-    @property
-    def found(self) -> tuple[SingleEffect, ...]:
-        """Return the effects whose odds reach `FOUND_ODDS`."""
-        return tuple(effect for effect in self.effects if effect.found)
-
-    def probability(self, keys: Collection[Key]) -> float:
-        """Return the posterior probability that at least one effect is one of the given causes."""
-        return float(1.0 - np.prod([1.0 - effect.probability(keys) for effect in self.effects]))
-
-
-@final
-@dataclass(frozen=True)
-class ComparedCause:
-    """The result of the second method for one cause of the search.
-
-    Attributes:
-        probability: that the cause, or one that it is equivalent to, exists.
-        credible: credible set of the effect that corresponds to it; empty if no effect does.
-        instead: credible set of the effect found in its place; empty if there is none.
-    """
-
-    probability: float
-    credible: tuple[Key, ...]
-    instead: tuple[Key, ...]
+def probability_of_any(effects: Sequence[SingleEffect], keys: Collection[Key]) -> float:
+    """Return the posterior probability that at least one of independent effects is one of the given causes."""
+    return float(1.0 - np.prod([1.0 - effect.probability(keys) for effect in effects]))
 
 
 @final
@@ -373,12 +341,16 @@ class Comparison:
     """Comparison of the search with the second method.
 
     Attributes:
-        causes: in the order of the search's groups.
+        probability: of each cause of the search, that it, or one that it is equivalent to, exists.
+        credible: of each the credible set of the effect that corresponds to it; empty if no effect does.
+        instead: of each the credible set of the effect found in its place; empty if there is none.
         further: effects found that correspond to no cause of the search and replace none.
     """
 
-    causes: tuple[ComparedCause, ...]
-    further: tuple[SingleEffect, ...]
+    probability: tuple[float, ...] = ()
+    credible: tuple[tuple[Key, ...], ...] = ()
+    instead: tuple[tuple[Key, ...], ...] = ()
+    further: tuple[SingleEffect, ...] = ()
 
     @property
     def disagree(self) -> bool:
@@ -386,11 +358,11 @@ class Comparison:
 
         A cause that only the search finds is no disagreement: the second method finds fewer effects at the same rate of false alarms.
         """
-        return bool(self.further) or any(cause.instead for cause in self.causes)
+        return bool(self.further) or any(self.instead)
 
 
-def second_opinion(candidates: Candidates, start: Sequence[Form] = (), most: int = MAX_EFFECTS) -> SecondOpinion:
-    """Return the posterior of the causes of a pool.
+def second_opinion(candidates: Candidates, start: Sequence[Form] = ()) -> tuple[SingleEffect, ...]:
+    """Return independent single effects: those found, the strongest first, followed by one that was not.
 
     The prior of a form follows the search's correction for multiple testing: effects share it as they share the rate of false alarms,
     the places of an effect in proportion to their number of independent forms. A known or bounded size is part of the prior.
@@ -398,16 +370,14 @@ def second_opinion(candidates: Candidates, start: Sequence[Form] = (), most: int
     Args:
         candidates: the data and the forms; forms forbidden to the search are included with their own prior.
         start: forms selected by the search; the iteration starts from them as well as from no effect.
-        most: largest number of effects.
     """
     effects = SingleEffects(_alternatives(candidates), candidates.slope, candidates.cross, candidates.dof)
-    fitted = effects.fitted(most, [form.index for form in start])
-    keys = [form.key for form in candidates.forms]
+    fitted = effects.fitted(MAX_EFFECTS, [form.index for form in start])
     ordered = sorted(fitted, key=lambda effect: (not effect.found, -effect.log_odds))
-    return SecondOpinion(tuple(_by_key(effect, keys, candidates.key_of) for effect in ordered))
+    return tuple(_by_key(effect, candidates) for effect in ordered)
 
 
-def compare_with_search(opinion: SecondOpinion, groups: Sequence[Collection[Key]]) -> Comparison:
+def compare_with_search(effects: Sequence[SingleEffect], groups: Sequence[Collection[Key]]) -> Comparison:
     """Compare the causes of the search with the second method.
 
     Each effect is assigned to at most one group, maximising the joint posterior probability. An unassigned effect disagrees with the
@@ -415,38 +385,30 @@ def compare_with_search(opinion: SecondOpinion, groups: Sequence[Collection[Key]
     with the same likeliest cause count as one cause in two forms.
 
     Args:
-        opinion: result of the second method on the same data.
+        effects: result of the second method on the same data.
         groups: for each cause of the search, the cause and those equivalent to it.
     """
-    common = np.array([[effect.probability(group) for effect in opinion.effects] for group in groups])
-    rows, columns = _assigned(common) if len(groups) else (np.zeros(0, int), np.zeros(0, int))
-    partner = {
-        int(g): int(e)
-        for g, e in zip(rows, columns, strict=True)
-        if set(groups[g]).intersection(opinion.effects[e].credible)
-    }
-    likeliest = {opinion.effects[e].credible[0] for e in partner.values()}
-    left = [e for e, effect in enumerate(opinion.effects) if effect.found and e not in partner.values()]
-    left = [e for e in left if opinion.effects[e].credible[0] not in likeliest]
-    alone = [g for g in range(len(groups)) if g not in partner]
+    common = np.array([[effect.probability(group) for effect in effects] for group in groups])
+    pairs = zip(*_assigned(common), strict=True) if len(groups) else ()
+    partner = {int(g): int(e) for g, e in pairs if set(groups[g]).intersection(effects[e].credible)}
+    likeliest = {effects[e].credible[0] for e in partner.values()}
     named = {key for group in groups for key in group}
     instead: dict[int, int] = {}
     further = []
-    for e in left:
-        free = [g for g in alone if g not in instead]
+    for e, effect in enumerate(effects):
+        if not effect.found or e in partner.values() or effect.credible[0] in likeliest:
+            continue
+        free = [g for g in range(len(groups)) if g not in partner and g not in instead]
         if free:
             instead[free[first_largest(common[free, e])]] = e
-        elif named.isdisjoint(opinion.effects[e].credible):
-            further.append(opinion.effects[e])
-
-    def credible(index: int | None) -> tuple[Key, ...]:
-        return () if index is None else opinion.effects[index].credible
-
-    causes = tuple(
-        ComparedCause(opinion.probability(group), credible(partner.get(g)), credible(instead.get(g)))
-        for g, group in enumerate(groups)
+        elif named.isdisjoint(effect.credible):
+            further.append(effect)
+    credible, replacing = (
+        tuple(effects[of[g]].credible if g in of else () for g in range(len(groups))) for of in (partner, instead)
     )
-    return Comparison(causes, tuple(further))
+    return Comparison(
+        tuple(probability_of_any(effects, group) for group in groups), credible, replacing, tuple(further)
+    )
 
 
 def _assigned(common: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -476,10 +438,10 @@ def _alternatives(candidates: Candidates) -> list[Alternatives]:
     return alternatives
 
 
-def _by_key(effect: Fit, keys: Sequence[Key], number: np.ndarray) -> SingleEffect:
+def _by_key(effect: Fit, candidates: Candidates) -> SingleEffect:
     """Return the effect with the posterior summed over the forms of each cause."""
-    total = np.bincount(number[: len(effect.posterior)], effect.posterior)
-    names = dict(zip(number.tolist(), keys, strict=True))
+    total = np.bincount(candidates.key_of[: len(effect.posterior)], effect.posterior)
+    names = {int(number): form.key for number, form in zip(candidates.key_of, candidates.forms, strict=True)}
     order = np.argsort(-total, kind="stable")
     ordered = {names[int(i)]: float(total[i]) for i in order if total[i] > 0.0}
     held = int(np.searchsorted(np.cumsum(total[order]), CREDIBLE_PROBABILITY)) + 1

@@ -8,13 +8,13 @@ of a pattern is not.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Hashable, Sequence
 from dataclasses import dataclass, replace
 from typing import Final, final
 
 import numpy as np
 
-from twin._common.arrays import largest_first
+from twin._common.arrays import first_largest, largest_first
 from twin.diagnosis.candidates.candidate import Candidate
 from twin.diagnosis.candidates.machine import variant_at
 from twin.diagnosis.cross_validation import (
@@ -68,19 +68,19 @@ class Structure:
 
     Attributes:
         forms: the causes.
+        problem: the data with patterns and set-up projected out.
         likelihood: of causes with the patterns; None without patterns.
         model: causes and patterns at the most likely variances; None without patterns.
-        problem: the data with patterns and set-up projected out.
         rejected: causes selected at first that are not kept with the patterns.
         patterned: whether the selection started from the patterns, not from the causes.
         impossible: causes that would improve the fit with the patterns, but only with a size that is impossible.
     """
 
     forms: tuple[Form, ...]
-    likelihood: Likelihood | None
-    model: Model | None
     problem: Problem
-    rejected: tuple[Form, ...]
+    likelihood: Likelihood | None = None
+    model: Model | None = None
+    rejected: tuple[Form, ...] = ()
     patterned: bool = False
     impossible: tuple[Form, ...] = ()
 
@@ -98,9 +98,9 @@ class Structure:
 
     def explained(self, forms: Sequence[Form]) -> float:
         """Return the χ² that the patterns explain in addition to some of the causes."""
-        return (
-            0.0 if self.likelihood is None else self.likelihood.explained(forms, self.likelihood.fit(forms, self.model))
-        )
+        if self.likelihood is None:
+            return 0.0
+        return self.likelihood.explained(forms, self.likelihood.fit(forms, self.model))
 
     def pattern(self, forms: Sequence[Form]) -> np.ndarray:
         """Return the (3n,) effect of the patterns on the whitened readings, given some of the causes.
@@ -143,107 +143,101 @@ class Findings:
         """Return the problem without outliers, whitened by noise and discrepancy."""
         return self.task.problem
 
+    def beside_patterns(self, forms: Sequence[Form]) -> list[Form]:
+        """Return forms of ``candidates`` as they are among ``given_patterns``."""
+        return [self.given_patterns.forms[form.index] for form in forms]
+
 
 def joint_selection(candidates: Candidates, forms: Sequence[Form], tried: Sequence[Pattern]) -> Structure:
     """Return the given causes, or, if patterns explain more than a small part, the joint selection of causes and patterns.
 
     Args:
-        candidates: the data and the forms.
         forms: the causes selected without patterns.
-        tried: patterns to test.
     """
-    model = with_patterns(candidates, forms, tried)
-    left, patterned = bool(model.pattern_tests), False
-    if left or len(forms) >= CAUSES_PER_PATTERN:
-        carried = candidates.explained_by(model.forms)
+    structure = with_patterns(candidates, forms, tried)
+    has_patterns, patterned = bool(structure.pattern_tests), False
+    if has_patterns or len(forms) >= CAUSES_PER_PATTERN:
+        carried = candidates.explained_by(structure.forms)
         if (
-            not model.forms
-            or (model.model is not None and carried < KEPT_CHI2_SHARE * model.model.explained)
-            or not left
+            not structure.forms
+            or (structure.model is not None and carried < KEPT_CHI2_SHARE * structure.model.explained)
+            or not has_patterns
         ):
-            other = _patterned(candidates, tried)
+            other = _from_patterns(candidates, tried)
             # Enough causes can imitate anything: one pattern instead of several causes is the simpler model.
             simpler = (
-                len(other.forms) <= len(model.forms) - CAUSES_PER_PATTERN
+                len(other.forms) <= len(structure.forms) - CAUSES_PER_PATTERN
                 and _worth(candidates, other) > candidates.penalised_gain(forms) - DEVIANCE_RULED_OUT
             )
             # Causes that no pattern can imitate are not parts of one.
-            better = _not_imitable(model) and _worth(candidates, model) > _worth(candidates, other)
-            if other.pattern_tests and (left or simpler) and not better:
-                model, patterned = other, True
-    keys = {form.key for form in model.forms}
+            likelihood = structure.likelihood
+            better = (
+                likelihood is not None
+                and bool(structure.forms)
+                and not any(likelihood.can_imitate(form).any() for form in structure.forms)
+                and _worth(candidates, structure) > _worth(candidates, other)
+            )
+            if other.pattern_tests and (has_patterns or simpler) and not better:
+                structure, patterned = other, True
+    keys = {form.key for form in structure.forms}
     rejected = tuple(form for form in forms if form.key not in keys)
-    return replace(model, rejected=rejected, patterned=patterned)
-
-
-def _not_imitable(found: Structure) -> bool:
-    """Return whether there are causes and patterns, and no pattern can imitate any cause."""
-    likelihood = found.likelihood
-    return (
-        likelihood is not None and bool(found.forms) and not any(likelihood.can_imitate(f).any() for f in found.forms)
-    )
+    return replace(structure, rejected=rejected, patterned=patterned)
 
 
 def refit_on_part(
-    candidates: Candidates, forms: Sequence[Form], found: Structure
+    candidates: Candidates, forms: Sequence[Form], structure: Structure
 ) -> tuple[tuple[Form, ...], Likelihood | None]:
     """Return the causes kept on a part of the data, with the patterns found on all of it, and their likelihood.
 
     Args:
         candidates: the part of the data.
         forms: the causes selected on it.
-        found: the selection on all data.
+        structure: the selection on all data.
     """
-    if not found.pattern_tests:
+    if not structure.pattern_tests:
         return tuple(forms), None
-    likelihood = Likelihood(candidates, found.pattern_tests)
-    if found.patterned:
-        kept = [candidates.forms[form.index] for form in found.forms]
+    likelihood = Likelihood(candidates, structure.pattern_tests)
+    if structure.patterned:
+        kept = [candidates.forms[form.index] for form in structure.forms]
         return tuple(_dropped(likelihood, kept, likelihood.fit(kept))[0]), likelihood
     return tuple(without_parts(likelihood, forms, likelihood.fit(forms))), likelihood
 
 
 def with_patterns(candidates: Candidates, forms: Sequence[Form], tried: Sequence[Pattern]) -> Structure:
     """Return the given causes, without those that explain only part of a pattern, and the patterns found in the residuals."""
-    kept = list(forms)
-    pattern_tests: list[PatternTest] = []
-    problem, likelihood, model = candidates.problem, None, None
-    while True:
-        seen = {(pattern_test.pattern.side, pattern_test.pattern.names) for pattern_test in pattern_tests}
-        more = [
-            pattern_test
-            for pattern_test in (
-                scan_patterns(problem, tried, kept, candidates.dof) if len(pattern_tests) < MAX_PATTERNS else []
-            )
-            if pattern_test.found and (pattern_test.pattern.side, pattern_test.pattern.names) not in seen
-        ]
-        if not more:
-            return Structure(tuple(kept), likelihood, model, problem, ())
-        likelihood = Likelihood(candidates, [*pattern_tests, more[0]])
-        model = likelihood.fit(kept)
-        remaining = without_parts(likelihood, kept, model)
-        if len(remaining) == len(kept):
-            pattern_tests.append(more[0])
+    structure, pattern_tests = Structure(tuple(forms), candidates.problem), list[PatternTest]()
+    while len(pattern_tests) < MAX_PATTERNS:
+        seen = {test.pattern.key for test in pattern_tests}
+        further = _further_pattern(structure.problem, tried, structure.forms, candidates.dof, seen)
+        if further is None:
+            return structure
+        likelihood = Likelihood(candidates, [*pattern_tests, further])
+        model = likelihood.fit(structure.forms)
+        kept = tuple(without_parts(likelihood, structure.forms, model))
+        if len(kept) == len(structure.forms):
+            pattern_tests.append(further)
             problem = candidates.problem.with_random_effects(likelihood.random(model), model.variance_factor)
+            structure = Structure(kept, problem, likelihood, model)
         else:
             # What these causes explained may belong to patterns or to other causes.
-            kept, pattern_tests, problem, likelihood, model = remaining, [], candidates.problem, None, None
+            structure, pattern_tests = Structure(kept, candidates.problem), []
+    return structure
 
 
-def _patterned(candidates: Candidates, tried: Sequence[Pattern]) -> Structure:
-    """Return the selection starting from the most significant pattern; an empty one if none is significant."""
-    tests = scan_patterns(candidates.problem, tried, (), candidates.dof)
-    if not (tests and tests[0].found):
-        return Structure((), None, None, candidates.problem, ())
-    return _from_pattern(candidates, tests[0], tried)
+def _further_pattern(
+    problem: Problem, tried: Sequence[Pattern], forms: Sequence[Form], dof: float, seen: Collection[Hashable]
+) -> PatternTest | None:
+    """Return the most significant pattern of the residuals, of columns not seen yet; None if there is none."""
+    tests = scan_patterns(problem, tried, forms, dof)
+    return next((test for test in tests if test.found and test.pattern.key not in seen), None)
 
 
-def _worth(candidates: Candidates, found: Structure) -> float:
+def _worth(candidates: Candidates, structure: Structure) -> float:
     """Return what a selection explains less the prices of its causes and patterns."""
-    if found.model is None:
-        return candidates.penalised_gain(found.forms)
-    prices = sum(_price(pattern_test) for pattern_test in found.pattern_tests)
-    return found.model.twice_log_ratio - prices - sum(_cost(candidates, form) for form in found.forms)
+    if structure.model is None:
+        return candidates.penalised_gain(structure.forms)
+    prices = sum(_price(test) for test in structure.pattern_tests)
+    return structure.model.twice_log_ratio - prices - sum(_cost(candidates, form) for form in structure.forms)
 
 
 def _price(pattern_test: PatternTest) -> float:
@@ -256,44 +250,44 @@ def _cost(candidates: Candidates, form: Form) -> float:
     return candidates.critical_value(form, float(len(form.columns)))
 
 
-def _from_pattern(candidates: Candidates, first: PatternTest, tried: Sequence[Pattern]) -> Structure:
-    """Return the selection starting from a pattern: causes are added, further patterns tested, unneeded patterns dropped."""
-    pattern_tests = [first]
+def _from_patterns(candidates: Candidates, tried: Sequence[Pattern]) -> Structure:
+    """Return the selection starting from the most significant pattern; an empty one if none is significant.
+
+    Causes are added, further patterns tested, unneeded patterns dropped.
+    """
+    first = _further_pattern(candidates.problem, tried, (), candidates.dof, ())
+    if first is None:
+        return Structure((), candidates.problem)
+    pattern_tests, seen = [first], {first.pattern.key}
     forms: list[Form] = []
-    seen = {(first.pattern.side, first.pattern.names)}
     barred: set[int] = set()
     while True:
         likelihood = Likelihood(candidates, pattern_tests)
         forms, model, impossible = _stepwise(likelihood, forms, barred)
         needed = [
-            pattern_test
-            for k, pattern_test in enumerate(pattern_tests)
-            if model.twice_log_ratio - likelihood.fit(forms, model, without=k).twice_log_ratio > _price(pattern_test)
+            test
+            for k, test in enumerate(pattern_tests)
+            if model.twice_log_ratio - likelihood.fit(forms, model, without=k).twice_log_ratio > _price(test)
         ]
         if len(needed) < len(pattern_tests):
             pattern_tests = needed
             if not pattern_tests:
-                return Structure(tuple(forms), None, None, candidates.problem, ())
+                return Structure(tuple(forms), candidates.problem)
             likelihood = Likelihood(candidates, pattern_tests)
             forms, model, impossible = _stepwise(likelihood, forms, barred)
         problem = candidates.problem.with_random_effects(likelihood.random(model), model.variance_factor)
-        more = [
-            pattern_test
-            for pattern_test in (
-                scan_patterns(problem, tried, forms, candidates.dof) if len(pattern_tests) < MAX_PATTERNS else []
-            )
-            if pattern_test.found and (pattern_test.pattern.side, pattern_test.pattern.names) not in seen
-        ]
-        if more:
-            pattern_tests = [*pattern_tests, more[0]]
-            seen.add((more[0].pattern.side, more[0].pattern.names))
-            continue
-        remaining = without_parts(likelihood, forms, model)
-        if len(remaining) == len(forms):
+        if len(pattern_tests) < MAX_PATTERNS:
+            further = _further_pattern(problem, tried, forms, candidates.dof, seen)
+            if further is not None:
+                pattern_tests = [*pattern_tests, further]
+                seen.add(further.pattern.key)
+                continue
+        kept = without_parts(likelihood, forms, model)
+        if len(kept) == len(forms):
             forms, model = _simplified(likelihood, forms, model)
-            return Structure(tuple(forms), likelihood, model, problem, (), impossible=impossible)
-        barred |= {int(candidates.key_of[form.index]) for form in forms if form not in remaining}
-        forms = remaining
+            return Structure(tuple(forms), problem, likelihood, model, impossible=impossible)
+        barred |= {int(candidates.key_of[form.index]) for form in forms if form not in kept}
+        forms = kept
 
 
 def _stepwise(
@@ -322,10 +316,10 @@ def _stepwise(
                     break  # a model with very many errors: the order does not matter
         if best is None:
             fewer, model = _dropped(likelihood, kept, model)
-            other = _exchanged(likelihood, fewer, model, barred) if len(fewer) <= MAX_EXCHANGED_CAUSES else None
-            if other is None and len(fewer) == len(kept):
+            exchanged = _exchanged(likelihood, fewer, model, barred) if len(fewer) <= MAX_EXCHANGED_CAUSES else None
+            if exchanged is None and len(fewer) == len(kept):
                 return kept, model, tuple(impossible)
-            kept, model = (fewer, model) if other is None else other
+            kept, model = (fewer, model) if exchanged is None else exchanged
             continue
         kept, model = [*kept, best[1]], best[2]
     return *_dropped(likelihood, kept, model), tuple(impossible)
@@ -337,14 +331,14 @@ def _exchanged(
     """Return the set with one cause replaced by a likelier one; None if there is none."""
     candidates = likelihood.candidates
     for form in kept:
-        others = [one for one in kept if one is not form]
+        others = [other for other in kept if other is not form]
         less = likelihood.fit(others, model)
-        for other in _promising(likelihood, others, less, barred):
-            trial = [*others, other]
-            found = likelihood.fit(trial, less)
-            gained = found.twice_log_ratio - _cost(candidates, other) - model.twice_log_ratio + _cost(candidates, form)
-            if other is not form and gained > EXCHANGE_GAIN and _possible(candidates, trial, found):
-                return trial, found
+        for new in _promising(likelihood, others, less, barred):
+            trial = [*others, new]
+            with_new = likelihood.fit(trial, less)
+            gained = with_new.twice_log_ratio - _cost(candidates, new) - model.twice_log_ratio + _cost(candidates, form)
+            if new is not form and gained > EXCHANGE_GAIN and _possible(candidates, trial, with_new):
+                return trial, with_new
     return None
 
 
@@ -354,20 +348,21 @@ def _simplified(likelihood: Likelihood, forms: list[Form], model: Model) -> tupl
     for form in list(forms):
         if form.variant.fixed.get("first") != 0.0:
             continue
-        others = [one for one in forms if one is not form]
+        others = [other for other in forms if other is not form]
         explained, dof = likelihood.scan(others, likelihood.fit(others, model))
         margin = explained - candidates.critical_values(dof)
         taken = {other.key for other in others}
-        numbers = [
+        constants = [
             f for f in candidates.forms if f.candidate.specification.constant and f.key not in taken and dof[f.index]
         ]
-        for i in largest_first(np.array([margin[one.index] for one in numbers]))[:1]:
-            number = numbers[i]
-            trial = [*others, number]
-            found = likelihood.fit(trial, model)
-            lost = model.twice_log_ratio - _cost(candidates, form) - found.twice_log_ratio + _cost(candidates, number)
-            if lost < DEVIANCE_RULED_OUT and _possible(candidates, trial, found):
-                forms, model = trial, found
+        if constants:
+            constant = constants[first_largest(np.array([margin[f.index] for f in constants]))]
+            trial = [*others, constant]
+            with_it = likelihood.fit(trial, model)
+            gained = with_it.twice_log_ratio - _cost(candidates, constant)
+            lost = model.twice_log_ratio - _cost(candidates, form) - gained
+            if lost < DEVIANCE_RULED_OUT and _possible(candidates, trial, with_it):
+                forms, model = trial, with_it
     return forms, model
 
 
@@ -401,7 +396,7 @@ def _dropped(likelihood: Likelihood, forms: list[Form], model: Model) -> tuple[l
         for form in [kept[i] for i in largest_first(np.array([prices[f.index] - gained[f.index] for f in kept]))]:
             if gained[form.index] > KEPT_GAIN_RATIO * prices[form.index]:
                 continue
-            others = [one for one in kept if one is not form]
+            others = [other for other in kept if other is not form]
             less = likelihood.fit(others, model)
             if model.twice_log_ratio - less.twice_log_ratio < prices[form.index]:
                 kept, model = others, less
@@ -430,8 +425,7 @@ def _partial_cause(likelihood: Likelihood, forms: Sequence[Form], model: Model) 
             continue
         # A machine has all its constants: they are assessed together.
         constant = form.candidate.specification.constant
-        alike = [one for one in forms if constant and one.candidate.specification.constant]
-        others = [one for one in forms if one is not form and one not in alike]
+        others = [f for f in forms if f is not form and not (constant and f.candidate.specification.constant)]
         carried = explained - likelihood.candidates.explained_by(others)
         ratio = carried / max(imitated, 1e-9)
         if carried < LEAST_IMITATED_RATIO * imitated and (worst is None or ratio < worst[0]):
@@ -491,12 +485,12 @@ def _select(task: DiagnosisTask) -> Findings:
     something changes with time, and named only if it predicts held-out blocks of time better than the plain effect does, or as well as
     several causes with more parameters.
     """
-    plain = without_variants_in_time(task)
-    selected = Searcher(plain).run()
-    if plain is task or not _changes_with_time(selected):
-        return selected
-    other = Searcher(task).run()
-    return other if _is_better_in_time(other, selected) else selected
+    plain_task = without_variants_in_time(task)
+    plain = Searcher(plain_task).run()
+    if plain_task is task or not _changes_with_time(plain.structure):
+        return plain
+    lagging = Searcher(task).run()
+    return lagging if _is_better_in_time(lagging, plain) else plain
 
 
 def without_variants_in_time(task: DiagnosisTask) -> DiagnosisTask:
@@ -511,47 +505,44 @@ def _is_variant_in_time(candidate: Candidate) -> bool:
     return bool(candidate.specification.variant_of) and candidate.specification.varies == "with time"
 
 
-def _changes_with_time(found: Findings) -> bool:
-    columns = {name for pattern_test in found.structure.pattern_tests for name in pattern_test.pattern.names}
-    return any(form.candidate.specification.varies == "with time" for form in found.structure.forms) or any(
+def _changes_with_time(structure: Structure) -> bool:
+    columns = {name for test in structure.pattern_tests for name in test.pattern.names}
+    return any(form.candidate.specification.varies == "with time" for form in structure.forms) or any(
         name == TIME or name.startswith("T_") for name in columns
     )
 
 
-def _is_better_in_time(other: Findings, plain: Findings) -> bool:
+def _is_better_in_time(lagging: Findings, plain: Findings) -> bool:
     """Return whether causes with a variant in time are preferred to those without.
 
     They are if they predict held-out blocks of time no worse with fewer parameters, or, of equally many, with fewer causes; or if they
     are the same causes, some as variants, and predict better with 95 % confidence. Blocks inside one warm-up are interpolation: any
     further drift would predict them, so a better prediction by other causes with more parameters does not count.
     """
-    split = blocks_of_time(plain.problem.network.data)
-    if split is None or not any(_is_variant_in_time(form.candidate) for form in other.structure.forms):
+    folds, forms = blocks_of_time(plain.problem.network.data), lagging.structure.forms
+    if folds is None or not any(_is_variant_in_time(form.candidate) for form in forms):
         return False
-    tables = []
-    for found in (plain, other):
+    squares = []
+    for findings in (plain, lagging):
 
-        def predict(part: Candidates, found: Findings = found) -> list[np.ndarray]:
-            return [predicted_shift(found.problem, part, found.structure.forms)]
+        def predict(part: Candidates, findings: Findings = findings) -> list[np.ndarray]:
+            return [predicted_shift(findings.problem, part, findings.structure.forms)]
 
-        table = held_out_squares(found.candidates, split, predict)
+        table = held_out_squares(findings.candidates, folds, predict)
         if table is None:
             return False
-        tables.append(table)
-    interval = jackknife_interval(np.column_stack([tables[0][:, 0], tables[1]]))
+        squares.append(table)
+    interval = jackknife_interval(np.column_stack([squares[0][:, 0], squares[1]]))
     if interval is None or interval[1] < 0.0:
         return False
-    if _complexity(other) < _complexity(plain):
+    if _complexity(forms) < _complexity(plain.structure.forms):
         return True
-    keys = {
-        (one.candidate.specification.variant_of or one.candidate.effect, one.key[1]) for one in other.structure.forms
-    }
+    keys = {(form.candidate.specification.variant_of or form.candidate.effect, form.candidate.where) for form in forms}
     return interval[0] > 0.0 and keys == {form.key for form in plain.structure.forms}
 
 
-def _complexity(found: Findings) -> tuple[int, int]:
-    """Return the number of parameters of the causes, non-linear ones counted, and the number of causes."""
-    forms = found.structure.forms
+def _complexity(forms: Sequence[Form]) -> tuple[int, int]:
+    """Return the number of parameters of some causes, non-linear ones counted, and the number of causes."""
     return sum(len(form.columns) + len(form.nonlinear) for form in forms), len(forms)
 
 
@@ -591,10 +582,10 @@ class Searcher:
         chosen = self._best().forms
         kept = without_overfitting(self.candidates, chosen)
         if len(kept) == len(chosen):
-            model = joint_selection(self.candidates, chosen, self.patterns)
-            chosen, kept = model.forms, without_overfitting(self.candidates, model.forms)
+            structure = joint_selection(self.candidates, chosen, self.patterns)
+            chosen, kept = structure.forms, without_overfitting(self.candidates, structure.forms)
             if len(kept) == len(chosen):
-                return model, ()
+                return structure, ()
         return with_patterns(self.candidates, kept, self.patterns), tuple(form for form in chosen if form not in kept)
 
     def _best(self) -> Selection:
@@ -613,23 +604,21 @@ class Searcher:
     def _refined(self, best: Selection) -> bool:
         """Refine the periods and time constants of large causes; return whether any moved."""
         machine, data = self.problem.network.machine, self.problem.network.data
-        bent = [form for form in best.forms if form.nonlinear]
-        large = [
-            form
-            for form in bent
-            if self.candidates.scores([one for one in best.forms if one is not form], [form.index])[0, 0] > REFINED_CHI2
-        ]
+        large: list[Form] = []
+        for form in best.forms:
+            others = [other for other in best.forms if other is not form]
+            if form.nonlinear and self.candidates.scores(others, [form.index])[0, 0] > REFINED_CHI2:
+                large.append(form)
         if not large:
             return False
         state = machine_state(data, machine)
-        found = estimate(self.problem, best.forms)
+        estimated = estimate(self.problem, best.forms)
         moved = False
-        for form, quantities in zip(best.forms, found.quantities, strict=True):
+        for form, quantities in zip(best.forms, estimated.quantities, strict=True):
             # A straight drift reports a time constant, but its columns have none.
-            put = {q.name: q for q in quantities if form in large and q.name in form.nonlinear}
-            if not any(abs(form.variant.fixed[q.name] - q.value) > REFINED_SIGMA * q.u for q in put.values()):
-                continue
-            moved = True
-            fixed = {name: q.value for name, q in put.items()}
-            self.candidates.refine(form, variant_at(form.candidate, fixed, machine, state))
+            fitted = [q for q in quantities if form in large and q.name in form.nonlinear]
+            if any(abs(form.variant.fixed[q.name] - q.value) > REFINED_SIGMA * q.u for q in fitted):
+                moved = True
+                fixed = {q.name: q.value for q in fitted}
+                self.candidates.refine(form, variant_at(form.candidate, fixed, machine, state))
         return moved

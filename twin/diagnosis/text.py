@@ -146,13 +146,14 @@ def separating_points(wanted: Iterable[Mapping[str, Any]], sigma_um: float) -> l
             by_pair.setdefault((a, b), []).append(entry)
     separating_points = []
     for pair, points in by_pair.items():
-        a, b = (_name_and_symbol(*_split_key(name)) for name in pair)
-        task = [point for point in points if "pose" in point]
-        if not task:
+        keys = [(effect, where) for effect, _, where in (name.partition(" ") for name in pair)]
+        a, b = (f"{cause_title(*key)} ({symbol(*key)})" for key in keys)
+        with_pose = [point for point in points if "pose" in point]
+        if not with_pose:
             text = capital(str(points[0]["text"]).rpartition(": ")[2]) + "."
             separating_points.append(SeparatingPoints((a, b), (), text))
             continue
-        best = max(float(one["expected_chi2"]) for one in task)
+        best = max(float(point["expected_chi2"]) for point in with_pose)
         difference_um = best**0.5 * sigma_um
         if RULED_OUT_CHI2 > MOST_READINGS * best:
             text = (
@@ -163,13 +164,13 @@ def separating_points(wanted: Iterable[Mapping[str, Any]], sigma_um: float) -> l
             continue
         rows = tuple(
             (
-                " ".join(f"{axis}{value:g}" for axis, value in one["pose"].items()),
-                " ".join(f"{axis}{'+' if sign > 0 else '−'}" for axis, sign in one["approach"].items()),
-                str(one["target"]),
-                str(one["station"]),
-                f"{float(one['expected_chi2']) ** 0.5 * sigma_um:.2g} µm",
+                " ".join(f"{axis}{value:g}" for axis, value in point["pose"].items()),
+                " ".join(f"{axis}{'+' if sign > 0 else '−'}" for axis, sign in point["approach"].items()),
+                str(point["target"]),
+                str(point["station"]),
+                f"{float(point['expected_chi2']) ** 0.5 * sigma_um:.2g} µm",
             )
-            for one in task
+            for point in with_pose
         )
         many = max(ceil(RULED_OUT_CHI2 / best), 1)
         readings = "one reading is enough" if many == 1 else f"about {many} readings are enough"
@@ -179,15 +180,6 @@ def separating_points(wanted: Iterable[Mapping[str, Any]], sigma_um: float) -> l
             text += f" For a complete plan with new station positions: {plan}."
         separating_points.append(SeparatingPoints((a, b), rows, text))
     return separating_points
-
-
-def _split_key(name: str) -> tuple[str, str]:
-    effect, _, where = name.partition(" ")
-    return effect, where
-
-
-def _name_and_symbol(effect: str, where: str) -> str:
-    return f"{cause_title(effect, where)} ({symbol(effect, where)})"
 
 
 def chance(p: float) -> str:
@@ -251,10 +243,7 @@ def headline(diagnosis: DiagnosisResult) -> tuple[str, Mood]:  # noqa: C901, PLR
         return "The readings agree with the model: no error found", "well"
     if diagnosis.verdict == "unexplained":
         if kinds and noisier_than_stated(diagnosis):
-            return (
-                "The readings are noisier than stated; the causes found may be artefacts of that noise",
-                "unknown",
-            )
+            return ("The readings are noisier than stated; the causes found may be artefacts of that noise", "unknown")
         if kinds:
             return "There is an error, and the causes found do not explain all of it", "unknown"
         if diagnosis.unexplained is not None and not diagnosis.unexplained.depends_on:
@@ -268,10 +257,7 @@ def headline(diagnosis: DiagnosisResult) -> tuple[str, Mood]:  # noqa: C901, PLR
             )
         return "There is an error, but these readings cannot decide which of several causes it has", "wrong"
     if kinds == {"instrument"}:
-        return (
-            "The measurement was disturbed; these readings show no error of the machine",
-            "disturbed",
-        )
+        return ("The measurement was disturbed; these readings show no error of the machine", "disturbed")
     if kinds == {"calibration"}:
         return "The calibration is wrong, not the machine. Found:", "wrong"
     if "instrument" in kinds:
@@ -323,10 +309,10 @@ def facts(diagnosis: DiagnosisResult) -> list[tuple[str, str]]:
 
 def extended(diagnosis: DiagnosisResult) -> list[tuple[str, str]]:
     """Return what the extended calibration contains of the unexplained pattern, or why not; empty if that was not requested."""
-    left = diagnosis.unexplained
-    if left is None or left.extension is None:
+    unexplained = diagnosis.unexplained
+    if unexplained is None or unexplained.extension is None:
         return []
-    made = left.extension
+    made = unexplained.extension
     if not made.written:
         return [("Not extended", f"The unexplained pattern is not in the extended calibration: {made.reason}.")]
     names = " and ".join(f"“{term.where}”" for term in made.made)
@@ -425,15 +411,15 @@ def _at_tool(diagnosis: DiagnosisResult) -> str:
 
 def _written(diagnosis: DiagnosisResult) -> bool:
     """Return whether the unexplained pattern is in the extended calibration."""
-    left = diagnosis.unexplained
-    return left is not None and left.extension is not None and left.extension.written
+    unexplained = diagnosis.unexplained
+    return unexplained is not None and unexplained.extension is not None and unexplained.extension.written
 
 
 def _when_unexplained(diagnosis: DiagnosisResult) -> list[tuple[str, str]]:
-    left = diagnosis.unexplained
-    if left is None:
+    unexplained = diagnosis.unexplained
+    if unexplained is None:
         return []
-    share = f"{percent(left.share)} of the excess over measurement noise"
+    share = f"{percent(unexplained.share)} of the excess over measurement noise"
     check = "Check the instrument and its stated uncertainties before working on the machine."
     spurious = "if the noise is larger than stated, some of the causes found may not exist."
     if noisier_than_stated(diagnosis) and diagnosis.gain is not None:
@@ -444,7 +430,7 @@ def _when_unexplained(diagnosis: DiagnosisResult) -> list[tuple[str, str]]:
             ("What to do", f"{check} Then diagnose again."),
             ("Caution", f"Do not compensate with this result: {spurious}"),
         ]
-    if not left.depends_on:
+    if not unexplained.depends_on:
         over = f"{share} remains, without a pattern in any column of the table."
         if not diagnosis.causes:
             stated = f"with {diagnosis.expected_rms_um:.3g} µm expected from the stated noise"
@@ -454,7 +440,7 @@ def _when_unexplained(diagnosis: DiagnosisResult) -> list[tuple[str, str]]:
             ("What to do", check),
             ("Caution", f"Do not compensate yet: {spurious}"),
         ]
-    names = listed([column(name) for name in left.depends_on])
+    names = listed([column(name) for name in unexplained.depends_on])
     caution = "Do not compensate or repair on suspicion: no known error has this pattern."
     if _written(diagnosis):
         caution = (
@@ -463,7 +449,7 @@ def _when_unexplained(diagnosis: DiagnosisResult) -> list[tuple[str, str]]:
     elif diagnosis.causes:
         caution = "Compensating for the causes found is not enough: the rest remains and may have biased their sizes."
     return [
-        ("Residual", f"{share} depends on {names} ({side(left.carrier)})."),
+        ("Residual", f"{share} depends on {names} ({side(unexplained.carrier)})."),
         ("What to do", f"Look for what depends on {names}, and measure more densely over it."),
         ("Caution", caution),
     ]
@@ -484,13 +470,13 @@ def _when_ambiguous(diagnosis: DiagnosisResult) -> list[tuple[str, str]]:
             )
         else:
             when_ambiguous.append((name, f"{advice(cause.effect, cause.where).look} {to_do(cause)}"))
-    wanted = separating_points(diagnosis.next_measurement, diagnosis.expected_rms_um)
-    if any(one.rows for one in wanted):
+    pairs = separating_points(diagnosis.next_measurement, diagnosis.expected_rms_um)
+    if any(pair.rows for pair in pairs):
         when_ambiguous.append(
             ("What to do", f"First measure the points under {NEXT_SECTION}: they separate the causes. Then compensate.")
         )
-    elif wanted:
-        when_ambiguous.append(("What to do", " ".join(dict.fromkeys(one.verdict for one in wanted))))
+    elif pairs:
+        when_ambiguous.append(("What to do", " ".join(dict.fromkeys(pair.verdict for pair in pairs))))
     if machine_or_instrument(causes):
         what = "The undecided part" if certain else "The error"
         when_ambiguous.append(

@@ -11,8 +11,8 @@ A·cos(3θ + ψ) along x and −A·sin(3θ + ψ) along y. If the probe never tur
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from typing import Final, NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import Final
 
 import numpy as np
 
@@ -77,46 +77,33 @@ AFFINE_SCALE: Final = Specification(
 )
 
 
-class _Alignment(NamedTuple):
-    """One alignment: its name, the mask of its readings, and whether the readings' centre is tried as the origin too."""
-
-    where: str
-    mask: np.ndarray
-    centred: bool
-
-
 def affine_scales(inputs: CandidateInputs) -> Catalogue:
-    """Return one candidate for each station and for each round, where there are several."""
-    return Catalogue(
-        tuple(one for alignment in _alignments(inputs.data) if (one := _candidate(inputs.data, alignment)) is not None)
-    )
-
-
-def _alignments(data: Measurements) -> Iterator[_Alignment]:
+    """Return one candidate for each station and for each round, where there are several and their points have an extent."""
+    data = inputs.data
     stations, rounds = (list(dict.fromkeys(names.tolist())) for names in (data.station, data.round))
     by_station = {f"station {name}": data.station == name for name in stations} if len(stations) > 1 else {}
     by_round = {f"round {name}": data.round == name for name in rounds} if 1 < len(rounds) <= MOST_ROUNDS else {}
-    station_masks = {mask.tobytes() for mask in by_station.values()}
-    yield from (_Alignment(where, mask, False) for where, mask in by_station.items())
     # A round that is exactly one station is not tested twice.
-    yield from (
-        _Alignment(where, mask, True) for where, mask in by_round.items() if mask.tobytes() not in station_masks
-    )
+    station_masks = {mask.tobytes() for mask in by_station.values()}
+    by_round = {where: mask for where, mask in by_round.items() if mask.tobytes() not in station_masks}
+    candidates = [_affine_scale(data, where, mask, realigned=False) for where, mask in by_station.items()]
+    candidates += [_affine_scale(data, where, mask, realigned=True) for where, mask in by_round.items()]
+    return Catalogue(tuple(candidate for candidate in candidates if candidate is not None))
 
 
-def _candidate(data: Measurements, alignment: _Alignment) -> Candidate | None:
-    """Return the candidate about the station's origin and, for a round, its centre; None if the points have no extent."""
-    extended = _has_extent(np.asarray(data.point_mm)[alignment.mask])
+def _affine_scale(data: Measurements, where: str, mask: np.ndarray, *, realigned: bool) -> Candidate | None:
+    """Return the candidate about the station's origin and, if it was realigned, the points' centre; None if they have no extent."""
+    extended = _has_extent(np.asarray(data.point_mm)[mask])
     kept = [k for k, (i, j) in enumerate(STRAINS) if extended[i] and extended[j]]
     if not kept:
         return None
-    variants = [Variant(_columns(alignment.mask, kept, np.zeros(3)))]
-    if alignment.centred:
+    variants = [Variant(_columns(mask, kept, np.zeros(3)))]
+    if realigned:
         # An instrument aligned anew in a round may have its origin anywhere: the centre of the readings is tried.
-        centre = [np.nanmean(data.point_mm[alignment.mask, i]) if extended[i] else 0.0 for i in range(3)]
-        variants.append(Variant(_columns(alignment.mask, kept, MM * np.array(centre))))
+        centre = [np.nanmean(data.point_mm[mask, i]) if extended[i] else 0.0 for i in range(3)]
+        variants.append(Variant(_columns(mask, kept, MM * np.array(centre))))
     names = tuple(NAMES[k] for k in kept)
-    return Candidate(AFFINE_SCALE, alignment.where, names, tuple(variants), float(len(variants)))
+    return Candidate(AFFINE_SCALE, where, names, tuple(variants), float(len(variants)))
 
 
 def _has_extent(points: np.ndarray) -> np.ndarray:
@@ -445,44 +432,28 @@ TARGET_SHIFT: Final = Specification(
 )
 
 
-def _later(inputs: CandidateInputs) -> list[tuple[str, np.ndarray]]:
-    """Return each round but the first, with the mask of the readings from that round on."""
-    rounds = list(dict.fromkeys(inputs.data.round))
+def alignments(inputs: CandidateInputs) -> Catalogue:
+    """Return a candidate for the instrument's frame and for every target, from each round but the first on."""
+    station, rounds = inputs.data.station, list(dict.fromkeys(inputs.data.round))
     number = np.array([rounds.index(name) for name in inputs.data.round])
-    return [(str(rounds[k]), number >= k) for k in range(1, len(rounds))]
+    single = len(dict.fromkeys(station)) == 1
+    frame_shifts, target_shifts = [], []
+    for k, name in enumerate(rounds[1:], 1):
+        later = number >= k
+        for at, mask in [("", later)] if single else _changed(later, station):
+            where = f"round {name}" if single else f"station {at} from round {name}"
+            variant = Variant(masked_columns(FRAME, mask, UM))
+            frame_shifts.append(Candidate(FRAME_SHIFT, where, (*SHIFTS, *TURNS), (variant,), 1.0))
+        for target, mask in _changed(later, inputs.data.target):
+            variant = Variant(masked_columns(PLACE, mask, UM))
+            target_shifts.append(Candidate(TARGET_SHIFT, f"{target} from round {name}", SHIFTS, (variant,), 1.0))
+    return Catalogue((*frame_shifts, *target_shifts))
 
 
 def _changed(later: np.ndarray, names: np.ndarray) -> list[tuple[str, np.ndarray]]:
     """Return stations or targets with readings both before and after a change, with the mask of the later readings."""
     masks = [(str(name), names == name) for name in dict.fromkeys(names)]
-    return [(name, later & own) for name, own in masks if 0 < np.count_nonzero(later & own) < np.count_nonzero(own)]
-
-
-def alignments(inputs: CandidateInputs) -> Catalogue:
-    """Return a candidate for the instrument's frame and for every target, from each round on."""
-    return Catalogue((*_frame_shifts(inputs), *_target_shifts(inputs)))
-
-
-def _frame_shifts(inputs: CandidateInputs) -> list[Candidate]:
-    """Return frame shifts from each round on, for each station separately where there are several."""
-    frame_shifts = []
-    for name, later in _later(inputs):
-        single = len(dict.fromkeys(inputs.data.station)) == 1
-        changed = [("", later)] if single else _changed(later, inputs.data.station)
-        for station, mask in changed:
-            where = f"round {name}" if single else f"station {station} from round {name}"
-            columns = masked_columns(FRAME, mask, UM)
-            frame_shifts.append(Candidate(FRAME_SHIFT, where, (*SHIFTS, *TURNS), (Variant(columns),), 1.0))
-    return frame_shifts
-
-
-def _target_shifts(inputs: CandidateInputs) -> list[Candidate]:
-    """Return target shifts from each round on."""
-    return [
-        Candidate(TARGET_SHIFT, f"{target} from round {name}", SHIFTS, (Variant(masked_columns(PLACE, mask, UM)),), 1.0)
-        for name, later in _later(inputs)
-        for target, mask in _changed(later, inputs.data.target)
-    ]
+    return [(name, later & mask) for name, mask in masks if 0 < np.count_nonzero(later & mask) < np.count_nonzero(mask)]
 
 
 ALIGNMENT_SOURCE: Final = CandidateSource((FRAME_SHIFT, TARGET_SHIFT), alignments)

@@ -67,7 +67,7 @@ from twin.numerics.curves import POWER, CurveSpace, conversion
 from twin.numerics.functions import Functions, Rows, tabulated
 
 TESTED_EFFECTS: Final = tuple(
-    one for one in MACHINE_EFFECTS if one.forms is not None or (one.make is not None and not one.curve)
+    effect for effect in MACHINE_EFFECTS if effect.forms is not None or (effect.make is not None and not effect.curve)
 )
 
 
@@ -179,24 +179,23 @@ MOST_DEGREES: Final = 8
 
 def curves(inputs: CandidateInputs) -> Catalogue:
     """Return corrections of the curves of linear axes, and of rotary axes with polynomial curves, in orthonormal polynomials."""
-    return Catalogue(tuple(one for axis in inputs.machine.axes for one in _of_axis(inputs, axis)))
+    return Catalogue(tuple(candidate for axis in inputs.machine.axes for candidate in _of_axis(inputs, axis)))
 
 
 def _of_axis(inputs: CandidateInputs, axis: Axis) -> list[Candidate]:
     """Return the candidates of the error motions of an axis; those of one domain and degree share their functions."""
     alike: dict[tuple[tuple[float, float], int], dict[int, tuple[CurveSpace, dict[float, np.ndarray]]]] = {}
     for component in range(len(DIRECTIONS)):
-        space_and_mistakes = _space_and_mistakes(inputs, axis, component)
-        if space_and_mistakes is not None:
-            alike.setdefault((space_and_mistakes[0].domain, space_and_mistakes[0].count), {})[component] = (
-                space_and_mistakes
-            )
+        correction = _space_and_mistakes(inputs, axis, component)
+        if correction is not None:
+            alike.setdefault((correction[0].domain, correction[0].count), {})[component] = correction
     candidates: dict[int, Candidate] = {}
-    for (domain, count), own in alike.items():
-        shapes = [shape for _, patterns in own.values() for shape in patterns.values()]
-        functions = _functions_with_sums(next(iter(own.values()))[0], _positions(inputs, axis, domain), shapes)
+    for (domain, count), corrections in alike.items():
+        shapes = [shape for _, patterns in corrections.values() for shape in patterns.values()]
+        first_space, _ = next(iter(corrections.values()))
+        functions = _functions_with_sums(first_space, _positions(inputs, axis, domain), shapes)
         start = count
-        for component, (space, patterns) in own.items():
+        for component, (space, patterns) in corrections.items():
             index = [*range(count), *range(start, start + len(patterns))]
             at = first_component(inputs.machine, axis.name) + component
             columns = tuple(component_column([(at, functions, k, 1.0)]) for k in index)
@@ -241,11 +240,7 @@ def _fixed_by_datum(axis: Axis, component: int) -> int:
 
 
 def _curve_candidate(
-    axis: Axis,
-    component: int,
-    space: CurveSpace,
-    patterns: Mapping[float, np.ndarray],
-    columns: tuple[Column, ...],
+    axis: Axis, component: int, space: CurveSpace, patterns: Mapping[float, np.ndarray], columns: tuple[Column, ...]
 ) -> Candidate:
     """Return the candidate of one error motion, from the columns of its functions and of the mistakes in its curve."""
     first_free = _fixed_by_datum(axis, component)
@@ -303,8 +298,8 @@ def _functions_with_sums(space: CurveSpace, at: np.ndarray, patterns: Sequence[n
     sums = np.stack(patterns, axis=1) if patterns else np.zeros((space.count, 0))
 
     def values(rows: Rows) -> np.ndarray:
-        found = space.functions(at[rows])
-        return np.concatenate([found, found @ sums], axis=1)
+        of_space = space.functions(at[rows])
+        return np.concatenate([of_space, of_space @ sums], axis=1)
 
     return Functions(len(at), space.count + sums.shape[1], values)
 
@@ -323,17 +318,17 @@ def added_payloads(inputs: CandidateInputs) -> Catalogue:
     If all readings carry the same load, it is confounded with a payload: it is tested where compliances are known without it, else the
     payload is.
     """
-    compliant = [one for one in inputs.calibration.extra if isinstance(one, GravityCompliance)]
-    every = {side: [one for one in compliant if side_of(one.axis) == side] for side in SIDES}
+    compliant = [effect for effect in inputs.calibration.extra if isinstance(effect, GravityCompliance)]
+    every = {side: [effect for effect in compliant if side_of(effect.axis) == side] for side in SIDES}
     sides = [side for side in SIDES if every[side]]
-    known = {payload.side for one in compliant for payload in one.payloads if payload.carried}
+    known = {payload.side for effect in compliant for payload in effect.payloads if payload.carried}
     candidates: list[Candidate] = []
     missing: list[Missing] = []
     carrying = is_carrying(inputs.state)
     varied = carrying and bool(np.ptp(inputs.state[LOAD]) > 0.0)
     if carrying and not varied and not sides:
-        own = dict.fromkeys(side_of(axis) for axis in inputs.machine.axes)
-        missing += [(CARRIED_LOAD.name, side, f"readings at different {LOAD}") for side in own]
+        moved = dict.fromkeys(side_of(axis) for axis in inputs.machine.axes)
+        missing += [(CARRIED_LOAD.name, side, f"readings at different {LOAD}") for side in moved]
     for side in sides:
         if not carrying or varied:
             candidates.append(_payload_candidate(inputs, side, every[side], carried=False))
@@ -356,10 +351,10 @@ def _payload_candidate(
 
     def column(k: int) -> Column:
         parts = []
-        for one in compliant:
-            at = first_component(inputs.machine, one.axis.name, "motion")
-            functions = tabulated(mass * np.asarray(measured[one.axis.name][first + k], dtype=float)[:, None])
-            parts += [(at + i, functions, 0, one.compliance * part) for i, part in along(one.axis, 1.0).items()]
+        for joint in compliant:
+            at = first_component(inputs.machine, joint.axis.name, "motion")
+            functions = tabulated(mass * np.asarray(measured[joint.axis.name][first + k], dtype=float)[:, None])
+            parts += [(at + i, functions, 0, joint.compliance * part) for i, part in along(joint.axis, 1.0).items()]
         return component_column(parts)
 
     def loads_along(axis: str) -> Callable[[Mapping[str, Any]], Sequence[Any]]:
@@ -378,12 +373,12 @@ def _payload_candidate(
     def build(values: np.ndarray, fixed: Mapping[str, float]) -> tuple[AddedLoad, ...]:
         weights = values if len(values) == LOADS else values[0] * first_moments(fixed)
 
-        def load(one: GravityCompliance, u: float, beside: Sequence[AddedLoad] = ()) -> AddedLoad:
-            return AddedLoad(one, loads_along(one.axis.name), side, weights, carried=carried, u=u, beside=beside)
+        def load(joint: GravityCompliance, u: float, beside: Sequence[AddedLoad] = ()) -> AddedLoad:
+            return AddedLoad(joint, loads_along(joint.axis.name), side, weights, carried=carried, u=u, beside=beside)
 
-        others = [load(one, abs(one.compliance)) for one in rigid]
+        others = [load(joint, abs(joint.compliance)) for joint in rigid]
         return tuple(
-            load(one, u, others if k == 0 else ()) for k, (one, u) in enumerate(zip(compliant, doubt, strict=True))
+            load(joint, u, others if k == 0 else ()) for k, (joint, u) in enumerate(zip(compliant, doubt, strict=True))
         )
 
     columns = tuple(column(k) for k in range(LOADS))
@@ -414,9 +409,9 @@ def with_centre(candidate: Candidate, centre_mm: Sequence[float] | np.ndarray) -
     """
     fixed = dict(zip(NUMBERS[1:], map(float, centre_mm), strict=True))
     parts = list(zip(candidate.variants[-1].columns, first_moments(fixed), strict=True))
-    terms = [replace(term, weight=term.weight * weight) for one, weight in parts for term in one.terms]
+    terms = [replace(term, weight=term.weight * weight) for column, weight in parts for term in column.terms]
     # The effect of 1 kg is at most the sum of those of its mass and moments, so that this mass has the largest plausible effect.
-    scale = 1.0 / sum(abs(weight) / one.scale for one, weight in parts)
+    scale = 1.0 / sum(abs(weight) / column.scale for column, weight in parts)
     return Variant((Column(tuple(terms), float(scale)),), fixed)
 
 
@@ -424,7 +419,7 @@ def _standard_uncertainties(calibration: Calibration, compliant: Sequence[Gravit
     """Return the standard uncertainty of each compliance in the calibration; 0 where it gives none."""
     known = calibration.covariance
     deviations = dict(zip(known.names, np.sqrt(np.diag(known.matrix)), strict=True))
-    return [float(deviations.get(one.parameters[0].name, 0.0)) for one in compliant]
+    return [float(deviations.get(joint.parameters[0].name, 0.0)) for joint in compliant]
 
 
 def _rigid(machine: Machine, side: Side, compliant: Sequence[GravityCompliance]) -> list[GravityCompliance]:
@@ -432,10 +427,10 @@ def _rigid(machine: Machine, side: Side, compliant: Sequence[GravityCompliance])
 
     The calibration says nothing of them: readings without the load may not have loaded them.
     """
-    known = {one.axis.name for one in compliant}
+    known = {joint.axis.name for joint in compliant}
     rigid = []
     for axis in machine.axes:
-        like = [one.compliance for one in compliant if one.axis.linear == axis.linear]
+        like = [joint.compliance for joint in compliant if joint.axis.linear == axis.linear]
         if like and axis.name not in known and side_of(axis) == side:
             rigid.append(gravity_compliance(machine, axis.name, float(np.sqrt(np.mean(np.square(like))))))
     return rigid
@@ -502,17 +497,17 @@ def time_since_reversal(data: Measurements, velocity: np.ndarray) -> tuple[np.nd
     feed = np.nan_to_num(data.feed_mm_min[order]) / 60.0
     by_feed = np.where(feed > 0.0, step / np.where(feed > 0.0, feed, 1.0), 0.0)
     passed = np.diff(data.time_s[order], prepend=data.time_s[order][:1]) if timed else by_feed
-    own, found, elapsed = np.sign(velocity[order]), np.full(len(q), np.inf), np.inf
+    direction, by_row, elapsed = np.sign(velocity[order]), np.full(len(q), np.inf), np.inf
     for i in range(1, len(q)):
         if rounds[i] != rounds[i - 1]:
             elapsed = np.inf
-        elif own[i] * own[i - 1] < 0.0:
+        elif direction[i] * direction[i - 1] < 0.0:
             elapsed = 0.5 * passed[i]
         else:
             elapsed += passed[i]
-        found[i] = elapsed
-    since = np.empty_like(found)
-    since[order] = found
+        by_row[i] = elapsed
+    since = np.empty_like(by_row)
+    since[order] = by_row
     return since, float(np.median(passed[passed > 0.0])) if np.any(passed > 0.0) else 1.0
 
 
