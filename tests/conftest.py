@@ -3,6 +3,7 @@ from __future__ import annotations
 import datetime
 import os
 import re
+import sys
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
@@ -17,10 +18,13 @@ from twin._common.resources import one_blas_thread
 from twin.machine.machine import Machine
 from twin.model.calibration import Calibration
 from twin.planning import Kit, Plan, duration, plan
-
-os.environ.setdefault("OMP_NUM_THREADS", "1")  # of the commands that tests start: the run itself uses all cores
 from twin.samples import thesis_plan
 
+# Bytecode is kept even where PYTHONDONTWRITEBYTECODE is set: else every command that a test starts compiles twin anew.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # of the commands that tests start: the run itself uses all cores
 # Two workers share two cores (pyproject.toml): threads of a linear algebra library would only stand in each other's way.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 one_blas_thread()
