@@ -119,11 +119,16 @@ def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
         yield
 
 
+def two_stations(dmu50: Machine) -> Kit:
+    """Return the kit of the machine with a tracker left and right."""
+    own = Kit.default(dmu50)
+    return replace(own, stations=MappingProxyType({name: own.stations[name] for name in ("left", "right")}))
+
+
 @pytest.fixture(scope="session")
 def half(dmu50: Machine) -> Plan:
     """A plan that takes as long as half of the thesis's, by the same clock, with a tracker left and right."""
-    own = Kit.default(dmu50)
-    own = replace(own, stations=MappingProxyType({name: own.stations[name] for name in ("left", "right")}))
+    own = two_stations(dmu50)
     whole = thesis_plan.plan(dmu50)
     first = whole.select(np.isin(whole.round, ["1", "2"]))
     return plan(dmu50, own, minutes=duration(dmu50, own, first) / 60.0)
