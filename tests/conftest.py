@@ -7,6 +7,7 @@ import sys
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from types import MappingProxyType
 
@@ -15,6 +16,7 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 from twin._common.resources import one_blas_thread
+from twin.cli import commands
 from twin.machine.machine import Machine
 from twin.model.calibration import Calibration
 from twin.planning import Kit, Plan, duration, plan
@@ -116,6 +118,14 @@ def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     """Keep compiled code in a folder of the run, so that the user's cache is neither read nor written."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def built_once() -> Iterator[None]:
+    """Keep the parser's commands: each call of `commands.load` builds all that are imported, one in a user's process and 20 here."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(commands, "load", cache(commands.load))
         yield
 
 
