@@ -29,7 +29,9 @@ def measured(dmu50: Machine, calibration: Calibration, tmp_path_factory: pytest.
     """Identify a round of the thesis's plan with all reflectors, and with one on either side."""
     folder = tmp_path_factory.mktemp("identified")
     plan = thesis_plan.plan(dmu50)
-    readings, _ = simulate(plan.select(plan.round == "1"), dmu50, calibration, LaserTracker(), np.random.default_rng(11))
+    readings, _ = simulate(
+        plan.select(plan.round == "1"), dmu50, calibration, LaserTracker(), np.random.default_rng(11)
+    )
     names = {side: readings.target[readings.carrier == side][0] for side in ("tool", "work")}
     found = {}
     for kind, data in (("all", readings), ("one", readings.select(np.isin(readings.target, list(names.values()))))):
