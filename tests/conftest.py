@@ -129,6 +129,12 @@ def built_once() -> Iterator[None]:
         yield
 
 
+@pytest.fixture
+def without_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Embed an empty picture for each figure of a page: drawing them takes half of a page's time."""
+    monkeypatch.setattr("matplotlib.figure.Figure.savefig", lambda figure, file, **more: file.write(b"<svg/>"))
+
+
 def two_stations(dmu50: Machine) -> Kit:
     """Return the kit of the machine with a tracker left and right."""
     own = Kit.default(dmu50)

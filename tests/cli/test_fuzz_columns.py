@@ -30,7 +30,7 @@ NEEDED = {
 """Columns without which a table is refused at once; they stay in nine of ten subsets."""
 FEW, MANY = 6, 60
 """Subsets for a command in the default run and in a slow run, if it is not listed below."""
-COSTLY = {"identify": (3, 20), "diagnose": (2, 12), "watch": (2, 8), "report": (2, 3)}
+COSTLY = {"identify": (3, 20), "diagnose": (5, 12), "watch": (2, 8), "report": (2, 3)}
 
 
 @cache
@@ -63,7 +63,7 @@ def measured() -> Columns:
         assert not ended.value.code
         rows = list(csv.DictReader(line for line in made.read_text().splitlines() if not line.startswith("#")))
     read = {f"{c}_mm": [row[f"{c}_mm"] for row in rows] for c in "xyz"}
-    return found | read | {f"u_{c}_mm": ["0.002"] * count for c in "xyz"}
+    return found | read | {f"u_{c}_mm": ["0.005"] * count for c in "xyz"}
 
 
 def record() -> Columns:

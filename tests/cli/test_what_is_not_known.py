@@ -61,7 +61,12 @@ def test_the_file_says_what_is_not_known(measured: Files, dmu50: Machine) -> Non
 @pytest.mark.sample(1)  # of 2
 @pytest.mark.parametrize("kind", ["all", "one"])
 def test_every_command_says_it(
-    kind: str, measured: Files, dmu50: Machine, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    kind: str,
+    without_pictures: None,
+    measured: Files,
+    dmu50: Machine,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     given, out = ("-c", measured[kind], "--tool-length", 120), tmp_path / "out.json"
     unknown = ("E_X0B", "E_Y0B", "E_Y0C")
