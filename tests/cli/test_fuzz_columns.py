@@ -17,9 +17,9 @@ import pytest
 
 from tests.cli.hostile import machine, sample
 from tests.cli.test_fuzz import done_or_refused
+from tests.thermal.chains import short_chains
 from twin import cli
 from twin._common.files import scratch_folder
-from twin.thermal.evidence import DrawnModels, Evidence
 
 Columns = dict[str, list[str]]
 NEEDED = {
@@ -146,25 +146,15 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
 
 
-@pytest.fixture
-def short_chains(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Draw a fortieth of the thermal models: which columns a record has does not depend on it, and a fit costs 10 s with all."""
-    whole = Evidence.draw
-
-    def draw(self: Evidence, generator: np.random.Generator, steps: int) -> DrawnModels:
-        return whole(self, generator, steps // 40)
-
-    monkeypatch.setattr(Evidence, "draw", draw)
-
-
 @pytest.mark.sample(8)  # of 9
 @pytest.mark.parametrize(
     "name", [pytest.param(name, marks=[pytest.mark.slow] if name == "report" else []) for name in COMMANDS]
 )
 def test_a_subset_of_columns_is_computed_or_refused(
-    folder: None, short_chains: None, capsys: pytest.CaptureFixture[str], name: str
+    folder: None, capsys: pytest.CaptureFixture[str], name: str
 ) -> None:
-    try_subsets(name, COSTLY.get(name, (FEW, MANY))[0], capsys)
+    with short_chains():
+        try_subsets(name, COSTLY.get(name, (FEW, MANY))[0], capsys)
 
 
 @pytest.mark.slow
