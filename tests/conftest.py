@@ -31,6 +31,9 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")  # of the commands that tests star
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 one_blas_thread()
 
+# Each call builds every command that is imported: one in a user's process, twenty here.
+commands.load = cache(commands.load)
+
 # No deadline: two shared cores make time no measure of right or wrong. By default the same few examples every time; a slow run
 # draws new ones, and more, from a seed (`pytest_configure`), and keeps no database, so that the seed alone brings a failure back.
 settings.register_profile(
@@ -115,17 +118,10 @@ def calibration(dmu50: Machine) -> Calibration:
 
 @pytest.fixture(scope="session", autouse=True)
 def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """Keep compiled code in a folder of the run, so that the user's cache is neither read nor written."""
+    """Keep compiled code in a folder of the run, so that the user's cache is neither read nor written; its workers share it."""
+    base = tmp_path_factory.getbasetemp()
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
-        yield
-
-
-@pytest.fixture(scope="session", autouse=True)
-def built_once() -> Iterator[None]:
-    """Keep the parser's commands: each call of `commands.load` builds all that are imported, one in a user's process and 20 here."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(commands, "load", cache(commands.load))
+        patch.setenv("XDG_CACHE_HOME", str((base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "cache"))
         yield
 
 
