@@ -1,4 +1,4 @@
-"""Short Markov chains for tests of what does not depend on their length."""
+"""Short Markov chains, for tests whose result does not depend on their length."""
 
 from __future__ import annotations
 
