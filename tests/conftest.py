@@ -3,9 +3,11 @@ from __future__ import annotations
 import datetime
 import os
 import re
+import sys
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from types import MappingProxyType
 
@@ -14,16 +16,23 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 from twin._common.resources import one_blas_thread
+from twin.cli import commands
 from twin.machine.machine import Machine
 from twin.model.calibration import Calibration
 from twin.planning import Kit, Plan, duration, plan
-
-os.environ.setdefault("OMP_NUM_THREADS", "1")  # of the commands that tests start: the run itself uses all cores
 from twin.samples import thesis_plan
 
+# Bytecode is kept even where PYTHONDONTWRITEBYTECODE is set: else every command that a test starts compiles twin anew.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # of the commands that tests start: the run itself uses all cores
 # Two workers share two cores (pyproject.toml): threads of a linear algebra library would only stand in each other's way.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 one_blas_thread()
+
+# Each call builds every command that is imported: one in a user's process, twenty here.
+commands.load = cache(commands.load)
 
 # No deadline: two shared cores make time no measure of right or wrong. By default the same few examples every time; a slow run
 # draws new ones, and more, from a seed (`pytest_configure`), and keeps no database, so that the seed alone brings a failure back.
@@ -109,17 +118,29 @@ def calibration(dmu50: Machine) -> Calibration:
 
 @pytest.fixture(scope="session", autouse=True)
 def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """Keep compiled code in a folder of the run, so that the user's cache is neither read nor written."""
+    """Keep compiled code in a folder of the run, so that the user's cache is neither read nor written; its workers share it."""
+    base = tmp_path_factory.getbasetemp()
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
+        patch.setenv("XDG_CACHE_HOME", str((base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "cache"))
         yield
+
+
+@pytest.fixture
+def without_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Embed an empty picture for each figure of a page: drawing them takes half of a page's time."""
+    monkeypatch.setattr("matplotlib.figure.Figure.savefig", lambda figure, file, **more: file.write(b"<svg/>"))
+
+
+def two_stations(dmu50: Machine) -> Kit:
+    """Return the kit of the machine with a tracker left and right."""
+    own = Kit.default(dmu50)
+    return replace(own, stations=MappingProxyType({name: own.stations[name] for name in ("left", "right")}))
 
 
 @pytest.fixture(scope="session")
 def half(dmu50: Machine) -> Plan:
     """A plan that takes as long as half of the thesis's, by the same clock, with a tracker left and right."""
-    own = Kit.default(dmu50)
-    own = replace(own, stations=MappingProxyType({name: own.stations[name] for name in ("left", "right")}))
+    own = two_stations(dmu50)
     whole = thesis_plan.plan(dmu50)
     first = whole.select(np.isin(whole.round, ["1", "2"]))
     return plan(dmu50, own, minutes=duration(dmu50, own, first) / 60.0)

@@ -28,7 +28,7 @@ from tests.nc.test_unknown import (
     WORDS,
 )
 
-EXAMPLES = 10
+EXAMPLES = 6
 CALIBRATION = (
     "schema: twin.calibration/1\nmachine: DMU 50 eVolution\nsource: a test\n"
     "squareness: {E_C0Y: 22.0}\nlocation: {E_X0C: 4.0, E_A0C: -12.0}\n"
@@ -195,7 +195,7 @@ def test_nothing_is_done_as_known_that_is_not(folder: None, capsys: pytest.Captu
 @pytest.mark.slow
 @pytest.mark.parametrize("name", COMMANDS)
 def test_nothing_is_done_as_known_in_many_programs(folder: None, capsys: pytest.CaptureFixture[str], name: str) -> None:
-    try_programs(name, range(EXAMPLES, 30 * EXAMPLES), capsys)
+    try_programs(name, range(EXAMPLES, 50 * EXAMPLES), capsys)
 
 
 @pytest.mark.parametrize("name", COMMANDS)

@@ -422,7 +422,7 @@ def divisions(draw: st.DrawFn) -> Division:
     return Division(name, tuple(chosen), *how)
 
 
-@settings(max_examples=15)
+@settings(max_examples=10)
 @example(division=Division("p.nc", ("threads", "holes", "tilted plane", "another tool"), False, 30, 1, ""))
 @example(division=Division("p.h", ("arcs", "another tool", "tilted plane", "long ways"), True, 30, 1, ""))
 @example(division=Division("p.cls", ("continued", "inches"), False, 30, 1, ".h"))

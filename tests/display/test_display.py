@@ -25,6 +25,7 @@ from tests.measurement.formats.cases import CASES
 from tests.measurement.importing import shop_files
 from tests.monitoring.folder import write_folder
 from tests.thermal import machine_room
+from tests.thermal.chains import short_chains
 from tests.truth.machine import TruthMachine
 from twin.compensation import Options, compensate
 from twin.compensation.fewer_blocks import refit
@@ -382,9 +383,7 @@ def results(
     tool, plan, laser = ToolUncertainty(known), thesis_plan.plan(dmu50), folder / LASER.FILE
     laser.write_text(LASER.GOOD, encoding="utf-8", newline="")
     record = twin.ThermalRecord.load(machine_room.write(machine_room.simulate(1), folder / "record.csv"))
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("twin.thermal.fit.LONG_CHAIN", 1)
-        patch.setattr("twin.thermal.fit.STEPS", 300)
+    with short_chains():
         thermal = twin.fit_thermal(record)
     (outcome,) = twin.compensate_files([arc], folder / "out", dmu50, drawn, options=options, workers=Workers(1))
     made = [

@@ -131,7 +131,12 @@ def test_a_failure_beyond_an_incomplete_uncertainty_is_a_failure(dmu50: Machine,
     ],
 )
 def test_command_says_the_verdict_and_leaves_by_it(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], tolerances: tuple[str, ...], status: int, words: str
+    without_pictures: None,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    tolerances: tuple[str, ...],
+    status: int,
+    words: str,
 ) -> None:
     calibration = tmp_path / "c.yaml"
     calibration.write_text(MINE)

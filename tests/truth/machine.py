@@ -16,6 +16,8 @@ from numpy.polynomial import legendre
 
 from tests.truth.reference import D, about, dmu50_pose, error_frame, translation
 
+LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+"""The parser in C is seven times faster, where it is installed."""
 AXES = "XYZBC"
 RANGES = {"X": (0.0, 500.0), "Y": (0.0, 450.0), "Z": (-400.0, 0.0), "B": (0.0, 180.0), "C": (0.0, 360.0)}
 MOTIONS = tuple(f"E_{letter}{axis}" for axis in AXES for letter in "XYZABC")
@@ -25,7 +27,7 @@ CONSTANTS = ("E_C0Y", "E_A0Z", "E_B0Z", "E_A0B", "E_B0B", "E_X0C", "E_A0C", "E_B
 
 class TruthMachine:
     def __init__(self, calibration: Path, tool_length: float = 0.0) -> None:
-        data = yaml.safe_load(calibration.read_text())
+        data = yaml.load(calibration.read_text(), Loader=LOADER)
         self.curves = data.get("curves", {})
         self.squareness = data.get("squareness", {})
         self.location = data.get("location", {})
