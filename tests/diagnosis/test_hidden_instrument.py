@@ -209,7 +209,13 @@ def test_one_instrument_alone_is_not_blamed_for_what_the_machine_may_do(tmp_path
     data = Measurements.load(path, machine)
     result = diagnose(data.select(data.station == "B"), machine, Calibration.zero(machine))
     assert "affine_scale" not in {effect for effect, _, _, _ in result.ranking}
-    assert ("positioning", "E_XX") in {(cause.effect, cause.where) for cause in result.causes}
+    (scale,) = [cause for cause in result.causes if (cause.effect, cause.where) == ("positioning", "E_XX")]
+    # The claim says that it rests on the instrument, and which measurement would decide.
+    assert "calibrated length" in scale.assumes and scale.to_dict()["assumes"] == scale.assumes
+    assert "assumes that the instrument reads to scale" in " ".join(result.to_text().split())
+    # Two stations on different sides do not have the same error in the machine's frame.
+    both = diagnose(data, machine, Calibration.zero(machine))
+    assert not any(cause.assumes for cause in both.causes if cause.origin == "machine")
 
 
 def test_equal_scales_of_one_station_are_confounded_with_refraction(tmp_path: Path) -> None:
@@ -296,3 +302,64 @@ def test_the_feed_is_shared_by_the_axes_that_moved(dmu50: Machine, tmp_path: Pat
     assert found["X"] == pytest.approx([0.0, 60.0, 60.0, 0.0]) and found["Y"] == pytest.approx([0.0, 80.0, 80.0, -10.0])
     data.save(tmp_path / "again.csv", dmu50)
     assert Measurements.load(tmp_path / "again.csv", dmu50).feed_mm_min.tolist() == [0.0, 6000.0, 6000.0, 600.0]
+
+
+def of_one_station(
+    folder: Path,
+    change: Callable[[np.ndarray], np.ndarray] = lambda seen: seen,
+    hide: Sequence[Hidden] = (),
+    *,
+    seed: int = 83,
+) -> Diagnosis:
+    """Return the diagnosis of readings of the DMU 50 from one station, 2 µm of noise; ``change``: the instrument's own error."""
+    rng = np.random.default_rng(seed)
+    plan = hidden.plan(rng, rounds=3, stops=7, poses=40)
+    readings = hidden.noisy(change(hidden.points(plan, hide)), rng, "isotropic", 2e-3)
+    machine = Machine.load("dmu50")
+    data = Measurements.load(hidden.write(folder / "one.csv", plan, readings, u_mm=2e-3), machine)
+    return diagnose(data, machine, Calibration.default(machine))
+
+
+def test_equal_scales_of_all_axes_are_not_told_from_a_scale_of_all_lengths(tmp_path: Path) -> None:
+    """20 µm/m of X, Y and Z: the machine is 1.8 K warm, or the air is wrong. One number, two causes: ambiguous, whichever is true."""
+    warm = [Hidden("positioning", f"E_{a}{a}", {"c1": size}) for a, size in (("X", 5.0), ("Y", 4.5), ("Z", 4.0))]
+    scales = {("positioning", f"E_{a}{a}") for a in "XYZ"}
+    for hide in (warm, [Hidden("refraction_scale", "—", {"scale": 19.0})]):
+        result = of_one_station(tmp_path, hide=hide)
+        (cause,) = result.causes
+        assert result.verdict == "ambiguous" and (cause.effect, cause.where) == ("refraction_scale", "—")
+        assert [set(group) for group in cause.together] == [scales] and set(cause.equivalent) == scales
+        assert all(len(entry["together_with"]) == 2 for entry in cause.to_dict()["equivalent"])
+        text = " ".join(result.to_text().split())
+        assert "calibrated length on the table" in text and "show no error of the machine" not in text
+        assert "No effect: the error is in the readings only" not in text
+        assert len(result.next_measurement) == 1
+
+
+@pytest.mark.parametrize("seed", [83, 1])
+def test_one_instrument_out_of_square_is_named_where_rotary_axes_turn_the_targets(tmp_path: Path, seed: int) -> None:
+    """30 µrad of shear at two metres differ from a beam bent sideways by less than the noise: either is named, with the other."""
+    strain = np.zeros((3, 3))
+    strain[0, 1] = strain[1, 0] = 15e-6
+    result = of_one_station(tmp_path, lambda seen: seen @ (np.eye(3) + strain), seed=seed)
+    (cause,) = result.causes
+    shear = ("affine_scale", "station 1")
+    assert shear in {(cause.effect, cause.where), *cause.equivalent} and cause.origin == "instrument"
+    assert {(cause.effect, cause.where), *cause.equivalent} <= {shear, ("beam_bending", "1")}
+    assert result.verdict == ("ambiguous" if cause.equivalent else "explained")
+    if (cause.effect, cause.where) == shear:
+        found = {q.name: q for q in cause.parameters}
+        for name in found:
+            assert abs(found[name].value - (30.0 if name == "shear_xy" else 0.0)) < 3.5 * found[name].u
+
+
+def test_a_sagging_beam_is_named(tmp_path: Path) -> None:
+    """8 µm at one metre, 32 at two: not a squareness error and a load of the table."""
+    down = np.array([0.0, 0.0, -8e-3])
+    result = of_one_station(tmp_path, lambda seen: seen + np.sum(seen**2, axis=1, keepdims=True) * 1e-6 * down)
+    (cause,) = result.causes
+    assert (cause.effect, cause.where) == ("beam_bending", "1") and cause.origin == "instrument"
+    found = {q.name: q for q in cause.parameters}
+    for name, value in {"bend_x": 0.0, "bend_y": 0.0, "bend_z": -8.0}.items():
+        assert abs(found[name].value - value) < 3.5 * found[name].u
+    assert result.extended.source == result.calibration.source

@@ -16,6 +16,7 @@ import numpy as np
 from twin._common.arrays import first_largest, largest_first, read_only
 from twin._common.units import MM
 from twin.diagnosis.candidates.candidate import ITSELF, constant_dropped, flaw, times
+from twin.diagnosis.candidates.instrument import assumed_zero
 from twin.diagnosis.cross_validation import predicts_held_out
 from twin.diagnosis.estimate import Estimate, fitted_effects
 from twin.diagnosis.forms import DEVIANCE_RULED_OUT, Candidates, Form
@@ -35,6 +36,14 @@ from twin.tool.uncertainty import volume
 
 ALTERNATIVES_SEPARATED: Final = 2
 """Number of alternatives of a cause for which points are suggested."""
+MOST_TOGETHER: Final = 6
+"""Number of causes of one effect that are tried together: one for each axis. Many more would imitate anything."""
+SPANNED: Final = 0.01
+"""Share of a cause's squared norm outside the span of others up to which they replace it; what is left is within the noise, too."""
+FIELD: Final = "with the frame"
+"""`Specification.varies` of an error of the instrument that is a field in its frame: scales, shears, bent beams."""
+IMITATED: Final = 0.2
+"""Share of what a cause adds to the readings up to which an error of the instrument may leave it and still replace it."""
 RUNNERS_UP: Final = 2
 """Number of alternatives that are ruled out and listed with a cause."""
 
@@ -75,7 +84,9 @@ def _in_place(candidates: Candidates, form: Form, others: Sequence[Form]) -> tup
     for rival, (explained, dof, _) in zip(tried, scores, strict=True):
         if dof <= 0:
             continue
-        worth = float(explained - candidates.critical_value(rival, dof))
+        # Of two fields of errors of one instrument, the one with more numbers is not less likely for that.
+        fields = FIELD == rival.candidate.specification.varies == form.candidate.specification.varies
+        worth = float(explained - candidates.critical_value(rival, min(dof, dof_of_form) if fields else dof))
         more_parameters = dof > dof_of_form and rival.candidate.origin == form.candidate.origin
         if worth > least and (
             (more_parameters and candidates.contains([*others, rival], others, form))
@@ -85,14 +96,15 @@ def _in_place(candidates: Candidates, form: Form, others: Sequence[Form]) -> tup
             continue
         best[rival.key] = max(best.get(rival.key, -np.inf), worth)
     ranked = [list(best)[i] for i in largest_first(np.array(list(best.values())))]
-    keys = [key for key in ranked if best[key] > least]
-    return tuple(dict.fromkeys([*keys, *_several(candidates, form, others)]))
+    return tuple(key for key in ranked if best[key] > least)
 
 
-def _several(candidates: Candidates, form: Form, others: Sequence[Form]) -> list[tuple[str, str]]:
-    """Return causes of one effect that together explain as much as one cause of the other origin, with no more parameters.
+def together(candidates: Candidates, form: Form, others: Sequence[Form]) -> tuple[tuple[tuple[str, str], ...], ...]:
+    """Return groups of causes of one effect and of the other origin that together explain as much as a cause, the others kept.
 
-    Example: drift of a station in three directions, and drift of the tool side along each of them.
+    Either with no more parameters (drift of a station in three directions, and of the tool side along each of them), or because what
+    the cause adds to the readings lies in their span (a scale of all lengths, and equal scales of three axes): then no readings of this
+    kind distinguish the two, whatever their number.
     """
     explained, _ = candidates.scan(others)
     used = {other.key for other in others} | {form.key}
@@ -103,18 +115,53 @@ def _several(candidates: Candidates, form: Form, others: Sequence[Form]) -> list
             if rival.key not in best or explained[rival.index] > explained[best[rival.key].index]:
                 best[rival.key] = rival
     least = candidates.explained_by([*others, form]) - DEVIANCE_RULED_OUT
-    keys: list[tuple[str, str]] = []
+    groups = []
     for group in (list(best.values()) for best in by_effect.values()):
-        if not 1 < len(group) <= len(form.columns):
+        explained_together = candidates.explained_by([*others, *group])
+        if not 1 < len(group) <= MOST_TOGETHER or explained_together < least:
             continue
-        together = candidates.explained_by([*others, *group])
-        if together < least:
-            continue
-        for rival in group:
-            without = candidates.explained_by([*others, *(other for other in group if other is not rival)])
-            if without < together - DEVIANCE_RULED_OUT:
-                keys.append(rival.key)
-    return keys
+        needed = [
+            rival
+            for rival in group
+            if candidates.explained_by([*others, *(other for other in group if other is not rival)])
+            < explained_together - DEVIANCE_RULED_OUT
+        ]
+        spanned = candidates.contains([*others, *group], others, form, remaining=SPANNED)
+        if len(needed) > 1 and (spanned or len(group) <= len(form.columns)):
+            groups.append(tuple(rival.key for rival in needed))
+    return tuple(groups)
+
+
+def rest_on_the_instrument(problem: Problem, signature: np.ndarray, machine: np.ndarray) -> np.ndarray:
+    """Return (k,) whether an error of the instrument that no one looks for would fit in place of a cause of the machine.
+
+    Tried for all causes of the machine together and for each alone, the others kept: the readings do not show the difference, and the
+    error spans most of it.
+
+    Args:
+        signature: (3n, k) contribution of each cause to the whitened readings.
+        machine: (k,) whether a cause is one of the machine.
+    """
+    assumed = problem.signature(assumed_zero(problem.network.data))
+    columns = np.concatenate([signature, assumed], axis=1)
+    gram = columns.T @ problem.project(columns)
+    instrument = np.arange(signature.shape[1], columns.shape[1])
+
+    def rest(some: np.ndarray) -> bool:
+        total, kept = signature[:, some].sum(axis=1), np.flatnonzero(~some)
+        along = np.append(columns.T @ problem.project(total), total @ problem.project(total))
+
+        def remaining(others: np.ndarray) -> float:
+            inverse = np.linalg.pinv(gram[np.ix_(others, others)], rcond=1e-10, hermitian=True)
+            return float(along[-1] - along[others] @ inverse @ along[others])
+
+        left = remaining(np.concatenate([kept, instrument]))
+        return left < min(DEVIANCE_RULED_OUT, IMITATED * remaining(kept))
+
+    if np.count_nonzero(machine) > 1 and rest(machine):
+        return machine
+    every = np.arange(len(machine))
+    return np.array([bool(machine[k]) and rest(every == k) for k in every], dtype=bool)
 
 
 def _margin(candidates: Candidates, form: Form, others: Sequence[Form]) -> float:
@@ -148,7 +195,9 @@ def points_to_measure(candidates: Candidates, named: Sequence[Form], causes: Seq
     for form, cause in zip(named, causes, strict=True):
         others = [other for other in named if other is not form]
         rivals: list[Form] = []
-        for key in cause.equivalent:
+        # What separates a cause from the first of a group separates it from all.
+        further = {key for group in cause.together for key in group[1:]}
+        for key in (key for key in cause.equivalent if key not in further):
             tried = [other.index for other in candidates.forms if other.key == key]
             if tried and len(rivals) < ALTERNATIVES_SEPARATED:
                 log_p = candidates.scores(others, tried)[:, 2]
@@ -179,9 +228,8 @@ def _separating(
     of_rival = _prediction(problem, [rival, *others], plan)
     separates = [f"{cause.candidate.effect} {cause.candidate.where}" for cause in (form, rival)]
     if prediction is None or of_rival is None:
-        pair = " from ".join(separates)
-        text = f"to separate {pair}: repeat the first round without touching the instrument or the targets"
-        return [{"separates": separates, "text": text}]
+        decided_by = next(f.candidate.specification.decided_by for f in (form, rival) if f.candidate.build is None)
+        return [{"separates": separates, "text": f"to separate {' from '.join(separates)}: {decided_by}"}]
     sigma = np.sqrt(np.einsum("nii->n", network.covariance).mean() / max(network.read.sum(axis=1).mean(), 1.0))
     chi2 = np.sum(((prediction - of_rival) / sigma) ** 2, axis=1)
     points: list[Next] = []

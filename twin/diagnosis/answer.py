@@ -157,7 +157,7 @@ def _verdict_within_limits(
     unexplained, machine = diagnosis.unexplained, [cause for cause in diagnosis.causes if cause.origin == "machine"]
     absent = [f"{cause.effect} {cause.where}" for cause in machine if not cause.promised]
     unsure = [
-        f"{cause.effect} {cause.where} cannot be separated from {listed([' '.join(key) for key in cause.equivalent])}"
+        f"{cause.effect} {cause.where} cannot be separated from {listed(cause.alternatives(lambda *key: ' '.join(key)))}"
         for cause in diagnosis.causes
         if cause.equivalent
     ]

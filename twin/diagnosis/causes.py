@@ -12,14 +12,24 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 from typing import Final, final
 
 import numpy as np
 
 from twin._common.arrays import read_only
 from twin._common.distributions import f_log_sf, normal_sf
-from twin.diagnosis.alternatives import between_positions, curve_flaw, equivalent, evidence, ruled_out
+from twin.diagnosis.alternatives import (
+    between_positions,
+    curve_flaw,
+    equivalent,
+    evidence,
+    rest_on_the_instrument,
+    ruled_out,
+    together,
+)
 from twin.diagnosis.candidates.catalogue import SPECIFICATIONS
+from twin.diagnosis.candidates.instrument import ASSUMED_OF_INSTRUMENT
 from twin.diagnosis.candidates.machine import FOLLOWING_ERROR, READ_BACK
 from twin.diagnosis.estimate import MANY_ROUNDS, Estimate, estimate, reweighted
 from twin.diagnosis.forms import Candidates, Form, log_p_value
@@ -149,7 +159,12 @@ def causes_with_alternatives(sized: SizedCauses, calibration: Calibration) -> tu
     With unnamed patterns the selection was made by likelihood: no probability is given, and the comparison is empty.
     """
     candidates, structure = sized.findings.candidates, sized.findings.structure
-    causes = [_cause(sized, k, calibration) for k in range(len(sized.forms))]
+    machine = np.array([form.candidate.origin == "machine" for form in sized.forms], dtype=bool)
+    resting = rest_on_the_instrument(sized.findings.problem, sized.estimate.signature, machine)
+    causes = [
+        replace(_cause(sized, k, calibration), assumes=ASSUMED_OF_INSTRUMENT if resting[k] else "")
+        for k in range(len(sized.forms))
+    ]
     if structure.pattern_tests:
         return causes, Comparison()
     # A variant of a cause with more parameters, such as ``reversal_curve`` of ``reversal``, counts as that cause.
@@ -242,7 +257,8 @@ def _cause(sized: SizedCauses, k: int, calibration: Calibration) -> Cause:
     if form.candidate.specification in (PAYLOAD, CARRIED_LOAD) and form.variant.fixed:
         text += f"; the readings do not determine its centre of mass: the most likely one within ±{CENTRE_RANGE_MM:g} mm is taken"
     text += doubt
-    equal = equivalent(findings, form_beside, others_beside)
+    groups = () if findings.structure.pattern_tests else together(candidates, form, others)
+    equal = tuple(dict.fromkeys([*equivalent(findings, form_beside, others_beside), *chain.from_iterable(groups)]))
     why = reversal_doubt(network.data, network.machine, form.candidate.where) if _approach_axes(form) else ""
     if why:
         text, equal = f"{text}; {why}", (*equal, (READ_BACK.name, form.candidate.where))
@@ -254,6 +270,7 @@ def _cause(sized: SizedCauses, k: int, calibration: Calibration) -> Cause:
         p_value=candidates.p_value(_log_p_given_others(findings, sized.estimate, sized.forms, form)),
         share=float(np.clip(explained / sized.excess, 0.0, 1.0)),
         equivalent=equal,
+        together=groups,
         evidence=text,
         pattern_um=read_only(in_um(network, sized.estimate.signature[:, k])),
         effects=() if doubt else sized.estimate.effects[k],

@@ -318,9 +318,9 @@ class Candidates:
         gram[known], gram[:, known] = rows, rows.T
         return gram
 
-    def contains(self, larger: Sequence[Form], others: Sequence[Form], form: Form) -> bool:
-        """Return whether a larger set of forms already spans what a form adds to some others."""
-        return bool(np.trace(self._remaining(form, larger)) < 1e-3 * np.trace(self._remaining(form, others)))
+    def contains(self, larger: Sequence[Form], others: Sequence[Form], form: Form, *, remaining: float = 1e-3) -> bool:
+        """Return whether a larger set of forms spans what a form adds to some others, but for a share of its squared norm."""
+        return bool(np.trace(self._remaining(form, larger)) < remaining * np.trace(self._remaining(form, others)))
 
     def cancels(self, form: Form, others: Sequence[Form], cause: Form) -> bool:
         """Return whether less than 1 % of a form's squared norm remains given others, and 1 % of the share that remains of a cause."""

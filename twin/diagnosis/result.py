@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Final, Literal, final
 
@@ -65,6 +65,8 @@ class Cause:
         p_value: of the χ² it explains given the other causes, corrected for the number of tests.
         share: of the excess residual sum of squares (over measurement noise) that it explains.
         equivalent: (effect, where) of the causes it is confounded with in these data.
+        together: groups of these that replace it only together.
+        assumes: what it assumes of the instrument, in words, where an error of the instrument would fit as well; else empty.
         evidence: one sentence a machine operator can read.
         pattern_um: (n, 3) its effect on each reading.
         effects: the effects that extend the model; empty for an error of the instrument.
@@ -91,6 +93,18 @@ class Cause:
     rivals: tuple[Rival, ...] = ()
     probability: float | None = None
     credible: tuple[tuple[str, str], ...] = ()
+    together: tuple[tuple[tuple[str, str], ...], ...] = ()
+    assumes: str = ""
+
+    def alternatives(self, title: Callable[[str, str], str]) -> list[str]:
+        """Return the names of `equivalent`, those that replace it only together as one.
+
+        Args:
+            title: gives the name of an effect at a place.
+        """
+        grouped = {key for group in self.together for key in group}
+        alone = [title(*key) for key in self.equivalent if key not in grouped]
+        return [*alone, *(f"{' and '.join(title(*key) for key in group)} together" for group in self.together)]
 
     def to_dict(self) -> dict[str, Any]:
         """Return the entry of the JSON."""
@@ -101,13 +115,19 @@ class Cause:
             "parameters": [{"name": q.name, "value": q.value, "unit": q.unit, "u": q.u} for q in self.parameters],
             "p_value": self.p_value,
             "share": self.share,
-            "equivalent": [{"effect": effect, "where": where} for effect, where in self.equivalent],
+            "equivalent": [self._alternative(key) for key in self.equivalent],
             "evidence": self.evidence,
+            "assumes": self.assumes or None,
             "promised": self.promised,
             "bounded": self.bounded,
             "probability": self.probability,
             "credible": [{"effect": effect, "where": where} for effect, where in self.credible],
         }
+
+    def _alternative(self, key: tuple[str, str]) -> dict[str, Any]:
+        with_it = next((group for group in self.together if key in group), ())
+        others = [{"effect": effect, "where": where} for effect, where in with_it if (effect, where) != key]
+        return {"effect": key[0], "where": key[1], **({"together_with": others} if others else {})}
 
 
 @final

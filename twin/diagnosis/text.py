@@ -150,7 +150,7 @@ def separating_points(wanted: Iterable[Mapping[str, Any]], sigma_um: float) -> l
         a, b = (f"{cause_title(*key)} ({symbol(*key)})" for key in keys)
         with_pose = [point for point in points if "pose" in point]
         if not with_pose:
-            text = capital(str(points[0]["text"]).rpartition(": ")[2]) + "."
+            text = capital(str(points[0]["text"]).partition(": ")[2]) + "."
             separating_points.append(SeparatingPoints((a, b), (), text))
             continue
         best = max(float(point["expected_chi2"]) for point in with_pose)
@@ -390,6 +390,8 @@ def machine_or_instrument(causes: Iterable[Cause]) -> bool:
 
 def _at_tool(diagnosis: DiagnosisResult) -> str:
     gain, kinds = diagnosis.gain, {kind(cause.effect) for cause in diagnosis.causes}
+    if kinds == {"instrument"} and machine_or_instrument(diagnosis.causes):
+        return "Unknown: none if the error is the instrument's; if it is the machine's, the tool has it."
     if kinds == {"instrument"}:
         return "No effect: the error is in the readings only."
     if gain is None or gain.tool_before_um == 0.0:
@@ -461,7 +463,7 @@ def _when_ambiguous(diagnosis: DiagnosisResult) -> list[tuple[str, str]]:
     for cause in causes:
         name = cause_title(cause.effect, cause.where)
         if cause.equivalent:
-            names = listed([lower(cause_title(*key)) for key in cause.equivalent], most=4)
+            names = listed(cause.alternatives(lambda *key: lower(cause_title(*key))), most=4)
             when_ambiguous.append(
                 (
                     f"{name}, or instead" if len(causes) > 1 else "Or instead",
@@ -565,7 +567,7 @@ def diagnosis_display(diagnosis: DiagnosisResult) -> Display:
             f"{cause_title(cause.effect, cause.where)} ({symbol(cause.effect, cause.where)})",
             _numbers(cause),
             percent(cause.share),
-            listed([cause_title(*key) for key in cause.equivalent], most=3) or "none",
+            listed(cause.alternatives(cause_title), most=3) or "none",
         )
         for cause in diagnosis.causes
     ]
@@ -591,8 +593,10 @@ def _cause(cause: Cause) -> list[str]:
         name = f"{cause_title(rival.effect, rival.where)} ({symbol(rival.effect, rival.where)})"
         lines += _wrapped(f"next best, ruled out: {name}, {odds(rival.log_odds)}", start=4, hang=6)
     if cause.equivalent:
-        names = [f"{cause_title(*key)} ({symbol(*key)})" for key in cause.equivalent]
+        names = cause.alternatives(lambda *key: f"{cause_title(*key)} ({symbol(*key)})")
         lines += _wrapped(f"fits these readings equally well: {listed(names)}", start=4, hang=6)
+    if cause.assumes:
+        lines += _wrapped(cause.assumes, start=4, hang=6)
     return lines
 
 

@@ -9,6 +9,7 @@ from twin.diagnosis.candidates.candidate import CandidateInputs, CandidateSource
 from twin.diagnosis.candidates.instrument import (
     AFFINE_SCALE_SOURCE,
     ALIGNMENT_SOURCE,
+    BEAM_BENDING_SOURCE,
     PROBE_LOBING_SOURCE,
     REFRACTION_SCALE_SOURCE,
     STATION_DRIFT_SOURCE,
@@ -34,6 +35,7 @@ SOURCES: Final[tuple[CandidateSource, ...]] = (
     ALIGNMENT_SOURCE,
     REFRACTION_SCALE_SOURCE,
     AFFINE_SCALE_SOURCE,
+    BEAM_BENDING_SOURCE,
     STATION_DRIFT_SOURCE,
     TIME_SKEW_SOURCE,
     REVERSAL_SPIKE_SOURCE,

@@ -57,6 +57,10 @@ FLAT_EXTENT: Final = 0.01
 """Share of the largest extent below which the extent of the points along a direction counts as zero."""
 MOST_ROUNDS: Final = 12
 """Number of rounds above which rounds are repeats or places rather than alignments of the instrument."""
+CALIBRATED_LENGTH: Final = (
+    "measure a calibrated length on the table (gauge block, scale bar) with the same instrument, and read the machine's temperature: "
+    "a machine that is warmer than the length has equal scales of its axes"
+)
 MM: Final = 1e-3
 
 
@@ -74,14 +78,21 @@ AFFINE_SCALE: Final = Specification(
     limits={"ppm": 200.0},
     varies="with the frame",
     flexible=True,
+    decided_by=CALIBRATED_LENGTH,
 )
 
 
 def affine_scales(inputs: CandidateInputs) -> Catalogue:
-    """Return one candidate for each station and for each round, where there are several and their points have an extent."""
+    """Return one candidate for each station and for each round, where there are several and their points have an extent.
+
+    A single station has one if a rotary axis moved: it turns the targets in the instrument's frame, which scale and squareness of the
+    machine do not.
+    """
     data = inputs.data
     stations, rounds = (list(dict.fromkeys(names.tolist())) for names in (data.station, data.round))
-    by_station = {f"station {name}": data.station == name for name in stations} if len(stations) > 1 else {}
+    by_station = (
+        {f"station {name}": data.station == name for name in stations} if len(stations) > 1 or _turned(inputs) else {}
+    )
     by_round = {f"round {name}": data.round == name for name in rounds} if 1 < len(rounds) <= MOST_ROUNDS else {}
     # A round that is exactly one station is not tested twice.
     station_masks = {mask.tobytes() for mask in by_station.values()}
@@ -89,6 +100,12 @@ def affine_scales(inputs: CandidateInputs) -> Catalogue:
     candidates = [_affine_scale(data, where, mask, realigned=False) for where, mask in by_station.items()]
     candidates += [_affine_scale(data, where, mask, realigned=True) for where, mask in by_round.items()]
     return Catalogue(tuple(candidate for candidate in candidates if candidate is not None))
+
+
+def _turned(inputs: CandidateInputs) -> bool:
+    """Return whether a rotary axis moved."""
+    moved = inputs.data.moved(inputs.machine)
+    return any(not axis.linear and axis.name in moved for axis in inputs.machine.axes)
 
 
 def _affine_scale(data: Measurements, where: str, mask: np.ndarray, *, realigned: bool) -> Candidate | None:
@@ -135,6 +152,63 @@ def _columns(mask: np.ndarray, kept: list[int], centre: np.ndarray) -> tuple[Col
 
 
 AFFINE_SCALE_SOURCE: Final = CandidateSource((AFFINE_SCALE,), affine_scales)
+
+ASSUMED_OF_INSTRUMENT: Final = (
+    "assumes that the instrument reads to scale, at right angles and along straight beams: such an error of its own would fit as "
+    "well: a calibrated length on the table, or the same points from a station on another side, would show it"
+)
+
+
+def assumed_zero(data: Measurements) -> tuple[Column, ...]:
+    """Return the errors that every instrument of a table is assumed not to have, the same at all its stations and in all rounds.
+
+    A strain of its frame, and a beam that sags or is bent by a gradient of the air.
+    """
+    every = np.ones(len(data), dtype=bool)
+    return (*_columns(every, list(range(len(STRAINS))), np.zeros(3)), *_bent(data, every))
+
+
+# --- Candidate: a beam that is not straight ---------------------------------------------------------
+
+LARGEST_BEND: Final = 10.0
+"""µm/m²: a gradient of the air's temperature of 20 K/m bends a beam so."""
+
+BEAM_BENDING: Final = Specification(
+    name="beam_bending",
+    kind="instrument",
+    title=lambda where: f"beam of the instrument at station {where} not straight",
+    family="bent beam",
+    advice=Advice(
+        "Metrology: warm or cold air along the beam, from the machine or a door; the instrument's supports.",
+        f"{REST} Better, measure again from nearer, or from the other side.",
+        NOTHING,
+    ),
+    evidence=lambda of: f"readings from station {of.where} are off with the square of their distance, by {of.measure}",
+    limits={"um/m2": LARGEST_BEND},
+    varies="with the frame",
+    decided_by="measure the same points from a station on another side, or from half the distance, where it is off by a quarter",
+)
+
+
+def beam_bendings(inputs: CandidateInputs) -> Catalogue:
+    """Return a candidate for every station at rest in the base that reads points, if a rotary axis moved, as for `affine_scales`."""
+    data, candidates = inputs.data, []
+    for name in dict.fromkeys(data.station.tolist()) if _turned(inputs) else ():
+        own = data.station == name
+        if np.all(data.station_carrier[own] == "base") and np.all(np.isfinite(data.point_mm[own])):
+            names = tuple((f"bend_{a}", "um/m2") for a in "xyz")
+            candidates.append(Candidate(BEAM_BENDING, str(name), names, (Variant(_bent(data, own)),), 1.0))
+    return Catalogue(tuple(candidates))
+
+
+def _bent(data: Measurements, mask: np.ndarray) -> tuple[Column, ...]:
+    """Return the shifts of some readings along the axes of the base, µm per square metre of the distance from the instrument."""
+    square = np.where(mask, np.nan_to_num(np.sum(np.asarray(data.point_mm) ** 2, axis=1)), 0.0) * MM**2
+    bent = tabulated(square[:, None])
+    return tuple(Column((SignatureTerm(("base", i), bent, 0, UM),), LARGEST_BEND) for i in range(3))
+
+
+BEAM_BENDING_SOURCE: Final = CandidateSource((BEAM_BENDING,), beam_bendings)
 
 # --- Candidate: lobing of a touch probe, whose pre-travel depends on the direction of the contact in the probe's own frame
 
@@ -216,6 +290,7 @@ REFRACTION_SCALE: Final = Specification(
     evidence=lambda of: f"all lengths are read {of.measure} too long",
     limits={"ppm": LARGEST_PPM},
     varies="with the frame",
+    decided_by=CALIBRATED_LENGTH,
     drawing=Drawing(size_of="distance", by_state=True),
 )
 

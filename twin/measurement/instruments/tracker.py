@@ -19,7 +19,15 @@ INTERFEROMETER: Final = InstrumentSpecification(
     reads="point",
     free_start=False,
     rides_on=SIDES,
-    effects=("frame_shift", "refraction_scale", "station_drift", "target_shift", "affine_scale", "time_skew"),
+    effects=(
+        "frame_shift",
+        "refraction_scale",
+        "station_drift",
+        "target_shift",
+        "affine_scale",
+        "beam_bending",
+        "time_skew",
+    ),
     source="maximum permissible errors of the data sheet, taken as two standard deviations",
 )
 ABSOLUTE: Final = replace(

@@ -188,6 +188,7 @@ class Specification:
         rare: whether it is a mistake that is rarely made, with a smaller share of the false alarms.
         all_or_nothing: whether its parameter is 1 wherever it is present (a mistake that is made completely or not at all).
         flexible: whether its many parameters can absorb a part of any other effect.
+        decided_by: of an error of the instrument, the measurement that separates it from errors of the machine.
         plain_forms: number of its forms that are used to estimate the noise; 0: other effects have the same forms; None: the widest.
         drawing: how it is plotted.
     """
@@ -221,6 +222,7 @@ class Specification:
     rare: bool = False
     all_or_nothing: bool = False
     flexible: bool = False
+    decided_by: str = "repeat the first round without touching the instrument or the targets"
     plain_forms: int | None = None
     drawing: Drawing = field(default_factory=Drawing)
 
