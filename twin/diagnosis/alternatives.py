@@ -228,7 +228,8 @@ def _separating(
     of_rival = _prediction(problem, [rival, *others], plan)
     separates = [f"{cause.candidate.effect} {cause.candidate.where}" for cause in (form, rival)]
     if prediction is None or of_rival is None:
-        decided_by = next(f.candidate.specification.decided_by for f in (form, rival) if f.candidate.build is None)
+        of_instrument = [cause.candidate for cause in (form, rival, *others) if cause.candidate.build is None]
+        decided_by = of_instrument[0].specification.decided_by
         return [{"separates": separates, "text": f"to separate {' from '.join(separates)}: {decided_by}"}]
     sigma = np.sqrt(np.einsum("nii->n", network.covariance).mean() / max(network.read.sum(axis=1).mean(), 1.0))
     chi2 = np.sum(((prediction - of_rival) / sigma) ** 2, axis=1)

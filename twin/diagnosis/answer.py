@@ -25,7 +25,7 @@ from twin.diagnosis.alternatives import points_to_measure
 from twin.diagnosis.candidates.candidate import LARGEST_ERROR
 from twin.diagnosis.causes import SizedCauses, causes_with_alternatives, causes_with_payloads, notices, readback_causes
 from twin.diagnosis.forms import LEAST_NONCENTRALITY, Candidates, Form
-from twin.diagnosis.gain import EmpiricalExtension, extend, gain, residuals_as_written
+from twin.diagnosis.gain import EmpiricalExtension, extend, gain, only_predicting, residuals_as_written
 from twin.diagnosis.likelihood import PatternTest, scan_patterns
 from twin.diagnosis.problem import Problem, in_um, rewhitened, rms, unwhiten
 from twin.diagnosis.readings import ReadingNoise
@@ -187,6 +187,7 @@ def conclude(sized: SizedCauses, calibration: Calibration, *, empirical: bool = 
     Args:
         empirical: whether unexplained patterns extend the calibration as well.
     """
+    sized, all_sized = only_predicting(sized), sized
     findings, forms = sized.findings, sized.forms
     task, candidates, problem = findings.task, findings.candidates, findings.problem
     by_noise, network = task.by_noise, problem.network
@@ -213,7 +214,7 @@ def conclude(sized: SizedCauses, calibration: Calibration, *, empirical: bool = 
     overstated = overstated_noise(rms(residual, network.read), by_noise.chi2, by_noise.dof) if stated else ()
     by_patterns = [float(np.exp(test.log_p_corrected)) for test in findings.structure.pattern_tests]
     diagnosis = Diagnosis(
-        verdict=_verdict(causes, unexplained, disagree=comparison.disagree),
+        verdict=_verdict(causes, unexplained, disagree=comparison.disagree, predict=sized is all_sized),
         rms_um=rms(residual, network.read),
         absorbed_rms_um=rms(in_um(by_noise.network, by_noise.projected), network.read),
         expected_rms_um=_expected_um(by_noise),
@@ -228,7 +229,6 @@ def conclude(sized: SizedCauses, calibration: Calibration, *, empirical: bool = 
         next_measurement=wanted,
         trends=_trends(findings),
         ranking=_ranking(candidates),
-        # Evaluated last: it resets the candidates.
         gain=gain(sized, (residual, after), unexplained, extension) if changed else None,
         tried=len(task.catalogue.candidates),
         noise_source=task.noise.source,
@@ -263,8 +263,8 @@ def _extended(
     return calibration.extended(effects, covariance, source, simulated=data.simulated)
 
 
-def _verdict(causes: Sequence[Cause], unexplained: Unexplained | None, *, disagree: bool) -> Verdict:
-    if unexplained is not None and unexplained.share > MOSTLY_EXPLAINED:
+def _verdict(causes: Sequence[Cause], unexplained: Unexplained | None, *, disagree: bool, predict: bool) -> Verdict:
+    if not predict or (unexplained is not None and unexplained.share > MOSTLY_EXPLAINED):
         return "unexplained"
     if disagree or any(cause.equivalent for cause in causes):
         return "ambiguous"

@@ -9,7 +9,7 @@ a calibration only if held-out readings confirm them, and are valid only within 
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final, Literal, final
 
 import numpy as np
@@ -31,10 +31,9 @@ from twin.diagnosis.cross_validation import (
 from twin.diagnosis.forms import Candidates, Form
 from twin.diagnosis.likelihood import Likelihood, PatternTest
 from twin.diagnosis.nuisance import setup_basis
-from twin.diagnosis.payload import restore_payloads, select_on_part
 from twin.diagnosis.problem import Problem, in_um, rms, unwhiten
 from twin.diagnosis.result import Extension, Gain, HeldOut, Term, Unexplained
-from twin.diagnosis.structure import Findings, refit_on_part
+from twin.diagnosis.structure import Findings
 from twin.identification.network import Network
 from twin.identification.solve import solve
 from twin.machine.machine import Machine
@@ -51,34 +50,56 @@ from twin.tool.uncertainty import volume
 
 
 def held_out(sized: SizedCauses, written: Collection[int] = ()) -> HeldOut | None:
-    """Return the residuals of held-out readings, without and with the causes that are significant on the other readings.
+    """Return the residuals of held-out readings, without and with the written causes, their sizes fitted to the other readings.
 
-    The search on each part starts from the selected causes; fitted periods and forbidden causes are reset first. None if nothing can
-    be held out.
+    Periods and other numbers that are not linear stay as fitted to all readings. None if nothing can be held out.
 
     Args:
         sized: the causes with their sizes; they decide what is held out (`twin.diagnosis.cross_validation`).
         written: numbers of the patterns that are in the file as well.
     """
-    findings, forms = sized.findings, sized.forms
-    problem, candidates = findings.problem, findings.candidates
-    barred = {form.key for form, doubt in zip(forms, sized.doubts, strict=True) if doubt}
-    split = choose_folds(problem.network.data, problem.network.machine, [form.candidate for form in forms])
-    candidates.set_problem(problem)
-    restore_payloads(candidates, forms)
-    if split is None:
-        return None
+    findings, problem = sized.findings, sized.findings.problem
+    named = [form for form, doubt in zip(sized.forms, sized.doubts, strict=True) if not doubt]
 
-    def predict(small: Candidates) -> tuple[np.ndarray, np.ndarray]:
-        # If held-out readings refuted causes, the remaining ones are not searched again.
-        chosen = forms if findings.refuted else select_on_part(small, forms).forms
-        kept, likelihood = refit_on_part(small, chosen, findings.structure)
-        after = predicted_shift(problem, small, [form for form in kept if form.key not in barred])
-        if written and likelihood is not None:
-            after = after + predicted_pattern_shift(likelihood, kept, written)
+    def predict(part: Candidates) -> tuple[np.ndarray, np.ndarray]:
+        after = predicted_shift(problem, part, named)
+        if written:
+            likelihood = Likelihood(part, findings.structure.pattern_tests)
+            after = after + predicted_pattern_shift(likelihood, named, written)
         return np.zeros_like(after), after
 
-    return _held_out(candidates, split, predict)
+    split = _folds_of(sized)
+    return None if split is None else _held_out(findings.candidates, split, predict)
+
+
+def only_predicting(sized: SizedCauses) -> SizedCauses:
+    """Return the causes, those of the machine in doubt if together they do not lower the residuals of held-out readings.
+
+    They are compared with the causes of the instrument alone; with too few groups to judge, nothing is doubted.
+    """
+    problem, pairs = sized.findings.problem, list(zip(sized.forms, sized.doubts, strict=True))
+    named = [form for form, doubt in pairs if not doubt]
+    of_instrument = [form for form in named if form.candidate.origin == "instrument"]
+    split = _folds_of(sized)
+    if len(of_instrument) == len(named) or split is None:
+        return sized
+
+    def predict(part: Candidates) -> tuple[np.ndarray, np.ndarray]:
+        return predicted_shift(problem, part, of_instrument), predicted_shift(problem, part, named)
+
+    held = _held_out(sized.findings.candidates, split, predict)
+    if held is None or held.groups < GROUPS_FOR_AN_INTERVAL or held.after_um < held.before_um:
+        return sized
+    why = f"; held-out {held.of} are predicted no better with it ({held.before_um:.3g} µm without, {held.after_um:.3g} µm with)"
+    return replace(
+        sized,
+        doubts=tuple(doubt or ("" if form.candidate.origin == "instrument" else why) for form, doubt in pairs),
+    )
+
+
+def _folds_of(sized: SizedCauses) -> HeldOutFolds | None:
+    network = sized.findings.problem.network
+    return choose_folds(network.data, network.machine, [form.candidate for form in sized.forms])
 
 
 def held_out_patterns(findings: Findings, forms: Sequence[Form], written: Collection[int]) -> HeldOut | None:

@@ -31,7 +31,6 @@ from twin.model.effects.gravity_compliance import (
     PAYLOAD,
     UNKNOWN_PAYLOAD,
     AddedLoad,
-    payloads_of,
     refined_form,
 )
 
@@ -322,36 +321,6 @@ def _added_loads(candidates: Candidates, forms: Sequence[Form], of: Sequence[For
         built = () if form.candidate.build is None else form.candidate.build(values[at] * scale, form.variant.fixed)
         added_loads += [effect.payload for effect in built[:1] if isinstance(effect, AddedLoad) and effect.weights[0]]
     return added_loads
-
-
-def restore_payloads(candidates: Candidates, forms: Sequence[Form]) -> None:
-    """Put the loads of the given causes back into the load of all joints, after the pool was evaluated on other data."""
-    for form in forms:
-        if form.candidate.specification in (PAYLOAD, CARRIED_LOAD) and form.variant.fixed:
-            candidates.refine(candidates.forms[form.index], form.variant)
-    for side in SIDES:
-        yielding = [
-            form
-            for form in forms
-            if form.candidate.specification is GRAVITY_COMPLIANCE
-            and MASS in form.variant.fixed
-            and side_of(axis_of_form(candidates, form)) == side
-        ]
-        for form in yielding[:1]:
-            payloads = payloads_of(axis_of_form(candidates, form), form.variant.fixed)
-            by_kind = {payload.carried: payload for payload in payloads}
-            _refine_side(candidates, side, by_kind.get(False), by_kind.get(True))
-
-
-def select_on_part(part: Candidates, forms: Sequence[Form]) -> Selection:
-    """Return the best set of causes on a part of the data, starting from that on all data, with the payloads of the latter.
-
-    Args:
-        part: the candidates on a part of the data.
-        forms: the causes found on all data; each stays if it is significant.
-    """
-    _exclude_free_payloads(part)
-    return within_limits(part, select(part, [part.forms[form.index] for form in forms]), False)
 
 
 def _exclude_free_payloads(candidates: Candidates) -> None:

@@ -133,7 +133,7 @@ class Cause:
 @final
 @dataclass(frozen=True)
 class HeldOut:
-    """Residuals of held-out readings; of the causes found on all readings, those that are significant on the others are fitted.
+    """Residuals of held-out readings; the written causes are fitted to the others.
 
     Attributes:
         of: what was held out: ``rounds``, ``positions``, ``poses`` or ``blocks`` of time.

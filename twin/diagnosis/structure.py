@@ -184,25 +184,6 @@ def joint_selection(candidates: Candidates, forms: Sequence[Form], tried: Sequen
     return replace(structure, rejected=rejected, patterned=patterned)
 
 
-def refit_on_part(
-    candidates: Candidates, forms: Sequence[Form], structure: Structure
-) -> tuple[tuple[Form, ...], Likelihood | None]:
-    """Return the causes kept on a part of the data, with the patterns found on all of it, and their likelihood.
-
-    Args:
-        candidates: the part of the data.
-        forms: the causes selected on it.
-        structure: the selection on all data.
-    """
-    if not structure.pattern_tests:
-        return tuple(forms), None
-    likelihood = Likelihood(candidates, structure.pattern_tests)
-    if structure.patterned:
-        kept = [candidates.forms[form.index] for form in structure.forms]
-        return tuple(_dropped(likelihood, kept, likelihood.fit(kept))[0]), likelihood
-    return tuple(without_parts(likelihood, forms, likelihood.fit(forms))), likelihood
-
-
 def with_patterns(candidates: Candidates, forms: Sequence[Form], tried: Sequence[Pattern]) -> Structure:
     """Return the given causes, without those that explain only part of a pattern, and the patterns found in the residuals."""
     structure, pattern_tests = Structure(tuple(forms), candidates.problem), list[PatternTest]()
