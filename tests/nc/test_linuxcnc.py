@@ -56,7 +56,7 @@ def judged(text: str, folder: Path, *, known: bool = True) -> Comparison:
     return compare(path, folder, known=known, tools=TOOLS, parameters=PARAMETERS)
 
 
-@pytest.mark.sample(27)
+@pytest.mark.sample(63)
 @pytest.mark.parametrize("seed", range(SEEDS))
 @pytest.mark.parametrize("kind", KINDS)
 def test_random_programs(kind: str, seed: int, tmp_path: Path) -> None:
