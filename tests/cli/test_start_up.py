@@ -88,6 +88,7 @@ WITH_MACHINE = {
     "compare": ["a.yaml", "a.yaml"],
     "volume": [],
     "compensate": ["cone_frustum.nc", "-o", "x.nc"],
+    "verify": ["cone_frustum.nc", "--control", "linuxcnc"],
     "path": ["cone_frustum.nc", "-o", "x.nc"],
     "scene": ["cone_frustum.nc", "-o", "x.html"],
     "simulate": ["thesis_plan.csv", "-o", "x.csv"],

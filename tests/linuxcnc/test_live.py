@@ -16,8 +16,9 @@ import numpy as np
 import pytest
 
 import twin
-from tests.linuxcnc.control import LETTERS, Ran, control, needs_linuxcnc, needs_root, skip_without_control
+from tests.linuxcnc.control import LETTERS, control, needs_linuxcnc, needs_root, skip_without_control
 from twin.compensation.live import make_module, outputs_of, write_module
+from twin.controls.linuxcnc import Ran
 
 pytestmark = [needs_linuxcnc, needs_root, pytest.mark.xdist_group("linuxcnc")]
 MODULES = Path("/usr/lib/linuxcnc/modules")

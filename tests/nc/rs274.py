@@ -1,57 +1,134 @@
-"""The interpreter of LinuxCNC (`rs274 -g`), as the judge of programs: its canonical motions."""
+"""The interpreter of LinuxCNC, as the judge of programs: its canonical motions, unrounded, with their lines and offsets."""
 
 from __future__ import annotations
 
-import re
-import shutil
+import json
+import os
 import subprocess
+from functools import cache
 from math import atan2, ceil, copysign, pi
 from pathlib import Path
+from typing import NamedTuple
 
 import pytest
 
 from tests.nc.modal_programs import Event
 
-PROGRAM = shutil.which("rs274")
-needed = pytest.mark.skipif(PROGRAM is None, reason="needs rs274 of LinuxCNC (Debian: linuxcnc-uspace)")
-_CALL = re.compile(r"\d+ +N\S* +(\w+)\((.*)\)")
-_PLANES = {"CANON_PLANE_XY": (0, 1, 2), "CANON_PLANE_XZ": (2, 0, 1), "CANON_PLANE_YZ": (1, 2, 0)}
+PYTHON = Path("/usr/bin/python3")
+CANON = Path(__file__).with_name("linuxcnc_canon.py")
+_PLANES = {1: (0, 1, 2), 2: (1, 2, 0), 3: (2, 0, 1)}
+_OFFSETS = {"set_g5x_offset": 1, "set_g92_offset": 0, "tool_offset": 0}
+"""Calls that shift the axes, and the place of their first length."""
+_OTHER = 9
+"""Motion code of a probing move or a thread."""
+_AXES = (0, 1, 2, 4, 5)
 PECK_MM = 0.254
 """Height above the bottom at which LinuxCNC begins to feed again after a retract for chips: 0.010 inch."""
 
 
-def events(text: str, folder: Path, tools: Path | None = None) -> list[Event]:
-    """Return the motions of a program by LinuxCNC's interpreter, X, Y, Z, B, C in mm and degrees, 4 decimals of a program unit."""
-    assert PROGRAM is not None
+class Motion(NamedTuple):
+    """A canonical motion.
+
+    Attributes:
+        line: its line, 1-based, in the file that holds it.
+        event: the motion in the program's coordinates there, X, Y, Z, B, C in mm and degrees.
+        machine: its end point in the machine's coordinates; the tool's length counts as an offset.
+    """
+
+    line: int
+    event: Event
+    machine: tuple[float, ...]
+
+
+class Reading(NamedTuple):
+    """Motions that the interpreter reads in a program.
+
+    Attributes:
+        motions: up to its end, or to the line that is refused.
+        line: the last line.
+        refusal: the interpreter's message, empty if it reads the whole program.
+    """
+
+    motions: list[Motion]
+    line: int
+    refusal: str
+
+
+@cache
+def installed() -> bool:
+    """Return whether this computer has the interpreter."""
+    code = "import ctypes, gcode; ctypes.CDLL('libtooldata.so.0')"
+    done = PYTHON.exists() and subprocess.run([PYTHON, "-E", "-s", "-c", code], capture_output=True, check=False)
+    return bool(done) and done.returncode == 0
+
+
+needed = pytest.mark.skipif(not installed(), reason="needs the interpreter of LinuxCNC (Debian: linuxcnc-uspace)")
+
+
+def read(path: Path, folder: Path, *, tools: str = "", parameters: str = "") -> Reading:
+    """Return what the interpreter reads in a program.
+
+    Args:
+        path: the program; subprograms may lie beside it.
+        folder: for its own files.
+        tools, parameters: texts of the tool table and the parameter file.
+    """
+    (folder / "judge.tbl").write_text(tools)
+    (folder / "judge.var").write_text(parameters)
+    # The interpreter looks for the tools in a file of the home folder.
+    environment = {**os.environ, "HOME": str(folder)}
+    words = [str(PYTHON), "-E", "-s", str(CANON), str(path.resolve()), "judge.var", "judge.tbl"]
+    done = subprocess.run(words, capture_output=True, text=True, check=False, cwd=folder, env=environment)
+    assert done.returncode == 0, f"{done.returncode}: {done.stderr}\n{path.read_text('latin-1')}"
+    answer = json.loads(done.stdout.splitlines()[-1])
+    return Reading(_motions(answer["calls"]), answer["line"], answer["error"])
+
+
+def events(text: str, folder: Path, tools: str = "") -> list[Event]:
+    """Return the motions of a program that the interpreter reads to its end, in the program's coordinates."""
     path = folder / "program.ngc"
     path.write_bytes(text.encode("latin-1"))
-    table = [] if tools is None else ["-t", str(tools)]
-    done = subprocess.run([PROGRAM, "-g", *table, str(path)], capture_output=True, text=True, check=False, cwd=folder)
-    found: list[Event] = []
-    unit, plane, at = 1.0, (0, 1, 2), (0.0,) * 5
-    said = [line for line in (done.stdout + done.stderr).splitlines() if not _CALL.search(line)]
-    ended = False
-    for call in _CALL.finditer(done.stdout):
-        name, arguments = call.group(1), call.group(2)
-        ended |= name == "PROGRAM_END"
-        if name == "USE_LENGTH_UNITS":
-            unit = 25.4 if "INCHES" in arguments else 1.0
-        elif name == "SELECT_PLANE":
-            plane = _PLANES[arguments]
-        elif name in ("STRAIGHT_TRAVERSE", "STRAIGHT_FEED"):
-            x, y, z, _, b, c = map(float, arguments.split(","))
-            at = (x * unit, y * unit, z * unit, b, c)
-            found.append(Event(int(name == "STRAIGHT_FEED"), at))
-        elif name == "ARC_FEED":
-            first, second, centre_1, centre_2, turns, third, _, b, c = map(float, arguments.split(","))
-            end = list(at)
-            end[plane[0]], end[plane[1]], end[plane[2]] = first * unit, second * unit, third * unit
-            end[3:] = b, c
-            middle = (centre_1 * unit, centre_2 * unit)
-            found.append(_arc(plane, at, tuple(end), middle, int(turns)))
-            at = tuple(end)
-    assert ended, f"rs274: {said[-3:]}\n{text}"
+    reading = read(path, folder, tools=tools)
+    assert not reading.refusal, f"line {reading.line}: {reading.refusal}\n{text}"
+    return [motion.event for motion in reading.motions]
+
+
+def _motions(calls: list[tuple[int, str, list[float]]]) -> list[Motion]:
+    found: list[Motion] = []
+    shifts = dict.fromkeys(_OFFSETS, (0.0,) * 5)
+    plane, at = _PLANES[1], (0.0,) * 5
+    for line, name, numbers in calls:
+        if name == "set_plane":
+            plane = _PLANES[int(numbers[0])]
+        elif name in _OFFSETS:
+            shifts[name] = _position(numbers[_OFFSETS[name] :])
+        elif name == "set_xy_rotation":
+            assert numbers[0] == 0.0
+        elif name in ("straight_traverse", "straight_feed"):
+            at = _position(numbers)
+            found.append(Motion(line, Event(int(name == "straight_feed"), at), _sum(at, shifts)))
+        elif name == "arc_feed":
+            first, second, centre_1, centre_2, turns, third, *others = numbers
+            end = [0.0] * 3
+            for axis, value in zip(plane, (first, second, third), strict=True):
+                end[axis] = value
+            middle = (25.4 * centre_1, 25.4 * centre_2)
+            event = _arc(plane, at, _position([*end, *others]), middle, int(turns))
+            at = event.end
+            found.append(Motion(line, event, _sum(at, shifts)))
+        elif name in ("straight_probe", "rigid_tap"):
+            end = [*numbers[:3], *([0.0] * 6 if name == "rigid_tap" else numbers[3:])]
+            at = (*_position(end)[:3], *at[3:])
+            found.append(Motion(line, Event(_OTHER, at), _sum(at, shifts)))
     return found
+
+
+def _position(numbers: list[float]) -> tuple[float, ...]:
+    return tuple(numbers[i] * (25.4 if i < 3 else 1.0) for i in _AXES)
+
+
+def _sum(at: tuple[float, ...], shifts: dict[str, tuple[float, ...]]) -> tuple[float, ...]:
+    return tuple(map(sum, zip(at, *shifts.values(), strict=True)))
 
 
 def _arc(
@@ -66,8 +143,8 @@ def _arc(
     before = atan2(start[b] - middle[1], start[a] - middle[0])
     behind = atan2(end[b] - middle[1], end[a] - middle[0])
     share = (behind - before if turns > 0 else before - behind) % (2.0 * pi)
-    if share < 1e-3 or share > 2.0 * pi - 1e-3:
+    if share < 1e-6 or share > 2.0 * pi - 1e-6:
         share = 2.0 * pi
     sweep = copysign(share + 2.0 * pi * (abs(turns) - 1), turns)
-    assert ceil(abs(sweep) / (2.0 * pi) - 1e-3) == abs(turns)
+    assert ceil(abs(sweep) / (2.0 * pi) - 1e-6) == abs(turns)
     return Event(3 if turns > 0 else 2, end, (a, b), middle, sweep)

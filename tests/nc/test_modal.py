@@ -26,8 +26,9 @@ from twin.nc.iso import cycles
 ISO, HEIDENHAIN, APT = DIALECTS
 ANY_TOOL = replace(AXES, one_tool=False)
 """The programs select several tools and lengths: positions of words do not depend on them."""
-PRINTED_MM = 2e-3
-"""LinuxCNC's interpreter prints four decimals: up to 1.3 µm of an inch program."""
+EQUAL_MM = 1e-6
+INCH_WORD_MM = 1.3e-4
+"""Half of the last decimal of a length that is written in an inch program."""
 
 
 def as_events(moves: Iterable[Move]) -> list[Event]:
@@ -59,7 +60,7 @@ def test_a_program_is_read_as_linuxcnc_reads_it(seed: int, tmp_path: Path, monke
     monkeypatch.setattr(cycles, "CLEARANCE_MM", rs274.PECK_MM)
     program = ModalProgram(Random(1000 + seed), "linuxcnc", rs274.PECK_MM).grow(30)
     judged = rs274.events(program.text, tmp_path)
-    found = difference(judged, program.events, PRINTED_MM) or difference(judged, read(program.text), PRINTED_MM)
+    found = difference(judged, program.events, EQUAL_MM) or difference(judged, read(program.text), EQUAL_MM)
     assert not found, f"{found}\n{program.text}"
 
 
@@ -101,7 +102,7 @@ def test_linuxcnc_goes_where_the_output_was_meant_to(
     assert len(result.commands) > len(program.events)
     meant = [Event(-1, tuple(row)) for row in result.commands.tolist()]
     judged = [event._replace(code=-1) for event in rs274.events(result.text, tmp_path)]
-    assert not difference(judged, meant, PRINTED_MM), result.text
+    assert not difference(judged, meant, INCH_WORD_MM), result.text
 
 
 def test_the_same_word_twice_stays_one_meaning(dmu50: Machine, errors: Calibration) -> None:
@@ -121,7 +122,7 @@ OFFSETS = ["G54", "G55", "G92 X3 Z4", "G92.1", "G92.3", "G52 X2 Y1", "G10 L2 P1 
 @pytest.mark.parametrize("seed", range(4))
 def test_an_incremental_word_after_another_length_or_offset(tmp_path: Path, seed: int) -> None:
     """Every position read after such a change is that of LinuxCNC, with or without tables; others are refused."""
-    (tmp_path / "tool.tbl").write_text("T1 P1 Z1.5\nT2 P2 Z2.5\n")
+    tools = "T1 P1 Z1.5\nT2 P2 Z2.5\n"
     rng, read, refused = Random(4600 + seed), 0, 0
     for _ in range(15):
         lines = ["G90 G21 G54", f"{rng.choice(['', 'T1 M6', 'T1 M6 G43 H1'])} G0 X100 Y100 Z-100 B10 C20"]
@@ -131,7 +132,7 @@ def test_an_incremental_word_after_another_length_or_offset(tmp_path: Path, seed
             mode = rng.choice(["G90 ", "G91 ", "G91 "])
             lines.append(f"{mode}G1 {' '.join(f'{axis}{rng.uniform(5, 9):.2f}' for axis in axes)} F500")
         text = "\n".join([*lines, "M2", ""])
-        judged = rs274.events(text, tmp_path, tools=tmp_path / "tool.tbl")
+        judged = rs274.events(text, tmp_path, tools=tools)
         for known in (False, True):
             axes_of = replace(AXES, tools_known=known, offsets_known=known)
             try:
@@ -143,6 +144,6 @@ def test_an_incremental_word_after_another_length_or_offset(tmp_path: Path, seed
             assert len(moves) == len(judged)
             for move, event in zip(moves, judged, strict=True):
                 there = [i for i, value in enumerate(move.position) if value == value]
-                assert [move.position[i] for i in there] == pytest.approx([event.end[i] for i in there], abs=1e-3), text
+                assert [move.position[i] for i in there] == pytest.approx([event.end[i] for i in there], abs=1e-6), text
                 read += len(there)
     assert read > 20 and refused

@@ -197,7 +197,7 @@ def test_iso_passes(block):
 
 @pytest.mark.parametrize("block", ["G28 Z0", "G30 P2 Z0", "G38.2 Z-5", "TOOLCHANGE_MACRO", "SPECIAL(1,2)", "G777"])
 def test_iso_notes_what_it_cannot_follow(block):
-    reading = read_moves(ISO, f"{ISO_START}{block}\nX1\n")
+    reading = read_moves(ISO, f"{ISO_START}{block}\nG1 X1\n")
     assert reading.notices[0].line == 2
     assert bool(reading.moves[-1].unknown) is not block.startswith(("G28", "G30", "G38"))
     assert math.isnan(reading.moves[-1].position[2])

@@ -29,7 +29,7 @@ def pins_of(text: str) -> dict[str, float]:
 
 def trt_joints(pins: dict[str, float], tilting: str, tip: np.ndarray, tilt: float, c: float, tool: float) -> np.ndarray:
     """Return the joints X, Y, Z for a tip in machine coordinates with the table at zero; degrees, mm."""
-    sign = -1.0 if pins["conventional-directions"] else 1.0
+    sign = -1.0 if pins.get("conventional-directions") else 1.0
     shift = np.array([pins.get(f"work-zero-shift-{axis}", 0.0) for axis in "xyz"])
     pivot = np.array([pins["x-rot-point"], pins["y-rot-point"], 0.0])
     cradle = pivot + np.array([pins["x-offset"], pins["y-offset"], pins["z-rot-point"] + pins["z-offset"]])

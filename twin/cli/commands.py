@@ -32,6 +32,7 @@ COMMANDS: Final = {
     "compare": "Show what changed between two calibrations of a machine.",
     "volume": "Show the spread of errors over machines drawn from a calibration's covariance.",
     "compensate": "Rewrite NC programs so that the real machine cuts what was programmed.",
+    "verify": "Let a control execute a program, and evaluate the error over the whole motion.",
     "path": "Fit the same tool path with fewer blocks.",
     "scene": "Show the machine running a program, in one HTML file.",
     "simulate": "Simulate the measurement of a plan on a machine with errors.",

@@ -242,11 +242,6 @@ def headline(diagnosis: DiagnosisResult) -> tuple[str, Mood]:  # noqa: C901, PLR
     if diagnosis.verdict == "consistent":
         return "The readings agree with the model: no error found", "well"
     if diagnosis.verdict == "unexplained":
-        if kinds and diagnosis.unexplained is None:
-            return (
-                "There is an error, but the causes found do not predict held-out readings: it has other causes",
-                "unknown",
-            )
         if kinds and noisier_than_stated(diagnosis):
             return ("The readings are noisier than stated; the causes found may be artefacts of that noise", "unknown")
         if kinds:

@@ -64,6 +64,11 @@ _BINARY: Final[Mapping[str, Callable[[float, float], float]]] = {
 }
 
 
+def key_of(name: str) -> str:
+    """Return a parameter's name in capitals and without spaces, neither of which counts."""
+    return "".join(name.upper().split())
+
+
 def evaluate(text: str, parameters: Mapping[str, float], *, heidenhain: bool = False) -> float:
     """Return the value of an expression; NaN if it is unknown.
 
@@ -93,7 +98,7 @@ class _Parser:
             match = _TOKEN.match(text, at)
             if match is None or match.lastgroup is None:
                 raise ValueError(text)
-            self._tokens.append((match.lastgroup, match[match.lastgroup].upper()))
+            self._tokens.append((match.lastgroup, key_of(match[match.lastgroup])))
             at = match.end()
         self._at = 0
 
@@ -132,14 +137,19 @@ class _Parser:
         return value
 
     def _power(self) -> float:
+        """Return powers by ``**`` from left to right, of operands with their signs: LinuxCNC, ``-2 ** 2`` is 4."""
+        value = self._signed()
+        while self._take("**"):
+            value = math.pow(value, self._signed())
+        return value
+
+    def _signed(self) -> float:
+        """Return an operand with its sign; the power ``^`` (Heidenhain) comes before the sign."""
         if sign := self._take("+", "-"):
-            value = self._power()
+            value = self._signed()
             return -value if sign == "-" else value
         value = self._operand()
-        if self._take("**", "^"):
-            raised: float = value ** self._power()
-            return raised
-        return value
+        return math.pow(value, self._signed()) if self._take("^") else value
 
     def _operand(self) -> float:
         if self._next() in _CLOSING:
@@ -157,7 +167,7 @@ class _Parser:
         if text in ("ATAN", "ATAN2", "POW") and self._next() in _CLOSING:
             return self._of_two(text)
         if text in FUNCTIONS:
-            return FUNCTIONS[text](self._bracket()[0] if self._next() in _CLOSING else self._power())
+            return FUNCTIONS[text](self._bracket()[0] if self._next() in _CLOSING else self._signed())
         return {"PI": math.pi, "$PI": math.pi}.get(text, math.nan)
 
     def _of_two(self, name: str) -> float:
@@ -169,8 +179,7 @@ class _Parser:
                 raise ValueError(name)
             values += self._bracket()
         if name == "POW" and len(values) == 2:
-            raised: float = values[0] ** values[1]
-            return raised
+            return math.pow(*values)
         if len(values) == 1 and name == "ATAN":
             return FUNCTIONS[name](values[0])
         if len(values) != 2:

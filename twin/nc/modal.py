@@ -11,7 +11,7 @@ from typing import Any, Final, NamedTuple
 
 from twin._common.errors import InputError
 from twin.nc.arcs import ArcMisfit
-from twin.nc.arithmetic import evaluate
+from twin.nc.arithmetic import evaluate, key_of
 from twin.nc.blocks import Arc, AxisWords, FrameChange, Kind, LostPositions, Move, MoveColumns, Notice, WordFrame
 from twin.nc.text import LARGEST, number, unit_vector
 
@@ -220,7 +220,7 @@ class Interpreter(ABC):
         if match is None:
             value = evaluate(text, self._variables, heidenhain=self.heidenhain)
             return value if -LARGEST < value < LARGEST else math.nan
-        value = self._variables.get(match.group(2).upper(), math.nan)
+        value = self._variables.get(key_of(match.group(2)), math.nan)
         return -value if match.group(1) == "-" else value
 
     def known_value(self, name: str, text: str, expected: str) -> float:
@@ -241,7 +241,7 @@ class Interpreter(ABC):
 
     def assign(self, name: str, value: float) -> None:
         """Set a variable; NaN makes it unknown."""
-        self._variables[name.upper()] = value
+        self._variables[key_of(name)] = value
 
     def named(self, bits: int) -> frozenset[str]:
         """Return the names of the axes given as bits."""

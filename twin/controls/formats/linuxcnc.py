@@ -209,6 +209,7 @@ class LinuxCnc(TableFormat[TableSum]):
             "Remove BACKLASH from these sections: it is not used together with a COMP_FILE.",
             "Set STEPGEN_MAXACCEL (steppers) to 1.5 to 2 times MAX_ACCELERATION: the correction adds to the motion of the program.",
             f"Restart LinuxCNC. The tables are then active; {shown} the correction (mm, degrees).",
+            "Move every axis once after homing: a joint that has not moved since then has no correction.",
             "To deactivate them, remove the COMP_FILE lines and restart.",
         ]
         if any(axis.lower is None for axis in machine.axes):

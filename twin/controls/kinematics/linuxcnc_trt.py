@@ -7,9 +7,11 @@ and the configurations ``configs/sim/axis/vismach/5axis/table-rotary-tilting``:
   there. A lies at y = ``y-rot-point`` + ``y-offset``, B at x = ``x-rot-point`` + ``x-offset``, both at the height ``z-rot-point`` +
   ``z-offset``; of these two only the sum matters. ``tool-offset`` is the tool length.
 - The directions are exactly those of the linear axes. With ``conventional-directions`` 1 the table turns left-handed with a positive
-  command (as on most machines), with 0 (the default) right-handed.
+  command (as on most machines), with 0 (the default) right-handed. Version 2.9 has no such pin and turns as with 0: a file that sets
+  it keeps that version from starting. So the pin is only set where it must be 1, which needs version 2.10 (pull request 3482).
 - `xyzbcKinematicsInverse` adds the terms of ``x-offset``, ``z-offset`` and ``tool-offset`` with the sign for
-  ``conventional-directions`` 1 only; with 0 it disagrees with its own `xyzbcKinematicsForward`. twin therefore refuses 0 for xyzbc.
+  ``conventional-directions`` 1 only; with 0 it disagrees with its own `xyzbcKinematicsForward` (until pull request 4546). twin
+  therefore refuses 0 for xyzbc.
 
 LinuxCNC has no parameter for the place of the workpiece: its shift is a comment, to be added to the workpiece zero.
 """
@@ -118,7 +120,7 @@ class LinuxCncTrt(KinematicsFormat):
                 f"setp {kind}-kins.{name} {fixed_decimals(value, _DIGITS)}"
                 for name, value in (pins | {"z-offset": 0.0, unused: 0.0}).items()
             ),
-            f"setp {kind}-kins.conventional-directions {conventional}",
+            *([f"setp {kind}-kins.conventional-directions 1"] if conventional else []),
             f"net :tool-offset motion.tooloffset.z {kind}-kins.tool-offset",
             "# add to the workpiece zero (G54 ...) with the table at zero, unless the workpiece is probed after the change, mm:",
             *(f"# {_SHIFT}-{axis} {fixed_decimals(values[f'{_SHIFT}-{axis}'], _DIGITS)}" for axis in "xyz"),
@@ -148,8 +150,13 @@ class LinuxCncTrt(KinematicsFormat):
 
     def loading(self, machine: Machine) -> tuple[str, ...]:
         """See `KinematicsFormat.loading`."""
-        kind, _ = self._kind(machine)
+        kind, conventional = self._kind(machine)
+        newer = (
+            f"LinuxCNC 2.10 or newer is needed: version 2.9 has no pin conventional-directions, which {self.file} sets, and does not "
+            "start with it."
+        )
         return (
+            *([newer] if conventional else []),
             f"Replace the setp lines of {kind}-kins in the HAL file of the machine by those of {self.file}; the line `net` is needed "
             "once only. All values are machine coordinates in mm.",
             f"Restart LinuxCNC; halcmd show pin {kind}-kins shows the values.",

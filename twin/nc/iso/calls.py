@@ -15,7 +15,7 @@ import numpy as np
 
 from twin.nc.blocks import Program
 from twin.nc.dialect import as_comment
-from twin.nc.inline import Call, Inliner, Line, refused, with_ending
+from twin.nc.inline import DEEPEST, Call, Inliner, Line, refused, with_ending
 from twin.nc.iso import vocabulary
 from twin.nc.iso.cycles import SINUMERIK
 
@@ -51,6 +51,8 @@ _ARGUMENTS: Final = dict(
 _STATEMENTS: Final = (
     vocabulary.PASSED | vocabulary.CONTROL_FLOW | vocabulary.TRANSFORMS | vocabulary.CURVES | SINUMERIK
 ) - {"CALL"}
+_PARAMETER: Final = re.compile(r"#\d+|#<[^>]*>")
+_ASSIGNED: Final = re.compile(r"(#\d+|#<[^>]*>)[ \t]*=(?!=)")
 _SUFFIXES: Final = ("", ".spf", ".mpf", ".nc", ".ngc", ".txt", ".tap", ".iso")
 
 
@@ -96,10 +98,9 @@ class IsoInliner(Inliner):
             return self._macro(line, bare)
         word = _O_WORD.match(bare)
         if word is not None:
-            values = re.findall(r"\[[^\[\]]*(?:\[[^\[\]]*\][^\[\]]*)*\]", word.group(3))
             if word.group(2).upper() != "CALL":
                 return None
-            return Call(f"O{word.group(1)}", values=_locals(dict(enumerate(values, 1))))
+            return Call(f"O{word.group(1)}", values=_locals(dict(enumerate(_bracketed(word.group(3), line), 1))))
         named = _NAMED.match(text.split(";")[0].strip())
         if named is None or (named.group(2) or "").upper() in _STATEMENTS:
             return None
@@ -153,7 +154,24 @@ class IsoInliner(Inliner):
         if key not in self._bodies:
             self._bodies[key] = self._body(call)
         lines = self._bodies[key]
-        return None if lines is None else self._with_values(call, lines, line)
+        if lines is None:
+            return None
+        changed = self._assigned(lines, 0) & {_key(name) for value in call.values for name in _PARAMETER.findall(value)}
+        if changed:
+            what = f"the subprogram changes {min(changed)}, which is a value of its call"
+            raise refused(what, "values that the subprogram does not change", line)
+        return self._with_values(call, lines, line)
+
+    def _assigned(self, lines: Sequence[Line], depth: int) -> set[str]:
+        """Return the ``#`` variables that lines, or the subprograms that they call, assign."""
+        assigned = {_key(name) for line in lines for name in _ASSIGNED.findall(_NOTES.sub("", line.text))}
+        for line in lines if depth < DEEPEST else ():
+            call = self.call(line)
+            if call is not None:
+                key = (call.name, call.outside)
+                body = self._bodies[key] if key in self._bodies else self._bodies.setdefault(key, self._body(call))
+                assigned |= self._assigned(body or (), depth + 1)
+        return assigned
 
     def _body(self, call: Call) -> list[Line] | None:
         """Return the lines of a subprogram as written; None if there is no such subprogram."""
@@ -202,6 +220,8 @@ class IsoInliner(Inliner):
             found.append(line)
         if not values:
             values = {f"#{i}": value for i, value in enumerate(call.values, 1)}
+        if not call.outside:
+            found = [_with_names_of(call.name, line) for line in found]
         return [_replaced(line, values) for line in found]
 
     def comment(self, text: str) -> str:
@@ -209,6 +229,36 @@ class IsoInliner(Inliner):
         if self.call(Line(text, "", 0)).outside:  # type: ignore[union-attr]  # only calls are made comments
             return with_ending(f"; {as_comment(text, '')}", text)
         return with_ending(f"({as_comment(text, '()')})", text)
+
+
+def _bracketed(text: str, line: Line) -> list[str]:
+    """Return the values ``[..] [..]`` of a call.
+
+    Raises:
+        InputError: something else stands between them, or a bracket is not closed.
+    """
+    values, depth, begin = list[str](), 0, 0
+    for at, character in enumerate(text):
+        depth += (character == "[") - (character == "]")
+        if depth == 1 and character == "[":
+            begin = at
+        elif depth == 0 and character == "]":
+            values.append(text[begin : at + 1])
+        elif depth <= 0 and not character.isspace():
+            break
+    if depth or "".join(_key(value) for value in values) != _key(text):
+        raise refused("subprogram call", "values between brackets, and nothing else", line)
+    return values
+
+
+def _key(name: str) -> str:
+    return "".join(name.upper().split())
+
+
+def _with_names_of(name: str, line: Line) -> Line:
+    """Return a line of a subprogram whose named parameters are its own (LinuxCNC: ``#<depth>``, but not ``#<_depth>``)."""
+    own = re.sub(r"\W", "", name)
+    return line._replace(text=re.sub(r"#[ \t]*<[ \t]*([^\s_>][^>]*)>", rf"#<{own}_\1>", line.text))
 
 
 def _bare(line: Line) -> str:

@@ -11,7 +11,7 @@ from twin.nc.blocks import AxisWords, Move
 from twin.nc.iso import vocabulary
 from twin.nc.iso.cycles import SINUMERIK
 from twin.nc.iso.frame import IsoBlock, Item
-from twin.nc.iso.motion import CENTRE, SPINDLE_VECTOR, IsoMotion
+from twin.nc.iso.motion import CENTRE, INCH_CODES, SPINDLE_VECTOR, IsoMotion
 from twin.nc.modal import Block, Span
 from twin.nc.text import BLANK, BOM, number
 
@@ -28,7 +28,7 @@ _MODES: Final[Mapping[str, tuple[str, Callable[[str], Any]]]] = {
     "distance": ("incremental", lambda code: code == "91"),
     "feed": ("feed_mode", str),
     "plane": ("plane", int),
-    "units": ("inch", lambda code: code in ("20", "70", "700")),
+    "units": ("inch", INCH_CODES.__contains__),
     "arc centre": ("absolute_centre", lambda code: code == "90.1"),
     "length": ("length_vector", lambda code: code == "43.5"),
 }
@@ -47,6 +47,9 @@ class IsoInterpreter(IsoMotion):
         super().__init__(source, axes, tcp=tcp)
         self._codes: dict[str, str] = {}
         self._started = False
+        self._assignments: list[tuple[str, float]] = []
+        """Values of ``#`` variables that hold from the next block on: words of the same block have the values before (LinuxCNC)."""
+        self._probes = False
 
     # ------------------------------------------------------------------ a block
 
@@ -73,7 +76,11 @@ class IsoInterpreter(IsoMotion):
                 return None
             if kind != "note" and _TOKENS[kind](self, block, match):
                 break
-        return self._apply(block) if self._started or block.names else None
+        applied = self._apply(block) if self._started or block.names else None
+        for name, value in self._assignments:
+            self.assign(name, value)
+        self._assignments.clear()
+        return applied
 
     def may_end(self, tail: str) -> bool:
         """See `Interpreter.may_end`: not while a cycle is in force or between M29 and its thread, which are written together."""
@@ -92,12 +99,15 @@ class IsoInterpreter(IsoMotion):
         groups = self._g_words(block) if block.codes else frozenset()
         if "plane tilt" in groups:
             self.tilt_words(block)
+        groups = self._with_probing(block, groups)
         drills = not groups & _WITHOUT_CYCLE and self.take_cycle_words(block)
         machine = self._names(block) if block.names else False
         centre = [item for item in block.others if self._is_of_motion(block, item)]
         self._state_to(block)
         self.choose_tool(block, frozenset(block.m_words))
         if "still" in groups:
+            if block.items and ("motion" in groups or any(item.name == "P" for item in block.others)):
+                raise self.error("a dwell in a block that moves axes", "G4 in a block of its own")
             return block
         if "reference" in groups:
             self.note(
@@ -118,6 +128,17 @@ class IsoInterpreter(IsoMotion):
         if block.calls:
             self.cycle = None
         return block
+
+    def _with_probing(self, block: IsoBlock, groups: frozenset[str]) -> frozenset[str]:
+        """Return the groups of a block's G words, with that of G38 where it is in force: until a word of the motion group or G80."""
+        codes = [span.name for span in block.codes]
+        if any(code.startswith("38") for code in codes):
+            self._probes = True
+        elif "motion" in groups or "80" in codes:
+            self._probes = False
+        elif self._probes and block.items and not groups & _WITHOUT_CYCLE:
+            return groups | {"reference"}
+        return groups
 
     def _is_of_motion(self, block: IsoBlock, item: Item) -> bool:
         """Return whether a word other than an axis word belongs to the motion; unknown words raise an error or add a notice."""
@@ -206,7 +227,7 @@ class IsoInterpreter(IsoMotion):
         name = match.group(17)
         if name[1:].isdigit() and any(first <= int(name[1:]) <= last for first, last in vocabulary.OFFSET_VARIABLES):
             raise self.error("the program sets a work offset or a tool length", vocabulary.NO_TRANSFORMATION, name)
-        self.assign(name, self.value_of(match.group(18)))
+        self._assignments.append((name, self.value_of(match.group(18))))
         if name[1:].isdigit() and not any(first <= int(name[1:]) <= last for first, last in vocabulary.USER_VARIABLES):
             self.lose(block, match.group().strip())
 

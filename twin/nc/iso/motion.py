@@ -14,6 +14,7 @@ from twin.nc.iso.frame import IsoBlock, IsoTilt, Item
 from twin.nc.modal import AxisWord, Span
 from twin.nc.text import MM_PER_INCH, number
 
+INCH_CODES: Final = frozenset({"20", "70", "700"})
 CODES: Final = cycles.FANUC | cycles.FANUC_TAPPING
 _MODAL: Final = frozenset("RQP")
 _REPEATS: Final = frozenset("LK")
@@ -35,7 +36,7 @@ class IsoDrilling(IsoTilt):
     code = ""
     _motion_before: int | None = None
     _to_initial = True
-    _level_stated = False
+    _level_stated = _level_given = False
     _initial = math.nan
     _words = ""
 
@@ -45,6 +46,8 @@ class IsoDrilling(IsoTilt):
         ``G80`` and the motion codes end a cycle; after ``G80`` the motion code before the cycle applies again.
         """
         code = span.name
+        if group == "units" and self.code and self.cycle is not None and self.inch != (code in INCH_CODES):
+            raise self._refused("another unit within a series", "G80 before the unit changes")
         if code in CODES:
             if not self.code:
                 self._motion_before, self._initial = self.motion, self.position[2]
@@ -54,7 +57,7 @@ class IsoDrilling(IsoTilt):
             block.cycle_words.append(span)
             return True
         if group == "return":
-            self._to_initial, self._level_stated = code == "98", True
+            self._to_initial, self._level_stated, self._level_given = code == "98", True, True
         elif self.code and (group == "motion" or code == "80"):
             self.code, self.cycle = "", None
             self.motion = self._motion_before
@@ -128,6 +131,14 @@ class IsoDrilling(IsoTilt):
             raise self._refused("position of Z unknown", "a position of Z before the cycle")
         if self._initial < top - 1e-9:
             raise self._refused("Z is below R", "Z at R or above before the cycle")
+        if not self._level_given:
+            self.note("drilling cycle without G98 or G99: G98 is assumed (retract to the initial level)", once=True)
+        if self.position[2] < max(top, self._retract) - 1e-9 and self.cycle is not None:
+            self.note(
+                "the tool goes to this hole at the height of the one before (Fanuc); LinuxCNC raises it first to the new R "
+                "or, after G98, to the initial level",
+                once=True,
+            )
         try:
             return cycles.of_fanuc(self.code, self._height, self._dwell, self._retract, self._words)
         except ValueError as error:

@@ -1,0 +1,257 @@
+"""A compensated program verified on a control: LinuxCNC executes it, and the error at the tool is evaluated over the whole motion.
+
+The error of a sample is the distance of the tool point from the programmed path in the workpiece: the time at which the control gets
+there does not matter. The control's own share is its distance from the path of the compensated program's words: corners that it rounds
+(G64) within its acceleration, and blocks that it joins within its path tolerance (G64 P), the corrections among them. Rapids are not
+evaluated, but belong to the path.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, final
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from twin._common.errors import InputError
+from twin._common.provenance import warning_texts
+from twin.compensation.programs.compensator import Compensator
+from twin.compensation.programs.execute import execute
+from twin.compensation.programs.follow import follow
+from twin.controls import linuxcnc
+from twin.display.results import Result
+from twin.nc import read_program
+from twin.tool.forward import Kinematics
+
+SCHEMA: Final = "twin.verification/1"
+LONGEST_S: Final = 3600.0
+STEP_MM, STEP_DEG = 0.2, 0.05
+"""Spacing of the programmed path in the axes: chords in the workpiece are then off by less than 0.01 µm per 100 mm of radius."""
+_FEEDS: Final = (2, 3)
+"""Types of motion that cut: lines and arcs at feed."""
+_TOOLS: Final = "".join(f"T{number} P{number}\n" for number in range(1, 100))
+
+
+@final
+@dataclass(frozen=True)
+class PathDistance:
+    """Error of the tool point over a motion.
+
+    Attributes:
+        median_um, largest_um: distance from the programmed path.
+        line, block: the line of the executed program at the largest one, and its text.
+    """
+
+    median_um: float
+    largest_um: float
+    line: int
+    block: str
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return a representation that can be written as JSON."""
+        return {"median_um": self.median_um, "largest_um": self.largest_um, "line": self.line, "block": self.block}
+
+
+@final
+@dataclass(frozen=True, repr=False)
+class Verification(Result):
+    """Result of executing a program and its compensated form on a control.
+
+    Attributes:
+        before: error of the original program on the machine with errors.
+        after: error of the compensated one.
+        control: distance of the compensated one from the path of its own words.
+        samples: number of samples, of the original and of the compensated program.
+        acceleration: largest acceleration of the control, mm/s² and °/s².
+        warnings: of the calibration.
+    """
+
+    program: str
+    before: PathDistance
+    after: PathDistance
+    control: PathDistance
+    samples: tuple[int, int]
+    acceleration: float
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def brief(self) -> str:
+        """Error before and after."""
+        return f"verified on LinuxCNC: {self.before.largest_um:.2f} µm largest before, {self.after.largest_um:.2f} µm after"
+
+    def to_text(self) -> str:
+        """Return the report."""
+        times = " and ".join(f"{count * linuxcnc.PERIOD_S:.1f} s" for count in self.samples)
+        rows = (
+            ("original program", self.before),
+            ("compensated program", self.after),
+            ("of which the control itself", self.control),
+        )
+        lines = [
+            f"{self.program} executed by LinuxCNC, original and compensated: {times} of feed motion, sampled every millisecond",
+            *self.warnings,
+            "distance of the tool point from the programmed path      median      largest",
+            *(
+                f"  {name:<50}{one.median_um:10.3f} {one.largest_um:12.3f} µm   line {one.line}: {one.block}"
+                for name, one in rows
+            ),
+            "the control itself: distance from the path of the compensated program's words (corners and blocks that G64 joins; "
+            f"acceleration {self.acceleration:g} mm/s²)",
+        ]
+        return "\n".join([*lines, ""])
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return a representation that can be written as JSON."""
+        return {
+            "schema": SCHEMA,
+            "program": self.program,
+            "control": "linuxcnc",
+            "before": self.before.to_dict(),
+            "after": self.after.to_dict(),
+            "control_itself": self.control.to_dict(),
+            "samples": {"before": self.samples[0], "after": self.samples[1]},
+            "acceleration_mm_s2": self.acceleration,
+            "warnings": list(self.warnings),
+        }
+
+
+def verify(
+    path: Path,
+    compensator: Compensator,
+    *,
+    user: str = "",
+    acceleration: float = linuxcnc.DEFAULT_ACCELERATION,
+    seconds: float = LONGEST_S,
+) -> Verification:
+    """Execute a program and its compensated form on LinuxCNC.
+
+    Args:
+        user: who runs the control; the present user if empty.
+        acceleration: largest acceleration, mm/s² and °/s².
+        seconds: longest time.
+
+    Raises:
+        InputError: LinuxCNC is missing or refuses the program, or the program is none of its language or not in axis words.
+    """
+    linuxcnc.check(user)
+    program, dialect = read_program(path)
+    if dialect.name != "iso":
+        raise InputError("not a program of LinuxCNC", expected="G-code", file=path, value=dialect.name)
+    result = compensator.compensate(program, dialect)
+    if any(move.tcp for move in result.reading.moves):
+        raise InputError("tool centre point control", expected="a program in axis words for this control", file=path)
+    space, real = compensator.prepared.space, compensator.prepared.real
+    course = _Course(space.nominal, execute(program, result.path, space, real).positions)
+    written = dialect.read(result.text.encode("latin-1"), str(path))
+    words = follow(written, dialect.moves(written, space.axes, tcp=False), space)
+    own = _Course(real, execute(written, words, space, real).positions)
+    texts = {"original": program.text, "compensated": result.text}
+    recorded = _executed(texts, compensator, path, user=user, acceleration=acceleration, seconds=seconds)
+    lines = {name: text.splitlines() for name, text in texts.items()}
+    (original, first), (compensated, second) = (recorded[name] for name in texts)
+    return Verification(
+        str(path),
+        _remaining(course.off(real, original), first, lines["original"]),
+        _remaining(course.off(real, compensated), second, lines["compensated"]),
+        _remaining(own.off(real, compensated), second, lines["compensated"]),
+        (len(original), len(compensated)),
+        acceleration,
+        tuple(warning_texts(real.calibration.warnings)),
+    )
+
+
+@final
+class _Course:
+    """A path in the workpiece, as a polyline.
+
+    Args:
+        kinematics: the machine that the path belongs to.
+        positions: (n, axes) positions along the program, between which the axes move on straight lines.
+    """
+
+    def __init__(self, kinematics: Kinematics, positions: np.ndarray) -> None:
+        limits = np.where([axis.linear for axis in kinematics.machine.axes], STEP_MM, STEP_DEG)
+        counts = np.maximum(1, np.ceil((np.abs(np.diff(positions, axis=0)) / limits).max(axis=1))).astype(int)
+        starts = np.repeat(np.arange(len(counts)), counts)
+        share = (np.arange(len(starts)) - np.repeat(np.cumsum(counts) - counts, counts)) / counts[starts]
+        rows = positions[starts] + share[:, None] * (positions[starts + 1] - positions[starts])
+        self._points = self._reached(kinematics, np.vstack([rows, positions[-1:]]))
+        self._tree = cKDTree(self._points)
+
+    @staticmethod
+    def _reached(kinematics: Kinematics, positions: np.ndarray) -> np.ndarray:
+        return 1e3 * kinematics.reached(positions * kinematics.machine.scale, _sides(positions))[1]
+
+    def off(self, kinematics: Kinematics, positions: np.ndarray) -> np.ndarray:
+        """Return (n,) distances, µm, of the tool point at positions of the motors from the path."""
+        points = self._reached(kinematics, positions)
+        _, nearest = self._tree.query(points)
+        found = np.full(len(points), np.inf)
+        for begin in (np.maximum(nearest - 1, 0), np.minimum(nearest, len(self._points) - 2)):
+            start, along = self._points[begin], self._points[begin + 1] - self._points[begin]
+            length = np.maximum((along**2).sum(axis=1), 1e-30)
+            share = np.clip(((points - start) * along).sum(axis=1) / length, 0.0, 1.0)
+            found = np.minimum(found, np.linalg.norm(points - start - share[:, None] * along, axis=1))
+        return 1e3 * found
+
+
+def _sides(positions: np.ndarray) -> np.ndarray:
+    """Return (n, axes) the direction in which each axis moved last, 0 before it has moved."""
+    steps = np.vstack([np.zeros(positions.shape[1]), np.diff(positions, axis=0)])
+    moved = np.where(np.abs(steps) > 1e-9, np.arange(len(steps))[:, None], 0)
+    last = np.maximum.accumulate(moved, axis=0)
+    return np.sign(np.take_along_axis(steps, last, axis=0))
+
+
+def _remaining(off: np.ndarray, lines: np.ndarray, texts: Sequence[str]) -> PathDistance:
+    worst = int(np.argmax(off))
+    line = int(lines[worst])
+    block = texts[line - 1].strip() if 0 < line <= len(texts) else ""
+    return PathDistance(float(np.median(off)), float(off[worst]), line, block)
+
+
+def _executed(
+    texts: dict[str, str], compensator: Compensator, path: Path, *, user: str, acceleration: float, seconds: float
+) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Return positions of the motors (n, axes) and lines (n,) of the feed motions of each program."""
+    machine = compensator.prepared.space.machine
+    home = {axis.name: 0.0 if axis.lower is None else sum(axis.domain) / 2.0 for axis in machine.axes}
+    offsets = compensator.prepared.space.setup.work_offset
+    letters = "XYZABCUVW"
+    parameters = "".join(f"{5221 + letters.index(name)} {value:.6f}\n" for name, value in sorted(offsets.items()))
+    actions: list[list[Any]] = [["home"]]
+    for name in texts:
+        actions += [["record", f"{name}.txt"], ["program", f"{name}.ngc", seconds], ["stop"]]
+    motors = [f"motor-{i}" for i in range(len(machine.names))]
+    configuration = linuxcnc.Configuration(
+        machine,
+        home,
+        pins=[*motors, "#motion.program-line", "#motion.motion-type"],
+        tools=_TOOLS,
+        parameters=parameters,
+        acceleration=acceleration,
+    )
+    with tempfile.TemporaryDirectory(prefix="twin-verify-") as name:
+        folder = Path(name)
+        for one, text in texts.items():
+            (folder / f"{one}.ngc").write_bytes(text.encode("latin-1"))
+        ran = linuxcnc.run(folder, configuration, actions, user=user, seconds=seconds)
+        if ran.failed:
+            said = " ".join(ran.said) or ran.failed
+            raise InputError(
+                "LinuxCNC refuses the program", expected="a program that it executes", file=path, value=said
+            )
+        samples = {one: ran.samples(f"{one}.txt") for one in texts}
+    found = {}
+    for one, rows in samples.items():
+        feeds = np.isin(rows[:, -1], _FEEDS)
+        if not feeds.any():
+            raise InputError("the program has no feed motion", expected="blocks with G1, G2 or G3", file=path)
+        # The motors count from the position at which the axes stand when they are homed.
+        positions = rows[feeds][:, : len(motors)] + np.array([home[axis] for axis in machine.names])
+        found[one] = (positions, rows[feeds][:, -2].astype(int))
+    return found
