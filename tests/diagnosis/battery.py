@@ -30,7 +30,7 @@ from tests.truth import hidden
 from twin._common.arrays import read_only
 from twin._common.errors import InputError
 from twin.compute.parallel import Workers, map_in_order
-from twin.diagnosis.alternatives import equivalent
+from twin.diagnosis.alternatives import equivalent, together
 from twin.diagnosis.candidates.candidate import Candidate, unit_column
 from twin.diagnosis.estimate import estimate
 from twin.diagnosis.forms import Form
@@ -359,7 +359,8 @@ def _answer(
     groups = []
     for form in named:
         others = [one for one in named if one is not form]
-        groups.append(equivalent(found, form, others))
+        several = () if found.structure.pattern_tests else together(found.candidates, form, others)
+        groups.append((*equivalent(found, form, others), *(key for group in several for key in group)))
     unnamed = tuple(name for pattern_test in found.structure.pattern_tests for name in pattern_test.pattern.names)
     pulls = () if unnamed else _pulls(found.problem, found.structure.forms, truth)
     return Answer(
@@ -387,7 +388,7 @@ def alone(searcher: Searcher, key: Key, signature: np.ndarray) -> bool:
     )
     only = Structure((form,), problem)
     found = Findings(replace(searcher.task, problem=problem), (), candidates, candidates, only, candidates)
-    return not equivalent(found, form, [])
+    return not equivalent(found, form, []) and not together(candidates, form, [])
 
 
 def _pulls(

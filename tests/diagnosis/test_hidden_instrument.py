@@ -19,8 +19,10 @@ from tests.truth.few_axes import write_stage
 from tests.truth.hidden import Hidden, Plan
 from twin.diagnosis import Diagnosis, diagnose
 from twin.diagnosis.candidates.instrument import velocities
+from twin.diagnosis.causes import one_for_each_number
 from twin.diagnosis.drift_fit import over_forms
 from twin.diagnosis.readings import readings
+from twin.diagnosis.search import candidates_of
 from twin.machine.machine import Machine
 from twin.measurement.table import Measurements
 from twin.model.calibration import Calibration
@@ -363,3 +365,24 @@ def test_a_sagging_beam_is_named(tmp_path: Path) -> None:
     for name, value in {"bend_x": 0.0, "bend_y": 0.0, "bend_z": -8.0}.items():
         assert abs(found[name].value - value) < 3.5 * found[name].u
     assert result.extended.source == result.calibration.source
+
+
+def test_two_causes_that_are_one_number_are_named_once(tmp_path: Path) -> None:
+    """Targets on the tool side alone: a straight drift of the machine along x and one of the station are the same readings."""
+    rng = np.random.default_rng(84)
+    plan = hidden.plan(rng, rounds=3, stops=7, poses=30)
+    creep = Hidden("thermal_drift", "X", {"rate": 9.0})
+    readings_mm = hidden.noisy(hidden.points(plan, [creep]), rng, "isotropic", SIGMA_MM)
+    machine = Machine.load("dmu50")
+    data = Measurements.load(hidden.write(tmp_path / "tool.csv", plan, readings_mm, u_mm=SIGMA_MM), machine)
+    data = data.select(data.carrier == "tool")
+    placed = readings(data, machine, Calibration.default(machine))
+    candidates = candidates_of(placed.without(np.zeros(len(data), dtype=bool)))
+    straight = [form for form in candidates.forms if np.isinf(form.nonlinear.get("time_constant", np.inf))]
+    drift = next(form for form in straight if form.key == ("thermal_drift", "X"))
+    station = next(form for form in straight if form.key == ("station_drift", "1"))
+    other = next(form for form in straight if form.key == ("reversal", "Y"))
+    assert one_for_each_number(candidates, [station, drift, other]) == [station, other]
+    assert one_for_each_number(candidates, [drift, other]) == [drift, other]
+    # The one that the other spans goes, in any order: a drift of the station is in three directions.
+    assert one_for_each_number(candidates, [drift, station, other]) == [station, other]

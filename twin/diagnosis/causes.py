@@ -32,7 +32,7 @@ from twin.diagnosis.candidates.catalogue import SPECIFICATIONS
 from twin.diagnosis.candidates.instrument import ASSUMED_OF_INSTRUMENT
 from twin.diagnosis.candidates.machine import FOLLOWING_ERROR, READ_BACK
 from twin.diagnosis.estimate import MANY_ROUNDS, Estimate, estimate, reweighted
-from twin.diagnosis.forms import Candidates, Form, log_p_value
+from twin.diagnosis.forms import DEVIANCE_RULED_OUT, Candidates, Form, log_p_value
 from twin.diagnosis.payload import CARRIED_INDEX, CENTRE_PRIOR, Load, axis_of_form, loaded_joints, weights
 from twin.diagnosis.problem import in_um
 from twin.diagnosis.result import Cause, Quantity, readable_unit
@@ -98,7 +98,7 @@ class SizedCauses:
 def estimate_sizes(findings: Findings) -> SizedCauses:
     """Estimate the sizes of the causes, and drop one by one those that groups of readings do not confirm."""
     structure = findings.structure
-    forms = list(structure.forms)
+    forms = one_for_each_number(findings.candidates, structure.forms)
     dropped: list[Form] = []
     while True:
         estimated = estimate(findings.problem, forms, findings.task.noise.dof, structure.random_effects)
@@ -125,6 +125,20 @@ def estimate_sizes(findings: Findings) -> SizedCauses:
     return SizedCauses(findings, tuple(forms), sizes, tuple(dropped), doubts, discrepancy)
 
 
+def one_for_each_number(candidates: Candidates, forms: Sequence[Form]) -> list[Form]:
+    """Return the causes without those that the others already span: a drift of machine and one of a station that are both straight.
+
+    What is one number in the data is one cause, with the other as its alternative (`equivalent`).
+    """
+    kept = list(forms)
+    for form in reversed(forms):
+        others = [other for other in kept if other is not form]
+        if candidates.contains(others, (), form, remaining=COLLINEAR):
+            lost = candidates.explained_by(kept) - candidates.explained_by(others)
+            kept = others if lost < DEVIANCE_RULED_OUT else kept
+    return kept
+
+
 def _log_p_given_others(findings: Findings, estimated: Estimate, forms: Sequence[Form], form: Form) -> float:
     """Return the log p-value of a cause, corrected for multiple testing, with all unexplained residuals counted as noise."""
     problem, candidates = findings.problem, findings.candidates
@@ -149,6 +163,8 @@ OVERFITTED: Final = "they increase the residuals of held-out readings: too few r
 """Reasons for which causes are left out, in words."""
 AT_BOUND: Final = 0.99
 """Ratio of a parameter to its bound from which on it counts as bounded."""
+COLLINEAR: Final = 1e-4
+"""Share of a cause's squared norm outside the span of the other causes below which it has no number of its own in the data."""
 UNDETERMINED_SHARE: Final = 0.9 / np.sqrt(CENTRE_PRIOR)
 """Standard uncertainty of a coordinate, as a share of its bound, from which on the readings do not determine it: almost the prior's."""
 
