@@ -325,7 +325,7 @@ def test_the_json_is_the_contracts(found: Mapping[str, Diagnosis]) -> None:
     ours = ["not_evaluated", "trends", "noise_source", "set_aside", "notices", "warnings"]
     assert set(result) == {*contract, *ours}
     keys = "effect where origin parameters p_value share equivalent evidence probability bounded".split()
-    assert set(result["causes"][0]) == {*keys, "promised", "credible"}
+    assert set(result["causes"][0]) == {*keys, "promised", "credible", "assumes"}
     assert set(result["gain"]["held_out"]) == {"of", "groups", "rms_before_um", "rms_after_um", "ci95_um"}
 
 

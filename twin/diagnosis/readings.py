@@ -40,6 +40,8 @@ LEAST_DOF: Final = 20
 """Degrees of freedom below which no noise is estimated."""
 ITERATIONS: Final = 3
 """Iterations of the weights along and across the beam."""
+ROUNDING: Final = 1e-9
+"""Share of a regressor's norm below which its variation between repeats is rounding."""
 
 
 @final
@@ -83,7 +85,10 @@ def from_repeats(
     values = _deviations_and_regressors(view, read, signatures_of(view, columns))
     total = np.zeros((len(size), *values.shape[1:]))
     np.add.at(total, group, values)
+    norm = np.linalg.norm(values, axis=(0, 1))
     values = (values - total[group] / size[group][:, None, None]) * repeated[:, None, None]
+    # Of what is the same in all repeats only rounding is left.
+    values[:, :, 1:] *= np.linalg.norm(values, axis=(0, 1))[1:] > ROUNDING * norm[1:]
     dof = float(np.sum(np.where(repeated, 1.0 - 1.0 / size[group], 0.0)))
     return _estimated(values, dof, view, read, seen, Message("repeats"))
 

@@ -65,6 +65,8 @@ _DERIVATIVES: Final[Mapping[str, Callable[[LinearisedReadings, Rows], np.ndarray
     "place": lambda view, rows: view.by_place[rows],
     # A strain of the station's frame about its origin: scales x, y, z, then shears xy, xz, yz.
     "strain": lambda view, rows: view.by_seen[rows] @ strain_displacements(view.seen[rows]),
+    # A shift along the axes of the base that grows with the square of the distance from the station, by square metres.
+    "bend": lambda view, rows: view.base(rows) * np.sum(view.seen[rows] ** 2, axis=1)[:, None, None],
     # A scale of all lengths from the station.
     "length": lambda view, rows: view.by_seen[rows] @ view.seen[rows][:, :, None],
 }

@@ -153,23 +153,9 @@ def _columns(mask: np.ndarray, kept: list[int], centre: np.ndarray) -> tuple[Col
 
 AFFINE_SCALE_SOURCE: Final = CandidateSource((AFFINE_SCALE,), affine_scales)
 
-ASSUMED_OF_INSTRUMENT: Final = (
-    "assumes that the instrument reads to scale, at right angles and along straight beams: such an error of its own would fit as "
-    "well: a calibrated length on the table, or the same points from a station on another side, would show it"
-)
-
-
-def assumed_zero(data: Measurements) -> tuple[Column, ...]:
-    """Return the errors that every instrument of a table is assumed not to have, the same at all its stations and in all rounds.
-
-    A strain of its frame, and a beam that sags or is bent by a gradient of the air.
-    """
-    every = np.ones(len(data), dtype=bool)
-    return (*_columns(every, list(range(len(STRAINS))), np.zeros(3)), *_bent(data, every))
-
-
 # --- Candidate: a beam that is not straight ---------------------------------------------------------
 
+BEND: Final[tuple[Freedom, ...]] = tuple(("bend", i) for i in range(3))
 LARGEST_BEND: Final = 10.0
 """µm/m²: a gradient of the air's temperature of 20 K/m bends a beam so."""
 
@@ -197,18 +183,30 @@ def beam_bendings(inputs: CandidateInputs) -> Catalogue:
         own = data.station == name
         if np.all(data.station_carrier[own] == "base") and np.all(np.isfinite(data.point_mm[own])):
             names = tuple((f"bend_{a}", "um/m2") for a in "xyz")
-            candidates.append(Candidate(BEAM_BENDING, str(name), names, (Variant(_bent(data, own)),), 1.0))
+            candidates.append(
+                Candidate(BEAM_BENDING, str(name), names, (Variant(masked_columns(BEND, own, UM, LARGEST_BEND)),), 1.0)
+            )
     return Catalogue(tuple(candidates))
 
 
-def _bent(data: Measurements, mask: np.ndarray) -> tuple[Column, ...]:
-    """Return the shifts of some readings along the axes of the base, µm per square metre of the distance from the instrument."""
-    square = np.where(mask, np.nan_to_num(np.sum(np.asarray(data.point_mm) ** 2, axis=1)), 0.0) * MM**2
-    bent = tabulated(square[:, None])
-    return tuple(Column((SignatureTerm(("base", i), bent, 0, UM),), LARGEST_BEND) for i in range(3))
-
-
 BEAM_BENDING_SOURCE: Final = CandidateSource((BEAM_BENDING,), beam_bendings)
+
+# --- What is assumed of an instrument where no candidate tests it ------------------------------
+
+ASSUMED_OF_INSTRUMENT: Final = (
+    "assumes that the instrument reads to scale, at right angles and along straight beams: such an error of its own would fit as "
+    "well: a calibrated length on the table, or the same points from a station on another side, would show it"
+)
+
+
+def assumed_zero(data: Measurements) -> tuple[Column, ...]:
+    """Return the errors that every instrument of a table is assumed not to have, the same at all its stations and in all rounds.
+
+    A strain of its frame, and a beam that sags or is bent by a gradient of the air.
+    """
+    every = np.ones(len(data), dtype=bool)
+    return (*_columns(every, list(range(len(STRAINS))), np.zeros(3)), *masked_columns(BEND, every, UM, LARGEST_BEND))
+
 
 # --- Candidate: lobing of a touch probe, whose pre-travel depends on the direction of the contact in the probe's own frame
 
