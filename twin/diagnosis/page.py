@@ -6,7 +6,6 @@ words, they never replace them. Pictures are embedded; nothing is fetched. The t
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
@@ -15,7 +14,7 @@ from typing import Final, final
 from twin._common.provenance import warning_texts
 from twin.diagnosis import plots, text
 from twin.diagnosis.plots import plot_panel, plot_unexplained
-from twin.diagnosis.result import DiagnosisResult, readable_unit
+from twin.diagnosis.result import Cause, DiagnosisResult, readable_unit
 from twin.diagnosis.text import column
 from twin.display import Html, render
 from twin.display.figures import embedded
@@ -82,7 +81,7 @@ def diagnosis_html(diagnosis: DiagnosisResult) -> str:
         words=text,
         embedded=embedded,
         grouped_notes=grouped_notes,
-        listed_causes=_listed_causes,
+        alternatives=_alternatives,
         picture=_picture,
         readable_unit=readable_unit,
     )
@@ -105,7 +104,13 @@ def _picture(panel: plots.Panel, caption: str) -> Html:
     return embedded(plot_panel(panel), f"{panel.title}: {panel.y} against {panel.x}", caption)
 
 
-def _listed_causes(keys: Sequence[tuple[str, str]]) -> Html:
-    """Return causes in words with their symbols, as HTML."""
-    named = [(escape(lower(text.cause_title(*key))), escape(text.symbol(*key))) for key in keys]
-    return Html(listed([f"{name} <span class=symbol>{sign}</span>" for name, sign in named]))
+def _alternatives(cause: Cause) -> Html:
+    """Return the alternatives to a cause in words with their symbols, as HTML."""
+
+    def named(effect: str, where: str) -> str:
+        title = escape(lower(text.cause_title(effect, where)))
+        return f"{title} <span class=symbol>{escape(text.symbol(effect, where))}</span>"
+
+    return Html(listed(cause.alternatives(named)))
+
+
