@@ -223,9 +223,7 @@ class Heidenhain(Dialect):
 
     name = "heidenhain"
     suffixes = PROGRAM_SUFFIXES["heidenhain"]
-    shared_suffixes = (".txt",)
-    begins = re.compile(rb"\s*\d*\s*BEGIN\s+PGM\s", re.IGNORECASE)
-
+    evidence = vocabulary.EVIDENCE
     numbers_lines = True
 
     def chunk(self, data: bytes, first: int, names: tuple[str, ...], code: LineCode) -> Chunk:

@@ -8,7 +8,7 @@ from functools import lru_cache
 from typing import Final, NamedTuple, final
 
 from twin.nc.lines.scan import simple_axis_letters
-from twin.nc.text import number
+from twin.nc.text import line_pattern, number
 
 _VALUE = r"[+-]?+[ \t]*+(?:[\d.,]++|Q[LR]?\d++)"
 
@@ -35,6 +35,19 @@ TOKEN = re.compile(
     re.VERBOSE | re.ASCII | re.IGNORECASE,
 )
 
+EVIDENCE = line_pattern(
+    r"(?:BEGIN|END|CALL|SEL)[ \t]++PGM(?!\w)",
+    r"BLK[ \t]++FORM(?!\w)",
+    r"TOOL[ \t]++(?:CALL|DEF)(?!\w)",
+    r"CYCL[ \t]++(?:DEF|CALL)(?!\w)",
+    r"(?:CALL[ \t]++)?+LBL[ \t]++[\d\"Q]",
+    r"FN[ \t]*+\d++[ \t]*+:",
+    r"PLANE[ \t]++(?:SPATIAL|RESET|PROJECTED|EULER|VECTOR|POINTS|RELATIVE|AXIAL)(?!\w)",
+    r"FUNCTION[ \t]++(?:TCPM|RESET|MODE)(?!\w)",
+    r"(?:LN?|CC|CR?)[ \t]++I?[A-CU-Z][ \t]*+(?:[+-]|\d|Q)",
+    r"L[ \t]++(?:R[0LR]|FMAX|M\d)",
+)
+"""A line of a plain-language program: one of its statements, or a path function with an axis word."""
 UNIT = re.compile(r"BEGIN[ \t]+PGM[ \t]+(?:.*[ \t])?([^ \t;]+)[ \t]*(?:;.*)?$", re.ASCII | re.IGNORECASE)
 TOOL_AXIS = re.compile(
     r"TOOL[ \t]+CALL[ \t]+(?:(?:\"[^\"]*\"|[^ \t\"]+)[ \t]+)?([XYZ])(?![A-Z\d])", re.ASCII | re.IGNORECASE

@@ -230,6 +230,7 @@ class Iso(Dialect):
 
     name = "iso"
     suffixes = PROGRAM_SUFFIXES["iso"]
+    evidence = vocabulary.EVIDENCE
     has_increments = True
 
     def reader(self, source: str, axes: AxisWords, *, tcp: bool) -> ChunkReader:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from twin.nc.text import number
+from twin.nc.text import line_pattern, number
 
 _STRING = r'"[^"\r\n]*+"'
 _ARGS = rf'\((?:[^()"\r\n]++|{_STRING}|\((?:[^()"\r\n]++|{_STRING}|\([^()"\r\n]*+\))*+\))*+\)'
@@ -190,6 +190,19 @@ CURVES: frozenset[str] = frozenset(
     ORICONTO ORIPATH ORIPATHS XH YH ZH NUT SPIF1 SPIF2 SPN SPP MEAS MEAW MEASA MEAWA MEAC PUNCHACC""".split()
 )
 CYCLE = re.compile(r"CYCLE\d+|MCALL|HOLES\d|POCKET\d|SLOT\d|LONGHOLE|POLY_\w+|CONTPRON|CONTDCON", re.ASCII)
+
+EVIDENCE = line_pattern(
+    r"(?:[A-FH-Z][ \t]*+[+-]?+[\d.]++[ \t]*+)*+G[ \t]*+\d",
+    r"%",
+    r"O[ \t]*+(?:\d{2}|<)",
+    r"\$\w[^%\r\n]*+%",
+    r"(?:\#\d++|\#<[^>\r\n]*+>|R\d++)[ \t]*+=",
+    rf"(?:{'|'.join(sorted(PASSED | TRANSFORMS))}|CYCLE\d++|MCALL)[ \t]*+(?=[(;\r\n]|\Z|[A-Z]\d?+[ \t]*+=?+[ \t]*+[+-]?+\d)",
+    r"DEF[ \t]++(?:REAL|INT|BOOL|CHAR|STRING|AXIS|FRAME)(?!\w)",
+)
+"""A line of an ISO program: a G word after words of letters and numbers; tape mark; program number; header of Okuma; parameters; a
+statement of SINUMERIK.
+"""
 
 HARMLESS_SYSTEM_VARIABLES: tuple[str, ...] = ("$AC_MARKER", "$AC_PARAM", "$AC_TIMER", "$A_OUT", "$A_DB")
 """Beginnings of system variables of SINUMERIK that hold numbers of the program, or go to the machine's outputs."""
