@@ -37,6 +37,8 @@ def refused(dialect, start, block, what, tcp=False):
     ("block", "what"),
     [
         ("G1 X", "'X'"),
+        ("G91 G28 Z0\nG0 X5 Z0.001", "incremental Z while its position is unknown"),
+        ("G28 B0\nG0 X5 B=IC(R1)", "value of B"),
         ("(A (B) X5)", "comment within a comment"),
         ("G1 X1 (A (B (C) Y#1) D)", "comment within a comment"),
         ("(A (B)", "without closing parenthesis"),
@@ -438,6 +440,12 @@ def test_the_shortest_way_of_a_rotary_axis(blocks: str, line: int, noted: int) -
         ("G74 X1=0 Z1=0\nG0 X5 Z7", [(5, 0, 7, 0, 0)]),
         ("N5 G75 FP=2 Z1=0\nG0 X5\nZ7", [(5, 0, math.nan, 0, 0), (5, 0, 7, 0, 0)]),
         ("TRAORI\nG1 X1 Y2 Z3 A5=0 B5=0.6 C5=.8 A3=0 B3=0 C3=1 A4=1 B4=0 C4=0 F100", [(1, 2, 3, math.nan, math.nan)]),
+        ("G91 G28 Z0\nG0 X5 Z0", [(5, 0, math.nan, 0, 0)]),
+        (
+            "G28 B0 C0\nG91 G0 B0 C=IC(0) X5\nX1\nG90 B10",
+            [(x, 0, 0, b, math.nan) for x, b in ((5, math.nan), (6, math.nan), (6, 10))],
+        ),
+        ("G90 G28 Z0\nG0 X5 Z=IC(-0.)", [(5, 0, math.nan, 0, 0)]),
         ("/X5\nG91 X1", [(5, 0, 0, 0, 0), (6, 0, 0, 0, 0)]),
     ],
 )
