@@ -27,3 +27,10 @@ def refused(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
     assert stopped.value.code == 2, captured
     assert captured.err.count("\n") == 1
     return captured.err
+
+
+def status(*arguments: object) -> int:
+    """Run a command in this process and return its exit status."""
+    with pytest.raises(SystemExit) as stopped:
+        cli.main([str(argument) for argument in arguments])
+    return int(stopped.value.code or 0)

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.cli.commands import TWIN, refused, twin
+from tests.cli.commands import TWIN, refused, status, twin
 from tests.truth.machine import run_iso
 from twin import cli
 
@@ -42,6 +42,27 @@ def test_the_main_job_from_any_directory(tmp_path: Path) -> None:
     assert (tmp_path / "r.txt").read_text() in done.stdout
     assert "ILLUSTRATIVE" in done.stdout
     assert len(run_iso((tmp_path / "out.nc").read_text())) == 365
+
+
+def test_the_language_is_that_of_the_content_or_as_given(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The same program under other names gives the same output, alone, in a folder, and with fewer blocks."""
+    (tmp_path / "in").mkdir()
+    outputs = []
+    for name in ("part.nc", "PART", "part.ptp", "part.h"):
+        (tmp_path / "in" / name).write_text(PROGRAM)
+        output = tmp_path / f"new.{name}"
+        assert status("compensate", tmp_path / "in" / name, "-o", output) == 0
+        outputs.append(output.read_text())
+    assert len(set(outputs)) == 1 and outputs[0] != PROGRAM
+    assert status("compensate", *(tmp_path / "in").iterdir(), "-o", tmp_path / "out", "--workers", 1) == 0
+    assert {(tmp_path / "out" / name).read_text() for name in ("part.nc", "PART", "part.ptp", "part.h")} == set(outputs)
+    for name in ("path", "scene"):
+        assert status(name, tmp_path / "in" / "PART", "-o", tmp_path / ("b" if name == "path" else "b.html")) == 0
+    alone = tmp_path / "alone.txt"
+    alone.write_text("X+100 FMAX\nY+100 FMAX\nZ-100 FMAX\nB+30 FMAX\nC+10 FMAX\nX+120 F500\nM30\n")
+    for name, output in (("compensate", "a.txt"), ("path", "a.txt"), ("scene", "a.html")):
+        assert "(--language)" in refused(capsys, name, alone, "-o", tmp_path / output)
+        assert status(name, alone, "-o", tmp_path / output, "--language", "heidenhain") in (0, 3)
 
 
 def test_info(capsys: pytest.CaptureFixture[str]) -> None:

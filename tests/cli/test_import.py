@@ -8,9 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.cli.commands import refused
+from tests.cli.commands import refused, status
 from tests.measurement.importing import shop_files
-from twin import cli
 
 
 @pytest.fixture
@@ -21,12 +20,6 @@ def shop(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (tmp_path / "plan.csv").write_text(shop_files.analyser_plan())
     shop_files.workbook(tmp_path / "shop.xlsx")
     return tmp_path
-
-
-def status(*words: object) -> int:
-    with pytest.raises(SystemExit) as ended:
-        cli.main([str(word) for word in words])
-    return int(ended.value.code or 0)
 
 
 def test_a_table_without_assumptions_is_written(shop: Path, capsys: pytest.CaptureFixture[str]) -> None:

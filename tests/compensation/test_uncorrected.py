@@ -429,3 +429,27 @@ def test_every_sample_program_is_fully_corrected(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stdout
     assert re.match(r"\S*cone_frustum\.nc on DMU 50 eVolution: corrected\n", done.stdout)
     assert ROUNDING_UM < 1.0
+
+
+# --- increments of zero at unknown positions -------------------------------------------------------------------------
+
+
+def test_increments_of_zero_after_a_reference_stay_and_later_blocks_are_corrected(
+    dmu50: Machine, calibration: Calibration, truth: TruthMachine
+) -> None:
+    """B and C are at the reference, wherever that is: rapids stay as written, and X goes on from where the output has it."""
+    head = "G21 G90\nG0 X100 Y100 Z-100 B10 C20\n"
+    tail = "G90 B30 C40\nG1 X120 F500\n"
+    text = f"{head}G91 G28 B0 C0\nG0 X5 B0 C0\nX5 C0\n{tail}"
+    result = compensate(text, dmu50, calibration)
+    out = result.text.splitlines()
+    assert {"G91 G28 B0 C0", "G0 X5 B0 C0", "X5 C0"} <= set(out)
+    assert "position of B, C not yet known: rapid passed through unchanged" in result.report.to_text()
+    done = np.array([q for _, q in iso_positions(result.text)])[-2:]
+    meant = np.array([[110.0, 100.0, -100.0, 30.0, 40.0], [120.0, 100.0, -100.0, 30.0, 40.0]])
+    off_um, _ = truth.deviations(done, meant)
+    assert off_um.max() < ROUNDING_UM
+    with pytest.raises(InputError, match="position of B, C"):
+        compensate(text.replace("G0 X5 B0", "G1 F100 X5 B0"), dmu50, calibration)
+    with pytest.raises(InputError, match="incremental B while its position is unknown"):
+        compensate(text.replace("X5 B0", "X5 B0.001"), dmu50, calibration)

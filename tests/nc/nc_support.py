@@ -79,7 +79,9 @@ def iso_positions(text: str) -> list[tuple[int, list[float]]]:
     motion, absolute, unit = 0, True, 1.0
     result = []
     for line in re.split(r"\r\n|\n|\r", text):
-        line = re.sub(r"\([^)]*\)", " ", line).split(";")[0].upper().replace("/", " ")
+        while "(" in line and ")" in line.partition("(")[2]:
+            line = re.sub(r"\([^()]*\)", " ", line)
+        line = line.split(";")[0].upper().replace("/", " ")
         words = [(letter, float(value.replace(" ", ""))) for letter, value in _ISO_WORD.findall(line)]
         for letter, value in words:
             if letter == "G" and value in (0, 1, 2, 3):
@@ -105,10 +107,10 @@ _PLAIN_WORD = re.compile(r"(?<![A-Z])(I?)([XYZBC])([+-]?[0-9.,]+)")
 def plain_positions(text: str) -> list[list[float]]:
     """Return the positions of every L, LN, C, CR block of a plain-language program."""
     where = dict.fromkeys(NAMES, math.nan)
-    unit = 25.4 if re.search(r"BEGIN PGM .* INCH", text) else 1.0
+    unit = 25.4 if re.search(r"BEGIN PGM .* IN", text) else 1.0
     result = []
     for line in re.split(r"\r\n|\n|\r", text):
-        body = re.sub(r"^\s*\d*\s*", "", line.split(";")[0].upper())
+        body = re.sub(r"^\s*N?\d*\s*", "", line.split(";")[0].upper())
         if not re.match(r"(L|LN|C|CR)\s", body):
             continue
         words = _PLAIN_WORD.findall(body)
@@ -166,7 +168,8 @@ def iso_program(draw: st.DrawFn, *, arcs: bool = False) -> str:
         words.append(draw(st.sampled_from(["", "", "F100", "F12.5", "S500 M3", "M8"])))
         text = space.join(word for word in words if word)
         if draw(st.booleans()) and text:
-            text += f" ({draw(_COMMENT)})" if draw(st.booleans()) else f" ;{draw(_COMMENT)}"
+            within = draw(st.sampled_from(["", "", "", "({}) END", "({}) ({})"])).format(*[draw(_COMMENT)] * 2)
+            text += f" ({draw(_COMMENT)}{within})" if draw(st.booleans()) else f" ;{draw(_COMMENT)}"
         lines.append(text.lower() if lower else text)
     if numbered:
         lines = [f"N{10 * i}{' ' if space else ''}{text}" if i > 1 else text for i, text in enumerate(lines)]
@@ -179,8 +182,8 @@ def plain_program(draw: st.DrawFn) -> str:
     """A Heidenhain plain-language program."""
     eol = draw(_EOL)
     comma = draw(st.booleans())
-    numbered = draw(st.booleans())
-    unit = draw(st.sampled_from(["MM", "INCH"]))
+    number = draw(st.sampled_from(["", "{} ", "N{} ", "N{}0 "]))
+    unit = draw(st.sampled_from(["MM", "INCH", "IN"]))
     lines = [f"BEGIN PGM demo {unit}", "TOOL CALL 3 Z S4000", "L X+0 Y+0 Z+0 B+0 C+0 R0 FMAX M3"]
     tcp = False
     for _ in range(draw(st.integers(0, 14))):
@@ -192,14 +195,28 @@ def plain_program(draw: st.DrawFn) -> str:
                 size = 2000 if prefix else 200000
                 value = draw(st.integers(-size, size))
                 words.append(f"{prefix}{name}{decimal_text(draw, value, comma=comma, plus=True)}")
-            words.append(draw(st.sampled_from(["", "R0 FMAX", "F500", "F AUTO", "FMAX M8", "R0 F MAX M3"])))
+            words.append(
+                draw(
+                    st.sampled_from(
+                        ["", "R0 FMAX", "F500", "F AUTO", "FMAX M8", "R0 F MAX M3", "F1000. S6000", "S500. M13."]
+                    )
+                )
+            )
             lines.append(" ".join(word for word in words if word))
         elif kind == "LN" and tcp:
             lines.append("LN X+1 Y+2 Z+3 NX+0 NY+0 NZ+1 TX+0 TY+0.6 TZ+0.8 F100")
             lines.append("L X+1 Y+2 Z+3 B+10 C+20 F100")
         elif kind == "M":
             tcp = not tcp
-            on, off = draw(st.sampled_from([("M128", "M129"), ("FUNCTION TCPM F TCP AXIS POS", "FUNCTION RESET TCPM")]))
+            on, off = draw(
+                st.sampled_from(
+                    [
+                        ("M128", "M129"),
+                        ("M128. F10000.", "M129."),
+                        ("FUNCTION TCPM F TCP AXIS POS", "FUNCTION RESET TCPM"),
+                    ]
+                )
+            )
             lines.append(on if tcp else off)
             lines.append("L X+5 Y+5 Z+5")
         elif kind == "CYCL":
@@ -207,8 +224,7 @@ def plain_program(draw: st.DrawFn) -> str:
         else:
             lines.append(f"; {draw(_COMMENT)}")
     lines += ["L M30", "END PGM demo " + unit]
-    if numbered:
-        lines = [f"{i} {text}" for i, text in enumerate(lines)]
+    lines = [f"{number.format(i)}{text}" for i, text in enumerate(lines)]
     return eol.join(lines) + draw(st.sampled_from([eol, ""]))
 
 

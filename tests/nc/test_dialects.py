@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 from tests.nc.nc_support import AXES, new_positions
-from twin.nc import DIALECTS, dialect_for
+from twin._common.errors import InputError
+from twin.cli.shared.options import ProgramLanguage
+from twin.nc import DIALECTS, dialect_for, dialect_to_write
 from twin.nc.blocks import Kind, Program
 from twin.nc.dialect import Dialect
 
@@ -25,20 +27,94 @@ def positions(dialect: Dialect, text: str) -> np.ndarray:
     return np.array([move.position[:3] for move in dialect.moves(program, AXES, tcp=True).moves])
 
 
-def test_names_and_suffixes_are_of_one_language() -> None:
+def test_names_are_different_and_suffixes_written_alike() -> None:
     assert len({one.name for one in DIALECTS}) == len(DIALECTS)
-    suffixes = [suffix for one in DIALECTS for suffix in one.suffixes]
-    assert len(set(suffixes)) == len(suffixes)
-    assert {suffix for one in DIALECTS for suffix in one.shared_suffixes} <= set(suffixes)
+    assert {one.name for one in DIALECTS} == {one.value for one in ProgramLanguage}
+    for suffix in (suffix for one in DIALECTS for suffix in one.suffixes):
+        assert suffix.startswith(".") and suffix == suffix.lower()
 
 
 @EVERY
-def test_found_by_suffix(dialect: Dialect) -> None:
-    for suffix in dialect.suffixes:
-        assert suffix.startswith(".") and suffix == suffix.lower()
+def test_found_by_suffix_or_by_content(dialect: Dialect) -> None:
+    own = [suffix for suffix in dialect.suffixes if sum(suffix in one.suffixes for one in DIALECTS) == 1]
+    assert own
+    for suffix in own:
         assert dialect_for(Path(f"A{suffix.upper()}")) is dialect
-    for suffix in dialect.shared_suffixes:
-        assert dialect_for(Path(f"a{suffix}"), points_text(dialect).encode()) is dialect
+    assert dialect_for(Path("a"), points_text(dialect).encode()) is dialect
+
+
+CONTENT = {
+    "iso": [
+        b"%\nO1234(PART)\nX1 Y2\n",
+        b"N10 G21 G90\n",
+        b"/N10 T1 M6 G54\n",
+        b"(TOOL CALL 5 BEGIN PGM GOTO/1,2,3)\nX10 G0\n",
+        b"; BEGIN PGM\nN10 TRAORI\nN20 CYCLE832(0.01,1,1)\n",
+        b'MSG("GOTO/1,2,3")\nR1=5\n',
+        b"DEF REAL _X_HOME\n",
+        b"$PART.MIN%\nO100\n",
+        b"\xef\xbb\xbfG0 X1\r\n",
+        b"#100=5\n",
+    ],
+    "heidenhain": [
+        b"0 BEGIN PGM PART MM\r\n1 X+10\r\n",
+        b"; G0 X1\nTOOL CALL 5 Z S1000\n",
+        b"N10 L X+1 Y+2 R0 FMAX\n",
+        b"12 CC X+0 Y+0 ; G2\n",
+        b"CYCL DEF 7.0 DATUM SHIFT\n",
+    ],
+    "apt": [
+        b"PARTNO G1 X1\nGOTO/1,2,3\n",
+        b"$$ G0 X1\nRAPID\nGOTO / 1,2,3\n",
+        b"PPRINT/G0 X1\nFEDRAT/100,MMPM\n",
+    ],
+}
+"""Beginnings of programs, with words of the other languages in comments."""
+
+
+@pytest.mark.parametrize("suffix", ["", ".ptp", ".PTP", ".cnc", ".min", ".txt", ".nc", ".h", ".apt", ".unheard-of"])
+@pytest.mark.parametrize("name", CONTENT)
+def test_the_content_decides_whatever_the_suffix(name: str, suffix: str) -> None:
+    for text in CONTENT[name]:
+        assert dialect_for(Path(f"a{suffix}"), text).name == name, text
+
+
+def test_what_fits_several_languages_needs_a_suffix_or_is_refused() -> None:
+    """One axis word in a block moves an axis in ISO and in plain language, in modes that differ (G91, inches, radius compensation)."""
+    alone, mixed = b"X+10\nM30\n", b"G1 X5\nL X+5 FMAX\n"
+    for suffix in ("", ".txt", ".unheard-of"):
+        with pytest.raises(InputError, match="unknown NC program type") as caught:
+            dialect_for(Path(f"a{suffix}"), alone)
+        assert caught.value.setting == "language" and "iso or heidenhain or apt" in str(caught.value)
+        with pytest.raises(InputError, match="blocks of several languages") as caught:
+            dialect_for(Path(f"a{suffix}"), mixed)
+        assert caught.value.setting == "language" and "iso or heidenhain)" in str(caught.value)
+        for text in (alone, mixed):
+            for dialect in DIALECTS:
+                assert dialect_for(Path(f"a{suffix}"), text, dialect.name) is dialect
+    for text in (alone, mixed):
+        assert dialect_for(Path("a.nc"), text).name == "iso"
+        assert dialect_for(Path("a.h"), text).name == "heidenhain"
+    with pytest.raises(InputError, match="blocks of several languages"):
+        dialect_for(Path("a.cls"), mixed)
+
+
+def test_a_language_given_decides_over_content_and_suffix() -> None:
+    for dialect in DIALECTS:
+        for text in (text for texts in CONTENT.values() for text in texts):
+            assert dialect_for(Path("a.nc"), text, dialect.name) is dialect
+    with pytest.raises(InputError, match="unknown language") as caught:
+        dialect_for(Path("a.nc"), None, "fanuc")
+    assert caught.value.setting == "language"
+
+
+def test_an_output_keeps_the_language_unless_its_suffix_is_of_one_other() -> None:
+    iso, heidenhain, apt = DIALECTS
+    for source, output in (("a.nc", "b.nc"), ("a.min", "b"), ("a.h", "b.txt"), ("a", "b.unheard-of"), ("a", "b.h")):
+        assert dialect_to_write(Path(output), Path(source), heidenhain) is heidenhain
+    assert dialect_to_write(Path("b.nc"), Path("a.cls"), apt) is iso
+    assert dialect_to_write(Path("b.h"), Path("a.cls"), apt) is heidenhain
+    assert dialect_to_write(Path("b.txt"), Path("a.cls"), apt) is apt
 
 
 @EVERY

@@ -82,10 +82,9 @@ def test_binary_file(dialect, data):
 
 
 def test_dialects_by_suffix():
-    for name in ("a.nc", "a.NGC", "a.tap", "a.mpf", "a.txt", "a.iso", "a.eia"):
+    for name in ("a.nc", "a.NGC", "a.tap", "a.mpf", "a.spf", "a.iso", "a.eia", "a.ptp", "a.CNC", "a.gcode", "a.MIN"):
         assert dialect_for(Path(name)).name == "iso"
     assert dialect_for(Path("b.H")).name == "heidenhain"
-    assert dialect_for(Path("b.txt"), b"0 BEGIN PGM X MM\n").name == "heidenhain"
     assert dialect_for(Path("b.cls")).name == dialect_for(Path("b.apt")).name == "apt"
     with pytest.raises(InputError, match=r"\.mpf.*\.h.*\.cls"):
         dialect_for(Path("a.step"))

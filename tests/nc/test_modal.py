@@ -147,3 +147,24 @@ def test_an_incremental_word_after_another_length_or_offset(tmp_path: Path, seed
                 assert [move.position[i] for i in there] == pytest.approx([event.end[i] for i in there], abs=1e-6), text
                 read += len(there)
     assert read > 20 and refused
+
+
+@rs274.needed
+@pytest.mark.parametrize("seed", range(6))
+def test_increments_of_zero_after_a_reference_move_nothing(tmp_path: Path, seed: int) -> None:
+    """Other axes are where LinuxCNC has them; those at the reference are unknown until an absolute word, but not refused."""
+    rng, unknown = Random(5000 + seed), 0
+    lines = ["G90 G21 G17 G94", "G0 X10 Y20 Z30 B10 C20"]
+    for _ in range(6):
+        gone = rng.sample("XYZBC", rng.randint(1, 4))
+        lines.append(f"G91 G28 {' '.join(f'{name}0' for name in gone)}")
+        for _ in range(3):
+            words = [f"{name}{0 if name in gone else rng.randint(-9, 9)}" for name in "XYZBC" if rng.random() < 0.8]
+            lines.append(" ".join([rng.choice(["G0", "G1 F100"]), *words]))
+        lines += ["G90", f"G0 {' '.join(f'{name}{rng.randint(1, 50)}' for name in gone)}"]
+    text = "\n".join([*lines, "M2", ""])
+    ends = {tuple(event.end) for event in rs274.events(text, tmp_path)}
+    for move in read(text):
+        unknown += any(value != value for value in move.end)
+        assert any(all(a != a or abs(a - b) < PRINTED_MM for a, b in zip(move.end, end, strict=True)) for end in ends)
+    assert unknown >= 6

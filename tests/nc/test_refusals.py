@@ -37,6 +37,22 @@ def refused(dialect, start, block, what, tcp=False):
     ("block", "what"),
     [
         ("G1 X", "'X'"),
+        ("G91 G28 Z0\nG0 X5 Z0.001", "incremental Z while its position is unknown"),
+        ("G28 B0\nG0 X5 B=IC(R1)", "value of B"),
+        ("(A (B) X5)", "comment within a comment"),
+        ("G1 X1 (A (B (C) Y#1) D)", "comment within a comment"),
+        ("(A (B)", "without closing parenthesis"),
+        ("$A.MIN%\nG56 H1", "of Okuma"),
+        ("$A.MIN%\nG81 X1 Z-5 R1 F100", "of Okuma"),
+        ("$A=5%", "unexpected character"),
+        ("G74 A1=0", "canned cycle G74"),
+        ("G74 X1=0 Y5", "canned cycle G74"),
+        ("G74 X1", "canned cycle G74"),
+        ("TRAORI\nG74 X1=0", "under tool centre point control"),
+        ("G1 X1=5", "unknown axis"),
+        ("G75 G1 X1=0", "unknown axis"),
+        ("TRAORI\nG1 X1 A5=0 B5=0 C5=1", "surface normal A5"),
+        ("TRAORI\nG1 X1 A3=0 B3=0 C3=1 A6=1", "tool orientation by A6"),
         ("G1 X Y5", "X has no number"),
         ("G1 Xabc", "'Xabc'"),
         ("G1 XNAN", "'XNAN'"),
@@ -268,6 +284,11 @@ def test_drilling_written_out():
         ("CT X+5 Y+5", "CT"),
         ("LP PR+5 PA+30", "LP"),
         ("CP IPA+30 DR+", "CP"),
+        ("/L X+5", "block skip"),
+        ("12 /L X+5", "block skip"),
+        ("N10 G1 X+5", "block of an ISO program"),
+        ("L X+5 M3.5", "M3.5"),
+        ("L X+5 S", "unknown word"),
         ("APPR LT X+5 Y+5 LEN10", "APPR"),
         ("DEP LT LEN10", "DEP"),
         ("RND R5", "RND"),
@@ -409,3 +430,42 @@ def test_the_shortest_way_of_a_rotary_axis(blocks: str, line: int, noted: int) -
     else:
         notices = [one for one in read_moves(PLAIN, text).notices if "on this rapid" in one.text]
         assert len(notices) == noted
+
+
+@pytest.mark.parametrize(
+    ("block", "positions"),
+    [
+        ("(A (B) C) G1 X5 (D (E (F)) G) Y6 F100", [(5, 6, 0, 0, 0)]),
+        ("$PART.MIN%\nG1 X5 F100", [(5, 0, 0, 0, 0)]),
+        ("G74 X1=0 Z1=0\nG0 X5 Z7", [(5, 0, 7, 0, 0)]),
+        ("N5 G75 FP=2 Z1=0\nG0 X5\nZ7", [(5, 0, math.nan, 0, 0), (5, 0, 7, 0, 0)]),
+        ("TRAORI\nG1 X1 Y2 Z3 A5=0 B5=0.6 C5=.8 A3=0 B3=0 C3=1 A4=1 B4=0 C4=0 F100", [(1, 2, 3, math.nan, math.nan)]),
+        ("G91 G28 Z0\nG0 X5 Z0", [(5, 0, math.nan, 0, 0)]),
+        (
+            "G28 B0 C0\nG91 G0 B0 C=IC(0) X5\nX1\nG90 B10",
+            [(x, 0, 0, b, math.nan) for x, b in ((5, math.nan), (6, math.nan), (6, 10))],
+        ),
+        ("G90 G28 Z0\nG0 X5 Z=IC(-0.)", [(5, 0, math.nan, 0, 0)]),
+        ("/X5\nG91 X1", [(5, 0, 0, 0, 0), (6, 0, 0, 0, 0)]),
+    ],
+)
+def test_iso_as_postprocessors_write_it(block: str, positions: list[tuple[float, ...]]) -> None:
+    """Positions from the manuals: a control ignores comments, an axis at a reference or fixed point is elsewhere, a surface normal."""
+    moves = read_moves(ISO, f"{ISO_START}{block}\n").moves[1:]
+    np.testing.assert_array_equal([move.position for move in moves], positions)
+
+
+@pytest.mark.parametrize("block", ["/G91", "/G54", "/T1 M6", "/R1=5", "/X5", "/M3 S100", "/MSG()"])
+def test_block_skip_is_said_wherever_it_matters(block: str) -> None:
+    assert [notice.line for notice in read_moves(ISO, f"{ISO_START}{block}\n").notices if "skip" in notice.text] == [2]
+
+
+def test_plain_language_as_postprocessors_write_it() -> None:
+    text = "N0 BEGIN PGM A IN\nN10 L X+1 Y+0 Z+0 B+10 C+0 FMAX\nN20 L Z-2. F10. S6000\nN30 M128. F10000.\nN40 L X+0 Y+0 Z+3 M13.\n"
+    moves = read_moves(PLAIN, text).moves
+    np.testing.assert_allclose(
+        [move.position[:4] for move in moves], [[25.4, 0, 0, 10], [25.4, 0, -50.8, 10], [0, 0, 76.2, 10]]
+    )
+    assert [move.tcp for move in moves] == [False, False, True]
+    technology = PLAIN.technology(PLAIN.read(text.encode(), "test"))
+    np.testing.assert_allclose(technology.feed[[2, 4]], [254.0, 254000.0])

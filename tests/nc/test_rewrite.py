@@ -114,7 +114,7 @@ def test_every_axis_is_where_it_should_be_plain(rows, text):
         return np.tile(np.array(move.vector), (count, 1))
 
     out, intended = rewritten(PLAIN, text, with_vectors, vectors=tools)
-    tolerance = HALF_INCH_STEP if "INCH" in text else 1e-6
+    tolerance = HALF_INCH_STEP if " IN" in text else 1e-6
     moves = read_moves(PLAIN, out).moves
     close([move.position for move in moves], intended, tolerance)
     modal = plain_positions(out)

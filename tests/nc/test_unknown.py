@@ -273,8 +273,8 @@ TABLE = {
     "numbers with N": (
         "L X+100 Y+0 Z+50 B+0 C+0 FMAX\nN4 L X120 Y0 Z1 FMAX\nN6 APPR LCT X45 Y0 R20 RL F220\n",
         ".h",
-        2,
-        "number with N",
+        3,
+        "APPR",
     ),
     "two lengths": (
         "T1 M6\nG43 H1\nG0 X0 Y0 Z100 B30 C0\nG1 X1 F500\nT2 M6\nG43 H2\nG1 X10\n",

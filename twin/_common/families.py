@@ -92,11 +92,11 @@ DRIFT_INSTRUMENTS: Final = ("probe", "r-test", "displacement")
 """Touch probe and sphere, R-test, or displacement sensors around a mandrel."""
 
 PROGRAM_SUFFIXES: Final = {
-    "iso": (".nc", ".ngc", ".tap", ".mpf", ".txt", ".iso", ".eia"),
-    "heidenhain": (".h",),
-    "apt": (".cls", ".apt"),
+    "iso": (".nc", ".ngc", ".tap", ".mpf", ".spf", ".iso", ".eia", ".ptp", ".cnc", ".gcode", ".min", ".txt"),
+    "heidenhain": (".h", ".txt"),
+    "apt": (".cls", ".apt", ".txt"),
 }
-"""File name suffixes of each program language (`twin.nc`), in small letters, with the dot."""
+"""File name suffixes of each program language (`twin.nc`), in small letters, with the dot. One of several languages tells nothing."""
 
 
 def members(package: str, table: Mapping[str, str]) -> tuple[Any, ...]:

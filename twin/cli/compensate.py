@@ -74,6 +74,7 @@ def compensate(
     calibration: options.CalibrationOption = None,
     scope: options.ScopeOption = None,
     mode: options.ModeOption = options.Mode.axis,
+    language: options.LanguageOption = None,
     tolerance: ToleranceOption = 1e-3,
     json_file: JsonOption = None,
     report_file: Annotated[Path | None, typer.Option("--report", help="Write the report as text, too."), ANY] = None,
@@ -119,6 +120,7 @@ def compensate(
         rotary_limit_deg=rotary_limit,
         method=method.value,
         conditions=options.conditions(temperature, time, rpm, load, log, by_block=True),
+        language=language,
     )
     errors = options.calibration_of(calibration, loaded)
     own = options.workers(workers, scheduler, tls_ca, tls_cert, tls_key)
@@ -158,11 +160,11 @@ def _compensated(
 
 def _compensate_one(program: Path, output: Path, compensator: Compensator, *, strict: bool) -> CommandResult:
     from twin._common.bundled import find_program
-    from twin.nc import dialect_for, dialect_of
+    from twin.nc import dialect_of, dialect_to_write
 
     source = find_program(program)
-    dialect = dialect_of(source)
-    target = dialect_for(output)
+    dialect = dialect_of(source, compensator.prepared.options.language)
+    target = dialect_to_write(output, source, dialect)
     if not dialect.can_post_to(target):
         raise InputError(
             f"the program cannot be converted from {dialect.name} to {target.name}",

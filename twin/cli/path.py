@@ -42,6 +42,7 @@ def path(
         bool, typer.Option("--compensate/--no-compensate", help="Also compensate the machine's errors.")
     ] = True,
     mode: options.ModeOption = options.Mode.axis,
+    language: options.LanguageOption = None,
     tool_length: options.ToolOption = None,
     work_offset: options.OffsetOption = None,
     work_origin: options.OriginOption = None,
@@ -77,6 +78,7 @@ def path(
         tolerance_mm=tolerance,
         rotary_limit_deg=rotary_limit,
         conditions=options.conditions(temperature, time, rpm, load),
+        language=language,
     )
     errors = options.calibration_of(calibration, loaded)
     with progress_bar() as bar:

@@ -36,6 +36,7 @@ def scene(
     machine: options.MachineOption = DEFAULT,
     calibration: options.CalibrationOption = None,
     mode: options.ModeOption = options.Mode.axis,
+    language: options.LanguageOption = None,
     tool_length: options.ToolOption = None,
     work_offset: options.OffsetOption = None,
     work_origin: options.OriginOption = None,
@@ -66,6 +67,7 @@ def scene(
             setup=options.setup(loaded, work_offset, work_origin, offsets, tools),
             conditions=at,
             exaggeration=exaggeration,
+            language=language,
             progress=bar,
         )
     run = drawn.execution

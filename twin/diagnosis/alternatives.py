@@ -39,11 +39,11 @@ ALTERNATIVES_SEPARATED: Final = 2
 MOST_TOGETHER: Final = 6
 """Number of causes of one effect that are tried together: one for each axis. Many more would imitate anything."""
 SPANNED: Final = 0.01
-"""Share of a cause's squared norm outside the span of others up to which they replace it; what is left is within the noise, too."""
+"""Share of a cause's squared norm outside the span of others up to which they replace it; the rest is within the noise, too."""
 FIELD: Final = "with the frame"
 """`Specification.varies` of an error of the instrument that is a field in its frame: scales, shears, bent beams."""
 IMITATED: Final = 0.2
-"""Share of what a cause adds to the readings up to which an error of the instrument may leave it and still replace it."""
+"""Share of a cause's effect on the readings that an error of the instrument may leave and still replace it."""
 RUNNERS_UP: Final = 2
 """Number of alternatives that are ruled out and listed with a cause."""
 

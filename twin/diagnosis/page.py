@@ -112,5 +112,3 @@ def _alternatives(cause: Cause) -> Html:
         return f"{title} <span class=symbol>{escape(text.symbol(effect, where))}</span>"
 
     return Html(listed(cause.alternatives(named)))
-
-

@@ -87,7 +87,7 @@ def from_repeats(
     np.add.at(total, group, values)
     norm = np.linalg.norm(values, axis=(0, 1))
     values = (values - total[group] / size[group][:, None, None]) * repeated[:, None, None]
-    # Of what is the same in all repeats only rounding is left.
+    # A regressor that is the same in all repeats keeps rounding only.
     values[:, :, 1:] *= np.linalg.norm(values, axis=(0, 1))[1:] > ROUNDING * norm[1:]
     dof = float(np.sum(np.where(repeated, 1.0 - 1.0 / size[group], 0.0)))
     return _estimated(values, dof, view, read, seen, Message("repeats"))

@@ -69,7 +69,7 @@ class Priors(NamedTuple):
 
     Attributes:
         precision: (columns,) in the estimate, one over µm² or µrad²; zero without a prior.
-        variance: (columns,) of what the estimate holds back, µm² or µrad²: how far the unknowns may be from zero, for the covariance.
+        variance: (columns,) µm² or µrad², for the covariance: how far the unknowns that the estimate holds back may be from zero.
     """
 
     precision: np.ndarray

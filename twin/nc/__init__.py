@@ -16,47 +16,85 @@ from twin.nc.iso.dialect import Iso
 
 LINE_BYTES = 2400
 """Memory that a line needs when a program is held as a whole: measured, five axes in a block, animated."""
+HEAD_BYTES = 1 << 16
+"""Bytes at the beginning of a program from which its language is recognised."""
 DIALECTS: tuple[Dialect, ...] = (Iso(), Heidenhain(), Apt())
 
 
-def dialect_for(path: Path, data: bytes | None = None) -> Dialect:
-    """Return the language of a program by the suffix of its name.
+def dialect_for(path: Path, data: bytes | None = None, language: str | None = None) -> Dialect:
+    """Return the language of a program: as given, else by its content, else by the suffix of its name.
 
     Args:
         path: the program's path.
-        data: the program's bytes, if known: some suffixes are shared by several languages.
+        data: the program's bytes, if known; the first `HEAD_BYTES` count.
+        language: name of the language; None to recognise it.
 
     Raises:
-        InputError: an unknown suffix.
+        InputError: an unknown name; neither content nor suffix are those of one language.
     """
-    suffix = path.suffix.lower()
-    for dialect in DIALECTS:
-        if data is not None and suffix in dialect.shared_suffixes and dialect.begins.match(data[:200]):
-            return dialect
-    for dialect in DIALECTS:
-        if suffix in dialect.suffixes:
-            return dialect
-    known = " ".join(suffix for dialect in DIALECTS for suffix in dialect.suffixes)
-    kind = None if data is None else other_kind(data.decode("latin-1"), "an NC program")
-    if kind is not None:
-        expected = f"a program, whose name ends in one of {known}"
-        raise InputError(f"{kind}, not an NC program", expected=expected, file=path)
+    if language is not None:
+        return _named(language)
+    found = [] if data is None else [one for one in DIALECTS if one.evidence.search(data[:HEAD_BYTES])]
+    hinted = _by_suffix(path)
+    possible = [one for one in found if one in hinted] if len(found) > 1 else found or hinted
+    if len(possible) == 1:
+        return possible[0]
+    if data is not None and not found:
+        kind = other_kind(data.decode("latin-1"), "an NC program")
+        if kind is not None:
+            raise InputError(f"{kind}, not an NC program", expected="an NC program, or its language", file=path)
+    names = " or ".join(one.name for one in found or DIALECTS)
     raise InputError(
-        "unknown NC program type", expected=f"a file name ending in one of {known}", file=path, value=suffix
+        "blocks of several languages" if found else "unknown NC program type",
+        expected=f"the language ({names}), or a file name ending in {_SUFFIXES}",
+        file=path,
+        value=path.suffix.lower(),
+        setting="language",
     )
 
 
-def dialect_of(path: Path) -> Dialect:
-    """Return the language of an existing program, by the suffix of its name and its first bytes.
+def _named(language: str) -> Dialect:
+    for dialect in DIALECTS:
+        if dialect.name == language:
+            return dialect
+    raise InputError(
+        "unknown language", expected=", ".join(one.name for one in DIALECTS), value=language, setting="language"
+    )
+
+
+def _by_suffix(path: Path) -> list[Dialect]:
+    return [dialect for dialect in DIALECTS if path.suffix.lower() in dialect.suffixes]
+
+
+_SUFFIXES = " ".join(
+    suffix for dialect in DIALECTS for suffix in dialect.suffixes if len(_by_suffix(Path(f"a{suffix}"))) == 1
+)
+
+
+def dialect_of(path: Path, language: str | None = None) -> Dialect:
+    """Return the language of an existing program, as `dialect_for` does.
 
     Raises:
-        InputError: it cannot be read, or its suffix is unknown.
+        InputError: it cannot be read, or its language is not recognised.
     """
     try:
         with open_input(path) as stream:
-            return dialect_for(path, stream.read(4000))
+            return dialect_for(path, stream.read(HEAD_BYTES), language)
     except OSError as error:
         raise InputError("cannot be read", expected="a readable file", file=path, value=error.strerror) from error
+
+
+def dialect_to_write(output: Path, source: Path, dialect: Dialect) -> Dialect:
+    """Return the language in which to write a program: that of the suffix of its name, if it is one's own.
+
+    Args:
+        output: its path.
+        source: the program that is rewritten.
+        dialect: its language, which is kept where the suffix is the same, unknown, or one of several languages.
+    """
+    by_suffix = _by_suffix(output)
+    same = output.suffix.lower() == source.suffix.lower()
+    return by_suffix[0] if len(by_suffix) == 1 and not same else dialect
 
 
 def _check_size(path: Path, needed: int) -> None:
@@ -70,14 +108,18 @@ def _check_size(path: Path, needed: int) -> None:
         )
 
 
-def read_program(path: str | Path) -> tuple[Program, Dialect]:
+def read_program(path: str | Path, language: str | None = None) -> tuple[Program, Dialect]:
     """Read a program from a file (or a sample that comes with twin) and return it with its language.
 
     Its subprograms, in the same file or folder, are written out in place of their calls.
 
+    Args:
+        path: its path.
+        language: ``iso``, ``heidenhain`` or ``apt``; None to recognise it by content, then by suffix.
+
     Raises:
-        InputError: there is no such file, its suffix is unknown, it is empty or not text, it needs more memory than there is, or a
-            subprogram cannot be written out.
+        InputError: there is no such file, its language is not recognised, it is empty or not text, it needs more memory than there is,
+            or a subprogram cannot be written out.
 
     Examples:
         >>> program, dialect = twin.read_program("cone_frustum.nc")
@@ -87,5 +129,5 @@ def read_program(path: str | Path) -> tuple[Program, Dialect]:
     source = find_program(path)
     data = read_bytes(source, most_bytes=MAX_TEXT_BYTES)
     _check_size(source, LINE_BYTES * (1 + max(data.count(b"\n"), data.count(b"\r"))))
-    dialect = dialect_for(source, data)
+    dialect = dialect_for(source, data, language)
     return dialect.expanded(dialect.read(data, str(source)), source.parent), dialect

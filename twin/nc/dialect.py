@@ -158,10 +158,8 @@ class Dialect(ABC):
 
     Attributes:
         name: its name in messages and reports.
-        suffixes: file name suffixes in small letters, with the dot.
-        shared_suffixes: suffixes that another language uses too; a file with one is of this language if its text matches
-            `begins`.
-        begins: pattern of the first bytes of such a file.
+        suffixes: file name suffixes in small letters, with the dot; several languages may have one.
+        evidence: pattern of a line that programs of this language have and those of the others do not (`twin.nc.text.line_pattern`).
         vector_decimals: decimals of a tool vector (7: 0.1 µrad).
         linear_increment_mm: least increment of the linear words, None for that of the machine's axes.
         cutter_locations: whether its programs are cutter locations, which can be posted to a language with axis words.
@@ -171,8 +169,7 @@ class Dialect(ABC):
 
     name: str
     suffixes: tuple[str, ...]
-    shared_suffixes: tuple[str, ...] = ()
-    begins: re.Pattern[bytes] = re.compile(rb"(?!)")
+    evidence: re.Pattern[bytes]
     vector_decimals: int = 7
     linear_increment_mm: float | None = None
     cutter_locations: bool = False

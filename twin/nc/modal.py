@@ -427,15 +427,15 @@ class Interpreter(ABC):
     # ------------------------------------------------------------------ moves
 
     def apply_words(self, block: Block) -> None:
-        """Set the position from the axis words of a block.
+        """Set the position from the axis words of a block; an increment of zero leaves an unknown position unknown.
 
         Raises:
-            InputError: a word is incremental and the position unknown.
+            InputError: another word is incremental and the position unknown.
         """
         position = self.position
         for word in block.words:
             last = position[word.axis]
-            if word.incremental and last != last:
+            if word.incremental and last != last and word.value != 0.0:
                 name = self.names[word.axis]
                 what = f"incremental {name} while its position is unknown"
                 raise self.error(what, "absolute position first", name)

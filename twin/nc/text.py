@@ -33,6 +33,12 @@ BLANK = frozenset({"\n", "\r\n", "\r"})
 """Blank lines, which are skipped early."""
 
 
+def line_pattern(*forms: str) -> re.Pattern[bytes]:
+    """Return the pattern of a line that begins, after skip mark and block number, with one of some forms (regular expressions)."""
+    head = r"(?:\A(?:\xef\xbb\xbf)?|[\r\n])[ \t]*+(?:/\d?[ \t]*+)?+(?:N?+[ \t]*+\d++[ \t]*+)?+"
+    return re.compile(f"{head}(?:{'|'.join(forms)})".encode("latin-1"), re.IGNORECASE)
+
+
 def read_lines(data: bytes, source: str, dialect: str) -> Program:
     """Split bytes into lines, keeping every byte.
 

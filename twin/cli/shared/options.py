@@ -31,6 +31,18 @@ class Mode(StrEnum):
     tcp = "tcp"
 
 
+class ProgramLanguage(StrEnum):
+    """Languages of NC programs (`twin.nc`)."""
+
+    iso = "iso"
+    heidenhain = "heidenhain"
+    apt = "apt"
+
+
+LanguageOption = Annotated[
+    ProgramLanguage | None,
+    typer.Option("--language", help="Language of the programs; default: recognised by content, then by suffix."),
+]
 MachineOption = Annotated[
     str,
     typer.Option(

@@ -39,7 +39,7 @@ from twin.compensation.programs.uncorrected import of_unknown
 from twin.display.results import Result
 from twin.machine.machine import Machine
 from twin.model.calibration import Calibration
-from twin.nc import DIALECTS, dialect_for, read_program
+from twin.nc import DIALECTS, dialect_for, dialect_to_write, read_program
 from twin.nc.blocks import Interpretation, Move, Program
 from twin.nc.dialect import Dialect
 
@@ -360,11 +360,11 @@ def refit(
     """
     errors = Calibration.default(machine) if calibration is None else calibration
     refitter = Refitter(machine, errors, options, compensated=compensated)
+    language = None if options is None else options.language
     source = Path(program)
     points = is_points(source)
-    target = dialect_for(Path(output)) if output is not None else None
     if points:
-        target = target or DIALECTS[0]
+        target = DIALECTS[0] if output is None else dialect_for(Path(output), language=language)
         read, dialect = points_program(source, refitter.prepared.space.axes, DIALECTS, target, feed)
     else:
         if feed is not None:
@@ -374,8 +374,9 @@ def refit(
                 value=feed,
                 setting="feed",
             )
-        read, dialect = read_program(source)
-    if target is not None and not dialect.can_post_to(target):
+        read, dialect = read_program(source, language)
+        target = dialect if output is None else dialect_to_write(Path(output), source, dialect)
+    if not dialect.can_post_to(target):
         raise InputError(
             f"the program cannot be converted from {dialect.name} to {target.name}",
             expected=f"a file name ending in {' '.join(dialect.suffixes)}",

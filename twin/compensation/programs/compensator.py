@@ -25,7 +25,7 @@ from twin.compensation.programs.report import Report
 from twin.display.results import Display, DisplayedResult
 from twin.machine.machine import Machine
 from twin.model.calibration import Calibration
-from twin.nc import dialect_for, dialect_of, read_program
+from twin.nc import dialect_of, dialect_to_write, read_program
 from twin.nc.blocks import Interpretation, NewPositions, Program
 from twin.nc.dialect import Dialect
 
@@ -156,11 +156,12 @@ class Compensator:
 
     def _source(self, program: Path) -> ProgramSource:
         """Return a program in parts, or in memory if something needs the whole."""
+        language = self.prepared.options.language
         if program.is_file() and not (self.prepared.backlash.axes or self.prepared.by_block):
-            file = ProgramFile(program, dialect_of(program))
-            if not (file.calls and read_program(program)[0].origins):
+            file = ProgramFile(program, dialect_of(program, language))
+            if not (file.calls and read_program(program, language)[0].origins):
                 return file
-        return ProgramInMemory(*read_program(program))
+        return ProgramInMemory(*read_program(program, language))
 
     def _inputs(self, program: Path) -> Iterator[Path]:
         """Yield the input files of this compensation."""
@@ -225,7 +226,7 @@ def compensate(
         speed_of_program=True,
     )
     errors = Calibration.default(machine) if calibration is None else calibration
-    read, dialect = read_program(program)
+    read, dialect = read_program(program, chosen.language)
     return Compensator(machine, errors, replace(chosen, conditions=conditions)).compensate(read, dialect)
 
 
@@ -261,7 +262,8 @@ def compensate_file(
     """
     errors = Calibration.default(machine) if calibration is None else calibration
     source, target = find_program(program), Path(output)
-    into = dialect_for(target) if dialect_of(source).cutter_locations else None
+    dialect = dialect_of(source, None if options is None else options.language)
+    into = dialect_to_write(target, source, dialect) if dialect.cutter_locations else None
     return Compensator(machine, errors, options).compensate_file(source, target, progress, into=into)
 
 

@@ -105,6 +105,7 @@ def execute_file(
     tcp: bool = False,
     setup: Setup | None = None,
     conditions: Conditions | None = None,
+    language: str | None = None,
 ) -> Execution:
     """Execute the program of a file, or a sample program of twin.
 
@@ -116,6 +117,7 @@ def execute_file(
         tcp: whether tool-centre-point mode is on from the start.
         setup: work offsets and origin; none if None.
         conditions: temperatures, time and speed, for the effects that need them.
+        language: as for `twin.read_program`.
 
     Raises:
         InputError: as for `execute`; the program cannot be read, or moves no axis to a known position; an effect needs a
@@ -132,7 +134,7 @@ def execute_file(
     errors = errors.with_transformation() if tcp else errors
     at = Conditions() if conditions is None else conditions
     at.require(errors)
-    read, dialect = read_program(program)
+    read, dialect = read_program(program, language)
     space = WordSpace(machine, Setup() if setup is None else setup, tool_length_mm)
     with errors_in_files(read), increments_hinted(machine, dialect, lambda line: "".join(read.texts[line - 1 : line])):
         reading = dialect.moves(read, space.axes, tcp=tcp)

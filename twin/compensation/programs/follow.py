@@ -224,16 +224,17 @@ class Follower:
                 self._words[:3] = np.nan  # the position of the tip then depends on the control
             self.notices.append(Notice(move.line, "machine coordinates: passed through unchanged"))
             return None
+        unmoved = np.isnan(end) & self._named(move) & (move.vector is None)  # increments of zero at unknown positions
         end = np.where(np.isnan(end), words, end)
         if move.vector is not None:
             end[3:] = self._along_vector(move, words[3:])
-        if np.isnan(end[3:]).any():
+        if np.isnan(end[3:]).any() and not unmoved.any():
             end[3:] = self._assume(move.line, end[3:])
         start = words.copy()
         start[3:] = np.where(np.isnan(start[3:]), end[3:], start[3:])
         self._words = end
-        if np.isnan(end[:3]).any():
-            self._unknown_position(move, end, text_of)
+        if unmoved.any() or np.isnan(end[:3]).any():
+            self._unknown_position(move, end, unmoved, text_of)
             return None
         self._count += 1
         return PathMotion(move, start, end)
@@ -309,14 +310,20 @@ class Follower:
             self._assumed = True
         return np.where(unknown, space.start, rotary)
 
-    def _unknown_position(self, move: Move, end: np.ndarray, text_of: TextOf) -> None:
-        """Pass a rapid move to an unknown position through; raise `InputError` for a feed move."""
+    def _unknown_position(self, move: Move, end: np.ndarray, unmoved: np.ndarray, text_of: TextOf) -> None:
+        """Pass a rapid move to an unknown position through; raise `InputError` for a feed move.
+
+        Args:
+            unmoved: (axes,) which axes it names, by an increment of zero, at an unknown position.
+        """
         space = self._space
-        names = ", ".join(name for name, value in zip(space.axes.linear, end, strict=False) if np.isnan(value))
+        missing = unmoved | (np.isnan(end) & (np.arange(len(end)) < 3))
+        names = ", ".join(name for name, unknown in zip(space.axes.names, missing, strict=True) if unknown)
         if move.kind is not Kind.RAPID:
+            which = "axis that it names" if missing[3:].any() else "linear axis"
             raise InputError(
                 f"feed move before the program has given a position of {names}",
-                expected="a position of every linear axis before the first feed move",
+                expected=f"a position of every {which} before the first feed move",
                 file=self._source,
                 line=move.line + 1,
                 value=text_of(move.line).strip(),

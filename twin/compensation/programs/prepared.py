@@ -46,6 +46,7 @@ class Options:
         rotary_limit_deg: largest motion of a rotary axis to correct an orientation.
         method: ``exact``, or ``thesis`` for the baseline of `twin.compensation.programs.comparison`.
         conditions: temperatures, time and speed.
+        language: language of the programs (`twin.read_program`); None to recognise it.
 
     Examples:
         >>> machine = twin.Machine.load("dmu50")
@@ -62,6 +63,7 @@ class Options:
     rotary_limit_deg: float = DEFAULT_ROTARY_LIMIT_DEG
     method: Literal["exact", "thesis"] = "exact"
     conditions: Conditions = field(default_factory=Conditions)
+    language: str | None = None
 
 
 @final

@@ -43,6 +43,7 @@ from twin.nc.text import (
     first_lines,
     format_number,
     insert_comments,
+    line_pattern,
     newline_of,
     number,
     style_of,
@@ -341,12 +342,23 @@ _REMARK: Final = re.compile(r"[ \t]*+(?:\$\$[^\r\n]*+)?+[\r\n]*+", re.ASCII)
 _LOCATION: Final = re.compile(r"[ \t]*+GOTO[ \t]*+/[ \t\d.,+-]++[\r\n]*+", re.ASCII | re.IGNORECASE)
 
 
+_EVIDENCE: Final = line_pattern(
+    r"(?:GOTO|FROM|GODLTA|CUTTER|LOADTL|LOAD|SPINDL|FEDRAT|COOLNT|UNITS|MULTAX|CUTCOM|PPRINT|PAINT|TLDATA|TOOL[ \t]++PATH|MSYS|MACHIN"
+    r"|INTOL|OUTTOL|CYCLE|CIRCLE)[ \t]*+/",
+    r"(?:PARTNO|FINI|END-OF-PATH)(?![\w/])",
+    r"RAPID[ \t]*+(?:[\r\n]|\Z)",
+    r"\$\$",
+)
+"""A statement of a program of cutter locations."""
+
+
 @final
 class Apt(Dialect):
     """APT cutter locations: tool-tip coordinates and tool vectors, independent of the machine's kinematics."""
 
     name = "apt"
     suffixes = PROGRAM_SUFFIXES["apt"]
+    evidence = _EVIDENCE
     vector_decimals = VECTOR_DECIMALS
     linear_increment_mm = 1e-5
     cutter_locations = True

@@ -35,7 +35,7 @@ _PROGRAM: Final = re.compile(r"CALL[ \t]+PGM[ \t]+\"?([^\"]*?)\"?[ \t]*$", _FLAG
 _ANY_CALL: Final = re.compile(r"CALL[ \t]+(?:LBL|PGM)\b", _FLAGS)
 _LABEL: Final = re.compile(rf"LBL[ \t]+{_NAME}[ \t]*$", _FLAGS)
 _END: Final = re.compile(r"(?:STOP[ \t]+)?M0*(?:2|30)(?!\d)|.*[ \t]M0*(?:2|30)(?!\d)|END[ \t]+PGM\b", _FLAGS)
-_UNIT: Final = re.compile(r"^BEGIN[ \t]+PGM\b.*[ \t](MM|INCH)$", _FLAGS)
+_UNIT: Final = re.compile(r"^BEGIN[ \t]+PGM\b.*[ \t](MM|IN)(?:CH)?$", _FLAGS)
 _FRAME: Final = re.compile(r"(?:BEGIN|END)[ \t]+PGM\b|BLK[ \t]+FORM\b", _FLAGS)
 
 

@@ -31,7 +31,11 @@ _FEED: Final = re.compile(rf"(?<![A-Z\d])F[ \t]*(?:MAX|(U)?[ \t]*({_VALUE})|([A-
 _MISC: Final = re.compile(r"(?<![A-Z\d])M(\d+)", re.ASCII | re.IGNORECASE)
 _TOOL: Final = re.compile(rf"TOOL[ \t]+CALL\b.*?[ \t]S[ \t]*(?:({_VALUE})|([A-Z]))", re.ASCII | re.IGNORECASE)
 _DWELL: Final = re.compile(rf"CYCL[ \t]+DEF[ \t]+9\.1[ \t]+\D*({_VALUE})", re.ASCII | re.IGNORECASE)
-_UNIT: Final = re.compile(r"BEGIN[ \t]+PGM\b.*[ \t](MM|INCH)[ \t]*[\r\n]*$", re.ASCII | re.IGNORECASE)
+_SPEED: Final = re.compile(
+    rf"[ \t]*(?:N?\d+[ \t]*)?(?:LN?|CR?|M\d+\.?|I?[A-CU-Z][ \t]*{_VALUE})[ \t].*?(?<![A-Z\d])S[ \t]*({_VALUE})",
+    re.ASCII | re.IGNORECASE,
+)
+_UNIT: Final = re.compile(r"BEGIN[ \t]+PGM\b.*[ \t](MM|INCH|IN)[ \t]*[\r\n]*$", re.ASCII | re.IGNORECASE)
 _TURNING: Final = frozenset({3, 4, 13, 14})
 _OFF: Final = frozenset({2, 5, 30})
 _UNITS: Final = {136: FeedUnit.TURN, 137: FeedUnit.MINUTE}
@@ -43,10 +47,10 @@ def line_words(text: str) -> LineWords:
     if (dwell := _DWELL.search(bare)) is not None:
         return LineWords(dwell_s=number(dwell[1]))
     if (unit := _UNIT.search(bare)) is not None:
-        return LineWords(inch=unit[1].upper() == "INCH")
+        return LineWords(inch=unit[1].upper() in vocabulary.INCHES)
     codes = [int(code) for code in _MISC.findall(bare)]
     feed = next((match for match in _FEED.finditer(bare) if match[2] or match[3]), None)
-    tool = _TOOL.search(bare)
+    tool = _TOOL.search(bare) or _SPEED.match(bare)
     words = LineWords(
         feed=None if feed is None else number(feed[2]) if feed[2] else nan,
         unit=FeedUnit.TURN
@@ -223,9 +227,7 @@ class Heidenhain(Dialect):
 
     name = "heidenhain"
     suffixes = PROGRAM_SUFFIXES["heidenhain"]
-    shared_suffixes = (".txt",)
-    begins = re.compile(rb"\s*\d*\s*BEGIN\s+PGM\s", re.IGNORECASE)
-
+    evidence = vocabulary.EVIDENCE
     numbers_lines = True
 
     def chunk(self, data: bytes, first: int, names: tuple[str, ...], code: LineCode) -> Chunk:

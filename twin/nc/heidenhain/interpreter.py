@@ -294,8 +294,13 @@ class HeidenhainInterpreter(HeidenhainFrame):
     def _body(self, block: PathBlock, body: str) -> None:
         match = vocabulary.KEYWORD.match(body)
         keyword = "" if match is None else match.group().upper()
-        if vocabulary.NUMBER_OF_ISO.match(body):
-            raise self.error("block number with N", "block numbers of plain language, without N", body)
+        if vocabulary.BLOCK_OF_ISO.match(body):
+            raise self.error("block of an ISO program", "blocks of plain language", body)
+        if vocabulary.SKIPPED.match(body):
+            expected = "the blocks to execute without /, the others left out"
+            raise self.error(
+                "block skip: whether the block is executed depends on a switch of the control", expected, body
+            )
         if vocabulary.PARAXIAL.match(body) or (keyword[:1] == "M" and len(keyword) <= 2):
             self._path(block, "", block.head_end)
         elif match is None:
@@ -331,9 +336,9 @@ class HeidenhainInterpreter(HeidenhainFrame):
 
     def _begin(self, block: PathBlock, body: str, upper: str) -> None:
         unit = vocabulary.UNIT.match(body)
-        if unit is None or unit.group(1).upper() not in ("MM", "INCH"):
+        if unit is None or unit.group(1).upper() not in {"MM"} | vocabulary.INCHES:
             raise self.error("unknown unit", "BEGIN PGM name MM or INCH")
-        self.inch = unit.group(1).upper() == "INCH"
+        self.inch = unit.group(1).upper() in vocabulary.INCHES
 
     def _tool(self, block: PathBlock, body: str, upper: str) -> None:
         if "CALL" not in upper:

@@ -8,14 +8,15 @@ from functools import lru_cache
 from typing import Final, NamedTuple, final
 
 from twin.nc.lines.scan import simple_axis_letters
-from twin.nc.text import number
+from twin.nc.text import line_pattern, number
 
 _VALUE = r"[+-]?+[ \t]*+(?:[\d.,]++|Q[LR]?\d++)"
 
-HEAD = re.compile(r"(?:\xef\xbb\xbf)?+[ \t\f\x1a]*+(?:(\d++)(?![.,\d]))?+[ \t]*+", re.ASCII)
-"""The text before a block: spaces and its number."""
+HEAD = re.compile(r"(?:\xef\xbb\xbf)?+[ \t\f\x1a]*+(?:(\d++)(?![.,\d])|[Nn]\d++(?![.,\d]))?+[ \t]*+", re.ASCII)
+"""The text before a block: spaces and its number. One with N (``N10``) is kept as it is: blocks inserted behind it have none."""
 KEYWORD = re.compile(r"(?:L[NPT]?|C[CRTP]?|CTP)(?=[ \t\r\n;~]|$)|[A-Za-z]++", re.ASCII)
-NUMBER_OF_ISO = re.compile(r"N[ \t]*+\d", re.ASCII | re.IGNORECASE)
+BLOCK_OF_ISO = re.compile(r"G[ \t]*+\d", re.ASCII | re.IGNORECASE)
+SKIPPED = re.compile(r"[ \t]*+(?:\d++[ \t]*+)?+/")
 PARAXIAL = re.compile(rf"I?[XYZABCUVW][ \t]*+{_VALUE}", re.ASCII | re.IGNORECASE)
 
 TOKEN = re.compile(
@@ -28,13 +29,27 @@ TOKEN = re.compile(
     | (?P<radius>R[ \t]*+({_VALUE}))
     | (?P<vector>([NT][XYZ])[ \t]*+({_VALUE}))
     | (?P<retract>MB[ \t]*+(?:MAX|{_VALUE}))
-    | (?P<misc>M(\d{{1,9}})(?!\d))
+    | (?P<misc>M(\d{{1,9}})(?:\.(?!\d)|(?![\d.])))
+    | (?P<speed>S[ \t]*+{_VALUE})
     | (?P<ahead>LA[ \t]*+{_VALUE})
     | (?P<bad>\S)
     )""",
     re.VERBOSE | re.ASCII | re.IGNORECASE,
 )
 
+EVIDENCE = line_pattern(
+    r"(?:BEGIN|END|CALL|SEL)[ \t]++PGM(?!\w)",
+    r"BLK[ \t]++FORM(?!\w)",
+    r"TOOL[ \t]++(?:CALL|DEF)(?!\w)",
+    r"CYCL[ \t]++(?:DEF|CALL)(?!\w)",
+    r"(?:CALL[ \t]++)?+LBL[ \t]++[\d\"Q]",
+    r"FN[ \t]*+\d++[ \t]*+:",
+    r"PLANE[ \t]++(?:SPATIAL|RESET|PROJECTED|EULER|VECTOR|POINTS|RELATIVE|AXIAL)(?!\w)",
+    r"FUNCTION[ \t]++(?:TCPM|RESET|MODE)(?!\w)",
+    r"(?:LN?|CC|CR?)[ \t]++I?[A-CU-Z][ \t]*+(?:[+-]|\d|Q)",
+    r"L[ \t]++(?:R[0LR]|FMAX|M\d)",
+)
+"""A line of a plain-language program: one of its statements, or a path function with an axis word."""
 UNIT = re.compile(r"BEGIN[ \t]+PGM[ \t]+(?:.*[ \t])?([^ \t;]+)[ \t]*(?:;.*)?$", re.ASCII | re.IGNORECASE)
 TOOL_AXIS = re.compile(
     r"TOOL[ \t]+CALL[ \t]+(?:(?:\"[^\"]*\"|[^ \t\"]+)[ \t]+)?([XYZ])(?![A-Z\d])", re.ASCII | re.IGNORECASE
@@ -45,6 +60,7 @@ TOOL = re.compile(
 TOOL_LENGTH = re.compile(rf"(?<![A-Z\d])DL[ \t]*=?[ \t]*({_VALUE})", re.ASCII | re.IGNORECASE)
 CYCLE = re.compile(r"CYCL[ \t]+DEF[ \t]+(\d{1,9})(?!\d)(?:\.(\d++))?+(.*)", re.ASCII | re.IGNORECASE)
 FN = re.compile(r"FN[ \t]*+(\d{1,9})(?!\d)[ \t]*+:?(.*)", re.ASCII | re.IGNORECASE)
+INCHES = frozenset({"INCH", "IN"})
 PARAMETER = re.compile(r"Q[LRS]?\d++[ \t]*+=", re.ASCII | re.IGNORECASE)
 ASSIGNED = re.compile(r"(Q[LR]?\d++)[ \t]*+=[ \t]*+([^;\r\n~]*+)", re.ASCII | re.IGNORECASE)
 WITH_NUMBERS = frozenset({"CYCL", "FN", "PLANE", "Q", "QL", "QR", "TOOL"})

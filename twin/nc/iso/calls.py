@@ -21,7 +21,7 @@ from twin.nc.iso.cycles import SINUMERIK
 
 _FLAGS: Final = re.ASCII | re.IGNORECASE
 _NUMBER: Final = re.compile(r"[ \t]*(?:N\d+[ \t]*)?", _FLAGS)
-_NOTES: Final = re.compile(r"\([^()\r\n]*\)|;.*", re.DOTALL)
+_NOTES: Final = re.compile(rf"{vocabulary.NOTE}|;.*", re.DOTALL)
 _FANUC: Final = re.compile(r"M[ \t]*1?98(?!\d)", _FLAGS)
 _WORD: Final = re.compile(r"([A-Z])[ \t]*([+-]?[\d.]+|[+-]?#\d+|[+-]?\[[^\[\]]*\])", _FLAGS)
 _MACRO: Final = re.compile(r"G[ \t]*65(?![\d.])", _FLAGS)

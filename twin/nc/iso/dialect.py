@@ -206,21 +206,21 @@ def _ranges(begin: np.ndarray, end: np.ndarray) -> Iterator[int]:
 # --- The ISO dialect (G-code) ---------------------------------------------------------------------
 
 _TAPE: Final = re.compile(
-    r"%.*|;\$PATH=.*|PROC\b.*|<[^<>]*>|[O:][ \t]*\d+(?![\w.])(?![ \t]*(?:SUB|CALL|IF|DO|WHILE|REPEAT|RETURN)\b).*",
+    r"%.*|\$[^=%\s]+%|;\$PATH=.*|PROC\b.*|<[^<>]*>|[O:][ \t]*\d+(?![\w.])(?![ \t]*(?:SUB|CALL|IF|DO|WHILE|REPEAT|RETURN)\b).*",
     re.IGNORECASE,
 )
 """Lines that must stay first: tape mark, program number or name, ``PROC``."""
 _NUMBER: Final = re.compile(r"[ \t]*(?:/\d?[ \t]*)?(?:N\d+[ \t]*)?", re.IGNORECASE)
-_ROUND: Final = re.compile(r"\(([^()]*)\)[ \t]*;?")
+_ROUND: Final = re.compile(rf"({vocabulary.NOTE})[ \t]*;?", re.ASCII)
 _SIEMENS: Final = re.compile(
     r"%_N_|\b(?:TRAORI|TRAFOOF|SUPA|ORIWKS|ORIMKS|FGROUP|CYCLE\d+|PROC|MSG)\b|\$[APSM]\w*_|=[ \t]*(?:AC|IC|DC|ACP|ACN)[ \t]*\(",
     re.IGNORECASE,
 )
 _REMARK: Final = re.compile(
-    r"[ \t]*+(?:N\d++[ \t]*+)?+(?:\([^()\r\n]*+\)[ \t]*+)*+(?:;[^\r\n]*+)?+[\r\n]*+", re.ASCII | re.I
+    rf"[ \t]*+(?:N\d++[ \t]*+)?+(?:{vocabulary.NOTE}[ \t]*+)*+(?:;[^\r\n]*+)?+[\r\n]*+", re.ASCII | re.I
 )
 
-_NOTE: Final = re.compile(r"\([^()]*\)|;.*")
+_NOTE: Final = re.compile(rf"{vocabulary.NOTE}|;.*")
 _TAPS: Final = re.compile(r"G0*(?:74|84)(?![\d.])", re.IGNORECASE)
 
 
@@ -230,6 +230,7 @@ class Iso(Dialect):
 
     name = "iso"
     suffixes = PROGRAM_SUFFIXES["iso"]
+    evidence = vocabulary.EVIDENCE
     has_increments = True
 
     def reader(self, source: str, axes: AxisWords, *, tcp: bool) -> ChunkReader:
@@ -344,7 +345,7 @@ def _comment(line: str) -> str | None:
     if not body:
         return ""
     match = _ROUND.fullmatch(body)
-    return None if match is None else match.group(1).strip()
+    return None if match is None else match.group(1)[1:-1].strip()
 
 
 def _uses_semicolon(lines: Sequence[str]) -> bool:

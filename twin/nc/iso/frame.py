@@ -42,6 +42,7 @@ class IsoBlock(Block):
         cycle_word: the range of a call or the end of a drilling cycle of SINUMERIK.
         cycle_words: words of a drilling cycle of Fanuc, which are not needed once it is expanded.
         drilling: the cycle that the block executes.
+        approaches: whether its axis words name axes that go to a reference or fixed point of SINUMERIK.
         calls: whether the block executes a cycle of SINUMERIK at the present position.
         positions: whether the block moves the axes to the place of the hole before.
     """
@@ -60,6 +61,7 @@ class IsoBlock(Block):
     cycle_word: Span | None = None
     cycle_words: list[Span] = field(default_factory=list)
     drilling: Drilling | None = None
+    approaches: bool = False
     calls: bool = False
     positions: bool = True
 

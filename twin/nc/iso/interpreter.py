@@ -10,7 +10,7 @@ from twin._common.errors import InputError
 from twin.nc.blocks import AxisWords, Move
 from twin.nc.iso import vocabulary
 from twin.nc.iso.cycles import SINUMERIK
-from twin.nc.iso.frame import IsoBlock, Item
+from twin.nc.iso.frame import TOOL_CHANGE, IsoBlock, Item
 from twin.nc.iso.motion import CENTRE, INCH_CODES, SPINDLE_VECTOR, IsoMotion
 from twin.nc.modal import Block, Span
 from twin.nc.text import BLANK, BOM, number
@@ -18,6 +18,8 @@ from twin.nc.text import BLANK, BOM, number
 _AXIS_LETTERS: Final = frozenset("XYZABCUVW")
 _LENGTH_WORDS: Final = frozenset({"", "G43.4", "G43.5", "G234"})
 _ARC_WORDS: Final = frozenset({*CENTRE, *SPINDLE_VECTOR, "R", "CR", "TURN"})
+_NORMAL: Final = frozenset(f"{letter}{place}" for letter in "ABC" for place in "45")
+"""Surface normal of SINUMERIK at the start and the end of a block: of effect with LEAD, TILT and G41 or G42 only, which are refused."""
 _NO_MOTION: Final = frozenset("STDHFPQM")
 _new = tuple.__new__
 _WITHOUT_CYCLE: Final = frozenset({"still", "reference"})
@@ -46,7 +48,7 @@ class IsoInterpreter(IsoMotion):
     def __init__(self, source: str, axes: AxisWords, *, tcp: bool) -> None:
         super().__init__(source, axes, tcp=tcp)
         self._codes: dict[str, str] = {}
-        self._started = False
+        self._started = self._okuma = False
         self._assignments: list[tuple[str, float]] = []
         """Values of ``#`` variables that hold from the next block on: words of the same block have the values before (LinuxCNC)."""
         self._probes = False
@@ -66,6 +68,9 @@ class IsoInterpreter(IsoMotion):
         begin = len(BOM) if line == 0 and text.startswith(BOM) else 0
         stripped = text[begin:].strip(" \t\r\n\f\x1a")
         if not stripped or stripped[0] in "%;":
+            return None
+        if stripped[0] == "$" and vocabulary.OKUMA_HEADER.fullmatch(stripped):
+            self._okuma = True
             return None
         self._block_text = stripped
         block = IsoBlock(text, begin)
@@ -96,6 +101,9 @@ class IsoInterpreter(IsoMotion):
         block.inverse_time = self.feed_mode == "93"
 
     def _apply(self, block: IsoBlock) -> IsoBlock:
+        if block.skip and not _changes_nothing(block):
+            self.note("block skip: assumed to be executed", once=True)
+        self._machine_axes(block)
         groups = self._g_words(block) if block.codes else frozenset()
         if "plane tilt" in groups:
             self.tilt_words(block)
@@ -140,11 +148,27 @@ class IsoInterpreter(IsoMotion):
             return groups | {"reference"}
         return groups
 
+    def _machine_axes(self, block: IsoBlock) -> None:
+        """Take machine axes of SINUMERIK (``G74 X1=0``, ``G75 FP=2 Z1=0``) as the axes of a reference or fixed point approach.
+
+        Raises:
+            InputError: under tool centre point control.
+        """
+        own = [item for item in block.others if item.name[1:] == "1" and item.name[0] in self.index]
+        if own and [span.name for span in block.codes] in (["74"], ["75"]) and not block.items:
+            if self.tcp:
+                raise self.error("approach of a machine axis under tool centre point control", "TRAFOOF before it")
+            block.approaches = True
+            block.items = [item._replace(name=item.name[0]) for item in own]
+            block.others = [item for item in block.others if item not in own]
+
     def _is_of_motion(self, block: IsoBlock, item: Item) -> bool:
         """Return whether a word other than an axis word belongs to the motion; unknown words raise an error or add a notice."""
         name, shown = item.name, block.text[item.start : item.end]
         if name in _ARC_WORDS or (name == "P" and self.motion in (2, 3) and (block.items or _has_centre(block))):
             return True
+        if name in _NORMAL and self._has_vector(block, item):
+            return False
         if name in _AXIS_LETTERS or (name[0] in _AXIS_LETTERS and name[1:].isdigit()):
             raise self.unknown_axis(f"{name}{item.value}")
         if name == "L":
@@ -160,6 +184,13 @@ class IsoInterpreter(IsoMotion):
                 raise self.error(what, "words whose effect on the motion is known", shown)
             self.lose(block, shown)
         return False
+
+    def _has_vector(self, block: IsoBlock, normal: Item) -> bool:
+        """Return True for a block with a tool vector; raise `InputError` otherwise: then the normal may direct the tool."""
+        if SPINDLE_VECTOR.keys() <= {other.name for other in block.others}:
+            return True
+        what = f"surface normal {normal.name} without a tool vector"
+        raise self.error(what, "A3= B3= C3= in the same block", block.text[normal.start : normal.end])
 
     # ------------------------------------------------------------------ tokens
 
@@ -255,6 +286,8 @@ class IsoInterpreter(IsoMotion):
         if letter in _AXIS_LETTERS:
             raise self.unknown_axis(rest)
         if character == "(":
+            if 1 < rest.count("(") <= rest.count(")"):
+                raise self.error("comment within a comment before words", "a comment without parentheses in it", rest)
             raise self.error("comment or argument list without closing parenthesis", "( ... )", rest)
         if letter == "O":
             raise self.error("control flow", vocabulary.NO_CALLS, rest)
@@ -304,7 +337,7 @@ class IsoInterpreter(IsoMotion):
     def _modal(self, block: IsoBlock, span: Span, group: str) -> None:
         """Apply one G word of a known group to the modal state."""
         code = span.name
-        if self.cycle_code(block, span, group):
+        if group != "reference" and self.cycle_code(block, span, group):
             return
         if group in _MODES:
             name, state = _MODES[group]
@@ -324,7 +357,11 @@ class IsoInterpreter(IsoMotion):
 
     def _group(self, block: IsoBlock, code: str) -> str | None:
         """Return the modal group of a G code, empty if it has none; None for an unknown code that passes through."""
-        group = vocabulary.GROUP_OF.get(code)
+        if self._okuma and code in vocabulary.NOT_OF_OKUMA:
+            raise self.error(
+                f"G{code} of Okuma", "axis positions without tool length, work offset and cycles of Okuma", f"G{code}"
+            )
+        group = "reference" if block.approaches else vocabulary.GROUP_OF.get(code)
         if group is not None:
             return group
         if code in vocabulary.REFUSED_CODES:
@@ -381,7 +418,7 @@ class IsoInterpreter(IsoMotion):
         shown = f"{name}={value}"
         if len(name) == 1 or name in SPINDLE_VECTOR or name in ("CR", "TURN"):
             return False
-        if name[0] in "ABCD" and name[1:] in ("2", "4", "5", "6", "7"):
+        if name[0] in "ABCD" and name[1:] in ("2", "6", "7"):
             raise self.error(f"tool orientation by {name}", "a tool vector A3= B3= C3=, or rotary axes", shown)
         if name in vocabulary.CURVES or name in ("I1", "J1", "K1"):
             raise self.error(f"curve or rounding {name}", vocabulary.LINEAR, shown)
@@ -399,6 +436,12 @@ class IsoInterpreter(IsoMotion):
         else:
             self.assign(name + bracket, self.value_of(value))
         return True
+
+
+def _changes_nothing(block: IsoBlock) -> bool:
+    """Return whether a block has M words only, of no effect on what follows."""
+    other = block.items or block.codes or block.names or block.others
+    return bool(block.m_words) and not other and vocabulary.HARMLESS_M - {TOOL_CHANGE} >= {*block.m_words}
 
 
 def _has_centre(block: IsoBlock) -> bool:

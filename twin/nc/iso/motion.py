@@ -313,8 +313,6 @@ class IsoMotion(IsoDrilling):
             self.vector = None
         if self.vector is not None:
             block.vector_names = ("I", "J", "K") if self.length_vector else ("A3=", "B3=", "C3=")
-        if block.skip:
-            self.note("block skip: assumed to be executed", once=True)
         named = self.named(block.axis_bits)
         block.moves += (Move(self._line, kind, self.tcp, tuple(self.position), named, False, self.vector, None, arc),)
         if self.cycle is not None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from twin.nc.text import number
+from twin.nc.text import line_pattern, number
 
 _STRING = r'"[^"\r\n]*+"'
 _ARGS = rf'\((?:[^()"\r\n]++|{_STRING}|\((?:[^()"\r\n]++|{_STRING}|\([^()"\r\n]*+\))*+\))*+\)'
@@ -13,7 +13,10 @@ _NUMBER = r"[\d.]++"
 _HASH = r"\#(?:\d++|<[^>\r\n]*+>)"
 _NAME = rf"\$?[A-Za-z_]\w*+(?:{_BRACKET})?+(?:{_ARGS})?+"
 _OPERAND = rf"[+-]?+[ \t]*+(?:{_NUMBER}|{_STRING}|{_NAME}|{_HASH}|{_BRACKET})"
-_NOTES = r"((?:\([^()\r\n]*+\)[ \t]*+)++(?:;[^\r\n]*+)?+|;[^\r\n]*+)?+"
+_REST = r"(?:(?![A-Za-z][ \t]*+[+-]?[ \t]*+[\d.\#\[])[^()\r\n])*+"
+_INNER = rf"\([^()\r\n]*+(?:\([^()\r\n]*+\){_REST})*+\)"
+NOTE = rf"\([^()\r\n]*+(?:{_INNER}{_REST})*+\)"
+"""A comment. One within it ends the outer one on some controls: nothing behind it in the outer one may be a word."""
 _OPERATOR = r"[ \t]*+(?:\*\*|[-+*/]|(?:[Mm][Oo][Dd]|[Dd][Ii][Vv])(?!\w))"
 _EXPRESSION = rf"{_OPERAND}(?:{_OPERATOR}{_OPERAND})*+"
 _GROUPED = rf"(?:[+-]?+[ \t]*+{_ARGS}|{_OPERAND})"
@@ -22,7 +25,7 @@ _FORMULA = rf"{_GROUPED}(?:{_OPERATOR}[ \t]*+{_GROUPED})*+"
 TOKEN = re.compile(
     rf"""[ \t\f\x1a]*+(?:
       (?P<word>([A-Za-z])[ \t]*+([+-]?+[ \t]*+[\d.]++)(?![ \t]*+=))
-    | (?P<note>\([^()\r\n]*+\)|;[^\r\n]*+|[\r\n]++)
+    | (?P<note>{NOTE}|;[^\r\n]*+|[\r\n]++)
     | (?P<given>([A-Za-z]\d*+|\$?[A-Za-z_][A-Za-z_]\w*+)({_BRACKET})?+[ \t]*+=(?!=)[ \t]*+({_FORMULA}))
     | (?P<name>(\$?(?:[A-Za-z][A-Za-z_]|_)\w*+)({_BRACKET})?+(?:[ \t]*+({_ARGS}))?+)
     | (?P<late>([A-Za-z])[ \t]*+([+-]?+[ \t]*+(?:{_HASH}|{_BRACKET})))
@@ -121,6 +124,12 @@ REFUSED_CODES: dict[str, tuple[str, str]] = {
     "29": ("return from the reference point G29", "a G0 block with the position"),
     **{code: (f"macro call G{code}", NO_CALLS) for code in ("65", "66", "66.1", "72.1", "72.2")},
 }
+OKUMA_HEADER = re.compile(r"\$[^=%\s]++%", re.ASCII)
+"""The first line of a program of Okuma: its file name."""
+NOT_OF_OKUMA: frozenset[str] = frozenset(
+    {*(str(code) for code in range(53, 60)), *(str(code) for code in range(71, 90)), "98", "99"} - {"80"}
+)
+"""G codes that have another meaning on an OSP: tool length offsets and their end, return levels, cycles with levels of their own."""
 OKUMA_OFFSET = (
     "work offset of Okuma (G15 H)",
     "work offsets G54 to G59; other words of Okuma, too, have meanings of their own",
@@ -190,6 +199,19 @@ CURVES: frozenset[str] = frozenset(
     ORICONTO ORIPATH ORIPATHS XH YH ZH NUT SPIF1 SPIF2 SPN SPP MEAS MEAW MEASA MEAWA MEAC PUNCHACC""".split()
 )
 CYCLE = re.compile(r"CYCLE\d+|MCALL|HOLES\d|POCKET\d|SLOT\d|LONGHOLE|POLY_\w+|CONTPRON|CONTDCON", re.ASCII)
+
+EVIDENCE = line_pattern(
+    r"(?:[A-FH-Z][ \t]*+[+-]?+[\d.]++[ \t]*+)*+G[ \t]*+\d",
+    r"%",
+    r"O[ \t]*+(?:\d{2}|<)",
+    r"\$\w[^%\r\n]*+%",
+    r"(?:\#\d++|\#<[^>\r\n]*+>|R\d++)[ \t]*+=",
+    rf"(?:{'|'.join(sorted(PASSED | TRANSFORMS))}|CYCLE\d++|MCALL)[ \t]*+(?=[(;\r\n]|\Z|[A-Z]\d?+[ \t]*+=?+[ \t]*+[+-]?+\d)",
+    r"DEF[ \t]++(?:REAL|INT|BOOL|CHAR|STRING|AXIS|FRAME)(?!\w)",
+)
+"""A line of an ISO program: a G word after words of letters and numbers; tape mark; program number; header of Okuma; parameters; a
+statement of SINUMERIK.
+"""
 
 HARMLESS_SYSTEM_VARIABLES: tuple[str, ...] = ("$AC_MARKER", "$AC_PARAM", "$AC_TIMER", "$A_OUT", "$A_DB")
 """Beginnings of system variables of SINUMERIK that hold numbers of the program, or go to the machine's outputs."""

@@ -600,6 +600,7 @@ def draw_program(  # noqa: PLR0913
     setup: Setup | None = None,
     conditions: Conditions | None = None,
     exaggeration: float | None = None,
+    language: str | None = None,
     progress: Progress = silent,
 ) -> Scene:
     """Return the animation of a machine running an NC program.
@@ -613,6 +614,7 @@ def draw_program(  # noqa: PLR0913
         setup: work offsets and origin; none if None.
         conditions: temperatures and time, for the effects that need them.
         exaggeration: factor of the drawn deviation; None chooses a round number.
+        language: as for `twin.read_program`.
         progress: callback, called with stage and completed fraction.
 
     Raises:
@@ -626,7 +628,14 @@ def draw_program(  # noqa: PLR0913
     errors = Calibration.default(machine) if calibration is None else calibration
     progress("running", 0.0)
     run = execute_file(
-        program, machine, errors, tool_length_mm=tool_length_mm, tcp=tcp, setup=setup, conditions=conditions
+        program,
+        machine,
+        errors,
+        tool_length_mm=tool_length_mm,
+        tcp=tcp,
+        setup=setup,
+        conditions=conditions,
+        language=language,
     )
     source = find_program(program)
     if len(run.positions) < 2:
