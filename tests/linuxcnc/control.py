@@ -54,9 +54,17 @@ def control(
     return ran
 
 
+_REASONS: list[str] = []
+"""Why the control does not start, empty if it does; one entry once it has been tried."""
+
+
 def skip_without_control(folder: Path, machine: twin.Machine) -> None:
     """Skip the test if the control itself, with its own kinematics, does not start on this computer (no shared memory, for example)."""
-    try:
-        control(folder, machine, [["home"]], home=dict.fromkeys(machine.names, 1.0), seconds=60.0)
-    except (AssertionError, twin.InputError) as error:
-        pytest.skip(f"LinuxCNC does not start on this computer: {str(error)[-300:]}")
+    if not _REASONS:
+        try:
+            control(folder, machine, [["home"]], home=dict.fromkeys(machine.names, 1.0), seconds=60.0)
+            _REASONS.append("")
+        except (AssertionError, twin.InputError) as error:
+            _REASONS.append(str(error)[-300:])
+    if _REASONS[0]:
+        pytest.skip(f"LinuxCNC does not start on this computer: {_REASONS[0]}")

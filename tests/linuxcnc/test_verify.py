@@ -18,7 +18,7 @@ import twin
 from tests.linuxcnc.control import USER, needs_linuxcnc, needs_root, skip_without_control, user_for
 from tests.truth.machine import TruthMachine
 from twin.compensation import Compensator, Options
-from twin.compensation.verification import Verification, verify
+from twin.compensation.verification import Verification, on_exact_path, verify
 from twin.controls import linuxcnc
 
 pytestmark = [needs_linuxcnc, pytest.mark.xdist_group("linuxcnc")]
@@ -55,6 +55,7 @@ def test_the_error_over_the_motion_is_that_of_the_machine(machine: twin.Machine,
     assert 1e3 * min(across) < found.before.median_um < 1e3 * max(across)
     assert found.samples[0] > 1500
     assert found.control.largest_um < 0.3 and found.control.median_um < 0.01
+    assert found.exact.largest_um == pytest.approx(found.control.largest_um, abs=0.1)
     assert found.after.largest_um < 1.5 < 0.1 * found.before.largest_um
 
 
@@ -64,8 +65,15 @@ def test_corners_and_corrections_that_the_control_joins_are_its_own_share(
     """With a path tolerance above the corrections, the control joins the blocks that hold them."""
     found = verified(LINE.format("G64 P0.2"), machine, tmp_path, acceleration=1000.0)
     assert 50.0 < found.control.largest_um < 200.0 and 5.0 < found.control.median_um
+    assert found.exact.largest_um < 0.3 and found.exact.median_um < 0.01
     assert found.after.largest_um == pytest.approx(found.control.largest_um, rel=0.1)
     assert found.after.median_um == pytest.approx(found.control.median_um, abs=1.0)
+
+
+def test_the_exact_path_replaces_every_path_tolerance() -> None:
+    text = "G21 (G64 P1) G64 P[#1*2] Q0.1\r\nP0.2 g064 ; G64 P2\nG4 P1\nG64 P#<tolerance> G1 X1\n"
+    assert on_exact_path(text) == "G21 (G64 P1) G61  \r\n G61 ; G64 P2\nG4 P1\nG61  G1 X1\n"
+    assert on_exact_path("G64.1 G640 G61\n") == "G64.1 G640 G61\n"
 
 
 def test_what_the_control_refuses_is_quoted(machine: twin.Machine, tmp_path: Path) -> None:
@@ -155,4 +163,5 @@ def test_json(machine: twin.Machine, tmp_path: Path) -> None:
     assert done.returncode == 3, done.stderr
     found = json.loads(target.read_text())
     assert found["schema"] == "twin.verification/1" and found["before"]["largest_um"] > 20.0
+    assert found["control_exact_path"]["largest_um"] < 0.3 and "exact path, G61" in done.stdout
     assert "compensated program" in done.stdout and "ILLUSTRATIVE" in done.stdout

@@ -33,7 +33,7 @@ class TruthMachine:
         self.location = data.get("location", {})
         self.tool_length = tool_length
 
-    def curve(self, name: str, q: float) -> float:
+    def curve(self, name: str, q: float | np.ndarray) -> float | np.ndarray:
         entry = self.curves.get(name)
         if entry is None:
             return 0.0
@@ -44,7 +44,7 @@ class TruthMachine:
                 total += c[2 * k - 1] * np.cos(k * np.radians(q)) + c[2 * k] * np.sin(k * np.radians(q))
             return total
         lo, hi = entry["domain"]
-        return float(np.polyval(c[::-1], (2 * q - lo - hi) / (hi - lo)))
+        return np.polyval(c[::-1], (2 * q - lo - hi) / (hi - lo))
 
     def errors(self, q: np.ndarray) -> dict[str, np.ndarray]:
         found = {}

@@ -2,12 +2,14 @@
 
 The error of a sample is the distance of the tool point from the programmed path in the workpiece: the time at which the control gets
 there does not matter. The control's own share is its distance from the path of the compensated program's words: corners that it rounds
-(G64) within its acceleration, and blocks that it joins within its path tolerance (G64 P), the corrections among them. Rapids are not
-evaluated, but belong to the path.
+(G64) within its acceleration, and blocks that it joins within its path tolerance (G64 P), the corrections among them. The compensated
+program is executed once more on the exact path (G61): this is the share without G64, of acceleration and interpolation alone. Rapids
+are not evaluated, but belong to the path.
 """
 
 from __future__ import annotations
 
+import re
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -33,6 +35,9 @@ STEP_MM, STEP_DEG = 0.2, 0.05
 """Spacing of the programmed path in the axes: chords in the workpiece are then off by less than 0.01 µm per 100 mm of radius."""
 _FEEDS: Final = (2, 3)
 """Types of motion that cut: lines and arcs at feed."""
+_PATH_MODE: Final = re.compile(r"G\s*0*64(?![\d.])", re.IGNORECASE)
+_PATH_TOLERANCE: Final = re.compile(r"[PQ]\s*[-+]?\s*(\[[^\]]*\]|#\s*(<[^>]*>|\d+)|[\d.]+)", re.IGNORECASE)
+_COMMENT: Final = re.compile(r"(\([^)]*\)|;.*)")
 _TOOLS: Final = "".join(f"T{number} P{number}\n" for number in range(1, 100))
 
 
@@ -65,6 +70,7 @@ class Verification(Result):
         before: error of the original program on the machine with errors.
         after: error of the compensated one.
         control: distance of the compensated one from the path of its own words.
+        exact: the same, executed on the exact path (G61).
         samples: number of samples, of the original and of the compensated program.
         acceleration: largest acceleration of the control, mm/s² and °/s².
         warnings: of the calibration.
@@ -74,6 +80,7 @@ class Verification(Result):
     before: PathDistance
     after: PathDistance
     control: PathDistance
+    exact: PathDistance
     samples: tuple[int, int]
     acceleration: float
     warnings: tuple[str, ...] = ()
@@ -90,6 +97,7 @@ class Verification(Result):
             ("original program", self.before),
             ("compensated program", self.after),
             ("of which the control itself", self.control),
+            ("of which without G64 (exact path, G61)", self.exact),
         )
         lines = [
             f"{self.program} executed by LinuxCNC, original and compensated: {times} of feed motion, sampled every millisecond",
@@ -99,8 +107,8 @@ class Verification(Result):
                 f"  {name:<50}{one.median_um:10.3f} {one.largest_um:12.3f} µm   line {one.line}: {one.block}"
                 for name, one in rows
             ),
-            "the control itself: distance from the path of the compensated program's words (corners and blocks that G64 joins; "
-            f"acceleration {self.acceleration:g} mm/s²)",
+            "the control itself: distance from the path of the compensated program's words (corners and blocks that G64 joins); "
+            f"without G64: acceleration ({self.acceleration:g} mm/s²) and interpolation alone",
         ]
         return "\n".join([*lines, ""])
 
@@ -113,6 +121,7 @@ class Verification(Result):
             "before": self.before.to_dict(),
             "after": self.after.to_dict(),
             "control_itself": self.control.to_dict(),
+            "control_exact_path": self.exact.to_dict(),
             "samples": {"before": self.samples[0], "after": self.samples[1]},
             "acceleration_mm_s2": self.acceleration,
             "warnings": list(self.warnings),
@@ -149,19 +158,31 @@ def verify(
     written = dialect.read(result.text.encode("latin-1"), str(path))
     words = follow(written, dialect.moves(written, space.axes, tcp=False), space)
     own = _Course(real, execute(written, words, space, real).positions)
-    texts = {"original": program.text, "compensated": result.text}
+    texts = {"original": program.text, "compensated": result.text, "exact": on_exact_path(result.text)}
     recorded = _executed(texts, compensator, path, user=user, acceleration=acceleration, seconds=seconds)
     lines = {name: text.splitlines() for name, text in texts.items()}
-    (original, first), (compensated, second) = (recorded[name] for name in texts)
+    (original, first), (compensated, second), (exact, third) = (recorded[name] for name in texts)
     return Verification(
         str(path),
         _remaining(course.off(real, original), first, lines["original"]),
         _remaining(course.off(real, compensated), second, lines["compensated"]),
         _remaining(own.off(real, compensated), second, lines["compensated"]),
+        _remaining(own.off(real, exact), third, lines["exact"]),
         (len(original), len(compensated)),
         acceleration,
         tuple(warning_texts(real.calibration.warnings)),
     )
+
+
+def on_exact_path(text: str) -> str:
+    """Return a program with G61 instead of every G64; comments and line numbers stay."""
+    lines = []
+    for line in text.splitlines(keepends=True):
+        parts = _COMMENT.split(line)
+        if any(_PATH_MODE.search(part) for part in parts[::2]):
+            parts[::2] = [_PATH_TOLERANCE.sub("", _PATH_MODE.sub("G61", part)) for part in parts[::2]]
+        lines.append("".join(parts))
+    return "".join(lines)
 
 
 @final
@@ -225,6 +246,8 @@ def _executed(
     parameters = "".join(f"{5221 + letters.index(name)} {value:.6f}\n" for name, value in sorted(offsets.items()))
     actions: list[list[Any]] = [["home"]]
     for name in texts:
+        # The mode that a program without G61 and G64 runs in; what the one before it has set remains.
+        actions += [["mdi", "G61" if name == "exact" else "G64"]]
         actions += [["record", f"{name}.txt"], ["program", f"{name}.ngc", seconds], ["stop"]]
     motors = [f"motor-{i}" for i in range(len(machine.names))]
     configuration = linuxcnc.Configuration(

@@ -11,7 +11,7 @@ import signal
 import subprocess
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib import resources
 from pathlib import Path
 from time import sleep
@@ -83,6 +83,7 @@ class Configuration:
         hal: further lines of HAL, after motmod is loaded.
         pins: pins or signals that are recorded by the action ``record``, every millisecond; whole numbers begin with ``#``.
         ini: further sections of the INI file.
+        joints: further lines of the section of a joint, by its number.
         tools: the tool table.
         parameters: the parameter file.
         acceleration: largest acceleration, mm/s² and °/s².
@@ -94,6 +95,7 @@ class Configuration:
     hal: str = ""
     pins: Sequence[str] = ()
     ini: str = ""
+    joints: Mapping[int, str] = field(default_factory=dict)
     tools: str = ""
     parameters: str = ""
     acceleration: float = DEFAULT_ACCELERATION
@@ -129,7 +131,7 @@ class Configuration:
             lines.append(f"[AXIS_{axis.name}]\n{bounds}")
             lines.append(
                 f"[JOINT_{i}]\nTYPE = {kind}\n{bounds}\nFERROR = 50\nMIN_FERROR = 10\nHOME_SEQUENCE = 0\n"
-                f"HOME = {home}\nHOME_OFFSET = {home}"
+                f"HOME = {home}\nHOME_OFFSET = {home}\n{self.joints.get(i, '')}"
             )
         return "\n".join(lines) + "\n"
 
