@@ -40,6 +40,7 @@ def expected(truth: TruthMachine, axis: str, position: float, side: float) -> fl
     return -float(off) - 0.5 * side * REVERSALS[axis]
 
 
+@pytest.mark.slow  # 20 s; `test_trt.py` loads kinematics in the default run
 def test_the_motors_move_by_the_correction(tmp_path: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
     """All axes stop at nodes and between, upwards and then downwards; the motors stand off the commands by the correction."""
     machine = twin.Machine.load("dmu50")
