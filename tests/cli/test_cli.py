@@ -50,7 +50,7 @@ def test_the_language_is_that_of_the_content_or_as_given(tmp_path: Path, capsys:
     outputs = []
     for name in ("part.nc", "PART", "part.ptp", "part.h"):
         (tmp_path / "in" / name).write_text(PROGRAM)
-        output = tmp_path / f"new.{name}"
+        output = tmp_path / f"new-{name}"
         assert status("compensate", tmp_path / "in" / name, "-o", output) == 0
         outputs.append(output.read_text())
     assert len(set(outputs)) == 1 and outputs[0] != PROGRAM

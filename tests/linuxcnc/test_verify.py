@@ -123,6 +123,8 @@ def test_interrupted_it_leaves_nothing_behind(machine: twin.Machine, tmp_path: P
         [*words, "--user", user],
         stderr=subprocess.PIPE,
         env={**os.environ, "TMPDIR": str(tmp_path)},
+        # Tests that run in the background of a shell have this signal ignored, and their processes with them.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
     for _ in range(300):
         if linuxcnc.LOCK.exists() and linuxcnc._memory(user) - memory:

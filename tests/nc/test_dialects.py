@@ -110,11 +110,14 @@ def test_a_language_given_decides_over_content_and_suffix() -> None:
 
 def test_an_output_keeps_the_language_unless_its_suffix_is_of_one_other() -> None:
     iso, heidenhain, apt = DIALECTS
-    for source, output in (("a.nc", "b.nc"), ("a.min", "b"), ("a.h", "b.txt"), ("a", "b.unheard-of"), ("a", "b.h")):
+    for source, output in (("a.nc", "b.nc"), ("a.min", "b.min"), ("a.h", "b.txt"), ("a", "b"), ("a", "b.h")):
         assert dialect_to_write(Path(output), Path(source), heidenhain) is heidenhain
     assert dialect_to_write(Path("b.nc"), Path("a.cls"), apt) is iso
     assert dialect_to_write(Path("b.h"), Path("a.cls"), apt) is heidenhain
     assert dialect_to_write(Path("b.txt"), Path("a.cls"), apt) is apt
+    for other in ("b.png", "b"):
+        with pytest.raises(InputError, match="unknown NC program type"):
+            dialect_to_write(Path(other), Path("a.min"), iso)
 
 
 @EVERY

@@ -90,10 +90,16 @@ def dialect_to_write(output: Path, source: Path, dialect: Dialect) -> Dialect:
     Args:
         output: its path.
         source: the program that is rewritten.
-        dialect: its language, which is kept where the suffix is the same, unknown, or one of several languages.
+        dialect: its language, which is kept where the suffix is the same, or one of several languages.
+
+    Raises:
+        InputError: another suffix that is of no language, such as that of a picture.
     """
     by_suffix = _by_suffix(output)
     same = output.suffix.lower() == source.suffix.lower()
+    if not (by_suffix or same):
+        expected = f"a file name ending in one of {_SUFFIXES}, or that of {source.name}"
+        raise InputError("unknown NC program type", expected=expected, file=output, value=output.suffix.lower())
     return by_suffix[0] if len(by_suffix) == 1 and not same else dialect
 
 
