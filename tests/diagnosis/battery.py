@@ -517,6 +517,6 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    from tests import battery  # workers know it by this name
+    from tests.diagnosis import battery  # workers know it by this name
 
     battery.main()

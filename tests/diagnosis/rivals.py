@@ -444,6 +444,6 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    from tests import rivals  # workers know it by this name
+    from tests.diagnosis import rivals  # workers know it by this name
 
     rivals.main()
