@@ -56,8 +56,9 @@ def verify(
 ) -> CommandResult:
     """Let a control on this computer execute a program and its compensated form, and evaluate the error over the whole motion.
 
-    LinuxCNC runs without a display, in real time: as long as the program runs on the machine, twice. The positions of its motors are
-    sampled every millisecond; the report says what remains at the tool, where, and how much of it is the control's own path.
+    LinuxCNC runs without a display, in real time: as long as the program runs on the machine, three times (original, compensated, and
+    with G61). The positions of its motors are sampled every millisecond; the report says what remains at the tool, where, and how much
+    of it is the control's own path.
     """
     from twin._common.bundled import find_program
     from twin.compensation import Compensator, Options

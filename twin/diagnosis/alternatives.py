@@ -117,8 +117,10 @@ def together(candidates: Candidates, form: Form, others: Sequence[Form]) -> tupl
     least = candidates.explained_by([*others, form]) - DEVIANCE_RULED_OUT
     groups = []
     for group in (list(best.values()) for best in by_effect.values()):
+        if not 1 < len(group) <= MOST_TOGETHER:
+            continue
         explained_together = candidates.explained_by([*others, *group])
-        if not 1 < len(group) <= MOST_TOGETHER or explained_together < least:
+        if explained_together < least:
             continue
         needed = [
             rival

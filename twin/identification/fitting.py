@@ -234,11 +234,9 @@ def shrunk_start(network: Network, start: RobustStart) -> ShrunkStart:
             precision[columns], variance[columns] = mixture.precision, mixture.variance
             shares += mixture.share_of_size
         share_of_size = shares / shares.sum()
-    has_prior = np.isin(np.arange(machine), np.concatenate([np.array([], dtype=int), *columns_of]))
-    unit = unknowns.plausible**2
-    priors = Priors(
-        np.where(has_prior, precision[:machine] / unit * noise**2, 0.0), variance[:machine] * unit / noise**2
-    )
+    variance, unit = variance[:machine], unknowns.plausible**2
+    # Only curves have priors, and these have a variance.
+    priors = Priors(np.where(variance > 0.0, precision[:machine] / unit * noise**2, 0.0), variance * unit / noise**2)
     # A step of orthogonal transformations: normal equations would lose half of the digits.
     root = np.sqrt(precision)[:, None]
     rows = np.concatenate([triangle @ free, root * free])

@@ -13,6 +13,7 @@ from typing import Final, final
 
 import numpy as np
 
+from twin.nc.arithmetic import key_of
 from twin.nc.blocks import Program
 from twin.nc.dialect import as_comment
 from twin.nc.inline import DEEPEST, Call, Inliner, Line, refused, with_ending
@@ -150,27 +151,31 @@ class IsoInliner(Inliner):
 
     def body(self, call: Call, line: Line) -> list[Line] | None:
         """See `Inliner.body`."""
-        key = (call.name, call.outside)
-        if key not in self._bodies:
-            self._bodies[key] = self._body(call)
-        lines = self._bodies[key]
+        lines = self._body_of(call)
         if lines is None:
             return None
-        changed = self._assigned(lines, 0) & {_key(name) for value in call.values for name in _PARAMETER.findall(value)}
+        changed = self._assigned(lines, 0) & {
+            key_of(name) for value in call.values for name in _PARAMETER.findall(value)
+        }
         if changed:
             what = f"the subprogram changes {min(changed)}, which is a value of its call"
             raise refused(what, "values that the subprogram does not change", line)
         return self._with_values(call, lines, line)
 
+    def _body_of(self, call: Call) -> list[Line] | None:
+        """Return `_body`, searched once."""
+        key = (call.name, call.outside)
+        if key not in self._bodies:
+            self._bodies[key] = self._body(call)
+        return self._bodies[key]
+
     def _assigned(self, lines: Sequence[Line], depth: int) -> set[str]:
         """Return the ``#`` variables that lines, or the subprograms that they call, assign."""
-        assigned = {_key(name) for line in lines for name in _ASSIGNED.findall(_NOTES.sub("", line.text))}
+        assigned = {key_of(name) for line in lines for name in _ASSIGNED.findall(_NOTES.sub("", line.text))}
         for line in lines if depth < DEEPEST else ():
             call = self.call(line)
             if call is not None:
-                key = (call.name, call.outside)
-                body = self._bodies[key] if key in self._bodies else self._bodies.setdefault(key, self._body(call))
-                assigned |= self._assigned(body or (), depth + 1)
+                assigned |= self._assigned(self._body_of(call) or (), depth + 1)
         return assigned
 
     def _body(self, call: Call) -> list[Line] | None:
@@ -246,13 +251,9 @@ def _bracketed(text: str, line: Line) -> list[str]:
             values.append(text[begin : at + 1])
         elif depth <= 0 and not character.isspace():
             break
-    if depth or "".join(_key(value) for value in values) != _key(text):
+    if depth or "".join(key_of(value) for value in values) != key_of(text):
         raise refused("subprogram call", "values between brackets, and nothing else", line)
     return values
-
-
-def _key(name: str) -> str:
-    return "".join(name.upper().split())
 
 
 def _with_names_of(name: str, line: Line) -> Line:
