@@ -106,6 +106,74 @@ def test_a_pattern_in_no_catalogue_is_unexplained(what: str, calibration: Calibr
     assert left.size_um == pytest.approx(size, rel=0.2)
 
 
+SMALL_SIGMA_MM = 2e-3
+ALONG_Z, ALONG_ALL = np.array([0.0, 0.0, 1.0]), np.array([0.5, -0.6, 0.62])
+
+
+def dent(of: Plan, rng: np.random.Generator) -> np.ndarray:
+    x, y = rng.uniform(0.3, 0.7, 2)
+    width = rng.uniform(0.12, 0.22)
+    return np.asarray(np.exp(-((unit(of, "X") - x) ** 2 + (unit(of, "Y") - y) ** 2) / (2.0 * width**2)))
+
+
+def from_the_third_round(of: Plan, rng: np.random.Generator) -> np.ndarray:
+    return np.asarray(of.round == "3", dtype=float)
+
+
+def small(seed: int) -> tuple[Plan, np.random.Generator]:
+    """486 readings, as many as a shop takes in an hour."""
+    rng = np.random.default_rng(seed)
+    return hidden.rounded(hidden.plan(rng, rounds=3, stops=5, poses=31)), rng
+
+
+def diagnosed(
+    folder: Path,
+    calibration: Calibration,
+    of: Plan,
+    rng: np.random.Generator,
+    *shapes: tuple[np.ndarray, np.ndarray, float],
+) -> Diagnosis:
+    """Return the diagnosis of shifts of the tool side: shape over the rows, direction, and noncentrality of each."""
+    moved = np.zeros((len(of.q), 3))
+    for shape, direction, noncentrality in shapes:
+        own = 1e-3 * (shape * (of.carrier == "tool"))[:, None] * direction
+        read = (hidden.points(of, outside=lambda _, own=own: own) - hidden.points(of))[:, :, None]
+        moved += own * np.sqrt(noncentrality / np.sum(hidden.left_over(of, read, "isotropic", SMALL_SIGMA_MM) ** 2))
+    machine = calibration.machine
+    read = hidden.noisy(hidden.points(of, (), outside=lambda _: moved), rng, "isotropic", SMALL_SIGMA_MM)
+    table = hidden.write(folder / "m.csv", of, read, u_mm=SMALL_SIGMA_MM)
+    return diagnose(Measurements.load(table, machine), machine, calibration)
+
+
+@pytest.mark.parametrize("seed", [1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (2, 3, 4, 5))])
+def test_a_dent_is_not_the_straightness_of_two_axes(seed: int, calibration: Calibration, tmp_path: Path) -> None:
+    """A function of X and Y together: the parts that are functions of X alone and of Y alone explain most of it."""
+    of, rng = small(seed)
+    result = diagnosed(tmp_path, calibration, of, rng, (dent(of, rng), ALONG_Z, NONCENTRALITY))
+    assert result.verdict == "unexplained" and result.causes == ()
+    assert result.unexplained is not None and set(result.unexplained.depends_on) == {"X_mm", "Y_mm"}
+
+
+@pytest.mark.parametrize("seed", [1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (2, 3, 4, 5))])
+def test_the_straightness_of_two_axes_is_not_a_dent(seed: int, calibration: Calibration, tmp_path: Path) -> None:
+    of, rng = small(seed)
+    shapes = [np.polynomial.legendre.legval(2.0 * unit(of, axis) - 1.0, rng.normal(size=5)) for axis in "XY"]
+    result = diagnosed(tmp_path, calibration, of, rng, *((shape, ALONG_Z, 100.0) for shape in shapes))
+    assert {(cause.effect, cause.where) for cause in result.causes} == {("straightness", f"E_Z{axis}") for axis in "XY"}
+
+
+@pytest.mark.parametrize("seed", [1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (2, 3, 4, 5))])
+def test_a_jump_of_the_tool_side_is_one_pattern_of_the_round(
+    seed: int, calibration: Calibration, tmp_path: Path
+) -> None:
+    """Not three targets that moved by the same vector at the same time; what else changes with time may be named with the round."""
+    of, rng = small(seed)
+    result = diagnosed(tmp_path, calibration, of, rng, (from_the_third_round(of, rng), ALONG_ALL, NONCENTRALITY))
+    assert result.verdict == "unexplained" and result.causes == ()
+    left = result.unexplained
+    assert left is not None and ("round",) in {left.depends_on, *left.or_on}
+
+
 @pytest.mark.slow
 def test_an_effect_of_another_column_is_found_with_an_unknown_pattern(calibration: Calibration, tmp_path: Path) -> None:
     """Short waves over X and Y on the tool side do not affect the effect of B."""

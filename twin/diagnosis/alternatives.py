@@ -82,7 +82,8 @@ def _in_place(candidates: Candidates, form: Form, others: Sequence[Form]) -> tup
     dof_of_form = candidates.scores(others, [form.index])[0, 1]
     best: dict[tuple[str, str], float] = {}
     for rival, (explained, dof, _) in zip(tried, scores, strict=True):
-        if dof <= 0:
+        # A cause that patterns leave little to is no likelier than nothing: what explains nothing is no alternative to it.
+        if dof <= 0 or explained < DEVIANCE_RULED_OUT:
             continue
         # Of two fields of errors of one instrument, the one with more numbers is not less likely for that.
         fields = FIELD == rival.candidate.specification.varies == form.candidate.specification.varies

@@ -324,7 +324,8 @@ def _unexplained(sized: SizedCauses) -> Unexplained | None:
         )
         # Beside the patterns, what counts as discrepancy is unexplained as well.
         share = max(share, chi2_share) if findings.task.discrepancy.parts else share
-        return Unexplained(share, columns, carrier, text, size)
+        or_on = tuple(dict.fromkeys(names for test in structure.pattern_tests for names in test.rivals))
+        return Unexplained(share, columns, carrier, text, size, or_on)
     p_value = _p_value(by_noise, findings.task.noise, chi2, len(forms))
     if p_value >= NOISE_P_VALUE or (forms and chi2_share <= NEGLIGIBLE_EXCESS):
         return None

@@ -49,6 +49,7 @@ class PatternTest:
         log_p: natural log of the p-value, not corrected for multiple testing.
         log_price: natural log of the number of tests.
         explained: χ² explained beyond the expectation from noise.
+        rivals: columns of patterns about as likely, which these readings do not rule out.
     """
 
     pattern: Pattern
@@ -57,6 +58,7 @@ class PatternTest:
     log_p: float
     log_price: float
     explained: float
+    rivals: tuple[tuple[str, ...], ...] = ()
 
     @property
     def found(self) -> bool:

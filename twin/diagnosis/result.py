@@ -247,6 +247,7 @@ class Unexplained:
         carrier: ``tool``, ``work`` or ``both``.
         evidence: one sentence.
         size_um: RMS per coordinate.
+        or_on: other sets of columns that it may depend on instead: the readings do not rule them out.
         extension: empirical effects fitted to it; None if not requested.
     """
 
@@ -255,6 +256,7 @@ class Unexplained:
     carrier: str
     evidence: str
     size_um: float
+    or_on: tuple[tuple[str, ...], ...] = ()
     extension: Extension | None = None
 
     def to_dict(self) -> dict[str, Any]:
@@ -265,6 +267,7 @@ class Unexplained:
             "carrier": self.carrier,
             "evidence": self.evidence,
             "size_um": self.size_um,
+            "or_on": [list(columns) for columns in self.or_on],
             "extension": None if self.extension is None else self.extension.to_dict(),
         }
 

@@ -38,6 +38,8 @@ from twin.measurement.observation import machine_state
 
 MAX_PATTERNS: Final = 3
 """Largest number of patterns."""
+MAX_PATTERNS_EVALUATED: Final = 8
+"""Number of patterns, those with the smallest p-values, whose likelihood is evaluated before one is chosen."""
 # The most promising ones alone are refitted with the variances of the patterns, which takes nearly all of the time.
 MAX_CAUSES_EVALUATED: Final = 5
 """Number of causes evaluated in full at every step."""
@@ -59,6 +61,9 @@ LEAST_IMITATED_RATIO: Final = 1.0
 # A pattern has a handful of variances; two causes are no more complex than that.
 CAUSES_PER_PATTERN: Final = 3
 """Number of causes that one pattern must replace to be the simpler model."""
+# A function of X and Y has parts that are functions of X alone and of Y alone: each imitates an error motion of its axis.
+PARTS_PER_PATTERN: Final = 2
+"""The same for causes that the pattern itself can imitate, every one of them."""
 
 
 @final
@@ -155,33 +160,45 @@ def joint_selection(candidates: Candidates, forms: Sequence[Form], tried: Sequen
         forms: the causes selected without patterns.
     """
     structure = with_patterns(candidates, forms, tried)
-    has_patterns, patterned = bool(structure.pattern_tests), False
-    if has_patterns or len(forms) >= CAUSES_PER_PATTERN:
+    patterned = False
+    if structure.pattern_tests or len(forms) >= PARTS_PER_PATTERN:
         carried = candidates.explained_by(structure.forms)
-        if (
-            not structure.forms
-            or (structure.model is not None and carried < KEPT_CHI2_SHARE * structure.model.explained)
-            or not has_patterns
-        ):
-            other = _from_patterns(candidates, tried)
-            # Enough causes can imitate anything: one pattern instead of several causes is the simpler model.
-            simpler = (
-                len(other.forms) <= len(structure.forms) - CAUSES_PER_PATTERN
-                and _worth(candidates, other) > candidates.penalised_gain(forms) - DEVIANCE_RULED_OUT
-            )
-            # Causes that no pattern can imitate are not parts of one.
-            likelihood = structure.likelihood
-            better = (
-                likelihood is not None
-                and bool(structure.forms)
-                and not any(likelihood.can_imitate(form).any() for form in structure.forms)
-                and _worth(candidates, structure) > _worth(candidates, other)
-            )
-            if other.pattern_tests and (has_patterns or simpler) and not better:
-                structure, patterned = other, True
+        small = structure.model is None or (
+            bool(structure.forms) and carried >= KEPT_CHI2_SHARE * structure.model.explained
+        )
+        other = _one_pattern(candidates, tried)
+        if not small or (not structure.pattern_tests and len(forms) >= CAUSES_PER_PATTERN):
+            other = _from_patterns(candidates, tried, other)
+        simpler = (
+            _replaces(other, structure.forms)
+            and _worth(candidates, other) > _worth(candidates, structure) - DEVIANCE_RULED_OUT
+        )
+        # Causes that no pattern can imitate are not parts of one.
+        likelihood = structure.likelihood
+        better = (
+            likelihood is not None
+            and bool(structure.forms)
+            and not any(likelihood.can_imitate(form).any() for form in structure.forms)
+            and _worth(candidates, structure) > _worth(candidates, other)
+        )
+        if other.pattern_tests and (simpler or not small) and not better:
+            structure, patterned = other, True
     keys = {form.key for form in structure.forms}
     rejected = tuple(form for form in forms if form.key not in keys)
     return replace(structure, rejected=rejected, patterned=patterned)
+
+
+def _replaces(other: Structure, forms: Sequence[Form]) -> bool:
+    """Return whether patterns take the place of enough causes to be the simpler model: enough causes can imitate anything."""
+    if len(other.forms) <= len(forms) - CAUSES_PER_PATTERN:
+        return True
+    likelihood, kept = other.likelihood, {form.key for form in other.forms}
+    return (
+        likelihood is not None
+        and len(other.pattern_tests) == 1
+        and len(other.forms) <= len(forms) - PARTS_PER_PATTERN
+        and all(likelihood.can_imitate(form)[0] for form in forms if form.key not in kept)
+    )
 
 
 def with_patterns(candidates: Candidates, forms: Sequence[Form], tried: Sequence[Pattern]) -> Structure:
@@ -189,7 +206,7 @@ def with_patterns(candidates: Candidates, forms: Sequence[Form], tried: Sequence
     structure, pattern_tests = Structure(tuple(forms), candidates.problem), list[PatternTest]()
     while len(pattern_tests) < MAX_PATTERNS:
         seen = {test.pattern.key for test in pattern_tests}
-        further = _further_pattern(structure.problem, tried, structure.forms, candidates.dof, seen)
+        further = _further_pattern(candidates, structure, tried, pattern_tests, seen)
         if further is None:
             return structure
         likelihood = Likelihood(candidates, [*pattern_tests, further])
@@ -206,11 +223,37 @@ def with_patterns(candidates: Candidates, forms: Sequence[Form], tried: Sequence
 
 
 def _further_pattern(
-    problem: Problem, tried: Sequence[Pattern], forms: Sequence[Form], dof: float, seen: Collection[Hashable]
+    candidates: Candidates,
+    structure: Structure,
+    tried: Sequence[Pattern],
+    present: Sequence[PatternTest] = (),
+    seen: Collection[Hashable] = (),
 ) -> PatternTest | None:
-    """Return the most significant pattern of the residuals, of columns not seen yet; None if there is none."""
-    tests = scan_patterns(problem, tried, forms, dof)
-    return next((test for test in tests if test.found and test.pattern.key not in seen), None)
+    """Return the most likely of the significant patterns of the residuals, of columns not seen yet; None if there is none.
+
+    The test finds patterns fast, at one plausible variance; which columns they depend on is decided by the likelihood at the most
+    likely variances, for fewer columns where more are not clearly likelier.
+
+    Args:
+        structure: the causes, and the data with patterns projected out.
+        present: patterns already in the model.
+        seen: keys of patterns that are not chosen again.
+    """
+    tests = [
+        test
+        for test in scan_patterns(structure.problem, tried, structure.forms, candidates.dof)
+        if test.found and test.pattern.key not in seen
+    ]
+    near = [test for test in tests if test.log_p < tests[0].log_p + DEVIANCE_RULED_OUT][:MAX_PATTERNS_EVALUATED]
+    if len(near) < 2:
+        return near[0] if near else None
+    ratios = [Likelihood(candidates, [*present, test]).fit(structure.forms).twice_log_ratio for test in near]
+    likely = [i for i in range(len(near)) if ratios[i] > max(ratios) - DEVIANCE_RULED_OUT]
+    chosen = min(likely, key=lambda i: (len(near[i].pattern.names), -ratios[i]))
+    own = near[chosen].pattern
+    rivals = [near[i].pattern for i in likely if len(near[i].pattern.names) == len(own.names)]
+    names = dict.fromkeys(rival.names for rival in rivals if rival.names != own.names and rival.side == own.side)
+    return replace(near[chosen], rivals=tuple(names))
 
 
 def _worth(candidates: Candidates, structure: Structure) -> float:
@@ -231,14 +274,32 @@ def _cost(candidates: Candidates, form: Form) -> float:
     return candidates.critical_value(form, float(len(form.columns)))
 
 
-def _from_patterns(candidates: Candidates, tried: Sequence[Pattern]) -> Structure:
-    """Return the selection starting from the most significant pattern; an empty one if none is significant.
-
-    Causes are added, further patterns tested, unneeded patterns dropped.
-    """
-    first = _further_pattern(candidates.problem, tried, (), candidates.dof, ())
+def _one_pattern(candidates: Candidates, tried: Sequence[Pattern]) -> Structure:
+    """Return the most significant pattern, without causes; an empty selection if none is significant."""
+    none = Structure((), candidates.problem)
+    first = _further_pattern(candidates, none, tried)
     if first is None:
-        return Structure((), candidates.problem)
+        return none
+    likelihood = Likelihood(candidates, [first])
+    model = likelihood.fit(())
+    problem = candidates.problem.with_random_effects(likelihood.random(model), model.variance_factor)
+    return Structure((), problem, likelihood, model)
+
+
+def _from_patterns(candidates: Candidates, tried: Sequence[Pattern], alone: Structure) -> Structure:
+    """Return the selection that starts from one pattern: causes are added, further patterns tested, unneeded patterns dropped.
+
+    Args:
+        alone: the pattern, which is returned if it is likelier than what the search ends with.
+    """
+    if not alone.pattern_tests:
+        return alone
+    further = _with_further(candidates, tried, alone.pattern_tests[0])
+    return alone if _worth(candidates, alone) > _worth(candidates, further) else further
+
+
+def _with_further(candidates: Candidates, tried: Sequence[Pattern], first: PatternTest) -> Structure:
+    """Add causes to the first pattern, test further patterns, drop unneeded ones."""
     pattern_tests, seen = [first], {first.pattern.key}
     forms: list[Form] = []
     barred: set[int] = set()
@@ -258,7 +319,7 @@ def _from_patterns(candidates: Candidates, tried: Sequence[Pattern]) -> Structur
             forms, model, impossible = _stepwise(likelihood, forms, barred)
         problem = candidates.problem.with_random_effects(likelihood.random(model), model.variance_factor)
         if len(pattern_tests) < MAX_PATTERNS:
-            further = _further_pattern(problem, tried, forms, candidates.dof, seen)
+            further = _further_pattern(candidates, Structure(tuple(forms), problem), tried, pattern_tests, seen)
             if further is not None:
                 pattern_tests = [*pattern_tests, further]
                 seen.add(further.pattern.key)

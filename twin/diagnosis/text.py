@@ -16,7 +16,7 @@ import numpy as np
 
 from twin._common.provenance import warning_texts
 from twin.diagnosis.candidates.catalogue import SPECIFICATIONS
-from twin.diagnosis.result import Cause, DiagnosisResult, Extension, readable_unit
+from twin.diagnosis.result import Cause, DiagnosisResult, Extension, Unexplained, readable_unit
 from twin.display import note, table
 from twin.display.numbers import COVERAGE_FACTOR, capital, figure, listed, lower, p_value_text, with_joined_units
 from twin.display.results import Display
@@ -26,6 +26,8 @@ from twin.model.effects.specification import Advice, Kind, title_of
 
 RULED_OUT_CHI2: Final = 25.0
 """Expected χ² between the predictions of two causes that rules one of them out."""
+INSTEAD_DESCRIBED: Final = 3
+"""Number of other sets of columns that are described in a sentence."""
 MOST_READINGS: Final = 1000.0
 """Number of readings at one position above which the measurement is not suggested."""
 
@@ -452,10 +454,18 @@ def _when_unexplained(diagnosis: DiagnosisResult) -> list[tuple[str, str]]:
     elif diagnosis.causes:
         caution = "Compensating for the causes found is not enough: the rest remains and may have biased their sizes."
     return [
-        ("Residual", f"{share} depends on {names} ({side(unexplained.carrier)})."),
+        ("Residual", f"{share} depends on {names} ({side(unexplained.carrier)}).{instead(unexplained)}"),
         ("What to do", f"Look for what depends on {names}, and measure more densely over it."),
         ("Caution", caution),
     ]
+
+
+def instead(unexplained: Unexplained) -> str:
+    """Return the sentence that names the other columns that a pattern may depend on; empty if there are none."""
+    if not unexplained.or_on:
+        return ""
+    sets = [" with ".join(column(name) for name in names) for names in unexplained.or_on[:INSTEAD_DESCRIBED]]
+    return f" It may instead depend on {' or '.join(sets)}: the readings do not tell."
 
 
 def _when_ambiguous(diagnosis: DiagnosisResult) -> list[tuple[str, str]]:
