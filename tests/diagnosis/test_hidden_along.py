@@ -15,7 +15,7 @@ import pytest
 from tests.compensation.test_compensate_effects import WornMachine, densely, done, extended, taking_up
 from tests.truth import hidden
 from tests.truth.few_axes import write_stage
-from tests.truth.hidden import Hidden
+from tests.truth.hidden import Hidden, Plan
 from twin._common.errors import InputError
 from twin.diagnosis import Diagnosis, diagnose
 from twin.diagnosis.candidates.catalogue import catalogue
@@ -157,12 +157,13 @@ def test_teeth_of_a_gear_are_a_harmonic_of_high_order(dmu50: Machine, tmp_path: 
 
 
 def test_aliased_orders_are_not_tested(dmu50: Machine, tmp_path: Path) -> None:
-    """Orders are limited to half the number of positions in a revolution, and of the grid they lie on; others are unchanged."""
+    """Orders are limited to half the number of positions of the grid in a revolution; off a grid, positions distinguish all orders."""
     rng = np.random.default_rng(65)
     for angles, most in (
         (np.arange(0.0, 360.0, 2.0), 89),
         (np.arange(0.0, 360.0, 0.5), 200),
-        (np.arange(0.0, 90.0), 44),
+        (np.arange(0.0, 90.0), 178),
+        (rng.uniform(0.0, 340.0, 145), 200),
     ):
         of = hidden.rounded(hidden.plan(rng, poses=len(angles)))
         q = of.q.copy()
@@ -172,3 +173,43 @@ def test_aliased_orders_are_not_tested(dmu50: Machine, tmp_path: Path) -> None:
         found = {one.where: one for one in catalogue(dmu50, data, Calibration.default(dmu50)).candidates}
         assert len(found["E_CC"].variants) == most and found["E_CC"].tests == most
         assert len(found["E_XC"].variants) == 30
+
+
+def turned(seed: int, turns: int, amplitude: float) -> tuple[Plan, np.ndarray]:
+    """Return a plan in which only C moves, to 145 uneven angles twice, and the readings of three targets on the table."""
+    rng = np.random.default_rng(seed)
+    angles = np.round(np.sort(rng.uniform(0.0, 340.0, 145)), 3)
+    q = np.tile(hidden.HOME, (2 * 3 * len(angles), 1))
+    q[:, 4] = np.tile(np.repeat(angles, 3), 2)
+    n = len(q)
+    of = replace(
+        hidden.plan(rng, poses=31),
+        q=q,
+        approach=np.ones((n, 5)),
+        target=np.tile(np.array(["T", "U", "V"]), n // 3),
+        station=np.full(n, "1"),
+        round=np.repeat(["1", "2"], n // 2),
+        time_s=8.0 * np.arange(n),
+        warm={name: np.full(n, 20.0) for name in ("X", "Y", "Z", "bed")},
+    )
+    effect = Hidden("harmonic", "E_CC", {"order": turns, "cos": amplitude, "sin": 0.3 * amplitude})
+    return of, hidden.noisy(hidden.points(of, [effect]), rng, "isotropic", 2e-3)
+
+
+@pytest.mark.parametrize(
+    ("seed", "amplitude"),
+    [(5, 70.0), *(pytest.param(*case, marks=pytest.mark.slow) for case in ((2, 0.0), (4, 0.0), (7, 70.0)))],
+)
+def test_where_only_one_axis_turns_the_set_up_is_found(
+    seed: int, amplitude: float, calibration: Calibration, tmp_path: Path
+) -> None:
+    """The nominal machine does not tell how stations and targets are turned about C; its error motions do, along a curved valley.
+
+    Ninety waves a turn at 145 uneven angles: more than half of the angles, and resolved.
+    """
+    of, read = turned(seed, 90, amplitude)
+    machine = calibration.machine
+    data = Measurements.load(hidden.write(tmp_path / "m.csv", of, read, u_mm=2e-3), machine)
+    result = diagnose(data, machine, calibration)
+    named = [(cause.effect, cause.where, round(cause.parameters[0].value)) for cause in result.causes]
+    assert named == ([("harmonic", "E_CC", 90)] if amplitude else [])

@@ -30,6 +30,8 @@ from twin.measurement.observation import machine_state
 from twin.measurement.table import Measurements
 from twin.model.calibration import Calibration
 from twin.model.effects import assemble
+from twin.model.effects.base import axis_of
+from twin.model.effects.harmonic import TURN_DEG
 from twin.model.effects.specification import FittedCause
 from twin.numerics.functions import SHORTEST_PERIOD, sampling_frequency
 from twin.tool.uncertainty import volume
@@ -306,6 +308,8 @@ def _well_separated(positions: np.ndarray, gain: np.ndarray) -> list[int]:
 
 # --- Evidence for a cause in a sentence, and likely mistakes in the making of the calibration -----
 
+ARC_COVERED: Final = 0.8
+"""Share of an axis's travel, one turn at most, from which on it counts as measured: the last position is one step short of a turn."""
 ALIAS_CHI2: Final = 9.0
 """χ² (three standard deviations) by which a period must fit worse than the best to be ruled out."""
 
@@ -357,9 +361,40 @@ def between_positions(candidates: Candidates, forms: Sequence[Form], form: Form)
     if periods:
         other = listed([f"{period:.3g}" for period in periods])
         return f"; other periods ({other} mm) fit equally well at these positions, so the error between them is unknown"
+    orders = equal_orders(candidates, forms, form)
+    if orders and _turns_beyond(candidates, form):
+        return f"; beyond the measured arc the error is unknown, because other orders ({listed(orders)}) fit equally well on it"
     if not predicts_held_out(candidates, form, forms):
         return "; a curve through these positions does not predict held-out ones, so the error between them is unknown"
     return ""
+
+
+def equal_orders(candidates: Candidates, forms: Sequence[Form], form: Form) -> list[str]:
+    """Return the other orders at which a function that repeats with the turn of an axis fits the readings equally well.
+
+    On a part of a turn these are the neighbours: it does not show more than a smooth function of the angle.
+    """
+    specification = form.candidate.specification
+    if specification.period or not specification.drawing.period(form.variant.fixed):
+        return []
+    tried = [other for other in candidates.forms if other.key == form.key and other is not form]
+    others = [other for other in forms if other is not form]
+    explained = candidates.scores(others, [other.index for other in (form, *tried)])[:, 0]
+    orders = [
+        TURN_DEG / specification.drawing.period(other.variant.fixed)
+        for other, value in zip(tried, explained[1:], strict=True)
+        if value > explained[0] - ALIAS_CHI2
+    ]
+    return [f"{order:g}" for order in sorted(orders)]
+
+
+def _turns_beyond(candidates: Candidates, form: Form) -> bool:
+    """Return whether the axis of a cause turns further than it was measured."""
+    network = candidates.problem.network
+    axis = network.machine.by_name[axis_of(form.candidate.where)]
+    arc = float(np.ptp(network.data.positions[:, network.machine.names.index(axis.name)]))
+    travel = TURN_DEG if axis.lower is None or axis.upper is None else min(axis.upper - axis.lower, TURN_DEG)
+    return arc < ARC_COVERED * travel
 
 
 def _other_periods(candidates: Candidates, forms: Sequence[Form], form: Form) -> list[float]:

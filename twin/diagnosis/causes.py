@@ -22,6 +22,7 @@ from twin._common.distributions import f_log_sf, normal_sf
 from twin.diagnosis.alternatives import (
     between_positions,
     curve_flaw,
+    equal_orders,
     equivalent,
     evidence,
     rest_on_the_instrument,
@@ -39,6 +40,7 @@ from twin.diagnosis.result import Cause, Quantity, readable_unit
 from twin.diagnosis.search import LIMIT_SIGMA, TOO_LARGE
 from twin.diagnosis.second_opinion import Comparison, compare_with_search, second_opinion
 from twin.diagnosis.structure import Findings
+from twin.display.numbers import listed
 from twin.identification.discrepancy import Discrepancy
 from twin.machine.machine import Machine
 from twin.measurement.checks import ASSUMED
@@ -272,6 +274,9 @@ def _cause(sized: SizedCauses, k: int, calibration: Calibration) -> Cause:
     text = evidence(form, sized.estimate, k) + curve_flaw(candidates, sized.forms, form, calibration)
     if form.candidate.specification in (PAYLOAD, CARRIED_LOAD) and form.variant.fixed:
         text += f"; the readings do not determine its centre of mass: the most likely one within ±{CENTRE_RANGE_MM:g} mm is taken"
+    orders = equal_orders(candidates, sized.forms, form)
+    if orders and not doubt:
+        text += f"; orders {listed(orders)} fit equally well at these angles"
     text += doubt
     groups = () if findings.structure.pattern_tests else together(candidates, form, others)
     equal = tuple(dict.fromkeys([*equivalent(findings, form_beside, others_beside), *chain.from_iterable(groups)]))

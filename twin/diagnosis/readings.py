@@ -32,7 +32,7 @@ from twin.measurement.checks import RowNote
 from twin.measurement.instruments import Instrument
 from twin.measurement.instruments.base import along_and_across
 from twin.measurement.observation import repeat_groups
-from twin.measurement.set_up import StationsAndTargets
+from twin.measurement.set_up import StationsAndTargets, turned_about_the_axis
 from twin.measurement.table import Measurements
 from twin.model.calibration import Calibration
 
@@ -218,6 +218,13 @@ def _regressed(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 # --- The readings of a diagnosis: with fitted set-up, measurement noise and outliers --------------
 
 PLACING_ITERATIONS: Final = 4
+TURN_STEPS: Final = 15
+"""Steps of the fit from each turn of the set-up: which is the best shows soon."""
+TURNS: Final = (
+    tuple(np.arange(1, 8) * np.pi / 4.0),
+    *((-width, width) for width in np.pi / 2.0 ** np.arange(3, 10)),
+)
+"""Turns of the set-up about the only axis that moved that are tried one after the other, rad: all round, then closer to the best."""
 """Repetitions of fit and outlier test, at most."""
 
 
@@ -382,9 +389,23 @@ def _isotropic_from_repeats(data: Measurements, stated: np.ndarray) -> np.ndarra
     return read_only(np.where(stated != 0.0, 1.0, 0.0) * np.eye(3) * sigma**2)
 
 
+def _likeliest(network: Network, setup: StationsAndTargets) -> StationsAndTargets:
+    """Return the set-up that fits best of those that the nominal machine does not distinguish."""
+    zero, weight = np.zeros(0), np.ones(len(network.data))
+    best = solve(network, zero, setup, weight)
+    if best.converged and best.chi2 < chi2_isf(SIGNIFICANCE, network.read.sum()):
+        return best.setup
+    for angles in TURNS:
+        starts = turned_about_the_axis(network.machine, network.data, best.setup, angles)
+        fits = [solve(network, zero, start, weight, steps=TURN_STEPS) for start in starts]
+        best = min((best, *fits), key=lambda fit: fit.chi2)
+    return best.setup
+
+
 def _setup_without_outliers(network: Network, setup: StationsAndTargets) -> tuple[StationsAndTargets, np.ndarray]:
     """Return the set-up fitted without outliers, and (n,) whether a row is one."""
     bad = np.zeros(len(network.data), dtype=bool)
+    setup = _likeliest(network, setup)
     for _ in range(PLACING_ITERATIONS):
         setup = solve(network, np.zeros(0), setup, (~bad).astype(float)).setup
         outlying = outliers(network, network.residual(np.zeros(0), setup))

@@ -47,7 +47,8 @@ steps are accelerated with the last few.
 MEMORY: Final = 4
 COST_TOLERANCE: Final = 1e-6
 """Relative increase of the sum of squares accepted in a step: rounding."""
-HALVINGS: Final = 10
+DAMPING_FACTOR: Final = 10.0
+"""Factor of the damping from one rejected step to the next, and back after an accepted one."""
 LEAST_STRENGTH: Final = 30.0
 """Strength up to which directions keep their values when the machine's unknowns have priors: such priors would move a station or target
 far for little, as it has no prior of its own here, and the covariance includes this strength anyway.
@@ -223,30 +224,41 @@ def solve(
     problem = _Problem.of(network, setup, priors, incomplete=incomplete)
     iterate = _Iterate(theta, setup)
     weakest = LEAST_STRENGTH if priors is not None else SINGULAR_VALUE_TOLERANCE
-    taken, halved, before, last = 0, 0, np.inf, iterate
+    taken, damping, before, last = 0, 0.0, np.inf, (iterate, np.zeros((0, 0)))
+    newton: _Newton | None = None
     newton_steps: list[np.ndarray] = []
     steps_taken: list[np.ndarray] = []
     while True:
         triangular = factor(network, iterate.theta, iterate.setup, weight) if triangle is None else triangle
         triangle = None
         cost = problem.cost(iterate, triangular)
-        if cost > before * (1.0 + COST_TOLERANCE) and taken < steps:
-            # The step is too long for its derivatives: try the plain one, then half of it. The history of steps is not valid either.
+        worse = cost > before * (1.0 + COST_TOLERANCE)
+        if worse and newton is not None and taken < steps:
+            # The step is too long for its derivatives: try the plain one, then damped ones. The history of steps is not valid either.
+            accelerated = damping == 0.0 and steps_taken[-1] is not newton_steps[-1]
+            if not accelerated:
+                damping = max(damping * DAMPING_FACTOR, newton.least_damping)
             newton_steps = newton_steps[-1:]
-            steps_taken = [newton_steps[0] * 0.5**halved if halved <= HALVINGS else np.zeros_like(newton_steps[0])]
-            iterate, halved, taken = last.stepped(steps_taken[0] * problem.near), halved + 1, taken + 1
+            steps_taken = [newton_steps[0] if accelerated else newton.step(damping)]
+            iterate, taken = last[0].stepped(steps_taken[0] * problem.near), taken + 1
             continue
+        if worse:
+            iterate, triangular = last
         left, spectrum = problem.decomposed(triangular, problem.near)
         if taken == steps:
             return problem.solution(iterate, triangular, spectrum, taken, converged=False)
         along = left.T @ np.concatenate([triangular[:, -1], -problem.root @ iterate.theta])
-        step, change = _newton(spectrum, along, iterate.deviation / problem.near, weakest, incomplete=incomplete)
-        converged = change <= CONVERGED_CHANGE or bool(np.abs(step).max(initial=0.0) < 1e-14)
+        newton = _Newton.at(spectrum, along, iterate.deviation / problem.near, weakest, incomplete=incomplete)
+        step = newton.step()
+        converged = newton.change <= CONVERGED_CHANGE or bool(np.abs(step).max(initial=0.0) < 1e-14)
         newton_steps.append(step)
-        if taken >= PLAIN_STEPS and not converged:
+        damping = 0.0 if damping <= newton.least_damping else damping / DAMPING_FACTOR
+        if damping and not converged:
+            step = newton.step(damping)
+        elif taken >= PLAIN_STEPS and not converged:
             step = _anderson_step(newton_steps, steps_taken, spectrum)
         steps_taken.append(step)
-        last, before, halved = iterate, cost, 0
+        last, before = (iterate, triangular), cost
         iterate = iterate.stepped(step * problem.near)
         taken += 1
         if converged:
@@ -394,29 +406,57 @@ def _append_rows(triangle: np.ndarray, rows: np.ndarray) -> np.ndarray:
     return np.asarray(append_rows)
 
 
-def _newton(
-    spectrum: Spectrum, along: np.ndarray, deviation: np.ndarray, weakest: float, *, incomplete: bool
-) -> tuple[np.ndarray, float]:
-    """Return the Gauss-Newton step for readings and prior, and the change of the residuals, root of the sum of squares.
+@final
+@dataclass(frozen=True)
+class _Newton:
+    """Gauss-Newton steps from one iterate, for readings and prior.
 
-    Args:
-        spectrum: spectrum of the derivatives, with the null directions.
-        along: (d,) residuals along the directions that contribute, strongest first.
-        deviation: (p,) deviation of every unknown from its prior mean, in prior standard deviations.
-        weakest: strength up to which a direction keeps its value, if the model fits.
-        incomplete: see `solve`.
+    Attributes:
+        basis: (p, d) directions, the null directions last.
+        right: (d,) gradient along them.
+        stiffness: (d,) curvature along them.
     """
-    basis = np.concatenate([spectrum.directions, spectrum.null_space], axis=1)
-    values = spectrum.values
-    prior = _with_prior(values, incomplete=incomplete)
-    right = -prior * (basis.T @ deviation) if incomplete else np.zeros(len(values))
-    right[: len(along)] += values[: len(along)] * along
-    if not incomplete:
-        # Hardly determined directions keep their values: derivatives across a plane of points hold over a short distance only.
-        right[values <= weakest] = 0.0
-    stiffness = values**2 + prior
-    coefficients = right / stiffness
-    return basis @ coefficients, float(np.linalg.norm(np.sqrt(stiffness) * coefficients))
+
+    basis: np.ndarray
+    right: np.ndarray
+    stiffness: np.ndarray
+
+    @staticmethod
+    def at(
+        spectrum: Spectrum, along: np.ndarray, deviation: np.ndarray, weakest: float, *, incomplete: bool
+    ) -> _Newton:
+        """Return the steps from an iterate.
+
+        Args:
+            spectrum: spectrum of the derivatives, with the null directions.
+            along: (d,) residuals along the directions that contribute, strongest first.
+            deviation: (p,) deviation of every unknown from its prior mean, in prior standard deviations.
+            weakest: strength up to which a direction keeps its value, if the model fits.
+            incomplete: see `solve`.
+        """
+        basis = np.concatenate([spectrum.directions, spectrum.null_space], axis=1)
+        values = spectrum.values
+        prior = _with_prior(values, incomplete=incomplete)
+        right = -prior * (basis.T @ deviation) if incomplete else np.zeros(len(values))
+        right[: len(along)] += values[: len(along)] * along
+        if not incomplete:
+            # Hardly determined directions keep their values: derivatives across a plane of points hold over a short distance only.
+            right[values <= weakest] = 0.0
+        return _Newton(basis, right, values**2 + prior)
+
+    @property
+    def change(self) -> float:
+        """Change of the residuals by the step, root of the sum of squares."""
+        return float(np.linalg.norm(self.right / np.sqrt(self.stiffness)))
+
+    @property
+    def least_damping(self) -> float:
+        """Damping that halves the weakest of the directions that move."""
+        return float(self.stiffness[self.right != 0.0].min(initial=np.inf))
+
+    def step(self, damping: float = 0.0) -> np.ndarray:
+        """Return the step, damped as by Levenberg (1944, Q. Appl. Math. 2, 164): first along what the readings determine least."""
+        return np.asarray(self.basis @ (self.right / (self.stiffness + damping)))
 
 
 def _anderson_step(

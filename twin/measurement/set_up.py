@@ -8,6 +8,7 @@ tracking interferometer (eq. 26 of the thesis, multilateration) are linear in th
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Final, Literal, NamedTuple, final
@@ -237,6 +238,48 @@ def nominal_carriers(machine: Machine, data: Measurements) -> CarriedTargets:
     angles = of_angles(data)
     places[angles] = VERTICAL_M
     return observation_of(machine).carried(q, errors, data.carrier, places, data.station_carrier, angles)
+
+
+def turned_about_the_axis(
+    machine: Machine, data: Measurements, setup: StationsAndTargets, angles: Sequence[float]
+) -> list[StationsAndTargets]:
+    """Return the set-up turned by some angles, rad, about the only axis that moved; none if several moved or a place is known.
+
+    On a nominal machine, stations and targets turned together about that axis give the same readings, so that the nominal machine
+    cannot tell where they are; only the axis's error motions can.
+    """
+    if (
+        np.count_nonzero(np.ptp(data.positions, axis=0) > 0.0) != 1
+        or setup.station_known.any()
+        or setup.target_known.any()
+    ):
+        return []
+    carried = nominal_carriers(machine, data)
+    first = [int(np.flatnonzero(data.target == name)[0]) for name in setup.targets]
+    own = np.flatnonzero(data.target == data.target[first[0]])
+    for name in setup.targets:
+        rows = np.flatnonzero(data.target == name)
+        if np.ptp(carried.rotation[rows], axis=0).max() > np.ptp(carried.rotation[own], axis=0).max():
+            own = rows
+    turn = carried.rotation[own] @ carried.rotation[own[0]].T
+    shift = carried.points[own] - np.einsum("nij,j->ni", turn, carried.points[own[0]])
+    far = int(np.argmin(np.trace(turn, axis1=1, axis2=2)))
+    along = np.linalg.svd(turn[far] - np.eye(3))[2][2]
+    centre = np.linalg.lstsq((np.eye(3) - turn).reshape(-1, 3), shift.reshape(-1), rcond=1e-9)[0]
+    turned = []
+    for angle in angles:
+        by = rotation_exp(angle * along)
+        points, rotation = carried.points[first], carried.rotation[first]
+        at = centre + (points + np.einsum("nij,nj->ni", rotation, setup.place) - centre) @ by.T
+        turned.append(
+            replace(
+                setup,
+                rotation=by @ setup.rotation,
+                origin=centre + (setup.origin - centre) @ by.T,
+                place=np.einsum("nji,nj->ni", rotation, at - points),
+            )
+        )
+    return turned
 
 
 def least_motion(points: np.ndarray, rotation: np.ndarray, place: np.ndarray) -> np.ndarray:

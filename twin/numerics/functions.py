@@ -348,7 +348,7 @@ def highest_order(distinct: np.ndarray, most: int) -> int:
         distinct: (n,) the positions, each once, 0 to 360.
         most: upper limit of the harmonic.
     """
-    limit = _alias_free(distinct, float(np.ptp(distinct)), min(most, (len(distinct) - 1) // 2) / 360.0)
+    limit = _alias_free(distinct, float(np.ptp(distinct)), most / 360.0)
     return int(360.0 * limit + 1e-9)
 
 
