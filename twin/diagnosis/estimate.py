@@ -32,6 +32,7 @@ from twin.diagnosis.result import Quantity
 from twin.identification.discrepancy import Discrepancy, no_discrepancy, settled, updated
 from twin.measurement.observation import machine_state, repeat_groups
 from twin.model.effects import Effect
+from twin.model.effects.base import numbered
 from twin.model.effects.gravity_compliance import AddedLoad
 from twin.numerics.covariance import Covariance
 
@@ -279,6 +280,9 @@ def _fitted(
     """Return the fitted causes, the covariance of all parameters, and the (3n, k) signature of each cause."""
     parts = _initial_parts(problem, forms, least)
     inverse = _gauss_newton(problem, parts, state, least)
+    named = iter(numbered(effect for part in parts for effect in part.effects))
+    for part in parts:
+        part.effects = tuple(next(named) for _ in part.effects)
     return parts, inverse, np.stack([part.signature(problem, state) for part in parts], axis=1)
 
 

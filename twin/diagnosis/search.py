@@ -247,7 +247,7 @@ def forward_selection(
     while len(forms) < most:
         now = candidates.penalised_gain(forms)
         best = candidates.forms[first_largest(candidates.margins(forms))]
-        if best.nonlinear and best.slot in {form.slot for form in forms}:
+        if best.nonlinear and candidates.taken(forms)[best.index]:
             # Most of the residual is due to a period or time constant between two tabulated ones; the estimate refines these.
             return forms
         margin = np.where(allowed, _free(candidates, forms), -np.inf)
@@ -267,8 +267,7 @@ def forward_selection(
 
 def _free(candidates: Candidates, forms: Sequence[Form]) -> np.ndarray:
     """Return the margins of the forms that may be added to some others."""
-    taken = [candidates.slot_of[form.index] for form in forms]
-    return np.where(np.isin(candidates.slot_of, taken), -np.inf, candidates.margins(forms))
+    return np.where(candidates.taken(forms), -np.inf, candidates.margins(forms))
 
 
 def _exchanged(candidates: Candidates, forms: list[Form], allowed: np.ndarray | bool) -> list[Form]:

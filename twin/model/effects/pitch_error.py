@@ -40,6 +40,8 @@ class PitchError(AlongAxis):
         phase: φ, rad.
     """
 
+    repeats = True
+
     def __init__(self, axis: Axis, amplitude: float, period: float, phase: float) -> None:
         super().__init__("pitch_error", axis)
         self.amplitude = amplitude
