@@ -59,6 +59,8 @@ def cases() -> list[tuple[Hidden, ...]]:
         add("thermal_lag", {"coefficient": 14.0 + k, "time_constant": 1500.0}, f"{axis} by bed")
         add("thermal_drift", {"amplitude": 25.0 + k, "time_constant": 2200.0}, axis)
         add("thermal_drift", {"rate": 31.0 + k}, axis)
+        add("scale_drift", {"amplitude": 60.0 + k, "offset": -9.0, "time_constant": 1800.0}, axis)
+        add("scale_drift", {"rate": 70.0 + k, "offset_rate": 5.0}, axis)
         add("spindle_growth", {"amplitude": 18.0 + k, "exponent": 1.4, "time_constant": 400.0}, axis)
         add(
             "thermal_tilt", {"coefficient": 15.0}, *(f"E_{letter}{axis} by bed" for letter in "ABC"), step="coefficient"

@@ -188,6 +188,11 @@ def points(
         elif h.effect == "scale_growth":
             own = v["coefficient"] * of.at(axis) * 1e-3 + v["offset"]
             _along(error, axis, own * (of.warm[axis] - 20.0))
+        elif h.effect == "scale_drift":
+            hours = of.time_s / 3600.0
+            course = hours if "rate" in v else 1.0 - np.exp(-of.time_s / v["time_constant"])
+            slope, offset = (v["rate"], v["offset_rate"]) if "rate" in v else (v["amplitude"], v["offset"])
+            _along(error, axis, (slope * of.at(axis) * 1e-3 + offset) * course)
         elif h.effect == "thermal_tilt":
             name, sensor = h.where.split(" by ")
             turned = v["coefficient"] * (of.warm[sensor] - 20.0)

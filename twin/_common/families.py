@@ -55,6 +55,7 @@ EFFECTS: Final = {
     "pitch_error": "pitch_error:PITCH_ERROR",
     "thermal_expansion": "thermal_expansion:THERMAL_EXPANSION",
     "scale_growth": "thermal_expansion:SCALE_GROWTH",
+    "scale_drift": "scale_drift:SCALE_DRIFT",
     "reversal_curve": "reversal:REVERSAL_CURVE",
     "squareness": "location:SQUARENESS",
     "axis_location": "location:AXIS_LOCATION",

@@ -520,12 +520,16 @@ def _estimated(
             for k, (p, deviation) in enumerate(zip(effects[0].parameters, u.tolist(), strict=True))
         ]
     if effects and drift is not None:
-        # A time constant longer than the record: only the rate is identifiable, and from it the drift over the record.
+        # A time constant longer than the record: only rates are identifiable, and from them the drift over the record.
         hours = drift.constants[-1] / 3600.0
-        (rate,), (name, unit) = effects[0].parameters, candidate.names[0]
+        rates = [
+            Quantity(p.name.rsplit(".", 1)[-1], p.value, p.unit, deviation)
+            for p, deviation in zip(effects[0].parameters, u.tolist(), strict=True)
+        ]
+        over_record = zip(candidate.names, rates, strict=True)
         return [
-            Quantity(name, rate.value * hours, unit, float(u[0]) * hours),
-            Quantity(rate.name.rsplit(".", 1)[-1], rate.value, rate.unit, float(u[0])),
+            *(Quantity(name, rate.value * hours, unit, rate.u * hours) for (name, unit), rate in over_record),
+            *rates,
         ]
     estimated = [
         Quantity(name, float(value), unit, float(deviation))
