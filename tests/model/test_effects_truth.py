@@ -53,6 +53,7 @@ def cases() -> list[tuple[Hidden, ...]]:
         add("reversal_curve", {"c0": 5.0 + k, "c1": -3.0, "c2": 2.0 + k}, axis)
     for k, axis in enumerate(LINEAR):
         add("pitch_error", {"amplitude": 6.0 + k, "period": 17.0 + k, "phase": 0.7}, axis)
+        add("scale_step", {"size": 12.0 + k, "place": (210.0, 260.0, -190.0)[k], "width": 40.0}, axis)
         add("thermal_expansion", {"coefficient": 9.0 + k}, axis)
         add("scale_growth", {"coefficient": -8.0 - k, "offset": 6.0 + k}, axis)
         add("thermal_growth", {"coefficient": -12.0 + k}, f"{axis} by bed")

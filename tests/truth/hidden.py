@@ -193,6 +193,10 @@ def points(
             course = hours if "rate" in v else 1.0 - np.exp(-of.time_s / v["time_constant"])
             slope, offset = (v["rate"], v["offset_rate"]) if "rate" in v else (v["amplitude"], v["offset"])
             _along(error, axis, (slope * of.at(axis) * 1e-3 + offset) * course)
+        elif h.effect == "scale_step":
+            low = v["place"] - v.get("width", 0.0) / 2.0
+            rise = (of.at(axis) - low) / v["width"] if "width" in v else (of.at(axis) >= v["place"]).astype(float)
+            _along(error, axis, v["size"] * np.clip(rise, 0.0, 1.0))
         elif h.effect == "thermal_tilt":
             name, sensor = h.where.split(" by ")
             turned = v["coefficient"] * (of.warm[sensor] - 20.0)

@@ -53,6 +53,7 @@ EFFECTS: Final = {
     "reversal": "reversal:REVERSAL",
     "zero_offset": "location:ZERO_OFFSET",
     "pitch_error": "pitch_error:PITCH_ERROR",
+    "scale_step": "scale_step:SCALE_STEP",
     "thermal_expansion": "thermal_expansion:THERMAL_EXPANSION",
     "scale_growth": "thermal_expansion:SCALE_GROWTH",
     "scale_drift": "scale_drift:SCALE_DRIFT",
