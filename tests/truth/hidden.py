@@ -297,7 +297,9 @@ def read(of: Plan, base: np.ndarray, hidden: Sequence[Hidden]) -> np.ndarray:
     for h in hidden:
         v = h.numbers
         if h.effect == "frame_shift":
-            mask = (of.round.astype(int) >= int(h.where.split("round ")[1]))[:, None]
+            number, _, only = h.where.split("round ")[1].partition(" ")
+            rounds = of.round.astype(int)
+            mask = (rounds == int(number) if only else rounds >= int(number))[:, None]
             turned = np.einsum("nij,nj->ni", _exp(mask * 1e-6 * np.array([v[f"turn_{a}"] for a in "xyz"])), seen)
             seen = turned + mask * 1e-3 * np.array([v[f"shift_{a}"] for a in "xyz"])
         elif h.effect == "refraction_scale":

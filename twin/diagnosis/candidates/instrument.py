@@ -467,11 +467,16 @@ SHIFTS: Final = tuple((f"shift_{a}", "um") for a in "xyz")
 TURNS: Final = tuple((f"turn_{a}", "urad") for a in "xyz")
 
 
+ONE_ROUND: Final = " only"
+"""End of the place of an alignment of one round: ``round 2 only``."""
+
+
 def _frame_shift_title(where: str) -> str:
     station, _, number = where.rpartition("round ")
-    if not station:
-        return f"instrument re-aligned from round {number} on"
-    return f"instrument at {station.removesuffix(' from ')} re-aligned from round {number} on"
+    at = f" at {station.removesuffix(' from ').removesuffix(' in ')}" if station else ""
+    if number.endswith(ONE_ROUND):
+        return f"instrument{at} aligned differently in round {number}"
+    return f"instrument{at} re-aligned from round {number} on"
 
 
 def _target_shift_title(where: str) -> str:
@@ -485,11 +490,15 @@ FRAME_SHIFT: Final = Specification(
     title=_frame_shift_title,
     family="instrument re-aligned",
     advice=Advice(
-        "Metrology: check what happened before {where}: a new alignment, a tripod that was knocked.",
+        "Metrology: check the alignment of the instrument ({where}): a new alignment, a tripod that was knocked.",
         f"{REST} Better, measure again in one alignment.",
         NOTHING,
     ),
-    evidence=lambda of: f"the instrument's frame was re-aligned from {of.where} on",
+    evidence=lambda of: (
+        f"the instrument's frame was aligned differently in {of.where}"
+        if of.where.endswith(ONE_ROUND)
+        else f"the instrument's frame was re-aligned from {of.where} on"
+    ),
     varies="with time",
     drawing=Drawing(columns=lambda where: ("round",), by_state=True, shared="station"),
 )
@@ -506,17 +515,26 @@ TARGET_SHIFT: Final = Specification(
 
 
 def alignments(inputs: CandidateInputs) -> Catalogue:
-    """Return a candidate for the instrument's frame and for every target, from each round but the first on."""
+    """Return a candidate for the instrument's frame and for every target, from each round but the first on.
+
+    And for the frame in one round alone; in the first or the last it is the same as from a round on.
+    """
     station, rounds = inputs.data.station, list(dict.fromkeys(inputs.data.round))
     number = np.array([rounds.index(name) for name in inputs.data.round])
     single = len(dict.fromkeys(station)) == 1
     frame_shifts, target_shifts = [], []
-    for k, name in enumerate(rounds[1:], 1):
-        later = number >= k
-        for at, mask in [("", later)] if single else _changed(later, station):
-            where = f"round {name}" if single else f"station {at} from round {name}"
+
+    def add_frame_shifts(aligned: np.ndarray, name: str, preposition: str) -> None:
+        for at, mask in [("", aligned)] if single else _changed(aligned, station):
+            where = f"round {name}" if single else f"station {at} {preposition} round {name}"
             variant = Variant(masked_columns(FRAME, mask, UM))
             frame_shifts.append(Candidate(FRAME_SHIFT, where, (*SHIFTS, *TURNS), (variant,), 1.0))
+
+    for k, name in enumerate(rounds[1:], 1):
+        later = number >= k
+        add_frame_shifts(later, name, "from")
+        if k < len(rounds) - 1 <= MOST_ROUNDS:
+            add_frame_shifts(number == k, f"{name}{ONE_ROUND}", "in")
         for target, mask in _changed(later, inputs.data.target):
             variant = Variant(masked_columns(PLACE, mask, UM))
             target_shifts.append(Candidate(TARGET_SHIFT, f"{target} from round {name}", SHIFTS, (variant,), 1.0))
