@@ -58,15 +58,6 @@ def test_a_step_is_named(truth: Hidden, look: Look) -> None:
     assert held is not None and held.ci95_um is not None and held.ci95_um[0] > 0.0
 
 
-def test_two_steps_of_one_axis_are_named(look: Look) -> None:
-    truth = [step("X", 9.0, 131.1), step("X", -8.0, 355.5)]
-    result = look(truth, 32)
-    assert [(cause.effect, cause.where) for cause in result.causes] == [("scale_step", "X")] * 2
-    found = sorted(result.causes, key=lambda cause: next(q.value for q in cause.parameters if q.name == "place"))
-    for cause, one in zip(found, truth, strict=True):
-        check(cause, one)
-
-
 def test_a_step_between_few_stops_is_named(look: Look) -> None:
     """Eleven stops, no other positions: the step is named with the interval between two stops."""
     truth = step("X", 12.0, 322.0)

@@ -157,17 +157,21 @@ class Candidates:
         return other
 
     def taken(self, forms: Sequence[Form]) -> np.ndarray:
-        """Return (forms,) which forms may not be added to some others: those of the same slot.
+        """Return (forms,) which forms may not be added to some others: those of the same slot, and beyond `Specification.most`.
 
         With `further_periods` an axis may have several periods, if the measured span resolves them.
         """
         taken = np.isin(self.slot_of, [self.slot_of[form.index] for form in forms])
-        for form in forms if self.further_periods else ():
-            name, slot = form.candidate.specification.period, self.slot_of == self.slot_of[form.index]
-            if name:
+        for form in forms:
+            specification, name = form.candidate.specification, form.candidate.specification.period
+            alike = [other for other in forms if other.key == form.key]
+            if specification.most and len(alike) >= specification.most:
+                taken |= self.key_of == self.key_of[form.index]
+            elif name and self.further_periods:
                 data, machine = self.problem.network.data, self.problem.network.machine
                 span = np.ptp(data.positions[:, machine.names.index(form.candidate.where)])
-                chosen = np.array([1.0 / other.variant.fixed[name] for other in forms if other.slot == form.slot])
+                chosen = np.array([1.0 / other.variant.fixed[name] for other in alike])
+                slot = self.slot_of == self.slot_of[form.index]
                 tried = np.array([1.0 / self.forms[i].variant.fixed[name] for i in np.flatnonzero(slot)])
                 taken[slot] = np.abs(tried[:, None] - chosen).min(axis=1) * span < RESOLVED
         return np.asarray(taken)

@@ -191,6 +191,79 @@ def beam_bendings(inputs: CandidateInputs) -> Catalogue:
 
 BEAM_BENDING_SOURCE: Final = CandidateSource((BEAM_BENDING,), beam_bendings)
 
+# --- Candidate: linearity of a sensor that reads one coordinate ------------------------------------
+
+LARGEST_SENSOR_RANGE_MM: Final = 100.0
+"""mm: longer runs are read by a laser interferometer, which has no such error (data sheets of triangulation and inductive sensors)."""
+LARGEST_LINEARITY_UM: Final = 1000.0
+"""1 % of that range."""
+MOST_DEGREES: Final = 8
+"""Largest degree tried, as for a positioning error: which of the two it is must not depend on the form."""
+
+SENSOR_LINEARITY: Final = Specification(
+    name="sensor_linearity",
+    kind="instrument",
+    title=lambda where: "linearity of the sensor",
+    family="linearity of a sensor",
+    advice=Advice(
+        "Metrology: certificate of the sensor, its range, the surface that it reads, and the angle at which it is set up.",
+        f"{REST} Better, measure again with a calibrated sensor.",
+        NOTHING,
+    ),
+    evidence=lambda of: f"the sensor is off by up to {of.measure} within the range that was read",
+    limits={"um": LARGEST_LINEARITY_UM},
+    varies="with the frame",
+    decided_by="shift the sensor by a quarter of the range that it read and measure the same positions again: an error of the sensor "
+    "shifts with it, one of the machine stays; or measure with a calibrated instrument",
+)
+
+
+def sensor_linearities(inputs: CandidateInputs) -> Catalogue:
+    """Return a candidate for the stations whose instrument is not named and that read one coordinate over a short range.
+
+    They are one sensor at several places, moved by linear axes. Its error is a polynomial of the reading.
+    """
+    data = inputs.data
+    read = np.isfinite(data.point_mm)
+    own = (read.sum(axis=1) == 1) & (data.instrument == "")
+    across = read[own].any(axis=0)
+    positions = np.unique(np.round(data.positions[own], 3), axis=0)
+    degrees = min(MOST_DEGREES, len(positions) - 1)
+    if np.count_nonzero(across) != 1 or degrees < 1 or _turned(inputs):
+        return Catalogue(())
+    reading = _smoothed(data, own, data.point_mm[own, int(np.argmax(across))])
+    low, high = float(reading.min()), float(reading.max())
+    if not 0.0 < high - low <= LARGEST_SENSOR_RANGE_MM:
+        return Catalogue(())
+    polynomials = np.zeros((len(data), degrees + 1))
+    polynomials[own] = np.polynomial.legendre.legvander((2.0 * reading - low - high) / (high - low), degrees)
+    functions, along = tabulated(polynomials), ("station", int(np.argmax(across)))
+    columns = tuple(
+        Column((SignatureTerm(along, functions, k, UM),), LARGEST_LINEARITY_UM) for k in range(1, degrees + 1)
+    )
+    variants = tuple(Variant(columns[:degree]) for degree in range(1, degrees + 1))
+    names = (("largest", "um"),)
+    candidate = Candidate(SENSOR_LINEARITY, "—", names, variants, float(degrees), reported=_largest_deviation)
+    return Catalogue((candidate,))
+
+
+def _smoothed(data: Measurements, own: np.ndarray, reading: np.ndarray) -> np.ndarray:
+    """Return the readings of a sensor as they follow the positions of the axes, without noise: a polynomial of noise fits itself."""
+    setups = [f"{station} {target}" for station, target in zip(data.station[own], data.target[own], strict=True)]
+    names = sorted(set(setups))
+    of_setup = np.array(setups)[:, None] == np.array(names)
+    columns = np.concatenate([data.positions[own], of_setup], axis=1)
+    return np.asarray(columns @ np.linalg.lstsq(columns, reading, rcond=None)[0])
+
+
+def _largest_deviation(values: np.ndarray) -> np.ndarray:
+    """Return (1,) the largest deviation within the range, of Legendre coefficients from degree 1 on."""
+    deviation = np.polynomial.legendre.legval(np.linspace(-1.0, 1.0, 201), np.concatenate([[0.0], values]))
+    return np.array([np.abs(deviation).max()])
+
+
+SENSOR_LINEARITY_SOURCE: Final = CandidateSource((SENSOR_LINEARITY,), sensor_linearities)
+
 # --- What is assumed of an instrument where no candidate tests it ------------------------------
 
 ASSUMED_OF_INSTRUMENT: Final = (

@@ -160,6 +160,7 @@ PITCH_ERROR: Final = Specification(
     period="period",
     constrain=_constrain,
     curve=True,
+    most=2,
     plain_forms=0,
     drawing=Drawing(period=lambda numbers: numbers["period"]),
 )

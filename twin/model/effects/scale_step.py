@@ -143,5 +143,6 @@ SCALE_STEP: Final = Specification(
     forms=_forms,
     candidates=_candidates,
     curve=True,
+    most=1,
     plain_forms=0,
 )
