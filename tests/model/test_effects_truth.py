@@ -30,8 +30,8 @@ LINEAR, ROTARY = "XYZ", "BC"
 CENTRE = {"centre_x_mm": 60.0, "centre_y_mm": -25.0, "centre_z_mm": 140.0}
 LOAD = {"load_x": 60.0, "load_y": -25.0, "load_z": 140.0}
 """Centre of gravity of a load on the table, as the calibration and as the truth name it."""
-WITHOUT_TRUTH = {"gravity_compliance", "table_load"}
-"""Effects of loads, which have tests of their own below."""
+WITHOUT_TRUTH = {"gravity_compliance", "table_load", "base_tilt"}
+"""Effects of loads, which have tests of their own below, and of arms (`tests.diagnosis.test_hidden_base_tilt`)."""
 
 
 def cases() -> list[tuple[Hidden, ...]]:

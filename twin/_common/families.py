@@ -72,6 +72,7 @@ EFFECTS: Final = {
     "thermal_drift": "thermal_drift:THERMAL_DRIFT",
     "spindle_growth": "spindle_growth:SPINDLE_GROWTH",
     "table_load": "table_load:TABLE_LOAD",
+    "base_tilt": "base_tilt:BASE_TILT",
     "gravity_compliance": "gravity_compliance:GRAVITY_COMPLIANCE",
     "payload": "gravity_compliance:PAYLOAD",
     "carried_load": "gravity_compliance:CARRIED_LOAD",
