@@ -405,7 +405,7 @@ def _pulls(
         _, _, candidate, fixed, linear = next(one for one in truth if one[0] == form.key)
         if fixed.get("order", 0.0) != form.variant.fixed.get("order", 0.0):
             continue
-        if candidate.effect == "station_drift" and ("time_constant" in fixed) != any(
+        if candidate.effect in ("station_drift", "scale_drift") and ("time_constant" in fixed) != any(
             q.name == "time_constant" for q in quantities
         ):
             continue  # the rate at the beginning of an exponential, and the mean rate: not the same number
@@ -421,6 +421,8 @@ def _pulls(
             true = {"amplitude": float(np.hypot(*linear)), "period": fixed["period"]}
         elif candidate.effect == "thermal_drift":
             true = {"amplitude": float(linear[0]), "time_constant": fixed["time_constant"]}
+        elif candidate.effect == "scale_drift" and "time_constant" not in fixed:
+            true = dict(zip(("rate", "offset_rate"), linear, strict=True))
         found += [
             (f"{candidate.effect}.{q.name}", (q.value - true[q.name]) / q.u)
             for q in quantities

@@ -386,3 +386,25 @@ def test_two_causes_that_are_one_number_are_named_once(tmp_path: Path) -> None:
     assert one_for_each_number(candidates, [drift, other]) == [drift, other]
     # The one that the other spans goes, in any order: a drift of the station is in three directions.
     assert one_for_each_number(candidates, [drift, station, other]) == [station, other]
+
+
+MOVED = {"shift_x": 14.0, "shift_y": -9.0, "shift_z": 6.0, "turn_x": 3.0, "turn_y": -5.0, "turn_z": 6.0}
+
+
+@pytest.mark.parametrize("where", ["round 2 only", "round 2", "round 3"])
+def test_one_round_that_is_aligned_differently_is_a_shift_of_it(look: Callable[..., Diagnosis], where: str) -> None:
+    truth = one("frame_shift", where, **MOVED)
+    result = look([truth], 61)
+    (cause,) = result.causes
+    assert (cause.effect, cause.where, cause.equivalent) == (*truth.key, ())
+    assert result.verdict == "explained" and result.unexplained is None
+    found = {q.name: q for q in cause.parameters}
+    assert max(abs(found[key].value - value) / found[key].u for key, value in MOVED.items()) < 3.0
+    assert ("aligned differently in" in cause.evidence) == where.endswith("only")
+    assert result.extended.source == result.calibration.source
+
+
+def test_a_scale_of_one_round_is_no_shift_of_it(look: Callable[..., Diagnosis]) -> None:
+    strain = {"scale_x": 40.0, "scale_y": -35.0, "scale_z": 0.0, "shear_xy": 30.0, "shear_xz": 0.0, "shear_yz": -20.0}
+    (cause,) = look([one("affine_scale", "round 2", **strain)], 62).causes
+    assert (cause.effect, cause.where) == ("affine_scale", "round 2")

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from tests.truth import hidden
+from tests.truth.few_axes import write_robot
 from twin.diagnosis.candidates.candidate import Candidate, Variant
 from twin.diagnosis.candidates.catalogue import catalogue
 from twin.diagnosis.causes import _is_impossible
@@ -26,20 +27,24 @@ Built = tuple[Form, tuple[Quantity, ...]]
 
 @pytest.fixture(scope="module")
 def candidates(dmu50: Machine, calibration: Calibration, tmp_path_factory: pytest.TempPathFactory) -> list[Candidate]:
-    """Return all candidates of readings with every channel, with a calibration without and with a known compliance."""
+    """Return all candidates of readings with every channel, without and with a known compliance, and those of an arm."""
     rng = np.random.default_rng(3)
     plan = hidden.rounded(hidden.plan(rng, poses=40, stops=8, rounds=2))
     speed, load = rng.choice([0.0, 6e3, 1.2e4], len(plan.q)), rng.choice([0.0, 80.0], len(plan.q))
     plan = replace(plan, spindle_rpm=speed, load_kg=load)
-    path = hidden.write(tmp_path_factory.mktemp("limits") / "m.csv", plan, hidden.points(plan, []), u_mm=3e-3)
+    folder = tmp_path_factory.mktemp("limits")
+    path = hidden.write(folder / "m.csv", plan, hidden.points(plan, []), u_mm=3e-3)
     data = Measurements.load(path, dmu50)
     (compliant,) = (one for one in MACHINE_EFFECTS if one.name == "gravity_compliance")
     assert compliant.make is not None
     effect = compliant.make(dmu50, "B", {"compliance": 2.0}, ())
     known = calibration.extended([effect], Covariance.none(), "a test")
-    return [
-        one for of in (calibration, known) for one in catalogue(dmu50, data, of).candidates if one.build is not None
-    ]
+    arm = Machine.load(str(write_robot(folder, 2)))
+    rows = [f"{first},{second},P,tool,1,2,3,{second}" for first in (-60, 0, 60) for second in (0, 40, 80)]
+    (folder / "arm.csv").write_text("\n".join(["J1_deg,J2_deg,target,carrier,x_mm,y_mm,z_mm,load_kg", *rows]))
+    of_arm = Measurements.load(folder / "arm.csv", arm), Calibration.default(arm)
+    every = [(dmu50, data, calibration), (dmu50, data, known), (arm, *of_arm)]
+    return [one for of in every for one in catalogue(*of).candidates if one.build is not None]
 
 
 def built(candidate: Candidate, variant: Variant) -> Built:

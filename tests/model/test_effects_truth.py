@@ -30,8 +30,8 @@ LINEAR, ROTARY = "XYZ", "BC"
 CENTRE = {"centre_x_mm": 60.0, "centre_y_mm": -25.0, "centre_z_mm": 140.0}
 LOAD = {"load_x": 60.0, "load_y": -25.0, "load_z": 140.0}
 """Centre of gravity of a load on the table, as the calibration and as the truth name it."""
-WITHOUT_TRUTH = {"gravity_compliance", "table_load"}
-"""Effects of loads, which have tests of their own below."""
+WITHOUT_TRUTH = {"gravity_compliance", "table_load", "base_tilt"}
+"""Effects of loads, which have tests of their own below, and of arms (`tests.diagnosis.test_hidden_base_tilt`)."""
 
 
 def cases() -> list[tuple[Hidden, ...]]:
@@ -53,12 +53,15 @@ def cases() -> list[tuple[Hidden, ...]]:
         add("reversal_curve", {"c0": 5.0 + k, "c1": -3.0, "c2": 2.0 + k}, axis)
     for k, axis in enumerate(LINEAR):
         add("pitch_error", {"amplitude": 6.0 + k, "period": 17.0 + k, "phase": 0.7}, axis)
+        add("scale_step", {"size": 12.0 + k, "place": (210.0, 260.0, -190.0)[k], "width": 40.0}, axis)
         add("thermal_expansion", {"coefficient": 9.0 + k}, axis)
         add("scale_growth", {"coefficient": -8.0 - k, "offset": 6.0 + k}, axis)
         add("thermal_growth", {"coefficient": -12.0 + k}, f"{axis} by bed")
         add("thermal_lag", {"coefficient": 14.0 + k, "time_constant": 1500.0}, f"{axis} by bed")
         add("thermal_drift", {"amplitude": 25.0 + k, "time_constant": 2200.0}, axis)
         add("thermal_drift", {"rate": 31.0 + k}, axis)
+        add("scale_drift", {"amplitude": 60.0 + k, "offset": -9.0, "time_constant": 1800.0}, axis)
+        add("scale_drift", {"rate": 70.0 + k, "offset_rate": 5.0}, axis)
         add("spindle_growth", {"amplitude": 18.0 + k, "exponent": 1.4, "time_constant": 400.0}, axis)
         add(
             "thermal_tilt", {"coefficient": 15.0}, *(f"E_{letter}{axis} by bed" for letter in "ABC"), step="coefficient"

@@ -188,6 +188,15 @@ def points(
         elif h.effect == "scale_growth":
             own = v["coefficient"] * of.at(axis) * 1e-3 + v["offset"]
             _along(error, axis, own * (of.warm[axis] - 20.0))
+        elif h.effect == "scale_drift":
+            hours = of.time_s / 3600.0
+            course = hours if "rate" in v else 1.0 - np.exp(-of.time_s / v["time_constant"])
+            slope, offset = (v["rate"], v["offset_rate"]) if "rate" in v else (v["amplitude"], v["offset"])
+            _along(error, axis, (slope * of.at(axis) * 1e-3 + offset) * course)
+        elif h.effect == "scale_step":
+            low = v["place"] - v.get("width", 0.0) / 2.0
+            rise = (of.at(axis) - low) / v["width"] if "width" in v else (of.at(axis) >= v["place"]).astype(float)
+            _along(error, axis, v["size"] * np.clip(rise, 0.0, 1.0))
         elif h.effect == "thermal_tilt":
             name, sensor = h.where.split(" by ")
             turned = v["coefficient"] * (of.warm[sensor] - 20.0)
@@ -288,7 +297,9 @@ def read(of: Plan, base: np.ndarray, hidden: Sequence[Hidden]) -> np.ndarray:
     for h in hidden:
         v = h.numbers
         if h.effect == "frame_shift":
-            mask = (of.round.astype(int) >= int(h.where.split("round ")[1]))[:, None]
+            number, _, only = h.where.split("round ")[1].partition(" ")
+            rounds = of.round.astype(int)
+            mask = (rounds == int(number) if only else rounds >= int(number))[:, None]
             turned = np.einsum("nij,nj->ni", _exp(mask * 1e-6 * np.array([v[f"turn_{a}"] for a in "xyz"])), seen)
             seen = turned + mask * 1e-3 * np.array([v[f"shift_{a}"] for a in "xyz"])
         elif h.effect == "refraction_scale":

@@ -19,6 +19,7 @@ import numpy as np
 
 from twin._common.arrays import read_only
 from twin._common.distributions import f_log_sf, normal_sf
+from twin._common.units import MM, UM
 from twin.diagnosis.alternatives import (
     between_positions,
     curve_flaw,
@@ -42,6 +43,7 @@ from twin.diagnosis.second_opinion import Comparison, compare_with_search, secon
 from twin.diagnosis.structure import Findings
 from twin.display.numbers import listed
 from twin.identification.discrepancy import Discrepancy
+from twin.identification.network import Network
 from twin.machine.machine import Machine
 from twin.measurement.checks import ASSUMED
 from twin.measurement.table import Measurements
@@ -120,9 +122,10 @@ def estimate_sizes(findings: Findings) -> SizedCauses:
     sizes, discrepancy = reweighted(findings.task, forms, estimated, structure.random_effects)
     # The search keeps sizes within their limits, but its last steps and the final weights move them: a mass near zero gives any centre.
     doubts = tuple(
-        between_positions(findings.candidates, forms, form)
+        (BELOW_INCREMENT if _below_increment(findings.problem.network, sizes.signature[:, k]) else "")
+        or between_positions(findings.candidates, forms, form)
         or (IMPOSSIBLE if _is_impossible(form, quantities, effects) else "")
-        for form, quantities, effects in zip(forms, sizes.quantities, sizes.effects, strict=True)
+        for k, (form, quantities, effects) in enumerate(zip(forms, sizes.quantities, sizes.effects, strict=True))
     )
     return SizedCauses(findings, tuple(forms), sizes, tuple(dropped), doubts, discrepancy)
 
@@ -160,6 +163,7 @@ def _log_p_of_groups(against: tuple[float, int, float]) -> float:
 # --- The causes as they are reported: with alternatives, probabilities and notices ----------------
 
 IMPOSSIBLE: Final = "; this size is physically impossible, so the readings do not determine it"
+BELOW_INCREMENT: Final = "; it is below the least increment of the axes, so no command can correct it"
 ONLY_A_PART: Final = "they explain only part of a pattern that no known effect explains as a whole"
 OVERFITTED: Final = "they increase the residuals of held-out readings: too few readings for this number of causes"
 """Reasons for which causes are left out, in words."""
@@ -244,6 +248,17 @@ def notices(sized: SizedCauses, comparison: Comparison, undecided: Sequence[str]
     )
 
 
+def _below_increment(network: Network, signature: np.ndarray) -> bool:
+    """Return whether a cause shifts every reading by less than the least increment of every linear axis; False without one.
+
+    Args:
+        signature: (3n,) its contribution to the whitened readings.
+    """
+    increments_um = [axis.increment * MM / UM for axis in network.machine.axes if axis.linear]
+    size = np.linalg.norm(np.nan_to_num(in_um(network, signature)), axis=1).max(initial=0.0)
+    return bool(increments_um) and bool(size < min(increments_um))
+
+
 def _is_impossible(form: Form, quantities: Sequence[Quantity], effects: Sequence[Effect]) -> bool:
     """Return whether a size is beyond its physical limit, or a load is impossible."""
     if any(isinstance(effect, AddedLoad) and not effect.payload.plausible for effect in effects):
@@ -297,6 +312,7 @@ def _cause(sized: SizedCauses, k: int, calibration: Calibration) -> Cause:
         effects=() if doubt else sized.estimate.effects[k],
         promised=not doubt,
         bounded=doubt == IMPOSSIBLE or _bounded(form, quantities),
+        below_increment=doubt == BELOW_INCREMENT,
         rivals=ruled_out(findings.given_patterns, form_beside, others_beside, sized.excess),
     )
 

@@ -249,8 +249,7 @@ def _chosen_again(part: Candidates, count: int) -> list[Form]:
     entered: list[Form] = []
     for _ in range(count):
         margins = part.margins(entered)
-        taken = {form.slot for form in entered}
-        margins[[form.index for form in part.forms if form.slot in taken]] = -np.inf
+        margins[part.taken(entered)] = -np.inf
         best = first_largest(margins)
         if np.isneginf(margins[best]):
             break

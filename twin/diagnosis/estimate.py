@@ -32,6 +32,7 @@ from twin.diagnosis.result import Quantity
 from twin.identification.discrepancy import Discrepancy, no_discrepancy, settled, updated
 from twin.measurement.observation import machine_state, repeat_groups
 from twin.model.effects import Effect
+from twin.model.effects.base import numbered
 from twin.model.effects.gravity_compliance import AddedLoad
 from twin.numerics.covariance import Covariance
 
@@ -279,6 +280,9 @@ def _fitted(
     """Return the fitted causes, the covariance of all parameters, and the (3n, k) signature of each cause."""
     parts = _initial_parts(problem, forms, least)
     inverse = _gauss_newton(problem, parts, state, least)
+    named = iter(numbered(effect for part in parts for effect in part.effects))
+    for part in parts:
+        part.effects = tuple(next(named) for _ in part.effects)
     return parts, inverse, np.stack([part.signature(problem, state) for part in parts], axis=1)
 
 
@@ -516,12 +520,16 @@ def _estimated(
             for k, (p, deviation) in enumerate(zip(effects[0].parameters, u.tolist(), strict=True))
         ]
     if effects and drift is not None:
-        # A time constant longer than the record: only the rate is identifiable, and from it the drift over the record.
+        # A time constant longer than the record: only rates are identifiable, and from them the drift over the record.
         hours = drift.constants[-1] / 3600.0
-        (rate,), (name, unit) = effects[0].parameters, candidate.names[0]
+        rates = [
+            Quantity(p.name.rsplit(".", 1)[-1], p.value, p.unit, deviation)
+            for p, deviation in zip(effects[0].parameters, u.tolist(), strict=True)
+        ]
+        over_record = zip(candidate.names, rates, strict=True)
         return [
-            Quantity(name, rate.value * hours, unit, float(u[0]) * hours),
-            Quantity(rate.name.rsplit(".", 1)[-1], rate.value, rate.unit, float(u[0])),
+            *(Quantity(name, rate.value * hours, unit, rate.u * hours) for (name, unit), rate in over_record),
+            *rates,
         ]
     estimated = [
         Quantity(name, float(value), unit, float(deviation))

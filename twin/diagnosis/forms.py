@@ -41,6 +41,8 @@ SAMPLED_POINTS: Final = 4096
 """Points that suffice to estimate the correlation between forms."""
 TIE: Final = 1e-6
 """Added to a critical value for each column: of forms that explain the same, the one with the fewest columns is preferred."""
+RESOLVED: Final = 1.0
+"""Difference of two periods, in waves over the measured span, from which on they are errors of their own."""
 BATCH: Final = 48
 """Columns whose inner products with all others are computed in one pass over the data, at least."""
 
@@ -78,7 +80,7 @@ class Form:
 
     @property
     def slot(self) -> tuple[str | float, ...]:
-        """Key that at most one selected form may have: effect, place and stated numbers (of a harmonic its order)."""
+        """Key that at most one selected form may have (but see `Candidates.taken`): effect, place, stated numbers (harmonic: order)."""
         return *self.key, *(self.variant.fixed.get(name, 0.0) for name in self.candidate.specification.fixed)
 
 
@@ -93,7 +95,13 @@ class Candidates:
         dof: degrees of freedom of the noise variance; infinite where the variance is given.
         parts: (n,) number of the part each point belongs to, where parts are to be held out.
         level: p-value, corrected for multiple testing, below which a form is accepted; set by `calibrate` if None.
+
+    Attributes:
+        further_periods: whether an axis may have several periods. What one between two tabulated periods leaves looks like another, so
+            this is for a search whose periods are refined; undone by `set_problem`.
     """
+
+    further_periods = False
 
     def __init__(
         self,
@@ -145,7 +153,28 @@ class Candidates:
         other._project(problem)
         other.set_problem(problem)
         other._critical = self._critical
+        other.further_periods = self.further_periods
         return other
+
+    def taken(self, forms: Sequence[Form]) -> np.ndarray:
+        """Return (forms,) which forms may not be added to some others: those of the same slot, and beyond `Specification.most`.
+
+        With `further_periods` an axis may have several periods, if the measured span resolves them.
+        """
+        taken = np.isin(self.slot_of, [self.slot_of[form.index] for form in forms])
+        for form in forms:
+            specification, name = form.candidate.specification, form.candidate.specification.period
+            alike = [other for other in forms if other.key == form.key]
+            if specification.most and len(alike) >= specification.most:
+                taken |= self.key_of == self.key_of[form.index]
+            elif name and self.further_periods:
+                data, machine = self.problem.network.data, self.problem.network.machine
+                span = np.ptp(data.positions[:, machine.names.index(form.candidate.where)])
+                chosen = np.array([1.0 / other.variant.fixed[name] for other in alike])
+                slot = self.slot_of == self.slot_of[form.index]
+                tried = np.array([1.0 / self.forms[i].variant.fixed[name] for i in np.flatnonzero(slot)])
+                taken[slot] = np.abs(tried[:, None] - chosen).min(axis=1) * span < RESOLVED
+        return np.asarray(taken)
 
     def calibrate(self) -> None:
         """Set the level so that noise alone is taken for a cause in a share `FALSE_ALARM_RATE` of all data sets.
@@ -258,6 +287,7 @@ class Candidates:
         self._critical = self._initial_critical
         self._reasons = {}
         self._scans, self._fit = {}, None
+        self.further_periods = False
 
     def _update_slope(self) -> None:
         """Compute the projected inner product of the residual with every column."""

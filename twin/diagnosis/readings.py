@@ -322,6 +322,8 @@ def readings(
         InputError: data that cannot be a measurement of this machine.
     """
     instruments, data, setup = prepare(machine, data, instrument)
+    if instrument is not None:
+        data = replace(data, instrument=read_only(np.where(data.instrument == "", instrument.name, data.instrument)))
     no_unknowns = Unknowns(machine, (), ())
     has_u = bool(np.isfinite(data.u_mm).any())
     if has_u:

@@ -67,6 +67,7 @@ class Cause:
         equivalent: (effect, where) of the causes it is confounded with in these data.
         together: groups of these that replace it only together.
         assumes: what it assumes of the instrument, in words, where an error of the instrument would fit as well; else empty.
+        below_increment: whether it is smaller than the least increment of the axes.
         evidence: one sentence a machine operator can read.
         pattern_um: (n, 3) its effect on each reading.
         effects: the effects that extend the model; empty for an error of the instrument.
@@ -95,6 +96,7 @@ class Cause:
     credible: tuple[tuple[str, str], ...] = ()
     together: tuple[tuple[tuple[str, str], ...], ...] = ()
     assumes: str = ""
+    below_increment: bool = False
 
     def alternatives(self, title: Callable[[str, str], str]) -> list[str]:
         """Return the names of `equivalent`, those that replace it only together as one.

@@ -12,7 +12,7 @@ from typing import Final, final
 import numpy as np
 
 from twin._common.arrays import first_largest, largest_first
-from twin.diagnosis.candidates.candidate import Candidate
+from twin.diagnosis.candidates.candidate import LARGEST_ERROR, Candidate
 from twin.diagnosis.cross_validation import choose_folds
 from twin.diagnosis.estimate import estimate
 from twin.diagnosis.forms import ADDITIONAL_CAUSE_PENALTY, Candidates, Form
@@ -178,6 +178,9 @@ def _excesses_of(
     if specification.flexible and chi2 < LEAST_FLEXIBLE_SHARE * explained:
         excesses.append((np.inf, PART_OF_ANOTHER))
     scale = np.array([column.scale for column in form.variant.columns])
+    if form.candidate.space is not None:
+        # What a curve moves at the measured positions: beyond them its functions may be any size.
+        scale = np.full(len(scale), LARGEST_ERROR)
     if np.isfinite(form.candidate.largest):
         size = float(np.max((np.abs(values) - LIMIT_SIGMA * u) * scale))
         excesses.append((size / form.candidate.largest, TOO_LARGE))
@@ -247,7 +250,7 @@ def forward_selection(
     while len(forms) < most:
         now = candidates.penalised_gain(forms)
         best = candidates.forms[first_largest(candidates.margins(forms))]
-        if best.nonlinear and best.slot in {form.slot for form in forms}:
+        if best.nonlinear and candidates.taken(forms)[best.index]:
             # Most of the residual is due to a period or time constant between two tabulated ones; the estimate refines these.
             return forms
         margin = np.where(allowed, _free(candidates, forms), -np.inf)
@@ -267,8 +270,7 @@ def forward_selection(
 
 def _free(candidates: Candidates, forms: Sequence[Form]) -> np.ndarray:
     """Return the margins of the forms that may be added to some others."""
-    taken = [candidates.slot_of[form.index] for form in forms]
-    return np.where(np.isin(candidates.slot_of, taken), -np.inf, candidates.margins(forms))
+    return np.where(candidates.taken(forms), -np.inf, candidates.margins(forms))
 
 
 def _exchanged(candidates: Candidates, forms: list[Form], allowed: np.ndarray | bool) -> list[Form]:

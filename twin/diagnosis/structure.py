@@ -413,9 +413,7 @@ def _promising(likelihood: Likelihood, kept: Sequence[Form], model: Model, barre
     candidates = likelihood.candidates
     explained, dof = likelihood.scan(kept, model)
     costs = candidates.critical_values(dof)
-    out = np.isin(candidates.slot_of, [candidates.slot_of[form.index] for form in kept]) | np.isin(
-        candidates.key_of, list(barred)
-    )
+    out = candidates.taken(kept) | np.isin(candidates.key_of, list(barred))
     margin = np.where(out, -np.inf, explained - costs)
     promising: dict[int, Form] = {}
     for i in largest_first(margin).tolist():
@@ -634,9 +632,17 @@ class Searcher:
         """Return the best set of causes without patterns.
 
         Between two tabulated periods or time constants, the residual of a large cause can exceed another cause. Periods and time
-        constants of large causes are therefore refined, and the search is repeated.
+        constants of large causes are therefore refined, and the search is repeated; then an axis may have further periods.
         """
-        best = select_with_payload(self.candidates)
+        self.candidates.further_periods = False
+        best = self._with_refined(select_with_payload(self.candidates))
+        if any(form.candidate.specification.period for form in best.forms):
+            self.candidates.further_periods = True
+            best = self._with_refined(select_with_payload(self.candidates, best.forms))
+        return best
+
+    def _with_refined(self, best: Selection) -> Selection:
+        """Return the best set of causes with the periods and time constants of large causes refined."""
         for _ in range(MAX_REFINEMENTS):
             if not self._refined(best):
                 break

@@ -28,6 +28,9 @@ RULED_OUT_CHI2: Final = 25.0
 """Expected χ² between the predictions of two causes that rules one of them out."""
 INSTEAD_DESCRIBED: Final = 3
 """Number of other sets of columns that are described in a sentence."""
+BELOW_INCREMENT: Final = (
+    "Nothing: the error is below the least increment of the axes, so no command and no compensation can correct it."
+)
 MOST_READINGS: Final = 1000.0
 """Number of readings at one position above which the measurement is not suggested."""
 
@@ -297,14 +300,15 @@ def facts(diagnosis: DiagnosisResult) -> list[tuple[str, str]]:
     lines = [("At the tool", _at_tool(diagnosis))]
     if diagnosis.verdict == "unexplained":
         lines += _when_unexplained(diagnosis)
+    elif all(cause.below_increment for cause in causes):
+        lines.append(("What to do", BELOW_INCREMENT))
     elif diagnosis.verdict == "ambiguous":
         lines += _when_ambiguous(diagnosis)
     elif len(causes) == 1:
         lines += advised(causes[0])
     else:
         for cause in causes[:CAUSES_DESCRIBED]:
-            look = advice(cause.effect, cause.where).look
-            lines.append((cause_title(cause.effect, cause.where), f"{look} {to_do(cause)}"))
+            lines.append((cause_title(cause.effect, cause.where), " ".join(text for _, text in advised(cause)[:2])))
         if any(cause.origin == "instrument" for cause in causes):
             lines.append(("Caution", "Do not compensate for errors of the instrument."))
     return [fact for fact in [*lines, *extended(diagnosis)] if fact[1]]
@@ -343,7 +347,9 @@ def inside(made: Extension) -> str:
 
 
 def advised(cause: Cause) -> list[tuple[str, str]]:
-    """Return where to look, what to do and what to avoid, each with its heading."""
+    """Return where to look, what to do and what to avoid, each with its heading; below the least increment only what to do."""
+    if cause.below_increment:
+        return [("What to do", BELOW_INCREMENT)]
     texts = advice(cause.effect, cause.where)
     return [("Where to look", texts.look), ("What to do", to_do(cause)), ("Caution", texts.never)]
 
@@ -482,7 +488,7 @@ def _when_ambiguous(diagnosis: DiagnosisResult) -> list[tuple[str, str]]:
                 )
             )
         else:
-            when_ambiguous.append((name, f"{advice(cause.effect, cause.where).look} {to_do(cause)}"))
+            when_ambiguous.append((name, " ".join(text for _, text in advised(cause)[:2])))
     pairs = separating_points(diagnosis.next_measurement, diagnosis.expected_rms_um)
     if any(pair.rows for pair in pairs):
         when_ambiguous.append(

@@ -51,7 +51,7 @@ from twin.model.effects import AxisLocation, ControlCorrection, Effect, Empirica
 from twin.model.effects.base import RecordingState
 from twin.model.effects.control import kinematics_of, tables_of
 from twin.model.effects.empirical import channel_name, check_ranges
-from twin.model.effects.entries import entry_of, payload_entries, payloads_on
+from twin.model.effects.entries import distinguished, entry_of, payload_entries, payloads_on
 from twin.model.effects.gravity_compliance import AddedLoad, carrying
 from twin.model.effects.table_load import with_payloads
 from twin.model.motion_curve import Curve, conversion_of, sum_of_curves
@@ -392,7 +392,8 @@ class Calibration(DisplayedResult):
         curves, squareness, location = dict(self.curves), dict(self.squareness), dict(self.location)
         extra = list(self.extra)
         added: dict[str, AddedLoad] = {}
-        own, found = self.covariance, covariance
+        own = self.covariance
+        effects, found = distinguished(extra, effects, covariance)
         motions: dict[str, list[ErrorMotion]] = {}
         for effect in effects:
             if isinstance(effect, ErrorMotion):

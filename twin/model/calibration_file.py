@@ -36,7 +36,7 @@ from twin._common.provenance import MODEL_NOT_TESTED, NOISE_CONTRADICTED, SYSTEM
 from twin._common.yaml_files import yaml_text
 from twin.machine.machine import ErrorFrame, Machine
 from twin.model.effects import Effect, Empirical, Frame, GravityCompliance, Payload
-from twin.model.effects.base import rest_orientation
+from twin.model.effects.base import numbered, rest_orientation
 from twin.model.effects.empirical import FrameRotation, channel_name
 from twin.model.effects.entries import effect_named, payload_named
 from twin.model.effects.gravity_compliance import CARRIED_LOAD, PAYLOAD
@@ -458,7 +458,7 @@ def effects_of(entries: Sequence[EffectEntry], machine: Machine, fail: Callable[
         raise fail(("effects", last), "more than one payload on a side", "one", len(constant))
     if len(payloads) - len(constant) > 1:
         raise fail(("effects", last), f"more than one {CARRIED_LOAD.name}", "one", len(payloads) - len(constant))
-    return tuple(effects)
+    return numbered(effects)
 
 
 def _effect(entry: EffectEntry, machine: Machine, payloads: Sequence[Payload]) -> Effect:

@@ -191,6 +191,79 @@ def beam_bendings(inputs: CandidateInputs) -> Catalogue:
 
 BEAM_BENDING_SOURCE: Final = CandidateSource((BEAM_BENDING,), beam_bendings)
 
+# --- Candidate: linearity of a sensor that reads one coordinate ------------------------------------
+
+LARGEST_SENSOR_RANGE_MM: Final = 100.0
+"""mm: longer runs are read by a laser interferometer, which has no such error (data sheets of triangulation and inductive sensors)."""
+LARGEST_LINEARITY_UM: Final = 1000.0
+"""1 % of that range."""
+MOST_DEGREES: Final = 8
+"""Largest degree tried, as for a positioning error: which of the two it is must not depend on the form."""
+
+SENSOR_LINEARITY: Final = Specification(
+    name="sensor_linearity",
+    kind="instrument",
+    title=lambda where: "linearity of the sensor",
+    family="linearity of a sensor",
+    advice=Advice(
+        "Metrology: certificate of the sensor, its range, the surface that it reads, and the angle at which it is set up.",
+        f"{REST} Better, measure again with a calibrated sensor.",
+        NOTHING,
+    ),
+    evidence=lambda of: f"the sensor is off by up to {of.measure} within the range that was read",
+    limits={"um": LARGEST_LINEARITY_UM},
+    varies="with the frame",
+    decided_by="shift the sensor by a quarter of the range that it read and measure the same positions again: an error of the sensor "
+    "shifts with it, one of the machine stays; or measure with a calibrated instrument",
+)
+
+
+def sensor_linearities(inputs: CandidateInputs) -> Catalogue:
+    """Return a candidate for the stations whose instrument is not named and that read one coordinate over a short range.
+
+    They are one sensor at several places, moved by linear axes. Its error is a polynomial of the reading.
+    """
+    data = inputs.data
+    read = np.isfinite(data.point_mm)
+    own = (read.sum(axis=1) == 1) & (data.instrument == "")
+    across = read[own].any(axis=0)
+    positions = np.unique(np.round(data.positions[own], 3), axis=0)
+    degrees = min(MOST_DEGREES, len(positions) - 1)
+    if np.count_nonzero(across) != 1 or degrees < 1 or _turned(inputs):
+        return Catalogue(())
+    reading = _smoothed(data, own, data.point_mm[own, int(np.argmax(across))])
+    low, high = float(reading.min()), float(reading.max())
+    if not 0.0 < high - low <= LARGEST_SENSOR_RANGE_MM:
+        return Catalogue(())
+    polynomials = np.zeros((len(data), degrees + 1))
+    polynomials[own] = np.polynomial.legendre.legvander((2.0 * reading - low - high) / (high - low), degrees)
+    functions, along = tabulated(polynomials), ("station", int(np.argmax(across)))
+    columns = tuple(
+        Column((SignatureTerm(along, functions, k, UM),), LARGEST_LINEARITY_UM) for k in range(1, degrees + 1)
+    )
+    variants = tuple(Variant(columns[:degree]) for degree in range(1, degrees + 1))
+    names = (("largest", "um"),)
+    candidate = Candidate(SENSOR_LINEARITY, "—", names, variants, float(degrees), reported=_largest_deviation)
+    return Catalogue((candidate,))
+
+
+def _smoothed(data: Measurements, own: np.ndarray, reading: np.ndarray) -> np.ndarray:
+    """Return the readings of a sensor as they follow the positions of the axes, without noise: a polynomial of noise fits itself."""
+    setups = [f"{station} {target}" for station, target in zip(data.station[own], data.target[own], strict=True)]
+    names = sorted(set(setups))
+    of_setup = np.array(setups)[:, None] == np.array(names)
+    columns = np.concatenate([data.positions[own], of_setup], axis=1)
+    return np.asarray(columns @ np.linalg.lstsq(columns, reading, rcond=None)[0])
+
+
+def _largest_deviation(values: np.ndarray) -> np.ndarray:
+    """Return (1,) the largest deviation within the range, of Legendre coefficients from degree 1 on."""
+    deviation = np.polynomial.legendre.legval(np.linspace(-1.0, 1.0, 201), np.concatenate([[0.0], values]))
+    return np.array([np.abs(deviation).max()])
+
+
+SENSOR_LINEARITY_SOURCE: Final = CandidateSource((SENSOR_LINEARITY,), sensor_linearities)
+
 # --- What is assumed of an instrument where no candidate tests it ------------------------------
 
 ASSUMED_OF_INSTRUMENT: Final = (
@@ -467,11 +540,16 @@ SHIFTS: Final = tuple((f"shift_{a}", "um") for a in "xyz")
 TURNS: Final = tuple((f"turn_{a}", "urad") for a in "xyz")
 
 
+ONE_ROUND: Final = " only"
+"""End of the place of an alignment of one round: ``round 2 only``."""
+
+
 def _frame_shift_title(where: str) -> str:
     station, _, number = where.rpartition("round ")
-    if not station:
-        return f"instrument re-aligned from round {number} on"
-    return f"instrument at {station.removesuffix(' from ')} re-aligned from round {number} on"
+    at = f" at {station.removesuffix(' from ').removesuffix(' in ')}" if station else ""
+    if number.endswith(ONE_ROUND):
+        return f"instrument{at} aligned differently in round {number}"
+    return f"instrument{at} re-aligned from round {number} on"
 
 
 def _target_shift_title(where: str) -> str:
@@ -485,11 +563,15 @@ FRAME_SHIFT: Final = Specification(
     title=_frame_shift_title,
     family="instrument re-aligned",
     advice=Advice(
-        "Metrology: check what happened before {where}: a new alignment, a tripod that was knocked.",
+        "Metrology: check the alignment of the instrument ({where}): a new alignment, a tripod that was knocked.",
         f"{REST} Better, measure again in one alignment.",
         NOTHING,
     ),
-    evidence=lambda of: f"the instrument's frame was re-aligned from {of.where} on",
+    evidence=lambda of: (
+        f"the instrument's frame was aligned differently in {of.where}"
+        if of.where.endswith(ONE_ROUND)
+        else f"the instrument's frame was re-aligned from {of.where} on"
+    ),
     varies="with time",
     drawing=Drawing(columns=lambda where: ("round",), by_state=True, shared="station"),
 )
@@ -506,17 +588,26 @@ TARGET_SHIFT: Final = Specification(
 
 
 def alignments(inputs: CandidateInputs) -> Catalogue:
-    """Return a candidate for the instrument's frame and for every target, from each round but the first on."""
+    """Return a candidate for the instrument's frame and for every target, from each round but the first on.
+
+    And for the frame in one round alone; in the first or the last it is the same as from a round on.
+    """
     station, rounds = inputs.data.station, list(dict.fromkeys(inputs.data.round))
     number = np.array([rounds.index(name) for name in inputs.data.round])
     single = len(dict.fromkeys(station)) == 1
     frame_shifts, target_shifts = [], []
-    for k, name in enumerate(rounds[1:], 1):
-        later = number >= k
-        for at, mask in [("", later)] if single else _changed(later, station):
-            where = f"round {name}" if single else f"station {at} from round {name}"
+
+    def add_frame_shifts(aligned: np.ndarray, name: str, preposition: str) -> None:
+        for at, mask in [("", aligned)] if single else _changed(aligned, station):
+            where = f"round {name}" if single else f"station {at} {preposition} round {name}"
             variant = Variant(masked_columns(FRAME, mask, UM))
             frame_shifts.append(Candidate(FRAME_SHIFT, where, (*SHIFTS, *TURNS), (variant,), 1.0))
+
+    for k, name in enumerate(rounds[1:], 1):
+        later = number >= k
+        add_frame_shifts(later, name, "from")
+        if k < len(rounds) - 1 <= MOST_ROUNDS:
+            add_frame_shifts(number == k, f"{name}{ONE_ROUND}", "in")
         for target, mask in _changed(later, inputs.data.target):
             variant = Variant(masked_columns(PLACE, mask, UM))
             target_shifts.append(Candidate(TARGET_SHIFT, f"{target} from round {name}", SHIFTS, (variant,), 1.0))

@@ -135,9 +135,7 @@ def _columns(forms: Forms, inputs: CandidateInputs) -> list[tuple[Column, ...]]:
     """Return the columns of every trial."""
     together, made = forms.together, forms.units
     if together is None and made is not None:
-        units = [made(fixed) for fixed in forms.trials]
-        columns = iter(unit_columns([unit for some in units for unit in some], inputs.machine, inputs.state))
-        return [tuple(next(columns) for _ in some) for some in units]
+        return _of_units([made(fixed) for fixed in forms.trials], inputs)
     if together is None:
         raise TypeError("forms without columns")
     at = first_component(inputs.machine, together.frame.axis, together.frame.role)
@@ -147,22 +145,28 @@ def _columns(forms: Forms, inputs: CandidateInputs) -> list[tuple[Column, ...]]:
     ]
 
 
+def _of_units(units: Sequence[Sequence[Effect]], inputs: CandidateInputs) -> list[tuple[Column, ...]]:
+    """Return the columns of several trials, whose functions are evaluated together."""
+    columns = iter(unit_columns([unit for some in units for unit in some], inputs.machine, inputs.state))
+    return [tuple(next(columns) for _ in some) for some in units]
+
+
 def _drift(forms: Forms, name: str, inputs: CandidateInputs) -> Drift:
     """Return the drift of some forms, with the name of its time constant."""
     made = forms.units
     if made is None:
         raise TypeError("a drift needs columns at any time constant")
 
-    def columns_at(constants: Sequence[float]) -> list[Column]:
+    def columns_at(constants: Sequence[float]) -> list[tuple[Column, ...]]:
         fixed = [{} if constant == STRAIGHT_LINE else {name: constant} for constant in constants]
-        return unit_columns([unit for values in fixed for unit in made(values)], inputs.machine, inputs.state)
+        return _of_units([made(values) for values in fixed], inputs)
 
     tried = tuple(fixed[name] for fixed in forms.trials if fixed)
     # The functions of all time constants tried are evaluated together.
     known = dict(zip(tried, columns_at(tried), strict=True))
 
     def columns(constant: float) -> tuple[Column, ...]:
-        return (known[constant] if constant in known else columns_at([constant])[0],)
+        return known[constant] if constant in known else columns_at([constant])[0]
 
     return Drift(columns, tried, straight=False, name=name)
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, ClassVar, Final, Literal, NamedTuple, final
@@ -63,6 +64,8 @@ class Effect(ABC):
     """Frame in which it acts."""
     history: ClassVar[bool] = False
     """Whether its value at a reading depends on earlier readings."""
+    repeats: ClassVar[bool] = False
+    """Whether one place may have several, which are not one with the sum of their parameters (`numbered`)."""
 
     @property
     @abstractmethod
@@ -123,6 +126,20 @@ class AlongAxis(Effect):
     def unit(self) -> str:
         """``um`` for a linear axis, ``urad`` for a rotary one."""
         return "um" if self.axis.linear else "urad"
+
+
+def numbered(effects: Iterable[Effect]) -> tuple[Effect, ...]:
+    """Return the effects with the second one of a place, if they repeat, named ``pitch_error:X[2]``, and so on."""
+    counts: dict[str, int] = {}
+    named = []
+    for effect in effects:
+        name = effect.name.partition("[")[0]
+        counts[name] = counts.get(name, 0) + 1
+        if effect.repeats:
+            effect = copy(effect)
+            effect.name = name if counts[name] == 1 else f"{name}[{counts[name]}]"
+        named.append(effect)
+    return tuple(named)
 
 
 def along(axis: Axis, value: Any) -> dict[int, Any]:

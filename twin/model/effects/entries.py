@@ -16,10 +16,11 @@ from typing import Any, Final
 from twin._common import families
 from twin._common.errors import InputError, closest_name
 from twin.machine.machine import Machine
-from twin.model.effects.base import Effect, Payload, Side
+from twin.model.effects.base import Effect, Payload, Side, numbered
 from twin.model.effects.gravity_compliance import CARRIED_LOAD, PAYLOAD, GravityCompliance
 from twin.model.effects.specification import Specification
 from twin.model.effects.table_load import TableLoad
+from twin.numerics.covariance import Covariance
 
 MACHINE_EFFECTS: Final[tuple[Specification, ...]] = families.members("twin.model.effects", families.EFFECTS)
 """Specifications of all machine effects."""
@@ -104,6 +105,18 @@ def payload_entries(effects: Sequence[Effect]) -> list[dict[str, Any]]:
         }
         for payload in payloads_on(effects)
     ]
+
+
+def distinguished(
+    present: Sequence[Effect], effects: Sequence[Effect], covariance: Covariance
+) -> tuple[Sequence[Effect], Covariance]:
+    """Return effects, and the covariance of their parameters, under names that effects already present do not have (`numbered`)."""
+    own = numbered([*present, *effects])[len(present) :]
+    pairs = [
+        pair for old, new in zip(effects, own, strict=True) for pair in zip(old.parameters, new.parameters, strict=True)
+    ]
+    names = {old.name: new.name for old, new in pairs}
+    return own, Covariance(tuple(names.get(name, name) for name in covariance.names), covariance.matrix)
 
 
 def drawn_period(effect: Effect) -> float:

@@ -40,6 +40,8 @@ class PitchError(AlongAxis):
         phase: φ, rad.
     """
 
+    repeats = True
+
     def __init__(self, axis: Axis, amplitude: float, period: float, phase: float) -> None:
         super().__init__("pitch_error", axis)
         self.amplitude = amplitude
@@ -158,6 +160,7 @@ PITCH_ERROR: Final = Specification(
     period="period",
     constrain=_constrain,
     curve=True,
+    most=2,
     plain_forms=0,
     drawing=Drawing(period=lambda numbers: numbers["period"]),
 )

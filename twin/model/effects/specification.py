@@ -187,6 +187,7 @@ class Specification:
         constant: whether it is a constant of the machine.
         rare: whether it is a mistake that is rarely made, with a smaller share of the false alarms.
         all_or_nothing: whether its parameter is 1 wherever it is present (a mistake that is made completely or not at all).
+        most: largest number of causes of it at one place, of those that can imitate any curve together; 0: no limit.
         flexible: whether its many parameters can absorb a part of any other effect.
         decided_by: of an error of the instrument, the measurement that separates it from errors of the machine.
         plain_forms: number of its forms that are used to estimate the noise; 0: other effects have the same forms; None: the widest.
@@ -221,6 +222,7 @@ class Specification:
     constant: bool = False
     rare: bool = False
     all_or_nothing: bool = False
+    most: int = 0
     flexible: bool = False
     decided_by: str = "repeat the first round without touching the instrument or the targets"
     plain_forms: int | None = None
