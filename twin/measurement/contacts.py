@@ -191,6 +191,12 @@ def reduce_contacts(contacts: Contacts, machine: Machine, probing: Probing) -> R
     notes = (*notes, *_normals(contacts, points, fits, groups, probing), *_sizes_by_axis(points, fits, groups))
     notes = (f"standard uncertainty of a contact: {noise * 1e3:.3g} µm, {how}", *_excess(fits, dof, probing), *notes)
     table = _table(contacts, machine, centres, columns)
+    approach = approach_of(machine, table.positions, linear=False)
+    # The way to the first pose is unknown.
+    approach[np.cumsum(np.diff(table.positions, axis=0, prepend=table.positions[:1]) != 0.0, axis=0) == 0] = 0.0
+    if approach.any():
+        table = replace(table, approach=read_only(approach))
+        notes = (*notes, "assumed: the rotary axes turn straight from one pose to the next")
     if probing.tip_mm is not None:
         pose = np.tile([*probing.tip_mm, 0.0, 0.0, 0.0], (len(table), 1))
         table = replace(table, station_pose=read_only(pose))
@@ -241,6 +247,24 @@ def probe_table(
         u_mm=read_only(np.asarray(u_mm, dtype=float).reshape(n, 3)),
         simulated=simulated,
     )
+
+
+def approach_of(machine: Machine, positions: np.ndarray, *, linear: bool) -> np.ndarray:
+    """Return the direction of approach (n, axes) of positions in their order: +1, −1, or 0 for an axis that never moves.
+
+    Args:
+        positions: (n, axes) mm and degrees; the first is approached in the direction in which each axis continues.
+        linear: whether the linear axes have one; a probe touches the sphere from both sides.
+    """
+    sign = np.sign(np.diff(positions, axis=0, prepend=positions[:1]))
+    approach = np.zeros(positions.shape)
+    for i, axis in enumerate(machine.axes):
+        moving = np.flatnonzero(sign[:, i])
+        if len(moving) and (linear or not axis.linear):
+            last = np.maximum.accumulate(np.where(sign[:, i] != 0.0, np.arange(len(sign)), moving[0]))
+            last[: moving[0]] = moving[0]
+            approach[:, i] = sign[last, i]
+    return approach
 
 
 def _surface(
