@@ -64,11 +64,11 @@ def command(folder: Path, *words: object, status: int = 0) -> str:
     return done.stdout + done.stderr
 
 
-def planned(folder: Path, name: str, *words: object) -> Path:
-    """Return a measuring program of twin; its sphere places are those that the operator believes."""
-    spheres = [f"{x:g},{y:g},{z:g}" for x, y, z in SPHERES]
+def planned(folder: Path, name: str, *words: object, spheres: int = 3) -> Path:
+    """Return a measuring program of twin; the first spheres are where the operator believes."""
+    places = [f"{x:g},{y:g},{z:g}" for x, y, z in SPHERES[:spheres]]
     plan = ["plan", "--instrument", "probe", "-o", f"{name}.csv", "--program", f"{name}.ngc", "--tool-length", LENGTH]
-    command(folder, *plan, "--clearance", 3, "--spheres", *spheres, "--quiet", *words)
+    command(folder, *plan, "--clearance", 3, "--spheres", *places, "--quiet", *words)
     return folder / f"{name}.ngc"
 
 
@@ -91,7 +91,7 @@ def centres(machine: twin.Machine, path: Path) -> tuple[np.ndarray, list[str]]:
 
 def short(folder: Path) -> Path:
     """Return the first poses of a measuring program."""
-    program = planned(folder, "short", "--minutes", 30)
+    program = planned(folder, "short", "--sequence", "turns", spheres=1)
     whole = program.read_text()
     program.write_text(whole[: whole.index(f"(pose {SHORT + 1})")] + "(LOGCLOSE)\nM2\n")
     return program
@@ -117,7 +117,7 @@ def test_the_centres_in_the_log_are_those_of_the_machine(
         assert np.linalg.norm(physical.tip(q) - SPHERES[sphere]) > 0.1
 
 
-@pytest.mark.sample(1)  # of 2
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("fault", "stopped", "said"),
     [
@@ -173,11 +173,12 @@ def test_the_machine_is_right_after_one_loop(machine: twin.Machine, physical: Ph
         tmp_path, "control", "--to", "linuxcnc-kinematics", "-o", "live", "-c", "mine.yaml", "--tool-length", LENGTH
     )
     with module(tmp_path / "live") as live:
-        second = planned(tmp_path, "second", "--sequence", "turns")
+        second = planned(tmp_path, "second", "--sequence", "turns", spheres=1)
         again = room(tmp_path, second)
         ran = execute(again, machine, physical, [["home"], *ON, ["program", second.name], *visits(places)], live=live)
     assert not ran.failed, f"{ran.failed}\n{ran.log}"
     after = remaining_um(places, tips(ran, len(places)))
+    print(f"before {rms(before):.2f} {before.max():.2f}, after {rms(after):.2f} {after.max():.2f} µm")
     converted(tmp_path, again / "SECOND_LOG.csv", "second.csv")
     assert rms(before) > 8.0 and rms(after) <= 1.5 and after.max() < 0.25 * before.max()
     first = spread_um(*centres(machine, tmp_path / "measured.csv"))
@@ -239,3 +240,34 @@ def test_a_fault_is_named_and_makes_no_machine_worse(
         assert float(length[0]) == pytest.approx(faults["length"], abs=0.1) and "CONSISTENT" in said
     else:
         assert "sphere 2" in said and ("moved" in said or "outlier" in said)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["spindle", "environment", "axes"])
+def test_programs_of_drift_tests_run_to_their_end(
+    machine: twin.Machine, physical: Physical, tmp_path: Path, name: str
+) -> None:
+    """Dwells are a thousandth as long; M0, where the operator exchanges tool and probe, is continued."""
+    instrument = "probe" if name == "spindle" else "r-test"
+    words = {"spindle": ["--highest-rpm", 6000, "--minutes", 100, "--clearance", 3], "axes": ["--axis", "X"]}
+    place = ",".join(f"{value:g}" for value in SPHERES[0])
+    places = ["--spheres", place, *(["-75,130,90"] if name == "axes" else [])]
+    plan = ["plan", "--drift", name, "--instrument", instrument, "-o", "d.csv", "--program", "d.ngc", "--quiet"]
+    command(tmp_path, *plan, "--tool-length", LENGTH, *places, *words.get(name, []))
+    program = tmp_path / "d.ngc"
+    text = re.sub(r"(?m)^G4 P([\d.]+)", lambda found: f"G4 P{float(found[1]) / 1000.0:.4f}", program.read_text())
+    if name == "axes":
+        # Between the readings the axis moves for minutes: the first three are enough.
+        text = text[: text.index("(reading 4 ")] + "G53 G0 Z0\nM2\n"
+    program.write_text(text)
+    folder = room(tmp_path, program)
+    end = [["mdi", "G53 G0 X250"], ["hal", ["getp", "joint.0.motor-pos-cmd"]]]
+    ran = execute(folder, machine, physical, [["home"], ["program", program.name], *end])
+    assert not ran.failed and not ran.said, f"{ran.failed}\n{ran.said}\n{ran.log}"
+    assert ran.results("hal") == ["0"]
+    if name == "spindle":
+        assert text.count("\nM0\n") > 5 and text.count("G38.2") > 40
+        converted(tmp_path, folder / "D_LOG.csv", "measured.csv")
+        found, _ = centres(machine, tmp_path / "measured.csv")
+        assert 5 * len(found) == text.count("G38.2")
+        assert np.ptp(found[:, :3], axis=0).max() < 0.01
