@@ -74,7 +74,7 @@ def planned(folder: Path, name: str, *words: object, spheres: int = 3) -> Path:
 
 def room(folder: Path, program: Path) -> Path:
     """Return the folder of a run, with the program as the control of the tests executes it."""
-    run = folder / f"run of {program.stem}"
+    run = folder / f"run_{program.stem}"
     run.mkdir()
     (run / program.name).write_text(faster(program.read_text()))
     return run
@@ -262,7 +262,9 @@ def test_programs_of_drift_tests_run_to_their_end(
     program.write_text(text)
     folder = room(tmp_path, program)
     end = [["mdi", "G53 G0 X250"], ["hal", ["getp", "joint.0.motor-pos-cmd"]]]
-    ran = execute(folder, machine, physical, [["home"], ["program", program.name], *end])
+    # The nest of an R-test stands where the sphere of a probe would.
+    faults = {} if instrument == "probe" else {"ball-radius": -1000.0}
+    ran = execute(folder, machine, physical, [["home"], ["program", program.name], *end], faults=faults)
     assert not ran.failed and not ran.said, f"{ran.failed}\n{ran.said}\n{ran.log}"
     assert ran.results("hal") == ["0"]
     if name == "spindle":
@@ -271,3 +273,46 @@ def test_programs_of_drift_tests_run_to_their_end(
         found, _ = centres(machine, tmp_path / "measured.csv")
         assert 5 * len(found) == text.count("G38.2")
         assert np.ptp(found[:, :3], axis=0).max() < 0.01
+
+
+LOGGED = """G21 G90 G17 G94
+G10 L2 P1 X10 Y20 Z-5 R0
+G54 G43.1 Z50
+G53 G0 Z0
+G53 G0 X400 Y225 B0 C0
+G53 G0 Z-190
+(PROBEOPEN probe.txt)
+(LOGOPEN,own.txt)
+G38.2 Z-260 F200
+(LOG,#5061 #5062 #5063)
+G53 G0 Z-190
+G20 G38.2 Z-10 F8
+(LOG,#5061 #5062 #5063)
+G21
+G53 G0 Z-190
+G38.3 Z-236 F200
+(LOG,#5061 #5062 #5063)
+(PROBECLOSE)
+(LOGCLOSE)
+M2
+"""
+"""The sphere is touched from above in millimetres and in inches, behind an offset and a tool length; the last search ends before it."""
+
+
+@pytest.mark.slow
+def test_the_log_of_the_control_is_in_the_coordinates_and_units_of_the_program(
+    machine: twin.Machine, physical: Physical, tmp_path: Path
+) -> None:
+    program = tmp_path / "log.ngc"
+    program.write_text(LOGGED)
+    folder = room(tmp_path, program)
+    ran = execute(folder, machine, physical, [["home"], ["program", "log.ngc"]], faults={"noise": 0.0})
+    assert not ran.failed, f"{ran.failed}\n{ran.log}"
+    log, own = (np.loadtxt(folder / name) for name in ("probe.txt", "own.txt"))
+    assert np.allclose(log[:, :3], own, atol=1e-6) and not log[:, 3:].any()
+    # The machine: what the log says, and the offset and the length.
+    touched = np.array([log[0], 25.4 * log[1]])[:, :3] + [10.0, 20.0, -5.0 + 50.0]
+    for place in touched:
+        away = physical.tip(np.array([*place, 0.0, 0.0])) - physical.places[0]
+        assert np.linalg.norm(away) == pytest.approx(12.5 + 3.0 - physical.probe["pretravel"], abs=0.004)
+    assert log[2, 2] == pytest.approx(-236.0, abs=0.001)
