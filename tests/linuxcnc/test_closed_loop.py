@@ -61,7 +61,7 @@ def command(folder: Path, *words: object, status: int = 0) -> str:
     whole = [sys.executable, "-m", "twin.cli", *map(str, words)]
     done = subprocess.run(whole, cwd=folder, capture_output=True, text=True, check=False)
     assert done.returncode == status, done.stderr + done.stdout
-    return done.stdout + done.stderr
+    return " ".join((done.stdout + done.stderr).split())
 
 
 def planned(folder: Path, name: str, *words: object, spheres: int = 3) -> Path:
@@ -223,8 +223,8 @@ def test_a_fault_is_named_and_makes_no_machine_worse(
     ran = execute(folder, machine, physical, [["home"], ["program", program.name]], faults=faults)
     assert not ran.failed, f"{ran.failed}\n{ran.log}"
     said = converted(tmp_path, folder / "FAULT_LOG.csv", "measured.csv")
-    said += command(tmp_path, "identify", "measured.csv", "-o", "mine.yaml", "--only", "E_*0*")
-    said += command(tmp_path, "diagnose", "measured.csv", "-c", "mine.yaml")
+    said += " " + command(tmp_path, "identify", "measured.csv", "-o", "mine.yaml", "--only", "E_*0*")
+    said += " " + command(tmp_path, "diagnose", "measured.csv", "-c", "mine.yaml")
     before, after = left_um(physical, tmp_path / "mine.yaml")
     assert before > 8.0 and after < bar, said
     if name == "backlash of X":
@@ -234,7 +234,7 @@ def test_a_fault_is_named_and_makes_no_machine_worse(
     elif name == "backlash of C":
         size = re.findall(r"C has ([\d.]+) µrad of backlash", said)
         assert abs(float(size[0]) - np.radians(0.004) * 1e6) < 12.0
-        assert "EXPLAINED" in said and "RESIDUALS LARGER THAN THE STATED UNCERTAINTY" in said
+        assert " EXPLAINED. " in said and "RESIDUALS LARGER THAN THE STATED UNCERTAINTY" in said
     elif name == "wrong length":
         length = re.findall(r"tip of probe: \S+ \S+ -([\d.]+) mm from the spindle nose", said)
         assert float(length[0]) == pytest.approx(faults["length"], abs=0.1) and "CONSISTENT" in said
