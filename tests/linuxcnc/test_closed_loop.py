@@ -234,7 +234,7 @@ def test_a_fault_is_named_and_makes_no_machine_worse(
     elif name == "backlash of C":
         size = re.findall(r"C has ([\d.]+) µrad of backlash", said)
         assert abs(float(size[0]) - np.radians(0.004) * 1e6) < 12.0
-        assert " EXPLAINED. " in said and "RESIDUALS LARGER THAN THE STATED UNCERTAINTY" in said
+        assert "Backlash of C (reversal C, machine)" in said and "RESIDUALS LARGER THAN THE STATED UNCERTAINTY" in said
     elif name == "wrong length":
         length = re.findall(r"tip of probe: \S+ \S+ -([\d.]+) mm from the spindle nose", said)
         assert float(length[0]) == pytest.approx(faults["length"], abs=0.1) and "CONSISTENT" in said
