@@ -255,3 +255,45 @@ def test_an_outlier_among_few_contacts_is_studentised(share: float, refused: boo
             reduced(given)
     else:
         reduced(given)
+
+
+@pytest.mark.parametrize(("axis", "turned"), [("X", 0.0), ("Y", 0.0), ("", 0.0), ("X", 45.0)])
+def test_backlash_of_an_axis_is_named_by_the_size_of_the_spheres(axis: str, turned: float) -> None:
+    """10 µm of backlash shorten one diameter by 10 µm; contacts halfway between the axes cannot show whose it is."""
+    rng = np.random.default_rng(6)
+    around = [np.radians(turned + angle) for angle in (0.0, 90.0, 180.0, 270.0)]
+    directions = np.array([[0.0, 0.0, 1.0], *([np.cos(angle), np.sin(angle), 0.0] for angle in around)])
+    lost = np.array([0.010 * (name == axis) for name in "XYZ"])
+    # At rest on the flank away from the motion: half of the backlash short of the sphere on both sides.
+    short = 0.5 * np.where(np.abs(directions) > 1e-9, np.sign(directions), 0.0) * lost
+    points = [
+        np.array([250.0, 225.0, -200.0]) + (RADIUS + rng.normal(0.0, NOISE)) * normal - away
+        for _ in range(25)
+        for normal, away in zip(directions, short, strict=True)
+    ]
+    poses = np.repeat(np.column_stack([np.zeros(25), np.arange(25.0)]), 5, axis=0)
+    found = reduce_contacts(contacts(np.array(points), poses), MACHINE, Probing())
+    said = [note for note in found.notes if "smaller along" in note]
+    if not axis or turned:
+        assert not said
+        return
+    other = "Y" if axis == "X" else "X"
+    (number, u) = map(float, re.findall(r"([\d.]+) ± ([\d.]+) µm", said[0])[0])
+    assert len(said) == 1 and f"along {axis} than along {other}: backlash of {axis}," in said[0]
+    assert abs(number - 10.0) < 2.0 * u and u < 2.0
+    assert np.allclose(
+        np.mean([one.positions[:3] for one in found.centres], axis=0), [250.0, 225.0, -200.0], atol=0.001
+    )
+
+
+def test_a_known_tip_is_in_the_table() -> None:
+    """The tip of a calibrated probe determines the places of the rotary axes that a tip at an unknown place leaves open."""
+    truth = {"E_X0B": 0.0, "E_Y0B": 25.0, "E_X0C": -30.0, "E_Y0C": 15.0}
+    errors = {"L_B": np.array([0.0, 0.025, 0.0, 0.0, 0.0, 0.0]), "L_C": np.array([-0.030, 0.015, 0.0, 0.0, 0.0, 0.0])}
+    made = probed(errors, np.random.default_rng(4))
+    for tip, known in (((0.0, 0.0, -TOOL), True), (None, False)):
+        found = reduce_contacts(made, MACHINE, Probing(tip_mm=tip))
+        identified = identify(found.measurements, MACHINE, wanted=lambda name: name in truth)
+        assert (identified.unidentified == {} or not identified.unidentified) is known
+        for name, size in truth.items() if known else ():
+            assert abs(identified.calibration.location[name] - size) < 2.0, name

@@ -40,11 +40,13 @@ def plan() -> SequencePlan:
 def linuxcnc(text: str) -> Iterator[Motion]:
     """Interpret G0, G1, G38.2 with modal words; everything else must be known."""
     at, known = np.full(5, np.nan), {"G21", "G90", "G94", "G40", "G49", "G80", "G17", "G59.3", "G92.1", "M2"}
+    # The offset and the tool length cancel.
+    assert text.index("\nG10 L2 P9 X0 Y0 Z-120 B0 C0 R0\nG59.3\n") < text.index("\nG43.1 Z120\n") < text.index("G38.2")
     for line in text.splitlines():
         assert line.isascii() and len(line) <= 80
         code = re.sub(r"\([^()]*\)", "", line).split()
         assert "(" not in "".join(code)
-        if not code or code[0] == "G10" or set(code) <= known:
+        if not code or code[0] in ("G10", "G43.1") or set(code) <= known:
             continue
         target = at.copy()
         for word in code[1:]:
@@ -184,7 +186,9 @@ def test_the_log_becomes_a_measurement_table(plan: SequencePlan, tmp_path: Path)
         text = path.read_bytes().decode("ascii")
         contacts = np.array(run(READERS[form.name](text), PLACE))
         if form.name == "linuxcnc":
-            log = [" ".join(f"{v:.6f}" for v in (*q[:3], 0.0, q[3], q[4], 0.0, 0.0, 0.0)) for q in contacts]
+            entries = re.findall(r"\(LOG,(.*)\)", text)
+            assert set(entries[1:]) == {"#5061,#5062,#5063,#5065,#5066,sphere"} and len(entries) == len(contacts) + 1
+            log = [entries[0]] + [",".join(f"{v:.6f}" for v in q) + ",sphere" for q in contacts]
         elif form.name == "heidenhain":
             mask, numbers = re.findall(r'"(CONTACT [^"]*)",([Q\d,]+);', text)[0]
             assert numbers == "Q201,Q202,Q203,Q205,Q206,Q220" and "TCH PROBE 4.1 Q201" in text
@@ -193,7 +197,7 @@ def test_the_log_becomes_a_measurement_table(plan: SequencePlan, tmp_path: Path)
             log = re.findall(r'"(contact_x_mm[^"]*)"', text) + [
                 ",".join(f"{v:.5f}" for v in q) + ",sphere" for q in contacts
             ]
-        file = tmp_path / f"log_{form.name}.{'csv' if form.name == 'siemens' else 'txt'}"
+        file = tmp_path / f"log_{form.name}.{'txt' if form.name == 'heidenhain' else 'csv'}"
         file.write_text("\n".join(log) + "\n")
         words = " ".join(re.sub(r"(?m)^\d+ ;|^;|[()]", " ", text).split())
         command = re.findall(r"twin convert \S+ (.*?) -o measured.csv", words)[0]
@@ -211,7 +215,7 @@ def test_the_header_says_what_it_is(plan: SequencePlan, tmp_path: Path) -> None:
         write_program(program_steps(plan), path)
         lines = path.read_text().split("pose 1")[0].splitlines()
         head = " ".join(re.sub(r"^\d+ ;|^;|[()]", " ", line).strip() for line in lines)
-        for word in ("UNTESTED ON A REAL CONTROL", "DMU 50 eVolution", "120 mm", "NOT checked"):
+        for word in ("NOT RUN ON A MACHINE", "DMU 50 eVolution", "120 mm", "NOT checked"):
             assert word in head, (form.name, word)
 
 
@@ -219,7 +223,7 @@ def test_a_log_is_opened_and_closed(plan: SequencePlan, tmp_path: Path) -> None:
     path = tmp_path / "my sphere 2.ngc"
     write_program(program_steps(plan), path)
     text = path.read_text()
-    assert text.index("(PROBEOPEN MY_SPHERE_2.txt)") < text.index("G38.2") < text.index("(PROBECLOSE)")
+    assert text.index("(LOGOPEN,MY_SPHERE_2_LOG.csv)") < text.index("G38.2") < text.index("(LOGCLOSE)")
     write_program(program_steps(plan), tmp_path / "2.h")
     assert "BEGIN PGM T_2 MM" in (tmp_path / "2.h").read_text()
 
@@ -240,5 +244,5 @@ def test_the_command_writes_plan_and_program(tmp_path: Path, capsys: pytest.Capt
     assert not stopped.value.code
     said = json.loads(report.read_text())
     assert said["program"]["control"] == "Siemens SINUMERIK" and said["not_probed"] == []
-    assert "UNTESTED ON A REAL CONTROL" in capsys.readouterr().out
+    assert "NOT RUN ON A MACHINE" in capsys.readouterr().out
     assert "ILLUSTRATIVE" in program.read_text() and program.read_text().count("MEAS=1") == 5 * said["points"]

@@ -11,7 +11,7 @@ from twin._common.bundled import DEFAULT
 from twin.cli.shared import complete, options
 from twin.cli.shared.command import EXISTING, POSITIVE, TABLE, CommandResult, JsonOption, command
 from twin.cli.shared.complete import one_of
-from twin.cli.shared.terminal import axis_values
+from twin.cli.shared.terminal import axis_values, three_numbers
 
 Files = Annotated[
     list[Path], typer.Argument(metavar="FILES", help="Files of one format, each one round or more."), EXISTING
@@ -42,6 +42,13 @@ SphereOption = Annotated[
 ]
 TipOption = Annotated[
     float | None, typer.Option("--tip-radius", help="Effective radius of the probe's tip, mm."), POSITIVE
+]
+KnownTipOption = Annotated[
+    str | None,
+    typer.Option(
+        "--tip",
+        help='Known place of the tip from the spindle nose, frame of the tool: "x,y,z" in mm; default: estimated.',
+    ),
 ]
 UncertaintyOption = Annotated[
     float | None,
@@ -83,6 +90,7 @@ def convert(
     axis: AxisOption = None,
     sphere_radius: SphereOption = None,
     tip_radius: TipOption = None,
+    tip: KnownTipOption = None,
     contact_uncertainty: UncertaintyOption = None,
     contacts: ContactsOption = None,
     trace: TraceOption = None,
@@ -104,7 +112,12 @@ def convert(
         at=axis_values("--at", at, loaded.names),
         offset=axis_values("--work-offset", work_offset, loaded.names),
         axis=axis,
-        probing=Probing(sphere_radius, tip_radius, contact_uncertainty),
+        probing=Probing(
+            sphere_radius,
+            tip_radius,
+            contact_uncertainty,
+            None if tip is None else three_numbers("--tip", tip, tip, "x,y,z in mm"),
+        ),
         contacts=contacts,
         plan=None if plan is None else Measurements.load(options.plan_file(plan), loaded, plan=True),
         trace=trace,

@@ -329,7 +329,7 @@ class _SequenceRequest:
             language = format_of(self.program)
             steps = program_steps(made)
             skipped, program = steps.skipped, {"file": str(self.program), "control": language.title}
-            text += f"note: program for {language.title}: {steps.poses} poses, UNTESTED ON A REAL CONTROL. {language.unverified}\n"
+            text += f"note: program for {language.title}: {steps.poses} poses, NOT RUN ON A MACHINE. {language.unverified}\n"
             if skipped:
                 text += f"note: NOT PROBED for lack of clearance: poses {', '.join(map(str, skipped))}\n"
             write_program(steps, self.program)

@@ -202,6 +202,7 @@ class _Course:
         rows = positions[starts] + share[:, None] * (positions[starts + 1] - positions[starts])
         self._points = self._reached(kinematics, np.vstack([rows, positions[-1:]]))
         self._tree = cKDTree(self._points)
+        self._half = 0.5 * float(np.linalg.norm(np.diff(self._points, axis=0), axis=1).max(initial=0.0))
 
     @staticmethod
     def _reached(kinematics: Kinematics, positions: np.ndarray) -> np.ndarray:
@@ -210,14 +211,25 @@ class _Course:
     def off(self, kinematics: Kinematics, positions: np.ndarray) -> np.ndarray:
         """Return (n,) distances, µm, of the tool point at positions of the motors from the path."""
         points = self._reached(kinematics, positions)
-        _, nearest = self._tree.query(points)
-        found = np.full(len(points), np.inf)
-        for begin in (np.maximum(nearest - 1, 0), np.minimum(nearest, len(self._points) - 2)):
-            start, along = self._points[begin], self._points[begin + 1] - self._points[begin]
-            length = np.maximum((along**2).sum(axis=1), 1e-30)
-            share = np.clip(((points - start) * along).sum(axis=1) / length, 0.0, 1.0)
-            found = np.minimum(found, np.linalg.norm(points - start - share[:, None] * along, axis=1))
+        found, rows, count = np.full(len(points), np.inf), np.arange(len(points)), 1
+        while len(rows):
+            count = min(4 * count, len(self._points))
+            away, nearest = self._tree.query(points[rows], k=count)
+            for vertex in nearest.T:
+                for begin in (np.maximum(vertex - 1, 0), np.minimum(vertex, len(self._points) - 2)):
+                    found[rows] = np.minimum(found[rows], self._from(points[rows], begin))
+            if count == len(self._points):
+                break
+            # The ends of all other parts are farther away. Where the path crosses itself, the nearest end may be of another part.
+            rows = rows[found[rows] > np.sqrt(np.maximum(away[:, -1] ** 2 - self._half**2, 0.0))]
         return 1e3 * found
+
+    def _from(self, points: np.ndarray, begin: np.ndarray) -> np.ndarray:
+        """Return (n,) distances, mm, of points from parts of the path, given by their first vertices."""
+        start, along = self._points[begin], self._points[begin + 1] - self._points[begin]
+        length = np.maximum((along**2).sum(axis=1), 1e-30)
+        share = np.clip(((points - start) * along).sum(axis=1) / length, 0.0, 1.0)
+        return np.asarray(np.linalg.norm(points - start - share[:, None] * along, axis=1))
 
 
 def _sides(positions: np.ndarray) -> np.ndarray:

@@ -87,6 +87,7 @@ class Configuration:
         tools: the tool table.
         parameters: the parameter file.
         acceleration: largest acceleration, mm/s² and °/s².
+        period_s: period of the servo thread.
     """
 
     machine: Machine
@@ -99,6 +100,7 @@ class Configuration:
     tools: str = ""
     parameters: str = ""
     acceleration: float = DEFAULT_ACCELERATION
+    period_s: float = PERIOD_S
 
     def write(self, folder: Path) -> None:
         """Write the files of the configuration into a folder."""
@@ -115,7 +117,7 @@ class Configuration:
             "[DISPLAY]\nDISPLAY = ./display\nCYCLE_TIME = 0.1\nPROGRAM_PREFIX = .\nINTRO_TIME = 0",
             "[TASK]\nTASK = milltask\nCYCLE_TIME = 0.001",
             "[RS274NGC]\nPARAMETER_FILE = ./machine.var",
-            "[EMCMOT]\nEMCMOT = motmod\nCOMM_TIMEOUT = 1.0\nSERVO_PERIOD = 1000000",
+            f"[EMCMOT]\nEMCMOT = motmod\nCOMM_TIMEOUT = 20.0\nSERVO_PERIOD = {round(self.period_s * 1e9)}",
             "[EMCIO]\nEMCIO = io\nCYCLE_TIME = 0.1\nTOOL_TABLE = ./tool.tbl",
             "[HAL]\nHALFILE = ./machine.hal",
             f"[TRAJ]\nCOORDINATES = {' '.join(names)}\nLINEAR_UNITS = mm\nANGULAR_UNITS = degree\nDEFAULT_LINEAR_VELOCITY = 200\n"
@@ -188,6 +190,11 @@ def run(
     display.write_text(resources.files("twin.controls").joinpath("linuxcnc_display.txt").read_text(encoding="utf-8"))
     display.chmod(0o755)
     log = _run(folder, user or getpass.getuser(), seconds)
+    if "USRMOT: ERROR" in log:
+        # It goes on with the next action, as if the program had ended.
+        raise InputError(
+            "commands to the control were lost", expected="a computer that is less busy", value="USRMOT: ERROR"
+        )
     results = folder / "results.json"
     if not results.exists():
         raise InputError("LinuxCNC does not start", expected="a control that runs here", value=log[-600:].strip())

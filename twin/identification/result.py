@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Literal, final
@@ -428,6 +428,7 @@ class Identification(DisplayedResult):
             lines += [f"  {', '.join(names)}: {reason}" for reason, names in self._by_reason().items()]
         if self.held_by_prior:
             lines += [f"  {self._prior_text()}"]
+        lines += [f"  {text}" for text in self._tip_texts()]
         degree8 = _score_up_to(self.choice.uniform, THESIS_FUNCTIONS)
         if degree8 is not None:
             text = f"{self.choice.held_out:.4f} as chosen, {degree8:.4f} with degree 8 everywhere"
@@ -442,6 +443,16 @@ class Identification(DisplayedResult):
         if not self.converged:
             lines.append("THE ESTIMATE DID NOT CONVERGE: do not use it")
         return "\n".join(lines) + "\n"
+
+    def _tip_texts(self) -> Iterator[str]:
+        """Yield the place of each probe's tip that was estimated: a wrong length shows in it, and in nothing else."""
+        setup = self.setup
+        for name, reads, origin, known in zip(
+            setup.stations, setup.reads, setup.origin, setup.station_known, strict=True
+        ):
+            if reads.reads == "null" and not known:
+                place = ", ".join(f"{value / MM:.3f}" for value in origin)
+                yield f"tip of {name}: {place} mm from the spindle nose, if the errors that it imitates are zero; compare its length"
 
     @property
     def _based_on(self) -> str:

@@ -13,7 +13,7 @@ tip was at the centre. `u_x_mm …` follow from the covariance of the fit.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any, Final, final
 
@@ -38,6 +38,10 @@ FREE: Final = 1e-6
 """Least share of a contact that its own fit leaves free; below it the residual is rounding."""
 ROUNDING_MM: Final = 1e-7
 """Residuals below this are rounding of the numbers in the file."""
+WEAK: Final = 0.05
+"""Relative singular value below which contacts do not show the size of a sphere along an axis."""
+SAME_CONTRAST: Final = 0.05
+"""Largest share of a third axis in a difference of two."""
 UNIT_LENGTH: Final = 1e-3
 """Largest deviation of the length of a probing direction from one."""
 
@@ -72,17 +76,19 @@ class Contacts:
 @final
 @dataclass(frozen=True)
 class Probing:
-    """Radii and noise, which a file of contacts does not contain.
+    """Sizes and noise, which a file of contacts does not contain.
 
     Attributes:
         sphere_radius_mm: known radius of the spheres; None to fit one for each sphere and pose.
         tip_radius_mm: effective radius of the tip; None if unknown.
         u_contact_mm: standard uncertainty of a contact along the normal; None to estimate it from the residuals of all spheres.
+        tip_mm: (3,) known place of the tip's centre from the spindle nose, frame of the tool; None if unknown.
     """
 
     sphere_radius_mm: float | None = None
     tip_radius_mm: float | None = None
     u_contact_mm: float | None = None
+    tip_mm: tuple[float, float, float] | None = None
 
 
 @final
@@ -182,9 +188,23 @@ def reduce_contacts(contacts: Contacts, machine: Machine, probing: Probing) -> R
             )
         )
     how = "as stated" if probing.u_contact_mm is not None else f"from the residuals, {dof} degrees of freedom"
-    notes = (*notes, *_normals(contacts, points, fits, groups, probing))
+    notes = (*notes, *_normals(contacts, points, fits, groups, probing), *_sizes_by_axis(points, fits, groups))
     notes = (f"standard uncertainty of a contact: {noise * 1e3:.3g} µm, {how}", *_excess(fits, dof, probing), *notes)
-    return ReducedContacts(_table(contacts, machine, centres, columns), tuple(centres), noise, notes)
+    table = _table(contacts, machine, centres, columns)
+    approach = approach_of(machine, table.positions, linear=False)
+    # The way to the first pose is unknown.
+    approach[np.cumsum(np.diff(table.positions, axis=0, prepend=table.positions[:1]) != 0.0, axis=0) == 0] = 0.0
+    if approach.any():
+        table = replace(table, approach=read_only(approach))
+        notes = (*notes, "assumed: the rotary axes turn straight from one pose to the next")
+    if probing.tip_mm is not None:
+        pose = np.tile([*probing.tip_mm, 0.0, 0.0, 0.0], (len(table), 1))
+        table = replace(table, station_pose=read_only(pose))
+        notes = (
+            *notes,
+            f"the tip is known: {', '.join(f'{value:g}' for value in probing.tip_mm)} mm from the spindle nose",
+        )
+    return ReducedContacts(table, tuple(centres), noise, notes)
 
 
 def probe_table(
@@ -227,6 +247,24 @@ def probe_table(
         u_mm=read_only(np.asarray(u_mm, dtype=float).reshape(n, 3)),
         simulated=simulated,
     )
+
+
+def approach_of(machine: Machine, positions: np.ndarray, *, linear: bool) -> np.ndarray:
+    """Return the direction of approach (n, axes) of positions in their order: +1, −1, or 0 for an axis that never moves.
+
+    Args:
+        positions: (n, axes) mm and degrees; the first is approached in the direction in which each axis continues.
+        linear: whether the linear axes have one; a probe touches the sphere from both sides.
+    """
+    sign = np.sign(np.diff(positions, axis=0, prepend=positions[:1]))
+    approach = np.zeros(positions.shape)
+    for i, axis in enumerate(machine.axes):
+        moving = np.flatnonzero(sign[:, i])
+        if len(moving) and (linear or not axis.linear):
+            last = np.maximum.accumulate(np.where(sign[:, i] != 0.0, np.arange(len(sign)), moving[0]))
+            last[: moving[0]] = moving[0]
+            approach[:, i] = sign[last, i]
+    return approach
 
 
 def _surface(
@@ -349,6 +387,40 @@ def _normals(
     return (
         f"largest angle between probing direction and normal {angle:.2g}°: up to {size * 1e3:.2g} µm of the compensation",
     )
+
+
+def _sizes_by_axis(points: np.ndarray, fits: Sequence[Sphere], groups: Sequence[np.ndarray]) -> tuple[str, ...]:
+    """Return a note for two axes along which the spheres differ in size significantly: backlash of b makes them smaller by b."""
+    sizes, left = [np.empty((0, 3))], [np.empty(0)]
+    for rows, fit in zip(groups, fits, strict=True):
+        normals = points[rows] - fit.centre_mm
+        normals /= np.linalg.norm(normals, axis=1)[:, None]
+        fitted = np.column_stack([normals, np.ones(len(rows))])[:, : len(fit.cofactor)]
+        free = np.linalg.qr(fitted, mode="complete")[0][:, len(fit.cofactor) :].T
+        # Both sides are touched towards the sphere: half of the difference of the diameters at each.
+        sizes.append(0.5 * free @ np.abs(normals))
+        left.append(free @ fit.residuals_mm)
+    design, residuals = np.concatenate(sizes), np.concatenate(left)
+    inverse = np.linalg.pinv(design, rcond=WEAK)
+    found = inverse @ residuals
+    dof = len(residuals) - 3
+    if dof < 1:
+        return ()
+    noise, seen = float(np.linalg.norm(residuals - design @ found) / np.sqrt(dof)), inverse @ design
+    notes = []
+    for i, j in ((0, 1), (1, 2), (0, 2)):
+        contrast = np.eye(3)[i] - np.eye(3)[j]
+        u = max(noise * float(np.linalg.norm(contrast @ inverse)), ROUNDING_MM)
+        difference = float(contrast @ found)
+        p = 2.0 * float(student_sf(abs(difference) / u, dof)) * 3.0
+        if p < OUTLIER_P and np.linalg.norm(contrast @ seen - contrast) < SAME_CONTRAST:
+            small, large = (i, j) if difference < 0.0 else (j, i)
+            notes.append(
+                f"the spheres are {abs(difference) * 1e3:.1f} ± {1.96 * u * 1e3:.1f} µm (95 %) smaller along "
+                f"{CARTESIAN[small]} than along {CARTESIAN[large]}: backlash of {CARTESIAN[small]}, or a probe that needs more "
+                "travel there; centres between contacts from both sides are right"
+            )
+    return tuple(notes)
 
 
 def _table(

@@ -535,6 +535,10 @@ TIME_SKEW_SOURCE: Final = CandidateSource((TIME_SKEW,), time_skews)
 # --- Candidates: a change between rounds, the instrument's frame re-aligned or a target displaced -
 
 FRAME: Final[tuple[Freedom, ...]] = tuple((name, i) for name in ("station", "station turn") for i in range(3))
+PROBE: Final = "probe"
+"""Instrument whose targets are spheres that are touched, one after the other."""
+FEWEST_POSES: Final = 2
+"""Least number of poses of a sphere before and after it was pushed; a single pose is an outlier."""
 PLACE: Final[tuple[Freedom, ...]] = tuple(("place", i) for i in range(3))
 SHIFTS: Final = tuple((f"shift_{a}", "um") for a in "xyz")
 TURNS: Final = tuple((f"turn_{a}", "urad") for a in "xyz")
@@ -553,8 +557,8 @@ def _frame_shift_title(where: str) -> str:
 
 
 def _target_shift_title(where: str) -> str:
-    target, _, number = where.partition(" from round ")
-    return f"target {target} displaced from round {number} on"
+    target, _, moment = where.rpartition(" from ")
+    return f"target {target} displaced from {moment} on"
 
 
 FRAME_SHIFT: Final = Specification(
@@ -591,6 +595,7 @@ def alignments(inputs: CandidateInputs) -> Catalogue:
     """Return a candidate for the instrument's frame and for every target, from each round but the first on.
 
     And for the frame in one round alone; in the first or the last it is the same as from a round on.
+    A sphere that a touch probe finds in one round may have been pushed: a candidate from each of its poses on.
     """
     station, rounds = inputs.data.station, list(dict.fromkeys(inputs.data.round))
     number = np.array([rounds.index(name) for name in inputs.data.round])
@@ -611,6 +616,13 @@ def alignments(inputs: CandidateInputs) -> Catalogue:
         for target, mask in _changed(later, inputs.data.target):
             variant = Variant(masked_columns(PLACE, mask, UM))
             target_shifts.append(Candidate(TARGET_SHIFT, f"{target} from round {name}", SHIFTS, (variant,), 1.0))
+    if len(rounds) == 1 and np.all(inputs.data.instrument == PROBE):
+        for target in dict.fromkeys(inputs.data.target):
+            own = inputs.data.target == target
+            for row in np.flatnonzero(own)[FEWEST_POSES : 1 - FEWEST_POSES]:
+                variant = Variant(masked_columns(PLACE, own & (np.arange(len(own)) >= row), UM))
+                where = f"{target} from line {inputs.data.lines[row]}"
+                target_shifts.append(Candidate(TARGET_SHIFT, where, SHIFTS, (variant,), 1.0))
     return Catalogue((*frame_shifts, *target_shifts))
 
 

@@ -1,8 +1,8 @@
 """LinuxCNC probe log: the file that ``(PROBEOPEN name)`` opens and ``(PROBECLOSE)`` closes.
 
 LinuxCNC manual, G-code overview, "Probe Logging" (docs/src/gcode/overview.adoc): the file receives the nine numbers X Y Z A B C U V W
-of each successful straight probe (G38.n). The same manual says of the parameters #5061 … #5069, which hold the same result, that they
-are in the coordinate system in which the G38 took place.
+of each successful straight probe (G38.n). Executed by LinuxCNC 2.9 (`tests/linuxcnc`), they are the parameters #5061 … #5069, in the
+coordinate system and the units of the program, behind its work offset and tool length. G38.3 without a contact logs its end point.
 """
 
 from __future__ import annotations
@@ -39,11 +39,11 @@ class LinuxCncProbeLog(MeasuredFormat):
         suffixes=(".txt", ".log", ".ngc"),
         gives="sphere centres",
         instrument="probe",
-        needs="the work offset, if the coordinate system of the G38 was not that of the machine",
+        needs="the work offset and, in Z, the tool length, if the coordinate system of the G38 was not that of the machine",
         source="LinuxCNC manual, G-code overview, sections Probe Logging and Numbered Parameters",
         unverified=(
-            "that the log uses the coordinate system of the G38, as parameters #5061 to #5069 do",
-            "that the log is in mm: the program units (G21) are assumed",
+            "that the program ran in mm (G21), and that its coordinates were not rotated (G10 L2 R)",
+            "that every line is a contact: G38.3 and G38.5 log their end point without one",
         ),
     )
 

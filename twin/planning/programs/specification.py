@@ -67,6 +67,7 @@ class ProgramSteps:
         header: comments, in words.
         spheres: names of the spheres, for the poses of the plan in order.
         radii_mm: radius of the sphere and of the stylus ball.
+        tip_mm: (3,) the tip, from the spindle nose in the frame of the tool.
         probing: whether there are contacts, which are logged.
     """
 
@@ -77,6 +78,7 @@ class ProgramSteps:
     header: tuple[str, ...]
     spheres: tuple[str, ...]
     radii_mm: tuple[float, float]
+    tip_mm: tuple[float, float, float]
     probing: bool = True
 
     @property
@@ -85,11 +87,12 @@ class ProgramSteps:
         return tuple(self.machine.axes[i].name for i in self.machine.linear)
 
     def convert(self, log: str, form: str) -> str:
-        """Return the comment that says how the log becomes a measurement table."""
-        sphere, ball = self.radii_mm
+        """Return the comment that says how the log becomes a measurement table, and that a calibration."""
+        tip = ",".join(f"{value:g}" for value in self.tip_mm)
         return (
-            f"The log becomes a measurement table with: twin convert {log} --format {form} --sphere-radius {sphere:g} "
-            f"--tip-radius {ball:g} --contacts 5 -o measured.csv"
+            f"The log becomes a measurement table with: twin convert {log} --format {form} --contacts 5 -o measured.csv - with "
+            f"--tip {tip} if the tip is calibrated, with its own values: positions of the rotary axes need it. "
+            "Then: twin identify measured.csv -o mine.yaml --only E_*0*"
         )
 
     def comments(self, *more: str) -> list[str]:

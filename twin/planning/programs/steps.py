@@ -48,6 +48,7 @@ def program_steps(plan: SequencePlan) -> ProgramSteps:
         tuple(_header(plan, builder)),
         tuple(str(name) for name in plan.table.target),
         (plan.task.sizes.sphere_mm / 2.0, plan.task.sizes.ball_mm / 2.0),
+        plan.task.tip_mm,
     )
 
 
@@ -183,7 +184,7 @@ def _header(plan: SequencePlan, builder: PoseBuilder) -> list[str]:
     size, task = plan.task.sizes, plan.task
     places = ", ".join(f"{name} at x {x:g} y {y:g} z {z:g}" for name, (x, y, z) in task.places_mm.items())
     header = [
-        "Measuring program by twin. UNTESTED ON A REAL CONTROL: read it, run it dry, then with low override.",
+        "Measuring program by twin. NOT RUN ON A MACHINE: read it, run it dry, then with low override.",
         f"machine: {plan.machine.name}; sequence {plan.sequence.name}, {builder.poses} poses, 5 contacts each",
         f"tool length {-task.tip_mm[2]:g} mm from the spindle nose to the centre of the stylus ball of {size.ball_mm:g} mm; "
         f"calibration sphere of {size.sphere_mm:g} mm; clearance {size.clearance_mm:g} mm",
@@ -230,6 +231,7 @@ def drift_steps(plan: DriftPlan) -> ProgramSteps:
         tuple(_drift_steps_header(plan, builder)),
         tuple(str(name) for name in (plan.table.target if builder.probing else plan.table.station)),
         (base.sizes.sphere_mm / 2.0, base.sizes.ball_mm / 2.0),
+        base.tip_mm,
         builder.probing,
     )
 

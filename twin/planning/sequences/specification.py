@@ -17,6 +17,7 @@ from twin._common.units import MM
 from twin.display import readable
 from twin.identification.unidentified import ConstantErrors, constant_errors
 from twin.machine.machine import Machine
+from twin.measurement.contacts import approach_of
 from twin.measurement.instruments import Instrument, StationInstruments
 from twin.measurement.observation import Observation
 from twin.measurement.set_up import StationsAndTargets
@@ -245,24 +246,6 @@ def sequence_table(task: SequenceTask, points: SequencePoints) -> Measurements:
         bar_mm=read_only(np.full(n, task.sizes.bar_mm if task.instrument.specification.nominal_length else np.nan)),
     )
     return replace(table, time_s=read_only(np.round(np.cumsum(seconds_of(task.machine, task.kit, table)), 1)))
-
-
-def approach_of(machine: Machine, positions: np.ndarray, *, linear: bool) -> np.ndarray:
-    """Return the direction of approach (n, axes) of positions in their order: +1, −1, or 0 for an axis that never moves.
-
-    Args:
-        positions: (n, axes) mm and degrees; the first is approached in the direction in which each axis continues.
-        linear: whether the linear axes have one; a probe touches the sphere from both sides.
-    """
-    sign = np.sign(np.diff(positions, axis=0, prepend=positions[:1]))
-    approach = np.zeros(positions.shape)
-    for i, axis in enumerate(machine.axes):
-        moving = np.flatnonzero(sign[:, i])
-        if len(moving) and (linear or not axis.linear):
-            last = np.maximum.accumulate(np.where(sign[:, i] != 0.0, np.arange(len(sign)), moving[0]))
-            last[: moving[0]] = moving[0]
-            approach[:, i] = sign[last, i]
-    return approach
 
 
 def seconds_of(machine: Machine, kit: Kit, table: Measurements) -> np.ndarray:
