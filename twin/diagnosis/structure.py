@@ -166,12 +166,20 @@ def joint_selection(candidates: Candidates, forms: Sequence[Form], tried: Sequen
         small = structure.model is None or (
             bool(structure.forms) and carried >= KEPT_CHI2_SHARE * structure.model.explained
         )
-        other = _one_pattern(candidates, tried)
-        if not small or (not structure.pattern_tests and len(forms) >= CAUSES_PER_PATTERN):
+        other, count = _one_pattern(candidates, tried), len(structure.forms)
+        if structure.pattern_tests:
+            wanted = not small or PARTS_PER_PATTERN <= count <= MAX_EXCHANGED_CAUSES
+        else:
+            wanted = count >= CAUSES_PER_PATTERN
+        if wanted:
             other = _from_patterns(candidates, tried, other)
         simpler = (
             _replaces(other, structure.forms)
             and _worth(candidates, other) > _worth(candidates, structure) - DEVIANCE_RULED_OUT
+        )
+        # With the patterns that are there anyway, some causes are not needed.
+        fewer = {form.key for form in other.forms} < {form.key for form in structure.forms} and (
+            _worth(candidates, other) > _worth(candidates, structure)
         )
         # Causes that no pattern can imitate are not parts of one.
         likelihood = structure.likelihood
@@ -181,7 +189,7 @@ def joint_selection(candidates: Candidates, forms: Sequence[Form], tried: Sequen
             and not any(likelihood.can_imitate(form).any() for form in structure.forms)
             and _worth(candidates, structure) > _worth(candidates, other)
         )
-        if other.pattern_tests and (simpler or not small) and not better:
+        if other.pattern_tests and (simpler or fewer or not small) and not better:
             structure, patterned = other, True
     keys = {form.key for form in structure.forms}
     rejected = tuple(form for form in forms if form.key not in keys)
