@@ -116,7 +116,7 @@ def refused(dialect, start, block, what, tcp=False):
         ("G83 X5 Z-5 R2 Q1", "canned cycle"),
         ("G73 X5 Z-5 R2 Q1", "canned cycle"),
         ("MCALL CYCLE83(10.,0.,3.,-6.)", "canned cycle"),
-        ("CYCLE86(10.,0.,3.,-6.)", "canned cycle"),
+        ("CYCLE72(10.,0.,3.,-6.)", "canned cycle"),
         ("HOLES1(0,0,0,10,10,5)", "canned cycle"),
         ("IF R1>5 GOTOF END", "control flow"),
         ("WHILE TRUE", "control flow"),

@@ -153,7 +153,7 @@ class IsoRewriter(ChunkRewriter):
         alike = spaced and np.all(small == small[0])
         strokes = self._interpreter.strokes()
         moving = [stroke for stroke in strokes if stroke.height == stroke.height]
-        if any(stroke.thread is not None for stroke in strokes):
+        if any(stroke.kept is not None for stroke in strokes):
             return False
         ends = bool(moving) and (moving[-1].kind is Kind.RAPID) == (run.motion[0] == 0)
         consecutive = (

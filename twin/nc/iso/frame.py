@@ -41,10 +41,13 @@ class IsoBlock(Block):
         vector_names: names of the tool vector's words here, with their ``=``, or None if there is no vector.
         cycle_word: the range of a call or the end of a drilling cycle of SINUMERIK.
         cycle_words: words of a drilling cycle of Fanuc, which are not needed once it is expanded.
-        drilling: the cycle that the block executes.
+        drilling: the cycle that the block executes, at all its holes.
+        drilling_axis: the linear axis that drills.
         approaches: whether its axis words name axes that go to a reference or fixed point of SINUMERIK.
         calls: whether the block executes a cycle of SINUMERIK at the present position.
         positions: whether the block moves the axes to the place of the hole before.
+        repeats: number of holes that it drills, each by the increments of its words further than the one before.
+        pattern: places of the holes of a pattern of SINUMERIK, by axis.
     """
 
     skip: str = ""
@@ -61,9 +64,12 @@ class IsoBlock(Block):
     cycle_word: Span | None = None
     cycle_words: list[Span] = field(default_factory=list)
     drilling: Drilling | None = None
+    drilling_axis: int = 2
     approaches: bool = False
     calls: bool = False
     positions: bool = True
+    repeats: int = 1
+    pattern: list[dict[int, float]] = field(default_factory=list)
 
 
 # --- Effects of ISO blocks on the frame: work offset, tool in the spindle, and the length that the control adds

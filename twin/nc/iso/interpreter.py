@@ -9,7 +9,7 @@ from typing import Any, Final, final
 from twin._common.errors import InputError
 from twin.nc.blocks import AxisWords, Move
 from twin.nc.iso import vocabulary
-from twin.nc.iso.cycles import SINUMERIK
+from twin.nc.iso.cycles import PATTERNS, SINUMERIK
 from twin.nc.iso.frame import TOOL_CHANGE, IsoBlock, Item
 from twin.nc.iso.motion import CENTRE, INCH_CODES, SPINDLE_VECTOR, IsoMotion
 from twin.nc.modal import Block, Span
@@ -130,7 +130,7 @@ class IsoInterpreter(IsoMotion):
             self.add(block, self.axis_word(item, machine=machine))
         if block.items or centre:
             self.move(block, centre, machine=machine)
-        elif self.cycle is not None and (drills or block.calls):
+        elif self.cycle is not None and (drills or block.calls or block.pattern):
             block.positions = False
             self.drill(block, self.cycle)
         if block.calls:
@@ -178,6 +178,7 @@ class IsoInterpreter(IsoMotion):
         if name == "O":
             if block.items or block.names:
                 raise self.error("control flow", vocabulary.NO_CALLS)
+            self.numbered = True
         elif name not in _NO_MOTION:
             if block.items or block.cycle_words:
                 what = "unknown word in a block that moves axes"
@@ -395,7 +396,7 @@ class IsoInterpreter(IsoMotion):
                 self.mcall(block, names[place], last=len(names) == place + 1)
             elif name in vocabulary.CURVES:
                 raise self.error(f"curve or rounding {name}", vocabulary.LINEAR)
-            elif name in SINUMERIK and len(names) == 1 and not block.items and self.cycle is None:
+            elif name in (SINUMERIK if self.cycle is None else PATTERNS) and len(names) == 1 and not block.items:
                 self.call_once(block, names[place])
             elif name not in vocabulary.PASSED and name not in self.harmless:
                 self._unknown_name(block, names[place], shown)

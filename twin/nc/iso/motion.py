@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Final
 
 from twin._common.errors import InputError
@@ -15,9 +16,11 @@ from twin.nc.modal import AxisWord, Span
 from twin.nc.text import MM_PER_INCH, number
 
 INCH_CODES: Final = frozenset({"20", "70", "700"})
-CODES: Final = cycles.FANUC | cycles.FANUC_TAPPING
+CODES: Final = cycles.FANUC | cycles.FANUC_KEPT
 _MODAL: Final = frozenset("RQP")
 _REPEATS: Final = frozenset("LK")
+_DRILLING: Final = {17: 2, 18: 1, 19: 0}
+"""The linear axis that drills, by plane."""
 
 
 class IsoDrilling(IsoTilt):
@@ -26,19 +29,29 @@ class IsoDrilling(IsoTilt):
     Attributes:
         plane: 17, 18 or 19.
         incremental: whether words are relative.
+        numbered: whether the program has a number (``O1234``), as those of Fanuc and Haas have, which LinuxCNC does not know.
         cycle: the cycle executed after every positioning, or None.
         code: G code of a Fanuc cycle in force, empty if there is none.
     """
 
     plane = 17
     incremental = False
+    numbered = False
     cycle: Drilling | None = None
     code = ""
+    _cycle_plane = 17
     _motion_before: int | None = None
     _to_initial = True
     _level_stated = _level_given = False
+    _stated_incremental = False
     _initial = math.nan
-    _words = ""
+    _words = _feed = ""
+    _repeats = 1
+
+    @property
+    def drilling(self) -> int:
+        """The linear axis that drills in the plane in force."""
+        return _DRILLING[self.plane]
 
     def cycle_code(self, block: IsoBlock, span: Span, group: str) -> bool:
         """Apply a G word to the Fanuc cycle in force; return whether it begins one.
@@ -50,7 +63,7 @@ class IsoDrilling(IsoTilt):
             raise self._refused("another unit within a series", "G80 before the unit changes")
         if code in CODES:
             if not self.code:
-                self._motion_before, self._initial = self.motion, self.position[2]
+                self._motion_before, self._initial = self.motion, math.nan
                 self._height: dict[str, float] = {}
                 self._dwell = ""
             self.code, self.motion = code, 0  # positions between holes are rapid
@@ -72,6 +85,7 @@ class IsoDrilling(IsoTilt):
             InputError: a value is missing, contradicts another, or depends on a mode that is not expanded.
         """
         level_stated, self._level_stated = self._level_stated, False
+        self._repeats = 1
         if not self.code:
             return False
         stated = bool(block.cycle_words)
@@ -81,68 +95,173 @@ class IsoDrilling(IsoTilt):
             if level_stated and self.cycle is not None:
                 self.cycle = self._cycle()
             return False
+        if not self._height:
+            self._initial, self._stated_incremental = self.position[self.drilling], self.incremental
         stated |= self._take_values(block)
-        if stated and self.code in cycles.FANUC_TAPPING:
-            self._thread_words(block)
+        if self.code in cycles.FANUC_KEPT:
+            self._kept_words(block, stated=stated)
+            stated |= block.feed is not None
+        self._check_increments()
         if stated or (level_stated and self.cycle is not None):
-            self.cycle = self._cycle()
-        return True
+            self.cycle, self._cycle_plane = self._cycle(), self.plane
+        return self._repeats > 0 or self._only_defines(block)
 
     def _take_values(self, block: IsoBlock) -> bool:
         """Move the values of the cycle from a block's words to the cycle; return whether there is one."""
-        unit = MM_PER_INCH if self.inch else 1.0
-        stated, kept = False, list[Item]()
+        unit, depth = MM_PER_INCH if self.inch else 1.0, self.names[self.drilling].upper()
+        own = _MODAL | set(cycles.FANUC_WORDS.get(self.code, ""))
+        found: dict[str, float] = {}
+        kept = list[Item]()
         for item in (*block.items, *block.others):
             if item.name in _REPEATS:
-                if self.value_of(item.value) != 1.0:
-                    raise self._refused("repeats", "one hole a block, without L or K", item.value)
-            elif item.name == "Z" or item.name in _MODAL:
+                self._repeats = self._number_of_holes(item)
+            elif item.name == depth or item.name in own:
                 value = self.known_value(item.name, item.value, "a number")
-                stated = True
-                self._height[item.name] = value * unit
+                found["Z" if item.name == depth else item.name] = value * unit
                 if item.name == "P":
                     self._dwell = item.value.strip()
             else:
                 kept.append(item)
                 continue
             block.cycle_words.append(Span(item.start, item.end, item.name))
+        self._set_heights(found)
         block.items = [item for item in kept if item.name in self.index]
         block.others = [item for item in kept if item.name not in self.index]
-        return stated
+        return bool(found)
+
+    def _number_of_holes(self, item: Item) -> int:
+        value = self.known_value(item.name, item.value, "a whole number")
+        if value != int(value) or not 0 <= value <= cycles.MOST_STROKES:
+            raise self._refused("repeats", f"a whole number of holes, up to {cycles.MOST_STROKES}", item.value)
+        return int(value)
+
+    def _set_heights(self, found: dict[str, float]) -> None:
+        """Take over the values of a block: in G91, R counts from the initial level, and the depth from R."""
+        if "R" in found or "Z" in found:
+            if self.incremental and ("R" not in found or "Z" not in found):
+                raise self._refused("increments", "R and the depth in the same block with G91")
+            if self.incremental:
+                found["R"] += self._initial
+                found["Z"] += found["R"]
+            elif self._stated_incremental and self._height and ("R" not in found or "Z" not in found):
+                raise self._refused("increments", "R and the depth in the same block after G91")
+            self._stated_incremental = self.incremental
+        self._height |= found
+
+    def _check_increments(self) -> None:
+        """Check that R and the depth mean the same on every control after G90 or G91.
+
+        Fanuc and Haas take them over where they are stated; LinuxCNC reads the numbers again as increments or positions.
+
+        Raises:
+            InputError: they do not, and nothing shows which control it is.
+        """
+        if self.incremental == self._stated_incremental:
+            return
+        if not self.numbered:
+            expected = "R and the depth in the block after G90 or G91, or a program number (Fanuc, Haas: O1234)"
+            raise self._refused("heights stated before G90 or G91", expected)
+        self.note(
+            "G90 or G91 within a drilling cycle: R and the depth are those of the block that states them (Fanuc, Haas); LinuxCNC reads "
+            "their numbers again in the new mode",
+            once=True,
+        )
+
+    def _only_defines(self, block: IsoBlock) -> bool:
+        """Return False for a block with L0 or K0, which defines a cycle but drills nothing.
+
+        Raises:
+            InputError: it names another place: whether the tool goes there depends on the control.
+        """
+        for item in block.items:
+            word = self.axis_word(item, machine=False)
+            at = self.position[word.axis]
+            if (word.value if word.incremental else word.value - at) != 0.0:
+                raise self._refused("another place with L0 or K0", "the place in the next block", item.value)
+            block.cycle_words.append(Span(item.start, item.end, item.name))
+        block.items = []
+        return False
+
+    def axis_word(self, item: Item, *, machine: bool) -> AxisWord:
+        """Return an axis word with its value.
+
+        Raises:
+            InputError: the value is unknown, and the block is not in machine coordinates.
+        """
+        name, start, end, value_start, value_end, text = item
+        axis = self.index[name]
+        form = ""
+        value = number(text)
+        if value != value:
+            wrapped = vocabulary.WRAPPED.fullmatch(text)
+            if wrapped is not None:
+                form, text = wrapped.group(1).upper(), wrapped.group(2)
+                value_start, value_end = value_start + wrapped.start(2), value_start + wrapped.end(2)
+            value = self.value_of(text)
+            if value != value and not machine:
+                if vocabulary.LITERAL.fullmatch(text):
+                    raise self.missing_number(name, text)
+                raise self.error(
+                    f"the value of {name} is unknown", "a number, or a variable set to a number before", text
+                )
+        if self.inch and axis < self.linear:
+            value *= MM_PER_INCH
+        incremental = form == "IC" or (form == "" and self.incremental)
+        return tuple.__new__(AxisWord, (axis, start, end, value_start, value_end, form, incremental, value))
 
     @property
     def _retract(self) -> float:
         return self._initial if self._to_initial else self._height.get("R", math.nan)
 
-    def _thread_words(self, block: IsoBlock) -> None:
-        """Take over the words of a thread other than Z and R, which are written again with it."""
-        if not {"Z", "R"} <= {span.name for span in block.cycle_words}:
-            raise self._refused("thread", "Z and R in the block of the cycle")
-        others = [span for span in block.cycle_words if span.name not in (self.code, "Z", "R")]
-        words = [block.text[span.start : span.end].strip() for span in others]
-        feed = [] if block.feed is None else [f"F{block.text[block.feed.start : block.feed.end]}"]
-        self._words = " ".join([*words, *feed])
+    def _kept_words(self, block: IsoBlock, *, stated: bool) -> None:
+        """Take over the words of a cycle left to the control other than depth and R, which are written again with it."""
+        if block.feed is not None:
+            self._feed = f"F{block.text[block.feed.start : block.feed.end]}"
+        if not stated:
+            return
+        depth = self.names[self.drilling].upper()
+        names = {span.name for span in block.cycle_words}
+        if not {depth, "R"} <= names:
+            what = "thread" if self.code in cycles.FANUC_TAPPING else "boring"
+            raise self._refused(what, f"{depth} and R in the block of the cycle")
+        if self.code == "76" and {"J", "K"} <= names:
+            raise self._refused("thread of LinuxCNC", vocabulary.LINEAR)
+        others = [span for span in block.cycle_words if span.name not in (self.code, depth, "R", *_REPEATS)]
+        self._words = " ".join(block.text[span.start : span.end].strip() for span in others)
+        self._feed = self._feed if block.feed is not None else ""
 
     def _cycle(self) -> Drilling:
-        if self.plane != 17 or self.incremental or self.tcp or self.vector is not None:
-            raise self._refused("cycle", "drilling along Z in G17, G90, without tool centre point control")
-        top = self._height.get("R", math.nan)
+        if self.tcp or self.vector is not None:
+            raise self._refused("cycle", "drilling without tool centre point control")
+        top, at = self._height.get("R", math.nan), self.position[self.drilling]
+        axis = self.names[self.drilling]
         if self._initial != self._initial:
-            raise self._refused("position of Z unknown", "a position of Z before the cycle")
-        if self._initial < top - 1e-9:
-            raise self._refused("Z is below R", "Z at R or above before the cycle")
+            raise self._refused(f"position of {axis} unknown", f"a position of {axis} before the cycle")
+        if self._to_initial and self._initial < top - 1e-9:
+            raise self._refused(f"{axis} is below R", f"{axis} at R or above before the cycle, or G99")
         if not self._level_given:
             self.note("drilling cycle without G98 or G99: G98 is assumed (retract to the initial level)", once=True)
-        if self.position[2] < max(top, self._retract) - 1e-9 and self.cycle is not None:
+        if at < max(top, self._retract) - 1e-9 and (self.cycle is not None or at < top - 1e-9):
             self.note(
                 "the tool goes to this hole at the height of the one before (Fanuc); LinuxCNC raises it first to the new R "
                 "or, after G98, to the initial level",
                 once=True,
             )
+        if self.code in cycles.FANUC_KEPT:
+            self.note_kept(f"G{self.code}")
         try:
-            return cycles.of_fanuc(self.code, self._height, self._dwell, self._retract, self._words)
+            return cycles.of_fanuc(
+                self.code, self._height, self._dwell, self._retract, (axis, f"{self._words} {self._feed}".strip())
+            )
         except ValueError as error:
             raise self._refused("cycle", str(error)) from None
+
+    def note_kept(self, name: str) -> None:
+        """Note that a cycle is left to the control."""
+        self.note(
+            f"{name} is left to the control: its place and its heights have the correction of the height at which it begins",
+            once=True,
+        )
 
     def _refused(self, what: str, expected: str, value: object = None) -> InputError:
         return self.error(f"canned cycle G{self.code}: {what}", f"{expected}; or {vocabulary.EXPANDED_CYCLE}", value)
@@ -155,32 +274,45 @@ class IsoDrilling(IsoTilt):
             arguments: its argument list, with parentheses.
 
         Raises:
-            InputError: it is not expanded.
+            InputError: it is not known.
         """
         shown = f"{name}{arguments}"
-        if self.plane != 17 or self.tcp:
-            expected = "drilling along Z in G17, without TRAORI"
+        if self.tcp:
+            expected = "drilling without TRAORI"
             raise self.error(f"canned cycle {name}", f"{expected}; or {vocabulary.EXPANDED_CYCLE}", shown)
+        unit = MM_PER_INCH if self.inch else 1.0
         try:
-            return cycles.of_sinumerik(name, arguments[1:-1], self.value_of, MM_PER_INCH if self.inch else 1.0)
+            cycle = cycles.of_sinumerik(name, arguments[1:-1], self.value_of, unit)
         except ValueError as error:
             expected = f"{error}; or {vocabulary.EXPANDED_CYCLE}"
             raise self.error(f"canned cycle {name}", expected, shown) from None
+        if cycle.level == cycle.level:
+            self.note_kept(name)
+        self._cycle_plane = self.plane
+        return cycle
 
     def call_once(self, block: IsoBlock, item: Item) -> None:
-        """Execute a cycle of SINUMERIK at the present position.
+        """Execute a cycle of SINUMERIK at the present position, or the one in force at the places of a pattern.
 
         Raises:
-            InputError: it is not expanded.
+            InputError: it is not known, or no cycle is in force.
         """
-        block.cycle_word, block.calls = Span(item.start, len(block.text.rstrip("\r\n"))), True
-        self.cycle = self.call(item.name, item.value)
+        block.cycle_word = Span(item.start, len(block.text.rstrip("\r\n")))
+        if item.name not in cycles.PATTERNS:
+            block.calls, self.cycle = True, self.call(item.name, item.value)
+            return
+        try:
+            places = cycles.places_of(item.name, item.value[1:-1], self.value_of, MM_PER_INCH if self.inch else 1.0)
+        except ValueError as error:
+            raise self.error(f"pattern of holes {item.name}", str(error)) from None
+        a, b, _ = PLANES[self.plane]
+        block.pattern = [{a: u, b: v} for u, v in places]
 
     def mcall(self, block: IsoBlock, item: Item, *, last: bool) -> None:
         """Apply ``MCALL`` or the cycle after it, the ``last`` statement of its block.
 
         Raises:
-            InputError: it is not expanded.
+            InputError: it is not known.
         """
         if item.name == "MCALL":
             block.cycle_word = Span(item.start, len(block.text.rstrip("\r\n")))
@@ -198,16 +330,16 @@ class IsoDrilling(IsoTilt):
             return True
         ends = [stroke.height for stroke in self.cycle.strokes if stroke.height == stroke.height]
         same = bool(ends) and ends[-1] == self.position[2] and self.cycle.level != self.cycle.level
-        return same and self.plane == 17 and not self.tcp
+        return same and self.plane == self._cycle_plane == 17 and not self.tcp and not self._stated_incremental
 
     def strokes(self) -> list[Stroke]:
         """Return the strokes of the cycle from the present height, without those that do not move; only their blocks behind stay."""
-        height, strokes = self.position[2], list[Stroke]()
+        height, strokes = self.position[self.drilling], list[Stroke]()
         for stroke in () if self.cycle is None else self.cycle.strokes:
             if stroke.height == stroke.height and (abs(stroke.height - height) > 1e-9 or height != height):
                 height = stroke.height
                 strokes.append(stroke)
-            elif stroke.after or stroke.thread is not None:
+            elif stroke.after or stroke.kept is not None:
                 strokes.append(stroke._replace(height=math.nan))
         return strokes
 
@@ -221,26 +353,42 @@ class IsoDrilling(IsoTilt):
         )
 
     def drill(self, block: IsoBlock, cycle: Drilling) -> None:
-        """Add the strokes of a cycle to the moves of a block, except those that do not move."""
-        if (
-            self.unknown
-            or self.plane != 17
-            or self.incremental
-            or self.tcp
-            or self.vector is not None
-            or block.end_m_words
-        ):
+        """Add the strokes of a cycle to the moves of a block, except those that do not move, and the holes after the first one."""
+        if self.unknown or self.plane != self._cycle_plane or self.tcp or self.vector is not None or block.end_m_words:
             raise self.error("canned cycle", vocabulary.EXPANDED_CYCLE)
-        named = frozenset(self.names[2:3])
-        strokes = self.strokes()
+        increments = {word.axis: word.value for word in block.words if word.incremental}
+        done: list[Stroke] = []
+        block.repeats = self._repeats
+        for hole in range(len(block.pattern) or block.repeats):
+            if block.pattern:
+                self._go_to(block, done, block.pattern[hole])
+            elif hole:
+                self._go_to(block, done, {axis: self.position[axis] + value for axis, value in increments.items()})
+            done += self._strike(block)
+            if cycle.level == cycle.level:
+                self.position[self.drilling] = cycle.level
+        block.drilling, block.drilling_axis = Drilling(tuple(done), cycle.level), self.drilling
+        self.drilled.append(range(self._line, self._line + 1))
+
+    def _go_to(self, block: IsoBlock, done: list[Stroke], place: Mapping[int, float]) -> None:
+        """Add the positioning over the next hole to the moves and strokes of a block, if it moves."""
+        if all(abs(value - self.position[axis]) <= 1e-9 for axis, value in place.items()):
+            return
+        for axis, value in place.items():
+            self.position[axis] = value
+        kind = Kind.LINEAR if self.motion == 1 else Kind.RAPID
+        named = frozenset(self.names[axis] for axis in place)
+        block.moves += (Move(self._line, kind, False, tuple(self.position), named),)
+        done.append(Stroke(self.position[self.drilling], kind))
+
+    def _strike(self, block: IsoBlock) -> list[Stroke]:
+        """Add the strokes at one hole to the moves of a block and return them."""
+        named, strokes = frozenset(self.names[self.drilling : self.drilling + 1]), self.strokes()
         for stroke in strokes:
             if stroke.height == stroke.height:
-                self.position[2] = stroke.height
+                self.position[self.drilling] = stroke.height
                 block.moves += (Move(self._line, stroke.kind, False, tuple(self.position), named),)
-        if cycle.level == cycle.level:
-            self.position[2] = cycle.level
-        block.drilling = Drilling(tuple(strokes), cycle.level)
-        self.drilled.append(range(self._line, self._line + 1))
+        return strokes
 
 
 # --- Effects of ISO blocks on the axes: values of words, targets, arcs, tool vectors, machine coordinates
@@ -331,33 +479,6 @@ class IsoMotion(IsoDrilling):
                 self.position[word.axis] = round(last + turn, 9)
 
     # ------------------------------------------------------------------ words
-
-    def axis_word(self, item: Item, *, machine: bool) -> AxisWord:
-        """Return an axis word with its value.
-
-        Raises:
-            InputError: the value is unknown, and the block is not in machine coordinates.
-        """
-        name, start, end, value_start, value_end, text = item
-        axis = self.index[name]
-        form = ""
-        value = number(text)
-        if value != value:
-            wrapped = vocabulary.WRAPPED.fullmatch(text)
-            if wrapped is not None:
-                form, text = wrapped.group(1).upper(), wrapped.group(2)
-                value_start, value_end = value_start + wrapped.start(2), value_start + wrapped.end(2)
-            value = self.value_of(text)
-            if value != value and not machine:
-                if vocabulary.LITERAL.fullmatch(text):
-                    raise self.missing_number(name, text)
-                raise self.error(
-                    f"the value of {name} is unknown", "a number, or a variable set to a number before", text
-                )
-        if self.inch and axis < self.linear:
-            value *= MM_PER_INCH
-        incremental = form == "IC" or (form == "" and self.incremental)
-        return tuple.__new__(AxisWord, (axis, start, end, value_start, value_end, form, incremental, value))
 
     def _vector(self, block: IsoBlock, centre: list[Item]) -> tuple[float, float, float] | None:
         by_length = self.length_vector and self.tcp and self.motion in (None, 0, 1)

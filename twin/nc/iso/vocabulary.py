@@ -46,7 +46,7 @@ ASSIGNED = re.compile(r"([A-Za-z_]\w*+)[ \t]*+=[ \t]*+([+-]?[\d.]++)", re.ASCII)
 
 # G codes by modal group. Two of one group in a block contradict each other; "" means no group.
 GROUPS: dict[str, tuple[str, ...]] = {
-    "motion": ("0", "1", "2", "3", "73", "74", "81", "82", "83", "84", "85", "89"),
+    "motion": ("0", "1", "2", "3", "73", "74", "76", "81", "82", "83", "84", "85", "86", "88", "89"),
     "plane": ("17", "18", "19"),
     "units": ("20", "21", "70", "71", "700", "710"),
     "distance": ("90", "91"),
@@ -93,7 +93,7 @@ USER_VARIABLES = ((0, 999), (3000, 3012), (3901, 3902), (98000, 98499))
 """Variables without an effect of their own: local and common ones, messages, timers, counters of parts (Fanuc 30i, Haas, LinuxCNC)."""
 
 REFUSED_CODES: dict[str, tuple[str, str]] = {
-    **{code: (f"canned cycle G{code}", EXPANDED_CYCLE) for code in ("76", "84.2", "84.3", "86", "87", "88")},
+    **{code: (f"canned cycle G{code}", EXPANDED_CYCLE) for code in ("84.2", "84.3", "87")},
     **{
         code: (f"thread or tapping G{code}", LINEAR)
         for code in ("33", "33.1", "34", "35", "63", "331", "332", "32", "92.5")

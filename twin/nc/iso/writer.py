@@ -9,7 +9,7 @@ from typing import Final, final
 from twin._common.errors import InputError
 from twin.nc.blocks import AxisWords, Kind, Rewrite
 from twin.nc.dialect import as_comment
-from twin.nc.iso.cycles import Drilling, Thread
+from twin.nc.iso.cycles import Drilling, Kept
 from twin.nc.iso.frame import IsoBlock
 from twin.nc.iso.vocabulary import DIRECTION_FORMS
 from twin.nc.modal import AxisWord, Span
@@ -87,6 +87,8 @@ class IsoWriter(WordWriter[IsoBlock]):
             if block.cycle_word is not None and self.expand_cycles:
                 at = block.cycle_word.start
                 text = f"{text[:at]};{text[at:]}"
+            if block.cycle_words and self.expand_cycles and block.drilling is None:
+                text = self._without_cycle(block, text)
         self._mark_stale(block)
         return text if block.drilling is None else self._drilled(block, block.drilling, segments or {}, text)
 
@@ -126,11 +128,21 @@ class IsoWriter(WordWriter[IsoBlock]):
         if self.expand_cycles:
             text = self._without_cycle(block, text)
             text += self._strokes(block, drilling, segments, text)
-        elif block.moves:
-            self.said.record(2, block.moves[-1].position[2], False)
-        if drilling.level == drilling.level:
-            self.said.record(2, drilling.level, False)
+        else:
+            self._record_holes(block, drilling)
         return text
+
+    def _record_holes(self, block: IsoBlock, drilling: Drilling) -> None:
+        """Record where a block that drills and is not changed ends."""
+        last = block.moves[-1].position if block.moves else ()
+        height = drilling.level if drilling.level == drilling.level or not last else last[block.drilling_axis]
+        if height == height:
+            self.said.record(block.drilling_axis, height, False)
+        for axis, value in (block.pattern[-1] if block.pattern else {}).items():
+            self.said.record(axis, value, False)
+        for word in block.words if block.repeats > 1 else ():
+            if word.incremental:
+                self.said.record(word.axis, (block.repeats - 1) * word.value, True)
 
     def _mark_stale(self, block: IsoBlock) -> None:
         """Mark everything as uncertain after a block that the operator can skip."""
@@ -159,7 +171,7 @@ class IsoWriter(WordWriter[IsoBlock]):
         """Return the positioning of a block that states a cycle, with the original block in a comment before it."""
         if not block.cycle_words:
             return text
-        if not block.positions:
+        if not block.positions or block.drilling is None:
             edits: list[Edit] = []
             drop(block, block.cycle_words, edits)
             text = apply_edits(text, edits)
@@ -182,23 +194,28 @@ class IsoWriter(WordWriter[IsoBlock]):
                     if words:
                         out.append(block.skip + " ".join([*words, *([stroke.feed] if stroke.feed else [])]) + end)
                 place += 1
-            if stroke.thread is not None:
-                rigid = [self._rigid] if self._rigid else []
-                out += [f"{block.skip}{text}{end}" for text in (*rigid, self._tapped(block, stroke.thread))]
+            if stroke.kept is not None:
+                rigid = [self._rigid] if self._rigid and stroke.kept.thread else []
+                out += [f"{block.skip}{text}{end}" for text in (*rigid, self._own(block, drilling, stroke.kept))]
             if stroke.after:
                 out.append(block.skip + stroke.after + end)
-        if drilling.level == drilling.level:
-            self.motion = None  # the control's own cycle is in force
         self._mark_stale(block)
         return "".join(out)
 
-    def _tapped(self, block: IsoBlock, thread: Thread) -> str:
-        """Return the block that taps a thread from the height reached and back to it, with its depth corrected alike."""
-        reached = self.said.value[2]
-        depth = self.said.number_for(2, thread.depth + reached - thread.top, block.inch, False, self.style)
-        top = self.said.number_for(2, reached, block.inch, False, self.style)
+    def _own(self, block: IsoBlock, drilling: Drilling, kept: Kept) -> str:
+        """Return the control's own cycle at the height reached, its heights shifted by the correction there."""
+        axis = block.drilling_axis
+        reached = self.said.value[axis]
+        parts = kept.parts if kept.relative is None or not block.incremental else kept.relative
+        shift = reached - kept.top if parts is kept.parts else 0.0
+        texts = [
+            part if isinstance(part, str) else self.said.number_for(axis, part + shift, block.inch, False, self.style)
+            for part in parts
+        ]
+        ends = reached if drilling.level != drilling.level else drilling.level + shift
+        self.said.record(axis, ends, False)
         self.motion = None  # the control's own cycle is in force
-        return " ".join(["G99", f"G{thread.code}", f"Z{depth}", f"R{top}", *([thread.words] if thread.words else [])])
+        return "".join(texts)
 
     # ------------------------------------------------------------------ one block
 
