@@ -31,6 +31,7 @@ from twin.nc.blocks import (
     MoveColumns,
     NewPositions,
     Rewrite,
+    lines_in,
 )
 from twin.nc.dialect import NOTHING, Dialect, FeedUnit, LineWords, NewProgram
 from twin.nc.lines.chunks import DELETED_LINE, Chunk, ChunkReader, ChunkWriter, runs
@@ -50,7 +51,9 @@ from twin.nc.text import (
 )
 from twin.nc.writer import vector_texts
 
-_STATEMENT: Final = re.compile(r"[ \t]*(UNITS|FEDRAT|SPINDL|DELAY|FINI)\b[ \t]*/?([^$\r\n]*)", re.ASCII | re.IGNORECASE)
+_STATEMENT: Final = re.compile(
+    r"[ \t]*(UNITS?|FEDRAT|SPINDL|DELAY|FINI)\b[ \t]*/?([^$\r\n]*)", re.ASCII | re.IGNORECASE
+)
 _UNITS: Final = {"MMPR": FeedUnit.TURN, "IPR": FeedUnit.TURN, "PERREV": FeedUnit.TURN, "INVERS": FeedUnit.INVERSE}
 _SURFACE: Final = frozenset({"SFM", "SMM", "SURF"})
 
@@ -63,7 +66,7 @@ def line_words(text: str) -> LineWords:
     word, arguments = match[1].upper(), [part.strip().upper() for part in match[2].split(",")]
     numbers = [value for value in map(number, arguments) if value == value]
     first = numbers[0] if numbers else nan
-    if word == "UNITS":
+    if word in ("UNIT", "UNITS"):
         return LineWords(inch=arguments[0].startswith("INCH"))
     if word == "DELAY":
         return LineWords(dwell_s=first)
@@ -195,7 +198,7 @@ class AptChunkReader(ChunkReader):
     def read(self, chunk: Chunk) -> MoveColumns:
         """See `ChunkReader.read`."""
         reader, found = self._reader, MoveBuilder(self._reader.axes.names)
-        for part in _parts(chunk, chunk.scan.simple, lambda: reader.rapid or bool(reader.unknown)):
+        for part in _parts(chunk, chunk.scan.simple, lambda: reader.alone):
             if isinstance(part, _Run):
                 found.extend(reader.run(part.chunk.first + part.lines, locations(part.chunk.scan, part.lines)))
             elif (move := reader.step(part)) is not None:
@@ -210,6 +213,8 @@ class AptChunkWriter(ChunkWriter):
     def __init__(self, source: str, axes: AxisWords, writer: AptWriter) -> None:
         self._reader = AptReader(source, axes)
         self._writer = writer
+        self._circle: list[str] = []
+        """An arc and the statements behind it, until the location where it ends."""
 
     def write(self, chunk: Chunk, moves: MoveColumns, new: NewPositions) -> bytes:
         """See `ChunkWriter.write`."""
@@ -227,11 +232,21 @@ class AptChunkWriter(ChunkWriter):
             moved = reader.step(part) is not None
             index = int(np.searchsorted(moves.line, part.line)) if moved else -1
             rewrite = new.of_move(index, moves[index]) if moved else None
+            if moved and self._circle:
+                circle, *others = self._circle
+                noted = [f"$$ {line}" for line in lines_in(circle.encode("latin-1"))]
+                out += [*([circle] if rewrite is None else noted), *others]
+                self._circle.clear()
+            target = self._circle if part.word == "CIRCLE" or self._circle else out
             if rewrite is None:
-                out.append(writer.unchanged(part.raw, tilts=moved and len(part.texts) == 6))
+                target.append(writer.unchanged(part.raw, tilts=moved and len(part.texts) == 6))
             else:
                 out.append(writer.location(part, rewrite, rewrite.positions.tolist(), reader.unit))
         return "".join(out).encode("latin-1")
+
+    def end(self) -> bytes:
+        """See `ChunkWriter.end`."""
+        return "".join(self._circle).encode("latin-1")
 
 
 @final
@@ -261,7 +276,7 @@ class AptPoster(ChunkWriter):
             if statement.line in index_of:
                 index = index_of[statement.line]
                 self._write_location(statement, moves[index], new.of_move(index, moves[index]))
-            elif statement.word == "UNITS":
+            elif statement.word in ("UNIT", "UNITS"):
                 inches = statement.arguments and statement.texts[0].upper().startswith("INCH")
                 self._unit = MM_PER_INCH if inches else 1.0
             elif statement.word == "FEDRAT":
@@ -269,6 +284,14 @@ class AptPoster(ChunkWriter):
                 writer.feed = _feed(words, self._unit, writer.feed)
                 if words.unit is not FeedUnit.MINUTE:
                     writer.comment(" ".join(statement.raw.split()))
+            elif statement.word in ("CIRCLE", "CYCLE") and _acts(statement):
+                raise InputError(
+                    f"{statement.word} cannot be written as axis positions",
+                    expected="cutter locations linearised by the CAM system, without cycles",
+                    file=self._source,
+                    line=statement.line + 1,
+                    value=statement.raw.strip(),
+                )
             elif statement.word and statement.word not in ("RAPID", "FROM", "GOTO", "?"):
                 writer.comment(" ".join(statement.raw.split()))
         return writer.taken()
@@ -293,6 +316,11 @@ class AptPoster(ChunkWriter):
         """See `ChunkWriter.end`."""
         self._program.finish()
         return self._program.taken()
+
+
+def _acts(statement: Statement) -> bool:
+    """Return whether a statement is an arc, or begins a cycle."""
+    return not (statement.arguments and statement.texts[0].upper() in ("OFF", "NOMORE", "INIT"))
 
 
 def _texts(chunk: Chunk) -> Sequence[str]:
@@ -327,8 +355,9 @@ def _replaced_together(chunk: Chunk, moves: MoveColumns, new: NewPositions) -> n
     """Return (lines,) which statements of a chunk can be replaced together: feed moves in plain numbers, with a tool vector."""
     scanned, words = chunk.scan, chunk.scan.words
     part = slice(*np.searchsorted(moves.line, [chunk.first, chunk.first + len(chunk)]))
-    able = np.zeros(len(chunk), dtype=bool)
-    able[moves.line[part] - chunk.first] = (new.count[part] > 0) & ~moves.rapid[part]
+    able, straight = np.zeros(len(chunk), dtype=bool), np.ones(len(moves), dtype=bool)
+    straight[list(moves.special)] = False
+    able[moves.line[part] - chunk.first] = (new.count[part] > 0) & ~moves.rapid[part] & straight[part]
     rows = new.rows(np.arange(part.start, part.stop))
     if not (np.isfinite(new.positions[rows, :3]).all() and np.isfinite(new.vectors[rows]).all()):
         return np.zeros(len(chunk), dtype=bool)
