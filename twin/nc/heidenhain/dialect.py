@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from math import nan
 from pathlib import Path
@@ -13,17 +13,27 @@ from typing import Final, final
 import numpy as np
 
 from twin._common.families import PROGRAM_SUFFIXES
-from twin.nc.blocks import AxisWords, Kind, Move, Program, Rewrite
+from twin.nc.blocks import AxisWords, Kind, Move, MoveColumns, NewPositions, Program, Rewrite
 from twin.nc.dialect import NOTHING, Dialect, FeedUnit, LineWords, NewProgram, as_comment, points_words
 from twin.nc.heidenhain import vocabulary
-from twin.nc.heidenhain.calls import HeidenhainInliner, PathBlock, scan
+from twin.nc.heidenhain.calls import Cycle, CycleCall, HeidenhainInliner, PathBlock, scan
 from twin.nc.heidenhain.interpreter import HeidenhainInterpreter
 from twin.nc.heidenhain.vocabulary import HEAD, UNNUMBERED, numbered_as, renumbered, with_continued_marked
 from twin.nc.inline import Inliner
-from twin.nc.lines.chunks import BlockReader, Chunk, ChunkReader, ChunkRewriter, ChunkWriter, SimpleRun
+from twin.nc.lines.chunks import BlockReader, Chunk, ChunkReader, ChunkRewriter, ChunkWriter, SimpleRun, replaces_some
 from twin.nc.lines.compiled import LineCode, line_code
-from twin.nc.text import Style, first_lines, insert_comments, missing_comments, newline_of, number, style_in
-from twin.nc.writer import Edit, Formatting, Segments, WordWriter, vector_texts
+from twin.nc.text import (
+    Style,
+    apply_edits,
+    ending,
+    first_lines,
+    insert_comments,
+    missing_comments,
+    newline_of,
+    number,
+    style_in,
+)
+from twin.nc.writer import Edit, Formatting, Segments, WordWriter, drop, vector_texts
 
 _ASIDE: Final = re.compile(r"\"[^\"]*\"|;.*", re.ASCII)
 _VALUE: Final = r"[+-]?[ \t]*[\d.,]+"
@@ -66,6 +76,10 @@ def line_words(text: str) -> LineWords:
 # --- Writer of Heidenhain blocks: moves replaced, every other byte kept ---------------------------
 
 VECTOR_DECIMALS = 7
+_BARE: Final = re.compile(
+    r"[ \t]*(?:L\b)?(?:[ \t]*(?:R0|F[ \t]*MAX))*[ \t]*(?:;[^\r\n]*)?[\r\n]*", re.ASCII | re.IGNORECASE
+)
+"""A block without an effect of its own."""
 
 
 @final
@@ -77,32 +91,90 @@ class HeidenhainWriter(WordWriter[PathBlock]):
 
     Attributes:
         inserted: whether lines have been inserted among numbered blocks.
+        own_calls: whether calls of cycles are written out, each with its approach; if not, none of their moves may be replaced.
     """
 
     equals = ""
     signed = True
     inserted = False
+    own_calls = False
+    _defined: tuple[Cycle | None, str] = (None, "")
+    """The cycle defined last in the output, and its surface if that differs from the program's."""
 
-    def block(self, block: PathBlock, segments: Segments | None) -> str:
-        """Return the output for one block, with its move replaced if there are segments for it."""
+    def block(self, block: PathBlock, segments: Mapping[int, Segments]) -> str:
+        """Return the output for one block; ``segments``: replacements of its moves, by the index of the move in the block."""
         if block.unknown_axes:
             self.said.mark_unknown(block.unknown_axes)
         if block.tcp_switched:
             self._vector_text = None
         lines = [block.text]
-        if segments is not None and block.moves:
+        if 0 in segments and block.moves and block.positions:
             if block.words:
                 self.lower = block.text[block.words[-1].value_start - 1].islower()
-            lines = self.rewritten(block, segments)
+            lines = self.rewritten(block, segments[0])
             if block.unknown_axes and not block.tcp_switched:
                 self.said.mark_unknown(block.unknown_axes)
-        elif block.moves:
+        elif block.moves and block.positions:
             self.record(block)
+            lines = [self._without_call(block)]
+        elif block.call is not None:
+            lines = [self._without_call(block)]
+        if block.call is not None:
+            called = self._called(block, block.call, segments)
+            lines = [*lines, *called] if block.positions or block.calls else [*called, *lines]
+            if not ending(lines[0]) and len(lines) > 1:
+                lines[0] += self.newline
         self.inserted |= block.numbered and len(lines) > 1
         return "".join(lines)
 
+    def _without_call(self, block: PathBlock) -> str:
+        """Return a block without the words that call a cycle, if calls are written out; one with nothing else as a comment."""
+        if not (self.own_calls and block.call_words):
+            return block.text
+        edits: list[Edit] = []
+        drop(block, block.call_words, edits)
+        text, head = apply_edits(block.text, edits), block.text[: block.head_end]
+        if block.words or not _BARE.fullmatch(text[len(head.rstrip()) :]):
+            return text
+        return f"{head}; {block.text[block.head_end :].strip()}{ending(text)}"
+
+    def _called(self, block: PathBlock, call: CycleCall, segments: Mapping[int, Segments]) -> list[str]:
+        """Return the approach of a call, its definition if the surface has another correction than before, and the call.
+
+        A call that stays as it is is only recorded.
+        """
+        if not self.own_calls:
+            self.said.record(call.axis, call.level, False)
+            return []
+        end = ending(block.text) or self.newline
+        indent = block.text[: block.head_end] if block.numbered or not block.text[: block.head_end].strip() else ""
+        lines: list[str] = []
+        place = 1 if block.positions else 0
+        for move in block.moves[place:]:
+            for row in segments[place][1] if place in segments else [list(move.position)]:
+                if words := self._missing(block, row, 0):
+                    lines.append(f"{indent}L {' '.join(words)} R0 FMAX{end}")
+        shift = self.said.value[call.axis] - call.top
+        if call.surface == call.surface:
+            lines += self._definition(block, call, shift, indent, end)
+        self.said.record(call.axis, call.level + shift, False)
+        return [*lines, f"{indent}CYCL CALL{end}"] if block.positions or block.calls else lines
+
+    def _definition(self, block: PathBlock, call: CycleCall, shift: float, indent: str, end: str) -> list[str]:
+        """Return the definition of a cycle with the surface shifted, none if it is in force."""
+        number = self.said.number_for(call.axis, call.surface + shift, block.inch, False, self.style)
+        shifted = number if abs(shift) > 1e-9 else ""
+        cycle, before = self._defined
+        if shifted == (before if cycle is call.cycle else ""):
+            return []
+        self._defined = call.cycle, shifted
+        first, *others = call.cycle.lines(lambda text: shifted or text)
+        return [f"{indent}{first}{end}", *(f"{UNNUMBERED}  {line}{end}" for line in others)]
+
     def _begin(self, block: PathBlock, rewrite: Rewrite, edits: list[Edit]) -> str:
         keyword = block.text[block.head_end : block.keyword_end]
+        if self.own_calls:
+            drop(block, block.call_words, edits)
         if rewrite.move.kind is Kind.ARC:
             keyword = "l" if keyword.islower() else "L"
         return keyword
@@ -175,6 +247,12 @@ class HeidenhainRewriter(ChunkRewriter):
         self._comma = False
         super().__init__(axes, self._interpreter, self._writer, code)
 
+    def drill(
+        self, drilled: Sequence[range], text_of: Callable[[int], str], moves: MoveColumns, new: NewPositions
+    ) -> None:
+        """See `ChunkWriter.drill`: calls of cycles are written out from the first part on in which a move of one is replaced."""
+        self._writer.own_calls |= replaces_some(drilled, moves, new)
+
     def finished(self, text: str) -> str:
         """See `ChunkWriter.finished`."""
         return renumbered(text, _consecutive_lines) if self._writer.inserted else text.replace(UNNUMBERED, "")
@@ -183,7 +261,7 @@ class HeidenhainRewriter(ChunkRewriter):
         """See `ChunkRewriter.line`."""
         continued = self._interpreter.continued
         move: Move | None = segments[0][0].move if segments else None
-        written = self._writer.block(self._interpreter.step(line, text, move), segments.get(0))
+        written = self._writer.block(self._interpreter.step(line, text, move), segments)
         return f"{UNNUMBERED}{written}" if continued else written
 
     def formatting(self, run: SimpleRun) -> Formatting | None:

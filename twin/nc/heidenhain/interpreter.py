@@ -14,7 +14,8 @@ from twin.nc.arcs import ArcMisfit, arc_by_centre, arc_by_radius
 from twin.nc.blocks import Arc, AxisWords, Kind, Move, MoveColumns, Notice, Plane, rotation_about
 from twin.nc.heidenhain import vocabulary
 from twin.nc.heidenhain.calls import PathBlock
-from twin.nc.modal import AxisWord, Block, Interpreter, Span
+from twin.nc.heidenhain.cycles import HeidenhainCycles
+from twin.nc.modal import AxisWord, Block, Span
 from twin.nc.text import BLANK, MM_PER_INCH, number
 from twin.nc.writer import Vector
 
@@ -25,7 +26,7 @@ _ANGLE: Final = re.compile(r"SP([ABC])[ \t]*([+-]?[ \t]*(?:[\d.,]+|Q[LR]?\d+))",
 _CHOICE: Final = re.compile(r"(?:SEQ|SYM)[ \t]*([+-])", re.ASCII | re.IGNORECASE)
 
 
-class HeidenhainFrame(Interpreter):
+class HeidenhainFrame(HeidenhainCycles):
     """Preset by cycle 247, tool by ``TOOL CALL``, tilted plane by ``PLANE SPATIAL``.
 
     Attributes:
@@ -192,7 +193,11 @@ class HeidenhainInterpreter(HeidenhainFrame):
     @property
     def runs_allowed(self) -> bool:
         """See `Interpreter.runs_allowed`: no tool vector, and no block that continues."""
-        return self.set_up and self.vector is None and not self.continued
+        return self.set_up and self.vector is None and not (self.continued or self.modal)
+
+    def may_end(self, tail: str) -> bool:
+        """See `Interpreter.may_end`: not while every positioning calls a cycle."""
+        return not self.modal
 
     def moves(self, line: int, text: str) -> tuple[Move, ...]:
         """See `Interpreter.moves`; as `step` does, without the words that only a writer needs."""
@@ -204,7 +209,7 @@ class HeidenhainInterpreter(HeidenhainFrame):
     def _found(self, line: int, text: str) -> re.Match[str] | None:
         """Begin a line and return its match if it is a simple block; only ``LN`` can have vectors."""
         self._line, self._block_text = line, text
-        found = None if self.continued else self._simple.pattern.fullmatch(text)
+        found = None if self.continued or self.modal else self._simple.pattern.fullmatch(text)
         if found is not None and found[2] in ("L", "l") and any(found.groups()[self._simple.behind]):
             return None
         return found
@@ -219,6 +224,7 @@ class HeidenhainInterpreter(HeidenhainFrame):
         if self.continued:
             block.numbered = False
             self.continued = body.endswith("~")
+            self.take_parameters(body)
             self._assignments(body)
             self.end_preset(block)
         elif body and body[0] not in ";*%":
@@ -294,6 +300,8 @@ class HeidenhainInterpreter(HeidenhainFrame):
     def _body(self, block: PathBlock, body: str) -> None:
         match = vocabulary.KEYWORD.match(body)
         keyword = "" if match is None else match.group().upper()
+        if not vocabulary.PARAMETER.match(body):
+            self.close_definition()
         if vocabulary.BLOCK_OF_ISO.match(body):
             raise self.error("block of an ISO program", "blocks of plain language", body)
         if vocabulary.SKIPPED.match(body):
@@ -328,6 +336,7 @@ class HeidenhainInterpreter(HeidenhainFrame):
         if keyword in _STATEMENTS:
             _STATEMENTS[keyword](self, block, body, upper)
         elif vocabulary.PARAMETER.match(body):
+            self.take_parameters(body)
             self._assignments(body)
         elif keyword in self.index or (keyword[:1] == "I" and keyword[1:] in self.index):
             raise self.error("word without a number", f"a number after {keyword}")
@@ -364,11 +373,13 @@ class HeidenhainInterpreter(HeidenhainFrame):
 
     def _cycle(self, block: PathBlock, body: str, upper: str) -> None:
         if upper.startswith("CYCL CALL"):
-            raise self.error("cycle call", vocabulary.EXPANDED_CYCLE)
+            self._call_here(block, upper)
+            return
         match = vocabulary.CYCLE.match(body)
         if match is None:
             raise self.error("cycle without a number", "CYCL DEF and a number")
         cycle, part, rest = int(match.group(1)), match.group(2), match.group(3).split(";")[0].strip(" \t\r\n~")
+        self.define(cycle, part, body)
         if cycle in vocabulary.RUN_AT_ONCE:
             raise self.error(f"cycle {cycle} is executed where it is defined", vocabulary.EXPANDED_CYCLE)
         if cycle == 247:
@@ -381,6 +392,18 @@ class HeidenhainInterpreter(HeidenhainFrame):
             what = f"coordinate transformation CYCL DEF {cycle} ({vocabulary.TRANSFORM_CYCLES[cycle]})"
             raise self.error(what, vocabulary.NO_TRANSFORMATION)
         self._assignments(body)
+
+    def _call_here(self, block: PathBlock, upper: str) -> None:
+        """Execute the cycle in force at the present position: ``CYCL CALL``, with M functions.
+
+        Raises:
+            InputError: a call at other places.
+        """
+        rest = upper.removeprefix("CYCL CALL").split()
+        if any(not vocabulary.HARMLESS_CALL.fullmatch(word) for word in rest):
+            raise self.error("cycle call at other places", f"CYCL CALL, M99 or M89; or {vocabulary.EXPANDED_CYCLE}")
+        block.positions = False
+        self.call_cycle(block)
 
     def _fn(self, block: PathBlock, body: str, upper: str) -> None:
         match = vocabulary.FN.match(body)
@@ -420,6 +443,11 @@ class HeidenhainInterpreter(HeidenhainFrame):
             self._move(block)
         elif keyword in ("C", "CR"):
             raise self.error("circular block without its sense", "DR+ or DR-")
+        if block.calls or (self.modal and block.moves):
+            block.positions = bool(block.moves)
+            if block.machine or block.retracts or block.end_m_words or (self.modal and not block.moves):
+                raise self.error("cycle call in this block", "M99, or M89 in a block with a position")
+            self.call_cycle(block)
         if block.retracts:
             self.mark_unknown(block, range(self.linear), moved=True)
 
@@ -448,10 +476,13 @@ class HeidenhainInterpreter(HeidenhainFrame):
         code = int(match.group(match.lastindex + 1) if match.lastindex else 0)
         word = f"M{code}"
         if code in vocabulary.REFUSED_M:
-            what = "cycle call" if code in (89, 99) else "function that changes the meaning of axis words"
+            what = "function that changes the meaning of axis words"
             raise self.error(
                 f"{what} {word}", vocabulary.EXPANDED_CYCLE if code != 118 else vocabulary.NO_TRANSFORMATION
             )
+        if code in vocabulary.CALLING_M:
+            self.take_call_word(block, code, Span(match.start("misc"), match.end()))
+            return
         if code in vocabulary.LAST_M:
             block.end_m_words.append(Span(match.start("misc"), match.end()))
         self.switch_by(block, word)

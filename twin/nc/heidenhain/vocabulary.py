@@ -61,6 +61,8 @@ TOOL_LENGTH = re.compile(rf"(?<![A-Z\d])DL[ \t]*=?[ \t]*({_VALUE})", re.ASCII | 
 CYCLE = re.compile(r"CYCL[ \t]+DEF[ \t]+(\d{1,9})(?!\d)(?:\.(\d++))?+(.*)", re.ASCII | re.IGNORECASE)
 FN = re.compile(r"FN[ \t]*+(\d{1,9})(?!\d)[ \t]*+:?(.*)", re.ASCII | re.IGNORECASE)
 INCHES = frozenset({"INCH", "IN"})
+HARMLESS_CALL = re.compile(r"M0*(?:[3-9]|1[34])", re.ASCII)
+"""M functions of ``CYCL CALL``: spindle and coolant."""
 PARAMETER = re.compile(r"Q[LRS]?\d++[ \t]*+=", re.ASCII | re.IGNORECASE)
 ASSIGNED = re.compile(r"(Q[LR]?\d++)[ \t]*+=[ \t]*+([^;\r\n~]*+)", re.ASCII | re.IGNORECASE)
 WITH_NUMBERS = frozenset({"CYCL", "FN", "PLANE", "Q", "QL", "QR", "TOOL"})
@@ -145,9 +147,12 @@ TRANSFORM_CYCLES = {
     19: "working plane",
     26: "scaling",
 }
+BESIDE_CYCLES = frozenset({*range(7, 12), 13, 14, 19, 20, 26, 32, 247})
+"""Cycles that act where they are defined; every other one ends the machining cycle in force."""
 RUN_AT_ONCE = frozenset({12, 220, 221, 224})
 """Cycles that are executed where they are defined: a program call, hole patterns."""
-REFUSED_M = frozenset({89, 98, 99, 118, 130, 144})
+REFUSED_M = frozenset({98, 118, 130, 144})
+CALLING_M = frozenset({89, 99})
 LAST_M = frozenset({0, 1, 2, 5, 9, 30, 60})
 
 EXPANDED_CYCLE = "a cycle expanded into L blocks by the postprocessor"
