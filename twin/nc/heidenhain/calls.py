@@ -43,8 +43,8 @@ _FRAME: Final = re.compile(r"(?:BEGIN|END)[ \t]+PGM\b|BLK[ \t]+FORM\b", _FLAGS)
 class HeidenhainInliner(Inliner):
     """Writes out the subprograms of Heidenhain programs."""
 
-    def __init__(self, program: Program, folder: Path | None) -> None:
-        super().__init__(program, folder)
+    def __init__(self, program: Program, folders: Sequence[Path]) -> None:
+        super().__init__(program, folders)
         self._labels: dict[str, Mapping[str, list[int]]] = {}
 
     def likely(self, text: str) -> bool:

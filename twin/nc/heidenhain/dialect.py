@@ -321,13 +321,13 @@ class Heidenhain(Dialect):
         style, code = style_in(texts, Style(plus=True)), line_code(lines)
         return HeidenhainRewriter(source, axes, newline_of(texts), style, tcp=tcp, code=code)
 
-    def inliner(self, program: Program, folder: Path | None) -> Inliner:
+    def inliner(self, program: Program, folders: Sequence[Path]) -> Inliner:
         """See `Dialect.inliner`."""
-        return HeidenhainInliner(program, folder)
+        return HeidenhainInliner(program, folders)
 
-    def expanded(self, program: Program, folder: Path | None) -> Program:
+    def expanded(self, program: Program, folders: Sequence[Path]) -> Program:
         """See `Dialect.expanded`. Consecutive block numbers are renewed."""
-        expanded = super().expanded(program, folder)
+        expanded = super().expanded(program, folders)
         if expanded is program:
             return program
         first = _first_number(program)

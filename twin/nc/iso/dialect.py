@@ -250,9 +250,9 @@ class Iso(Dialect):
         style, code = style_in(texts, Style(point=True)), line_code(lines)
         return IsoRewriter(source, axes, newline_of(texts), style, tcp=tcp, code=code)
 
-    def inliner(self, program: Program, folder: Path | None) -> Inliner:
+    def inliner(self, program: Program, folders: Sequence[Path]) -> Inliner:
         """See `Dialect.inliner`."""
-        return IsoInliner(program, folder)
+        return IsoInliner(program, folders)
 
     def with_comments(self, text: str, comments: Sequence[str]) -> str:
         """See `Dialect.with_comments`: after tape mark and program number.
