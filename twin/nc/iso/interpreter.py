@@ -72,6 +72,9 @@ class IsoInterpreter(IsoMotion):
         if stripped[0] == "$" and vocabulary.OKUMA_HEADER.fullmatch(stripped):
             self._okuma = True
             return None
+        if stripped[0] == "<" and vocabulary.PROGRAM_NAME.fullmatch(stripped):
+            self.numbered = True
+            return None
         self._block_text = stripped
         block = IsoBlock(text, begin)
         self._started = False
@@ -110,7 +113,8 @@ class IsoInterpreter(IsoMotion):
         groups = self._with_probing(block, groups)
         drills = not groups & _WITHOUT_CYCLE and self.take_cycle_words(block)
         machine = self._names(block) if block.names else False
-        centre = [item for item in block.others if self._is_of_motion(block, item)]
+        own = "".join(vocabulary.OWN_WORDS.get(span.name, "") for span in block.codes)
+        centre = [item for item in block.others if item.name not in own and self._is_of_motion(block, item)]
         self._state_to(block)
         self.choose_tool(block, frozenset(block.m_words))
         if "still" in groups:
@@ -365,6 +369,8 @@ class IsoInterpreter(IsoMotion):
         group = "reference" if block.approaches else vocabulary.GROUP_OF.get(code)
         if group is not None:
             return group
+        if code in vocabulary.ENDED_BY_P0 and [item.value for item in block.others if item.name == "P"] == ["0"]:
+            return ""
         if code in vocabulary.REFUSED_CODES:
             raise self.error(*vocabulary.REFUSED_CODES[code])
         if f"G{code}" in self.tcp_on | self.tcp_off | self.harmless:

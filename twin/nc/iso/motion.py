@@ -29,7 +29,7 @@ class IsoDrilling(IsoTilt):
     Attributes:
         plane: 17, 18 or 19.
         incremental: whether words are relative.
-        numbered: whether the program has a number (``O1234``), as those of Fanuc and Haas have, which LinuxCNC does not know.
+        numbered: whether the program has a number (``O1234``) or name (``<PART>``), as those of Fanuc and Haas have.
         cycle: the cycle executed after every positioning, or None.
         code: G code of a Fanuc cycle in force, empty if there is none.
     """
