@@ -77,7 +77,7 @@ REFUSED = {
     "with motion": ({"main.nc": "X1 M98 P5\nM30\nO5\nM99\n"}, "main.nc", 1, "only M98"),
     "DEF": ({"main.mpf": "SUBA\nM30\n", "suba.spf": "DEF REAL A\nM17\n"}, "suba.spf", 1, "variables of its own"),
     "SAVE": ({"main.mpf": "SUBA\nM30\n", "suba.spf": "PROC SUBA SAVE\nM17\n"}, "suba.spf", 1, "SAVE"),
-    "error inside": ({"main.mpf": "SUBA\nM30\n", "suba.spf": "G0 X1\nG41 X2\nM17\n"}, "suba.spf", 2, "cutter radius"),
+    "error inside": ({"main.mpf": "SUBA\nM30\n", "suba.spf": "G0 X1\nG33 X2\nM17\n"}, "suba.spf", 2, "thread"),
     "no end": ({"main.h": "BEGIN PGM A MM\nCALL LBL 3\nM30\nLBL 3\nEND PGM A MM\n"}, "main.h", 2, "without an end"),
     "units": (
         {"main.h": "BEGIN PGM A MM\nCALL PGM B\nEND PGM A MM\n", "b.h": "BEGIN PGM B INCH\nEND PGM B INCH\n"},

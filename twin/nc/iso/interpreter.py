@@ -30,6 +30,7 @@ _MODES: Final[Mapping[str, tuple[str, Callable[[str], Any]]]] = {
     "distance": ("incremental", lambda code: code == "91"),
     "feed": ("feed_mode", str),
     "plane": ("plane", int),
+    "radius": ("side", int),
     "units": ("inch", INCH_CODES.__contains__),
     "arc centre": ("absolute_centre", lambda code: code == "90.1"),
     "length": ("length_vector", lambda code: code == "43.5"),
@@ -101,7 +102,7 @@ class IsoInterpreter(IsoMotion):
 
     def _state_to(self, block: IsoBlock) -> None:
         block.motion, block.inch, block.incremental = self.motion, self.inch, self.incremental
-        block.inverse_time = self.feed_mode == "93"
+        block.inverse_time, block.absolute_centre = self.feed_mode == "93", self.absolute_centre
 
     def _apply(self, block: IsoBlock) -> IsoBlock:
         if block.skip and not _changes_nothing(block):
@@ -126,6 +127,7 @@ class IsoInterpreter(IsoMotion):
                 "reference return or probing passed through uncompensated; its axis positions are unknown afterwards"
             )
             which = [self.index[item.name] for item in block.items]
+            self.leave_contour()
             self.check_plane(not which or max(which) >= self.linear)
             self.mark_unknown(block, which or range(len(self.names)), moved=True)
             return block

@@ -395,6 +395,8 @@ class IsoDrilling(IsoTilt):
 
 CENTRE: Final = {"I": 0, "J": 1, "K": 2}
 SPINDLE_VECTOR: Final = {"A3": 0, "B3": 1, "C3": 2}
+CORRECTION_DEG: Final = 0.1
+"""Turn of a rotary axis that is a correction rather than a motion of the program."""
 _KINDS: Final = (Kind.RAPID, Kind.LINEAR, Kind.ARC, Kind.ARC)
 
 
@@ -406,13 +408,50 @@ class IsoMotion(IsoDrilling):
         off = vocabulary.TCP_OFF | {vocabulary.canonical(word) for word in axes.tcp_off}
         super().__init__(source, axes, tcp=tcp, tcp_on=on, tcp_off=off)
         self.absolute_centre = False
+        self.side = 40
+        self._on_contour = False
         self.feed_mode = "94"
         self.length_vector = False
 
     @property
     def runs_allowed(self) -> bool:
         """See `Interpreter.runs_allowed`: no pending work offset, incremental mode or tool vector, nor a cycle that changes."""
-        return self.steady and self.set_up and not self.incremental and self.vector is None
+        plain = self.side == 40 and not (self._on_contour or self.incremental)
+        return plain and self.steady and self.set_up and self.vector is None
+
+    def leave_contour(self) -> None:
+        """End cutter radius compensation at a reference return.
+
+        Raises:
+            InputError: it is still selected.
+        """
+        if self.side != 40:
+            raise self.error("reference return under cutter radius compensation", "G40 before it")
+        self._on_contour = False
+
+    def _compensated(self, block: IsoBlock, rotary: list[float]) -> bool:
+        """Return whether a block is under cutter radius compensation, or leads in or out; ``rotary``: the axes before it.
+
+        Raises:
+            InputError: it turns the tool, or a drilling cycle is in force.
+        """
+        compensated = self.side != 40 or self._on_contour
+        if not compensated:
+            return False
+        here = self.position[self.linear :]
+        turns = any(not abs(a - b) <= CORRECTION_DEG for a, b in zip(here, rotary, strict=True) if a == a or b == b)
+        if self.tcp or self.vector is not None or turns or self.cycle is not None:
+            what = f"cutter radius compensation G{self.side} with a tool that turns, or in a cycle"
+            raise self.error(what, "the tool centre path from the CAM system (G40)")
+        self.note(
+            "cutter radius compensation: the programmed points are corrected, arcs stay arcs and blocks stay whole; what the errors "
+            "change over the radius of the tool, and along a block, is not corrected",
+            once=True,
+        )
+        a, b, _ = PLANES[self.plane]
+        if block.axis_bits & (1 << a | 1 << b) or self.motion in (2, 3):
+            self._on_contour = self.side != 40
+        return True
 
     def move(self, block: IsoBlock, centre: list[Item], *, machine: bool) -> None:  # noqa: C901, PLR0912
         """Add the moves of a block whose axis words are known.
@@ -429,6 +468,7 @@ class IsoMotion(IsoDrilling):
         if machine:
             if centre or self.cycle is not None:
                 raise self.error("machine coordinates in an arc or a cycle", "a straight move")
+            self.leave_contour()
             kind = Kind.RAPID if motion == 0 else Kind.LINEAR
             position = self.machine_position(block)
             block.moves += (Move(self._line, kind, self.tcp, position, self.named(block.axis_bits), machine=True),)
@@ -440,7 +480,7 @@ class IsoMotion(IsoDrilling):
             block.moves += (self.unknown_move(kind, block.axis_bits),)
             block.unknown_axes = tuple(range(len(self.names)))
             return
-        start = self.position[: self.linear]
+        start, rotary = self.position[: self.linear], self.position[self.linear :]
         self.apply_words(block)
         vector = self._vector(block, centre) if centre else None
         arc: Arc | None = None
@@ -461,8 +501,9 @@ class IsoMotion(IsoDrilling):
             self.vector = None
         if self.vector is not None:
             block.vector_names = ("I", "J", "K") if self.length_vector else ("A3=", "B3=", "C3=")
-        named = self.named(block.axis_bits)
-        block.moves += (Move(self._line, kind, self.tcp, tuple(self.position), named, False, self.vector, None, arc),)
+        named, whole = self.named(block.axis_bits), self._compensated(block, rotary)
+        move = Move(self._line, kind, self.tcp, tuple(self.position), named, False, self.vector, None, arc, "", whole)
+        block.moves += (move,)
         if self.cycle is not None:
             self.drill(block, self.cycle)
 

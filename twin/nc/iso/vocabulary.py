@@ -54,7 +54,7 @@ GROUPS: dict[str, tuple[str, ...]] = {
     "arc centre": ("90.1", "91.1"),
     "feed": ("93", "94", "95"),
     "spindle": ("96", "97", "961", "962", "971", "972"),
-    "radius": ("40",),
+    "radius": ("40", "41", "42"),
     "length": ("43", "43.4", "43.5", "44", "49", "234"),
     "return": ("98", "99"),
     "offset": (
@@ -136,7 +136,7 @@ REFUSED_CODES: dict[str, tuple[str, str]] = {
     },
     **{
         code: (f"cutter radius compensation G{code}", "the tool centre path from the CAM system (G40)")
-        for code in ("41", "41.1", "41.2", "42", "42.1", "42.2", "43.2", "43.3")
+        for code in ("41.1", "41.2", "42.1", "42.2", "43.2", "43.3")
     },
     **{
         code: (f"tool centre point control of Okuma (G{code})", "G43.4 or G43.5, or axis positions without it")

@@ -3,22 +3,25 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping
 from typing import Final, final
 
 from twin._common.errors import InputError
-from twin.nc.blocks import AxisWords, Kind, Rewrite
+from twin.nc.blocks import AxisWords, Kind, Move, Rewrite
 from twin.nc.dialect import as_comment
 from twin.nc.iso.cycles import Drilling, Kept
 from twin.nc.iso.frame import IsoBlock
 from twin.nc.iso.vocabulary import DIRECTION_FORMS
 from twin.nc.modal import AxisWord, Span
-from twin.nc.text import Style, apply_edits, ending, format_number, number, style_of
+from twin.nc.text import Style, apply_edits, ending, format_number, grid, number, style_of
 from twin.nc.writer import Edit, Segments, WordWriter, drop, vector_texts
 
 VECTOR_DECIMALS: Final = 7
 CODE: Final = {Kind.RAPID: 0, Kind.LINEAR: 1, Kind.ARC: 1}
 """Motion code of a rewritten move."""
+_ARC_HEAD: Final = re.compile(r"[A-Za-z]+[ \t]*=?[ \t]*(?:(?P<form>[AaIi][Cc])[ \t]*\([ \t]*)?")
+"""The text of a centre or radius before its number."""
 
 
 @final
@@ -237,6 +240,8 @@ class IsoWriter(WordWriter[IsoBlock]):
         if self.expand_cycles:
             drop(block, block.cycle_words, edits)
         code = CODE[rewrite.move.kind] if block.motion is not None else None
+        if rewrite.move.arc is not None and rewrite.move.whole:
+            code = block.motion
         before, self.motion = self.motion, self.motion if code is None else code
         span = block.motion_word
         if span is not None:
@@ -247,6 +252,45 @@ class IsoWriter(WordWriter[IsoBlock]):
                 edits += ((one.end - 1, one.end, str(code)) for one in repeated or [span])
             return ""
         return "" if code is None or before == code else self.g(code)
+
+    def _bent(self, block: IsoBlock, move: Move, start: list[float], end: list[float], edits: list[Edit]) -> list[str]:
+        a, b, _ = move.arc.plane  # type: ignore[union-attr]  # asked for arcs only
+        centre = dict(zip((a, b), self._new_centre(block, move, start, end), strict=True))
+        by_radius = any(span.name in ("R", "CR") for span in block.arc_words)
+        written: set[int] = set()
+        for span in block.arc_words:
+            head = _ARC_HEAD.match(block.text, span.start, span.end)
+            if head is None or span.name in ("P", "TURN"):
+                continue
+            if by_radius:
+                radius = math.hypot(start[a] - centre[a], start[b] - centre[b])
+                value = math.copysign(radius, self._sign(move))
+            else:
+                axis = "IJK".index(span.name)
+                written.add(axis)
+                absolute = head["form"].upper() == "AC" if head["form"] else block.absolute_centre
+                value = centre[axis] - (0.0 if absolute else start[axis])
+            number = self._length(value, block, a, up=by_radius)
+            edits.append((span.start, span.end, f"{head[0]}{number}{')' if head['form'] else ''}"))
+        if by_radius:
+            return []
+        missing = [axis for axis in (a, b) if axis not in written]
+        words = [(axis, centre[axis] - (0.0 if block.absolute_centre else start[axis])) for axis in missing]
+        texts = [("ijk" if self.lower else "IJK")[axis] + self._length(value, block, a) for axis, value in words]
+        return [
+            text for text, (_, value) in zip(texts, words, strict=True) if block.absolute_centre or abs(value) > 1e-9
+        ]
+
+    def _sign(self, move: Move) -> float:
+        """Return the sign of a radius as written: negative for more than half a circle."""
+        return -1.0 if abs(move.arc.angle_rad) > math.pi + 1e-9 else 1.0  # type: ignore[union-attr]
+
+    def _length(self, value: float, block: IsoBlock, axis: int, *, up: bool = False) -> str:
+        """Return a length in the format of the program, rounded to the increment of an axis, ``up`` away from zero."""
+        step, decimals, unit = grid(float(self.grids.step[axis]), block.inch)
+        steps = value / unit / step
+        whole = math.copysign(math.ceil(abs(steps) - 1e-6), steps) if up else round(steps)
+        return format_number(whole * step, decimals, self.style)
 
     def _insert(self, block: IsoBlock, begin: str, added: list[str], tool: list[str], edits: list[Edit]) -> str:
         text, separator = block.text, self.separator
