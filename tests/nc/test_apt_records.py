@@ -93,7 +93,30 @@ def test_statements_keep_their_order(name: str) -> None:
     assert [line.split("/")[0] for line in written.splitlines()] == words
 
 
-@pytest.mark.parametrize("text", [HOLES, ARCS["a quarter"][0]])
+BESIDE = (
+    "RAPID\nGOTO/50,10,40\nCUTCOM/LEFT\nGOTO/50,20,40\nCIRCLE/50,30,40,0,0,1.\nFEDRAT/300,MMPM\nGOTO/60,30,40\nGOTO/60,50,40\n"
+    "CIRCLE/50,50,40,0,0,-1.,10.,0.01,.5,8,0\nGOTO/60,50,40\nCUTCOM/OFF\nGOTO/60,40,40\n"
+)
+
+
+def test_a_contour_beside_the_tool_keeps_its_arcs(dmu50: Machine, errors: Calibration) -> None:
+    """Compare with the original: the same statements, arcs of equal radius at both ends, centres shifted as their ends are."""
+    result = compensated(START + BESIDE, dmu50, errors)
+    words = [line.split("/")[0] for line in result.text.splitlines() if not line.startswith("$$")]
+    assert words == [line.split("/")[0] for line in (START + BESIDE).splitlines()]
+    points = locations(result.text)
+    centres = [
+        [float(part) for part in line[7:].split(",")[:2]] for line in result.text.splitlines() if "CIRCLE" in line
+    ]
+    for centre, (start, end) in zip(centres, [(points[2], points[3]), (points[4], points[5])], strict=True):
+        assert np.hypot(*(start[:2] - centre)) == pytest.approx(np.hypot(*(end[:2] - centre)), abs=2e-5)
+    shift = np.array(centres) - [(50, 30), (50, 50)]
+    near = 0.5 * (points[[2, 4], :2] + points[[3, 5], :2]) - [(55, 25), (60, 50)]
+    assert np.abs(shift - near).max() < 0.003 and np.abs(shift).max() > 0.005
+    assert "arcs stay arcs" in " ".join(notice.text for notice in result.reading.notices)
+
+
+@pytest.mark.parametrize("text", [HOLES, BESIDE, ARCS["a quarter"][0]])
 def test_without_corrections_every_byte_stays(dmu50: Machine, text: str) -> None:
     assert compensated(START + text, dmu50, Calibration.zero(dmu50)).text == START + text
 
@@ -114,8 +137,8 @@ def test_what_is_refused(text: str, words: str) -> None:
         APT.moves(APT.read((START + text).encode(), "part"), AXES, tcp=False)
 
 
-@pytest.mark.parametrize("text", [HOLES, ARCS["a quarter"][0]])
-def test_neither_is_written_as_axis_positions(dmu50: Machine, errors: Calibration, text: str) -> None:
+@pytest.mark.parametrize("text", [HOLES, "CUTCOM/LEFT\n", ARCS["a quarter"][0]])
+def test_none_is_written_as_axis_positions(dmu50: Machine, errors: Calibration, text: str) -> None:
     with pytest.raises(InputError, match="cannot be written as axis positions"):
         Compensator(dmu50, errors).compensate(APT.read((START + text).encode(), "part.cls"), APT, into=ISO)
 

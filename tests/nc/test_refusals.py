@@ -386,7 +386,7 @@ def test_plain_parameters_and_machine_blocks():
         ("ROTATE/TABLE,ATANGL,90", "ROTATE"),
         ("TRANS/1,2,3", "TRANS"),
         ("COPY/1,SAME,1", "COPY"),
-        ("CUTCOM/LEFT", "CUTCOM"),
+        ("CUTCOM/LEFT\nGOTO/5,0,0,0,1,0", "CUTCOM"),
         ("UNITS/CM", "unit"),
         ("MODE/INCR", "incremental"),
         ("CALL/SUB", "control flow"),

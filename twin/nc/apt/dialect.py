@@ -21,7 +21,8 @@ from twin.nc.apt.locations import (
     TogetherJob,
     together_code,
 )
-from twin.nc.apt.reader import AptReader, Statement, continues, locations, scan, statement_at
+from twin.nc.apt.reader import AptReader, Statement, continues, cuts_beside, locations, scan, statement_at
+from twin.nc.arcs import moved_centre
 from twin.nc.blocks import (
     AxisWords,
     Kind,
@@ -215,6 +216,9 @@ class AptChunkWriter(ChunkWriter):
         self._writer = writer
         self._circle: list[str] = []
         """An arc and the statements behind it, until the location where it ends."""
+        self._record: Statement | None = None
+        self._at: list[float] = [nan] * 3
+        """The last location in the output, mm."""
 
     def write(self, chunk: Chunk, moves: MoveColumns, new: NewPositions) -> bytes:
         """See `ChunkWriter.write`."""
@@ -227,22 +231,55 @@ class AptChunkWriter(ChunkWriter):
                 rows = new.rows(which)
                 whole = slice(int(scanned.start[part.begin]), int(scanned.end[part.end - 1]))
                 positions, vectors = new.positions[rows] / reader.unit, new.vectors[rows]
+                self._at = new.positions[rows][-1].tolist()
                 out.append(writer.together(TogetherJob(scanned, whole, lines, new.count[which], positions, vectors)))
                 continue
             moved = reader.step(part) is not None
             index = int(np.searchsorted(moves.line, part.line)) if moved else -1
             rewrite = new.of_move(index, moves[index]) if moved else None
             if moved and self._circle:
-                circle, *others = self._circle
-                noted = [f"$$ {line}" for line in lines_in(circle.encode("latin-1"))]
-                out += [*([circle] if rewrite is None else noted), *others]
+                out += self._arc(moves[index], rewrite)
                 self._circle.clear()
+            if moved:
+                self._at = (moves.position[index] if rewrite is None else rewrite.positions[-1]).tolist()
             target = self._circle if part.word == "CIRCLE" or self._circle else out
+            self._record = part if part.word == "CIRCLE" else self._record
             if rewrite is None:
                 target.append(writer.unchanged(part.raw, tilts=moved and len(part.texts) == 6))
             else:
                 out.append(writer.location(part, rewrite, rewrite.positions.tolist(), reader.unit))
         return "".join(out).encode("latin-1")
+
+    def _arc(self, move: Move, rewrite: Rewrite | None) -> list[str]:
+        """Return an arc and the statements behind it: as written, as a comment, or with the centre between its new ends."""
+        circle, *others = self._circle
+        if rewrite is None:
+            return self._circle.copy()
+        if not move.whole or move.arc is None or self._record is None:
+            return [*(f"$$ {line}" for line in lines_in(circle.encode("latin-1"))), *others]
+        a, b, c = move.arc.plane
+        end = rewrite.positions[-1].tolist()
+        here = (move.position[a], move.position[b])
+        centre = dict(
+            zip((a, b), moved_centre(move.arc, here, (self._at[a], self._at[b]), (end[a], end[b])), strict=True)
+        )
+        fields = self._record.fields
+        centre[c] = number(fields[c].text) * self._reader.unit + end[c] - move.position[c]
+        if any(value != value for value in centre.values()):
+            raise InputError(
+                "arc under cutter radius compensation from a position that is not known",
+                expected="a location before it",
+                file=self._reader.source,
+                line=self._record.line + 1,
+                value=circle.strip(),
+            )
+        edits = []
+        for axis, (start, stop, text) in enumerate(fields[:3]):
+            places = max(POSITION_DECIMALS, _decimals(text))
+            edits.append(
+                (start, stop, format_number(centre[axis] / self._reader.unit, places, style_of(text, Style())))
+            )
+        return [apply_edits(circle, edits), *others]
 
     def end(self) -> bytes:
         """See `ChunkWriter.end`."""
@@ -284,10 +321,10 @@ class AptPoster(ChunkWriter):
                 writer.feed = _feed(words, self._unit, writer.feed)
                 if words.unit is not FeedUnit.MINUTE:
                     writer.comment(" ".join(statement.raw.split()))
-            elif statement.word in ("CIRCLE", "CYCLE") and _acts(statement):
+            elif statement.word in ("CIRCLE", "CUTCOM", "CYCLE") and _acts(statement):
                 raise InputError(
                     f"{statement.word} cannot be written as axis positions",
-                    expected="cutter locations linearised by the CAM system, without cycles",
+                    expected="cutter locations of the tool centre, linearised by the CAM system, without cycles",
                     file=self._source,
                     line=statement.line + 1,
                     value=statement.raw.strip(),
@@ -319,7 +356,9 @@ class AptPoster(ChunkWriter):
 
 
 def _acts(statement: Statement) -> bool:
-    """Return whether a statement is an arc, or begins a cycle."""
+    """Return whether a statement is an arc, or begins a cycle or cutter radius compensation."""
+    if statement.word == "CUTCOM":
+        return cuts_beside(statement)
     return not (statement.arguments and statement.texts[0].upper() in ("OFF", "NOMORE", "INIT"))
 
 

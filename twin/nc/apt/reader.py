@@ -252,6 +252,7 @@ class AptReader:
         self._tool_line = 0
         self.vector: Vector = (0.0, 0.0, 1.0)
         self.cycle = False
+        self._side = self._on_contour = False
         self._at: tuple[float, ...] = (math.nan,) * 3
         self._circle: tuple[Statement, list[float]] | None = None
         self._noted: set[str] = set()
@@ -259,8 +260,9 @@ class AptReader:
 
     @property
     def alone(self) -> bool:
-        """Whether the next location must be read alone: a rapid, a hole, the end of an arc, or one that is unknown."""
-        return self.rapid or self.cycle or self._circle is not None or bool(self.unknown)
+        """Whether the next location must be read alone: a rapid, a hole, one beside the contour, the end of an arc, or unknown."""
+        beside = self._side or self._on_contour
+        return self.rapid or self.cycle or beside or self._circle is not None or bool(self.unknown)
 
     def error(self, what: str, value: object, expected: str) -> InputError:
         """Return an error at the current statement."""
@@ -404,9 +406,13 @@ class AptReader:
         return found
 
     def _cutcom(self, statement: Statement) -> None:
-        if any(text.upper() in ("LEFT", "RIGHT", "ON") for text in statement.texts):
-            shown = statement.raw.strip()
-            raise self.error("cutter radius compensation CUTCOM", shown, "CUTCOM/OFF, the tool centre path")
+        self._side = cuts_beside(statement)
+        if self._side:
+            self.note(
+                "cutter radius compensation: the locations are corrected, arcs stay arcs and no location is added; what the errors "
+                "change over the radius of the tool, and between locations, is not corrected",
+                once=True,
+            )
 
     def _mode(self, statement: Statement) -> None:
         if any(text.upper().startswith("INCR") for text in statement.texts):
@@ -436,12 +442,18 @@ class AptReader:
         kind = Kind.RAPID if statement.word == "FROM" or self.rapid or self.cycle else Kind.LINEAR
         self.rapid = self.rapid and statement.word == "FROM"
         arc = None if self.unknown else self._arc(position, vector)
+        whole = self._side or self._on_contour
+        if whole and vector != self.vector:
+            what = "cutter radius compensation CUTCOM with a tool that turns"
+            raise self.error(what, shown, "CUTCOM/OFF, the tool centre path")
+        self._on_contour = self._side
         self.vector, self._at = vector, position[:3]
         if self.unknown:
             nowhere = (math.nan,) * len(self.axes.names)
             return Move(self._line, kind, True, nowhere, self.names, unknown=self.unknown)
         self.use_tool()
-        return Move(self._line, kind if arc is None else Kind.ARC, True, position, self.names, vector=vector, arc=arc)
+        kind = kind if arc is None else Kind.ARC
+        return Move(self._line, kind, True, position, self.names, vector=vector, arc=arc, whole=whole)
 
     def use_tool(self) -> None:
         """Record that a location uses the tool that is loaded.
@@ -455,6 +467,11 @@ class AptReader:
                 "second tool", self._tool, f"one tool per program (locations before use {self._used_tool})"
             )
         self._used_tool = self._tool or self._used_tool
+
+
+def cuts_beside(statement: Statement) -> bool:
+    """Return whether a ``CUTCOM`` selects a side of the contour."""
+    return any(text.upper() in ("LEFT", "RIGHT", "ON") for text in statement.texts)
 
 
 _MEANINGS: Final[Mapping[str, Callable[[AptReader, Statement], Move | None]]] = {
