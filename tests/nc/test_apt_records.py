@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -141,6 +142,17 @@ def test_what_is_refused(text: str, words: str) -> None:
 def test_none_is_written_as_axis_positions(dmu50: Machine, errors: Calibration, text: str) -> None:
     with pytest.raises(InputError, match="cannot be written as axis positions"):
         Compensator(dmu50, errors).compensate(APT.read((START + text).encode(), "part.cls"), APT, into=ISO)
+
+
+def test_the_tool_loaded_selects_its_length_from_a_table() -> None:
+    text = f"{START}LOAD/TOOL,2\nGOTO/50,20,40\n"
+    with pytest.raises(InputError, match="second tool"):
+        APT.moves(APT.read(text.encode(), "part"), AXES, tcp=False)
+    reading = APT.moves(APT.read(text.encode(), "part"), replace(AXES, tools_known=True), tcp=False)
+    assert [(change.line, change.frame.tool, change.frame.length) for change in reading.frames] == [
+        (1, "1", "1"),
+        (4, "2", "2"),
+    ]
 
 
 @pytest.mark.parametrize(

@@ -155,6 +155,17 @@ def test_the_other_words_of_a_bored_hole_are_kept(dmu50: Machine, errors: Calibr
     assert re.fullmatch(r"CYCLE86\([^,]+, [^,]+, 2, [^,]+, , 0, 3, 1, 1, 1, 45\)", own[0]) and len(own) == 1
 
 
+def test_holes_under_tool_centre_point_control(dmu50: Machine, errors: Calibration) -> None:
+    """Drill along Z of the program with the tool along it: the words stay those of the tip."""
+    text = "G90 G21 G17\nTRAORI\nG0 X50. Y20. Z100. B0. C30.\nMCALL CYCLE81(60,42,2,30)\nX60.\nMCALL\nG0 Z100.\nX61.\n"
+    result = compensated(text, dmu50, errors)
+    moves = result.reading.moves
+    assert [move.position[2] for move in moves] == [100, 100, 44, 30, 60, 100, 100] and all(move.tcp for move in moves)
+    path, own = path_of(result.text)
+    written = np.array(path)[:, :3] - [move.position[:3] for move in moves]
+    assert not own and 0.001 < np.abs(written).max() < 0.1 and result.report.after.max_um < 2.0
+
+
 @rs274.needed
 def test_boring_of_linuxcnc(dmu50: Machine, errors: Calibration, tmp_path: Path) -> None:
     """Compare where LinuxCNC bores by the original and by the output: the difference is the correction."""
@@ -188,6 +199,7 @@ def test_boring_of_linuxcnc(dmu50: Machine, errors: Calibration, tmp_path: Path)
         ("MCALL CYCLE81(-300,-312,2,-330)\nHOLES2(300,200,20,0,0,2.5)\n", "whole numbers of holes"),
         ("MCALL CYCLE81(-300,-312,2,-330)\nHOLES1(300,200,0,0,10,2,1)\n", "6 arguments"),
         ("G99 G81 X310. Z-330. R-310.\nG18 X10.", "canned cycle"),
+        ("G43.4 H1 X300. Y200. Z-300. B20.\nG99 G81 X310. Z-330. R-310.", "with B turned"),
     ],
 )
 def test_what_is_refused(text: str, words: str) -> None:

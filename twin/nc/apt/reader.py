@@ -28,6 +28,7 @@ from twin.nc.blocks import (
     Move,
     MoveColumns,
     Notice,
+    WordFrame,
     fill_forward,
     line_ends,
 )
@@ -338,6 +339,10 @@ class AptReader:
     def _load(self, statement: Statement) -> None:
         texts = [text for text in statement.texts if text.upper() != "TOOL"]
         self._tool, self._tool_line = (texts[0] if texts else ""), statement.line
+        if self.axes.tools_known and self._tool:
+            value = number(self._tool)
+            name = f"{value:g}" if value == value else self._tool.strip("'\"")
+            self.frames.append(FrameChange(self._line, WordFrame(tool=name, length=name)))
 
     def _frame(self, statement: Statement) -> None:
         if [number(text) for text in statement.texts] != _IDENTITY[: len(statement.texts)]:
@@ -461,10 +466,18 @@ class AptReader:
         Raises:
             InputError: it is the second tool, whose length is not known.
         """
-        if self.axes.one_tool and self._tool and self._used_tool and self._tool != self._used_tool:
+        if (
+            self.axes.one_tool
+            and not self.axes.tools_known
+            and self._tool
+            and self._used_tool
+            and self._tool != self._used_tool
+        ):
             self._line = self._tool_line
             raise self.error(
-                "second tool", self._tool, f"one tool per program (locations before use {self._used_tool})"
+                "second tool",
+                self._tool,
+                f"one tool per program (locations before use {self._used_tool}), or the table of tools",
             )
         self._used_tool = self._tool or self._used_tool
 

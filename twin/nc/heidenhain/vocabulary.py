@@ -32,6 +32,7 @@ TOKEN = re.compile(
     | (?P<misc>M(\d{{1,9}})(?:\.(?!\d)|(?![\d.])))
     | (?P<speed>S[ \t]*+{_VALUE})
     | (?P<ahead>LA[ \t]*+{_VALUE})
+    | (?P<blank>[RFM](?=[ \t\r\n;]|$))
     | (?P<bad>\S)
     )""",
     re.VERBOSE | re.ASCII | re.IGNORECASE,

@@ -19,6 +19,8 @@ INCH_CODES: Final = frozenset({"20", "70", "700"})
 CODES: Final = cycles.FANUC | cycles.FANUC_KEPT
 _MODAL: Final = frozenset("RQP")
 _REPEATS: Final = frozenset("LK")
+CORRECTION_DEG: Final = 0.1
+"""Turn of a rotary axis that is a correction rather than a motion of the program."""
 _DRILLING: Final = {17: 2, 18: 1, 19: 0}
 """The linear axis that drills, by plane."""
 
@@ -231,8 +233,8 @@ class IsoDrilling(IsoTilt):
         self._feed = self._feed if block.feed is not None else ""
 
     def _cycle(self) -> Drilling:
-        if self.tcp or self.vector is not None:
-            raise self._refused("cycle", "drilling without tool centre point control")
+        if self.vector is not None:
+            raise self._refused("cycle", "drilling with rotary axes in place of a tool vector")
         top, at = self._height.get("R", math.nan), self.position[self.drilling]
         axis = self.names[self.drilling]
         if self._initial != self._initial:
@@ -277,9 +279,6 @@ class IsoDrilling(IsoTilt):
             InputError: it is not known.
         """
         shown = f"{name}{arguments}"
-        if self.tcp:
-            expected = "drilling without TRAORI"
-            raise self.error(f"canned cycle {name}", f"{expected}; or {vocabulary.EXPANDED_CYCLE}", shown)
         unit = MM_PER_INCH if self.inch else 1.0
         try:
             cycle = cycles.of_sinumerik(name, arguments[1:-1], self.value_of, unit)
@@ -354,8 +353,16 @@ class IsoDrilling(IsoTilt):
 
     def drill(self, block: IsoBlock, cycle: Drilling) -> None:
         """Add the strokes of a cycle to the moves of a block, except those that do not move, and the holes after the first one."""
-        if self.unknown or self.plane != self._cycle_plane or self.tcp or self.vector is not None or block.end_m_words:
+        if self.unknown or self.plane != self._cycle_plane or self.vector is not None or block.end_m_words:
             raise self.error("canned cycle", vocabulary.EXPANDED_CYCLE)
+        turned = [
+            name
+            for name, value in zip(self.names[self.linear :], self.position[self.linear :], strict=True)
+            if name[0] != "C" and not abs(value) <= CORRECTION_DEG
+        ]
+        if self.tcp and turned:
+            what = f"canned cycle under tool centre point control with {turned[0]} turned"
+            raise self.error(what, f"{turned[0]}0 (the cycle drills along the program's axis), or a tilted plane")
         increments = {word.axis: word.value for word in block.words if word.incremental}
         done: list[Stroke] = []
         block.repeats = self._repeats
@@ -378,7 +385,7 @@ class IsoDrilling(IsoTilt):
             self.position[axis] = value
         kind = Kind.LINEAR if self.motion == 1 else Kind.RAPID
         named = frozenset(self.names[axis] for axis in place)
-        block.moves += (Move(self._line, kind, False, tuple(self.position), named),)
+        block.moves += (Move(self._line, kind, self.tcp, tuple(self.position), named),)
         done.append(Stroke(self.position[self.drilling], kind))
 
     def _strike(self, block: IsoBlock) -> list[Stroke]:
@@ -387,7 +394,7 @@ class IsoDrilling(IsoTilt):
         for stroke in strokes:
             if stroke.height == stroke.height:
                 self.position[self.drilling] = stroke.height
-                block.moves += (Move(self._line, stroke.kind, False, tuple(self.position), named),)
+                block.moves += (Move(self._line, stroke.kind, self.tcp, tuple(self.position), named),)
         return strokes
 
 
@@ -395,8 +402,6 @@ class IsoDrilling(IsoTilt):
 
 CENTRE: Final = {"I": 0, "J": 1, "K": 2}
 SPINDLE_VECTOR: Final = {"A3": 0, "B3": 1, "C3": 2}
-CORRECTION_DEG: Final = 0.1
-"""Turn of a rotary axis that is a correction rather than a motion of the program."""
 _KINDS: Final = (Kind.RAPID, Kind.LINEAR, Kind.ARC, Kind.ARC)
 
 
