@@ -112,6 +112,14 @@ def vector_texts(vector: Sequence[float], decimals: int, plus: bool) -> tuple[st
     return format_number(x, decimals, style), format_number(y, decimals, style), format_number(z, decimals, style)
 
 
+def length_text(value: float, increment: float, inch: bool, style: Style, *, up: bool = False) -> str:
+    """Return a length in mm as a word of a program, rounded to a least increment in mm, ``up`` away from zero."""
+    step, decimals, unit = grid(increment, inch)
+    steps = value / unit / step
+    whole = math.copysign(math.ceil(abs(steps) - 1e-6), steps) if up else round(steps)
+    return format_number(whole * step, decimals, style)
+
+
 # --- Axis words formatted together, with the same text as one by one (`twin.nc.text.format_number`)
 
 LARGEST_STEPS: Final = 1e11

@@ -226,7 +226,7 @@ class PathBlock(Block):
 
     Attributes:
         numbered: whether it has a number.
-        keyword: ``L``, ``LN``, ``C``, ``CR``, or ``""`` for a paraxial block.
+        keyword: ``L``, ``LN``, ``LP``, ``C``, ``CP``, ``CR``, or ``""`` for a paraxial block.
         rapid_text: ``FMAX`` as written, or empty.
         normal_text: the words ``NX NY NZ`` as written.
         normal: their components, or None.
@@ -236,6 +236,8 @@ class PathBlock(Block):
         machine: whether its words are machine coordinates.
         elsewhere: whether these count from a point of the machine's builder (M92).
         retracts: whether it retracts along the tool axis.
+        polar: radius and angle of the end point about the pole: value in mm or degrees, and whether it is an increment.
+        polar_words: the words that give them.
         calls: whether it calls the machining cycle in force behind its motion.
         call_words: its words that say so (``M99``, ``M89``).
         call: what it calls.
@@ -254,6 +256,8 @@ class PathBlock(Block):
     machine: bool = False
     elsewhere: bool = False
     retracts: bool = False
+    polar: dict[str, tuple[float, bool]] = field(default_factory=dict)
+    polar_words: list[Span] = field(default_factory=list)
     calls: bool = False
     call_words: list[Span] = field(default_factory=list)
     call: CycleCall | None = None

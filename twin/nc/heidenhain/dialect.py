@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -33,7 +34,7 @@ from twin.nc.text import (
     number,
     style_in,
 )
-from twin.nc.writer import Edit, Formatting, Segments, WordWriter, drop, vector_texts
+from twin.nc.writer import Edit, Formatting, Segments, WordWriter, drop, length_text, vector_texts
 
 _ASIDE: Final = re.compile(r"\"[^\"]*\"|;.*", re.ASCII)
 _VALUE: Final = r"[+-]?[ \t]*[\d.,]+"
@@ -111,7 +112,9 @@ class HeidenhainWriter(WordWriter[PathBlock]):
         if 0 in segments and block.moves and block.positions:
             if block.words:
                 self.lower = block.text[block.words[-1].value_start - 1].islower()
+            self._pole: list[str] = []
             lines = self.rewritten(block, segments[0])
+            lines = [*self._pole, *lines]
             if block.unknown_axes and not block.tcp_switched:
                 self.said.mark_unknown(block.unknown_axes)
         elif block.moves and block.positions:
@@ -175,7 +178,8 @@ class HeidenhainWriter(WordWriter[PathBlock]):
         keyword = block.text[block.head_end : block.keyword_end]
         if self.own_calls:
             drop(block, block.call_words, edits)
-        if rewrite.move.kind is Kind.ARC:
+        drop(block, block.polar_words, edits)
+        if block.polar or (rewrite.move.kind is Kind.ARC and not rewrite.move.whole):
             keyword = "l" if keyword.islower() else "L"
         return keyword
 
@@ -196,6 +200,37 @@ class HeidenhainWriter(WordWriter[PathBlock]):
                 edits.append((block.head_end, block.head_end, "L "))  # a paraxial block moves one axis only
         indent = text[: block.head_end] if block.numbered or not text[: block.head_end].strip() else ""
         return f"{indent}{begin if block.keyword else 'L'} "
+
+    def record(self, block: PathBlock) -> None:
+        """See `WordWriter.record`: a block about the pole, too, says where it ends."""
+        super().record(block)
+        move = block.moves[0]
+        for axis, name in enumerate(self.names if block.polar and not move.passes else ()):
+            if name in move.named and not block.axis_bits >> axis & 1:
+                self.said.record(axis, move.position[axis], False)
+
+    def _bent(self, block: PathBlock, move: Move, start: list[float], end: list[float], edits: list[Edit]) -> list[str]:
+        """Give ``CR`` its new radius; write the new pole before ``C``."""
+        a, b, _ = move.arc.plane  # type: ignore[union-attr]  # asked for arcs only
+        centre = self._new_centre(block, move, start, end)
+        if block.keyword == "CR":
+            radius = math.hypot(start[a] - centre[0], start[b] - centre[1])
+            over = abs(move.arc.angle_rad) > math.pi + 1e-9  # type: ignore[union-attr]
+            span = next(span for span in block.arc_words if "D" not in block.text[span.start : span.end].upper())
+            text = self._length(-radius if over else radius, block, a, up=True)
+            edits.append((span.start, span.end, f"R{text}"))
+            return []
+        end_of_line = ending(block.text) or self.newline
+        indent = block.text[: block.head_end] if block.numbered or not block.text[: block.head_end].strip() else ""
+        words = [
+            self.names[axis] + self._length(value, block, axis) for axis, value in zip((a, b), centre, strict=True)
+        ]
+        self._pole = [f"{indent}CC {' '.join(words)}{end_of_line}"]
+        return []
+
+    def _length(self, value: float, block: PathBlock, axis: int, *, up: bool = False) -> str:
+        """Return a length in the format of the program, rounded to the increment of an axis, ``up`` away from zero."""
+        return length_text(value, float(self.grids.step[axis]), block.inch, self.style._replace(plus=True), up=up)
 
     def _tails(self, block: PathBlock, rewrite: Rewrite, edits: list[Edit]) -> list[str]:
         return [block.rapid_text] * len(rewrite.positions) if block.rapid_text else []

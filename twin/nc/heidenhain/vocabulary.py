@@ -27,6 +27,7 @@ TOKEN = re.compile(
     | (?P<feed>F[ \t]*+(?:MAX|AUTO|[ZU]?[ \t]*+{_VALUE}))
     | (?P<sense>DR[ \t]*+[+-])
     | (?P<radius>R[ \t]*+({_VALUE}))
+    | (?P<polar>(I?)P([RA])[ \t]*+({_VALUE}))
     | (?P<vector>([NT][XYZ])[ \t]*+({_VALUE}))
     | (?P<retract>MB[ \t]*+(?:MAX|{_VALUE}))
     | (?P<misc>M(\d{{1,9}})(?:\.(?!\d)|(?![\d.])))
@@ -49,6 +50,7 @@ EVIDENCE = line_pattern(
     r"FUNCTION[ \t]++(?:TCPM|RESET|MODE)(?!\w)",
     r"(?:LN?|CC|CR?)[ \t]++I?[A-CU-Z][ \t]*+(?:[+-]|\d|Q)",
     r"L[ \t]++(?:R[0LR]|FMAX|M\d)",
+    r"(?:LP|CP)[ \t]++I?P[RA][ \t]*+[-+\dQ]",
 )
 """A line of a plain-language program: one of its statements, or a path function with an axis word."""
 UNIT = re.compile(r"BEGIN[ \t]+PGM[ \t]+(?:.*[ \t])?([^ \t;]+)[ \t]*(?:;.*)?$", re.ASCII | re.IGNORECASE)
@@ -72,7 +74,7 @@ EXPONENT = re.compile(r"(?<![\\/:.\d])[+-]?(?:\d++[.,]?+\d*+|[.,]\d++)E[+-]?\d+"
 """A number with an exponent outside paths, in one of the statements `WITH_NUMBERS`; the control knows none."""
 NUMBERS = re.compile(r"[+-]?[\d.,]+", re.ASCII)
 
-REFUSED_PATHS = frozenset("CT CP LP CTP LT RND CHF APPR DEP FL FLT FC FCT FPOL FSELECT".split())
+REFUSED_PATHS = frozenset("CT CTP LT RND CHF APPR DEP FL FLT FC FCT FPOL FSELECT".split())
 PASSED = frozenset("END BLK STOP LBL DECLARE PATTERN GLOBAL OPEN WAIT".split())
 HARMLESS_FUNCTIONS = tuple(
     f"FUNCTION {reset}{words}"
@@ -157,7 +159,10 @@ CALLING_M = frozenset({89, 99})
 LAST_M = frozenset({0, 1, 2, 5, 9, 30, 60})
 
 EXPANDED_CYCLE = "a cycle expanded into L blocks by the postprocessor"
-LINEAR = "a path of L, LN, CC/C and CR blocks from the postprocessor"
+LINEAR = "a path of L, LN, LP, CC/C, CP and CR blocks from the postprocessor"
+ARCS = frozenset({"C", "CP", "CR"})
+POLAR = frozenset({"LP", "CP"})
+"""Path functions that end on an arc, and those whose end point is given by radius and angle about the pole."""
 NO_TRANSFORMATION = "a program without coordinate transformations"
 NO_CALLS = "one program without jumps or calls"
 

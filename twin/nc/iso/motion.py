@@ -12,15 +12,13 @@ from twin.nc.blocks import Arc, AxisWords, Kind, Move
 from twin.nc.iso import cycles, vocabulary
 from twin.nc.iso.cycles import Drilling, Stroke
 from twin.nc.iso.frame import IsoBlock, IsoTilt, Item
-from twin.nc.modal import AxisWord, Span
+from twin.nc.modal import BESIDE, CORRECTION_DEG, AxisWord, Span
 from twin.nc.text import MM_PER_INCH, number
 
 INCH_CODES: Final = frozenset({"20", "70", "700"})
 CODES: Final = cycles.FANUC | cycles.FANUC_KEPT
 _MODAL: Final = frozenset("RQP")
 _REPEATS: Final = frozenset("LK")
-CORRECTION_DEG: Final = 0.1
-"""Turn of a rotary axis that is a correction rather than a motion of the program."""
 _DRILLING: Final = {17: 2, 18: 1, 19: 0}
 """The linear axis that drills, by plane."""
 
@@ -448,11 +446,7 @@ class IsoMotion(IsoDrilling):
         if self.tcp or self.vector is not None or turns or self.cycle is not None:
             what = f"cutter radius compensation G{self.side} with a tool that turns, or in a cycle"
             raise self.error(what, "the tool centre path from the CAM system (G40)")
-        self.note(
-            "cutter radius compensation: the programmed points are corrected, arcs stay arcs and blocks stay whole; what the errors "
-            "change over the radius of the tool, and along a block, is not corrected",
-            once=True,
-        )
+        self.note(BESIDE, once=True)
         a, b, _ = PLANES[self.plane]
         if block.axis_bits & (1 << a | 1 << b) or self.motion in (2, 3):
             self._on_contour = self.side != 40

@@ -14,8 +14,8 @@ from twin.nc.iso.cycles import Drilling, Kept
 from twin.nc.iso.frame import IsoBlock
 from twin.nc.iso.vocabulary import DIRECTION_FORMS
 from twin.nc.modal import AxisWord, Span
-from twin.nc.text import Style, apply_edits, ending, format_number, grid, number, style_of
-from twin.nc.writer import Edit, Segments, WordWriter, drop, vector_texts
+from twin.nc.text import Style, apply_edits, ending, format_number, number, style_of
+from twin.nc.writer import Edit, Segments, WordWriter, drop, length_text, vector_texts
 
 VECTOR_DECIMALS: Final = 7
 CODE: Final = {Kind.RAPID: 0, Kind.LINEAR: 1, Kind.ARC: 1}
@@ -287,10 +287,7 @@ class IsoWriter(WordWriter[IsoBlock]):
 
     def _length(self, value: float, block: IsoBlock, axis: int, *, up: bool = False) -> str:
         """Return a length in the format of the program, rounded to the increment of an axis, ``up`` away from zero."""
-        step, decimals, unit = grid(float(self.grids.step[axis]), block.inch)
-        steps = value / unit / step
-        whole = math.copysign(math.ceil(abs(steps) - 1e-6), steps) if up else round(steps)
-        return format_number(whole * step, decimals, self.style)
+        return length_text(value, float(self.grids.step[axis]), block.inch, self.style, up=up)
 
     def _insert(self, block: IsoBlock, begin: str, added: list[str], tool: list[str], edits: list[Edit]) -> str:
         text, separator = block.text, self.separator
