@@ -107,6 +107,11 @@ def test_a_contour_with_radius_compensation_keeps_its_arcs(dmu50: Machine, error
     assert numbers == list(range(len(numbers)))
 
 
+def test_a_block_across_the_plane_neither_leads_in_nor_out() -> None:
+    moves = moves_of(START + "4 L X+270 RL F200\n5 L Z-105\n6 L Y+210\n7 L R0\n8 L Z-100\n9 L X+250\n10 L Y+200\n")
+    assert [move.whole for move in moves] == [False, True, True, True, True, True, False]
+
+
 REFUSED = {
     "no pole": ("4 LP PR+20 PA+0\n", "without a pole"),
     "a helix of another sense": (POLE + "4 LP PR+20 PA+0 F500\n5 CP IPA+90 DR-\n", "sign of DR"),

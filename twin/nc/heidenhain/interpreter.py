@@ -10,12 +10,11 @@ from typing import Final, final
 import numpy as np
 
 from twin._common.errors import InputError
-from twin.nc.arcs import MOST_TURNS, ArcMisfit, arc_by_centre, arc_by_radius
 from twin.nc.blocks import Arc, AxisWords, Kind, Move, MoveColumns, Notice, Plane, rotation_about
 from twin.nc.heidenhain import vocabulary
 from twin.nc.heidenhain.calls import PathBlock
-from twin.nc.heidenhain.cycles import HeidenhainCycles
-from twin.nc.modal import BESIDE, CORRECTION_DEG, AxisWord, Block, Span
+from twin.nc.heidenhain.paths import HeidenhainPaths
+from twin.nc.modal import AxisWord, Block, Span
 from twin.nc.text import BLANK, MM_PER_INCH, number
 from twin.nc.writer import Vector
 
@@ -26,7 +25,7 @@ _ANGLE: Final = re.compile(r"SP([ABC])[ \t]*([+-]?[ \t]*(?:[\d.,]+|Q[LR]?\d+))",
 _CHOICE: Final = re.compile(r"(?:SEQ|SYM)[ \t]*([+-])", re.ASCII | re.IGNORECASE)
 
 
-class HeidenhainFrame(HeidenhainCycles):
+class HeidenhainFrame(HeidenhainPaths):
     """Preset by cycle 247, tool by ``TOOL CALL``, tilted plane by ``PLANE SPATIAL``.
 
     Attributes:
@@ -36,9 +35,6 @@ class HeidenhainFrame(HeidenhainCycles):
 
     heidenhain = True
     continued = False
-    beside = False
-    """Whether cutter radius compensation is selected (``RL``, ``RR``)."""
-    _on_contour = False
     _selects_preset = False
     centre: Mapping[int, float] = {}
 
@@ -196,7 +192,7 @@ class HeidenhainInterpreter(HeidenhainFrame):
     @property
     def runs_allowed(self) -> bool:
         """See `Interpreter.runs_allowed`: no tool vector, and no block that continues."""
-        beside = self.beside or self._on_contour
+        beside = self.beside or self.on_contour
         return self.set_up and self.vector is None and not (self.continued or self.modal or beside)
 
     def may_end(self, tail: str) -> bool:
@@ -213,7 +209,7 @@ class HeidenhainInterpreter(HeidenhainFrame):
     def _found(self, line: int, text: str) -> re.Match[str] | None:
         """Begin a line and return its match if it is a simple block; only ``LN`` can have vectors."""
         self._line, self._block_text = line, text
-        special = self.continued or self.modal or self.beside or self._on_contour
+        special = self.continued or self.modal or self.beside or self.on_contour
         found = None if special else self._simple.pattern.fullmatch(text)
         if found is not None and found[2] in ("L", "l") and any(found.groups()[self._simple.behind]):
             return None
@@ -579,7 +575,7 @@ class HeidenhainInterpreter(HeidenhainFrame):
         if block.machine:
             if block.keyword not in ("", "L"):
                 raise self.error("machine coordinates in an arc", "an L block")
-            self._leave_contour()
+            self.leave_contour()
             position = self.machine_position(block, elsewhere=block.elsewhere)
             block.moves += (Move(self._line, kind, self.tcp, position, names, machine=True),)
             return
@@ -590,100 +586,23 @@ class HeidenhainInterpreter(HeidenhainFrame):
             return
         start, rotary = self.position[: self.linear], self.position[self.linear :]
         self.apply_words(block)
-        sweep = self._polar_end(block, start) if block.keyword in vocabulary.POLAR else None
+        sweep = self.polar_end(block, start) if block.keyword in vocabulary.POLAR else None
         normal = self._directed(block.axis_bits, block.tool, block.normal)
         arc: Arc | None = None
         if block.keyword in vocabulary.ARCS:
             kind = Kind.ARC
-            arc = self._arc(block, start, sweep)
+            arc = self.arc(block, start, sweep)
         elif block.arc_words:
             raise self.error("DR outside a circular block", "C, CP or CR")
         self.use_set_up(kind)
         if block.polar:
             names |= {self.names[axis] for axis in self.plane[:2]}
-        whole = self._compensated(block, rotary)
+        whole = self.compensated(block, rotary)
         if whole and block.keyword == "CP":
             raise self.error("cutter radius compensation on an arc by CP", "CC and C, or the tool centre path (R0)")
         position = tuple(self.position)
         move = Move(self._line, kind, self.tcp, position, names, False, self.vector, normal, arc, "", whole)
         block.moves += (move,)
-
-    def _leave_contour(self) -> None:
-        """Check that no radius compensation is selected where the control leaves the contour.
-
-        Raises:
-            InputError: it is.
-        """
-        if self.beside:
-            raise self.error("machine coordinates under cutter radius compensation", "R0 before them")
-        self._on_contour = False
-
-    def _compensated(self, block: PathBlock, rotary: list[float]) -> bool:
-        """Return whether a block is under cutter radius compensation, or leads in or out; ``rotary``: the axes before it.
-
-        Raises:
-            InputError: it turns the tool, or calls a cycle.
-        """
-        if not (self.beside or self._on_contour):
-            return False
-        here = self.position[self.linear :]
-        turns = any(not abs(a - b) <= CORRECTION_DEG for a, b in zip(here, rotary, strict=True) if a == a or b == b)
-        if self.tcp or self.vector is not None or block.normal is not None or turns or block.calls or self.modal:
-            what = "cutter radius compensation with a tool that turns, or in a cycle"
-            raise self.error(what, "the tool centre path (R0)")
-        self.note(BESIDE, once=True)
-        a, b, _ = self.plane
-        if block.polar or block.axis_bits & (1 << a | 1 << b) or block.keyword in vocabulary.ARCS:
-            self._on_contour = self.beside
-        return True
-
-    def _polar_end(self, block: PathBlock, start: list[float]) -> float | None:
-        """Set the end point of a block given about the pole, and return its sweep in radians if that is given.
-
-        Raises:
-            InputError: the pole, the start or the angle is unknown, or a word contradicts another.
-        """
-        a, b, _ = self.plane
-        if not (a in self.centre and b in self.centre):
-            raise self.error(f"{block.keyword} without a pole", "CC before it")
-        if block.axis_bits & (1 << a | 1 << b) or (
-            block.keyword == "CP" and ("R" in block.polar or "A" not in block.polar)
-        ):
-            expected = "CP with PA or IPA" if block.keyword == "CP" else "PR and PA without axis words of the plane"
-            raise self.error(f"{block.keyword} with other words", expected)
-        u, v = start[a] - self.centre[a], start[b] - self.centre[b]
-        values = {"R": math.hypot(u, v), "A": math.degrees(math.atan2(v, u))}
-        begin = math.radians(values["A"])
-        for name, (value, incremental) in block.polar.items():
-            values[name] = value + (values[name] if incremental else 0.0)
-        if not all(map(math.isfinite, values.values())):
-            raise self.error(f"{block.keyword} from an unknown position", "a position of both axes before it")
-        angle = math.radians(values["A"])
-        self.position[a] = self.centre[a] + values["R"] * math.cos(angle)
-        self.position[b] = self.centre[b] + values["R"] * math.sin(angle)
-        if block.keyword != "CP" or not block.polar["A"][1]:
-            return None
-        if block.clockwise is not None and (angle < begin) != block.clockwise:
-            raise self.error("CP whose angle and sense differ", "IPA with the sign of DR")
-        if abs(angle - begin) > math.radians(360.0 * MOST_TURNS):
-            raise self.error("arc of too many turns", f"at most {MOST_TURNS} turns")
-        return angle - begin
-
-    def _arc(self, block: PathBlock, start: list[float], sweep: float | None) -> Arc:
-        if block.clockwise is None:
-            raise self.error("circular block without its sense", "DR+ or DR-")
-        a, b, _ = self.plane
-        from_, to = (start[a], start[b]), (self.position[a], self.position[b])
-        if block.keyword == "CR":
-            if block.radius is None:
-                raise self.error("CR without a radius", "R+10 or R-10")
-            return self.valid_arc(arc_by_radius(self.plane, from_, to, block.radius, block.clockwise))
-        if a in self.centre and b in self.centre:
-            centre = (self.centre[a], self.centre[b])
-            if sweep:
-                return Arc(self.plane, centre, sweep)
-            return self.valid_arc(arc_by_centre(self.plane, from_, to, centre, block.clockwise))
-        return self.valid_arc(ArcMisfit("circular block without its centre", "CC before it"))
 
 
 _TOKENS: Final[Mapping[str, Callable[[HeidenhainInterpreter, PathBlock, re.Match[str]], None]]] = {
