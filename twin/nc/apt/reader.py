@@ -35,6 +35,7 @@ from twin.nc.blocks import (
 from twin.nc.lines.chunks import DELETED_LINE
 from twin.nc.lines.compiled import LineCode
 from twin.nc.lines.scan import Scan
+from twin.nc.modal import BESIDE, CORRECTION_DEG
 from twin.nc.text import BOM, MM_PER_INCH, UNIT_LENGTH, number, unit_vector
 from twin.nc.writer import Vector
 
@@ -381,6 +382,8 @@ class AptReader:
         if len(values) not in (6, 7, 11) or any(value != value for value in values):
             expected = "CIRCLE/x,y,z,i,j,k,radius before the end point, without TIMES"
             raise self.error("curve CIRCLE", statement.raw.strip(), expected)
+        if self._circle is not None:
+            raise self.error("arc without its end point", self._circle[0].raw.strip(), "GOTO behind it")
         if self.cycle:
             raise self.error("arc within a cycle", statement.raw.strip(), "CYCLE/OFF before it")
         self._circle = (statement, values)
@@ -400,7 +403,7 @@ class AptReader:
         along = max(range(3), key=lambda place: abs(axis[place]))
         if length == 0.0 or any(abs(axis[place]) > _PARALLEL for place in range(3) if place != along):
             raise self.error("arc in an oblique plane", shown, "cutter locations linearised by the CAM system")
-        if vector != self.vector:
+        if _turns(vector, self.vector):
             raise self.error("arc with a tool that turns", shown, "cutter locations linearised by the CAM system")
         plane = a, b, _ = PLANES[(19, 18, 17)[along]]
         centre = (values[a] * self.unit, values[b] * self.unit)
@@ -413,11 +416,7 @@ class AptReader:
     def _cutcom(self, statement: Statement) -> None:
         self._side = cuts_beside(statement)
         if self._side:
-            self.note(
-                "cutter radius compensation: the locations are corrected, arcs stay arcs and no location is added; what the errors "
-                "change over the radius of the tool, and between locations, is not corrected",
-                once=True,
-            )
+            self.note(BESIDE, once=True)
 
     def _mode(self, statement: Statement) -> None:
         if any(text.upper().startswith("INCR") for text in statement.texts):
@@ -448,7 +447,7 @@ class AptReader:
         self.rapid = self.rapid and statement.word == "FROM"
         arc = None if self.unknown else self._arc(position, vector)
         whole = self._side or self._on_contour
-        if whole and vector != self.vector:
+        if whole and _turns(vector, self.vector):
             what = "cutter radius compensation CUTCOM with a tool that turns"
             raise self.error(what, shown, "CUTCOM/OFF, the tool centre path")
         self._on_contour = self._side
@@ -480,6 +479,11 @@ class AptReader:
                 f"one tool per program (locations before use {self._used_tool}), or the table of tools",
             )
         self._used_tool = self._tool or self._used_tool
+
+
+def _turns(one: Vector, other: Vector) -> bool:
+    """Return whether the tool turns by more than a correction."""
+    return math.dist(one, other) > math.radians(CORRECTION_DEG)
 
 
 def cuts_beside(statement: Statement) -> bool:

@@ -21,7 +21,7 @@ from twin.nc.heidenhain.calls import Cycle, CycleCall, HeidenhainInliner, PathBl
 from twin.nc.heidenhain.interpreter import HeidenhainInterpreter
 from twin.nc.heidenhain.vocabulary import HEAD, UNNUMBERED, numbered_as, renumbered, with_continued_marked
 from twin.nc.inline import Inliner
-from twin.nc.lines.chunks import BlockReader, Chunk, ChunkReader, ChunkRewriter, ChunkWriter, SimpleRun, replaces_some
+from twin.nc.lines.chunks import BlockReader, Chunk, ChunkReader, ChunkRewriter, ChunkWriter, SimpleRun
 from twin.nc.lines.compiled import LineCode, line_code
 from twin.nc.text import (
     Style,
@@ -108,27 +108,31 @@ class HeidenhainWriter(WordWriter[PathBlock]):
             self.said.mark_unknown(block.unknown_axes)
         if block.tcp_switched:
             self._vector_text = None
-        lines = [block.text]
-        if 0 in segments and block.moves and block.positions:
-            if block.words:
-                self.lower = block.text[block.words[-1].value_start - 1].islower()
-            self._pole: list[str] = []
-            lines = self.rewritten(block, segments[0])
-            lines = [*self._pole, *lines]
-            if block.unknown_axes and not block.tcp_switched:
-                self.said.mark_unknown(block.unknown_axes)
-        elif block.moves and block.positions:
-            self.record(block)
-            lines = [self._without_call(block)]
-        elif block.call is not None:
-            lines = [self._without_call(block)]
+        lines = self._positioned(block, segments.get(0)) if block.moves and block.positions else None
         if block.call is not None:
             called = self._called(block, block.call, segments)
+            lines = [self._without_call(block)] if lines is None else lines
             lines = [*lines, *called] if block.positions or block.calls else [*called, *lines]
             if not ending(lines[0]) and len(lines) > 1:
                 lines[0] += self.newline
+        lines = [block.text] if lines is None else lines
         self.inserted |= block.numbered and len(lines) > 1
         return "".join(lines)
+
+    def _positioned(self, block: PathBlock, segments: Segments | None) -> list[str]:
+        """Return the lines for a block with its own move, which is replaced if there are segments for it."""
+        if segments is None:
+            self.record(block)
+            return [self._without_call(block)]
+        if block.words:
+            self.lower = block.text[block.words[-1].value_start - 1].islower()
+        self._pole: list[str] = []
+        if block.polar:  # both axes are written, also where the block moves nothing
+            self.said.mark_stale(range(self.linear))
+        lines = self.rewritten(block, segments)
+        if block.unknown_axes and not block.tcp_switched:
+            self.said.mark_unknown(block.unknown_axes)
+        return [*self._pole, *lines]
 
     def _without_call(self, block: PathBlock) -> str:
         """Return a block without the words that call a cycle, if calls are written out; one with nothing else as a comment."""
@@ -285,8 +289,8 @@ class HeidenhainRewriter(ChunkRewriter):
     def drill(
         self, drilled: Sequence[range], text_of: Callable[[int], str], moves: MoveColumns, new: NewPositions
     ) -> None:
-        """See `ChunkWriter.drill`: calls of cycles are written out from the first part on in which a move of one is replaced."""
-        self._writer.own_calls |= replaces_some(drilled, moves, new)
+        """See `ChunkWriter.drill`: calls of cycles are written out from the first part with one on in which a move is replaced."""
+        self._writer.own_calls |= bool(drilled) and bool(new.count.any())
 
     def finished(self, text: str) -> str:
         """See `ChunkWriter.finished`."""

@@ -73,6 +73,10 @@ class HeidenhainPaths(HeidenhainCycles):
             expected = "CP with PA or IPA" if block.keyword == "CP" else "PR and PA without axis words of the plane"
             raise self.error(f"{block.keyword} with other words", expected)
         u, v = start[a] - self.centre[a], start[b] - self.centre[b]
+        if math.hypot(u, v) < 1e-9 and (
+            block.keyword == "CP" or block.polar.keys() != {"R", "A"} or block.polar["A"][1]
+        ):
+            raise self.error(f"{block.keyword} from the pole itself", "PR and PA")
         values = {"R": math.hypot(u, v), "A": math.degrees(math.atan2(v, u))}
         begin = math.radians(values["A"])
         for name, (value, incremental) in block.polar.items():

@@ -59,8 +59,8 @@ class IsoDrilling(IsoTilt):
         ``G80`` and the motion codes end a cycle; after ``G80`` the motion code before the cycle applies again.
         """
         code = span.name
-        if group == "units" and self.code and self.cycle is not None and self.inch != (code in INCH_CODES):
-            raise self._refused("another unit within a series", "G80 before the unit changes")
+        if group == "units" and self.cycle is not None and self.inch != (code in INCH_CODES):
+            raise self.error("another unit while a drilling cycle is in force", "G80 or MCALL before the unit changes")
         if code in CODES:
             if not self.code:
                 self._motion_before, self._initial = self.motion, math.nan
@@ -294,6 +294,7 @@ class IsoDrilling(IsoTilt):
         Raises:
             InputError: it is not known, or no cycle is in force.
         """
+        self._check_one_control(item.name)
         block.cycle_word = Span(item.start, len(block.text.rstrip("\r\n")))
         if item.name not in cycles.PATTERNS:
             block.calls, self.cycle = True, self.call(item.name, item.value)
@@ -311,6 +312,7 @@ class IsoDrilling(IsoTilt):
         Raises:
             InputError: it is not known.
         """
+        self._check_one_control(item.name)
         if item.name == "MCALL":
             block.cycle_word = Span(item.start, len(block.text.rstrip("\r\n")))
             if last:
@@ -319,6 +321,11 @@ class IsoDrilling(IsoTilt):
         if not last:
             raise self.error(f"canned cycle {item.name}", vocabulary.EXPANDED_CYCLE, block.text[item.start :].strip())
         self.cycle = self.call(item.name, item.value)
+
+    def _check_one_control(self, name: str) -> None:
+        """Raise `InputError` for a cycle of SINUMERIK while one of Fanuc is in force."""
+        if self.code:
+            raise self.error(f"{name} while G{self.code} is in force", "cycles of one control, or G80 before it")
 
     @property
     def steady(self) -> bool:
@@ -361,6 +368,9 @@ class IsoDrilling(IsoTilt):
         if self.tcp and turned:
             what = f"canned cycle under tool centre point control with {turned[0]} turned"
             raise self.error(what, f"{turned[0]}0 (the cycle drills along the program's axis), or a tilted plane")
+        if (block.pattern or self._repeats > 1) and any(value != value for value in self.position[: self.linear]):
+            raise self.error("several holes from an unknown position", "a position of every linear axis before them")
+        self.use_set_up(Kind.LINEAR)
         increments = {word.axis: word.value for word in block.words if word.incremental}
         done: list[Stroke] = []
         block.repeats = self._repeats
