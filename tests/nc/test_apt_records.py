@@ -129,6 +129,8 @@ def test_without_corrections_every_byte_stays(dmu50: Machine, text: str) -> None
         ("CIRCLE/50,30,40,0,1,1\nGOTO/60,30,40\n", "oblique plane"),
         ("CIRCLE/50,31,100,0,0,1\nGOTO/60,30,100\n", "off its circle"),
         ("CIRCLE/50,30,100,0,0,1\nGOTO/60,30,100,0,1,0\n", "tool that turns"),
+        ("CIRCLE/50,30,100,0,0,1\nCIRCLE/50,30,100,0,0,1\n", "without its end point"),
+        ("CUTCOM/LEFT\nGOTO/60,30,100,0,0.5,0.8\n", "tool that turns"),
         ("CYCLE/ON\n", "CYCLE with its values"),
         ("CYCLE/DRILL,FEDTO,1\nCIRCLE/50,30,100,0,0,1\nGOTO/60,30,100\n", "arc within a cycle"),
     ],

@@ -199,6 +199,9 @@ def test_boring_of_linuxcnc(dmu50: Machine, errors: Calibration, tmp_path: Path)
         ("MCALL CYCLE81(-300,-312,2,-330)\nHOLES2(300,200,20,0,0,2.5)\n", "whole numbers of holes"),
         ("MCALL CYCLE81(-300,-312,2,-330)\nHOLES1(300,200,0,0,10,2,1)\n", "6 arguments"),
         ("G99 G81 X310. Z-330. R-310.\nG18 X10.", "canned cycle"),
+        ("G99 G81 X310. Z-330. R-310.\nMCALL CYCLE81(-300,-312,2,-330)", "cycles of one control"),
+        ("MCALL CYCLE81(-300,-312,2,-330)\nG20", "before the unit changes"),
+        ("G99 G81 X310. Z-330. R-310.\nG43 H1 X320.", "with and without a tool length"),
         ("G43.4 H1 X300. Y200. Z-300. B20.\nG99 G81 X310. Z-330. R-310.", "with B turned"),
     ],
 )

@@ -117,6 +117,7 @@ REFUSED = {
     "a helix of another sense": (POLE + "4 LP PR+20 PA+0 F500\n5 CP IPA+90 DR-\n", "sign of DR"),
     "no sense": (POLE + "4 LP PR+20 PA+0 F500\n5 CP IPA+90\n", "DR"),
     "an arc by its radius": (POLE + "4 CP PR+20 PA+0 DR+\n", "PA or IPA"),
+    "from the pole itself": (POLE + "4 L X+260 F500\n5 LP IPA+26\n", "from the pole itself"),
     "an angle of a line": ("4 L PA+20\n", "unknown word"),
     "X in a polar block": (POLE + "4 LP PR+20 X+5\n", "without axis words"),
     "CP beside a contour": (POLE + "4 LP PR+20 PA+0 RL F500\n5 CP IPA+90 DR+\n", "CC and C"),
