@@ -155,6 +155,12 @@ def test_the_other_words_of_a_bored_hole_are_kept(dmu50: Machine, errors: Calibr
     assert re.fullmatch(r"CYCLE86\([^,]+, [^,]+, 2, [^,]+, , 0, 3, 1, 1, 1, 45\)", own[0]) and len(own) == 1
 
 
+def test_the_level_is_not_needed_where_the_tool_returns_to_r() -> None:
+    text = START + "G28 Z0\nG99 G81 X310. Y200. Z-330. R-310. F50.\nX320.\nG80\nG0 Z-290.\n"
+    moves = ISO.moves(ISO.read(text.encode(), "part"), AXES, tcp=False).moves
+    assert [move.position[2] for move in moves[2:]] == [-310, -330, -310, -310, -330, -310, -290]
+
+
 def test_holes_under_tool_centre_point_control(dmu50: Machine, errors: Calibration) -> None:
     """Drill along Z of the program with the tool along it: the words stay those of the tip."""
     text = "G90 G21 G17\nTRAORI\nG0 X50. Y20. Z100. B0. C30.\nMCALL CYCLE81(60,42,2,30)\nX60.\nMCALL\nG0 Z100.\nX61.\n"
@@ -198,6 +204,8 @@ def test_boring_of_linuxcnc(dmu50: Machine, errors: Calibration, tmp_path: Path)
         ("MCALL CYCLE81(-300,-312,2,-330)\nHOLES1(300,200,90,5,10,_N)\n", "known values"),
         ("MCALL CYCLE81(-300,-312,2,-330)\nHOLES2(300,200,20,0,0,2.5)\n", "whole numbers of holes"),
         ("MCALL CYCLE81(-300,-312,2,-330)\nHOLES1(300,200,0,0,10,2,1)\n", "6 arguments"),
+        ("M777\nG99 G81 X310. Z-330. R-310.", "the effect of M777 is not known"),
+        ("G28 Z0\nG98 G81 X310. Z-330. R-310.", "position of Z unknown"),
         ("G99 G81 X310. Z-330. R-310.\nG18 X10.", "canned cycle"),
         ("G99 G81 X310. Z-330. R-310.\nMCALL CYCLE81(-300,-312,2,-330)", "cycles of one control"),
         ("MCALL CYCLE81(-300,-312,2,-330)\nG20", "before the unit changes"),

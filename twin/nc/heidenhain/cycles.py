@@ -70,8 +70,10 @@ class HeidenhainCycles(Interpreter):
             expected = f"cycle 200 to 209, 240, 241, 1, 2, 17 or 18 defined before it; or {vocabulary.EXPANDED_CYCLE}"
             raise self.error("cycle call without a cycle that is known", expected)
         what, name = f"cycle call of cycle {cycle.number}", self.names[axis]
-        if self.unknown or self.tcp or self.vector is not None:
-            raise self.error(what, "a known position without tool centre point control (M129)")
+        if self.unknown:
+            raise self.error(f"{what} where {self.unknown}", "the words named as harmless in the machine file")
+        if self.tcp or self.vector is not None:
+            raise self.error(what, "a position without tool centre point control (M129)")
         if cycle.changed:
             raise self.error(what, "a new CYCL DEF instead of its parameters set after it")
         at = self.position[axis]

@@ -235,7 +235,11 @@ class IsoDrilling(IsoTilt):
             raise self._refused("cycle", "drilling with rotary axes in place of a tool vector")
         top, at = self._height.get("R", math.nan), self.position[self.drilling]
         axis = self.names[self.drilling]
-        if self._initial != self._initial:
+        if self.unknown:
+            raise self._refused(
+                f"in force where {self.unknown}", "the words named as harmless in the machine file, or G80 before"
+            )
+        if self._initial != self._initial and (self._to_initial or self.incremental):
             raise self._refused(f"position of {axis} unknown", f"a position of {axis} before the cycle")
         if self._to_initial and self._initial < top - 1e-9:
             raise self._refused(f"{axis} is below R", f"{axis} at R or above before the cycle, or G99")
