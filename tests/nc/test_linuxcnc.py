@@ -99,7 +99,7 @@ REFUSED = {
     "a dwell and a move": "G4 P.001 G0 X1 Y1\nG1 Z3",
     "a root of a negative number": "#1=-4\nG1 X[#1 ** 0.5]",
     **{word: f"{word}\nG1 X5" for word in ("G92 X0", "G92.1", "G52 X5", "G10 L2 P1 X7", "G10 L20 P1 X7", "#5221=7")},
-    **{word: f"T1 M6 G43\n{word}\nG1 Z5" for word in ("G43.1 Z5", "G43.2 H2", "G10 L1 P1 Z9", "M73", "G7", "G41 D1")},
+    **{word: f"T1 M6 G43\n{word}\nG1 Z5" for word in ("G43.1 Z5", "G43.2 H2", "G10 L1 P1 Z9", "M73", "G7", "G41.1 D1")},
     **{name: text for name, text in (("loop", "o1 repeat [2]\nX1\no1 endrepeat"), ("if", "o1 if [1]\nX1\no1 endif"))},
 }
 

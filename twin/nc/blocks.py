@@ -275,6 +275,7 @@ class Move(NamedTuple):
         arc: for ``Kind.ARC``.
         unknown: why nothing is known of where the block goes (`twin.nc.modal.Interpreter.unknown`); empty if that is known. Such a
             block passes through unchanged; ``position`` is NaN and ``arc`` None.
+        whole: whether the block stays one block, an arc an arc: under cutter radius compensation.
     """
 
     line: int
@@ -287,6 +288,7 @@ class Move(NamedTuple):
     normal: tuple[float, float, float] | None = None
     arc: Arc | None = None
     unknown: str = ""
+    whole: bool = False
 
     @property
     def passes(self) -> bool:
@@ -428,7 +430,11 @@ class MoveColumns(MadeOnAccess[Move]):
             np.array([bits[move.named] for move in moves], dtype=int),
             np.array([move.position for move in moves], dtype=float).reshape(-1, len(names)),
             np.array([move.vector or NO_VECTOR for move in moves], dtype=float).reshape(-1, 3),
-            {i: move for i, move in enumerate(moves) if move.kind is Kind.ARC or move.passes or move.normal},
+            {
+                i: move
+                for i, move in enumerate(moves)
+                if move.kind is Kind.ARC or move.passes or move.normal or move.whole
+            },
         )
 
     def __len__(self) -> int:

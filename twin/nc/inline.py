@@ -54,12 +54,12 @@ class Inliner(ABC):
 
     Args:
         program: the main program.
-        folder: where its subprograms may be; None if it is not a file.
+        folders: where its subprograms may be, in the order of search; none if it is not a file.
     """
 
-    def __init__(self, program: Program, folder: Path | None) -> None:
+    def __init__(self, program: Program, folders: Sequence[Path]) -> None:
         self.program = program
-        self.folder = folder
+        self.folders = tuple(folders)
         self._count = 0
         self._found = False
         self._files: dict[Path, list[Line]] = {}
@@ -139,7 +139,7 @@ class Inliner(ABC):
         body = None if call is None else self.body(call, line)
         if call is None or body is None:
             if call is not None and call.certain:
-                where = "this file" if self.folder is None else f"this file or in {self.folder}"
+                where = " or in ".join(["this file", *map(str, self.folders)])
                 raise refused(f"no subprogram {call.name}", f"it in {where}", line)
             yield line
             return
@@ -159,14 +159,23 @@ class Inliner(ABC):
         return self._files[path]
 
     def file_named(self, *names: str) -> Path | None:
-        """Return the file of the folder that has one of these names, whatever its capitals; None if there is none."""
-        if self.folder is None:
-            return None
-        try:
-            files = {path.name.upper(): path for path in sorted(self.folder.iterdir()) if path.is_file()}
-        except OSError:
-            return None
-        return next((files[name.upper()] for name in names if name.upper() in files), None)
+        """Return the file of the first folder that has one of these names, whatever its capitals; None if there is none.
+
+        Raises:
+            InputError: a folder cannot be searched.
+        """
+        for folder in self.folders:
+            try:
+                files = {path.name.upper(): path for path in sorted(folder.iterdir()) if path.is_file()}
+            except OSError as error:
+                expected = "a folder with subprograms"
+                raise InputError(
+                    "cannot be searched", expected=expected, file=folder, value=error.strerror, setting="subprograms"
+                ) from None
+            found = next((files[name.upper()] for name in names if name.upper() in files), None)
+            if found is not None:
+                return found
+        return None
 
 
 @contextmanager

@@ -85,6 +85,13 @@ UNKNOWN_AFTER: Final = (
     "is not known: positions, frame, offsets and modes are unknown until machine coordinates of every axis"
 )
 """End of the notice on a statement after which nothing is known."""
+BESIDE: Final = (
+    "cutter radius compensation: the programmed points are corrected, arcs stay arcs and blocks stay whole; what the errors change "
+    "over the radius of the tool, and along a block, is not corrected"
+)
+"""Notice on cutter radius compensation."""
+CORRECTION_DEG: Final = 0.1
+"""Turn of a rotary axis that is a correction rather than a motion of the program."""
 _WITH_LETTER = re.compile(r"[A-Za-z_]")
 """An exponent, or what else Python reads as part of a number; no control does."""
 _REFERENCE = re.compile(r"([+-]?)[ \t]*+(\$?[A-Za-z_]\w*+|\#(?:\d++|<[^>\r\n]*+>))", re.ASCII)

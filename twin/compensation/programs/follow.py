@@ -129,7 +129,7 @@ class Follower:
         self._left = [*left[::-1], *self._left]
         if np.any(moves.by_vector):
             self._space.branches  # noqa: B018  # refuses a machine that cannot follow tool vectors
-        single = {i for i, move in moves.special.items() if move.arc is not None or move.passes}
+        single = {i for i, move in moves.special.items() if move.arc is not None or move.passes or move.whole}
         changes = np.searchsorted(moves.line, [one.line for one in left], side="right")
         later = np.searchsorted(moves.line, [line for line, _ in self._later])
         modes = (np.diff(moves.tcp) | np.diff(moves.by_vector)).nonzero()[0] + 1

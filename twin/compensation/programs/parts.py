@@ -141,6 +141,9 @@ class ProgramInMemory(ProgramSource):
 class ProgramFile(ProgramSource):
     """File of a program.
 
+    Args:
+        subprograms: folders in which subprograms are searched after its own.
+
     Attributes:
         calls: whether it may call subprograms.
 
@@ -148,10 +151,10 @@ class ProgramFile(ProgramSource):
         InputError: it cannot be read, or is not a program.
     """
 
-    def __init__(self, path: Path, dialect: Dialect) -> None:
+    def __init__(self, path: Path, dialect: Dialect, subprograms: Sequence[Path] = ()) -> None:
         self.path, self.name, self.dialect = path, str(path), dialect
         check, self.calls = TextCheck(self.name), False
-        inliner = dialect.inliner(Program(self.name, dialect.name, ()), path.parent)
+        inliner = dialect.inliner(Program(self.name, dialect.name, ()), (path.parent, *subprograms))
         for data in self.stretches():
             check.add(data)
             text = data.decode("latin-1")

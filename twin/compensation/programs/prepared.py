@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
+from pathlib import Path
 from typing import Literal, final
 
 import numpy as np
@@ -47,6 +48,7 @@ class Options:
         method: ``exact``, or ``thesis`` for the baseline of `twin.compensation.programs.comparison`.
         conditions: temperatures, time and speed.
         language: language of the programs (`twin.read_program`); None to recognise it.
+        subprograms: folders in which subprograms are searched after the program's own.
 
     Examples:
         >>> machine = twin.Machine.load("dmu50")
@@ -64,6 +66,7 @@ class Options:
     method: Literal["exact", "thesis"] = "exact"
     conditions: Conditions = field(default_factory=Conditions)
     language: str | None = None
+    subprograms: tuple[Path, ...] = ()
 
 
 @final

@@ -13,10 +13,10 @@ from __future__ import annotations
 
 import re
 from bisect import bisect_right
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Final, final
+from typing import Final, NamedTuple, final
 
 import numpy as np
 
@@ -26,7 +26,7 @@ from twin.nc.heidenhain.vocabulary import HEAD
 from twin.nc.inline import Call, Inliner, Line, refused, with_ending
 from twin.nc.lines.compiled import LineCode
 from twin.nc.lines.scan import Scan
-from twin.nc.modal import Block
+from twin.nc.modal import Block, Span
 
 _FLAGS: Final = re.ASCII | re.IGNORECASE
 _NAME: Final = r"(?:\"([^\"]*)\"|(\d+))"
@@ -43,8 +43,8 @@ _FRAME: Final = re.compile(r"(?:BEGIN|END)[ \t]+PGM\b|BLK[ \t]+FORM\b", _FLAGS)
 class HeidenhainInliner(Inliner):
     """Writes out the subprograms of Heidenhain programs."""
 
-    def __init__(self, program: Program, folder: Path | None) -> None:
-        super().__init__(program, folder)
+    def __init__(self, program: Program, folders: Sequence[Path]) -> None:
+        super().__init__(program, folders)
         self._labels: dict[str, Mapping[str, list[int]]] = {}
 
     def likely(self, text: str) -> bool:
@@ -168,7 +168,55 @@ def _as_remark(line: Line) -> Line:
     return line._replace(text=with_ending(f"{line.text[:at]}; {body}", line.text))
 
 
-# --- One interpreted block of a Heidenhain program ------------------------------------------------
+# --- Data of one interpreted block of a Heidenhain program -----------------------------------------
+
+_SURFACE: Final = "Q203"
+_VALUE: Final = re.compile(rf"({_SURFACE}[ \t]*=[ \t]*)([^;~\r\n]*?)([ \t]*(?:[;~].*)?)$", re.ASCII | re.IGNORECASE)
+
+
+@final
+@dataclass
+class Cycle:
+    """A machining cycle that the next calls execute.
+
+    Attributes:
+        number: its number.
+        texts: the lines of its definition without block number and line ending.
+        given: the parameters that these set.
+        open: whether the next line may set a further one.
+        changed: whether one of them has been set after the definition.
+    """
+
+    number: int
+    texts: list[str]
+    given: set[str] = field(default_factory=set)
+    open: bool = True
+    changed: bool = False
+
+    def lines(self, surface: Callable[[str], str]) -> list[str]:
+        """Return the lines of the definition; ``surface``: the text of Q203 for the one that is given."""
+        texts = [
+            _VALUE.sub(lambda found: found[1] + surface(found[2]) + found[3], text).rstrip() for text in self.texts
+        ]
+        return [text if text.endswith("~") else f"{text} ~" for text in texts[:-1]] + [texts[-1].rstrip("~ \t")]
+
+
+class CycleCall(NamedTuple):
+    """The call of a cycle in a block.
+
+    Attributes:
+        cycle: what is called.
+        top: height at which it begins, mm.
+        surface: height of the surface, mm; NaN: it begins and ends where the tool is.
+        level: height at which it ends, mm.
+        axis: the linear axis that drills.
+    """
+
+    cycle: Cycle
+    top: float
+    surface: float
+    level: float
+    axis: int
 
 
 @final
@@ -178,7 +226,7 @@ class PathBlock(Block):
 
     Attributes:
         numbered: whether it has a number.
-        keyword: ``L``, ``LN``, ``C``, ``CR``, or ``""`` for a paraxial block.
+        keyword: ``L``, ``LN``, ``LP``, ``C``, ``CP``, ``CR``, or ``""`` for a paraxial block.
         rapid_text: ``FMAX`` as written, or empty.
         normal_text: the words ``NX NY NZ`` as written.
         normal: their components, or None.
@@ -188,6 +236,12 @@ class PathBlock(Block):
         machine: whether its words are machine coordinates.
         elsewhere: whether these count from a point of the machine's builder (M92).
         retracts: whether it retracts along the tool axis.
+        polar: radius and angle of the end point about the pole: value in mm or degrees, and whether it is an increment.
+        polar_words: the words that give them.
+        calls: whether it calls the machining cycle in force behind its motion.
+        call_words: its words that say so (``M99``, ``M89``).
+        call: what it calls.
+        positions: whether its first move is that of its own words.
     """
 
     numbered: bool = False
@@ -202,6 +256,12 @@ class PathBlock(Block):
     machine: bool = False
     elsewhere: bool = False
     retracts: bool = False
+    polar: dict[str, tuple[float, bool]] = field(default_factory=dict)
+    polar_words: list[Span] = field(default_factory=list)
+    calls: bool = False
+    call_words: list[Span] = field(default_factory=list)
+    call: CycleCall | None = None
+    positions: bool = True
 
 
 # --- Simple lines of plain language found all at once, through an image of the text that has the form of ISO lines

@@ -1,7 +1,7 @@
 """Subprograms of ISO programs: Fanuc ``M98`` and ``G65``, LinuxCNC ``o100 call``, SINUMERIK ``NAME(..)``, ``L100`` and ``CALL``.
 
 Sources: Fanuc Series 30i operator's manual ("Subprogram", "Custom macro"), LinuxCNC user manual ("O Codes"), SINUMERIK 840D sl
-Programming Manual Job Planning ("Subprograms").
+Programming Manual Job Planning ("Subprograms", "EXTCALL").
 """
 
 from __future__ import annotations
@@ -38,7 +38,8 @@ _LOCALS: Final = 33
 _O_WORD: Final = re.compile(r"O[ \t]*(\d+|<[^>]*>)[ \t]*(SUB|ENDSUB|RETURN|CALL)(?!\w)[ \t]*(.*)", _FLAGS | re.DOTALL)
 _O_NUMBER: Final = re.compile(r"[O:][ \t]*(\d+)[ \t]*$", _FLAGS)
 _NAMED: Final = re.compile(
-    r"(?:CALL[ \t]+\"([^\"]+)\"|([A-Z_]\w*)[ \t]*(\([^;]*\))?)(?:[ \t]+P[ \t]*=?[ \t]*(\d+))?[ \t]*$", _FLAGS
+    r"(?:(?:EXT)?CALL[ \t]*\(?[ \t]*\"([^\"]+)\"[ \t]*\)?|([A-Z_]\w*)[ \t]*(\([^;]*\))?)(?:[ \t]+P[ \t]*=?[ \t]*(\d+))?[ \t]*$",
+    _FLAGS,
 )
 _PROC: Final = re.compile(r"PROC[ \t]+(\w+)[ \t]*(?:\(([^)]*)\))?(.*)", _FLAGS | re.DOTALL)
 _ARGUMENTS: Final = dict(
@@ -54,7 +55,7 @@ _STATEMENTS: Final = (
 ) - {"CALL"}
 _PARAMETER: Final = re.compile(r"#\d+|#<[^>]*>")
 _ASSIGNED: Final = re.compile(r"(#\d+|#<[^>]*>)[ \t]*=(?!=)")
-_SUFFIXES: Final = ("", ".spf", ".mpf", ".nc", ".ngc", ".txt", ".tap", ".iso")
+_SUFFIXES: Final = ("", ".spf", ".mpf", ".nc", ".ngc", ".txt", ".tap", ".iso", ".cnc", ".ptp", ".eia", ".min", ".sub")
 
 
 def _may_call_inside(text: str) -> bool:
@@ -73,8 +74,8 @@ def _may_call_inside(text: str) -> bool:
 class IsoInliner(Inliner):
     """Writes out the subprograms of ISO programs."""
 
-    def __init__(self, program: Program, folder: Path | None) -> None:
-        super().__init__(program, folder)
+    def __init__(self, program: Program, folders: Sequence[Path]) -> None:
+        super().__init__(program, folders)
         self._bodies: dict[tuple[str, bool], list[Line] | None] = {}
 
     def likely(self, text: str) -> bool:
@@ -202,7 +203,7 @@ class IsoInliner(Inliner):
         return None
 
     def _file(self, name: str) -> Path | None:
-        stem = name[2:-1] if name.startswith("O<") else name
+        stem = name[2:-1] if name.startswith("O<") else re.split(r"[\\/:]", name)[-1]
         stems = [stem]
         if re.fullmatch(r"O\d+", name):
             stems += [f"O{int(name[1:]):04d}", name[1:]]

@@ -38,13 +38,17 @@ class IsoBlock(Block):
         feed: the value of the F word.
         motion: motion code in force (0 to 3), None before the first.
         inverse_time: whether the feed is an inverse time.
+        absolute_centre: whether the centre of an arc is absolute.
         vector_names: names of the tool vector's words here, with their ``=``, or None if there is no vector.
         cycle_word: the range of a call or the end of a drilling cycle of SINUMERIK.
         cycle_words: words of a drilling cycle of Fanuc, which are not needed once it is expanded.
-        drilling: the cycle that the block executes.
+        drilling: the cycle that the block executes, at all its holes.
+        drilling_axis: the linear axis that drills.
         approaches: whether its axis words name axes that go to a reference or fixed point of SINUMERIK.
         calls: whether the block executes a cycle of SINUMERIK at the present position.
         positions: whether the block moves the axes to the place of the hole before.
+        repeats: number of holes that it drills, each by the increments of its words further than the one before.
+        pattern: places of the holes of a pattern of SINUMERIK, by axis.
     """
 
     skip: str = ""
@@ -57,13 +61,17 @@ class IsoBlock(Block):
     feed: Span | None = None
     motion: int | None = None
     inverse_time: bool = False
+    absolute_centre: bool = False
     vector_names: tuple[str, str, str] | None = None
     cycle_word: Span | None = None
     cycle_words: list[Span] = field(default_factory=list)
     drilling: Drilling | None = None
+    drilling_axis: int = 2
     approaches: bool = False
     calls: bool = False
     positions: bool = True
+    repeats: int = 1
+    pattern: list[dict[int, float]] = field(default_factory=list)
 
 
 # --- Effects of ISO blocks on the frame: work offset, tool in the spindle, and the length that the control adds
@@ -132,7 +140,8 @@ class IsoFrame(Interpreter):
             return {"length": height or tool}
         if "49" in codes or (self._length_by_h and height == "0"):
             return {"length": ""}
-        if "D" in said and not self._length_by_h:
+        radius_only = codes & {"41", "42"} and not (self.frame.length or self._held_length)
+        if "D" in said and not self._length_by_h and not radius_only:
             edge = self._name_of(said["D"])
             return {
                 "length": ""

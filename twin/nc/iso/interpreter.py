@@ -9,7 +9,7 @@ from typing import Any, Final, final
 from twin._common.errors import InputError
 from twin.nc.blocks import AxisWords, Move
 from twin.nc.iso import vocabulary
-from twin.nc.iso.cycles import SINUMERIK
+from twin.nc.iso.cycles import PATTERNS, SINUMERIK
 from twin.nc.iso.frame import TOOL_CHANGE, IsoBlock, Item
 from twin.nc.iso.motion import CENTRE, INCH_CODES, SPINDLE_VECTOR, IsoMotion
 from twin.nc.modal import Block, Span
@@ -30,6 +30,7 @@ _MODES: Final[Mapping[str, tuple[str, Callable[[str], Any]]]] = {
     "distance": ("incremental", lambda code: code == "91"),
     "feed": ("feed_mode", str),
     "plane": ("plane", int),
+    "radius": ("side", int),
     "units": ("inch", INCH_CODES.__contains__),
     "arc centre": ("absolute_centre", lambda code: code == "90.1"),
     "length": ("length_vector", lambda code: code == "43.5"),
@@ -72,6 +73,9 @@ class IsoInterpreter(IsoMotion):
         if stripped[0] == "$" and vocabulary.OKUMA_HEADER.fullmatch(stripped):
             self._okuma = True
             return None
+        if stripped[0] == "<" and vocabulary.PROGRAM_NAME.fullmatch(stripped):
+            self.numbered = True
+            return None
         self._block_text = stripped
         block = IsoBlock(text, begin)
         self._started = False
@@ -98,7 +102,7 @@ class IsoInterpreter(IsoMotion):
 
     def _state_to(self, block: IsoBlock) -> None:
         block.motion, block.inch, block.incremental = self.motion, self.inch, self.incremental
-        block.inverse_time = self.feed_mode == "93"
+        block.inverse_time, block.absolute_centre = self.feed_mode == "93", self.absolute_centre
 
     def _apply(self, block: IsoBlock) -> IsoBlock:
         if block.skip and not _changes_nothing(block):
@@ -110,7 +114,8 @@ class IsoInterpreter(IsoMotion):
         groups = self._with_probing(block, groups)
         drills = not groups & _WITHOUT_CYCLE and self.take_cycle_words(block)
         machine = self._names(block) if block.names else False
-        centre = [item for item in block.others if self._is_of_motion(block, item)]
+        own = "".join(vocabulary.OWN_WORDS.get(span.name, "") for span in block.codes)
+        centre = [item for item in block.others if item.name not in own and self._is_of_motion(block, item)]
         self._state_to(block)
         self.choose_tool(block, frozenset(block.m_words))
         if "still" in groups:
@@ -122,6 +127,7 @@ class IsoInterpreter(IsoMotion):
                 "reference return or probing passed through uncompensated; its axis positions are unknown afterwards"
             )
             which = [self.index[item.name] for item in block.items]
+            self.leave_contour()
             self.check_plane(not which or max(which) >= self.linear)
             self.mark_unknown(block, which or range(len(self.names)), moved=True)
             return block
@@ -130,7 +136,7 @@ class IsoInterpreter(IsoMotion):
             self.add(block, self.axis_word(item, machine=machine))
         if block.items or centre:
             self.move(block, centre, machine=machine)
-        elif self.cycle is not None and (drills or block.calls):
+        elif self.cycle is not None and (drills or block.calls or block.pattern):
             block.positions = False
             self.drill(block, self.cycle)
         if block.calls:
@@ -178,6 +184,7 @@ class IsoInterpreter(IsoMotion):
         if name == "O":
             if block.items or block.names:
                 raise self.error("control flow", vocabulary.NO_CALLS)
+            self.numbered = True
         elif name not in _NO_MOTION:
             if block.items or block.cycle_words:
                 what = "unknown word in a block that moves axes"
@@ -364,6 +371,8 @@ class IsoInterpreter(IsoMotion):
         group = "reference" if block.approaches else vocabulary.GROUP_OF.get(code)
         if group is not None:
             return group
+        if code in vocabulary.ENDED_BY_P0 and [item.value for item in block.others if item.name == "P"] == ["0"]:
+            return ""
         if code in vocabulary.REFUSED_CODES:
             raise self.error(*vocabulary.REFUSED_CODES[code])
         if f"G{code}" in self.tcp_on | self.tcp_off | self.harmless:
@@ -395,7 +404,7 @@ class IsoInterpreter(IsoMotion):
                 self.mcall(block, names[place], last=len(names) == place + 1)
             elif name in vocabulary.CURVES:
                 raise self.error(f"curve or rounding {name}", vocabulary.LINEAR)
-            elif name in SINUMERIK and len(names) == 1 and not block.items and self.cycle is None:
+            elif name in (SINUMERIK if self.cycle is None else PATTERNS) and len(names) == 1 and not block.items:
                 self.call_once(block, names[place])
             elif name not in vocabulary.PASSED and name not in self.harmless:
                 self._unknown_name(block, names[place], shown)
