@@ -63,6 +63,8 @@ class Block:
         moves: none, one, or one move followed by the strokes of a drilling cycle.
         unknown_axes: indices of the axes whose position is unknown after the block.
         tcp_switched: whether the block switches tool centre point control.
+        reframed: frames before and after a block that shifts or turns the coordinates; None for any other.
+        declared: words that declare the present position; their values.
     """
 
     text: str
@@ -77,6 +79,8 @@ class Block:
     moves: tuple[Move, ...] = ()
     unknown_axes: tuple[int, ...] = ()
     tcp_switched: bool = False
+    reframed: tuple[WordFrame, WordFrame] | None = None
+    declared: list[tuple[AxisWord, float]] = field(default_factory=list)
 
 
 # --- Modal state shared by the interpreters of ISO and Heidenhain blocks: positions, variables, notices, errors with their li
@@ -107,6 +111,7 @@ class Interpreter(ABC):
         frame: the coordinates in force.
         frames: lines that change them.
         drilled: see `twin.nc.blocks.Interpretation`.
+        stated_offsets: values of work offsets that the program has set, by axis; None for those that it has not.
         tcp: whether tool centre point control is on.
         tcp_word: the word that switched it last; empty: none yet.
         motion: motion code in force, None before the first and in languages without.
@@ -142,6 +147,7 @@ class Interpreter(ABC):
         self.frame = WordFrame()
         self.frames: list[FrameChange] = []
         self.drilled: list[range] = []
+        self.stated_offsets: dict[str, tuple[float | None, ...]] = {}
         self.offsets_known, self.tools_known = axes.offsets_known, axes.tools_known
         self._one_tool = axes.one_tool and not axes.tools_known
         self.tcp = tcp
@@ -316,7 +322,7 @@ class Interpreter(ABC):
         Raises:
             InputError: it is the program's second one, and the values of the offsets are unknown.
         """
-        if self.offset is None or self.offset == self.used_offset:
+        if self._offset_known:
             return
         if self.used_offset is not None:
             expected = (
@@ -324,6 +330,12 @@ class Interpreter(ABC):
             )
             raise self.error("second work offset", expected, self.offset, self._offset_line + 1)
         self.used_offset = self.offset
+
+    @property
+    def _offset_known(self) -> bool:
+        """Whether moves may use the work offset in force: that of the moves before, or one whose values the program has set."""
+        stated = self.stated_offsets.get(self.offset or "", (None,))
+        return self.offset in (None, self.used_offset) or None not in stated
 
     def hold_tool(self, block: Block, tool: str, length: str, *, along: int | None = None) -> None:
         """Record the tool in the spindle and the one whose length is in force, empty for none, where lengths are not known.
@@ -385,7 +397,7 @@ class Interpreter(ABC):
         same_tool = not self._one_tool or not (
             self._tool_chosen or (self._fed_length != self._held_length and not self.tcp)
         )
-        return same_tool and not self.unknown and self.offset == self.used_offset
+        return same_tool and not self.unknown and (self.offset == self.used_offset or self._offset_known)
 
     def check_plane(self, rotary: bool) -> None:
         """Raise `InputError` for a move that the tilted plane does not allow; ``rotary``: whether it names rotary axes."""
@@ -404,10 +416,46 @@ class Interpreter(ABC):
         self.frames.append(FrameChange(self._line, frame))
         self.mark_unknown(block, range(len(self.names)) if everything else (self.linear - 1,), moved=None)
 
+    def reframe(self, block: Block, *, carried: bool, **changes: Any) -> None:
+        """Change the frame by known values from this block on.
+
+        Args:
+            carried: whether all controls read an incremental word after it from where the axis stands; else the positions of axes whose
+                words have changed are unknown until the program gives them.
+
+        Raises:
+            InputError: tool centre point control does not allow it.
+        """
+        frame = replace(self.frame, **changes)
+        if frame == self.frame:
+            return
+        self._check_tcp(self.tcp, frame)
+        before, self.frame = self.frame, frame
+        self.frames.append(FrameChange(self._line, frame))
+        words = before.converted(self.position, frame)
+        if carried:
+            self.position = words
+            block.reframed = (before if block.reframed is None else block.reframed[0]), frame
+            return
+        trials = [[float(i == j) for i in range(len(words))] for j in range(-1, self.linear)]
+        changed = [i for trial in trials for i, word in enumerate(before.converted(trial, frame)) if word != trial[i]]
+        self.mark_unknown(block, sorted({*changed}), moved=None)
+
+    def _check_tcp(self, tcp: bool, frame: WordFrame) -> None:
+        """Raise `InputError` for a frame that is not followed under tool centre point control."""
+        if tcp and (frame.turn or frame.stated or any(frame.shift[self.linear :])):
+            what = "tool centre point control where the program turns its coordinates, shifts a rotary axis or sets a work offset"
+            raise self.error(what, "shifts of the linear axes only")
+
     def switch(self, block: Block, on: bool, word: str) -> None:
-        """Switch tool centre point control, unless it has that state already."""
+        """Switch tool centre point control, unless it has that state already.
+
+        Raises:
+            InputError: the frame in force does not allow it.
+        """
         if on == self.tcp:
             return
+        self._check_tcp(on, self.frame)
         if not on:
             if not self.tcp_word:
                 self.note(f"{word} switches tool centre point control off")

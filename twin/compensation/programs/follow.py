@@ -219,7 +219,8 @@ class Follower:
         words, end = self._words, np.array(move.position)
         if move.machine:
             self._pass(end, np.isfinite(end))
-            self._words = np.where(self._named(move), end - self._space.offset, words)
+            at = self._space.positions(words)
+            self._words = self._space.of_positions(np.where(self._named(move), end, at))
             if move.tcp or self._space.tilt is not None:
                 self._words[:3] = np.nan  # the position of the tip then depends on the control
             self.notices.append(Notice(move.line, "machine coordinates: passed through unchanged"))
@@ -273,7 +274,7 @@ class Follower:
         """Convert the axis positions to words of another conversion, in which the program goes on."""
         words, tcp, tilt = self._words, bool(self._tcp), space.tilt
         known = np.isfinite(words).all()
-        self._words = words + self._space.offset - space.offset
+        self._words = space.of_positions(self._space.positions(words))
         if known and (tilt is None or tilt.stays):
             mode = np.array([tcp])
             commands = self._space.commands(words[None, :], mode)
@@ -329,7 +330,7 @@ class Follower:
                 value=text_of(move.line).strip(),
             )
         self.notices.append(Notice(move.line, f"position of {names} not yet known: rapid passed through unchanged"))
-        commands = end + space.offset
+        commands = space.positions(end)
         if move.tcp or space.tilt is not None:
             commands[:3] = np.nan
         self._pass(commands, self._named(move))
@@ -389,38 +390,59 @@ class FrameSpaces:
             length = tools.of(tool, source, line) + frame.delta_mm
         elif tools is not None and tool == "0":
             length = 0.0
-        shift = dict(setup.work_offset)
-        origin = setup.work_origin_mm
-        if setup.offsets is not None:
-            row = setup.offsets.of(frame.offset, source, line)
-            shift = {name: row.get(name, 0.0) for name in base.axes.names}
-            origin = self._origin(shift)
+        shift, origin = self._offset(frame, source, line)
         if frame.length or (tools is None and setup.offsets is not None):
             along = base.axes.linear[2]
             added = base.nominal.tool_length_mm if length is None else length
             shift[along] = shift.get(along, 0.0) + added
-        key: tuple[Hashable, ...] = tuple(sorted(shift.items())), origin, length
+        turn = None
+        if frame.plane is None:
+            by = frame.shift or (0.0,) * len(base.axes.names)
+            shift |= {name: shift.get(name, 0.0) + add for name, add in zip(base.axes.names, by, strict=True) if add}
+            origin = origin[0] + by[0], origin[1] + by[1], origin[2] + by[2]
+            turn = frame.turn
+        key: tuple[Hashable, ...] = tuple(sorted(shift.items())), origin, length, *(() if turn is None else (turn,))
         if key not in self._made:
             plain = replace(setup, work_offset=shift, work_origin_mm=origin, offsets=None, tools=None)
-            self._made[key] = WordSpace(base.machine, plain, length)
+            self._made[key] = WordSpace(
+                base.machine, plain, length, turn=None if turn is None else np.array(turn, dtype=float)
+            )
         space = self._made[key]
         if frame.plane is None:
             return space
         rotary = self._rotary(space, frame.plane, standing_deg, source, line)
-        key = (*key, frame.plane, tuple(rotary.tolist()))
+        key = (*key, frame.plane, frame.shift, frame.turn, tuple(rotary.tolist()))
         if key not in self._made:
-            self._made[key] = WordSpace(base.machine, space.setup, length, self._tilt(space, frame.plane, rotary))
+            self._made[key] = WordSpace(base.machine, space.setup, length, self._tilt(space, frame, rotary))
         return self._made[key]
 
-    def _tilt(self, space: WordSpace, plane: Plane, rotary_deg: np.ndarray) -> Tilt:
-        """Return a plane whose zero is given in the words of ``space``, with the rotary axes at zero."""
+    def _offset(self, frame: WordFrame, source: str, line: int) -> tuple[dict[str, float], tuple[float, float, float]]:
+        """Return the work offset of a frame by axis, and the program's zero in the work frame."""
+        setup, names = self._base.setup, self._base.axes.names
+        stated = {name: value for name, value in zip(names, frame.stated, strict=False) if value is not None}
+        if setup.offsets is not None:
+            row = stated if len(stated) == len(names) else {**setup.offsets.of(frame.offset, source, line), **stated}
+            shift = {name: row.get(name, 0.0) for name in names}
+            return shift, self._origin(shift)
+        return {**setup.work_offset, **stated}, setup.work_origin_mm
+
+    def _tilt(self, space: WordSpace, frame: WordFrame, rotary_deg: np.ndarray) -> Tilt:
+        """Return the plane of a frame, whose zero is given in the words of ``space``, with the rotary axes at zero.
+
+        Within a plane, a shift and a rotation are along its axes.
+        """
+        plane = frame.plane
+        assert plane is not None
         if self._base.setup.offsets is None:
             zero = np.zeros((1, len(space.order)))
             zero[:, space.order] = np.where(np.arange(len(space.order)) < 3, space.offset, 0.0)
             origin = space.nominal.forward(zero).point_mm[0]
         else:
             origin = space.origin
-        return Tilt(np.array(plane.rotation), origin + np.array(plane.origin_mm), rotary_deg, plane.stays)
+        rotation, turn = np.array(plane.rotation), np.eye(3) if frame.turn is None else np.array(frame.turn)
+        shift = np.array(frame.shift[:3] or (0.0, 0.0, 0.0))
+        at = origin + np.array(plane.origin_mm) + rotation @ shift
+        return Tilt(rotation @ turn, at, rotary_deg, plane.stays)
 
     def _rotary(self, space: WordSpace, plane: Plane, standing_deg: np.ndarray, source: str, line: int) -> np.ndarray:
         """Return the commands of the rotary axes for a plane, rounded to their least increments.

@@ -11,7 +11,7 @@ import numpy as np
 
 from twin._common.errors import InputError
 from twin.nc.arcs import ArcMisfit, arc_by_centre, arc_by_radius
-from twin.nc.blocks import Arc, AxisWords, Kind, Move, MoveColumns, Notice, Plane, rotation_about
+from twin.nc.blocks import Arc, AxisWords, Kind, Move, MoveColumns, Notice, Plane, Rows, rotation_about
 from twin.nc.heidenhain import vocabulary
 from twin.nc.heidenhain.calls import PathBlock
 from twin.nc.modal import AxisWord, Block, Interpreter, Span
@@ -21,6 +21,7 @@ from twin.nc.writer import Vector
 LONGEST_TURN_DEG: Final = 180.5
 """Turn of a rotary axis up to which its shortest way is that of its words; a correction may turn half a turn a little further."""
 _PRESET: Final = "Q339"
+_PLANES: Final = {"Z": (0, 1, 2), "Y": (2, 0, 1), "X": (1, 2, 0)}
 _ANGLE: Final = re.compile(r"SP([ABC])[ \t]*([+-]?[ \t]*(?:[\d.,]+|Q[LR]?\d+))", re.ASCII | re.IGNORECASE)
 _CHOICE: Final = re.compile(r"(?:SEQ|SYM)[ \t]*([+-])", re.ASCII | re.IGNORECASE)
 
@@ -35,7 +36,10 @@ class HeidenhainFrame(Interpreter):
 
     heidenhain = True
     continued = False
+    plane = _PLANES["Z"]
     _selects_preset = False
+    _shift_below: tuple[float, ...] = ()
+    _turned_deg = 0.0
     centre: Mapping[int, float] = {}
 
     def lose(self, block: Block, statement: str) -> None:
@@ -60,6 +64,7 @@ class HeidenhainFrame(Interpreter):
         """
         if self._selects_preset and not self.continued:
             self._selects_preset = False
+            self._shift_to(block, (), None)
             row = self.value_of(_PRESET)
             if not self.offsets_known and row != row:
                 self.select_offset(block, f"preset of line {self._line + 1}")
@@ -101,7 +106,11 @@ class HeidenhainFrame(Interpreter):
         words = upper.split()
         if words[1:2] == ["RESET"]:
             if self.frame.plane is not None:
-                self.select(block, plane=None)
+                if self.frame.shift or self.frame.turn:
+                    raise self.error(
+                        "end of a tilted plane while it is shifted or turned", "the shift cancelled before"
+                    )
+                self.select(block, plane=None, shift=self._shift_below)
             if "STAY" not in words:
                 self.note("PLANE RESET may move the rotary axes; their positions are unknown afterwards")
                 self.mark_unknown(block, range(self.linear, len(self.names)), moved=bool(self.frames))
@@ -118,7 +127,55 @@ class HeidenhainFrame(Interpreter):
         choice = _CHOICE.search(upper)
         sign = 0 if choice is None else 1 if choice.group(1) == "+" else -1
         stays = "TURN" in words and not any(word.startswith("MB") for word in words)
-        self.select(block, plane=Plane((0.0, 0.0, 0.0), turned, sign, stays))
+        self._shift_below = shift = self.frame.shift
+        if self.frame.turn or any(shift[self.linear :]):
+            raise self.error(
+                "tilted plane in turned coordinates, or after a shift of a rotary axis", "these cancelled before"
+            )
+        x, y, z = shift[:3] or (0.0, 0.0, 0.0)
+        self.select(block, plane=Plane((x, y, z), turned, sign, stays), shift=())
+
+    def shift(self, block: PathBlock, words: str, what: str) -> None:
+        """Shift the datum by axis words, each absolute or incremental (``IX``); the other axes keep their shift.
+
+        Raises:
+            InputError: other words, or a shift that cannot be followed.
+        """
+        shift = [*(self.frame.shift or (0.0,) * len(self.names))]
+        found = list(vocabulary.SHIFT.finditer(words))
+        if not found or vocabulary.SHIFT.sub("", words).strip():
+            raise self.error(f"{what} without axis words", "axis words such as X+10 or IX+10", words.strip() or None)
+        for match in found:
+            axis = self.index.get(match[2].upper(), -1)
+            if axis < 0:
+                raise self.unknown_axis(match[0].strip())
+            value = self.known(match[2], match[3]) * (MM_PER_INCH if self.inch and axis < self.linear else 1.0)
+            shift[axis] = value + (shift[axis] if match[1] else 0.0)
+        if self.frame.plane is not None and (self._shift_below or any(shift[self.linear :])):
+            raise self.error(f"{what} in a tilted plane", "a shift of the linear axes, and none before the plane")
+        if self.frame.turn and any(shift) and tuple(shift) != self.frame.shift:
+            raise self.error(f"{what} in turned coordinates", "the rotation after the shift")
+        self._shift_to(block, tuple(shift) if any(shift) else (), self.frame.turn)
+
+    def turn(self, block: PathBlock, words: str, what: str) -> None:
+        """Turn the coordinates in the working plane by ``ROT``, absolute or incremental.
+
+        Raises:
+            InputError: other words, or a rotation that cannot be followed.
+        """
+        match = vocabulary.ROTATION.fullmatch(words.strip())
+        if match is None:
+            raise self.error(f"{what} without an angle", "ROT+30", words.strip() or None)
+        if self.plane != _PLANES["Z"]:
+            raise self.error(f"{what} about another axis than Z", "tool axis Z")
+        angle = self.known("ROT", match[2])
+        self._turned_deg = angle + (self._turned_deg if match[1] else 0.0)
+        self._shift_to(block, self.frame.shift, rotation_about("Z", [self._turned_deg]) if self._turned_deg else None)
+
+    def _shift_to(self, block: PathBlock, shift: tuple[float, ...], turn: Rows | None) -> None:
+        if turn is None:
+            self._turned_deg = 0.0
+        self.reframe(block, carried=False, shift=shift, turn=turn)
 
     def known(self, name: str, written: str) -> float:
         """Return the value of a word.
@@ -137,7 +194,6 @@ class HeidenhainFrame(Interpreter):
 # --- Modal interpreter of Heidenhain programs -----------------------------------------------------
 
 _new = tuple.__new__
-_PLANES: Final = {"Z": (0, 1, 2), "Y": (2, 0, 1), "X": (1, 2, 0)}
 
 
 @final
@@ -148,7 +204,6 @@ class HeidenhainInterpreter(HeidenhainFrame):
         on = {"M128", *(word.upper() for word in axes.tcp_on)}
         off = {"M129", *(word.upper() for word in axes.tcp_off)}
         super().__init__(source, axes, tcp=tcp, tcp_on=on, tcp_off=off)
-        self.plane = _PLANES["Z"]
         self._simple = vocabulary.simple_pattern(self.names)
         self._shortest_way: list[tuple[int, bool]] = [(-1, False)]
         self._turned_to = np.full((1, len(self.names) - self.linear), np.nan)
@@ -355,7 +410,17 @@ class HeidenhainInterpreter(HeidenhainFrame):
             raise self.error("subprogram call or repetition", vocabulary.NO_CALLS)
 
     def _transform(self, block: PathBlock, body: str, upper: str) -> None:
-        if "RESET" not in upper:
+        words = upper.split()
+        rest = upper.partition(" AXIS ")[2] if words[1:3] == ["DATUM", "AXIS"] else upper.partition(" ROTATION ")[2]
+        if words[:3] == ["TRANS", "DATUM", "RESET"]:
+            self._shift_to(block, (), self.frame.turn)
+        elif words[:3] == ["TRANS", "ROTATION", "RESET"]:
+            self._shift_to(block, self.frame.shift, None)
+        elif words[:3] == ["TRANS", "DATUM", "AXIS"]:
+            self.shift(block, rest, "TRANS DATUM")
+        elif words[:2] == ["TRANS", "ROTATION"]:
+            self.turn(block, rest, "TRANS ROTATION")
+        elif "RESET" not in upper:
             name = "POLARKIN" if upper.startswith("POLARKIN") else "TRANS"
             raise self.error(f"coordinate transformation {name}", vocabulary.NO_TRANSFORMATION)
 
@@ -373,6 +438,8 @@ class HeidenhainInterpreter(HeidenhainFrame):
             raise self.error(f"cycle {cycle} is executed where it is defined", vocabulary.EXPANDED_CYCLE)
         if cycle == 247:
             self.begin_preset()
+        elif cycle in (7, 10) and part is not None and part != "0":
+            (self.shift if cycle == 7 else self.turn)(block, rest, f"CYCL DEF {cycle}")
         elif cycle not in vocabulary.HARMLESS_CYCLES and cycle not in vocabulary.TRANSFORM_CYCLES:
             self.lose(block, body)
         elif cycle in vocabulary.TRANSFORM_CYCLES and (

@@ -203,6 +203,7 @@ class IsoTilt(IsoFrame):
             self._tilt(block, Plane(self._defined.origin_mm, self._defined.rotation, _CHOICES[choice]))
         elif "69" in codes:
             self._defined = None
+            self._check_unshifted()
             self.select(block, plane=None)
             return
         else:
@@ -217,6 +218,7 @@ class IsoTilt(IsoFrame):
         """
         texts = [part.strip() for part in arguments.strip()[1:-1].split(",")]
         if not any(texts):
+            self._check_unshifted()
             self.select(block, plane=None)
             return
         self._check_allowed(block)
@@ -250,7 +252,15 @@ class IsoTilt(IsoFrame):
         self._defined = None
         self.select(block, plane=plane)
 
+    def _check_unshifted(self) -> None:
+        """Raise `InputError` where the program has shifted or turned the coordinates: controls treat that differently."""
+        if self.frame.shift or self.frame.turn:
+            raise self.error(
+                "tilted plane while the coordinates are shifted or turned", "the shift ended before (TRANS, G52, G92.1)"
+            )
+
     def _check_allowed(self, block: IsoBlock) -> None:
+        self._check_unshifted()
         if self.tcp:
             raise self.error("tilted plane under tool centre point control", "tool centre point control off before it")
         if self.frame.plane is not None:

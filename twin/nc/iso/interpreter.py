@@ -12,6 +12,7 @@ from twin.nc.iso import vocabulary
 from twin.nc.iso.cycles import SINUMERIK
 from twin.nc.iso.frame import TOOL_CHANGE, IsoBlock, Item
 from twin.nc.iso.motion import CENTRE, INCH_CODES, SPINDLE_VECTOR, IsoMotion
+from twin.nc.iso.shifts import PROGRAMMED
 from twin.nc.modal import Block, Span
 from twin.nc.text import BLANK, BOM, number
 
@@ -105,8 +106,8 @@ class IsoInterpreter(IsoMotion):
             self.note("block skip: assumed to be executed", once=True)
         self._machine_axes(block)
         groups = self._g_words(block) if block.codes else frozenset()
-        if "plane tilt" in groups:
-            self.tilt_words(block)
+        if groups and self._frame_words(block, groups):
+            return block
         groups = self._with_probing(block, groups)
         drills = not groups & _WITHOUT_CYCLE and self.take_cycle_words(block)
         machine = self._names(block) if block.names else False
@@ -136,6 +137,15 @@ class IsoInterpreter(IsoMotion):
         if block.calls:
             self.cycle = None
         return block
+
+    def _frame_words(self, block: IsoBlock, groups: frozenset[str]) -> bool:
+        """Apply G words that tilt, shift or turn the coordinates; return whether the block does nothing else."""
+        if "plane tilt" in groups:
+            self.tilt_words(block)
+        if "shift" in groups:
+            self._state_to(block)
+            self.shift_words(block, groups)
+        return "shift" in groups
 
     def _with_probing(self, block: IsoBlock, groups: frozenset[str]) -> frozenset[str]:
         """Return the groups of a block's G words, with that of G38 where it is in force: until a word of the motion group or G80."""
@@ -178,6 +188,7 @@ class IsoInterpreter(IsoMotion):
         if name == "O":
             if block.items or block.names:
                 raise self.error("control flow", vocabulary.NO_CALLS)
+            self.control = "Fanuc"
         elif name not in _NO_MOTION:
             if block.items or block.cycle_words:
                 what = "unknown word in a block that moves axes"
@@ -256,6 +267,8 @@ class IsoInterpreter(IsoMotion):
     def _hash(self, block: IsoBlock, match: re.Match[str]) -> None:
         self._started = True
         name = match.group(17)
+        if name[1] == "<":
+            self.control = "LinuxCNC"
         if name[1:].isdigit() and any(first <= int(name[1:]) <= last for first, last in vocabulary.OFFSET_VARIABLES):
             raise self.error("the program sets a work offset or a tool length", vocabulary.NO_TRANSFORMATION, name)
         self._assignments.append((name, self.value_of(match.group(18))))
@@ -331,6 +344,7 @@ class IsoInterpreter(IsoMotion):
             if group and seen.setdefault(group, code) != code:
                 raise self.error(f"two G words of one modal group ({group})", "one G word per group in a block")
             self._modal(block, span, group)
+            self.tell_control(code)
             self.switch_by(block, f"G{code}")
         return frozenset(seen)
 
@@ -388,7 +402,10 @@ class IsoInterpreter(IsoMotion):
             elif name == "CYCLE800":
                 self.swivel(block, arguments)
             elif name in vocabulary.TRANSFORMS:
-                if name not in vocabulary.CANCELLING or block.items or arguments.strip("() \t"):
+                alone = name in vocabulary.CANCELLING and not (block.items or block.others)
+                if (name in PROGRAMMED or alone) and not arguments.strip("() \t"):
+                    self.program_frame(block, name)
+                else:
                     rest = block.text[start:].split(";")[0].strip()
                     raise self.error(f"coordinate transformation {name}", vocabulary.NO_TRANSFORMATION, rest)
             elif name == "MCALL" or (place and names[place - 1].name == "MCALL"):
@@ -416,7 +433,8 @@ class IsoInterpreter(IsoMotion):
         """Apply an assignment that is not a word of the block; return whether it was one."""
         name, value = item.name, item.value
         shown = f"{name}={value}"
-        if len(name) == 1 or name in SPINDLE_VECTOR or name in ("CR", "TURN"):
+        turns = name == "RPL" and any(one.name in PROGRAMMED for one in block.names)
+        if len(name) == 1 or name in SPINDLE_VECTOR or name in ("CR", "TURN") or turns:
             return False
         if name[0] in "ABCD" and name[1:] in ("2", "6", "7"):
             raise self.error(f"tool orientation by {name}", "a tool vector A3= B3= C3=, or rotary axes", shown)

@@ -10,7 +10,8 @@ from twin.nc.arcs import MOST_TURNS, PLANES, ArcMisfit, arc_by_centre, arc_by_ra
 from twin.nc.blocks import Arc, AxisWords, Kind, Move
 from twin.nc.iso import cycles, vocabulary
 from twin.nc.iso.cycles import Drilling, Stroke
-from twin.nc.iso.frame import IsoBlock, IsoTilt, Item
+from twin.nc.iso.frame import IsoBlock, Item
+from twin.nc.iso.shifts import IsoShift
 from twin.nc.modal import AxisWord, Span
 from twin.nc.text import MM_PER_INCH, number
 
@@ -20,7 +21,7 @@ _MODAL: Final = frozenset("RQP")
 _REPEATS: Final = frozenset("LK")
 
 
-class IsoDrilling(IsoTilt):
+class IsoDrilling(IsoShift):
     """Drilling cycles: those of Fanuc and LinuxCNC, and calls of SINUMERIK by ``MCALL``.
 
     Attributes:
