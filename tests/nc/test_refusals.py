@@ -145,7 +145,6 @@ def refused(dialect, start, block, what, tcp=False):
         ("G28 X0\nG91 X5", "absolute position first"),
         ("$P_UIFR[1]=CTRANS(X,5)", "transformation"),
         ("POS[X]=5", "curve"),
-        ("G59 X5 Y5", "transformation"),
         ("\xe9", "unexpected character"),
     ],
 )
@@ -159,7 +158,7 @@ def test_a_second_work_offset_is_refused_where_it_is_chosen():
     assert caught.value.line == 4
     assert read_moves(ISO, "G55\nG54\nG0 X0\nG500\nSUPA X5\n").moves[-1].machine
     with pytest.raises(InputError, match=r"G54\.1 P2"):
-        read_moves(ISO, "G54.1 P1\nG0 X0\nG54.1 P2\nX1\n")
+        read_moves(ISO, "G54.1 P1\nG0 X0\nG54.1 P2\nG1 X1\n")
 
 
 @pytest.mark.parametrize(

@@ -266,7 +266,7 @@ class Move(NamedTuple):
         kind: rapid, linear feed or arc.
         tcp: whether tool centre point control is on (the words are tool-tip coordinates).
         machine: whether the words are machine coordinates (``G53``, ``SUPA``, ``M91``). Such a block passes through unchanged;
-            ``position`` holds its words, NaN for the other axes.
+            ``position`` holds its words, NaN for the other axes. With ``unknown``: those of a work offset of unknown values, all NaN.
         position: absolute end position of every axis, mm and degrees, in the order ``AxisWords.names``, in the program's
             coordinates (without work offset); NaN where still unknown. Rotary entries are NaN in a block with a tool vector.
         named: names of the axes written in this block.

@@ -320,16 +320,29 @@ class Interpreter(ABC):
         """Record that a move uses the work offset in force.
 
         Raises:
-            InputError: it is the program's second one, and the values of the offsets are unknown.
+            InputError: it is the program's second one, and the values of the offsets are unknown (rapids in it: `parks`).
         """
         if self._offset_known:
             return
         if self.used_offset is not None:
             expected = (
-                f"one work offset per program (moves before use {self.used_offset}), or the table of work offsets"
+                f"only rapids in another work offset than before ({self.used_offset}), or the table of work offsets"
             )
             raise self.error("second work offset", expected, self.offset, self._offset_line + 1)
         self.used_offset = self.offset
+
+    @property
+    def parks(self) -> bool:
+        """Whether a rapid goes to an unknown place: in the program's second work offset, whose values are unknown."""
+        return self.used_offset is not None and not self._offset_known
+
+    def parking_move(self, block: Block) -> Move:
+        """Return the rapid of a block in a work offset of unknown values; it passes through unchanged."""
+        position = self.machine_position(block, elsewhere=True)
+        unknown = f"the value of work offset {self.offset} is not known"
+        return Move(
+            self._line, Kind.RAPID, self.tcp, position, self.named(block.axis_bits), machine=True, unknown=unknown
+        )
 
     @property
     def _offset_known(self) -> bool:

@@ -101,6 +101,8 @@ class Follower:
         self._space = space
         self._later: list[tuple[int, WordSpace]] = []
         self._words = np.full(len(space.axes.names), np.nan)
+        self._lost = np.zeros(len(self._words), dtype=bool)
+        """Whether each axis has been moved to an unknown place since its last known position."""
         self._tcp: bool | None = None
         self._assumed = False
         self._left: list[LostPositions] = []
@@ -195,7 +197,7 @@ class Follower:
             forgotten = np.isin(np.arange(len(words)), left.axes)
             self._pass(np.full(len(words), np.nan), forgotten)
             if left.moved:
-                self._words = np.where(forgotten, np.nan, words)
+                self._words, self._lost = np.where(forgotten, np.nan, words), self._lost | forgotten
                 self._assumed = self._assumed and not forgotten[3:].any()
 
     def _pass(self, commands: np.ndarray, moved: np.ndarray) -> None:
@@ -213,32 +215,41 @@ class Follower:
             if self._tcp is not None:
                 self._words = self._switched(move.tcp)
             self._tcp = move.tcp
-        if move.unknown:
+        if move.unknown and not move.machine:
             self._lose(move)
             return None
         words, end = self._words, np.array(move.position)
         if move.machine:
-            self._pass(end, np.isfinite(end))
-            at = self._space.positions(words)
-            self._words = self._space.of_positions(np.where(self._named(move), end, at))
-            if move.tcp or self._space.tilt is not None:
-                self._words[:3] = np.nan  # the position of the tip then depends on the control
-            self.notices.append(Notice(move.line, "machine coordinates: passed through unchanged"))
+            self._place(move, end)
             return None
         unmoved = np.isnan(end) & self._named(move) & (move.vector is None)  # increments of zero at unknown positions
         end = np.where(np.isnan(end), words, end)
         if move.vector is not None:
             end[3:] = self._along_vector(move, words[3:])
+        unmoved |= np.isnan(end) & self._lost & (np.arange(len(end)) >= 3)
         if np.isnan(end[3:]).any() and not unmoved.any():
             end[3:] = self._assume(move.line, end[3:])
         start = words.copy()
         start[3:] = np.where(np.isnan(start[3:]), end[3:], start[3:])
-        self._words = end
+        self._words, self._lost = end, self._lost & np.isnan(end)
         if unmoved.any() or np.isnan(end[:3]).any():
             self._unknown_position(move, end, unmoved, text_of)
             return None
         self._count += 1
         return PathMotion(move, start, end)
+
+    def _place(self, move: Move, end: np.ndarray) -> None:
+        """Pass a block in coordinates of the machine, or of an unknown work offset, through; ``end``: NaN where they are unknown."""
+        named = self._named(move)
+        self._pass(end, named)
+        self._words = self._space.of_positions(np.where(named, end, self._space.positions(self._words)))
+        if move.tcp or self._space.tilt is not None:
+            self._words[:3] = np.nan  # the position of the tip then depends on the control
+        self._lost = np.where(named, np.isnan(end), self._lost)
+        if move.unknown:
+            self.unknown.append(LostBlock(move.line, move.kind is not Kind.RAPID, move.unknown))
+        else:
+            self.notices.append(Notice(move.line, "machine coordinates: passed through unchanged"))
 
     def _lose(self, move: Move) -> None:
         """Pass a block to an unknown place through."""
@@ -248,6 +259,7 @@ class Follower:
         if known or self.passages[-1].before != self._count:
             self._pass(everywhere, np.ones(len(everywhere), dtype=bool))
         self._words, self._assumed = everywhere, False
+        self._lost = np.isnan(everywhere)
 
     def _checked(self, motions: MotionColumns, text_of: TextOf) -> MotionColumns:
         """Return motions; raise `InputError` for the first that needs more than `MOST_SAMPLES` samples."""
@@ -284,7 +296,7 @@ class Follower:
         elif tcp or tilt is not None or self._space.tilt is not None:
             self._words[:3] = np.nan
         if tilt is not None:
-            self._words[3:] = space.start
+            self._words[3:], self._lost[3:] = space.start, False
         self._space = space
 
     def _switched(self, tcp: bool) -> np.ndarray:
@@ -315,16 +327,16 @@ class Follower:
         """Pass a rapid move to an unknown position through; raise `InputError` for a feed move.
 
         Args:
-            unmoved: (axes,) which axes it names, by an increment of zero, at an unknown position.
+            unmoved: (axes,) which axes it leaves, or names by an increment of zero, where something has moved them.
         """
         space = self._space
         missing = unmoved | (np.isnan(end) & (np.arange(len(end)) < 3))
         names = ", ".join(name for name, unknown in zip(space.axes.names, missing, strict=True) if unknown)
         if move.kind is not Kind.RAPID:
-            which = "axis that it names" if missing[3:].any() else "linear axis"
+            which = "these axes" if missing[3:].any() else "every linear axis"
             raise InputError(
                 f"feed move before the program has given a position of {names}",
-                expected=f"a position of every {which} before the first feed move",
+                expected=f"a position of {which} before it",
                 file=self._source,
                 line=move.line + 1,
                 value=text_of(move.line).strip(),

@@ -259,7 +259,7 @@ class HeidenhainInterpreter(HeidenhainFrame):
     def _found(self, line: int, text: str) -> re.Match[str] | None:
         """Begin a line and return its match if it is a simple block; only ``LN`` can have vectors."""
         self._line, self._block_text = line, text
-        found = None if self.continued else self._simple.pattern.fullmatch(text)
+        found = None if self.continued or self.parks else self._simple.pattern.fullmatch(text)
         if found is not None and found[2] in ("L", "l") and any(found.groups()[self._simple.behind]):
             return None
         return found
@@ -604,6 +604,9 @@ class HeidenhainInterpreter(HeidenhainFrame):
             kind = Kind.ARC if block.keyword in ("C", "CR") else kind
             block.moves += (self.unknown_move(kind, block.axis_bits),)
             block.unknown_axes = tuple(range(len(self.names)))
+            return
+        if self.parks and kind is Kind.RAPID and block.keyword in ("L", "") and not (block.arc_words or self.vector):
+            block.moves += (self.parking_move(block),)
             return
         start = self.position[: self.linear]
         self.apply_words(block)

@@ -81,6 +81,8 @@ class IsoFrame(Interpreter):
     default).
     """
 
+    without_frames = False
+    """Whether the program has words that no program of SINUMERIK has, so that G58 and G59 select work offsets."""
     _next_tool = ""
     _length_by_h = _by_name = False
 
@@ -90,7 +92,8 @@ class IsoFrame(Interpreter):
         Raises:
             InputError: ``G58`` and ``G59`` that shift coordinates.
         """
-        if code in ("58", "59") and block.items and not any(span.name in "0123" for span in block.codes):
+        shifts = code in ("58", "59") and not self.without_frames
+        if shifts and block.items and not any(span.name in "0123" for span in block.codes):
             raise self.error(f"coordinate transformation G{code}", vocabulary.NO_TRANSFORMATION, f"G{code}")
         if code in ("54.1", "154"):
             code += "".join(f" P{item.value.strip()}" for item in block.others if item.name == "P")

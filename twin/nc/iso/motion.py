@@ -293,6 +293,9 @@ class IsoMotion(IsoDrilling):
             block.moves += (self.unknown_move(kind, block.axis_bits),)
             block.unknown_axes = tuple(range(len(self.names)))
             return
+        if self.parks and kind is Kind.RAPID and self.cycle is None and not (centre or self.vector):
+            block.moves += (self.parking_move(block),)
+            return
         start = self.position[: self.linear]
         self.apply_words(block)
         vector = self._vector(block, centre) if centre else None

@@ -25,6 +25,7 @@ _OFFSETS: Final = ("G54", "G55", "G56", "G57", "G58", "G59", "G59.1", "G59.2", "
 """The work offset of each P word of ``G10 L2``, from 1 on."""
 _OF_LINUXCNC: Final = frozenset({"59.1", "59.2", "59.3", "92.2", "92.3", "38.2", "38.3", "38.4", "38.5"})
 _OF_FANUC: Final = frozenset({"54.1", "154", "68.2", "65"})
+_NOT_OF_SINUMERIK: Final = frozenset({*_OF_LINUXCNC, *_OF_FANUC, "20", "21", "28", "43", "49", "80", "98", "99"})
 _TURNED: Final = {17: 2, 18: 1, 19: 0}
 Control = Literal["", "LinuxCNC", "Fanuc"]
 
@@ -257,6 +258,7 @@ class IsoShift(IsoTilt):
 
     def tell_control(self, code: str) -> None:
         """Take a G code as a word of one control."""
+        self.without_frames = self.without_frames or code in _NOT_OF_SINUMERIK
         if code in _OF_LINUXCNC:
             self.control = "LinuxCNC"
         elif code in _OF_FANUC:
