@@ -117,7 +117,7 @@ def _check_size(path: Path, needed: int) -> None:
 def read_program(path: str | Path, language: str | None = None) -> tuple[Program, Dialect]:
     """Read a program from a file (or a sample that comes with twin) and return it with its language.
 
-    Its subprograms, in the same file or folder, are written out in place of their calls.
+    Its subprograms, in the same file or folder, its loops and its jumps are written out as they are executed.
 
     Args:
         path: its path.

@@ -8,11 +8,11 @@ from twin.nc.text import line_pattern, number
 
 _STRING = r'"[^"\r\n]*+"'
 _ARGS = rf'\((?:[^()"\r\n]++|{_STRING}|\((?:[^()"\r\n]++|{_STRING}|\([^()"\r\n]*+\))*+\))*+\)'
-_BRACKET = r"\[(?:[^\[\]\r\n]++|\[(?:[^\[\]\r\n]++|\[[^\[\]\r\n]*+\])*+\])*+\]"
+BRACKET = r"\[(?:[^\[\]\r\n]++|\[(?:[^\[\]\r\n]++|\[[^\[\]\r\n]*+\])*+\])*+\]"
 _NUMBER = r"[\d.]++"
 _HASH = r"\#(?:\d++|<[^>\r\n]*+>)"
-_NAME = rf"\$?[A-Za-z_]\w*+(?:{_BRACKET})?+(?:{_ARGS})?+"
-_OPERAND = rf"[+-]?+[ \t]*+(?:{_NUMBER}|{_STRING}|{_NAME}|{_HASH}|{_BRACKET})"
+_NAME = rf"\$?[A-Za-z_]\w*+(?:{BRACKET})?+(?:{_ARGS})?+"
+_OPERAND = rf"[+-]?+[ \t]*+(?:{_NUMBER}|{_STRING}|{_NAME}|{_HASH}|{BRACKET})"
 _REST = r"(?:(?![A-Za-z][ \t]*+[+-]?[ \t]*+[\d.\#\[])[^()\r\n])*+"
 _INNER = rf"\([^()\r\n]*+(?:\([^()\r\n]*+\){_REST})*+\)"
 NOTE = rf"\([^()\r\n]*+(?:{_INNER}{_REST})*+\)"
@@ -26,9 +26,9 @@ TOKEN = re.compile(
     rf"""[ \t\f\x1a]*+(?:
       (?P<word>([A-Za-z])[ \t]*+([+-]?+[ \t]*+[\d.]++)(?![ \t]*+=))
     | (?P<note>{NOTE}|;[^\r\n]*+|[\r\n]++)
-    | (?P<given>([A-Za-z]\d*+|\$?[A-Za-z_][A-Za-z_]\w*+)({_BRACKET})?+[ \t]*+=(?!=)[ \t]*+({_FORMULA}))
-    | (?P<name>(\$?(?:[A-Za-z][A-Za-z_]|_)\w*+)({_BRACKET})?+(?:[ \t]*+({_ARGS}))?+)
-    | (?P<late>([A-Za-z])[ \t]*+([+-]?+[ \t]*+(?:{_HASH}|{_BRACKET})))
+    | (?P<given>([A-Za-z]\d*+|\$?[A-Za-z_][A-Za-z_]\w*+)({BRACKET})?+[ \t]*+=(?!=)[ \t]*+({_FORMULA}))
+    | (?P<name>(\$?(?:[A-Za-z][A-Za-z_]|_)\w*+)({BRACKET})?+(?:[ \t]*+({_ARGS}))?+)
+    | (?P<late>([A-Za-z])[ \t]*+([+-]?+[ \t]*+(?:{_HASH}|{BRACKET})))
     | (?P<hash>({_HASH})[ \t]*+=[ \t]*+({_EXPRESSION}))
     | (?P<skip>(?:/\d?+)++)
     | (?P<main>:\d*+)
