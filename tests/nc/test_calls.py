@@ -74,8 +74,8 @@ REFUSED = {
     "local of a macro": (
         {"main.nc": "G65 P5 A1\nM30\nO5\n#30=#3\nG1 X#30\nM99\n"},
         "main.nc",
-        4,
-        "value of #3 is unknown",
+        5,
+        "value of #30 is unknown",
     ),
     "vacant": ({"main.nc": "#3=1\nG65 P5 A1\nM30\nO5\nG1 X#3 F1\nM99\n"}, "main.nc", 5, "value of X is unknown"),
     "with motion": ({"main.nc": "X1 M98 P5\nM30\nO5\nM99\n"}, "main.nc", 1, "only M98"),
