@@ -163,6 +163,7 @@ class AxisWords:
         one_tool: whether all moves must use a tool of one length, where the lengths are unknown.
         harmless: words in capitals that leave positions, frames, offsets and modes alone on this machine, in addition to those of the
             dialect: auxiliary functions of its builder, for example.
+        references: positions of the axes after a reference return, mm and degrees, by its word (``G28``, ``G30 P3``) and axis.
     """
 
     linear: tuple[str, ...]
@@ -174,6 +175,7 @@ class AxisWords:
     tools_known: bool = False
     one_tool: bool = True
     harmless: tuple[str, ...] = ()
+    references: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -310,11 +312,13 @@ class LostPositions(NamedTuple):
         line: index into ``Program.texts``.
         axes: indices into ``AxisWords.names``.
         moved: whether the line certainly moves them (reference return, retraction) or possibly does (an unknown word).
+        reference: the word of a reference return; empty for anything else.
     """
 
     line: int
     axes: tuple[int, ...]
     moved: bool
+    reference: str = ""
 
 
 @final

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Final, NamedTuple
 
@@ -161,6 +161,7 @@ class Interpreter(ABC):
         self._noted: set[str] = set()
         self._placed: set[int] = set()
         self.harmless = frozenset(axes.harmless)
+        self.references = dict(axes.references)
         self._held_tool = self._held_length = self._used_tool = self._used_length = ""
         self._fed_length: str | None = None
         self._tool_line = self._length_line = 0
@@ -269,16 +270,19 @@ class Interpreter(ABC):
 
     # ------------------------------------------------------------------ state
 
-    def mark_unknown(self, block: Block, which: Iterable[int], *, moved: bool | None = False) -> None:
+    def mark_unknown(
+        self, block: Block, which: Iterable[int], *, moved: bool | None = False, reference: str = ""
+    ) -> None:
         """Mark axis positions as unknown after a block.
 
         Args:
             which: the axes.
             moved: True: the block moves them; False: it may; None: it does not, or moves them to a known place.
+            reference: the word of a reference return that moves them.
         """
         axes = tuple(which)
         if moved is not None:
-            self.lost_positions.append(LostPositions(self._line, axes, moved))
+            self.lost_positions.append(LostPositions(self._line, axes, moved, reference))
         block.unknown_axes = tuple(sorted({*block.unknown_axes, *axes})) if block.unknown_axes else axes
         for axis in axes:
             self.position[axis] = math.nan
@@ -543,10 +547,13 @@ class Interpreter(ABC):
         Args:
             elsewhere: whether they count from a point of the machine's builder, which is not known.
         """
-        position = [math.nan] * len(self.names)
-        for word in block.words:
-            position[word.axis] = math.nan if word.incremental or elsewhere else word.value
-        which = {word.axis for word in block.words}
+        unknown = {word.axis for word in block.words if word.incremental or elsewhere}
+        return self.placed({word.axis: math.nan if word.axis in unknown else word.value for word in block.words}, block)
+
+    def placed(self, values: Mapping[int, float], block: Block) -> tuple[float, ...]:
+        """Return machine coordinates of some axes, NaN for the others; their place in program coordinates is unknown."""
+        position = [values.get(axis, math.nan) for axis in range(len(self.names))]
+        which = {*values}
         if self.tcp:
             which.update(range(self.linear))
         if any(axis >= self.linear for axis in which):

@@ -103,6 +103,8 @@ class Follower:
         self._words = np.full(len(space.axes.names), np.nan)
         self._lost = np.zeros(len(self._words), dtype=bool)
         """Whether each axis has been moved to an unknown place since its last known position."""
+        self._references: dict[int, str] = {}
+        """The reference return that has moved an axis, by its index in word order."""
         self._tcp: bool | None = None
         self._assumed = False
         self._left: list[LostPositions] = []
@@ -196,6 +198,7 @@ class Follower:
             left, words = self._left.pop(), self._words
             forgotten = np.isin(np.arange(len(words)), left.axes)
             self._pass(np.full(len(words), np.nan), forgotten)
+            self._references |= {axis: left.reference for axis in left.axes if left.reference}
             if left.moved:
                 self._words, self._lost = np.where(forgotten, np.nan, words), self._lost | forgotten
                 self._assumed = self._assumed and not forgotten[3:].any()
@@ -336,7 +339,7 @@ class Follower:
             which = "these axes" if missing[3:].any() else "every linear axis"
             raise InputError(
                 f"feed move before the program has given a position of {names}",
-                expected=f"a position of {which} before it",
+                expected=f"a position of {which} before it{self._cure(missing)}",
                 file=self._source,
                 line=move.line + 1,
                 value=text_of(move.line).strip(),
@@ -346,6 +349,15 @@ class Follower:
         if move.tcp or space.tilt is not None:
             commands[:3] = np.nan
         self._pass(commands, self._named(move))
+
+    def _cure(self, missing: np.ndarray) -> str:
+        """Return the entries of the machine file that would make the positions of some axes known; empty if there are none."""
+        words: dict[str, list[str]] = {}
+        for axis in np.flatnonzero(missing & self._lost).tolist():
+            if axis in self._references:
+                words.setdefault(self._references[axis], []).append(f"{self._space.axes.names[axis]}: ...")
+        entries = ", ".join(f"{word}: {{{', '.join(places)}}}" for word, places in words.items())
+        return f", or in the machine file programs: {{references: {{{entries}}}}}" if entries else ""
 
     def _along_vector(self, move: Move, before: np.ndarray) -> np.ndarray:
         space = self._space

@@ -108,6 +108,7 @@ def axis_words(machine: Machine) -> AxisWords:
         tcp_on=machine.tcp_on,
         tcp_off=machine.tcp_off,
         harmless=machine.harmless,
+        references=machine.references,
     )
 
 

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from typing import Any, Final, final
 
 from twin._common.errors import InputError
-from twin.nc.blocks import AxisWords, Move
+from twin.nc.blocks import AxisWords, Kind, Move
 from twin.nc.iso import vocabulary
 from twin.nc.iso.cycles import SINUMERIK
 from twin.nc.iso.frame import TOOL_CHANGE, IsoBlock, Item
@@ -25,6 +25,8 @@ _NO_MOTION: Final = frozenset("STDHFPQM")
 _new = tuple.__new__
 _WITHOUT_CYCLE: Final = frozenset({"still", "reference"})
 """Groups of G words whose block does not execute the drilling cycle in force; its words are theirs."""
+_RETURNS: Final = frozenset({"G28", "G30", "G30 P2", "G30 P3", "G30 P4", "G74"})
+"""Words of reference returns whose positions a machine file may name."""
 _SOME_WORDS: Final = "words whose effect is known"
 _MODES: Final[Mapping[str, tuple[str, Callable[[str], Any]]]] = {
     "motion": ("motion", int),
@@ -119,12 +121,7 @@ class IsoInterpreter(IsoMotion):
                 raise self.error("a dwell in a block that moves axes", "G4 in a block of its own")
             return block
         if "reference" in groups:
-            self.note(
-                "reference return or probing passed through uncompensated; its axis positions are unknown afterwards"
-            )
-            which = [self.index[item.name] for item in block.items]
-            self.check_plane(not which or max(which) >= self.linear)
-            self.mark_unknown(block, which or range(len(self.names)), moved=True)
+            self._reference(block)
             return block
         machine = machine or "machine" in groups
         for item in block.items:
@@ -146,6 +143,32 @@ class IsoInterpreter(IsoMotion):
             self._state_to(block)
             self.shift_words(block, groups)
         return "shift" in groups
+
+    def _reference(self, block: IsoBlock) -> None:
+        """Apply a reference return, an approach of a fixed point, or probing, which passes through."""
+        which = [self.index[item.name] for item in block.items] or list(range(len(self.names)))
+        self.check_plane(max(which) >= self.linear)
+        words = [
+            span.name for span in block.codes if vocabulary.GROUP_OF.get(span.name) == "reference" or block.approaches
+        ]
+        word = f"G{words[0]}" if words and not self._probes else ""
+        point = [self.value_of(item.value) for item in block.others if item.name == "P"]
+        word += f" P{point[0]:g}" if word == "G30" and point not in ([], [2.0]) else ""
+        if word == "G30.1":
+            self.references.pop("G30", None)
+        known = {} if self.unknown else self.references.get(word, {})
+        left = [axis for axis in which if self.names[axis] not in known]
+        if left:
+            self.note(
+                "reference return or probing passed through uncompensated; its axis positions are unknown afterwards"
+            )
+            self.mark_unknown(block, left, moved=True, reference=word if word in _RETURNS else "")
+        there = [axis for axis in which if axis not in left]
+        if there:
+            block.positions = False
+            position = self.placed({axis: known[self.names[axis]] for axis in there}, block)
+            bits = sum(1 << axis for axis in there)
+            block.moves += (Move(self._line, Kind.RAPID, self.tcp, position, self.named(bits), machine=True),)
 
     def _with_probing(self, block: IsoBlock, groups: frozenset[str]) -> frozenset[str]:
         """Return the groups of a block's G words, with that of G38 where it is in force: until a word of the motion group or G80."""
