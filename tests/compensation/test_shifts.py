@@ -281,6 +281,8 @@ NOT_FOLLOWED = [
     (f"{HEAD}ROT RPL=30\nTRAORI\n", 4, "turns its coordinates"),
     (f"{HEAD}MIRROR X0\n", 3, "transformation MIRROR"),
     (f"{HEAD}G52 X5\nTRANS X5\n", 4, "TRANS after G92"),
+    (f"$A.MIN%\n{HEAD}G92 X5\n", 4, "G92 of Okuma"),
+    (f"{HEAD_H}CYCL DEF 7.0 DATUM SHIFT ~\nX+10\n", 3, "over several lines"),
     (f"{HEAD_H}CYCL DEF 7.1 #3\n", 3, "without axis words"),
     (f"{HEAD_H}CYCL DEF 7.1 X+Q5\n", 3, "value of X is unknown"),
     (f"{HEAD_H}CYCL DEF 7 X+10\n", 3, "datum shift"),

@@ -100,6 +100,10 @@ LINUXCNC = {
         "o100 sub\n#101=9\nG1 X[300+#1] F100\no100 endsub\n#101=5\no100 call [#101]\nG1 X[300+#101] F100\n",
         points(305, 309),
     ),
+    "assignments in a block, all at once": (
+        "#1=301\n#1=302 #2=#1\no1 if [#2 EQ 301]\nG1 X#2 F100\no1 endif\n",
+        points(301),
+    ),
     "a condition of several": (
         "#1=1 #2=0\no1 if [[#1 EQ 1] AND [#2 EQ 0]]\nG1 X301 F100\no1 endif\no2 if [[#1 XOR #1] OR 0]\nG1 X302\no2 endif\n",
         points(301),
@@ -110,6 +114,8 @@ SINUMERIK = {
         f"DEF INT K\nFOR K=1 TO 3\nG1 X=300+K F100\nENDFOR\nFOR R1=305 TO 306\n{X_OF_R1}ENDFOR\n",
         points(301, 302, 303, 305, 306),
     ),
+    "FOR from a negative number": ("FOR R1=-1 TO 0\nG1 X=300+R1 F100\nENDFOR\n", points(299, 300)),
+    "assignments in a block, one after another": ("R1=301 R2=R1\nIF R2==301\nG1 X=R2 F100\nENDIF\n", points(301)),
     "WHILE": (f"R1=301\nN10 WHILE R1<=302 AND R1<>305\n{X_OF_R1}R1=R1+1\nN20 ENDWHILE\n", points(301, 302)),
     "REPEAT": (f"R1=301\nREPEAT\n{X_OF_R1}R1=R1+1\nUNTIL R1>302\n", points(301, 302)),
     "LOOP": (f"R1=301\nLOOP\n{X_OF_R1}R1=R1+1\nIF R1==303 GOTOF OUT\nENDLOOP\nOUT:\nG1 X310\n", points(301, 302, 310)),
@@ -224,6 +230,7 @@ REFUSED = [
         5,
         "calls itself",
     ),
+    ("main.ngc", "o1 sub\no2 if [#1 EQ #2]\nG1 X1\no2 endif\no1 endsub\no1 call [0]\nM2\n", 3, "is unknown"),
     ("main.mpf", "FOR R1=1 TO 2\nG1 X=R1\nENDFOR\nG1 Y=R1\n", 5, "the value of R1 is unknown"),
     ("main.mpf", "GOTOB NOWHERE\nNOWHERE: G1 X1\n", 2, "no label NOWHERE"),
     ("main.mpf", "IF R1==5\nG1 X1\nENDIF\n", 2, "is unknown"),

@@ -357,6 +357,7 @@ class Run:
         self._inliner, self._lines, self._flows, self._scope = inliner, lines, flows, scope
         self._structure = Structure(flows, lambda what, expected, at: refused(what, expected, lines[at]))
         self._left: dict[int, int] = {}
+        self._counts: dict[int, int] = {}
         self._labels: dict[str, list[int]] = {}
         for i, line in enumerate(lines):
             for name in inliner.labels(line):
@@ -420,7 +421,7 @@ class Run:
         if begin != int(begin) or end != int(end):
             raise refused("a loop that does not count whole numbers", "whole numbers", self._lines[at])
         self._left[at] = int(end) - int(begin) + 1
-        self._scope[flow.name] = str(int(begin) - 1)
+        self._counts[at] = int(begin) - 1
         return self._again(at, self._structure.last[at] + 1)
 
     def _again(self, first: int, behind: int) -> int:
@@ -428,8 +429,9 @@ class Run:
         name = self._flows[first].name
         more = self._left[first] > 0
         # Controls differ in the value after the loop.
-        self._scope[name] = str(int(self._scope[name]) + 1) if more else ""
-        self._inliner.values[name] = float(self._scope[name]) if more else math.nan
+        self._counts[first] += 1
+        self._scope[name] = f"({self._counts[first]})" if more else ""
+        self._inliner.values[name] = float(self._counts[first]) if more else math.nan
         return first + 1 if more else behind
 
     def _else(self, at: int, flow: Flow) -> int:

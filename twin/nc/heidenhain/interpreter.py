@@ -436,6 +436,10 @@ class HeidenhainInterpreter(HeidenhainFrame):
         cycle, part, rest = int(match.group(1)), match.group(2), match.group(3).split(";")[0].strip(" \t\r\n~")
         if cycle in vocabulary.RUN_AT_ONCE:
             raise self.error(f"cycle {cycle} is executed where it is defined", vocabulary.EXPANDED_CYCLE)
+        if cycle in vocabulary.TRANSFORM_CYCLES and self.continued:
+            raise self.error(
+                f"CYCL DEF {cycle} over several lines", "its parts as blocks of their own, such as CYCL DEF 7.1 X+10"
+            )
         if cycle == 247:
             self.begin_preset()
         elif cycle in (7, 10) and part is not None and part != "0":

@@ -197,7 +197,7 @@ class IsoInliner(Inliner):
         """See `Inliner.value`; a vacant parameter (``#0``) of Fanuc can be compared with another parameter."""
         text = _OPERATOR.sub(r" \1 ", text)
         vacant = _VACANT.fullmatch(text)
-        if vacant is None:
+        if vacant is None or self._linuxcnc:
             return evaluate(text, self.values, linuxcnc=self._linuxcnc)
         known = evaluate(vacant.group(1), self.values)
         if vacant.group(1) != "#0" and known != known:
@@ -205,7 +205,7 @@ class IsoInliner(Inliner):
         return float((vacant.group(1) == "#0") == (vacant.group(2).upper() == "EQ"))
 
     def assign(self, line: Line) -> None:
-        """See `Inliner.assign`; values within a block are those before it."""
+        """See `Inliner.assign`; the values of ``#`` parameters hold from the next block on."""
         if "=" not in line.text:
             return
         defined = _DEFINED.match(line.text)
@@ -214,7 +214,13 @@ class IsoInliner(Inliner):
                 (name, evaluate(value, self.values)) for name, value in vocabulary.ASSIGNED.findall(defined.group(1))
             ]
         else:
-            new = [(name, evaluate(text, self.values)) for name, text, _ in _assignments(line.text)]
+            new = []
+            for name, text, _ in _assignments(line.text):
+                value = evaluate(text, self.values)
+                if name.startswith("#"):
+                    new.append((name, value))
+                else:
+                    self.values[key_of(name)] = value
         self.values.update((key_of(name), value) for name, value in new)
 
     def plain(self, line: Line, scope: Scope) -> Line:
@@ -231,15 +237,17 @@ class IsoInliner(Inliner):
                 scope[key_of(name)] = _literal(self.value(_with_literals(value, scope, line)) if value else 0.0, name)
             return line._replace(text=self.comment(line.text))
         text, rest, new = line.text, "", dict[str, str]()
-        at = 0
+        at, alone = 0, False
         for name, value, (begin, end) in _assignments(text):
             if key_of(name) in scope:
-                new[key_of(name)] = _literal(self.value(_with_literals(value, scope, line)), name)
+                literal = _literal(self.value(_with_literals(value, scope, line)), name)
+                (new if name.startswith("#") else scope)[key_of(name)] = literal
+                alone = True
                 rest += text[at:begin]
                 at = end
         rest = _with_literals(rest + text[at:], scope, line)
         scope.update(new)
-        alone = new and not _bare(line._replace(text=rest))
+        alone = alone and not _bare(line._replace(text=rest))
         return line._replace(text=self.comment(line.text) if alone else rest)
 
     def main(self) -> list[Line]:

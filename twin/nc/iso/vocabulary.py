@@ -128,9 +128,10 @@ REFUSED_CODES: dict[str, tuple[str, str]] = {
 OKUMA_HEADER = re.compile(r"\$[^=%\s]++%", re.ASCII)
 """The first line of a program of Okuma: its file name."""
 NOT_OF_OKUMA: frozenset[str] = frozenset(
-    {*(str(code) for code in range(53, 60)), *(str(code) for code in range(71, 90)), "98", "99"} - {"80"}
+    {*(str(code) for code in range(53, 60)), *(str(code) for code in range(71, 90)), "98", "99", *GROUPS["shift"]}
+    - {"80"}
 )
-"""G codes that have another meaning on an OSP: tool length offsets and their end, return levels, cycles with levels of their own."""
+"""G codes that have another meaning on an OSP: tool length offsets, return levels, shifts, cycles with levels of their own."""
 OKUMA_OFFSET = (
     "work offset of Okuma (G15 H)",
     "work offsets G54 to G59; other words of Okuma, too, have meanings of their own",
