@@ -86,7 +86,7 @@ Scope = dict[str, str]
 
 
 @final
-class Structure:
+class FlowStructure:
     """The loops and branches of some lines.
 
     Args:
@@ -261,7 +261,7 @@ class Inliner(ABC):
     def _run(self, lines: Sequence[Line], depth: int, scope: Scope) -> Iterator[tuple[Line, int]]:
         """Yield lines as they are executed, each with the number of the line among those given that it is from."""
         flows = {i: flow for i, line in enumerate(lines) if self.likely(line.text) and (flow := self.flow(line))}
-        run = Run(self, lines, flows, scope) if flows else None
+        run = FlowRun(self, lines, flows, scope) if flows else None
         self._found |= run is not None
         at = 0
         while at < len(lines):
@@ -339,7 +339,7 @@ class Inliner(ABC):
 
 
 @final
-class Run:
+class FlowRun:
     """The statements of some lines that decide which line is next, while they are executed.
 
     Args:
@@ -355,7 +355,7 @@ class Run:
     def __init__(self, inliner: Inliner, lines: Sequence[Line], flows: Mapping[int, Flow], scope: Scope) -> None:
         self.added: list[Line | Sequence[Line]] = []
         self._inliner, self._lines, self._flows, self._scope = inliner, lines, flows, scope
-        self._structure = Structure(flows, lambda what, expected, at: refused(what, expected, lines[at]))
+        self._structure = FlowStructure(flows, lambda what, expected, at: refused(what, expected, lines[at]))
         self._left: dict[int, int] = {}
         self._counts: dict[int, int] = {}
         self._labels: dict[str, list[int]] = {}
@@ -372,7 +372,7 @@ class Run:
             return self._end(at, first)
         if flow.kind in OPENING:
             return self._begin(at, flow)
-        return _AFTER.get(flow.kind, Run._next)(self, at, flow)
+        return _AFTER.get(flow.kind, FlowRun._next)(self, at, flow)
 
     def _next(self, at: int, flow: Flow) -> int:
         return at + 1
@@ -496,16 +496,16 @@ class Run:
         return self._inliner.known(line.text, self._lines[at])
 
 
-_AFTER: Final[Mapping[str, Callable[[Run, int, Flow], int]]] = {
-    "elseif": Run._else,
-    "else": Run._else,
-    "then": Run._then,
-    "goto": Run._goto,
-    "case": Run._case,
-    "part": Run._part,
-    "break": Run._break,
-    "continue": Run._continue,
-    "return": Run._return,
+_AFTER: Final[Mapping[str, Callable[[FlowRun, int, Flow], int]]] = {
+    "elseif": FlowRun._else,
+    "else": FlowRun._else,
+    "then": FlowRun._then,
+    "goto": FlowRun._goto,
+    "case": FlowRun._case,
+    "part": FlowRun._part,
+    "break": FlowRun._break,
+    "continue": FlowRun._continue,
+    "return": FlowRun._return,
 }
 
 

@@ -437,7 +437,9 @@ class FrameSpaces:
         rotary = self._rotary(space, frame.plane, standing_deg, source, line)
         key = (*key, frame.plane, frame.shift, frame.turn, tuple(rotary.tolist()))
         if key not in self._made:
-            self._made[key] = WordSpace(base.machine, space.setup, length, self._tilt(space, frame, rotary))
+            self._made[key] = WordSpace(
+                base.machine, space.setup, length, self._tilt(space, frame.plane, frame, rotary)
+            )
         return self._made[key]
 
     def _offset(self, frame: WordFrame, source: str, line: int) -> tuple[dict[str, float], tuple[float, float, float]]:
@@ -450,13 +452,11 @@ class FrameSpaces:
             return shift, self._origin(shift)
         return {**setup.work_offset, **stated}, setup.work_origin_mm
 
-    def _tilt(self, space: WordSpace, frame: WordFrame, rotary_deg: np.ndarray) -> Tilt:
+    def _tilt(self, space: WordSpace, plane: Plane, frame: WordFrame, rotary_deg: np.ndarray) -> Tilt:
         """Return the plane of a frame, whose zero is given in the words of ``space``, with the rotary axes at zero.
 
         Within a plane, a shift and a rotation are along its axes.
         """
-        plane = frame.plane
-        assert plane is not None
         if self._base.setup.offsets is None:
             zero = np.zeros((1, len(space.order)))
             zero[:, space.order] = np.where(np.arange(len(space.order)) < 3, space.offset, 0.0)
