@@ -173,9 +173,10 @@ class ControlProgram:
         if rng.random() < 0.4:
             words = [
                 f"G92 {self.words('XYZBC')}",
-                *("G92.1", "G92.2", "G92.3", f"G52 {self.words('XYZ')}"),
-                f"G10 L2 P{rng.randint(0, 9)} {self.words('XYZBC')}",
-                f"G10 L20 P{rng.randint(0, 9)} {self.words('XYZBC')}",
+                *("G92.1", "G92.2", "G92.3", f"G52 {self.words('XYZ')}", f"G92 {self.words('XYZ')}"),
+                f"G10 L2 P{rng.randint(0, 3)} {self.words('XYZBC')}",
+                f"G10 L2 P{rng.randint(1, 3)} R{self.number(-90, 90)} {self.words('XY')}",
+                f"G10 L20 P{rng.randint(0, 3)} {self.words('XYZBC')}",
                 f"G10 L1 P{rng.choice([1, 2])} Z{self.number(0, 9)}",
                 f"#{rng.choice([5221, 5243, 5211])}={self.number(0, 9)}",
             ]

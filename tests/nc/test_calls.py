@@ -71,11 +71,20 @@ CASES: dict[str, tuple[dict[str, str], str]] = {
 REFUSED = {
     "missing": ({"main.nc": "G0 X1 Y1 Z1\nM98 P77\nM30\n"}, "main.nc", 2, "no subprogram O77"),
     "endless": ({"main.nc": "M98 P1\nM30\nO1\nM98 P1\nM99\n"}, "main.nc", 4, "too deeply"),
-    "changes its parameter": ({"main.nc": "G65 P5 A1\nM30\nO5\n#1=2\nM99\n"}, "main.nc", 4, "changes its parameter"),
-    "local of a macro": ({"main.nc": "G65 P5 A1\nM30\nO5\n#30=2\nM99\n"}, "main.nc", 4, "changes its parameter"),
+    "local of a macro": (
+        {"main.nc": "G65 P5 A1\nM30\nO5\n#30=#3\nG1 X#30\nM99\n"},
+        "main.nc",
+        5,
+        "value of #30 is unknown",
+    ),
     "vacant": ({"main.nc": "#3=1\nG65 P5 A1\nM30\nO5\nG1 X#3 F1\nM99\n"}, "main.nc", 5, "value of X is unknown"),
     "with motion": ({"main.nc": "X1 M98 P5\nM30\nO5\nM99\n"}, "main.nc", 1, "only M98"),
-    "DEF": ({"main.mpf": "SUBA\nM30\n", "suba.spf": "DEF REAL A\nM17\n"}, "suba.spf", 1, "variables of its own"),
+    "DEF": (
+        {"main.mpf": "SUBA\nM30\n", "suba.spf": "DEF REAL _A=R7\nG1 X=_A\nM17\n"},
+        "suba.spf",
+        2,
+        "value of _A is unknown",
+    ),
     "SAVE": ({"main.mpf": "SUBA\nM30\n", "suba.spf": "PROC SUBA SAVE\nM17\n"}, "suba.spf", 1, "SAVE"),
     "error inside": ({"main.mpf": "SUBA\nM30\n", "suba.spf": "G0 X1\nG33 X2\nM17\n"}, "suba.spf", 2, "thread"),
     "no end": ({"main.h": "BEGIN PGM A MM\nCALL LBL 3\nM30\nLBL 3\nEND PGM A MM\n"}, "main.h", 2, "without an end"),
@@ -85,7 +94,7 @@ REFUSED = {
         1,
         "other units",
     ),
-    "loop": ({"main.nc": "M98 P1\nM30\nO1\nWHILE [#1 LT 3] DO1\nM99\n"}, "main.nc", 4, "control flow"),
+    "loop": ({"main.nc": "M98 P1\nM30\nO1\nWHILE [#1 LT 3] DO1\nM99\n"}, "main.nc", 4, "without its end"),
 }
 
 

@@ -120,7 +120,7 @@ def read_program(
 ) -> tuple[Program, Dialect]:
     """Read a program from a file (or a sample that comes with twin) and return it with its language.
 
-    Its subprograms, in the same file, its folder or other folders, are written out in place of their calls.
+    Its subprograms, in the same file, its folder or other folders, its loops and its jumps are written out as they are executed.
 
     Args:
         path: its path.

@@ -341,7 +341,7 @@ class Dialect(ABC):
         return None
 
     def expanded(self, program: Program, folders: Sequence[Path]) -> Program:
-        """Return a program with its subprograms written out in place of their calls; the program itself if it has none.
+        """Return a program with its subprograms, loops and jumps written out as executed; the program itself if it has none.
 
         Args:
             program: as read.

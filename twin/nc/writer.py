@@ -12,7 +12,7 @@ import numpy as np
 
 from twin._common.errors import InputError
 from twin.nc.arcs import moved_centre
-from twin.nc.blocks import AxisWords, Kind, Move, Rewrite
+from twin.nc.blocks import AxisWords, Kind, Move, Rewrite, WordFrame
 from twin.nc.modal import AxisWord, Block, Span
 from twin.nc.text import Grid, Style, apply_edits, ending, format_number, grid, number, style_of
 
@@ -98,6 +98,12 @@ class OutputState:
         """Mark axes as unknown."""
         for axis in which:
             self.value[axis] = math.nan
+
+    def reframe(self, before: WordFrame, after: WordFrame) -> None:
+        """Convert the values to another frame; one that then lies between least increments is unknown."""
+        for axis, value in enumerate(before.converted(self.value, after)):
+            step = self._grids[0][axis].step
+            self.value[axis] = value if abs(math.remainder(value, step)) < SAME_NUMBER else math.nan
 
     def mark_stale(self, which: Iterable[int]) -> None:
         """Mark axes as stale."""

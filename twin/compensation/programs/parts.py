@@ -58,7 +58,7 @@ from twin.nc.text import HEAD_LINES, TextCheck
 
 STRETCH_BYTES: Final = 3 << 17
 """Bytes read, written and read back at once."""
-WRITTEN_OUT: Final = "subprograms are written out in place of their calls: the output needs none of them"
+WRITTEN_OUT: Final = "subprograms, loops and jumps are written out as they are executed: the output needs none of them"
 """Notice on a program that calls subprograms."""
 PART_LINES: Final = 24_576
 """Lines solved together: more need fewer calls and more memory. All parts of a long program are about equally long."""

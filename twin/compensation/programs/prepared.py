@@ -207,7 +207,7 @@ class PreparedMachine:
 
         Args:
             words: (n, axes).
-            tips: (n,) whether the linear words are coordinates of the tool tip; these, and those of a tilted plane, have no limits.
+            tips: (n,) whether the linear words are coordinates of the tool tip; these, and turned ones, have no limits.
             increment: (axes,) in word order.
         """
         offset = self.space.offset
@@ -218,7 +218,7 @@ class PreparedMachine:
         first = np.ceil((low - offset - SLACK) / increment) * increment
         last = np.floor((high - offset + SLACK) / increment) * increment
         bounded = (words + offset >= low - SLACK) & (words + offset <= high + SLACK)
-        bounded[tips | (self.space.tilt is not None), :3] = False
+        bounded[tips | (not self.space.parallel), :3] = False
         return np.where(bounded, np.clip(rounded, first, last), rounded)
 
     def aim(self, *, turns: bool) -> CorrectionAim:

@@ -20,10 +20,11 @@ from typing import Final, NamedTuple, final
 
 import numpy as np
 
+from twin.nc.arithmetic import evaluate, key_of
 from twin.nc.blocks import Program, line_ends
 from twin.nc.dialect import as_comment
-from twin.nc.heidenhain.vocabulary import HEAD
-from twin.nc.inline import Call, Inliner, Line, refused, with_ending
+from twin.nc.heidenhain.vocabulary import ASSIGNED, HEAD
+from twin.nc.inline import Call, Flow, Inliner, Line, Scope, refused, with_ending
 from twin.nc.lines.compiled import LineCode
 from twin.nc.lines.scan import Scan
 from twin.nc.modal import Block, Span
@@ -33,6 +34,10 @@ _NAME: Final = r"(?:\"([^\"]*)\"|(\d+))"
 _CALL: Final = re.compile(rf"CALL[ \t]+LBL[ \t]+{_NAME}(?:[ \t]+REP[ \t]*(\d+)?(?:/\d+)?)?[ \t]*$", _FLAGS)
 _PROGRAM: Final = re.compile(r"CALL[ \t]+PGM[ \t]+\"?([^\"]*?)\"?[ \t]*$", _FLAGS)
 _ANY_CALL: Final = re.compile(r"CALL[ \t]+(?:LBL|PGM)\b", _FLAGS)
+_JUMP: Final = re.compile(
+    rf"(?:FN[ \t]*(?:9|1[012])[ \t]*:[ \t]*)?IF[ \t]+(\S+)[ \t]+(EQU|NE|GT|LT)[ \t]+(\S+)[ \t]+GOTO[ \t]+LBL[ \t]+{_NAME}[ \t]*",
+    _FLAGS,
+)
 _LABEL: Final = re.compile(rf"LBL[ \t]+{_NAME}[ \t]*$", _FLAGS)
 _END: Final = re.compile(r"(?:STOP[ \t]+)?M0*(?:2|30)(?!\d)|.*[ \t]M0*(?:2|30)(?!\d)|END[ \t]+PGM\b", _FLAGS)
 _UNIT: Final = re.compile(r"^BEGIN[ \t]+PGM\b.*[ \t](MM|IN)(?:CH)?$", _FLAGS)
@@ -49,7 +54,8 @@ class HeidenhainInliner(Inliner):
 
     def likely(self, text: str) -> bool:
         """See `Inliner.likely`."""
-        return "CALL" in text.upper()
+        upper = text.upper()
+        return "CALL" in upper or "IF" in upper
 
     likely_within = likely
 
@@ -62,23 +68,48 @@ class HeidenhainInliner(Inliner):
             return None
         label, program = _CALL.match(bare), _PROGRAM.match(bare)
         if label is not None and label.group(3) is None and " REP" not in bare.upper():
-            return Call(_name(label))
+            return Call(_name(label), own=False)
         if label is not None and label.group(3):
             # The part since the label has run once when the control comes to the call.
-            return Call(_name(label), int(label.group(3)), values=("repeats",))
+            return Call(_name(label), int(label.group(3)), values=("repeats",), own=False)
         if program is not None:
-            return Call(program.group(1), outside=True)
+            return Call(program.group(1), outside=True, own=False)
         raise refused("call", "CALL LBL with a number or name, REP with a number, or CALL PGM with a file", line)
 
+    def flow(self, line: Line) -> Flow | None:
+        """See `Inliner.flow`."""
+        match = _JUMP.fullmatch(_bare(line))
+        if match is None:
+            return None
+        first, operator, second, name, number = match.groups()
+        return Flow("goto", name if name is not None else str(int(number)), "", f"{first} {operator} {second}")
+
+    def labels(self, line: Line) -> list[str]:
+        """See `Inliner.labels`."""
+        name = _label(line)
+        return [name] if name else []
+
+    def value(self, text: str) -> float:
+        """See `Inliner.value`."""
+        return evaluate(text, self.values, heidenhain=True)
+
+    def assign(self, line: Line) -> None:
+        """See `Inliner.assign`."""
+        for name, text in ASSIGNED.findall(_bare(line)) if "=" in line.text else ():
+            self.values[key_of(name)] = self.value(text.strip())
+
+    def plain(self, line: Line, scope: Scope) -> Line:
+        """See `Inliner.plain`."""
+        return _as_remark(line) if "LBL" in line.text.upper() and _LABEL.match(_bare(line)) else line
+
     def main(self) -> list[Line]:
-        """See `Inliner.main`: up to the end of the program, without its labels, then ``END PGM``."""
+        """See `Inliner.main`: up to the end of the program, then ``END PGM``."""
         return list(self._until_end(self.lines))
 
     def _until_end(self, lines: Sequence[Line]) -> Iterator[Line]:
         for line in lines:
-            bare = _bare(line)
-            yield _as_remark(line) if _LABEL.match(bare) else line
-            if _END.match(bare):
+            yield line
+            if _END.match(_bare(line)):
                 break
         last = [line for line in lines if re.match(r"END[ \t]+PGM\b", _bare(line), _FLAGS)]
         if last and last[-1] is not line:
@@ -108,7 +139,7 @@ class HeidenhainInliner(Inliner):
             if behind == len(ends):
                 raise refused(f"subprogram {call.name} without an end", "LBL 0", line)
             part = lines[begin + 1 : ends[behind]]
-        return [_as_remark(one) if _label(one) else one for one in part]
+        return list(part)
 
     def _labels_of(self, file: str, lines: Sequence[Line]) -> Mapping[str, list[int]]:
         """Return the indices of the lines of a file with a label, in order, by its name; looked for once."""

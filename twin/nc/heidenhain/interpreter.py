@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Callable, Mapping
 from typing import Final, final
@@ -10,134 +9,17 @@ from typing import Final, final
 import numpy as np
 
 from twin._common.errors import InputError
-from twin.nc.blocks import Arc, AxisWords, Kind, Move, MoveColumns, Notice, Plane, rotation_about
+from twin.nc.blocks import Arc, AxisWords, Kind, Move, MoveColumns, Notice
 from twin.nc.heidenhain import vocabulary
 from twin.nc.heidenhain.calls import PathBlock
-from twin.nc.heidenhain.paths import HeidenhainPaths
-from twin.nc.modal import AxisWord, Block, Span
+from twin.nc.heidenhain.frame import PLANES, HeidenhainFrame
+from twin.nc.modal import AxisWord, Span
 from twin.nc.text import BLANK, MM_PER_INCH, number
 from twin.nc.writer import Vector
 
 LONGEST_TURN_DEG: Final = 180.5
 """Turn of a rotary axis up to which its shortest way is that of its words; a correction may turn half a turn a little further."""
-_PRESET: Final = "Q339"
-_ANGLE: Final = re.compile(r"SP([ABC])[ \t]*([+-]?[ \t]*(?:[\d.,]+|Q[LR]?\d+))", re.ASCII | re.IGNORECASE)
-_CHOICE: Final = re.compile(r"(?:SEQ|SYM)[ \t]*([+-])", re.ASCII | re.IGNORECASE)
-
-
-class HeidenhainFrame(HeidenhainPaths):
-    """Preset by cycle 247, tool by ``TOOL CALL``, tilted plane by ``PLANE SPATIAL``.
-
-    Attributes:
-        centre: the pole in force (``CC``), by axis.
-        continued: whether the next line continues the current block (parameters of a cycle).
-    """
-
-    heidenhain = True
-    continued = False
-    _selects_preset = False
-    centre: Mapping[int, float] = {}
-
-    def lose(self, block: Block, statement: str) -> None:
-        """As `Interpreter.lose`; the pole is unknown too, and a statement that the machine file names as harmless has no effect."""
-        upper = " ".join(statement.split(";")[0].upper().split())
-        if not any(f"{upper} ".startswith(f"{words} ") for words in self.harmless):
-            super().lose(block, statement)
-            self.centre = {}
-
-    def begin_preset(self) -> None:
-        """Begin cycle 247, whose parameter may follow on the next line."""
-        if not self.offsets_known:
-            self.note("CYCL DEF 247 selects a preset: its offset must be given as work_offset")
-        self.assign(_PRESET, math.nan)
-        self._selects_preset = True
-
-    def end_preset(self, block: PathBlock) -> None:
-        """Select the preset of a cycle 247 that is complete.
-
-        Raises:
-            InputError: its number is unknown.
-        """
-        if self._selects_preset and not self.continued:
-            self._selects_preset = False
-            row = self.value_of(_PRESET)
-            if not self.offsets_known and row != row:
-                self.select_offset(block, f"preset of line {self._line + 1}")
-                return
-            if row != row or row != int(row):
-                raise self.error("preset without a number", "Q339=+1 with the row of the preset table")
-            self.select_offset(block, str(int(row)))
-
-    def select_tool(self, block: PathBlock, body: str) -> None:
-        """Put the tool of a ``TOOL CALL`` into the spindle.
-
-        Raises:
-            InputError: its number or ``DL`` is unknown.
-        """
-        match = vocabulary.TOOL.match(body)
-        if match is None:
-            return
-        delta = vocabulary.TOOL_LENGTH.search(body.split(";")[0])
-        tool = match.group(1) if match.group(2) is None else match.group(2)
-        if not self.tools_known:
-            row = self.value_of(tool)
-            held = "" if row == 0.0 else f"{row:g}" if row == row else tool
-            axis = vocabulary.TOOL_AXIS.match(body)
-            along = None if axis is None else self.index.get(axis.group(1).upper())
-            length = held and f"{held}{'' if delta is None else f' DL{delta.group(1)}'}"
-            self.hold_tool(block, held, length, along=along)
-            return
-        if tool[:1] in "qQ":
-            tool = f"{self.known('TOOL CALL', tool):g}"
-        length = 0.0 if delta is None else self.known("DL", delta.group(1))
-        self.select(block, tool=tool, length="" if tool == "0" else tool, delta_mm=length)
-
-    def tilt(self, block: PathBlock, upper: str) -> None:
-        """Apply ``PLANE SPATIAL`` or ``PLANE RESET``.
-
-        Raises:
-            InputError: another way to define a plane, or one that leaves the rotary axes to the program.
-        """
-        words = upper.split()
-        if words[1:2] == ["RESET"]:
-            if self.frame.plane is not None:
-                self.select(block, plane=None)
-            if "STAY" not in words:
-                self.note("PLANE RESET may move the rotary axes; their positions are unknown afterwards")
-                self.mark_unknown(block, range(self.linear, len(self.names)), moved=bool(self.frames))
-            return
-        if words[1:2] != ["SPATIAL"]:
-            raise self.error("coordinate transformation PLANE", "PLANE SPATIAL with SPA, SPB and SPC")
-        if self.tcp or self.frame.plane is not None:
-            raise self.error("tilted plane within another", "M129 and PLANE RESET before it")
-        if "STAY" in words or not {"TURN", "MOVE"} & set(words):
-            raise self.error("PLANE SPATIAL that does not position the rotary axes", "TURN or MOVE")
-        angles = {letter: self.known(f"SP{letter}", text) for letter, text in _ANGLE.findall(upper)}
-        # About the fixed X, then Y, then Z: the same as about Z, then the turned Y, then the turned X.
-        turned = rotation_about("ZYX", [angles.get(letter, 0.0) for letter in "CBA"])
-        choice = _CHOICE.search(upper)
-        sign = 0 if choice is None else 1 if choice.group(1) == "+" else -1
-        stays = "TURN" in words and not any(word.startswith("MB") for word in words)
-        self.select(block, plane=Plane((0.0, 0.0, 0.0), turned, sign, stays))
-
-    def known(self, name: str, written: str) -> float:
-        """Return the value of a word.
-
-        Raises:
-            InputError: it is unknown.
-        """
-        if "Q" in written.upper():
-            return self.known_value(name, written, "a number, or a Q parameter set to a number before")
-        value = self.value_of(written)
-        if value != value:
-            raise self.missing_number(name, written)
-        return value
-
-
-# --- Modal interpreter of Heidenhain programs -----------------------------------------------------
-
 _new = tuple.__new__
-_PLANES: Final = {"Z": (0, 1, 2), "Y": (2, 0, 1), "X": (1, 2, 0)}
 
 
 @final
@@ -148,7 +30,6 @@ class HeidenhainInterpreter(HeidenhainFrame):
         on = {"M128", *(word.upper() for word in axes.tcp_on)}
         off = {"M129", *(word.upper() for word in axes.tcp_off)}
         super().__init__(source, axes, tcp=tcp, tcp_on=on, tcp_off=off)
-        self.plane = _PLANES["Z"]
         self._simple = vocabulary.simple_pattern(self.names)
         self._shortest_way: list[tuple[int, bool]] = [(-1, False)]
         self._turned_to = np.full((1, len(self.names) - self.linear), np.nan)
@@ -209,7 +90,7 @@ class HeidenhainInterpreter(HeidenhainFrame):
     def _found(self, line: int, text: str) -> re.Match[str] | None:
         """Begin a line and return its match if it is a simple block; only ``LN`` can have vectors."""
         self._line, self._block_text = line, text
-        special = self.continued or self.modal or self.beside or self.on_contour
+        special = self.continued or self.modal or self.beside or self.on_contour or self.parks
         found = None if special else self._simple.pattern.fullmatch(text)
         if found is not None and found[2] in ("L", "l") and any(found.groups()[self._simple.behind]):
             return None
@@ -357,7 +238,7 @@ class HeidenhainInterpreter(HeidenhainFrame):
             return
         axis = vocabulary.TOOL_AXIS.match(body)
         if axis is not None:
-            self.plane = _PLANES[axis.group(1).upper()]
+            self.plane = PLANES[axis.group(1).upper()]
         self.select_tool(block, body)
 
     def _call(self, block: PathBlock, body: str, upper: str) -> None:
@@ -365,7 +246,17 @@ class HeidenhainInterpreter(HeidenhainFrame):
             raise self.error("subprogram call or repetition", vocabulary.NO_CALLS)
 
     def _transform(self, block: PathBlock, body: str, upper: str) -> None:
-        if "RESET" not in upper:
+        words = upper.split()
+        rest = upper.partition(" AXIS ")[2] if words[1:3] == ["DATUM", "AXIS"] else upper.partition(" ROTATION ")[2]
+        if words[:3] == ["TRANS", "DATUM", "RESET"]:
+            self._shift_to(block, (), self.frame.turn)
+        elif words[:3] == ["TRANS", "ROTATION", "RESET"]:
+            self._shift_to(block, self.frame.shift, None)
+        elif words[:3] == ["TRANS", "DATUM", "AXIS"]:
+            self.shift(block, rest, "TRANS DATUM")
+        elif words[:2] == ["TRANS", "ROTATION"]:
+            self.turn(block, rest, "TRANS ROTATION")
+        elif "RESET" not in upper:
             name = "POLARKIN" if upper.startswith("POLARKIN") else "TRANS"
             raise self.error(f"coordinate transformation {name}", vocabulary.NO_TRANSFORMATION)
 
@@ -383,8 +274,14 @@ class HeidenhainInterpreter(HeidenhainFrame):
         self.define(cycle, part, body)
         if cycle in vocabulary.RUN_AT_ONCE:
             raise self.error(f"cycle {cycle} is executed where it is defined", vocabulary.EXPANDED_CYCLE)
+        if cycle in vocabulary.TRANSFORM_CYCLES and self.continued:
+            raise self.error(
+                f"CYCL DEF {cycle} over several lines", "its parts as blocks of their own, such as CYCL DEF 7.1 X+10"
+            )
         if cycle == 247:
             self.begin_preset()
+        elif cycle in (7, 10) and part is not None and part != "0":
+            (self.shift if cycle == 7 else self.turn)(block, rest, f"CYCL DEF {cycle}")
         elif cycle not in vocabulary.HARMLESS_CYCLES and cycle not in vocabulary.TRANSFORM_CYCLES:
             self.lose(block, body)
         elif cycle in vocabulary.TRANSFORM_CYCLES and (
@@ -583,6 +480,9 @@ class HeidenhainInterpreter(HeidenhainFrame):
             kind = Kind.ARC if block.keyword in vocabulary.ARCS else kind
             block.moves += (self.unknown_move(kind, block.axis_bits),)
             block.unknown_axes = tuple(range(len(self.names)))
+            return
+        if self.parks and kind is Kind.RAPID and block.keyword in ("L", "") and not (block.arc_words or self.vector):
+            block.moves += (self.parking_move(block),)
             return
         start, rotary = self.position[: self.linear], self.position[self.linear :]
         self.apply_words(block)

@@ -21,12 +21,10 @@ class HeidenhainPaths(HeidenhainCycles):
 
     Attributes:
         centre: the pole in force (``CC``), by axis.
-        beside: whether cutter radius compensation is selected (``RL``, ``RR``).
         on_contour: whether the last block in the plane was compensated.
     """
 
     centre: Mapping[int, float] = {}
-    beside = False
     on_contour = False
 
     def leave_contour(self) -> None:

@@ -62,6 +62,8 @@ TOOL = re.compile(
 )
 TOOL_LENGTH = re.compile(rf"(?<![A-Z\d])DL[ \t]*=?[ \t]*({_VALUE})", re.ASCII | re.IGNORECASE)
 CYCLE = re.compile(r"CYCL[ \t]+DEF[ \t]+(\d{1,9})(?!\d)(?:\.(\d++))?+(.*)", re.ASCII | re.IGNORECASE)
+SHIFT = re.compile(rf"(?<![A-Z])(I?)([XYZABCUVW])[ \t]*({_VALUE})", re.ASCII | re.IGNORECASE)
+ROTATION = re.compile(rf"(I?)ROT[ \t]*({_VALUE})", re.ASCII | re.IGNORECASE)
 FN = re.compile(r"FN[ \t]*+(\d{1,9})(?!\d)[ \t]*+:?(.*)", re.ASCII | re.IGNORECASE)
 INCHES = frozenset({"INCH", "IN"})
 HARMLESS_CALL = re.compile(r"M0*(?:[3-9]|1[34])", re.ASCII)

@@ -89,6 +89,8 @@ class IsoFrame(Interpreter):
     default).
     """
 
+    without_frames = False
+    """Whether the program has words that no program of SINUMERIK has, so that G58 and G59 select work offsets."""
     _next_tool = ""
     _length_by_h = _by_name = False
 
@@ -98,7 +100,8 @@ class IsoFrame(Interpreter):
         Raises:
             InputError: ``G58`` and ``G59`` that shift coordinates.
         """
-        if code in ("58", "59") and block.items and not any(span.name in "0123" for span in block.codes):
+        shifts = code in ("58", "59") and not self.without_frames
+        if shifts and block.items and not any(span.name in "0123" for span in block.codes):
             raise self.error(f"coordinate transformation G{code}", vocabulary.NO_TRANSFORMATION, f"G{code}")
         if code in ("54.1", "154"):
             code += "".join(f" P{item.value.strip()}" for item in block.others if item.name == "P")
@@ -212,6 +215,7 @@ class IsoTilt(IsoFrame):
             self._tilt(block, Plane(self._defined.origin_mm, self._defined.rotation, _CHOICES[choice]))
         elif "69" in codes:
             self._defined = None
+            self._check_unshifted()
             self.select(block, plane=None)
             return
         else:
@@ -226,6 +230,7 @@ class IsoTilt(IsoFrame):
         """
         texts = [part.strip() for part in arguments.strip()[1:-1].split(",")]
         if not any(texts):
+            self._check_unshifted()
             self.select(block, plane=None)
             return
         self._check_allowed(block)
@@ -259,7 +264,15 @@ class IsoTilt(IsoFrame):
         self._defined = None
         self.select(block, plane=plane)
 
+    def _check_unshifted(self) -> None:
+        """Raise `InputError` where the program has shifted or turned the coordinates: controls treat that differently."""
+        if self.frame.shift or self.frame.turn:
+            raise self.error(
+                "tilted plane while the coordinates are shifted or turned", "the shift ended before (TRANS, G52, G92.1)"
+            )
+
     def _check_allowed(self, block: IsoBlock) -> None:
+        self._check_unshifted()
         if self.tcp:
             raise self.error("tilted plane under tool centre point control", "tool centre point control off before it")
         if self.frame.plane is not None:

@@ -7,11 +7,12 @@ from collections.abc import Callable, Mapping
 from typing import Any, Final, final
 
 from twin._common.errors import InputError
-from twin.nc.blocks import AxisWords, Move
+from twin.nc.blocks import AxisWords, Kind, Move
 from twin.nc.iso import vocabulary
 from twin.nc.iso.cycles import PATTERNS, SINUMERIK
 from twin.nc.iso.frame import TOOL_CHANGE, IsoBlock, Item
 from twin.nc.iso.motion import CENTRE, INCH_CODES, SPINDLE_VECTOR, IsoMotion
+from twin.nc.iso.shifts import PROGRAMMED
 from twin.nc.modal import Block, Span
 from twin.nc.text import BLANK, BOM, number
 
@@ -24,6 +25,8 @@ _NO_MOTION: Final = frozenset("STDHFPQM")
 _new = tuple.__new__
 _WITHOUT_CYCLE: Final = frozenset({"still", "reference"})
 """Groups of G words whose block does not execute the drilling cycle in force; its words are theirs."""
+_RETURNS: Final = frozenset({"G28", "G30", "G30 P2", "G30 P3", "G30 P4", "G74"})
+"""Words of reference returns whose positions a machine file may name."""
 _SOME_WORDS: Final = "words whose effect is known"
 _MODES: Final[Mapping[str, tuple[str, Callable[[str], Any]]]] = {
     "motion": ("motion", int),
@@ -74,7 +77,7 @@ class IsoInterpreter(IsoMotion):
             self._okuma = True
             return None
         if stripped[0] == "<" and vocabulary.PROGRAM_NAME.fullmatch(stripped):
-            self.numbered = True
+            self.control = "Fanuc"
             return None
         self._block_text = stripped
         block = IsoBlock(text, begin)
@@ -109,8 +112,8 @@ class IsoInterpreter(IsoMotion):
             self.note("block skip: assumed to be executed", once=True)
         self._machine_axes(block)
         groups = self._g_words(block) if block.codes else frozenset()
-        if "plane tilt" in groups:
-            self.tilt_words(block)
+        if groups and self._frame_words(block, groups):
+            return block
         groups = self._with_probing(block, groups)
         drills = not groups & _WITHOUT_CYCLE and self.take_cycle_words(block)
         machine = self._names(block) if block.names else False
@@ -123,13 +126,7 @@ class IsoInterpreter(IsoMotion):
                 raise self.error("a dwell in a block that moves axes", "G4 in a block of its own")
             return block
         if "reference" in groups:
-            self.note(
-                "reference return or probing passed through uncompensated; its axis positions are unknown afterwards"
-            )
-            which = [self.index[item.name] for item in block.items]
-            self.leave_contour()
-            self.check_plane(not which or max(which) >= self.linear)
-            self.mark_unknown(block, which or range(len(self.names)), moved=True)
+            self._reference(block)
             return block
         machine = machine or "machine" in groups
         for item in block.items:
@@ -142,6 +139,42 @@ class IsoInterpreter(IsoMotion):
         if block.calls:
             self.cycle = None
         return block
+
+    def _frame_words(self, block: IsoBlock, groups: frozenset[str]) -> bool:
+        """Apply G words that tilt, shift or turn the coordinates; return whether the block does nothing else."""
+        if "plane tilt" in groups:
+            self.tilt_words(block)
+        if "shift" in groups:
+            self._state_to(block)
+            self.shift_words(block, groups)
+        return "shift" in groups
+
+    def _reference(self, block: IsoBlock) -> None:
+        """Apply a reference return, an approach of a fixed point, or probing, which passes through."""
+        which = [self.index[item.name] for item in block.items] or list(range(len(self.names)))
+        self.leave_contour()
+        self.check_plane(max(which) >= self.linear)
+        words = [
+            span.name for span in block.codes if vocabulary.GROUP_OF.get(span.name) == "reference" or block.approaches
+        ]
+        word = f"G{words[0]}" if words and not self._probes else ""
+        point = [self.value_of(item.value) for item in block.others if item.name == "P"]
+        word += f" P{point[0]:g}" if word == "G30" and point not in ([], [2.0]) else ""
+        if word == "G30.1":
+            self.references.pop("G30", None)
+        known = {} if self.unknown else self.references.get(word, {})
+        left = [axis for axis in which if self.names[axis] not in known]
+        if left:
+            self.note(
+                "reference return or probing passed through uncompensated; its axis positions are unknown afterwards"
+            )
+            self.mark_unknown(block, left, moved=True, reference=word if word in _RETURNS else "")
+        there = [axis for axis in which if axis not in left]
+        if there:
+            block.positions = False
+            position = self.placed({axis: known[self.names[axis]] for axis in there}, block)
+            bits = sum(1 << axis for axis in there)
+            block.moves += (Move(self._line, Kind.RAPID, self.tcp, position, self.named(bits), machine=True),)
 
     def _with_probing(self, block: IsoBlock, groups: frozenset[str]) -> frozenset[str]:
         """Return the groups of a block's G words, with that of G38 where it is in force: until a word of the motion group or G80."""
@@ -184,7 +217,7 @@ class IsoInterpreter(IsoMotion):
         if name == "O":
             if block.items or block.names:
                 raise self.error("control flow", vocabulary.NO_CALLS)
-            self.numbered = True
+            self.control = "Fanuc"
         elif name not in _NO_MOTION:
             if block.items or block.cycle_words:
                 what = "unknown word in a block that moves axes"
@@ -263,6 +296,8 @@ class IsoInterpreter(IsoMotion):
     def _hash(self, block: IsoBlock, match: re.Match[str]) -> None:
         self._started = True
         name = match.group(17)
+        if name[1] == "<":
+            self.control = "LinuxCNC"
         if name[1:].isdigit() and any(first <= int(name[1:]) <= last for first, last in vocabulary.OFFSET_VARIABLES):
             raise self.error("the program sets a work offset or a tool length", vocabulary.NO_TRANSFORMATION, name)
         self._assignments.append((name, self.value_of(match.group(18))))
@@ -338,6 +373,7 @@ class IsoInterpreter(IsoMotion):
             if group and seen.setdefault(group, code) != code:
                 raise self.error(f"two G words of one modal group ({group})", "one G word per group in a block")
             self._modal(block, span, group)
+            self.tell_control(code)
             self.switch_by(block, f"G{code}")
         return frozenset(seen)
 
@@ -397,7 +433,10 @@ class IsoInterpreter(IsoMotion):
             elif name == "CYCLE800":
                 self.swivel(block, arguments)
             elif name in vocabulary.TRANSFORMS:
-                if name not in vocabulary.CANCELLING or block.items or arguments.strip("() \t"):
+                alone = name in vocabulary.CANCELLING and not (block.items or block.others)
+                if (name in PROGRAMMED or alone) and not arguments.strip("() \t"):
+                    self.program_frame(block, name)
+                else:
                     rest = block.text[start:].split(";")[0].strip()
                     raise self.error(f"coordinate transformation {name}", vocabulary.NO_TRANSFORMATION, rest)
             elif name == "MCALL" or (place and names[place - 1].name == "MCALL"):
@@ -425,7 +464,8 @@ class IsoInterpreter(IsoMotion):
         """Apply an assignment that is not a word of the block; return whether it was one."""
         name, value = item.name, item.value
         shown = f"{name}={value}"
-        if len(name) == 1 or name in SPINDLE_VECTOR or name in ("CR", "TURN"):
+        turns = name == "RPL" and any(one.name in PROGRAMMED for one in block.names)
+        if len(name) == 1 or name in SPINDLE_VECTOR or name in ("CR", "TURN") or turns:
             return False
         if name[0] in "ABCD" and name[1:] in ("2", "6", "7"):
             raise self.error(f"tool orientation by {name}", "a tool vector A3= B3= C3=, or rotary axes", shown)

@@ -11,7 +11,8 @@ from twin.nc.arcs import MOST_TURNS, PLANES, ArcMisfit, arc_by_centre, arc_by_ra
 from twin.nc.blocks import Arc, AxisWords, Kind, Move
 from twin.nc.iso import cycles, vocabulary
 from twin.nc.iso.cycles import Drilling, Stroke
-from twin.nc.iso.frame import IsoBlock, IsoTilt, Item
+from twin.nc.iso.frame import IsoBlock, Item
+from twin.nc.iso.shifts import IsoShift
 from twin.nc.modal import BESIDE, CORRECTION_DEG, AxisWord, Span
 from twin.nc.text import MM_PER_INCH, number
 
@@ -23,20 +24,18 @@ _DRILLING: Final = {17: 2, 18: 1, 19: 0}
 """The linear axis that drills, by plane."""
 
 
-class IsoDrilling(IsoTilt):
+class IsoDrilling(IsoShift):
     """Drilling cycles: those of Fanuc and LinuxCNC, and calls of SINUMERIK by ``MCALL``.
 
     Attributes:
         plane: 17, 18 or 19.
         incremental: whether words are relative.
-        numbered: whether the program has a number (``O1234``) or name (``<PART>``), as those of Fanuc and Haas have.
         cycle: the cycle executed after every positioning, or None.
         code: G code of a Fanuc cycle in force, empty if there is none.
     """
 
     plane = 17
     incremental = False
-    numbered = False
     cycle: Drilling | None = None
     code = ""
     _cycle_plane = 17
@@ -158,7 +157,7 @@ class IsoDrilling(IsoTilt):
         """
         if self.incremental == self._stated_incremental:
             return
-        if not self.numbered:
+        if self.control != "Fanuc":
             expected = "R and the depth in the block after G90 or G91, or a program number (Fanuc, Haas: O1234)"
             raise self._refused("heights stated before G90 or G91", expected)
         self.note(
@@ -431,9 +430,14 @@ class IsoMotion(IsoDrilling):
         self.length_vector = False
 
     @property
+    def beside(self) -> bool:  # type: ignore[override]
+        """See `Interpreter`."""
+        return self.side != 40
+
+    @property
     def runs_allowed(self) -> bool:
         """See `Interpreter.runs_allowed`: no pending work offset, incremental mode or tool vector, nor a cycle that changes."""
-        plain = self.side == 40 and not (self._on_contour or self.incremental)
+        plain = not (self.beside or self._on_contour or self.incremental)
         return plain and self.steady and self.set_up and self.vector is None
 
     def leave_contour(self) -> None:
@@ -442,7 +446,7 @@ class IsoMotion(IsoDrilling):
         Raises:
             InputError: it is still selected.
         """
-        if self.side != 40:
+        if self.beside:
             raise self.error("reference return under cutter radius compensation", "G40 before it")
         self._on_contour = False
 
@@ -452,7 +456,7 @@ class IsoMotion(IsoDrilling):
         Raises:
             InputError: it turns the tool, or a drilling cycle is in force.
         """
-        compensated = self.side != 40 or self._on_contour
+        compensated = self.beside or self._on_contour
         if not compensated:
             return False
         here = self.position[self.linear :]
@@ -463,7 +467,7 @@ class IsoMotion(IsoDrilling):
         self.note(BESIDE, once=True)
         a, b, _ = PLANES[self.plane]
         if block.axis_bits & (1 << a | 1 << b) or self.motion in (2, 3):
-            self._on_contour = self.side != 40
+            self._on_contour = self.beside
         return True
 
     def move(self, block: IsoBlock, centre: list[Item], *, machine: bool) -> None:  # noqa: C901, PLR0912
@@ -492,6 +496,9 @@ class IsoMotion(IsoDrilling):
                 raise self.error(f"a cycle in force where {self.unknown}", "G80 or MCALL before")
             block.moves += (self.unknown_move(kind, block.axis_bits),)
             block.unknown_axes = tuple(range(len(self.names)))
+            return
+        if self.parks and kind is Kind.RAPID and self.cycle is None and not (centre or self.vector):
+            block.moves += (self.parking_move(block),)
             return
         start, rotary = self.position[: self.linear], self.position[self.linear :]
         self.apply_words(block)

@@ -9,11 +9,11 @@ from twin.nc.text import line_pattern, number
 
 _STRING = r'"[^"\r\n]*+"'
 _ARGS = rf'\((?:[^()"\r\n]++|{_STRING}|\((?:[^()"\r\n]++|{_STRING}|\([^()"\r\n]*+\))*+\))*+\)'
-_BRACKET = r"\[(?:[^\[\]\r\n]++|\[(?:[^\[\]\r\n]++|\[[^\[\]\r\n]*+\])*+\])*+\]"
+BRACKET = r"\[(?:[^\[\]\r\n]++|\[(?:[^\[\]\r\n]++|\[[^\[\]\r\n]*+\])*+\])*+\]"
 _NUMBER = r"[\d.]++"
 _HASH = r"\#(?:\d++|<[^>\r\n]*+>)"
-_NAME = rf"\$?[A-Za-z_]\w*+(?:{_BRACKET})?+(?:{_ARGS})?+"
-_OPERAND = rf"[+-]?+[ \t]*+(?:{_NUMBER}|{_STRING}|{_NAME}|{_HASH}|{_BRACKET})"
+_NAME = rf"\$?[A-Za-z_]\w*+(?:{BRACKET})?+(?:{_ARGS})?+"
+_OPERAND = rf"[+-]?+[ \t]*+(?:{_NUMBER}|{_STRING}|{_NAME}|{_HASH}|{BRACKET})"
 _REST = r"(?:(?![A-Za-z][ \t]*+[+-]?[ \t]*+[\d.\#\[])[^()\r\n])*+"
 _INNER = rf"\([^()\r\n]*+(?:\([^()\r\n]*+\){_REST})*+\)"
 NOTE = rf"\([^()\r\n]*+(?:{_INNER}{_REST})*+\)"
@@ -27,9 +27,9 @@ TOKEN = re.compile(
     rf"""[ \t\f\x1a]*+(?:
       (?P<word>([A-Za-z])[ \t]*+([+-]?+[ \t]*+[\d.]++)(?![ \t]*+=))
     | (?P<note>{NOTE}|;[^\r\n]*+|[\r\n]++)
-    | (?P<given>([A-Za-z]\d*+|\$?[A-Za-z_][A-Za-z_]\w*+)({_BRACKET})?+[ \t]*+=(?!=)[ \t]*+({_FORMULA}))
-    | (?P<name>(\$?(?:[A-Za-z][A-Za-z_]|_)\w*+)({_BRACKET})?+(?:[ \t]*+({_ARGS}))?+)
-    | (?P<late>([A-Za-z])[ \t]*+([+-]?+[ \t]*+(?:{_HASH}|{_BRACKET})))
+    | (?P<given>([A-Za-z]\d*+|\$?[A-Za-z_][A-Za-z_]\w*+)({BRACKET})?+[ \t]*+=(?!=)[ \t]*+({_FORMULA}))
+    | (?P<name>(\$?(?:[A-Za-z][A-Za-z_]|_)\w*+)({BRACKET})?+(?:[ \t]*+({_ARGS}))?+)
+    | (?P<late>([A-Za-z])[ \t]*+([+-]?+[ \t]*+(?:{_HASH}|{BRACKET})))
     | (?P<hash>({_HASH})[ \t]*+=[ \t]*+({_EXPRESSION}))
     | (?P<skip>(?:/\d?+)++)
     | (?P<main>:\d*+)
@@ -63,6 +63,7 @@ GROUPS: dict[str, tuple[str, ...]] = {
     ),
     "machine": ("53", "153"),
     "plane tilt": ("68.2", "53.1", "69"),
+    "shift": ("10", "52", "92", "92.1", "92.2", "92.3"),
     "still": ("4", "22", "23", "25", "26"),
     "reference": ("28", "30", "30.1", "75", "27", "31", "38", "38.2", "38.3", "38.4", "38.5"),
     "mode": ("61", "61.1", "62", "64", "60", "641", "642", "643", "644", "645"),
@@ -130,8 +131,8 @@ REFUSED_CODES: dict[str, tuple[str, str]] = {
     **{
         code: (f"coordinate transformation G{code}", NO_TRANSFORMATION)
         for code in (
-            *("7", "7.1", "10", "10.6", "10.9", "11", "12.1", "16", "51", "51.1", "52", "54.2", "54.4"),
-            *("68", "68.1", "68.3", "68.4", "92", "92.1", "92.2", "92.3", "107", "110", "111", "112"),
+            *("7", "7.1", "10.6", "10.9", "11", "12.1", "16", "51", "51.1", "54.2", "54.4"),
+            *("68", "68.1", "68.3", "68.4", "107", "110", "111", "112"),
         )
     },
     **{
@@ -151,9 +152,10 @@ REFUSED_CODES: dict[str, tuple[str, str]] = {
 OKUMA_HEADER = re.compile(r"\$[^=%\s]++%", re.ASCII)
 """The first line of a program of Okuma: its file name."""
 NOT_OF_OKUMA: frozenset[str] = frozenset(
-    {*(str(code) for code in range(53, 60)), *(str(code) for code in range(71, 90)), "98", "99"} - {"80"}
+    {*(str(code) for code in range(53, 60)), *(str(code) for code in range(71, 90)), "98", "99", *GROUPS["shift"]}
+    - {"80"}
 )
-"""G codes that have another meaning on an OSP: tool length offsets and their end, return levels, cycles with levels of their own."""
+"""G codes that have another meaning on an OSP: tool length offsets and their end, return levels, shifts, cycles with own levels."""
 PROGRAM_NAME = re.compile(r"<[\w.+-]++>[ \t]*+(?:\([^()]*+\))?+", re.ASCII)
 """A line with the name of a program, of Fanuc and Mazak, in place of its number."""
 OKUMA_OFFSET = (

@@ -14,8 +14,8 @@ from twin.nc.iso.cycles import Drilling, Kept
 from twin.nc.iso.frame import IsoBlock
 from twin.nc.iso.vocabulary import DIRECTION_FORMS
 from twin.nc.modal import AxisWord, Span
-from twin.nc.text import Style, apply_edits, ending, format_number, number, style_of
-from twin.nc.writer import Edit, Segments, WordWriter, drop, length_text, vector_texts
+from twin.nc.text import MM_PER_INCH, Style, apply_edits, ending, format_number, number, style_of
+from twin.nc.writer import SAME_NUMBER, Edit, Segments, WordWriter, drop, length_text, vector_texts
 
 VECTOR_DECIMALS: Final = 7
 CODE: Final = {Kind.RAPID: 0, Kind.LINEAR: 1, Kind.ARC: 1}
@@ -74,6 +74,9 @@ class IsoWriter(WordWriter[IsoBlock]):
             self.said.mark_unknown(block.unknown_axes)
             if block.tcp_switched:
                 self._vector_text = None
+        declared = self._declared(block)
+        if block.reframed is not None:
+            self.said.reframe(*block.reframed)
         moves = block.moves
         if line in self.rigid_lines:
             return self._take_rigid(block)
@@ -84,7 +87,7 @@ class IsoWriter(WordWriter[IsoBlock]):
         elif moves and block.positions:
             text = self._unchanged_block(block)
         else:
-            text = block.text
+            text = apply_edits(block.text, declared)
             if block.motion_word is not None:
                 self.motion = block.motion
             if block.cycle_word is not None and self.expand_cycles:
@@ -94,6 +97,30 @@ class IsoWriter(WordWriter[IsoBlock]):
                 text = self._without_cycle(block, text)
         self._mark_stale(block)
         return text if block.drilling is None else self._drilled(block, block.drilling, segments or {}, text)
+
+    def _declared(self, block: IsoBlock) -> list[Edit]:
+        """Return the edits by which words declare the output's present position, so that the coordinates are those of the program.
+
+        Raises:
+            InputError: the output's position is unknown.
+        """
+        edits: list[Edit] = []
+        for word, at in block.declared:
+            said = self.said.value[word.axis]
+            if said != said:
+                name = self.names[word.axis]
+                raise InputError(
+                    f"the present position of {name} is declared anew, but unknown in the output",
+                    expected=f"a move to a position of {name} before it",
+                    file=self.source,
+                    line=self._line + 1,
+                    value=block.text.strip(),
+                )
+            if abs(said - at) > SAME_NUMBER:
+                unit = MM_PER_INCH if block.inch and word.axis < self.linear else 1.0
+                text = format_number((word.value + said - at) / unit, 9, self.style)
+                edits.append((word.value_start, word.value_end, text))
+        return edits
 
     def _follow_codes(self, block: IsoBlock) -> None:
         """Take over the effect of G words on the motion code in force and on rigid tapping."""
