@@ -104,7 +104,10 @@ class IsoFrame(Interpreter):
         if shifts and block.items and not any(span.name in "0123" for span in block.codes):
             raise self.error(f"coordinate transformation G{code}", vocabulary.NO_TRANSFORMATION, f"G{code}")
         if code in ("54.1", "154"):
-            code += "".join(f" P{item.value.strip()}" for item in block.others if item.name == "P")
+            for item in block.others:
+                if item.name == "P":
+                    value = self.value_of(item.value)
+                    code += f" P{value:g}" if value == value else f" P{item.value.strip()}"
         self.select_offset(block, f"G{code}")
 
     def choose_tool(self, block: IsoBlock, words: frozenset[str]) -> None:

@@ -26,6 +26,8 @@ _OFFSETS: Final = ("G54", "G55", "G56", "G57", "G58", "G59", "G59.1", "G59.2", "
 _OF_LINUXCNC: Final = frozenset({"59.1", "59.2", "59.3", "92.2", "92.3", "38.2", "38.3", "38.4", "38.5"})
 _OF_FANUC: Final = frozenset({"54.1", "154", "68.2", "65"})
 _NOT_OF_SINUMERIK: Final = frozenset({*_OF_LINUXCNC, *_OF_FANUC, "20", "21", "28", "43", "49", "80", "98", "99"})
+_BESIDE_OFFSET: Final = frozenset({"0", "1", "17", "18", "19", "20", "21", "40", "49", "69", "80", "90", "91", "94"})
+"""G words without a P word of their own."""
 _TURNED: Final = {17: 2, 18: 1, 19: 0}
 Control = Literal["", "LinuxCNC", "Fanuc"]
 
@@ -152,7 +154,9 @@ class IsoShift(IsoTilt):
             raise self.error("G10 L2 with an unknown work offset", "P1 to P9", number)
         name = f"G54.1 P{int(number)}" if further else _OFFSETS[int(number) - 1]
         if kind == 2.0 or further:
-            self._state(name, words, turn)
+            self.note(f"the program sets work offset {name}: its values replace those of the set-up", once=True)
+            for one in (name, f"G154 P{int(number)}") if further else (name,):  # of Fanuc and of Haas
+                self._state(one, words, turn)
             return
         if name != (self.offset or _OFFSETS[0]) or turn is not None or self.frame.turn is not None:
             expected = "the work offset in force, without rotation"
@@ -173,14 +177,23 @@ class IsoShift(IsoTilt):
             raise self.error("G10 L2 with R after G92", "G92.1 before it: LinuxCNC moves the axes then")
         if turn is not None:
             self._turns[name] = rotation_about("Z", [turn]) if turn else None
-        self.note(f"the program sets work offset {name}: its values replace those of the set-up", once=True)
 
     @property
     def _zeros(self) -> tuple[float, ...]:
         return (0.0,) * len(self.names)
 
     def choose_offset(self, block: IsoBlock, code: str) -> None:
-        """As `IsoFrame.choose_offset`, with the values that the program has set."""
+        """As `IsoFrame.choose_offset`, with the values that the program has set; ``G54 P3`` of Fanuc is ``G54.1 P3``."""
+        others = {span.name for span in block.codes} - {"54"}
+        if (
+            code == "54"
+            and not (self.code or others - _BESIDE_OFFSET)
+            and any(item.name == "P" for item in block.others)
+        ):
+            code = "54.1"
+        if self.code:
+            what = "another work offset within a drilling cycle: R, the depth and the initial level are read in it, as by LinuxCNC"
+            self.note(what, once=True)
         super().choose_offset(block, code)
         self._refresh(block)
 
