@@ -40,6 +40,7 @@ CYCLES = {
     "in a subprogram in a loop": (
         "#<i>=0\no1 repeat [3]\nG10 L2 P1 R[#<i>*30]\nG0 X0 Y0\no<hole> call [#<i>*10+20] [5]\n#<i>=[#<i>+1]\no1 endrepeat\n"
     ),
+    "with many brackets": "G99 G81 X[1+[2*[3/[4-[5-2]]]]] Y[[[[[2]]]]] Z-20 R-8\nG80\nG0 Z5\n",
     "in two work offsets": "G98 G81 X10 Y10 Z-20 R-8\nX20\nG55 X0 Y0\nX10\nG80\nG0 Z5\n",
 }
 SUBPROGRAMS = {

@@ -9,7 +9,9 @@ from twin.nc.text import line_pattern, number
 
 _STRING = r'"[^"\r\n]*+"'
 _ARGS = rf'\((?:[^()"\r\n]++|{_STRING}|\((?:[^()"\r\n]++|{_STRING}|\([^()"\r\n]*+\))*+\))*+\)'
-BRACKET = r"\[(?:[^\[\]\r\n]++|\[(?:[^\[\]\r\n]++|\[[^\[\]\r\n]*+\])*+\])*+\]"
+BRACKET = r"\[[^\[\]\r\n]*+\]"
+for _ in range(6):
+    BRACKET = rf"\[(?:[^\[\]\r\n]++|{BRACKET})*+\]"
 _NUMBER = r"[\d.]++"
 _HASH = r"\#(?:\d++|<[^>\r\n]*+>)"
 _NAME = rf"\$?[A-Za-z_]\w*+(?:{BRACKET})?+(?:{_ARGS})?+"
