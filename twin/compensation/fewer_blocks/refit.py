@@ -266,7 +266,7 @@ class Refitter:
         reading = dialect.moves(program, space.axes, tcp=self.prepared.options.tcp)
         if reading.frames or program.origins:
             raise InputError(
-                "tilted planes and subprograms cannot be refitted",
+                "tilted planes, shifts, loops and subprograms cannot be refitted",
                 expected="a program without them",
                 file=program.source,
             )
