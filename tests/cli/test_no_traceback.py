@@ -433,7 +433,7 @@ def test_a_motion_that_needs_all_memory_is_refused(
 def test_repeating_nothing_ends_at_once(dmu50: Machine) -> None:
     """A part without a block, a thousand million times; a subprogram called from many places is looked for once."""
     text = "BEGIN PGM A MM\nL X+1 Y+1 Z+1\nLBL 1\nCALL LBL 1 REP 999999999\nEND PGM A MM\n"
-    program = Heidenhain().expanded(Heidenhain().read(text.encode(), "p.h"), None)
+    program = Heidenhain().expanded(Heidenhain().read(text.encode(), "p.h"), ())
     assert len(program.texts) == 5
 
 

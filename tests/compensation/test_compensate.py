@@ -214,11 +214,15 @@ def test_three_axis_program_keeps_its_words(dmu50: Machine, calibration: Calibra
     assert any("taken as B = 0°, C = 0°" in note.text for note in result.report.notes)
 
 
-def test_a_rotary_position_that_was_lost_is_assumed_with_a_note_again(dmu50: Machine, calibration: Calibration) -> None:
+def test_a_rotary_position_that_was_lost_is_not_assumed(dmu50: Machine, calibration: Calibration) -> None:
+    """Refuse it: the reference is where the builder has put it, not where the set-up begins."""
     lines = ["G90", "G0 X100 Y100 Z-100", "G1 X120 F300", "G28 B0", "G0 X100 Y100 Z-100", "G1 X120 F300", "M30"]
+    with pytest.raises(InputError, match="before the program has given a position of B") as refused:
+        compensate("\n".join([*lines, ""]), dmu50, calibration)
+    assert refused.value.line == 6
+    lines[4] += " B0"
     notes = compensate("\n".join([*lines, ""]), dmu50, calibration).report.notes
-    assumed = [(note.line, note.text.partition("taken as ")[2]) for note in notes if "taken as" in note.text]
-    assert assumed == [(2, "B = 0°, C = 0°"), (5, "B = 0°")]
+    assert [note.line for note in notes if "taken as" in note.text] == [2]
 
 
 def test_out_of_range_is_listed_and_nothing_dropped(dmu50: Machine, calibration: Calibration) -> None:

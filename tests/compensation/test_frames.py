@@ -221,7 +221,7 @@ def random_statements(rng: np.random.Generator, *, lost: bool) -> list[tuple[str
     """Return statements with axis positions of the machine: moves of some axes, machine coordinates, other offsets.
 
     Args:
-        lost: whether rotary positions are unknown, at first and after reference returns: they are assumed then, as words.
+        lost: whether rotary positions are unknown, at first, and so assumed as words; reference returns follow.
     """
 
     def some(names: str, least: int) -> dict[str, float]:
@@ -231,7 +231,12 @@ def random_statements(rng: np.random.Generator, *, lost: bool) -> list[tuple[str
     first = [("G0", some("Z", 1)), ("G0", some("XYZ", 3))] if lost else [("G0", some("XYZBC", 5))]
     kinds = rng.choice(["G0", "G1", "G1", "G53", "G54", "G55", *(["G28"] if lost else [])], 14)
     axes = {"G53": "XYZ", "G28": "BC" if lost else "Z"}
-    return [*first, *((str(kind), some(axes.get(str(kind), "XYZBC"), 1)) for kind in kinds)]
+    found = [*first, *((str(kind), some(axes.get(str(kind), "XYZBC"), 1)) for kind in kinds)]
+    return [
+        one
+        for statement in found
+        for one in ([statement, ("G0", some("BC", 2))] if statement[0] == "G28" else [statement])
+    ]
 
 
 def as_program(statements: list[tuple[str, dict[str, float]]], offsets: dict[str, dict[str, float]]) -> str:
@@ -317,3 +322,48 @@ def test_a_tool_vector_is_reached_from_where_the_axes_stand(dmu50: Machine, coun
         reached.append(result.nominal)
     assert reached[0] == pytest.approx(reached[1], abs=1e-6)
     assert reached[0][-1, 3:] == pytest.approx(commands[-1][3:], abs=1e-5)
+
+
+PARKING = {
+    "fanuc": (
+        "G90 G21\nG54\nG0 X10 Y20 Z60 B0 C0\nG1 Z50 F500\n{}G54\nG0 X15 Y25 B5\n{}G1 Y30\nM30\n",
+        "G0\nG58 X0 Y0 B0\n",
+    ),
+    "sinumerik": (
+        "G90 G710\nG54\nG0 X10 Y20 Z60 B0 C0\nG1 Z50 F500\n{}G54\nG0 X15 Y25 B5\n{}G1 Y30\nM30\n",
+        "G500\nG0 X0 Y0 B0\n",
+    ),
+    "heidenhain": (
+        "BEGIN PGM A MM\nCYCL DEF 247 Q339=+1\nL X+10 Y+20 Z+60 B+0 C+0 FMAX\nL Z+50 F500\n{}CYCL DEF 247 Q339=+1\n"
+        "L X+15 Y+25 B+5 FMAX\n{}L Y+30 F500\nEND PGM A MM\n",
+        "CYCL DEF 247 Q339=+9\nL X+0 Y+0 B+0 R0 FMAX\n",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", PARKING)
+def test_rapids_in_an_unknown_work_offset_stay_as_they_are(dmu50: Machine, errors: Calibration, name: str) -> None:
+    """Name them in the report; the axes that they move are unknown until the program gives them in its own work offset."""
+    form, park = PARKING[name]
+    setup = Setup(work_offset={"X": 200.0, "Y": 150.0, "Z": -250.0})
+    result = compensated(form.format(park, ""), dmu50, errors, setup)
+    without = compensated(form.format("", ""), dmu50, errors, setup)
+    assert blocks(result.text)[0] == blocks(without.text)[0] and blocks(result.text)[-1] == blocks(without.text)[-1]
+    assert park in result.text
+    (left,) = (one for one in result.report.not_corrected if one.kind == "unknown")
+    assert "work offset" in left.reason and "left as written" in left.reason and not left.missed
+    assert result.report.complete
+    for text, words in (
+        (form.format(park, "").replace("B5", "").replace("B+5", ""), "position of B"),
+        (form.format("", park), "second"),
+    ):
+        with pytest.raises(InputError, match=words):
+            compensated(text, dmu50, errors, setup)
+
+
+def test_g58_with_axes_shifts_coordinates_where_the_control_may_be_a_sinumerik(
+    dmu50: Machine, errors: Calibration
+) -> None:
+    form, park = PARKING["fanuc"]
+    with pytest.raises(InputError, match="transformation G58"):
+        compensated(form.format(park, "").replace("G21", "G71"), dmu50, errors, Setup())

@@ -45,7 +45,14 @@ class Canon:
         if not 0 < place <= len(ROWS):
             return EMPTY
         row = ROWS[place - 1]
-        return (int(row["T"]), *(float(row.get(axis, 0.0)) for axis in "XYZABCUVW"), 0.0, 0.0, 0.0, 0)
+        return (
+            int(row["T"]),
+            *(float(row.get(axis, 0.0)) for axis in "XYZABCUVW"),
+            float(row.get("D", 0.0)),
+            0.0,
+            0.0,
+            0,
+        )
 
     def get_external_angular_units(self):
         return 1.0

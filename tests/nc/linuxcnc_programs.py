@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from random import Random
 
 PLANES = {17: "XYIJZ", 18: "ZXKIY", 19: "YZJKX"}
-CYCLES = ("81", "82", "83", "73", "85", "89", "81", "86")
+CYCLES = ("81", "82", "83", "73", "85", "89", "81")
 NAMED = ("#<a>", "#<_glob>", "#<Depth of cut>", "#<_Wide>", "#101", "#102", "#31", "#[100+1]")
 FUNCTIONS = ("SIN", "COS", "TAN", "ABS", "ROUND", "FIX", "FUP", "SQRT", "EXP", "LN", "ASIN", "ACOS")
 OPERATORS = ("+", "-", "*", "/", "**", "MOD", "EQ", "NE", "GT", "GE", "LT", "LE", "AND", "OR", "XOR")
@@ -173,9 +173,10 @@ class ControlProgram:
         if rng.random() < 0.4:
             words = [
                 f"G92 {self.words('XYZBC')}",
-                *("G92.1", "G92.2", "G92.3", f"G52 {self.words('XYZ')}"),
-                f"G10 L2 P{rng.randint(0, 9)} {self.words('XYZBC')}",
-                f"G10 L20 P{rng.randint(0, 9)} {self.words('XYZBC')}",
+                *("G92.1", "G92.2", "G92.3", f"G52 {self.words('XYZ')}", f"G92 {self.words('XYZ')}"),
+                f"G10 L2 P{rng.randint(0, 3)} {self.words('XYZBC')}",
+                f"G10 L2 P{rng.randint(1, 3)} R{self.number(-90, 90)} {self.words('XY')}",
+                f"G10 L20 P{rng.randint(0, 3)} {self.words('XYZBC')}",
                 f"G10 L1 P{rng.choice([1, 2])} Z{self.number(0, 9)}",
                 f"#{rng.choice([5221, 5243, 5211])}={self.number(0, 9)}",
             ]
@@ -210,24 +211,30 @@ class ControlProgram:
     def cycle(self) -> None:
         """A drilling cycle at some places, its words changed on the way.
 
-        Left out, because twin reads it as on Fanuc, and says so: R that rises after G99, G98 after G99 (`test_linuxcnc`). G89 feeds up
-        to the initial level, and the control taps threads by itself.
+        Left out, because twin reads it as on Fanuc, and says so: R that rises after G99, or lies above the tool there, G98 after G99
+        (`test_linuxcnc`). G89 feeds up to the initial level, and the control itself taps threads and bores with a spindle that stops.
         """
         rng = self.rng
-        code = rng.choice(CYCLES)
-        if rng.random() < 0.9:
-            self.lines += ["G80", "G17 G90", "G0 X100 Y100 Z50"]
-            self.plane = 17
-        level = "G99" if code == "89" else rng.choice(["G98", "G99"])
-        top = rng.uniform(30.0, 60.0 if rng.random() < 0.1 else 49.0)
-        words = f"{level} G{code} {self.words('XY')} Z{self.number(-30, -9)} R{top:.2f}"
-        words += " P0.5" if code in ("82", "89", "86") else f" Q{self.number(3, 9)}" if code in ("73", "83") else ""
+        placed = rng.random() < 0.9
+        code = rng.choice(CYCLES) if placed else "81"
+        plane = rng.choice([17, 17, 18, 19])
+        places, depth = {17: ("XY", "Z"), 18: ("XZ", "Y"), 19: ("YZ", "X")}[plane]
+        if placed:
+            self.lines += ["G80", f"G{plane} G90", f"G0 {' '.join(f'{axis}100' for axis in places)} {depth}50"]
+            self.plane = plane
+        level = "G99" if code == "89" else rng.choice(["G98", "G99"]) if placed else "G98"
+        top = rng.uniform(30.0, 60.0 if rng.random() < 0.1 and level == "G98" else 49.0)
+        relative = rng.random() < 0.3
+        heights = f"{depth}{self.number(-30, -9)} R{top - 50.0 if relative else top:.2f}"
+        words = f"{'G91 ' if relative else ''}{level} G{code} {self.words(places)} {heights}"
+        words += " P0.5" if code in ("82", "89") else f" Q{self.number(3, 9)}" if code in ("73", "83") else ""
         self.lines.append(words + rng.choice(["", "", "", "", f" L{rng.choice([1, 2, 3])}"]))
         for _ in range(rng.choice([0, 1, 3])):
             top = rng.uniform(2.0, top)
-            extra = rng.choice(["", "", "", f" R{top:.3f}", f" Z{self.number(-40, -9)}", " G91", " L2"])
-            self.lines.append(rng.choice([self.words("XY") + extra, self.words("XY") + extra, "M8", "G20"]))
-        self.lines += [rng.choice(["G80", "G80", "G0 Z60", "G80 G0 Z60"]), "G90 G21"]
+            lower = f" R{top - 50.0 if relative else top:.3f} {depth}{self.number(-40, -9)}"
+            extra = rng.choice(["", "", "", lower, f" {depth}{self.number(-40, -9)}", " G91", " L2", " G90"])
+            self.lines.append(rng.choice([self.words(places) + extra, self.words(places) + extra, "M8", "G20"]))
+        self.lines += [rng.choice(["G80", "G80", f"G0 {depth}60", f"G80 G0 {depth}60"]), "G90 G21"]
 
     def call(self) -> None:
         """A subprogram with arguments and variables of its own."""

@@ -14,6 +14,7 @@ from tests.nc.nc_support import AXES
 from twin._common.errors import InputError
 from twin.nc import read_program
 from twin.nc.blocks import Kind, Move
+from twin.nc.inline import errors_in_files
 
 EQUAL_MM = 1e-6
 SAME_MM = 1e-7
@@ -56,7 +57,8 @@ def compare(path: Path, folder: Path, *, known: bool = True, tools: str = "", pa
     axes = replace(AXES, tools_known=known, offsets_known=known, one_tool=False)
     try:
         program, dialect = read_program(path)
-        reading = dialect.moves(program, axes, tcp=False)
+        with errors_in_files(program):
+            reading = dialect.moves(program, axes, tcp=False)
     except InputError as error:
         return Comparison(refused=str(error), line=error.line)
     judge = rs274.read(path, folder, tools=tools, parameters=parameters)
@@ -99,6 +101,8 @@ def _difference(
             there = f"line {ours[at][0]}: {ours[at][1]}" if at < len(ours) else "nothing more"
             return Comparison(f"line {line}: {motions} but twin has {there}", blocks=blocks, values=values)
         moves = ours[at][1]
+        if not last and motions is theirs[-1][1]:
+            moves = moves[: len(motions)]  # the interpreter has stopped within a subprogram or loop
         found = _block(moves, motions, before)
         if isinstance(found, str):
             return Comparison(f"line {line}: {found}", blocks=blocks, values=values)
@@ -142,7 +146,9 @@ def _moving(events: list[Event], before: tuple[float, ...]) -> list[Event]:
     """Return the events of a block without those that stay where they are."""
     kept, last = [], before
     for event in events:
-        if event.sweep or any(abs(a - b) >= SAME_MM or a != a or b != b for a, b in zip(event.end, last, strict=True)):
+        if event.sweep or any(
+            abs(a - b) >= SAME_MM or (a != a) != (b != b) for a, b in zip(event.end, last, strict=True)
+        ):
             kept.append(event)
         last = event.end
     return kept

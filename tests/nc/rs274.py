@@ -6,7 +6,7 @@ import json
 import os
 import subprocess
 from functools import cache
-from math import atan2, ceil, copysign, pi
+from math import atan2, ceil, copysign, cos, pi, radians, sin
 from pathlib import Path
 from typing import NamedTuple
 
@@ -95,7 +95,7 @@ def events(text: str, folder: Path, tools: str = "") -> list[Event]:
 
 def _motions(calls: list[tuple[int, str, list[float]]]) -> list[Motion]:
     found: list[Motion] = []
-    shifts = dict.fromkeys(_OFFSETS, (0.0,) * 5)
+    shifts, turn = dict.fromkeys(_OFFSETS, (0.0,) * 5), 0.0
     plane, at = _PLANES[1], (0.0,) * 5
     for line, name, numbers in calls:
         if name == "set_plane":
@@ -103,10 +103,10 @@ def _motions(calls: list[tuple[int, str, list[float]]]) -> list[Motion]:
         elif name in _OFFSETS:
             shifts[name] = _position(numbers[_OFFSETS[name] :])
         elif name == "set_xy_rotation":
-            assert numbers[0] == 0.0
+            turn = radians(numbers[0])
         elif name in ("straight_traverse", "straight_feed"):
             at = _position(numbers)
-            found.append(Motion(line, Event(int(name == "straight_feed"), at), _sum(at, shifts)))
+            found.append(Motion(line, Event(int(name == "straight_feed"), at), _machine(at, shifts, turn)))
         elif name == "arc_feed":
             first, second, centre_1, centre_2, turns, third, *others = numbers
             end = [0.0] * 3
@@ -115,11 +115,11 @@ def _motions(calls: list[tuple[int, str, list[float]]]) -> list[Motion]:
             middle = (25.4 * centre_1, 25.4 * centre_2)
             event = _arc(plane, at, _position([*end, *others]), middle, int(turns))
             at = event.end
-            found.append(Motion(line, event, _sum(at, shifts)))
+            found.append(Motion(line, event, _machine(at, shifts, turn)))
         elif name in ("straight_probe", "rigid_tap"):
             end = [*numbers[:3], *([0.0] * 6 if name == "rigid_tap" else numbers[3:])]
             at = (*_position(end)[:3], *at[3:])
-            found.append(Motion(line, Event(_OTHER, at), _sum(at, shifts)))
+            found.append(Motion(line, Event(_OTHER, at), _machine(at, shifts, turn)))
     return found
 
 
@@ -127,8 +127,11 @@ def _position(numbers: list[float]) -> tuple[float, ...]:
     return tuple(numbers[i] * (25.4 if i < 3 else 1.0) for i in _AXES)
 
 
-def _sum(at: tuple[float, ...], shifts: dict[str, tuple[float, ...]]) -> tuple[float, ...]:
-    return tuple(map(sum, zip(at, *shifts.values(), strict=True)))
+def _machine(at: tuple[float, ...], shifts: dict[str, tuple[float, ...]], turn: float) -> tuple[float, ...]:
+    """Return the position in the machine: shifted by G92, turned about the zero of the work offset, then shifted by offset and tool."""
+    x, y, *others = map(sum, zip(at, shifts["set_g92_offset"], strict=True))
+    turned = (x * cos(turn) - y * sin(turn), x * sin(turn) + y * cos(turn), *others)
+    return tuple(map(sum, zip(turned, shifts["set_g5x_offset"], shifts["tool_offset"], strict=True)))
 
 
 def _arc(

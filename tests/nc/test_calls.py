@@ -71,13 +71,22 @@ CASES: dict[str, tuple[dict[str, str], str]] = {
 REFUSED = {
     "missing": ({"main.nc": "G0 X1 Y1 Z1\nM98 P77\nM30\n"}, "main.nc", 2, "no subprogram O77"),
     "endless": ({"main.nc": "M98 P1\nM30\nO1\nM98 P1\nM99\n"}, "main.nc", 4, "too deeply"),
-    "changes its parameter": ({"main.nc": "G65 P5 A1\nM30\nO5\n#1=2\nM99\n"}, "main.nc", 4, "changes its parameter"),
-    "local of a macro": ({"main.nc": "G65 P5 A1\nM30\nO5\n#30=2\nM99\n"}, "main.nc", 4, "changes its parameter"),
+    "local of a macro": (
+        {"main.nc": "G65 P5 A1\nM30\nO5\n#30=#3\nG1 X#30\nM99\n"},
+        "main.nc",
+        5,
+        "value of #30 is unknown",
+    ),
     "vacant": ({"main.nc": "#3=1\nG65 P5 A1\nM30\nO5\nG1 X#3 F1\nM99\n"}, "main.nc", 5, "value of X is unknown"),
     "with motion": ({"main.nc": "X1 M98 P5\nM30\nO5\nM99\n"}, "main.nc", 1, "only M98"),
-    "DEF": ({"main.mpf": "SUBA\nM30\n", "suba.spf": "DEF REAL A\nM17\n"}, "suba.spf", 1, "variables of its own"),
+    "DEF": (
+        {"main.mpf": "SUBA\nM30\n", "suba.spf": "DEF REAL _A=R7\nG1 X=_A\nM17\n"},
+        "suba.spf",
+        2,
+        "value of _A is unknown",
+    ),
     "SAVE": ({"main.mpf": "SUBA\nM30\n", "suba.spf": "PROC SUBA SAVE\nM17\n"}, "suba.spf", 1, "SAVE"),
-    "error inside": ({"main.mpf": "SUBA\nM30\n", "suba.spf": "G0 X1\nG41 X2\nM17\n"}, "suba.spf", 2, "cutter radius"),
+    "error inside": ({"main.mpf": "SUBA\nM30\n", "suba.spf": "G0 X1\nG33 X2\nM17\n"}, "suba.spf", 2, "thread"),
     "no end": ({"main.h": "BEGIN PGM A MM\nCALL LBL 3\nM30\nLBL 3\nEND PGM A MM\n"}, "main.h", 2, "without an end"),
     "units": (
         {"main.h": "BEGIN PGM A MM\nCALL PGM B\nEND PGM A MM\n", "b.h": "BEGIN PGM B INCH\nEND PGM B INCH\n"},
@@ -85,7 +94,7 @@ REFUSED = {
         1,
         "other units",
     ),
-    "loop": ({"main.nc": "M98 P1\nM30\nO1\nWHILE [#1 LT 3] DO1\nM99\n"}, "main.nc", 4, "control flow"),
+    "loop": ({"main.nc": "M98 P1\nM30\nO1\nWHILE [#1 LT 3] DO1\nM99\n"}, "main.nc", 4, "without its end"),
 }
 
 
@@ -93,6 +102,33 @@ def written(folder: Path, files: dict[str, str]) -> Path:
     for name, text in files.items():
         (folder / name).write_text(text)
     return folder / next(iter(files))
+
+
+ELSEWHERE = {
+    "CALL PGM": ("a.h", "0 BEGIN PGM A MM\n1 CALL PGM TNC:\\sub\\FIN.H\n2 END PGM A MM\n", "fin.h", "L Z-250 FMAX\n"),
+    "M98": ("a.nc", "G0 X1 Y1 Z1\nM98 P77\nM30\n", "O0077.eia", "O77\nG0 Z-250\nM99\n"),
+    "EXTCALL": ("a.mpf", 'G0 X1 Y1 Z1\nEXTCALL("/_N_EXT_DIR/FIN.SPF")\nM30\n', "fin.spf", "G0 Z-250\nM17\n"),
+}
+
+
+@pytest.mark.parametrize("name", ELSEWHERE)
+def test_subprograms_in_other_folders(tmp_path: Path, name: str) -> None:
+    """Search the program's folder first, then the others in their order; name all of them where there is none."""
+    main, text, other, body = ELSEWHERE[name]
+    folders = [tmp_path / "empty", tmp_path / "first one", tmp_path / "second"]
+    for folder in (*folders, tmp_path / "main"):
+        folder.mkdir()
+    (tmp_path / "main" / main).write_text(text)
+    (folders[1] / other).write_text(body)
+    (folders[2] / other).write_text(body.replace("-250", "-99"))
+    program, dialect = read_program(tmp_path / "main" / main, subprograms=folders)
+    assert moved(dialect.moves(program, AXES, tcp=False))[-1][1][2] == -250.0
+    assert str(folders[1] / other) in {origin.file for origin in program.origins}
+    with pytest.raises(InputError, match=f"in {tmp_path / 'main'} or in {folders[0]}") as caught:
+        read_program(tmp_path / "main" / main, subprograms=folders[:1])
+    assert caught.value.line == 2
+    with pytest.raises(InputError, match="cannot be searched"):
+        read_program(tmp_path / "main" / main, subprograms=[tmp_path / "nowhere"])
 
 
 def interpreted(path: Path) -> Interpretation:
@@ -160,7 +196,7 @@ def test_subprograms_are_inputs(tmp_path: Path, dmu50: Machine) -> None:
 
 def test_a_program_without_calls_is_itself(dmu50: Machine) -> None:
     program, dialect = read_program("cone_frustum.nc")
-    assert dialect.expanded(program, Path()) is program
+    assert dialect.expanded(program, [Path()]) is program
     assert Compensator(dmu50, Calibration.zero(dmu50)).compensate(program, dialect).text == program.text
 
 
@@ -176,7 +212,7 @@ def test_lines_that_may_be_calls(lines: list[str]) -> None:
     begin = re.compile(r"[ \t]*(?:N\d+[ \t]*)?(?:O[ \t]*[\d<]|L[ \t]*\d|[A-Z_][A-Z_])", re.IGNORECASE)
     inside = re.compile(r"M[ \t]*1?98|G[ \t]*65", re.IGNORECASE)
     texts = [f"{line}\n" for line in lines]
-    inliner = IsoInliner(Program("p.nc", "iso", tuple(texts)), None)
+    inliner = IsoInliner(Program("p.nc", "iso", tuple(texts)), ())
     expected = [bool(begin.match(one) or inside.search(one)) for one in texts]
     assert [inliner.likely(one) for one in texts] == expected
     assert inliner.likely_within("".join(texts)) or not any(expected)

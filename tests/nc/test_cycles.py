@@ -64,21 +64,35 @@ CYCLES = {
         [-300, -310, -330, -310, -300],
         "RRFFR",
     ),
-    "CYCLE84": ("MCALL CYCLE84(-300,-312,2,-330,,0,3,5,,1.5)\nG0 X310. Y210.\nMCALL\n", [-300], "R"),
+    "CYCLE84": ("MCALL CYCLE84(-300,-312,2,-330,,0,3,5,,1.5)\nG0 X310. Y210.\nMCALL\n", [-300, -310], "RR"),
+    "CYCLE86": ("MCALL CYCLE86(-300,-312,2,-330,,0,3,1,1,1,45)\nG0 X310. Y210.\nMCALL\n", [-300, -310], "RR"),
+    "CYCLE83 with dwell": (
+        "MCALL CYCLE83(-300,-312,2,-330,,-320,,1,.5,0,1,1,3,2,0,0,0)\nG0 X310. Y210.\nMCALL\n",
+        [-300, -310],
+        "RR",
+    ),
+    "G82 without dwell": ("G99 G82 X310. Y210. Z-330. R-310. F120.\nG80\n", [-300, -310, -330, -310], "RRFR"),
+    "G86": ("G98 G86 X310. Y210. Z-330. R-310. F50.\nG80\n", [-300, -310, -300], "RRR"),
+    "G76": ("G98 G76 X310. Y210. Z-330. R-310. Q.1 P500 F50.\nG80\n", [-300, -310, -300], "RRR"),
+    "from below R": ("G99 G81 X310. Y210. Z-330. R-290. F50.\nG80\n", [-300, -290, -330, -290], "RRFR"),
     "CYCLE81 once": ("G0 X310. Y210.\nCYCLE81(-300,-312,2,-330)\n", [-300, -310, -330, -300], "RRFR"),
 }
+KEPT = ("G99 G74", "G99 G76", "G99 G84", "G99 G86", "CYCLE83", "CYCLE84", "CYCLE86")
+"""Beginnings of the lines with a cycle that is left to the control."""
 REFUSED = {
     "no R": ("G81 X310. Y210. Z-330.\n", "R and Z"),
     "no Q": ("G83 X310. Y210. Z-330. R-310.\n", "Q, the depth of a step"),
-    "no P": ("G82 X310. Y210. Z-330. R-310.\n", "P, the dwell"),
     "upside down": ("G81 X310. Y210. Z-300. R-310.\n", "Z below R"),
     "from below": ("G81 X310. Y210. Z-330. R-290.\n", "Z is below R"),
-    "relative": ("G91 G81 X10. Y10. Z-20. R-10.\n", "in G17, G90"),
-    "repeats": ("G81 X310. Y210. Z-330. R-310. L3\n", "repeats"),
-    "boring": ("G86 X310. Y210. Z-330. R-310.\n", "canned cycle G86"),
-    "degressive": ("MCALL CYCLE83(-300,-312,2,-330,,-320,,1,0,0,1,1)\n", "steps of equal depth"),
+    "relative in part": ("G91 G81 X10. Y10. R-10.\n", "R and the depth in the same block"),
+    "half a repeat": ("G81 X310. Y210. Z-330. R-310. L1.5\n", "a whole number of holes"),
+    "elsewhere without a hole": ("G81 X310. Y210. Z-330. R-310. L0\n", "another place with L0"),
+    "back boring": ("G87 X310. Y210. Z-330. R-310. Q1.\n", "canned cycle G87"),
+    "a thread of LinuxCNC": ("G76 P1 X310. Z-330. R-310. I-1. J1. K2.\n", "thread of LinuxCNC"),
+    "boring in part": ("G86 X310. Y210. Z-330.\n", "Z and R in the block"),
+    "another axis": ("MCALL CYCLE83(-300,-312,2,-330,,-320,,1,0,0,1,1,1)\n", "along the third axis"),
     "unknown": ("MCALL CYCLE83(-300,-312,2,_D,,-320,,0,0,0,1,1)\n", "known values"),
-    "pattern": ("HOLES1(0,0,0,10,10,5)\n", "canned cycle HOLES1"),
+    "pattern without a cycle": ("HOLES1(0,0,0,10,10,5)\n", "canned cycle HOLES1"),
 }
 
 
@@ -91,7 +105,7 @@ def compensated(text: str, machine: Machine, errors: Calibration) -> Compensatio
     return Compensator(machine, errors).compensate(ISO.read(text.encode(), "part.mpf"), ISO)
 
 
-@pytest.mark.sample(5)  # of 15
+@pytest.mark.sample(8)  # of 22
 @pytest.mark.parametrize("name", CYCLES)
 def test_a_cycle_is_expanded_into_its_strokes(dmu50: Machine, errors: Calibration, name: str) -> None:
     text, heights, kinds = CYCLES[name]
@@ -101,7 +115,7 @@ def test_a_cycle_is_expanded_into_its_strokes(dmu50: Machine, errors: Calibratio
     assert {move.position[:2] for move in moves} == {HOLE}
     assert "".join("R" if move.kind is Kind.RAPID else "F" for move in moves) == kinds
     # An interpreter that does not know cycles finds the same strokes in the output, and the compensated commands at their end points.
-    plain = "\n".join(line for line in result.text.splitlines() if not line.startswith(("G99 G84", "CYCLE84")))
+    plain = "\n".join(line for line in result.text.splitlines() if not line.startswith(KEPT))
     ran = run_iso(plain)
     assert [code for code, _ in ran[1:-2]] == [{"R": "G0", "F": "G1"}[kind] for kind in kinds]
     assert np.array([q for _, q in ran]) == pytest.approx(result.commands, abs=1e-6)

@@ -87,20 +87,24 @@ EQUAL = {
     "arguments with brackets in brackets": SUB.format("G1 X#1 Y#2") + "o100 call [[1+2]*[3+1]] [SQRT[[4]]]",
     "probing stays in force": "G38.2 Z5\nX240\nG0 X3 Z9",
     "powers": "G1 X[2 ** 3 ** 2] Y[-2 ** 2] Z[7 - -3 ** 2]",
-    "a hole after the unit has changed": "G81 X5 Y5 Z-5 R2\nG80 G20\nG81 X1 Y1 Z-.5 R1\nG80",
-}
-REFUSED = {
+    "the present position is declared": "G92 X0 C7\nG1 X5\nG92 Y3\nG91 G1 Y5 C1\nG92.2\nG1 X5\nG92.3\nG1 Z1\nG90 G92.1\nG1 X1",
+    "a local shift": "G52 X5 B1\nG91 G1 X5\nG90 G52 X7\nG1 Y5\nG52 X0 B0\nG1 Z2",
+    "a work offset by its value and by the position": "G10 L2 P1 X7 Y3\nG90 G1 X5 Y2\n#<a>=1\nG10 L20 P1 X0 Y9\nG91 X1 Y1",
+    "a turned work offset": "G10 L2 P1 X7 Y3 Z1 R30\nG90 G1 X5 Y2 Z1\nG2 X9 Y2 I2 J0\nG10 L2 P1 R-20\nG91 G1 X1",
     "an argument that changes": SUB.format("#101=9\nG1 X#1") + "#101=5\no100 call [#101]",
     "and one that changes within": "o101 sub\n#101=9\no101 endsub\n"
     + SUB.format("o101 call\nG1 X#1")
     + "#101=5\no100 call [#101]",
+    "a hole after the unit has changed": "G81 X5 Y5 Z-5 R2\nG80 G20\nG81 X1 Y1 Z-.5 R1\nG80",
+}
+REFUSED = {
     "words after the arguments": SUB.format("G1 X#1") + "o100 call [8] G1 X5",
     "another unit within a cycle": "G81 X5 Y5 Z-5 R2\nG20 X.7\nG80",
     "a dwell and a move": "G4 P.001 G0 X1 Y1\nG1 Z3",
     "a root of a negative number": "#1=-4\nG1 X[#1 ** 0.5]",
-    **{word: f"{word}\nG1 X5" for word in ("G92 X0", "G92.1", "G52 X5", "G10 L2 P1 X7", "G10 L20 P1 X7", "#5221=7")},
-    **{word: f"T1 M6 G43\n{word}\nG1 Z5" for word in ("G43.1 Z5", "G43.2 H2", "G10 L1 P1 Z9", "M73", "G7", "G41 D1")},
-    **{name: text for name, text in (("loop", "o1 repeat [2]\nX1\no1 endrepeat"), ("if", "o1 if [1]\nX1\no1 endif"))},
+    **{word: f"{word}\nG1 X5" for word in ("G92.3", "G10 L2 P0 X7", "G10 L20 P1 X7", "#5221=7")},
+    "a rotation of the work offset after G92": "G92 X0\nG10 L2 P1 R30\nG1 X5",
+    **{word: f"T1 M6 G43\n{word}\nG1 Z5" for word in ("G43.1 Z5", "G43.2 H2", "G10 L1 P1 Z9", "M73", "G7", "G41.1 D1")},
 }
 
 

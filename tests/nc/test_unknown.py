@@ -50,7 +50,8 @@ NAMES = [
 WORDS = ["E5", "M2=21", "T2=5", "DL=2", "$TC_DP3[1,1]=120", "$MC_AXIS=1", "#1601=5", "#5023=4", "G[8]=54", "#1999=1"]
 KNOWN_NAMES = iso.PASSED | iso.CONTROL_FLOW | iso.TRANSFORMS | iso.CURVES | TCP
 
-PLAIN_M = [f"M{i}" for i in range(1000) if i not in plain.HARMLESS_M | plain.REFUSED_M | {94, 128, 129, 428, 429}]
+KNOWN_PLAIN_M = plain.HARMLESS_M | plain.REFUSED_M | plain.CALLING_M | {94, 128, 129, 428, 429}
+PLAIN_M = [f"M{i}" for i in range(1000) if i not in KNOWN_PLAIN_M]
 PLAIN_CYCLES = [
     f"CYCL DEF {i} SOMETHING"
     for i in range(1000)

@@ -66,6 +66,7 @@ MethodOption = Annotated[
     "twin compensate warm.h -o warm.compensated.h -c better.yaml --temperature X=23.1 bed=21 --time 7200",
     "twin compensate warm.nc -o warm.compensated.nc -c better.yaml --log machine.csv --time 7200",
     "twin compensate a.nc b.nc c.h -o out/ --workers 2",
+    "twin compensate main.h -o out.h --subprograms macros cycles",
 )
 def compensate(
     programs: ProgramsArgument,
@@ -75,6 +76,7 @@ def compensate(
     scope: options.ScopeOption = None,
     mode: options.ModeOption = options.Mode.axis,
     language: options.LanguageOption = None,
+    subprograms: options.SubprogramsOption = None,
     tolerance: ToleranceOption = 1e-3,
     json_file: JsonOption = None,
     report_file: Annotated[Path | None, typer.Option("--report", help="Write the report as text, too."), ANY] = None,
@@ -121,6 +123,7 @@ def compensate(
         method=method.value,
         conditions=options.conditions(temperature, time, rpm, load, log, by_block=True),
         language=language,
+        subprograms=tuple(subprograms or ()),
     )
     errors = options.calibration_of(calibration, loaded)
     own = options.workers(workers, scheduler, tls_ca, tls_cert, tls_key)

@@ -127,6 +127,7 @@ class Machine(DisplayedResult):
         tool_length_mm: tool length that is used if none is given.
         tcp_on, tcp_off: program words that switch tool centre point control on and off on this machine.
         harmless: program words that leave positions, frames, offsets and modes alone on this machine.
+        references: axis positions after a reference return, mm and degrees, by its word (``G28``, ``G30 P3``, ``G74``) and axis.
         origin_mm: axis coordinates at which the URDF's linear joints are zero, by axis; 0 for those that are not named.
 
     Examples:
@@ -147,6 +148,7 @@ class Machine(DisplayedResult):
         self.tcp_on = tuple(word.upper() for word in entries.programs.tcp_on)
         self.tcp_off = tuple(word.upper() for word in entries.programs.tcp_off)
         self.harmless = tuple(word.upper() for word in entries.programs.harmless)
+        self.references = entries.programs.references
         self.default_calibration = None if entries.calibration is None else _relative_to(path, entries.calibration)
         if not is_file(self.urdf):
             raise InputError(

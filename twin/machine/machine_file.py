@@ -333,6 +333,7 @@ class Programs(BaseModel):
     tcp_on: tuple[str, ...] = ()
     tcp_off: tuple[str, ...] = ()
     harmless: tuple[str, ...] = ()
+    references: Mapping[Annotated[str, Field(pattern=r"^(?:G28|G30(?: P[234])?|G74)$")], Mapping[str, _Position]] = {}
 
 
 @final
@@ -433,6 +434,16 @@ def _check_frames(entries: MachineFile, source: pin.Model, path: Path, lines: Ma
                 line=line_of(("frames", key), lines),
                 value=getattr(entries.frames, key),
             )
+    for word, places in entries.programs.references.items():
+        for name in places:
+            if not any(entry.name == name for entry in entries.axes):
+                raise InputError(
+                    "reference position of something that is not an axis",
+                    expected="names of axes",
+                    file=path,
+                    line=line_of(("programs", "references", word, name), lines),
+                    value=name,
+                )
     for name in entries.frames.origin:
         if not any(entry.name == name and entry.kind == "linear" for entry in entries.axes):
             raise InputError(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from twin._common.bundled import find_program
@@ -114,14 +115,17 @@ def _check_size(path: Path, needed: int) -> None:
         )
 
 
-def read_program(path: str | Path, language: str | None = None) -> tuple[Program, Dialect]:
+def read_program(
+    path: str | Path, language: str | None = None, subprograms: Sequence[str | Path] = ()
+) -> tuple[Program, Dialect]:
     """Read a program from a file (or a sample that comes with twin) and return it with its language.
 
-    Its subprograms, in the same file or folder, are written out in place of their calls.
+    Its subprograms, in the same file, its folder or other folders, its loops and its jumps are written out as they are executed.
 
     Args:
         path: its path.
         language: ``iso``, ``heidenhain`` or ``apt``; None to recognise it by content, then by suffix.
+        subprograms: folders in which subprograms are searched after the program's own.
 
     Raises:
         InputError: there is no such file, its language is not recognised, it is empty or not text, it needs more memory than there is,
@@ -136,4 +140,4 @@ def read_program(path: str | Path, language: str | None = None) -> tuple[Program
     data = read_bytes(source, most_bytes=MAX_TEXT_BYTES)
     _check_size(source, LINE_BYTES * (1 + max(data.count(b"\n"), data.count(b"\r"))))
     dialect = dialect_for(source, data, language)
-    return dialect.expanded(dialect.read(data, str(source)), source.parent), dialect
+    return dialect.expanded(dialect.read(data, str(source)), (source.parent, *map(Path, subprograms))), dialect

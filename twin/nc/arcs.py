@@ -18,6 +18,10 @@ MOST_TURNS = 400
 PLANES: dict[int, tuple[int, int, int]] = {17: (0, 1, 2), 18: (2, 0, 1), 19: (1, 2, 0)}
 
 
+CIRCLE_MM = 1e-6
+"""Distance of the ends of a full circle that rounding may leave."""
+
+
 class ArcMisfit(NamedTuple):
     """Why a circular block has no valid arc: what is wrong, and what was expected."""
 
@@ -67,6 +71,27 @@ def arc_by_centre(
             sweep = 2 * math.pi - sweep
     sweep += 2 * math.pi * turns
     return Arc(plane, centre, -sweep if clockwise else sweep)
+
+
+def moved_centre(
+    arc: Arc, end: tuple[float, float], new_start: tuple[float, float], new_end: tuple[float, float]
+) -> tuple[float, float]:
+    """Return the centre of an arc whose ends are moved by small amounts: by their mean, and then equally far from both new ends.
+
+    Args:
+        end: its in-plane end, mm.
+        new_start, new_end: its ends after they are moved.
+    """
+    c, s = math.cos(arc.angle_rad), math.sin(arc.angle_rad)
+    u, v = end[0] - arc.centre_mm[0], end[1] - arc.centre_mm[1]
+    start = (arc.centre_mm[0] + c * u + s * v, arc.centre_mm[1] - s * u + c * v)
+    guess = [arc.centre_mm[i] + 0.5 * (new_start[i] - start[i] + new_end[i] - end[i]) for i in (0, 1)]
+    way = (new_end[0] - new_start[0], new_end[1] - new_start[1])
+    length = math.hypot(*way)
+    if length < CIRCLE_MM or math.hypot(end[0] - start[0], end[1] - start[1]) < CIRCLE_MM:
+        return guess[0], guess[1]
+    off = sum((guess[i] - 0.5 * (new_start[i] + new_end[i])) * way[i] for i in (0, 1)) / length**2
+    return guess[0] - off * way[0], guess[1] - off * way[1]
 
 
 def arc_by_radius(

@@ -1,12 +1,13 @@
-"""Arithmetic with parameters in words and assignments: Fanuc and LinuxCNC ``#1``, SINUMERIK ``R1`` and names, Heidenhain ``Q1``.
+"""Arithmetic with parameters and conditions: Fanuc and LinuxCNC ``#1``, SINUMERIK ``R1`` and names, Heidenhain ``Q1``.
 
 Angles are in degrees. An expression is unknown (NaN) if a parameter in it is, or if controls disagree about its value: a remainder or a
-rounding toward zero of a negative number, a division by zero.
+rounding toward zero of a negative number, a division by zero, numbers compared that are almost equal. A condition is 1 or 0.
 """
 
 from __future__ import annotations
 
 import math
+import operator
 import re
 from collections.abc import Callable, Mapping
 from typing import Final, final
@@ -14,7 +15,8 @@ from typing import Final, final
 from twin.nc.text import number
 
 _TOKEN: Final = re.compile(
-    r"[ \t]*+(?:(?P<number>\d++(?:\.\d*+)?+|\.\d++)|(?P<name>\#(?:\d++|<[^>\r\n]*+>)|\$?[A-Za-z_]\w*+)|(?P<sign>\*\*|[-+*/^()\[\],]))",
+    r"[ \t]*+(?:(?P<number>\d++(?:\.\d*+)?+|\.\d++)|(?P<name>\#(?:\d++|<[^>\r\n]*+>)|\$?[A-Za-z_]\w*+)"
+    r"|(?P<sign>\*\*|[=<>]=|<>|[-+*/^()\[\],<>]))",
     re.ASCII,
 )
 _CLOSING: Final = {"(": ")", "[": "]"}
@@ -64,22 +66,42 @@ _BINARY: Final[Mapping[str, Callable[[float, float], float]]] = {
 }
 
 
+_COMPARED: Final[Mapping[str, Callable[[float, float], bool]]] = {
+    **dict.fromkeys(("EQ", "==", "EQU"), operator.eq),
+    **dict.fromkeys(("NE", "<>"), operator.ne),
+    **dict.fromkeys(("GT", ">"), operator.gt),
+    **dict.fromkeys(("GE", ">="), operator.ge),
+    **dict.fromkeys(("LT", "<"), operator.lt),
+    **dict.fromkeys(("LE", "<="), operator.le),
+}
+_LOGICAL: Final[Mapping[str, Callable[[bool, bool], bool]]] = {
+    "AND": operator.and_,
+    "OR": operator.or_,
+    "XOR": operator.xor,
+}
+EQUAL: Final = 1e-4
+"""Numbers closer than this are equal for LinuxCNC (EQ and NE); other controls compare more exactly."""
+_CLOSE: Final = 1e-9
+"""Numbers closer than this may compare differently in the arithmetic of another control."""
+
+
 def key_of(name: str) -> str:
     """Return a parameter's name in capitals and without spaces, neither of which counts."""
     return "".join(name.upper().split())
 
 
-def evaluate(text: str, parameters: Mapping[str, float], *, heidenhain: bool = False) -> float:
+def evaluate(text: str, parameters: Mapping[str, float], *, heidenhain: bool = False, linuxcnc: bool = False) -> float:
     """Return the value of an expression; NaN if it is unknown.
 
     Args:
         text: the expression.
         parameters: values by name in capitals (``#1``, ``R1``, ``_DEPTH``, ``Q1``).
         heidenhain: whether ``DIV`` is a quotient and commas are decimal; else ``DIV`` gives a whole number (SINUMERIK).
+        linuxcnc: whether it is LinuxCNC that compares.
     """
     try:
-        parser = _Parser(text.replace(",", ".") if heidenhain else text, parameters, not heidenhain)
-        value = parser.sum()
+        parser = _Parser(text.replace(",", ".") if heidenhain else text, parameters, not heidenhain, linuxcnc)
+        value = parser.condition()
     except (ArithmeticError, ValueError):
         return math.nan
     return value if parser.at_end and math.isfinite(value) else math.nan
@@ -89,8 +111,8 @@ def evaluate(text: str, parameters: Mapping[str, float], *, heidenhain: bool = F
 class _Parser:
     """Recursive descent; raises `ValueError` for anything that is not an expression."""
 
-    def __init__(self, text: str, parameters: Mapping[str, float], whole_division: bool) -> None:
-        self._parameters, self._whole_division = parameters, whole_division
+    def __init__(self, text: str, parameters: Mapping[str, float], whole_division: bool, linuxcnc: bool) -> None:
+        self._parameters, self._whole_division, self._linuxcnc = parameters, whole_division, linuxcnc
         self._tokens: list[tuple[str, str]] = []
         at = 0
         text = text.rstrip()
@@ -117,6 +139,40 @@ class _Parser:
             return ""
         self._at += 1
         return token
+
+    def condition(self) -> float:
+        """Return comparisons that one logical operator joins; several different ones need brackets, which controls read alike."""
+        begin = self._at
+        value = self._comparison()
+        word = self._next()
+        while self._next() in _LOGICAL:
+            if self._take(word) == "" or self._sums(begin, self._at - 1):
+                return math.nan
+            begin = self._at
+            other = self._comparison()
+            if self._sums(begin, self._at):
+                return math.nan
+            known = value in (0.0, 1.0) and other in (0.0, 1.0)
+            value = float(_LOGICAL[word](bool(value), bool(other))) if known else math.nan
+        return value
+
+    def _sums(self, begin: int, end: int) -> bool:
+        """Return whether tokens are arithmetic without a comparison: some controls apply a logical operator first."""
+        texts = {text for _, text in self._tokens[begin:end]}
+        return bool(texts & {"+", "-", "*", "/", "**", "MOD"}) and not texts & _COMPARED.keys()
+
+    def _comparison(self) -> float:
+        value = self.sum()
+        if not (word := self._take(*_COMPARED)):
+            return value
+        other = self.sum()
+        if self._next() in _COMPARED or value != value or other != other:
+            return math.nan
+        apart = abs(value - other)
+        if self._linuxcnc and word in ("EQ", "NE"):
+            return float((apart < EQUAL) == (word == "EQ"))
+        close = EQUAL if _COMPARED[word] in (operator.eq, operator.ne) else _CLOSE
+        return math.nan if 0.0 < apart <= close and not self._linuxcnc else float(_COMPARED[word](value, other))
 
     def sum(self) -> float:
         """Return a sum of products."""
@@ -145,6 +201,9 @@ class _Parser:
 
     def _signed(self) -> float:
         """Return an operand with its sign; the power ``^`` (Heidenhain) comes before the sign."""
+        if self._take("NOT"):
+            value = self._signed()
+            return 1.0 - value if value in (0.0, 1.0) else math.nan
         if sign := self._take("+", "-"):
             value = self._signed()
             return -value if sign == "-" else value
@@ -168,7 +227,7 @@ class _Parser:
             return self._of_two(text)
         if text in FUNCTIONS:
             return FUNCTIONS[text](self._bracket()[0] if self._next() in _CLOSING else self._signed())
-        return {"PI": math.pi, "$PI": math.pi}.get(text, math.nan)
+        return {"PI": math.pi, "$PI": math.pi, "TRUE": 1.0, "FALSE": 0.0}.get(text, math.nan)
 
     def _of_two(self, name: str) -> float:
         """Return a function of two numbers: ``ATAN2(y,x)``, ``ATAN[y,x]``, ``ATAN[y]/[x]``, ``POW[x,y]``."""
@@ -191,7 +250,7 @@ class _Parser:
     def _bracket(self) -> list[float]:
         """Return the values in a bracket, separated by commas."""
         closing = _CLOSING[self._take(*_CLOSING)]
-        values = [self.sum()]
+        values = [self.condition()]
         while self._take(","):
             values.append(self.sum())
         if not self._take(closing):

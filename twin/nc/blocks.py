@@ -163,6 +163,7 @@ class AxisWords:
         one_tool: whether all moves must use a tool of one length, where the lengths are unknown.
         harmless: words in capitals that leave positions, frames, offsets and modes alone on this machine, in addition to those of the
             dialect: auxiliary functions of its builder, for example.
+        references: positions of the axes after a reference return, mm and degrees, by its word (``G28``, ``G30 P3``) and axis.
     """
 
     linear: tuple[str, ...]
@@ -174,6 +175,7 @@ class AxisWords:
     tools_known: bool = False
     one_tool: bool = True
     harmless: tuple[str, ...] = ()
+    references: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -266,7 +268,7 @@ class Move(NamedTuple):
         kind: rapid, linear feed or arc.
         tcp: whether tool centre point control is on (the words are tool-tip coordinates).
         machine: whether the words are machine coordinates (``G53``, ``SUPA``, ``M91``). Such a block passes through unchanged;
-            ``position`` holds its words, NaN for the other axes.
+            ``position`` holds its words, NaN for the other axes. With ``unknown``: those of a work offset of unknown values, all NaN.
         position: absolute end position of every axis, mm and degrees, in the order ``AxisWords.names``, in the program's
             coordinates (without work offset); NaN where still unknown. Rotary entries are NaN in a block with a tool vector.
         named: names of the axes written in this block.
@@ -275,6 +277,7 @@ class Move(NamedTuple):
         arc: for ``Kind.ARC``.
         unknown: why nothing is known of where the block goes (`twin.nc.modal.Interpreter.unknown`); empty if that is known. Such a
             block passes through unchanged; ``position`` is NaN and ``arc`` None.
+        whole: whether the block stays one block, an arc an arc: under cutter radius compensation.
     """
 
     line: int
@@ -287,6 +290,7 @@ class Move(NamedTuple):
     normal: tuple[float, float, float] | None = None
     arc: Arc | None = None
     unknown: str = ""
+    whole: bool = False
 
     @property
     def passes(self) -> bool:
@@ -310,11 +314,13 @@ class LostPositions(NamedTuple):
         line: index into ``Program.texts``.
         axes: indices into ``AxisWords.names``.
         moved: whether the line certainly moves them (reference return, retraction) or possibly does (an unknown word).
+        reference: the word of a reference return; empty for anything else.
     """
 
     line: int
     axes: tuple[int, ...]
     moved: bool
+    reference: str = ""
 
 
 @final
@@ -328,6 +334,10 @@ class WordFrame:
         length: number or name of the tool whose length the control adds; empty if it adds none.
         delta_mm: a further length stated by the program (``DL``).
         plane: the tilted plane in force, None for the coordinates of the work offset.
+        stated: values of the work offset that the program itself has set, by axis; None for those of the set-up; empty if it sets none.
+        shift: what is added to the words of each axis, before the plane and the work offset; empty for nothing.
+        turn: axes of the words x, y, z as columns of a rotation matrix (rows of three numbers), None if they are not turned. The words
+            are turned first, then shifted.
     """
 
     offset: str = ""
@@ -335,6 +345,36 @@ class WordFrame:
     length: str = ""
     delta_mm: float = 0.0
     plane: Plane | None = None
+    stated: tuple[float | None, ...] = ()
+    shift: tuple[float, ...] = ()
+    turn: Rows | None = None
+
+    def converted(self, words: Sequence[float], into: WordFrame) -> list[float]:
+        """Return the words of the same axis positions in another frame of the same work offset and plane; NaN where unknown."""
+        axes = range(len(words))
+        moved = _turned(words, self.turn)
+        for frame, sign in ((self, 1.0), (into, -1.0)):
+            moved = [moved[i] + sign * frame.shift[i] for i in axes] if frame.shift else moved
+        if self.stated != into.stated:
+            here, there = (np.array(frame.stated or (None,) * len(words), dtype=float) for frame in (self, into))
+            change = np.where(np.isnan(here) & np.isnan(there), 0.0, here - there).tolist()
+            moved = [moved[i] + change[i] for i in axes]
+        return moved if into.turn is None else _turned(moved, tuple(zip(*into.turn, strict=True)))
+
+
+def _turned(words: Sequence[float], turn: Rows | None) -> list[float]:
+    """Return words with the first three turned; one that is unknown leaves only those unknown that depend on it."""
+    if turn is None:
+        return list(words)
+    linear = [sum(part * words[i] for i, part in enumerate(row) if part) for row in turn]
+    return [*linear, *words[3:]]
+
+
+def product(first: Rows | None, second: Rows | None) -> Rows | None:
+    """Return the rotation by ``second``, then by ``first``; None for none."""
+    if first is None or second is None:
+        return first or second
+    return tuple(tuple(row) for row in (np.array(first) @ np.array(second)).tolist())
 
 
 @final
@@ -354,7 +394,7 @@ class Interpretation:
         moves: its moves in order.
         notices: remarks for the report.
         lost_positions: the lines after which axis positions are unknown.
-        frames: the lines that change the frame; none if the values of offsets and tools are unknown (`AxisWords`).
+        frames: the lines that change the frame: by known values of offsets and tools (`AxisWords`), or of the program.
         drilled: ranges of lines that execute a drilling cycle; all their moves belong to it.
     """
 
@@ -428,7 +468,11 @@ class MoveColumns(MadeOnAccess[Move]):
             np.array([bits[move.named] for move in moves], dtype=int),
             np.array([move.position for move in moves], dtype=float).reshape(-1, len(names)),
             np.array([move.vector or NO_VECTOR for move in moves], dtype=float).reshape(-1, 3),
-            {i: move for i, move in enumerate(moves) if move.kind is Kind.ARC or move.passes or move.normal},
+            {
+                i: move
+                for i, move in enumerate(moves)
+                if move.kind is Kind.ARC or move.passes or move.normal or move.whole
+            },
         )
 
     def __len__(self) -> int:

@@ -331,26 +331,26 @@ class Dialect(ABC):
         """Return whether programs can be written in another language."""
         return other.name == self.name or self.cutter_locations
 
-    def inliner(self, program: Program, folder: Path | None) -> Inliner | None:
+    def inliner(self, program: Program, folders: Sequence[Path]) -> Inliner | None:
         """Return what writes out the subprograms of a program; None if the language has none.
 
         Args:
             program: as read.
-            folder: where its subprograms may be; None for only itself.
+            folders: where its subprograms may be, in the order of search; none for only itself.
         """
         return None
 
-    def expanded(self, program: Program, folder: Path | None) -> Program:
-        """Return a program with its subprograms written out in place of their calls; the program itself if it has none.
+    def expanded(self, program: Program, folders: Sequence[Path]) -> Program:
+        """Return a program with its subprograms, loops and jumps written out as executed; the program itself if it has none.
 
         Args:
             program: as read.
-            folder: as for `inliner`.
+            folders: as for `inliner`.
 
         Raises:
             InputError: a call that cannot be written out, with file and line.
         """
-        inliner = self.inliner(program, folder)
+        inliner = self.inliner(program, folders)
         return program if inliner is None else inliner.expanded()
 
     def new_program(self, axes: AxisWords) -> NewProgram:

@@ -1,9 +1,10 @@
-"""Subprograms written out in place of their calls, with the origin of every line."""
+"""Subprograms, loops and jumps written out as they are executed, with the origin of every line."""
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -40,6 +41,7 @@ class Call:
         values: what replaces its parameters: the text of each value by the parameter's name, in capitals.
         outside: whether it can only be a file of its own.
         certain: whether the line is a call even if there is no such subprogram.
+        own: whether the subprogram has local parameters of its own.
     """
 
     name: str
@@ -47,22 +49,115 @@ class Call:
     values: Sequence[str] = ()
     outside: bool = False
     certain: bool = True
+    own: bool = True
+
+
+@final
+class Flow(NamedTuple):
+    """A statement that decides which line is next.
+
+    Attributes:
+        kind: ``if``, ``elseif``, ``else``, ``endif``; ``while``, ``do`` (repeats from here), ``repeat`` (a number of times), ``for``;
+            ``end`` of a loop, ``until`` and ``again`` (ends with a condition to leave it or to repeat it); ``goto``, ``case``, ``part``
+            (repeats the lines from a label ``name`` to another, ``condition``), ``break``, ``continue``, ``return``; ``then`` (a
+            statement with a condition); ``label``: nothing but the name of a line.
+        name: what joins the statements of a loop, where they have names; the label of a jump.
+        text: condition, number or range; of ``then``, the statement.
+        condition: of a jump or ``then``; empty for none.
+        towards: 1: the label is in a later line, −1: in one before; 0: in either.
+    """
+
+    kind: str
+    name: str = ""
+    text: str = ""
+    condition: str = ""
+    towards: int = 0
+
+
+OPENING: Final = frozenset({"if", "while", "do", "repeat", "for"})
+END_LABEL: Final = "ENDLABEL"
+"""Label at the end of a part that is repeated."""
+RETURN: Final = "\0return"
+"""A line in place of a statement that returns from a subprogram."""
+_LOOPS: Final = OPENING - {"if"}
+_CLOSING: Final = frozenset({"endif", "end", "until", "again"})
+Scope = dict[str, str]
+"""Text in place of each local parameter; empty if its value is unknown."""
+
+
+@final
+class FlowStructure:
+    """The loops and branches of some lines.
+
+    Args:
+        flows: the statements by the index of their line.
+        error: function that returns the error at a line.
+
+    Attributes:
+        last: for each first statement of a loop or branch, the index of its last one.
+        first: the reverse.
+        branches: for each branch, the indices of its statements.
+        within: for each ``break`` and ``continue``, the index of the loop's first statement.
+    """
+
+    def __init__(self, flows: Mapping[int, Flow], error: Callable[[str, str, int], InputError]) -> None:
+        self.last: dict[int, int] = {}
+        self.first: dict[int, int] = {}
+        self.branches: dict[int, list[int]] = {}
+        self.within: dict[int, int] = {}
+        opened: list[int] = []
+        for i, flow in flows.items():
+            closes = flow.kind in _CLOSING or (flow.kind == "while" and self._ends_do(flows, opened, flow))
+            if flow.kind in OPENING and not closes:
+                opened.append(i)
+                self.branches[i] = [i]
+            elif closes or flow.kind in ("elseif", "else"):
+                if not opened or not _matches(flows[opened[-1]], flow):
+                    raise error(f"{flow.kind} without its beginning", "loops and branches within each other", i)
+                self.branches[opened[-1]].append(i)
+                if closes:
+                    self.first[i] = opened.pop()
+                    self.last[self.first[i]] = i
+            elif flow.kind in ("break", "continue"):
+                loops = [one for one in opened if flows[one].kind in _LOOPS and flow.name in ("", flows[one].name)]
+                if not loops:
+                    raise error(f"{flow.kind} outside a loop", "it within a loop", i)
+                self.within[i] = loops[-1]
+        if opened:
+            raise error("loop or branch without its end", "its end in the same program", opened[-1])
+        self.chain = {one: chain for chain in self.branches.values() for one in chain}
+
+    @staticmethod
+    def _ends_do(flows: Mapping[int, Flow], opened: list[int], flow: Flow) -> bool:
+        return bool(opened and flow.name) and flows[opened[-1]].kind == "do" and flows[opened[-1]].name == flow.name
+
+
+def _matches(begin: Flow, end: Flow) -> bool:
+    """Return whether a statement can end or divide a loop or branch."""
+    branch = end.kind in ("elseif", "else", "endif")
+    same = begin.kind == "for" or begin.name == end.name
+    return same and (begin.kind == "if") == branch and (end.kind not in ("until", "again") or begin.kind == "do")
 
 
 class Inliner(ABC):
-    """Writes out the subprograms of one language.
+    """Writes out the subprograms, loops and jumps of one language, as they are executed.
 
     Args:
         program: the main program.
-        folder: where its subprograms may be; None if it is not a file.
+        folders: where its subprograms may be, in the order of search; none if it is not a file.
+
+    Attributes:
+        values: the values of parameters at the line that is executed, by name.
     """
 
-    def __init__(self, program: Program, folder: Path | None) -> None:
+    def __init__(self, program: Program, folders: Sequence[Path]) -> None:
         self.program = program
-        self.folder = folder
+        self.folders = tuple(folders)
+        self.values: dict[str, float] = {}
         self._count = 0
         self._found = False
         self._files: dict[Path, list[Line]] = {}
+        self._called: list[str] = []
 
     @cached_property
     def lines(self) -> list[Line]:
@@ -71,11 +166,11 @@ class Inliner(ABC):
 
     @abstractmethod
     def likely(self, text: str) -> bool:
-        """Return whether a line may be a call; quick, True for every call and few other lines."""
+        """Return whether a line may be a call, loop or jump; quick, True for each of these and few other lines."""
 
     @abstractmethod
     def likely_within(self, text: str) -> bool:
-        """Return whether a line of a text may be a call; quicker than line by line, True if `likely` is for one of them."""
+        """Return whether a line of a text may be one; quicker than line by line, True if `likely` is for one of them."""
 
     @abstractmethod
     def call(self, line: Line) -> Call | None:
@@ -85,11 +180,40 @@ class Inliner(ABC):
             InputError: a call that cannot be written out.
         """
 
+    @abstractmethod
+    def flow(self, line: Line) -> Flow | None:
+        """Return the statement in a line that decides which line is next; None for any other line.
+
+        Raises:
+            InputError: one that cannot be followed.
+        """
+
+    @abstractmethod
+    def labels(self, line: Line) -> Sequence[str]:
+        """Return the names of a line as jumps have them."""
+
+    @abstractmethod
+    def assign(self, line: Line) -> None:
+        """Take over the values that a line gives to parameters."""
+
+    @abstractmethod
+    def value(self, text: str) -> float:
+        """Return the value of an expression or a condition; NaN if it is unknown."""
+
+    @abstractmethod
+    def plain(self, line: Line, scope: Scope) -> Line:
+        """Return a line to write: without its label, with the values of local parameters; one that only assigns these is a comment.
+
+        Raises:
+            InputError: a value is unknown.
+        """
+
     def calls(self, line: Line) -> bool:
-        """Return whether a line calls a subprogram, also one that is missing or cannot be written out."""
+        """Return whether a line calls a subprogram or decides which line is next, also where that cannot be written out."""
         try:
             call = self.call(line)
-            return call is not None and (call.certain or self.body(call, line) is not None)
+            called = call is not None and (call.certain or self.body(call, line) is not None)
+            return called or self.flow(line) is not None
         except InputError:
             return True
 
@@ -101,6 +225,10 @@ class Inliner(ABC):
             InputError: it cannot be written out.
         """
 
+    def scope(self, call: Call, line: Line) -> Scope:
+        """Return the local parameters of a subprogram whose values are not in the lines of `body`; at the call."""
+        return {}
+
     @abstractmethod
     def main(self) -> list[Line]:
         """Return the lines that the control executes, in order, where calls stand for their subprograms."""
@@ -110,19 +238,19 @@ class Inliner(ABC):
         """Return a text as a comment."""
 
     def expanded(self) -> Program:
-        """Return the program with its calls written out; the program itself if it has none.
+        """Return the program with calls, loops and jumps written out; the program itself if it has none.
 
         Raises:
-            InputError: a call that cannot be written out, with its file and line.
+            InputError: one that cannot be written out, with its file and line.
         """
         if not self.likely_within(self.program.text):
             return self.program
-        likely = [i for i, text in enumerate(self.program.texts) if self.likely(text)]
-        if not any(self.call(self.lines[i]) for i in likely):
+        likely = [self.lines[i] for i, text in enumerate(self.program.texts) if self.likely(text)]
+        if not any(self.call(line) or self.flow(line) for line in likely):
             return self.program
         lines: list[tuple[str, Origin]] = []
-        for line in self.main():
-            lines += ((one.text, Origin(one.file, one.number, line.number)) for one in self._written(line, 0))
+        for line, main in self._run(self.main(), 0, {}):
+            lines.append((line.text, Origin(line.file, line.number, main)))
         if not self._found:
             return self.program
         origins = tuple(
@@ -130,26 +258,67 @@ class Inliner(ABC):
         )
         return replace(self.program, texts=tuple(text for text, _ in lines), origins=origins)
 
-    def _written(self, line: Line, depth: int) -> Iterator[Line]:
-        """Yield a line, or the lines of the subprogram that it calls."""
+    def _run(self, lines: Sequence[Line], depth: int, scope: Scope) -> Iterator[tuple[Line, int]]:
+        """Yield lines as they are executed, each with the number of the line among those given that it is from."""
+        flows = {i: flow for i, line in enumerate(lines) if self.likely(line.text) and (flow := self.flow(line))}
+        run = FlowRun(self, lines, flows, scope) if flows else None
+        self._found |= run is not None
+        at = 0
+        while at < len(lines):
+            line, here = lines[at], at
+            self._step(line)
+            at += 1
+            if run is None or here not in flows:
+                yield from ((one, line.number) for one in self._written(self.plain(line, scope), depth, scope))
+                continue
+            at = run.after(here)
+            for one in run.added:
+                if isinstance(one, Line):
+                    self.assign(one)
+                    yield one, line.number
+                else:
+                    yield from ((again, line.number) for again, _ in self._run(one, depth, scope))
+            run.added.clear()
+
+    def _step(self, line: Line) -> None:
         self._count += 1
         if self._count > MOST_LINES:
-            raise refused("the program is too long with its subprograms", f"at most {MOST_LINES:,} lines", line)
+            expected = f"at most {MOST_LINES:,} lines as executed: does a loop never end?"
+            raise refused("the program is too long with its subprograms and loops", expected, line)
+
+    def _written(self, line: Line, depth: int, scope: Scope) -> Iterator[Line]:
+        """Yield a line, or the lines of the subprogram that it calls."""
         call = self.call(line)
         body = None if call is None else self.body(call, line)
         if call is None or body is None:
             if call is not None and call.certain:
-                where = "this file" if self.folder is None else f"this file or in {self.folder}"
+                where = " or in ".join(["this file", *map(str, self.folders)])
                 raise refused(f"no subprogram {call.name}", f"it in {where}", line)
+            self.assign(line)
             yield line
             return
         if depth >= DEEPEST:
             raise refused("subprograms call each other too deeply", f"at most {DEEPEST} levels", line)
         self._found = True
         yield line._replace(text=self.comment(line.text))
+        own = self.scope(call, line) if call.own else None
+        self._called.append(call.name)
         for _ in range(call.repeats if body else 0):
-            for one in body:
-                yield from self._written(one, depth + 1)
+            for one, _ in self._run(body, depth + 1, scope if own is None else dict(own)):
+                yield one
+        self._called.pop()
+
+    def known(self, text: str, line: Line) -> float:
+        """Return the value of an expression or a condition.
+
+        Raises:
+            InputError: it is unknown.
+        """
+        value = self.value(text)
+        if value != value:
+            expected = "numbers, or parameters set to numbers before; and no numbers compared that are almost equal"
+            raise refused(f"the value of {text.strip()} is unknown", expected, line)
+        return value
 
     def read_file(self, path: Path) -> list[Line]:
         """Return the lines of another file, which is read once."""
@@ -159,14 +328,194 @@ class Inliner(ABC):
         return self._files[path]
 
     def file_named(self, *names: str) -> Path | None:
-        """Return the file of the folder that has one of these names, whatever its capitals; None if there is none."""
-        if self.folder is None:
-            return None
-        try:
-            files = {path.name.upper(): path for path in sorted(self.folder.iterdir()) if path.is_file()}
-        except OSError:
-            return None
-        return next((files[name.upper()] for name in names if name.upper() in files), None)
+        """Return the file of the first folder that has one of these names, whatever its capitals; None if there is none.
+
+        Raises:
+            InputError: a folder cannot be searched.
+        """
+        for folder in self.folders:
+            try:
+                files = {path.name.upper(): path for path in sorted(folder.iterdir()) if path.is_file()}
+            except OSError as error:
+                expected = "a folder with subprograms"
+                raise InputError(
+                    "cannot be searched", expected=expected, file=folder, value=error.strerror, setting="subprograms"
+                ) from None
+            found = next((files[name.upper()] for name in names if name.upper() in files), None)
+            if found is not None:
+                return found
+        return None
+
+
+@final
+class FlowRun:
+    """The statements of some lines that decide which line is next, while they are executed.
+
+    Args:
+        inliner: knows the language and the values of parameters.
+        lines: the lines.
+        flows: the statements by the index of their line.
+        scope: local parameters.
+
+    Attributes:
+        added: what `after` has to write before the next line: a line, or lines to be executed.
+    """
+
+    def __init__(self, inliner: Inliner, lines: Sequence[Line], flows: Mapping[int, Flow], scope: Scope) -> None:
+        self.added: list[Line | Sequence[Line]] = []
+        self._inliner, self._lines, self._flows, self._scope = inliner, lines, flows, scope
+        self._structure = FlowStructure(flows, lambda what, expected, at: refused(what, expected, lines[at]))
+        self._left: dict[int, int] = {}
+        self._counts: dict[int, int] = {}
+        self._labels: dict[str, list[int]] = {}
+        for i, line in enumerate(lines):
+            for name in inliner.labels(line):
+                self._labels.setdefault(name, []).append(i)
+
+    def after(self, at: int) -> int:
+        """Return the index of the line to execute after a statement, and record what it writes in `added`."""
+        flow = self._flows[at]
+        self.added.append(self._lines[at]._replace(text=self._inliner.comment(self._lines[at].text)))
+        first = self._structure.first.get(at)
+        if first is not None:
+            return self._end(at, first)
+        if flow.kind in OPENING:
+            return self._begin(at, flow)
+        return _AFTER.get(flow.kind, FlowRun._next)(self, at, flow)
+
+    def _next(self, at: int, flow: Flow) -> int:
+        return at + 1
+
+    def _begin(self, at: int, flow: Flow) -> int:
+        """Return the line after the first statement of a loop or branch."""
+        behind = self._structure.last[at] + 1
+        if flow.kind == "if":
+            return self._branch(at)
+        if flow.kind == "while":
+            return at + 1 if self._true(flow.text, at) else behind
+        if flow.kind == "repeat":
+            self._left[at] = int(self._number(flow.text, at))
+            return at + 1 if self._left[at] > 0 else behind
+        if flow.kind == "for":
+            return self._count(at, flow)
+        return at + 1
+
+    def _branch(self, at: int) -> int:
+        """Return the line after the first statement of a branch, from one of them on, whose condition is true."""
+        chain = self._structure.chain[at]
+        for one in chain[chain.index(at) :]:
+            flow = self._flows[one]
+            if flow.kind not in ("if", "elseif") or self._true(flow.text, one):
+                return one + 1
+        return chain[-1] + 1
+
+    def _end(self, at: int, first: int) -> int:
+        """Return the line after the last statement of a loop or branch; ``first``: its first statement."""
+        begin, flow = self._flows[first], self._flows[at]
+        if begin.kind == "if":
+            return at + 1
+        if begin.kind in ("repeat", "for"):
+            self._left[first] = self._left.get(first, 0) - 1
+            if begin.kind == "repeat":
+                return first + 1 if self._left[first] > 0 else at + 1
+            return self._again(first, at + 1)
+        if begin.kind == "while":
+            return first
+        leaves = {"until": True, "again": False, "while": False}.get(flow.kind)
+        return first + 1 if leaves is None or self._true(flow.text, at) is not leaves else at + 1
+
+    def _count(self, at: int, flow: Flow) -> int:
+        """Return the line after ``FOR``; its variable is a local parameter until the loop ends."""
+        begin, end = (self._number(text, at) for text in flow.text.split("\0"))
+        if begin != int(begin) or end != int(end):
+            raise refused("a loop that does not count whole numbers", "whole numbers", self._lines[at])
+        self._left[at] = int(end) - int(begin) + 1
+        self._counts[at] = int(begin) - 1
+        return self._again(at, self._structure.last[at] + 1)
+
+    def _again(self, first: int, behind: int) -> int:
+        """Return the line after the next count of a loop, or the one behind the loop."""
+        name = self._flows[first].name
+        more = self._left[first] > 0
+        # Controls differ in the value after the loop.
+        self._counts[first] += 1
+        self._scope[name] = f"({self._counts[first]})" if more else ""
+        self._inliner.values[name] = float(self._counts[first]) if more else math.nan
+        return first + 1 if more else behind
+
+    def _else(self, at: int, flow: Flow) -> int:
+        return self._structure.chain[at][-1] + 1
+
+    def _then(self, at: int, flow: Flow) -> int:
+        if self._true(flow.condition, at):
+            line = self._lines[at]
+            text = with_ending(flow.text, line.text)
+            self.added.append([line._replace(text=text)])
+        return at + 1
+
+    def _goto(self, at: int, flow: Flow) -> int:
+        if flow.condition and not self._true(flow.condition, at):
+            return at + 1
+        return self._target(flow.name, at, flow.towards)
+
+    def _case(self, at: int, flow: Flow) -> int:
+        """Return the line after ``CASE``: pairs of value and jump in ``text``, an empty value for the default."""
+        value = self._number(flow.condition, at)
+        for when, name, towards in (part.split("\1") for part in flow.text.split("\0")):
+            if not when or self._number(when, at) == value:
+                return self._target(name, at, int(towards))
+        return at + 1
+
+    def _part(self, at: int, flow: Flow) -> int:
+        first = self._target(flow.name, at, flow.towards)
+        if flow.condition:
+            last = first if flow.condition == flow.name else self._target(flow.condition, first, 1)
+        else:
+            ends = [i for i in self._labels.get(END_LABEL, []) if i > first and not first < at < i]
+            if not ends and first > at:
+                raise refused("repetition of a part without its end", "a second label, or ENDLABEL", self._lines[at])
+            last = ends[0] if ends else at - 1
+        for _ in range(int(self._number(flow.text, at))):
+            self.added.append(self._lines[first : last + 1])
+        return at + 1
+
+    def _break(self, at: int, flow: Flow) -> int:
+        return self._structure.last[self._structure.within[at]] + 1
+
+    def _continue(self, at: int, flow: Flow) -> int:
+        return self._structure.last[self._structure.within[at]]
+
+    def _return(self, at: int, flow: Flow) -> int:
+        return len(self._lines)
+
+    def _target(self, name: str, at: int, towards: int) -> int:
+        """Return the index of the line with a label."""
+        places = [i for i in self._labels.get(name, []) if not towards or (i - at) * towards > 0]
+        places = places if not towards else places[:1] if towards > 0 else places[-1:]
+        if len(places) != 1:
+            what = f"{'several' if places else 'no'} labels {name}" if places else f"no label {name}"
+            raise refused(what, "one such label in this program", self._lines[at])
+        return places[0]
+
+    def _true(self, text: str, at: int) -> bool:
+        return self._number(text, at) != 0.0
+
+    def _number(self, text: str, at: int) -> float:
+        line = self._inliner.plain(self._lines[at]._replace(text=text), self._scope)
+        return self._inliner.known(line.text, self._lines[at])
+
+
+_AFTER: Final[Mapping[str, Callable[[FlowRun, int, Flow], int]]] = {
+    "elseif": FlowRun._else,
+    "else": FlowRun._else,
+    "then": FlowRun._then,
+    "goto": FlowRun._goto,
+    "case": FlowRun._case,
+    "part": FlowRun._part,
+    "break": FlowRun._break,
+    "continue": FlowRun._continue,
+    "return": FlowRun._return,
+}
 
 
 @contextmanager

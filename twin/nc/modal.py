@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Final, NamedTuple
 
@@ -63,6 +63,8 @@ class Block:
         moves: none, one, or one move followed by the strokes of a drilling cycle.
         unknown_axes: indices of the axes whose position is unknown after the block.
         tcp_switched: whether the block switches tool centre point control.
+        reframed: frames before and after a block that shifts or turns the coordinates; None for any other.
+        declared: words that declare the present position; their values.
     """
 
     text: str
@@ -77,6 +79,8 @@ class Block:
     moves: tuple[Move, ...] = ()
     unknown_axes: tuple[int, ...] = ()
     tcp_switched: bool = False
+    reframed: tuple[WordFrame, WordFrame] | None = None
+    declared: list[tuple[AxisWord, float]] = field(default_factory=list)
 
 
 # --- Modal state shared by the interpreters of ISO and Heidenhain blocks: positions, variables, notices, errors with their li
@@ -85,6 +89,13 @@ UNKNOWN_AFTER: Final = (
     "is not known: positions, frame, offsets and modes are unknown until machine coordinates of every axis"
 )
 """End of the notice on a statement after which nothing is known."""
+BESIDE: Final = (
+    "cutter radius compensation: the programmed points are corrected, arcs stay arcs and blocks stay whole; what the errors change "
+    "over the radius of the tool, and along a block, is not corrected"
+)
+"""Notice on cutter radius compensation."""
+CORRECTION_DEG: Final = 0.1
+"""Turn of a rotary axis that is a correction rather than a motion of the program."""
 _WITH_LETTER = re.compile(r"[A-Za-z_]")
 """An exponent, or what else Python reads as part of a number; no control does."""
 _REFERENCE = re.compile(r"([+-]?)[ \t]*+(\$?[A-Za-z_]\w*+|\#(?:\d++|<[^>\r\n]*+>))", re.ASCII)
@@ -107,9 +118,11 @@ class Interpreter(ABC):
         frame: the coordinates in force.
         frames: lines that change them.
         drilled: see `twin.nc.blocks.Interpretation`.
+        stated_offsets: values of work offsets that the program has set, by axis; None for those that it has not.
         tcp: whether tool centre point control is on.
         tcp_word: the word that switched it last; empty: none yet.
         motion: motion code in force, None before the first and in languages without.
+        beside: whether cutter radius compensation is selected.
         unknown: why positions, frame, offsets and modes are unknown here; empty if they are known.
         offset: the work offset that the program has selected; None before the first, or if offsets do not change what is read.
         used_offset: the offset of the moves so far, None before the first.
@@ -120,6 +133,7 @@ class Interpreter(ABC):
     heidenhain = False
     """Whether arithmetic is that of plain language."""
     motion: int | None = None
+    beside = False
     repeated: tuple[tuple[float, bool], ...] | None = None
     unknown = ""
     offset: str | None = None
@@ -142,6 +156,7 @@ class Interpreter(ABC):
         self.frame = WordFrame()
         self.frames: list[FrameChange] = []
         self.drilled: list[range] = []
+        self.stated_offsets: dict[str, tuple[float | None, ...]] = {}
         self.offsets_known, self.tools_known = axes.offsets_known, axes.tools_known
         self._one_tool = axes.one_tool and not axes.tools_known
         self.tcp = tcp
@@ -155,6 +170,7 @@ class Interpreter(ABC):
         self._noted: set[str] = set()
         self._placed: set[int] = set()
         self.harmless = frozenset(axes.harmless)
+        self.references = dict(axes.references)
         self._held_tool = self._held_length = self._used_tool = self._used_length = ""
         self._fed_length: str | None = None
         self._tool_line = self._length_line = 0
@@ -263,16 +279,19 @@ class Interpreter(ABC):
 
     # ------------------------------------------------------------------ state
 
-    def mark_unknown(self, block: Block, which: Iterable[int], *, moved: bool | None = False) -> None:
+    def mark_unknown(
+        self, block: Block, which: Iterable[int], *, moved: bool | None = False, reference: str = ""
+    ) -> None:
         """Mark axis positions as unknown after a block.
 
         Args:
             which: the axes.
             moved: True: the block moves them; False: it may; None: it does not, or moves them to a known place.
+            reference: the word of a reference return that moves them.
         """
         axes = tuple(which)
         if moved is not None:
-            self.lost_positions.append(LostPositions(self._line, axes, moved))
+            self.lost_positions.append(LostPositions(self._line, axes, moved, reference))
         block.unknown_axes = tuple(sorted({*block.unknown_axes, *axes})) if block.unknown_axes else axes
         for axis in axes:
             self.position[axis] = math.nan
@@ -304,7 +323,13 @@ class Interpreter(ABC):
             )
 
     def select_offset(self, block: Block, name: str) -> None:
-        """Select a work offset by its name; positions in the new coordinates are unknown where the offsets are known."""
+        """Select a work offset by its name; positions in the new coordinates are unknown where the offsets are known.
+
+        Raises:
+            InputError: cutter radius compensation does not allow it.
+        """
+        if self.offset not in (None, name):
+            self.check_beside()
         self.offset, self._offset_line = name, self._line
         if self.offsets_known:
             self.used_offset = name
@@ -314,16 +339,35 @@ class Interpreter(ABC):
         """Record that a move uses the work offset in force.
 
         Raises:
-            InputError: it is the program's second one, and the values of the offsets are unknown.
+            InputError: it is the program's second one, and the values of the offsets are unknown (rapids in it: `parks`).
         """
-        if self.offset is None or self.offset == self.used_offset:
+        if self._offset_known:
             return
         if self.used_offset is not None:
             expected = (
-                f"one work offset per program (moves before use {self.used_offset}), or the table of work offsets"
+                f"only rapids in another work offset than before ({self.used_offset}), or the table of work offsets"
             )
             raise self.error("second work offset", expected, self.offset, self._offset_line + 1)
         self.used_offset = self.offset
+
+    @property
+    def parks(self) -> bool:
+        """Whether a rapid goes to an unknown place: in the program's second work offset, whose values are unknown."""
+        return self.used_offset is not None and not self._offset_known
+
+    def parking_move(self, block: Block) -> Move:
+        """Return the rapid of a block in a work offset of unknown values; it passes through unchanged."""
+        position = self.machine_position(block, elsewhere=True)
+        unknown = f"the value of work offset {self.offset} is not known"
+        return Move(
+            self._line, Kind.RAPID, self.tcp, position, self.named(block.axis_bits), machine=True, unknown=unknown
+        )
+
+    @property
+    def _offset_known(self) -> bool:
+        """Whether moves may use the work offset in force: that of the moves before, or one whose values the program has set."""
+        stated = self.stated_offsets.get(self.offset or "", (None,))
+        return self.offset in (None, self.used_offset) or None not in stated
 
     def hold_tool(self, block: Block, tool: str, length: str, *, along: int | None = None) -> None:
         """Record the tool in the spindle and the one whose length is in force, empty for none, where lengths are not known.
@@ -385,7 +429,7 @@ class Interpreter(ABC):
         same_tool = not self._one_tool or not (
             self._tool_chosen or (self._fed_length != self._held_length and not self.tcp)
         )
-        return same_tool and not self.unknown and self.offset == self.used_offset
+        return same_tool and not self.unknown and (self.offset == self.used_offset or self._offset_known)
 
     def check_plane(self, rotary: bool) -> None:
         """Raise `InputError` for a move that the tilted plane does not allow; ``rotary``: whether it names rotary axes."""
@@ -400,14 +444,59 @@ class Interpreter(ABC):
         if frame == self.frame:
             return
         everything = self.tcp or (frame.offset, frame.plane) != (self.frame.offset, self.frame.plane)
+        if everything:
+            self.check_beside()
         self.frame = frame
         self.frames.append(FrameChange(self._line, frame))
         self.mark_unknown(block, range(len(self.names)) if everything else (self.linear - 1,), moved=None)
 
+    def reframe(self, block: Block, *, carried: bool, **changes: Any) -> None:
+        """Change the frame by known values from this block on.
+
+        Args:
+            carried: whether all controls read an incremental word after it from where the axis stands; else the positions of axes whose
+                words have changed are unknown until the program gives them.
+
+        Raises:
+            InputError: tool centre point control or cutter radius compensation does not allow it.
+        """
+        frame = replace(self.frame, **changes)
+        if frame == self.frame:
+            return
+        self._check_tcp(self.tcp, frame)
+        self.check_beside()
+        before, self.frame = self.frame, frame
+        self.frames.append(FrameChange(self._line, frame))
+        words = before.converted(self.position, frame)
+        if carried:
+            self.position = words
+            block.reframed = (before if block.reframed is None else block.reframed[0]), frame
+            return
+        trials = [[float(i == j) for i in range(len(words))] for j in range(-1, self.linear)]
+        changed = [i for trial in trials for i, word in enumerate(before.converted(trial, frame)) if word != trial[i]]
+        self.mark_unknown(block, sorted({*changed}), moved=None)
+
+    def check_beside(self) -> None:
+        """Raise `InputError` under cutter radius compensation: the path into other coordinates is unknown."""
+        if self.beside:
+            ends = "R0" if self.heidenhain else "G40"
+            raise self.error("other coordinates under cutter radius compensation", f"{ends} before them")
+
+    def _check_tcp(self, tcp: bool, frame: WordFrame) -> None:
+        """Raise `InputError` for a frame that is not followed under tool centre point control."""
+        if tcp and (frame.turn or frame.stated or any(frame.shift[self.linear :])):
+            what = "tool centre point control where the program turns its coordinates, shifts a rotary axis or sets a work offset"
+            raise self.error(what, "shifts of the linear axes only")
+
     def switch(self, block: Block, on: bool, word: str) -> None:
-        """Switch tool centre point control, unless it has that state already."""
+        """Switch tool centre point control, unless it has that state already.
+
+        Raises:
+            InputError: the frame in force does not allow it.
+        """
         if on == self.tcp:
             return
+        self._check_tcp(on, self.frame)
         if not on:
             if not self.tcp_word:
                 self.note(f"{word} switches tool centre point control off")
@@ -482,10 +571,13 @@ class Interpreter(ABC):
         Args:
             elsewhere: whether they count from a point of the machine's builder, which is not known.
         """
-        position = [math.nan] * len(self.names)
-        for word in block.words:
-            position[word.axis] = math.nan if word.incremental or elsewhere else word.value
-        which = {word.axis for word in block.words}
+        unknown = {word.axis for word in block.words if word.incremental or elsewhere}
+        return self.placed({word.axis: math.nan if word.axis in unknown else word.value for word in block.words}, block)
+
+    def placed(self, values: Mapping[int, float], block: Block) -> tuple[float, ...]:
+        """Return machine coordinates of some axes, NaN for the others; their place in program coordinates is unknown."""
+        position = [values.get(axis, math.nan) for axis in range(len(self.names))]
+        which = {*values}
         if self.tcp:
             which.update(range(self.linear))
         if any(axis >= self.linear for axis in which):

@@ -11,7 +11,8 @@ from typing import Final, Generic, TypeVar, final
 import numpy as np
 
 from twin._common.errors import InputError
-from twin.nc.blocks import AxisWords, Kind, Rewrite
+from twin.nc.arcs import moved_centre
+from twin.nc.blocks import AxisWords, Kind, Move, Rewrite, WordFrame
 from twin.nc.modal import AxisWord, Block, Span
 from twin.nc.text import Grid, Style, apply_edits, ending, format_number, grid, number, style_of
 
@@ -98,6 +99,12 @@ class OutputState:
         for axis in which:
             self.value[axis] = math.nan
 
+    def reframe(self, before: WordFrame, after: WordFrame) -> None:
+        """Convert the values to another frame; one that then lies between least increments is unknown."""
+        for axis, value in enumerate(before.converted(self.value, after)):
+            step = self._grids[0][axis].step
+            self.value[axis] = value if abs(math.remainder(value, step)) < SAME_NUMBER else math.nan
+
     def mark_stale(self, which: Iterable[int]) -> None:
         """Mark axes as stale."""
         for axis in which:
@@ -109,6 +116,14 @@ def vector_texts(vector: Sequence[float], decimals: int, plus: bool) -> tuple[st
     style = _SIGNED if plus else _BARE
     x, y, z = vector
     return format_number(x, decimals, style), format_number(y, decimals, style), format_number(z, decimals, style)
+
+
+def length_text(value: float, increment: float, inch: bool, style: Style, *, up: bool = False) -> str:
+    """Return a length in mm as a word of a program, rounded to a least increment in mm, ``up`` away from zero."""
+    step, decimals, unit = grid(increment, inch)
+    steps = value / unit / step
+    whole = math.copysign(math.ceil(abs(steps) - 1e-6), steps) if up else round(steps)
+    return format_number(whole * step, decimals, style)
 
 
 # --- Axis words formatted together, with the same text as one by one (`twin.nc.text.format_number`)
@@ -326,7 +341,7 @@ class WordWriter(ABC, Generic[B]):
             segments: the segments that replace it.
         """
         rewrite, rows = segments
-        many = len(rows) > 1
+        many, start = len(rows) > 1, list(self.said.value)
         vectors = None if rewrite.vectors is None else rewrite.vectors.tolist()
         edits: list[Edit] = []
         begin = self._begin(block, rewrite, edits)
@@ -345,7 +360,9 @@ class WordWriter(ABC, Generic[B]):
             tool = self._vector(block, vectors[0], edits)
         elif block.vector_words:
             self._vector_text = None
-        if rewrite.move.kind is Kind.ARC:
+        if rewrite.move.arc is not None and rewrite.move.whole:
+            added += self._bent(block, rewrite.move, start, rows[0], edits)
+        elif rewrite.move.kind is Kind.ARC:
             drop(block, block.arc_words, edits)
         tails = self._tails(block, rewrite, edits) if many else []
         end_m_words = drop(block, block.end_m_words, edits) if many else []
@@ -369,6 +386,42 @@ class WordWriter(ABC, Generic[B]):
         if not end:
             lines[-1] = lines[-1].removesuffix(self.newline)
         return lines
+
+    def _bent(self, block: B, move: Move, start: list[float], end: list[float], edits: list[Edit]) -> list[str]:
+        """Give an arc that stays an arc its new centre or radius, as edits, and return the words that are missing.
+
+        Args:
+            start: values of the axes before the block.
+            end: their values behind it.
+
+        Raises:
+            InputError: the start is unknown, or the language has no such arcs.
+        """
+        raise InputError(
+            "arc under cutter radius compensation",
+            expected="the tool centre path from the CAM system",
+            file=self.source,
+            line=self._line + 1,
+            value=block.text.strip(),
+        )
+
+    def _new_centre(self, block: B, move: Move, start: list[float], end: list[float]) -> tuple[float, float]:
+        """Return the centre of an arc between new ends.
+
+        Raises:
+            InputError: the start is unknown.
+        """
+        a, b, _ = move.arc.plane  # type: ignore[union-attr]  # asked for arcs only
+        if any(start[axis] != start[axis] or self.said.stale[axis] for axis in (a, b)):
+            raise InputError(
+                "arc under cutter radius compensation from a position that is not certain",
+                expected="a block with both axes of the plane before it",
+                file=self.source,
+                line=self._line + 1,
+                value=block.text.strip(),
+            )
+        here = (move.position[a], move.position[b])
+        return moved_centre(move.arc, here, (start[a], start[b]), (end[a], end[b]))  # type: ignore[arg-type]
 
     @abstractmethod
     def _begin(self, block: B, rewrite: Rewrite, edits: list[Edit]) -> str:

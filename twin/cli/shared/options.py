@@ -43,6 +43,14 @@ LanguageOption = Annotated[
     ProgramLanguage | None,
     typer.Option("--language", help="Language of the programs; default: recognised by content, then by suffix."),
 ]
+SubprogramsOption = Annotated[
+    list[Path] | None,
+    typer.Option(
+        "--subprograms",
+        help="Folders in which subprograms are searched after the program's own (M98, G65, EXTCALL, CALL PGM TNC:\\…).",
+    ),
+    EXISTING,
+]
 MachineOption = Annotated[
     str,
     typer.Option(

@@ -206,10 +206,11 @@ MANY_WORDS: Final[Mapping[str, re.Pattern[str]]] = {
     "--only": re.compile(r"E_[A-Z0-9*?]+"),
     "--reduce": re.compile(r"E_[A-Z0-9*?]+"),
     "--spheres": re.compile(r"-?[\d.]+,-?[\d.]+,-?[\d.]+"),
+    "--subprograms": re.compile(r"[^-].*/|\.\.?|(?!-)(?:.*/)?[^./]+"),
 }
 """Options that take several words, each with the pattern of every word after the first."""
-OF_COMMAS: Final = frozenset({"--spheres"})
-"""Options among them whose words contain commas."""
+BETWEEN: Final[Mapping[str, str]] = {"--spheres": r"\s+", "--subprograms": r"(?!)"}
+"""Separator of several words in one argument, where it is not blanks and commas; paths may contain both."""
 MANY_WORDS_OF: Final[Mapping[str, Mapping[str, re.Pattern[str]]]] = {
     "evaluate": {
         "--tolerance": re.compile(r"[A-Za-z][\w:()↑↓↺↻]*=.*"),
@@ -237,8 +238,7 @@ def repeat_options(arguments: list[str]) -> list[str]:
         if word in patterns:
             gathering, fresh = word, True
         elif gathering and fresh:
-            between = r"\s+" if gathering in OF_COMMAS else r"[\s,]+"
-            parts = [part for part in re.split(between, word) if part] or [word]
+            parts = [part for part in re.split(BETWEEN.get(gathering, r"[\s,]+"), word) if part] or [word]
             for part in parts:
                 out += [gathering, part]
             fresh = False

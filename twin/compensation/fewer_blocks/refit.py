@@ -266,7 +266,7 @@ class Refitter:
         reading = dialect.moves(program, space.axes, tcp=self.prepared.options.tcp)
         if reading.frames or program.origins:
             raise InputError(
-                "tilted planes and subprograms cannot be refitted",
+                "tilted planes, shifts, loops and subprograms cannot be refitted",
                 expected="a program without them",
                 file=program.source,
             )
@@ -361,6 +361,7 @@ def refit(
     errors = Calibration.default(machine) if calibration is None else calibration
     refitter = Refitter(machine, errors, options, compensated=compensated)
     language = None if options is None else options.language
+    folders = () if options is None else options.subprograms
     source = Path(program)
     points = is_points(source)
     if points:
@@ -374,7 +375,7 @@ def refit(
                 value=feed,
                 setting="feed",
             )
-        read, dialect = read_program(source, language)
+        read, dialect = read_program(source, language, folders)
         target = dialect if output is None else dialect_to_write(Path(output), source, dialect)
     if not dialect.can_post_to(target):
         raise InputError(

@@ -110,7 +110,8 @@ def corners(line: Polyline, allowed_mm: float) -> list[int]:
 def _straight(motion: PathMotion) -> bool:
     """Return whether a block is one straight move from a known position and nothing else."""
     move = motion.move
-    return move.kind is Kind.LINEAR and not move.machine and move.normal is None and motion.interpolated
+    free = not (move.machine or move.whole) and move.normal is None
+    return move.kind is Kind.LINEAR and free and motion.interpolated
 
 
 def _follows(before: PathMotion, motion: PathMotion) -> bool:

@@ -156,12 +156,12 @@ class Compensator:
 
     def _source(self, program: Path) -> ProgramSource:
         """Return a program in parts, or in memory if something needs the whole."""
-        language = self.prepared.options.language
+        language, folders = self.prepared.options.language, self.prepared.options.subprograms
         if program.is_file() and not (self.prepared.backlash.axes or self.prepared.by_block):
-            file = ProgramFile(program, dialect_of(program, language))
-            if not (file.calls and read_program(program, language)[0].origins):
+            file = ProgramFile(program, dialect_of(program, language), folders)
+            if not (file.calls and read_program(program, language, folders)[0].origins):
                 return file
-        return ProgramInMemory(*read_program(program, language))
+        return ProgramInMemory(*read_program(program, language, folders))
 
     def _inputs(self, program: Path) -> Iterator[Path]:
         """Yield the input files of this compensation."""
@@ -226,7 +226,7 @@ def compensate(
         speed_of_program=True,
     )
     errors = Calibration.default(machine) if calibration is None else calibration
-    read, dialect = read_program(program, chosen.language)
+    read, dialect = read_program(program, chosen.language, chosen.subprograms)
     return Compensator(machine, errors, replace(chosen, conditions=conditions)).compensate(read, dialect)
 
 

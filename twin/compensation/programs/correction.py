@@ -283,7 +283,7 @@ def correct(pieces: Pieces, progress: Progress, *, context: int = 0, before: End
 def _split(pieces: Pieces, path_errors: PathErrors, rows: Rows, progress: Progress) -> Rows:
     """Split blocks until the path between their end points is within tolerance, or splitting no longer helps."""
     legs, tolerance = pieces.legs, pieces.prepared.options.tolerance_mm
-    candidates = np.flatnonzero(pieces.interpolated[legs.motion])
+    candidates = np.flatnonzero((pieces.interpolated & ~pieces.whole)[legs.motion])
     for step in range(1, MOST_ROUNDS + 1):
         if not candidates.size:
             break

@@ -101,6 +101,10 @@ class Follower:
         self._space = space
         self._later: list[tuple[int, WordSpace]] = []
         self._words = np.full(len(space.axes.names), np.nan)
+        self._lost = np.zeros(len(self._words), dtype=bool)
+        """Whether each axis has been moved to an unknown place since its last known position."""
+        self._references: dict[int, str] = {}
+        """The reference return that has moved an axis, by its index in word order."""
         self._tcp: bool | None = None
         self._assumed = False
         self._left: list[LostPositions] = []
@@ -129,7 +133,7 @@ class Follower:
         self._left = [*left[::-1], *self._left]
         if np.any(moves.by_vector):
             self._space.branches  # noqa: B018  # refuses a machine that cannot follow tool vectors
-        single = {i for i, move in moves.special.items() if move.arc is not None or move.passes}
+        single = {i for i, move in moves.special.items() if move.arc is not None or move.passes or move.whole}
         changes = np.searchsorted(moves.line, [one.line for one in left], side="right")
         later = np.searchsorted(moves.line, [line for line, _ in self._later])
         modes = (np.diff(moves.tcp) | np.diff(moves.by_vector)).nonzero()[0] + 1
@@ -194,8 +198,9 @@ class Follower:
             left, words = self._left.pop(), self._words
             forgotten = np.isin(np.arange(len(words)), left.axes)
             self._pass(np.full(len(words), np.nan), forgotten)
+            self._references |= {axis: left.reference for axis in left.axes if left.reference}
             if left.moved:
-                self._words = np.where(forgotten, np.nan, words)
+                self._words, self._lost = np.where(forgotten, np.nan, words), self._lost | forgotten
                 self._assumed = self._assumed and not forgotten[3:].any()
 
     def _pass(self, commands: np.ndarray, moved: np.ndarray) -> None:
@@ -213,31 +218,41 @@ class Follower:
             if self._tcp is not None:
                 self._words = self._switched(move.tcp)
             self._tcp = move.tcp
-        if move.unknown:
+        if move.unknown and not move.machine:
             self._lose(move)
             return None
         words, end = self._words, np.array(move.position)
         if move.machine:
-            self._pass(end, np.isfinite(end))
-            self._words = np.where(self._named(move), end - self._space.offset, words)
-            if move.tcp or self._space.tilt is not None:
-                self._words[:3] = np.nan  # the position of the tip then depends on the control
-            self.notices.append(Notice(move.line, "machine coordinates: passed through unchanged"))
+            self._place(move, end)
             return None
         unmoved = np.isnan(end) & self._named(move) & (move.vector is None)  # increments of zero at unknown positions
         end = np.where(np.isnan(end), words, end)
         if move.vector is not None:
             end[3:] = self._along_vector(move, words[3:])
+        unmoved |= np.isnan(end) & self._lost & (np.arange(len(end)) >= 3)
         if np.isnan(end[3:]).any() and not unmoved.any():
             end[3:] = self._assume(move.line, end[3:])
         start = words.copy()
         start[3:] = np.where(np.isnan(start[3:]), end[3:], start[3:])
-        self._words = end
+        self._words, self._lost = end, self._lost & np.isnan(end)
         if unmoved.any() or np.isnan(end[:3]).any():
             self._unknown_position(move, end, unmoved, text_of)
             return None
         self._count += 1
         return PathMotion(move, start, end)
+
+    def _place(self, move: Move, end: np.ndarray) -> None:
+        """Pass a block in coordinates of the machine, or of an unknown work offset, through; ``end``: NaN where they are unknown."""
+        named = self._named(move)
+        self._pass(end, named)
+        self._words = self._space.of_positions(np.where(named, end, self._space.positions(self._words)))
+        if move.tcp or self._space.tilt is not None:
+            self._words[:3] = np.nan  # the position of the tip then depends on the control
+        self._lost = np.where(named, np.isnan(end), self._lost)
+        if move.unknown:
+            self.unknown.append(LostBlock(move.line, move.kind is not Kind.RAPID, move.unknown))
+        else:
+            self.notices.append(Notice(move.line, "machine coordinates: passed through unchanged"))
 
     def _lose(self, move: Move) -> None:
         """Pass a block to an unknown place through."""
@@ -247,6 +262,7 @@ class Follower:
         if known or self.passages[-1].before != self._count:
             self._pass(everywhere, np.ones(len(everywhere), dtype=bool))
         self._words, self._assumed = everywhere, False
+        self._lost = np.isnan(everywhere)
 
     def _checked(self, motions: MotionColumns, text_of: TextOf) -> MotionColumns:
         """Return motions; raise `InputError` for the first that needs more than `MOST_SAMPLES` samples."""
@@ -273,7 +289,7 @@ class Follower:
         """Convert the axis positions to words of another conversion, in which the program goes on."""
         words, tcp, tilt = self._words, bool(self._tcp), space.tilt
         known = np.isfinite(words).all()
-        self._words = words + self._space.offset - space.offset
+        self._words = space.of_positions(self._space.positions(words))
         if known and (tilt is None or tilt.stays):
             mode = np.array([tcp])
             commands = self._space.commands(words[None, :], mode)
@@ -283,7 +299,7 @@ class Follower:
         elif tcp or tilt is not None or self._space.tilt is not None:
             self._words[:3] = np.nan
         if tilt is not None:
-            self._words[3:] = space.start
+            self._words[3:], self._lost[3:] = space.start, False
         self._space = space
 
     def _switched(self, tcp: bool) -> np.ndarray:
@@ -314,25 +330,34 @@ class Follower:
         """Pass a rapid move to an unknown position through; raise `InputError` for a feed move.
 
         Args:
-            unmoved: (axes,) which axes it names, by an increment of zero, at an unknown position.
+            unmoved: (axes,) which axes it leaves, or names by an increment of zero, where something has moved them.
         """
         space = self._space
         missing = unmoved | (np.isnan(end) & (np.arange(len(end)) < 3))
         names = ", ".join(name for name, unknown in zip(space.axes.names, missing, strict=True) if unknown)
         if move.kind is not Kind.RAPID:
-            which = "axis that it names" if missing[3:].any() else "linear axis"
+            which = "these axes" if missing[3:].any() else "every linear axis"
             raise InputError(
                 f"feed move before the program has given a position of {names}",
-                expected=f"a position of every {which} before the first feed move",
+                expected=f"a position of {which} before it{self._cure(missing)}",
                 file=self._source,
                 line=move.line + 1,
                 value=text_of(move.line).strip(),
             )
         self.notices.append(Notice(move.line, f"position of {names} not yet known: rapid passed through unchanged"))
-        commands = end + space.offset
+        commands = space.positions(end)
         if move.tcp or space.tilt is not None:
             commands[:3] = np.nan
         self._pass(commands, self._named(move))
+
+    def _cure(self, missing: np.ndarray) -> str:
+        """Return the entries of the machine file that would make the positions of some axes known; empty if there are none."""
+        words: dict[str, list[str]] = {}
+        for axis in np.flatnonzero(missing & self._lost).tolist():
+            if axis in self._references:
+                words.setdefault(self._references[axis], []).append(f"{self._space.axes.names[axis]}: ...")
+        entries = ", ".join(f"{word}: {{{', '.join(places)}}}" for word, places in words.items())
+        return f", or in the machine file programs: {{references: {{{entries}}}}}" if entries else ""
 
     def _along_vector(self, move: Move, before: np.ndarray) -> np.ndarray:
         space = self._space
@@ -389,38 +414,59 @@ class FrameSpaces:
             length = tools.of(tool, source, line) + frame.delta_mm
         elif tools is not None and tool == "0":
             length = 0.0
-        shift = dict(setup.work_offset)
-        origin = setup.work_origin_mm
-        if setup.offsets is not None:
-            row = setup.offsets.of(frame.offset, source, line)
-            shift = {name: row.get(name, 0.0) for name in base.axes.names}
-            origin = self._origin(shift)
+        shift, origin = self._offset(frame, source, line)
         if frame.length or (tools is None and setup.offsets is not None):
             along = base.axes.linear[2]
             added = base.nominal.tool_length_mm if length is None else length
             shift[along] = shift.get(along, 0.0) + added
-        key: tuple[Hashable, ...] = tuple(sorted(shift.items())), origin, length
+        turn = None
+        if frame.plane is None:
+            by = frame.shift or (0.0,) * len(base.axes.names)
+            shift |= {name: shift.get(name, 0.0) + add for name, add in zip(base.axes.names, by, strict=True) if add}
+            origin = origin[0] + by[0], origin[1] + by[1], origin[2] + by[2]
+            turn = frame.turn
+        key: tuple[Hashable, ...] = tuple(sorted(shift.items())), origin, length, *(() if turn is None else (turn,))
         if key not in self._made:
             plain = replace(setup, work_offset=shift, work_origin_mm=origin, offsets=None, tools=None)
-            self._made[key] = WordSpace(base.machine, plain, length)
+            self._made[key] = WordSpace(
+                base.machine, plain, length, turn=None if turn is None else np.array(turn, dtype=float)
+            )
         space = self._made[key]
         if frame.plane is None:
             return space
         rotary = self._rotary(space, frame.plane, standing_deg, source, line)
-        key = (*key, frame.plane, tuple(rotary.tolist()))
+        key = (*key, frame.plane, frame.shift, frame.turn, tuple(rotary.tolist()))
         if key not in self._made:
-            self._made[key] = WordSpace(base.machine, space.setup, length, self._tilt(space, frame.plane, rotary))
+            self._made[key] = WordSpace(
+                base.machine, space.setup, length, self._tilt(space, frame.plane, frame, rotary)
+            )
         return self._made[key]
 
-    def _tilt(self, space: WordSpace, plane: Plane, rotary_deg: np.ndarray) -> Tilt:
-        """Return a plane whose zero is given in the words of ``space``, with the rotary axes at zero."""
+    def _offset(self, frame: WordFrame, source: str, line: int) -> tuple[dict[str, float], tuple[float, float, float]]:
+        """Return the work offset of a frame by axis, and the program's zero in the work frame."""
+        setup, names = self._base.setup, self._base.axes.names
+        stated = {name: value for name, value in zip(names, frame.stated, strict=False) if value is not None}
+        if setup.offsets is not None:
+            row = stated if len(stated) == len(names) else {**setup.offsets.of(frame.offset, source, line), **stated}
+            shift = {name: row.get(name, 0.0) for name in names}
+            return shift, self._origin(shift)
+        return {**setup.work_offset, **stated}, setup.work_origin_mm
+
+    def _tilt(self, space: WordSpace, plane: Plane, frame: WordFrame, rotary_deg: np.ndarray) -> Tilt:
+        """Return the plane of a frame, whose zero is given in the words of ``space``, with the rotary axes at zero.
+
+        Within a plane, a shift and a rotation are along its axes.
+        """
         if self._base.setup.offsets is None:
             zero = np.zeros((1, len(space.order)))
             zero[:, space.order] = np.where(np.arange(len(space.order)) < 3, space.offset, 0.0)
             origin = space.nominal.forward(zero).point_mm[0]
         else:
             origin = space.origin
-        return Tilt(np.array(plane.rotation), origin + np.array(plane.origin_mm), rotary_deg, plane.stays)
+        rotation, turn = np.array(plane.rotation), np.eye(3) if frame.turn is None else np.array(frame.turn)
+        shift = np.array(frame.shift[:3] or (0.0, 0.0, 0.0))
+        at = origin + np.array(plane.origin_mm) + rotation @ shift
+        return Tilt(rotation @ turn, at, rotary_deg, plane.stays)
 
     def _rotary(self, space: WordSpace, plane: Plane, standing_deg: np.ndarray, source: str, line: int) -> np.ndarray:
         """Return the commands of the rotary axes for a plane, rounded to their least increments.

@@ -137,7 +137,7 @@ class MotionColumns(MadeOnAccess[PathMotion]):
         tcp: (n,) whether its words are tool-tip coordinates.
         start, end: (n, axes) as in `PathMotion`.
         by_vector: (n,) whether it has a tool vector.
-        special: by index, moves with further data: arcs.
+        special: by index, moves with further data: arcs, and blocks that stay whole.
     """
 
     move: np.ndarray
@@ -161,7 +161,7 @@ class MotionColumns(MadeOnAccess[PathMotion]):
             np.array([motion.start for motion in motions.values()]).reshape(-1, width),
             np.array([motion.end for motion in motions.values()]).reshape(-1, width),
             np.array([move.vector is not None for move in moves], dtype=bool),
-            {i: move for i, move in enumerate(moves) if move.arc is not None},
+            {i: move for i, move in enumerate(moves) if move.arc is not None or move.whole},
         )
 
     @classmethod

@@ -58,7 +58,7 @@ from twin.nc.text import HEAD_LINES, TextCheck
 
 STRETCH_BYTES: Final = 3 << 17
 """Bytes read, written and read back at once."""
-WRITTEN_OUT: Final = "subprograms are written out in place of their calls: the output needs none of them"
+WRITTEN_OUT: Final = "subprograms, loops and jumps are written out as they are executed: the output needs none of them"
 """Notice on a program that calls subprograms."""
 PART_LINES: Final = 24_576
 """Lines solved together: more need fewer calls and more memory. All parts of a long program are about equally long."""
@@ -141,6 +141,9 @@ class ProgramInMemory(ProgramSource):
 class ProgramFile(ProgramSource):
     """File of a program.
 
+    Args:
+        subprograms: folders in which subprograms are searched after its own.
+
     Attributes:
         calls: whether it may call subprograms.
 
@@ -148,10 +151,10 @@ class ProgramFile(ProgramSource):
         InputError: it cannot be read, or is not a program.
     """
 
-    def __init__(self, path: Path, dialect: Dialect) -> None:
+    def __init__(self, path: Path, dialect: Dialect, subprograms: Sequence[Path] = ()) -> None:
         self.path, self.name, self.dialect = path, str(path), dialect
         check, self.calls = TextCheck(self.name), False
-        inliner = dialect.inliner(Program(self.name, dialect.name, ()), path.parent)
+        inliner = dialect.inliner(Program(self.name, dialect.name, ()), (path.parent, *subprograms))
         for data in self.stretches():
             check.add(data)
             text = data.decode("latin-1")

@@ -234,7 +234,7 @@ class PathErrors:
         depend on approach directions or conditions.
         """
         pieces = self._pieces
-        if self._space.tilt is not None or not np.all(pieces.straight[motions]):
+        if not self._space.parallel or not np.all(pieces.straight[motions]):
             return False
         tips = np.count_nonzero(pieces.tcp[motions])
         return not tips or (tips == len(motions) and not pieces.prepared.real.directed)

@@ -372,7 +372,8 @@ class Pieces:
         start, end: (motions, axes) nominal words.
         straight: (motions,) whether the motion is not an arc.
         by_vector: (motions,) whether the output has a tool vector.
-        interpolated: (motions,) whether the control follows a line or arc from a known start.
+        whole: (motions,) whether the motion stays one block, and an arc an arc.
+        interpolated: (motions,) whether the control follows a line or arc from a known start, and the path is computed.
     """
 
     def __init__(
@@ -400,18 +401,31 @@ class Pieces:
         check_one_mode(prepared.calibration, self.tcp_out, source, tcp=prepared.options.tcp)
         self.straight = np.ones(len(columns), dtype=bool)
         self.straight[[i for i, move in columns.special.items() if move.arc is not None]] = False
+        self.whole = np.zeros(len(columns), dtype=bool)
+        self.whole[[i for i, move in columns.special.items() if move.whole]] = True
+        self._check_whole()
         self.by_vector = columns.by_vector & (not posted)
-        self.interpolated = ~columns.rapid & rows_all_true(np.isfinite(self.start))
+        self.interpolated = ~columns.rapid & rows_all_true(np.isfinite(self.start)) & (self.straight | ~self.whole)
         # From outside the range there is no nominal path; such a start is reported with its own block.
         self.interpolated &= ~prepared.outside(self.space.commands(self.start, self.tcp))
         turning = turning_points(prepared, path, np.flatnonzero(self.interpolated), aim.backlash.axes)
         self.legs = Legs.of(len(columns), turning)
         if not self.idle:
             whole = np.ones(len(columns), dtype=int)
-            for i in np.flatnonzero(~self.straight).tolist():
+            for i in np.flatnonzero(~self.straight & ~self.whole).tolist():
                 whole[i] = path.motions[i].chords(prepared.options.tolerance_mm)
             share = self.legs.end - self.legs.begin
             self.legs.count = np.maximum(np.ceil(whole[self.legs.motion] * share), 1).astype(int)
+
+    def _check_whole(self) -> None:
+        """Raise `InputError` for blocks that stay whole on a machine with backlash, whose correction inserts blocks."""
+        if self.whole.any() and self.aim.backlash.axes and not self.idle:
+            raise InputError(
+                "cutter radius compensation where backlash is corrected",
+                expected="the tool centre path from the CAM system (G40), or a calibration without backlash",
+                file=self.source,
+                line=int(self.path.columns.line[np.flatnonzero(self.whole)[0]] + 1),
+            )
 
     @cached_property
     def ways(self) -> tuple[np.ndarray, np.ndarray]:

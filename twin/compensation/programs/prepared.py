@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
+from pathlib import Path
 from typing import Literal, final
 
 import numpy as np
@@ -47,6 +48,7 @@ class Options:
         method: ``exact``, or ``thesis`` for the baseline of `twin.compensation.programs.comparison`.
         conditions: temperatures, time and speed.
         language: language of the programs (`twin.read_program`); None to recognise it.
+        subprograms: folders in which subprograms are searched after the program's own.
 
     Examples:
         >>> machine = twin.Machine.load("dmu50")
@@ -64,6 +66,7 @@ class Options:
     method: Literal["exact", "thesis"] = "exact"
     conditions: Conditions = field(default_factory=Conditions)
     language: str | None = None
+    subprograms: tuple[Path, ...] = ()
 
 
 @final
@@ -204,7 +207,7 @@ class PreparedMachine:
 
         Args:
             words: (n, axes).
-            tips: (n,) whether the linear words are coordinates of the tool tip; these, and those of a tilted plane, have no limits.
+            tips: (n,) whether the linear words are coordinates of the tool tip; these, and turned ones, have no limits.
             increment: (axes,) in word order.
         """
         offset = self.space.offset
@@ -215,7 +218,7 @@ class PreparedMachine:
         first = np.ceil((low - offset - SLACK) / increment) * increment
         last = np.floor((high - offset + SLACK) / increment) * increment
         bounded = (words + offset >= low - SLACK) & (words + offset <= high + SLACK)
-        bounded[tips | (self.space.tilt is not None), :3] = False
+        bounded[tips | (not self.space.parallel), :3] = False
         return np.where(bounded, np.clip(rounded, first, last), rounded)
 
     def aim(self, *, turns: bool) -> CorrectionAim:

@@ -148,6 +148,8 @@ class FrameUse:
         work_offset: what is added to the words of each axis, mm and degrees; the tool length is included where the control adds it.
         work_origin_mm: the program's zero in the work frame, for tool-tip coordinates.
         tilted_deg: positions of the rotary axes in a tilted plane; empty if there is none.
+        shift: by which the program shifts its coordinates, by axis, mm and degrees; outside a plane it is part of ``work_offset``.
+        turned: whether it turns them.
     """
 
     line: int
@@ -158,6 +160,8 @@ class FrameUse:
     work_offset: Mapping[str, float]
     work_origin_mm: tuple[float, float, float]
     tilted_deg: Mapping[str, float]
+    shift: Mapping[str, float]
+    turned: bool
 
     @property
     def sentence(self) -> str:
@@ -169,7 +173,10 @@ class FrameUse:
         added = " ".join(f"{axis} {value:.6g}" for axis, value in self.work_offset.items())
         at = " ".join(f"{axis} {value:.6g}°" for axis, value in self.tilted_deg.items())
         tilted = f"; tilted plane, rotary axes as the control positions them ({at}), not corrected" if at else ""
-        return f"from line {self.line}: {tool}; {name} with tool length: {added or 'none'}{tilted}"
+        by = " ".join(f"{axis} {value:.6g}" for axis, value in self.shift.items() if value)
+        shifted = f"; shifted by the program: {by}" if by else ""
+        turned = "; turned by the program" if self.turned else ""
+        return f"from line {self.line}: {tool}; {name} with tool length: {added or 'none'}{tilted}{shifted}{turned}"
 
 
 def offset_name(section: Section) -> str:
@@ -195,6 +202,8 @@ def frame_uses(sections: Sequence[Section], number_of: Callable[[int], int]) -> 
             {}
             if section.space.tilt is None
             else dict(zip(section.space.axes.rotary, section.space.tilt.rotary_deg.tolist(), strict=True)),
+            dict(zip(section.space.axes.names, section.frame.shift, strict=False)),
+            section.frame.turn is not None,
         )
         for section in sections
     )

@@ -108,6 +108,7 @@ def axis_words(machine: Machine) -> AxisWords:
         tcp_on=machine.tcp_on,
         tcp_off=machine.tcp_off,
         harmless=machine.harmless,
+        references=machine.references,
     )
 
 
@@ -143,15 +144,23 @@ class WordSpace:
         setup: work offsets and origin.
         tool_length_mm: tool length; None for the machine file's own.
         tilt: the tilted plane of the words; None if they are parallel to the linear axes.
+        turn: (3, 3) axes of the words x, y, z along the linear axes, as columns, outside a tilted plane; None if they are parallel.
 
     Attributes:
         axes: the axis words.
-        setup, tool_length_mm, tilt: as given.
+        setup, tool_length_mm, tilt, turn: as given.
         nominal: the machine without errors.
         order: (axes,) column of the commands that belongs to each word.
     """
 
-    def __init__(self, machine: Machine, setup: Setup, tool_length_mm: float | None, tilt: Tilt | None = None) -> None:
+    def __init__(
+        self,
+        machine: Machine,
+        setup: Setup,
+        tool_length_mm: float | None,
+        tilt: Tilt | None = None,
+        turn: np.ndarray | None = None,
+    ) -> None:
         self.machine, self.setup, self.tool_length_mm = machine, setup, tool_length_mm
         self.axes = replace(
             axis_words(machine),
@@ -165,7 +174,7 @@ class WordSpace:
         self.offset = np.array([setup.work_offset.get(name, 0.0) for name in self.axes.names])
         self.origin = np.array(setup.work_origin_mm)
         self.start = np.array([setup.start_deg.get(name, 0.0) for name in self.axes.rotary])
-        self.tilt = tilt
+        self.tilt, self.turn = tilt, turn
         if tilt is not None:
             self.origin, self.start = tilt.origin_mm, tilt.rotary_deg - self.offset[3:]
 
@@ -188,7 +197,7 @@ class WordSpace:
         tips = self.tilt is not None or bool(np.any(tcp))
         if self._same and not tips:
             return words
-        shifted = words + self.offset
+        shifted = self.positions(words)
         if tips:
             rows = self._tip_rows(words, tcp)
             points = words[rows, :3]
@@ -233,6 +242,20 @@ class WordSpace:
         solved = ca.vertcat(*(ca.dot(left, other) for other in others)) / ca.dot(x, others[0])
         return ca.Function("linear_axes", [wanted, rotary], [ca.cse(ca.densify(solved))])
 
+    @property
+    def parallel(self) -> bool:
+        """Whether each linear word moves one linear axis outside tool centre point mode."""
+        return self.tilt is None and self.turn is None
+
+    def positions(self, words: np.ndarray) -> np.ndarray:
+        """Return (n, axes) positions of the axes, in word order, at axis words outside a tilted plane; NaN where one is unknown."""
+        return (words if self.turn is None else _turned(words, self.turn)) + self.offset
+
+    def of_positions(self, positions: np.ndarray) -> np.ndarray:
+        """Return the (n, axes) axis words of positions in word order; NaN where one is unknown."""
+        words = positions - self.offset
+        return words if self.turn is None else _turned(words, self.turn.T)
+
     def displacements(self, words: np.ndarray) -> np.ndarray:
         """Return (n, axes) displacements of axis words in command order."""
         return words if self._ordered else words[:, np.argsort(self.order)]
@@ -244,7 +267,7 @@ class WordSpace:
     @cached_property
     def _same(self) -> bool:
         """Whether axis words are commands: the same order, and no offset."""
-        return self._ordered and not np.any(self.offset)
+        return self._ordered and self.turn is None and not np.any(self.offset)
 
     def switched(self, words: np.ndarray, *, tcp: bool) -> np.ndarray:
         """Return (n, axes) words converted from the other mode to the mode ``tcp``."""
@@ -256,7 +279,7 @@ class WordSpace:
         tips = self.tilt is not None or bool(np.any(tcp))
         if self._same and not tips:
             return commands
-        words = commands[:, self.order] - self.offset
+        words = self.of_positions(commands[:, self.order])
         if tips:
             rows = self._tip_rows(commands, tcp)
             points = self.nominal.forward(commands[rows]).point_mm - self.origin
@@ -267,6 +290,14 @@ class WordSpace:
         """Return the rows whose words are places of the tool tip or on a tilted plane, and that are ``known`` (n, axes)."""
         chosen = (tcp | (self.tilt is not None)) & rows_all_true(np.isfinite(known))
         return slice(None) if chosen.all() else np.flatnonzero(chosen)
+
+
+def _turned(words: np.ndarray, turn: np.ndarray) -> np.ndarray:
+    """Return words with the first three turned; one that is unknown (NaN) leaves only those unknown that depend on it."""
+    turned = words.copy()
+    parts = np.where(turn == 0.0, 0.0, words[..., None, :3] * turn)
+    turned[..., :3] = parts.sum(axis=-1)
+    return turned
 
 
 def outside_range(machine: Machine, commands: np.ndarray) -> np.ndarray:

@@ -21,7 +21,8 @@ from twin.nc.apt.locations import (
     TogetherJob,
     together_code,
 )
-from twin.nc.apt.reader import AptReader, Statement, continues, locations, scan, statement_at
+from twin.nc.apt.reader import AptReader, Statement, continues, cuts_beside, locations, scan, statement_at
+from twin.nc.arcs import moved_centre
 from twin.nc.blocks import (
     AxisWords,
     Kind,
@@ -31,6 +32,7 @@ from twin.nc.blocks import (
     MoveColumns,
     NewPositions,
     Rewrite,
+    lines_in,
 )
 from twin.nc.dialect import NOTHING, Dialect, FeedUnit, LineWords, NewProgram
 from twin.nc.lines.chunks import DELETED_LINE, Chunk, ChunkReader, ChunkWriter, runs
@@ -50,7 +52,9 @@ from twin.nc.text import (
 )
 from twin.nc.writer import vector_texts
 
-_STATEMENT: Final = re.compile(r"[ \t]*(UNITS|FEDRAT|SPINDL|DELAY|FINI)\b[ \t]*/?([^$\r\n]*)", re.ASCII | re.IGNORECASE)
+_STATEMENT: Final = re.compile(
+    r"[ \t]*(UNITS?|FEDRAT|SPINDL|DELAY|FINI)\b[ \t]*/?([^$\r\n]*)", re.ASCII | re.IGNORECASE
+)
 _UNITS: Final = {"MMPR": FeedUnit.TURN, "IPR": FeedUnit.TURN, "PERREV": FeedUnit.TURN, "INVERS": FeedUnit.INVERSE}
 _SURFACE: Final = frozenset({"SFM", "SMM", "SURF"})
 
@@ -63,7 +67,7 @@ def line_words(text: str) -> LineWords:
     word, arguments = match[1].upper(), [part.strip().upper() for part in match[2].split(",")]
     numbers = [value for value in map(number, arguments) if value == value]
     first = numbers[0] if numbers else nan
-    if word == "UNITS":
+    if word in ("UNIT", "UNITS"):
         return LineWords(inch=arguments[0].startswith("INCH"))
     if word == "DELAY":
         return LineWords(dwell_s=first)
@@ -195,7 +199,7 @@ class AptChunkReader(ChunkReader):
     def read(self, chunk: Chunk) -> MoveColumns:
         """See `ChunkReader.read`."""
         reader, found = self._reader, MoveBuilder(self._reader.axes.names)
-        for part in _parts(chunk, chunk.scan.simple, lambda: reader.rapid or bool(reader.unknown)):
+        for part in _parts(chunk, chunk.scan.simple, lambda: reader.alone):
             if isinstance(part, _Run):
                 found.extend(reader.run(part.chunk.first + part.lines, locations(part.chunk.scan, part.lines)))
             elif (move := reader.step(part)) is not None:
@@ -210,6 +214,11 @@ class AptChunkWriter(ChunkWriter):
     def __init__(self, source: str, axes: AxisWords, writer: AptWriter) -> None:
         self._reader = AptReader(source, axes)
         self._writer = writer
+        self._circle: list[str] = []
+        """An arc and the statements behind it, until the location where it ends."""
+        self._record: Statement | None = None
+        self._at: list[float] = [nan] * 3
+        """The last location in the output, mm."""
 
     def write(self, chunk: Chunk, moves: MoveColumns, new: NewPositions) -> bytes:
         """See `ChunkWriter.write`."""
@@ -222,16 +231,59 @@ class AptChunkWriter(ChunkWriter):
                 rows = new.rows(which)
                 whole = slice(int(scanned.start[part.begin]), int(scanned.end[part.end - 1]))
                 positions, vectors = new.positions[rows] / reader.unit, new.vectors[rows]
+                self._at = new.positions[rows][-1].tolist()
                 out.append(writer.together(TogetherJob(scanned, whole, lines, new.count[which], positions, vectors)))
                 continue
             moved = reader.step(part) is not None
             index = int(np.searchsorted(moves.line, part.line)) if moved else -1
             rewrite = new.of_move(index, moves[index]) if moved else None
+            if moved and self._circle:
+                out += self._arc(moves[index], rewrite)
+                self._circle.clear()
+            if moved:
+                self._at = (moves.position[index] if rewrite is None else rewrite.positions[-1]).tolist()
+            target = self._circle if part.word == "CIRCLE" or self._circle else out
+            self._record = part if part.word == "CIRCLE" else self._record
             if rewrite is None:
-                out.append(writer.unchanged(part.raw, tilts=moved and len(part.texts) == 6))
+                target.append(writer.unchanged(part.raw, tilts=moved and len(part.texts) == 6))
             else:
                 out.append(writer.location(part, rewrite, rewrite.positions.tolist(), reader.unit))
         return "".join(out).encode("latin-1")
+
+    def _arc(self, move: Move, rewrite: Rewrite | None) -> list[str]:
+        """Return an arc and the statements behind it: as written, as a comment, or with the centre between its new ends."""
+        circle, *others = self._circle
+        if rewrite is None:
+            return self._circle.copy()
+        if not move.whole or move.arc is None or self._record is None:
+            return [*(f"$$ {line}" for line in lines_in(circle.encode("latin-1"))), *others]
+        a, b, c = move.arc.plane
+        end = rewrite.positions[-1].tolist()
+        here = (move.position[a], move.position[b])
+        centre = dict(
+            zip((a, b), moved_centre(move.arc, here, (self._at[a], self._at[b]), (end[a], end[b])), strict=True)
+        )
+        fields = self._record.fields
+        centre[c] = number(fields[c].text) * self._reader.unit + end[c] - move.position[c]
+        if any(value != value for value in centre.values()):
+            raise InputError(
+                "arc under cutter radius compensation from a position that is not known",
+                expected="a location before it",
+                file=self._reader.source,
+                line=self._record.line + 1,
+                value=circle.strip(),
+            )
+        edits = []
+        for axis, (start, stop, text) in enumerate(fields[:3]):
+            places = max(POSITION_DECIMALS, _decimals(text))
+            edits.append(
+                (start, stop, format_number(centre[axis] / self._reader.unit, places, style_of(text, Style())))
+            )
+        return [apply_edits(circle, edits), *others]
+
+    def end(self) -> bytes:
+        """See `ChunkWriter.end`."""
+        return "".join(self._circle).encode("latin-1")
 
 
 @final
@@ -261,7 +313,7 @@ class AptPoster(ChunkWriter):
             if statement.line in index_of:
                 index = index_of[statement.line]
                 self._write_location(statement, moves[index], new.of_move(index, moves[index]))
-            elif statement.word == "UNITS":
+            elif statement.word in ("UNIT", "UNITS"):
                 inches = statement.arguments and statement.texts[0].upper().startswith("INCH")
                 self._unit = MM_PER_INCH if inches else 1.0
             elif statement.word == "FEDRAT":
@@ -269,6 +321,14 @@ class AptPoster(ChunkWriter):
                 writer.feed = _feed(words, self._unit, writer.feed)
                 if words.unit is not FeedUnit.MINUTE:
                     writer.comment(" ".join(statement.raw.split()))
+            elif statement.word in ("CIRCLE", "CUTCOM", "CYCLE") and _acts(statement):
+                raise InputError(
+                    f"{statement.word} cannot be written as axis positions",
+                    expected="cutter locations of the tool centre, linearised by the CAM system, without cycles",
+                    file=self._source,
+                    line=statement.line + 1,
+                    value=statement.raw.strip(),
+                )
             elif statement.word and statement.word not in ("RAPID", "FROM", "GOTO", "?"):
                 writer.comment(" ".join(statement.raw.split()))
         return writer.taken()
@@ -293,6 +353,13 @@ class AptPoster(ChunkWriter):
         """See `ChunkWriter.end`."""
         self._program.finish()
         return self._program.taken()
+
+
+def _acts(statement: Statement) -> bool:
+    """Return whether a statement is an arc, or begins a cycle or cutter radius compensation."""
+    if statement.word == "CUTCOM":
+        return cuts_beside(statement)
+    return not (statement.arguments and statement.texts[0].upper() in ("OFF", "NOMORE", "INIT"))
 
 
 def _texts(chunk: Chunk) -> Sequence[str]:
@@ -327,8 +394,9 @@ def _replaced_together(chunk: Chunk, moves: MoveColumns, new: NewPositions) -> n
     """Return (lines,) which statements of a chunk can be replaced together: feed moves in plain numbers, with a tool vector."""
     scanned, words = chunk.scan, chunk.scan.words
     part = slice(*np.searchsorted(moves.line, [chunk.first, chunk.first + len(chunk)]))
-    able = np.zeros(len(chunk), dtype=bool)
-    able[moves.line[part] - chunk.first] = (new.count[part] > 0) & ~moves.rapid[part]
+    able, straight = np.zeros(len(chunk), dtype=bool), np.ones(len(moves), dtype=bool)
+    straight[list(moves.special)] = False
+    able[moves.line[part] - chunk.first] = (new.count[part] > 0) & ~moves.rapid[part] & straight[part]
     rows = new.rows(np.arange(part.start, part.stop))
     if not (np.isfinite(new.positions[rows, :3]).all() and np.isfinite(new.vectors[rows]).all()):
         return np.zeros(len(chunk), dtype=bool)

@@ -18,7 +18,9 @@ from typing import Final, NamedTuple, final
 import numpy as np
 
 from twin._common.errors import InputError
+from twin.nc.arcs import PLANES, ArcMisfit, arc_by_centre
 from twin.nc.blocks import (
+    Arc,
     AxisWords,
     FrameChange,
     Kind,
@@ -26,12 +28,14 @@ from twin.nc.blocks import (
     Move,
     MoveColumns,
     Notice,
+    WordFrame,
     fill_forward,
     line_ends,
 )
 from twin.nc.lines.chunks import DELETED_LINE
 from twin.nc.lines.compiled import LineCode
 from twin.nc.lines.scan import Scan
+from twin.nc.modal import BESIDE, CORRECTION_DEG
 from twin.nc.text import BOM, MM_PER_INCH, UNIT_LENGTH, number, unit_vector
 from twin.nc.writer import Vector
 
@@ -195,15 +199,15 @@ def locations(found: Scan, lines: np.ndarray) -> np.ndarray:
 _PASSED = frozenset(
     """SPINDL COOLNT TOOLNO PAINT MSYS MULTAX PARTNO MACHIN CUTTER END FINI STOP OPSTOP DELAY HEAD
     SELECTL SELECT TPRINT TMARK LEADER INTOL OUTTOL TOLER PPRINT DISPLY TLDATA CLAMP SEQNO OPTION
-    PREGO RETRCT CLEARP LINTOL MCHTOL REWIND MODE UNITS CUTCOM CYCLE ORIGIN PITCH CLRSRF TOOL SET CHKSUM LOAD
+    PREGO RETRCT CLEARP LINTOL MCHTOL REWIND MODE UNITS CUTCOM CYCLE ORIGIN PITCH CLRSRF TOOL SET CHKSUM
     UNLOAD AIR MCHFIN NOPOST ARCSLP RESET PROGRAM TOOLPATH ENDOFPATH CATPROCESS REMARK BREAK PLABEL ISTOP
-    CONTRL DATE TIME VERSION OPERATION PROCESS""".split()
+    CONTRL DATE TIME VERSION OPERATION PROCESS CSI_SET_FLUTE_LENGTH CSI_SET_EXTENSION_LENGTH""".split()
 )
 _REFUSED: dict[str, tuple[str, str]] = {
     "GODLTA": ("incremental GODLTA", "absolute GOTO statements"),
     **{
         word: (f"curve {word}", "cutter locations linearised by the CAM system")
-        for word in ("CIRCLE", "ARC", "HELIX", "NURBS", "SPLINE", "MOVARC", "CONE", "CYLNDR", "ELLIPS", "POLYGN")
+        for word in ("ARC", "HELIX", "NURBS", "SPLINE", "MOVARC", "CONE", "CYLNDR", "ELLIPS", "POLYGN")
     },
     **{
         word: (f"coordinate transformation {word}", "locations in one work frame")
@@ -222,6 +226,11 @@ UNKNOWN_FROM_HERE = "is not known: nothing is known of the locations after it"
 _AUXILIARY = frozenset({*range(15), 19, 30})
 """Auxiliary functions of DIN 66025: stops, spindle, tool change, coolant, clamps."""
 _IDENTITY = [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0]
+_CSYS_IDENTITY = [1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0]
+_OWN_BLOCK = re.compile(r"[ \t]*(?:(?:/\d?|N\d+)[ \t]*)?[A-Z#$][ \t]*[-+.\d#\[=<]", re.ASCII | re.IGNORECASE)
+"""Beginning of a block of a control in the text of ``INSERT``."""
+_PARALLEL = 1e-6
+"""Largest component of the axis of an arc across a coordinate axis."""
 
 
 @final
@@ -244,8 +253,18 @@ class AptReader:
         self._tool = self._used_tool = ""
         self._tool_line = 0
         self.vector: Vector = (0.0, 0.0, 1.0)
+        self.cycle = False
+        self._side = self._on_contour = False
+        self._at: tuple[float, ...] = (math.nan,) * 3
+        self._circle: tuple[Statement, list[float]] | None = None
         self._noted: set[str] = set()
         self._line = 0
+
+    @property
+    def alone(self) -> bool:
+        """Whether the next location must be read alone: a rapid, a hole, one beside the contour, the end of an arc, or unknown."""
+        beside = self._side or self._on_contour
+        return self.rapid or self.cycle or beside or self._circle is not None or bool(self.unknown)
 
     def error(self, what: str, value: object, expected: str) -> InputError:
         """Return an error at the current statement."""
@@ -296,6 +315,7 @@ class AptReader:
         vector = np.where(np.abs(length - 1.0) < UNIT_LENGTH, vector, vector / length)
         fill_forward(vector, said, self.vector)
         self.vector = tuple(vector[-1].tolist())
+        self._at = tuple((numbers[-1, :3] * self.unit).tolist())
         position = np.full((len(lines), width), np.nan)
         position[:, :3] = numbers[:, :3] * self.unit
         feed, tcp, named = np.zeros(len(lines), dtype=bool), np.ones(len(lines), dtype=bool), np.full(len(lines), 0b111)
@@ -320,10 +340,28 @@ class AptReader:
     def _load(self, statement: Statement) -> None:
         texts = [text for text in statement.texts if text.upper() != "TOOL"]
         self._tool, self._tool_line = (texts[0] if texts else ""), statement.line
+        if self.axes.tools_known and self._tool:
+            value = number(self._tool)
+            name = f"{value:g}" if value == value else self._tool.strip("'\"")
+            self.frames.append(FrameChange(self._line, WordFrame(tool=name, length=name)))
 
     def _frame(self, statement: Statement) -> None:
         if [number(text) for text in statement.texts] != _IDENTITY[: len(statement.texts)]:
             self.note("MSYS is not the identity: its frame is assumed to be the work frame", once=True)
+
+    def _coordinates(self, statement: Statement) -> None:
+        if [number(text) for text in statement.texts] != _CSYS_IDENTITY:
+            self._lose(statement)
+
+    def _transformation(self, statement: Statement) -> None:
+        if statement.texts[:1] != ["WORLD"] or any(number(text) != 0.0 for text in statement.texts[1:]):
+            self._lose(statement)
+
+    def _insert(self, statement: Statement) -> None:
+        if _OWN_BLOCK.match(statement.arguments):
+            self._lose(statement)
+        else:
+            self.note("INSERT passed through: its text is taken to be a remark for the postprocessor", once=True)
 
     def _origin(self, statement: Statement) -> None:
         if any(number(text) != 0.0 for text in statement.texts):
@@ -331,13 +369,54 @@ class AptReader:
             raise self.error("coordinate transformation ORIGIN", shown, "locations in one work frame")
 
     def _cycle(self, statement: Statement) -> None:
-        if not statement.arguments or statement.texts[0].upper() not in ("OFF", "NOMORE"):
-            raise self.error("canned cycle", statement.raw.strip(), "a cycle expanded into GOTO statements")
+        """Begin or end a cycle of the postprocessor, which makes a hole at every location."""
+        first = statement.texts[0].upper() if statement.arguments else ""
+        if first == "ON":
+            raise self.error("canned cycle", statement.raw.strip(), "CYCLE with its values")
+        self.cycle = first not in ("OFF", "NOMORE", "INIT")
+        if self.cycle:
+            self.note("CYCLE is left to the postprocessor: its depths have the correction of the location", once=True)
+
+    def _circle_record(self, statement: Statement) -> None:
+        values = [number(text) for text in statement.texts]
+        if len(values) not in (6, 7, 11) or any(value != value for value in values):
+            expected = "CIRCLE/x,y,z,i,j,k,radius before the end point, without TIMES"
+            raise self.error("curve CIRCLE", statement.raw.strip(), expected)
+        if self._circle is not None:
+            raise self.error("arc without its end point", self._circle[0].raw.strip(), "GOTO behind it")
+        if self.cycle:
+            raise self.error("arc within a cycle", statement.raw.strip(), "CYCLE/OFF before it")
+        self._circle = (statement, values)
+
+    def _arc(self, end: Sequence[float], vector: Vector) -> Arc | None:
+        """Return the arc of the ``CIRCLE`` before a location, right-handed about its axis; None if there is none.
+
+        Raises:
+            InputError: it lies in no coordinate plane, the tool turns, or it does not end on its circle.
+        """
+        if self._circle is None:
+            return None
+        statement, values = self._circle
+        self._circle = None
+        shown = statement.raw.strip()
+        axis, length = unit_vector((values[3], values[4], values[5]))
+        along = max(range(3), key=lambda place: abs(axis[place]))
+        if length == 0.0 or any(abs(axis[place]) > _PARALLEL for place in range(3) if place != along):
+            raise self.error("arc in an oblique plane", shown, "cutter locations linearised by the CAM system")
+        if _turns(vector, self.vector):
+            raise self.error("arc with a tool that turns", shown, "cutter locations linearised by the CAM system")
+        plane = a, b, _ = PLANES[(19, 18, 17)[along]]
+        centre = (values[a] * self.unit, values[b] * self.unit)
+        start = (self._at[a], self._at[b])
+        found = arc_by_centre(plane, start, (end[a], end[b]), centre, axis[along] < 0.0)
+        if isinstance(found, ArcMisfit):
+            raise self.error(found.what, shown, found.expected)
+        return found
 
     def _cutcom(self, statement: Statement) -> None:
-        if any(text.upper() in ("LEFT", "RIGHT", "ON") for text in statement.texts):
-            shown = statement.raw.strip()
-            raise self.error("cutter radius compensation CUTCOM", shown, "CUTCOM/OFF, the tool centre path")
+        self._side = cuts_beside(statement)
+        if self._side:
+            self.note(BESIDE, once=True)
 
     def _mode(self, statement: Statement) -> None:
         if any(text.upper().startswith("INCR") for text in statement.texts):
@@ -360,16 +439,25 @@ class AptReader:
                 raise self.error("tool vector of zero length", shown, "a direction")
             if abs(length - 1.0) > NOTED:
                 self.note(f"tool vector of length {length:.6g} normalised")
-            self.vector = vector
+        else:
+            vector = self.vector
         unit = self.unit
         position = (values[0] * unit, values[1] * unit, values[2] * unit, *self.rotary)
-        kind = Kind.RAPID if statement.word == "FROM" or self.rapid else Kind.LINEAR
+        kind = Kind.RAPID if statement.word == "FROM" or self.rapid or self.cycle else Kind.LINEAR
         self.rapid = self.rapid and statement.word == "FROM"
+        arc = None if self.unknown else self._arc(position, vector)
+        whole = self._side or self._on_contour
+        if whole and _turns(vector, self.vector):
+            what = "cutter radius compensation CUTCOM with a tool that turns"
+            raise self.error(what, shown, "CUTCOM/OFF, the tool centre path")
+        self._on_contour = self._side
+        self.vector, self._at = vector, position[:3]
         if self.unknown:
             nowhere = (math.nan,) * len(self.axes.names)
             return Move(self._line, kind, True, nowhere, self.names, unknown=self.unknown)
         self.use_tool()
-        return Move(self._line, kind, True, position, self.names, vector=self.vector)
+        kind = kind if arc is None else Kind.ARC
+        return Move(self._line, kind, True, position, self.names, vector=vector, arc=arc, whole=whole)
 
     def use_tool(self) -> None:
         """Record that a location uses the tool that is loaded.
@@ -377,28 +465,52 @@ class AptReader:
         Raises:
             InputError: it is the second tool, whose length is not known.
         """
-        if self.axes.one_tool and self._tool and self._used_tool and self._tool != self._used_tool:
+        if (
+            self.axes.one_tool
+            and not self.axes.tools_known
+            and self._tool
+            and self._used_tool
+            and self._tool != self._used_tool
+        ):
             self._line = self._tool_line
             raise self.error(
-                "second tool", self._tool, f"one tool per program (locations before use {self._used_tool})"
+                "second tool",
+                self._tool,
+                f"one tool per program (locations before use {self._used_tool}), or the table of tools",
             )
         self._used_tool = self._tool or self._used_tool
 
 
+def _turns(one: Vector, other: Vector) -> bool:
+    """Return whether the tool turns by more than a correction."""
+    return math.dist(one, other) > math.radians(CORRECTION_DEG)
+
+
+def cuts_beside(statement: Statement) -> bool:
+    """Return whether a ``CUTCOM`` selects a side of the contour."""
+    return any(text.upper() in ("LEFT", "RIGHT", "ON") for text in statement.texts)
+
+
 _MEANINGS: Final[Mapping[str, Callable[[AptReader, Statement], Move | None]]] = {
     "AUXFUN": AptReader._auxiliary,
+    "CIRCLE": AptReader._circle_record,
+    "CSYS": AptReader._coordinates,
     "CUTCOM": AptReader._cutcom,
     "CYCLE": AptReader._cycle,
     "FEDRAT": AptReader._rapid,
     "FROM": AptReader._goto,
     "GOHOME": AptReader._home,
     "GOTO": AptReader._goto,
+    "INSERT": AptReader._insert,
+    "LOAD": AptReader._load,
     "LOADTL": AptReader._load,
     "MODE": AptReader._mode,
     "MSYS": AptReader._frame,
     "ORIGIN": AptReader._origin,
     "RAPID": AptReader._rapid,
+    "TRNTYP": AptReader._transformation,
     "TURRET": AptReader._load,
+    "UNIT": AptReader._units,
     "UNITS": AptReader._units,
 }
 """Handlers of statements that may change the meaning of locations, by their major word."""

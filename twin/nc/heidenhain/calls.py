@@ -13,26 +13,31 @@ from __future__ import annotations
 
 import re
 from bisect import bisect_right
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Final, final
+from typing import Final, NamedTuple, final
 
 import numpy as np
 
+from twin.nc.arithmetic import evaluate, key_of
 from twin.nc.blocks import Program, line_ends
 from twin.nc.dialect import as_comment
-from twin.nc.heidenhain.vocabulary import HEAD
-from twin.nc.inline import Call, Inliner, Line, refused, with_ending
+from twin.nc.heidenhain.vocabulary import ASSIGNED, HEAD
+from twin.nc.inline import Call, Flow, Inliner, Line, Scope, refused, with_ending
 from twin.nc.lines.compiled import LineCode
 from twin.nc.lines.scan import Scan
-from twin.nc.modal import Block
+from twin.nc.modal import Block, Span
 
 _FLAGS: Final = re.ASCII | re.IGNORECASE
 _NAME: Final = r"(?:\"([^\"]*)\"|(\d+))"
 _CALL: Final = re.compile(rf"CALL[ \t]+LBL[ \t]+{_NAME}(?:[ \t]+REP[ \t]*(\d+)?(?:/\d+)?)?[ \t]*$", _FLAGS)
 _PROGRAM: Final = re.compile(r"CALL[ \t]+PGM[ \t]+\"?([^\"]*?)\"?[ \t]*$", _FLAGS)
 _ANY_CALL: Final = re.compile(r"CALL[ \t]+(?:LBL|PGM)\b", _FLAGS)
+_JUMP: Final = re.compile(
+    rf"(?:FN[ \t]*(?:9|1[012])[ \t]*:[ \t]*)?IF[ \t]+(\S+)[ \t]+(EQU|NE|GT|LT)[ \t]+(\S+)[ \t]+GOTO[ \t]+LBL[ \t]+{_NAME}[ \t]*",
+    _FLAGS,
+)
 _LABEL: Final = re.compile(rf"LBL[ \t]+{_NAME}[ \t]*$", _FLAGS)
 _END: Final = re.compile(r"(?:STOP[ \t]+)?M0*(?:2|30)(?!\d)|.*[ \t]M0*(?:2|30)(?!\d)|END[ \t]+PGM\b", _FLAGS)
 _UNIT: Final = re.compile(r"^BEGIN[ \t]+PGM\b.*[ \t](MM|IN)(?:CH)?$", _FLAGS)
@@ -43,13 +48,14 @@ _FRAME: Final = re.compile(r"(?:BEGIN|END)[ \t]+PGM\b|BLK[ \t]+FORM\b", _FLAGS)
 class HeidenhainInliner(Inliner):
     """Writes out the subprograms of Heidenhain programs."""
 
-    def __init__(self, program: Program, folder: Path | None) -> None:
-        super().__init__(program, folder)
+    def __init__(self, program: Program, folders: Sequence[Path]) -> None:
+        super().__init__(program, folders)
         self._labels: dict[str, Mapping[str, list[int]]] = {}
 
     def likely(self, text: str) -> bool:
         """See `Inliner.likely`."""
-        return "CALL" in text.upper()
+        upper = text.upper()
+        return "CALL" in upper or "IF" in upper
 
     likely_within = likely
 
@@ -62,23 +68,48 @@ class HeidenhainInliner(Inliner):
             return None
         label, program = _CALL.match(bare), _PROGRAM.match(bare)
         if label is not None and label.group(3) is None and " REP" not in bare.upper():
-            return Call(_name(label))
+            return Call(_name(label), own=False)
         if label is not None and label.group(3):
             # The part since the label has run once when the control comes to the call.
-            return Call(_name(label), int(label.group(3)), values=("repeats",))
+            return Call(_name(label), int(label.group(3)), values=("repeats",), own=False)
         if program is not None:
-            return Call(program.group(1), outside=True)
+            return Call(program.group(1), outside=True, own=False)
         raise refused("call", "CALL LBL with a number or name, REP with a number, or CALL PGM with a file", line)
 
+    def flow(self, line: Line) -> Flow | None:
+        """See `Inliner.flow`."""
+        match = _JUMP.fullmatch(_bare(line))
+        if match is None:
+            return None
+        first, operator, second, name, number = match.groups()
+        return Flow("goto", name if name is not None else str(int(number)), "", f"{first} {operator} {second}")
+
+    def labels(self, line: Line) -> list[str]:
+        """See `Inliner.labels`."""
+        name = _label(line)
+        return [name] if name else []
+
+    def value(self, text: str) -> float:
+        """See `Inliner.value`."""
+        return evaluate(text, self.values, heidenhain=True)
+
+    def assign(self, line: Line) -> None:
+        """See `Inliner.assign`."""
+        for name, text in ASSIGNED.findall(_bare(line)) if "=" in line.text else ():
+            self.values[key_of(name)] = self.value(text.strip())
+
+    def plain(self, line: Line, scope: Scope) -> Line:
+        """See `Inliner.plain`."""
+        return _as_remark(line) if "LBL" in line.text.upper() and _LABEL.match(_bare(line)) else line
+
     def main(self) -> list[Line]:
-        """See `Inliner.main`: up to the end of the program, without its labels, then ``END PGM``."""
+        """See `Inliner.main`: up to the end of the program, then ``END PGM``."""
         return list(self._until_end(self.lines))
 
     def _until_end(self, lines: Sequence[Line]) -> Iterator[Line]:
         for line in lines:
-            bare = _bare(line)
-            yield _as_remark(line) if _LABEL.match(bare) else line
-            if _END.match(bare):
+            yield line
+            if _END.match(_bare(line)):
                 break
         last = [line for line in lines if re.match(r"END[ \t]+PGM\b", _bare(line), _FLAGS)]
         if last and last[-1] is not line:
@@ -108,7 +139,7 @@ class HeidenhainInliner(Inliner):
             if behind == len(ends):
                 raise refused(f"subprogram {call.name} without an end", "LBL 0", line)
             part = lines[begin + 1 : ends[behind]]
-        return [_as_remark(one) if _label(one) else one for one in part]
+        return list(part)
 
     def _labels_of(self, file: str, lines: Sequence[Line]) -> Mapping[str, list[int]]:
         """Return the indices of the lines of a file with a label, in order, by its name; looked for once."""
@@ -168,7 +199,55 @@ def _as_remark(line: Line) -> Line:
     return line._replace(text=with_ending(f"{line.text[:at]}; {body}", line.text))
 
 
-# --- One interpreted block of a Heidenhain program ------------------------------------------------
+# --- Data of one interpreted block of a Heidenhain program -----------------------------------------
+
+_SURFACE: Final = "Q203"
+_VALUE: Final = re.compile(rf"({_SURFACE}[ \t]*=[ \t]*)([^;~\r\n]*?)([ \t]*(?:[;~].*)?)$", re.ASCII | re.IGNORECASE)
+
+
+@final
+@dataclass
+class Cycle:
+    """A machining cycle that the next calls execute.
+
+    Attributes:
+        number: its number.
+        texts: the lines of its definition without block number and line ending.
+        given: the parameters that these set.
+        open: whether the next line may set a further one.
+        changed: whether one of them has been set after the definition.
+    """
+
+    number: int
+    texts: list[str]
+    given: set[str] = field(default_factory=set)
+    open: bool = True
+    changed: bool = False
+
+    def lines(self, surface: Callable[[str], str]) -> list[str]:
+        """Return the lines of the definition; ``surface``: the text of Q203 for the one that is given."""
+        texts = [
+            _VALUE.sub(lambda found: found[1] + surface(found[2]) + found[3], text).rstrip() for text in self.texts
+        ]
+        return [text if text.endswith("~") else f"{text} ~" for text in texts[:-1]] + [texts[-1].rstrip("~ \t")]
+
+
+class CycleCall(NamedTuple):
+    """The call of a cycle in a block.
+
+    Attributes:
+        cycle: what is called.
+        top: height at which it begins, mm.
+        surface: height of the surface, mm; NaN: it begins and ends where the tool is.
+        level: height at which it ends, mm.
+        axis: the linear axis that drills.
+    """
+
+    cycle: Cycle
+    top: float
+    surface: float
+    level: float
+    axis: int
 
 
 @final
@@ -178,7 +257,7 @@ class PathBlock(Block):
 
     Attributes:
         numbered: whether it has a number.
-        keyword: ``L``, ``LN``, ``C``, ``CR``, or ``""`` for a paraxial block.
+        keyword: ``L``, ``LN``, ``LP``, ``C``, ``CP``, ``CR``, or ``""`` for a paraxial block.
         rapid_text: ``FMAX`` as written, or empty.
         normal_text: the words ``NX NY NZ`` as written.
         normal: their components, or None.
@@ -188,6 +267,12 @@ class PathBlock(Block):
         machine: whether its words are machine coordinates.
         elsewhere: whether these count from a point of the machine's builder (M92).
         retracts: whether it retracts along the tool axis.
+        polar: radius and angle of the end point about the pole: value in mm or degrees, and whether it is an increment.
+        polar_words: the words that give them.
+        calls: whether it calls the machining cycle in force behind its motion.
+        call_words: its words that say so (``M99``, ``M89``).
+        call: what it calls.
+        positions: whether its first move is that of its own words.
     """
 
     numbered: bool = False
@@ -202,6 +287,12 @@ class PathBlock(Block):
     machine: bool = False
     elsewhere: bool = False
     retracts: bool = False
+    polar: dict[str, tuple[float, bool]] = field(default_factory=dict)
+    polar_words: list[Span] = field(default_factory=list)
+    calls: bool = False
+    call_words: list[Span] = field(default_factory=list)
+    call: CycleCall | None = None
+    positions: bool = True
 
 
 # --- Simple lines of plain language found all at once, through an image of the text that has the form of ISO lines

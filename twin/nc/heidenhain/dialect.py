@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import itertools
+import math
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from math import nan
 from pathlib import Path
@@ -13,17 +14,27 @@ from typing import Final, final
 import numpy as np
 
 from twin._common.families import PROGRAM_SUFFIXES
-from twin.nc.blocks import AxisWords, Kind, Move, Program, Rewrite
+from twin.nc.blocks import AxisWords, Kind, Move, MoveColumns, NewPositions, Program, Rewrite
 from twin.nc.dialect import NOTHING, Dialect, FeedUnit, LineWords, NewProgram, as_comment, points_words
 from twin.nc.heidenhain import vocabulary
-from twin.nc.heidenhain.calls import HeidenhainInliner, PathBlock, scan
+from twin.nc.heidenhain.calls import Cycle, CycleCall, HeidenhainInliner, PathBlock, scan
 from twin.nc.heidenhain.interpreter import HeidenhainInterpreter
 from twin.nc.heidenhain.vocabulary import HEAD, UNNUMBERED, numbered_as, renumbered, with_continued_marked
 from twin.nc.inline import Inliner
 from twin.nc.lines.chunks import BlockReader, Chunk, ChunkReader, ChunkRewriter, ChunkWriter, SimpleRun
 from twin.nc.lines.compiled import LineCode, line_code
-from twin.nc.text import Style, first_lines, insert_comments, missing_comments, newline_of, number, style_in
-from twin.nc.writer import Edit, Formatting, Segments, WordWriter, vector_texts
+from twin.nc.text import (
+    Style,
+    apply_edits,
+    ending,
+    first_lines,
+    insert_comments,
+    missing_comments,
+    newline_of,
+    number,
+    style_in,
+)
+from twin.nc.writer import Edit, Formatting, Segments, WordWriter, drop, length_text, vector_texts
 
 _ASIDE: Final = re.compile(r"\"[^\"]*\"|;.*", re.ASCII)
 _VALUE: Final = r"[+-]?[ \t]*[\d.,]+"
@@ -66,6 +77,10 @@ def line_words(text: str) -> LineWords:
 # --- Writer of Heidenhain blocks: moves replaced, every other byte kept ---------------------------
 
 VECTOR_DECIMALS = 7
+_BARE: Final = re.compile(
+    r"[ \t]*(?:L\b)?(?:[ \t]*(?:R0|F[ \t]*MAX))*[ \t]*(?:;[^\r\n]*)?[\r\n]*", re.ASCII | re.IGNORECASE
+)
+"""A block without an effect of its own."""
 
 
 @final
@@ -77,33 +92,98 @@ class HeidenhainWriter(WordWriter[PathBlock]):
 
     Attributes:
         inserted: whether lines have been inserted among numbered blocks.
+        own_calls: whether calls of cycles are written out, each with its approach; if not, none of their moves may be replaced.
     """
 
     equals = ""
     signed = True
     inserted = False
+    own_calls = False
+    _defined: tuple[Cycle | None, str] = (None, "")
+    """The cycle defined last in the output, and its surface if that differs from the program's."""
 
-    def block(self, block: PathBlock, segments: Segments | None) -> str:
-        """Return the output for one block, with its move replaced if there are segments for it."""
+    def block(self, block: PathBlock, segments: Mapping[int, Segments]) -> str:
+        """Return the output for one block; ``segments``: replacements of its moves, by the index of the move in the block."""
         if block.unknown_axes:
             self.said.mark_unknown(block.unknown_axes)
         if block.tcp_switched:
             self._vector_text = None
-        lines = [block.text]
-        if segments is not None and block.moves:
-            if block.words:
-                self.lower = block.text[block.words[-1].value_start - 1].islower()
-            lines = self.rewritten(block, segments)
-            if block.unknown_axes and not block.tcp_switched:
-                self.said.mark_unknown(block.unknown_axes)
-        elif block.moves:
-            self.record(block)
+        lines = self._positioned(block, segments.get(0)) if block.moves and block.positions else None
+        if block.call is not None:
+            called = self._called(block, block.call, segments)
+            lines = [self._without_call(block)] if lines is None else lines
+            lines = [*lines, *called] if block.positions or block.calls else [*called, *lines]
+            if not ending(lines[0]) and len(lines) > 1:
+                lines[0] += self.newline
+        lines = [block.text] if lines is None else lines
         self.inserted |= block.numbered and len(lines) > 1
         return "".join(lines)
 
+    def _positioned(self, block: PathBlock, segments: Segments | None) -> list[str]:
+        """Return the lines for a block with its own move, which is replaced if there are segments for it."""
+        if segments is None:
+            self.record(block)
+            return [self._without_call(block)]
+        if block.words:
+            self.lower = block.text[block.words[-1].value_start - 1].islower()
+        self._pole: list[str] = []
+        if block.polar:  # both axes are written, also where the block moves nothing
+            self.said.mark_stale(range(self.linear))
+        lines = self.rewritten(block, segments)
+        if block.unknown_axes and not block.tcp_switched:
+            self.said.mark_unknown(block.unknown_axes)
+        return [*self._pole, *lines]
+
+    def _without_call(self, block: PathBlock) -> str:
+        """Return a block without the words that call a cycle, if calls are written out; one with nothing else as a comment."""
+        if not (self.own_calls and block.call_words):
+            return block.text
+        edits: list[Edit] = []
+        drop(block, block.call_words, edits)
+        text, head = apply_edits(block.text, edits), block.text[: block.head_end]
+        if block.words or not _BARE.fullmatch(text[len(head.rstrip()) :]):
+            return text
+        return f"{head}; {block.text[block.head_end :].strip()}{ending(text)}"
+
+    def _called(self, block: PathBlock, call: CycleCall, segments: Mapping[int, Segments]) -> list[str]:
+        """Return the approach of a call, its definition if the surface has another correction than before, and the call.
+
+        A call that stays as it is is only recorded.
+        """
+        if not self.own_calls:
+            self.said.record(call.axis, call.level, False)
+            return []
+        end = ending(block.text) or self.newline
+        indent = block.text[: block.head_end] if block.numbered or not block.text[: block.head_end].strip() else ""
+        lines: list[str] = []
+        place = 1 if block.positions else 0
+        for move in block.moves[place:]:
+            for row in segments[place][1] if place in segments else [list(move.position)]:
+                if words := self._missing(block, row, 0):
+                    lines.append(f"{indent}L {' '.join(words)} R0 FMAX{end}")
+        shift = self.said.value[call.axis] - call.top
+        if call.surface == call.surface:
+            lines += self._definition(block, call, shift, indent, end)
+        self.said.record(call.axis, call.level + shift, False)
+        return [*lines, f"{indent}CYCL CALL{end}"] if block.positions or block.calls else lines
+
+    def _definition(self, block: PathBlock, call: CycleCall, shift: float, indent: str, end: str) -> list[str]:
+        """Return the definition of a cycle with the surface shifted, none if it is in force."""
+        number = self.said.number_for(call.axis, call.surface + shift, block.inch, False, self.style)
+        shifted = number if abs(shift) > 1e-9 else ""
+        cycle, before = self._defined
+        if shifted == (before if cycle is call.cycle else ""):
+            return []
+        self._defined = call.cycle, shifted
+        first, *others = call.cycle.lines(lambda text: shifted or text)
+        return [f"{indent}{first}{end}", *(f"{UNNUMBERED}  {line}{end}" for line in others)]
+
     def _begin(self, block: PathBlock, rewrite: Rewrite, edits: list[Edit]) -> str:
         keyword = block.text[block.head_end : block.keyword_end]
-        if rewrite.move.kind is Kind.ARC:
+        if self.own_calls:
+            drop(block, block.call_words, edits)
+        drop(block, block.polar_words, edits)
+        if block.polar or (rewrite.move.kind is Kind.ARC and not rewrite.move.whole):
             keyword = "l" if keyword.islower() else "L"
         return keyword
 
@@ -124,6 +204,37 @@ class HeidenhainWriter(WordWriter[PathBlock]):
                 edits.append((block.head_end, block.head_end, "L "))  # a paraxial block moves one axis only
         indent = text[: block.head_end] if block.numbered or not text[: block.head_end].strip() else ""
         return f"{indent}{begin if block.keyword else 'L'} "
+
+    def record(self, block: PathBlock) -> None:
+        """See `WordWriter.record`: a block about the pole, too, says where it ends."""
+        super().record(block)
+        move = block.moves[0]
+        for axis, name in enumerate(self.names if block.polar and not move.passes else ()):
+            if name in move.named and not block.axis_bits >> axis & 1:
+                self.said.record(axis, move.position[axis], False)
+
+    def _bent(self, block: PathBlock, move: Move, start: list[float], end: list[float], edits: list[Edit]) -> list[str]:
+        """Give ``CR`` its new radius; write the new pole before ``C``."""
+        a, b, _ = move.arc.plane  # type: ignore[union-attr]  # asked for arcs only
+        centre = self._new_centre(block, move, start, end)
+        if block.keyword == "CR":
+            radius = math.hypot(start[a] - centre[0], start[b] - centre[1])
+            over = abs(move.arc.angle_rad) > math.pi + 1e-9  # type: ignore[union-attr]
+            span = next(span for span in block.arc_words if "D" not in block.text[span.start : span.end].upper())
+            text = self._length(-radius if over else radius, block, a, up=True)
+            edits.append((span.start, span.end, f"R{text}"))
+            return []
+        end_of_line = ending(block.text) or self.newline
+        indent = block.text[: block.head_end] if block.numbered or not block.text[: block.head_end].strip() else ""
+        words = [
+            self.names[axis] + self._length(value, block, axis) for axis, value in zip((a, b), centre, strict=True)
+        ]
+        self._pole = [f"{indent}CC {' '.join(words)}{end_of_line}"]
+        return []
+
+    def _length(self, value: float, block: PathBlock, axis: int, *, up: bool = False) -> str:
+        """Return a length in the format of the program, rounded to the increment of an axis, ``up`` away from zero."""
+        return length_text(value, float(self.grids.step[axis]), block.inch, self.style._replace(plus=True), up=up)
 
     def _tails(self, block: PathBlock, rewrite: Rewrite, edits: list[Edit]) -> list[str]:
         return [block.rapid_text] * len(rewrite.positions) if block.rapid_text else []
@@ -175,6 +286,12 @@ class HeidenhainRewriter(ChunkRewriter):
         self._comma = False
         super().__init__(axes, self._interpreter, self._writer, code)
 
+    def drill(
+        self, drilled: Sequence[range], text_of: Callable[[int], str], moves: MoveColumns, new: NewPositions
+    ) -> None:
+        """See `ChunkWriter.drill`: calls of cycles are written out from the first part with one on in which a move is replaced."""
+        self._writer.own_calls |= bool(drilled) and bool(new.count.any())
+
     def finished(self, text: str) -> str:
         """See `ChunkWriter.finished`."""
         return renumbered(text, _consecutive_lines) if self._writer.inserted else text.replace(UNNUMBERED, "")
@@ -183,7 +300,7 @@ class HeidenhainRewriter(ChunkRewriter):
         """See `ChunkRewriter.line`."""
         continued = self._interpreter.continued
         move: Move | None = segments[0][0].move if segments else None
-        written = self._writer.block(self._interpreter.step(line, text, move), segments.get(0))
+        written = self._writer.block(self._interpreter.step(line, text, move), segments)
         return f"{UNNUMBERED}{written}" if continued else written
 
     def formatting(self, run: SimpleRun) -> Formatting | None:
@@ -243,13 +360,13 @@ class Heidenhain(Dialect):
         style, code = style_in(texts, Style(plus=True)), line_code(lines)
         return HeidenhainRewriter(source, axes, newline_of(texts), style, tcp=tcp, code=code)
 
-    def inliner(self, program: Program, folder: Path | None) -> Inliner:
+    def inliner(self, program: Program, folders: Sequence[Path]) -> Inliner:
         """See `Dialect.inliner`."""
-        return HeidenhainInliner(program, folder)
+        return HeidenhainInliner(program, folders)
 
-    def expanded(self, program: Program, folder: Path | None) -> Program:
+    def expanded(self, program: Program, folders: Sequence[Path]) -> Program:
         """See `Dialect.expanded`. Consecutive block numbers are renewed."""
-        expanded = super().expanded(program, folder)
+        expanded = super().expanded(program, folders)
         if expanded is program:
             return program
         first = _first_number(program)

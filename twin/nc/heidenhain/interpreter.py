@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Callable, Mapping
 from typing import Final, final
@@ -10,134 +9,17 @@ from typing import Final, final
 import numpy as np
 
 from twin._common.errors import InputError
-from twin.nc.arcs import ArcMisfit, arc_by_centre, arc_by_radius
-from twin.nc.blocks import Arc, AxisWords, Kind, Move, MoveColumns, Notice, Plane, rotation_about
+from twin.nc.blocks import Arc, AxisWords, Kind, Move, MoveColumns, Notice
 from twin.nc.heidenhain import vocabulary
 from twin.nc.heidenhain.calls import PathBlock
-from twin.nc.modal import AxisWord, Block, Interpreter, Span
+from twin.nc.heidenhain.frame import PLANES, HeidenhainFrame
+from twin.nc.modal import AxisWord, Span
 from twin.nc.text import BLANK, MM_PER_INCH, number
 from twin.nc.writer import Vector
 
 LONGEST_TURN_DEG: Final = 180.5
 """Turn of a rotary axis up to which its shortest way is that of its words; a correction may turn half a turn a little further."""
-_PRESET: Final = "Q339"
-_ANGLE: Final = re.compile(r"SP([ABC])[ \t]*([+-]?[ \t]*(?:[\d.,]+|Q[LR]?\d+))", re.ASCII | re.IGNORECASE)
-_CHOICE: Final = re.compile(r"(?:SEQ|SYM)[ \t]*([+-])", re.ASCII | re.IGNORECASE)
-
-
-class HeidenhainFrame(Interpreter):
-    """Preset by cycle 247, tool by ``TOOL CALL``, tilted plane by ``PLANE SPATIAL``.
-
-    Attributes:
-        centre: the pole in force (``CC``), by axis.
-        continued: whether the next line continues the current block (parameters of a cycle).
-    """
-
-    heidenhain = True
-    continued = False
-    _selects_preset = False
-    centre: Mapping[int, float] = {}
-
-    def lose(self, block: Block, statement: str) -> None:
-        """As `Interpreter.lose`; the pole is unknown too, and a statement that the machine file names as harmless has no effect."""
-        upper = " ".join(statement.split(";")[0].upper().split())
-        if not any(f"{upper} ".startswith(f"{words} ") for words in self.harmless):
-            super().lose(block, statement)
-            self.centre = {}
-
-    def begin_preset(self) -> None:
-        """Begin cycle 247, whose parameter may follow on the next line."""
-        if not self.offsets_known:
-            self.note("CYCL DEF 247 selects a preset: its offset must be given as work_offset")
-        self.assign(_PRESET, math.nan)
-        self._selects_preset = True
-
-    def end_preset(self, block: PathBlock) -> None:
-        """Select the preset of a cycle 247 that is complete.
-
-        Raises:
-            InputError: its number is unknown.
-        """
-        if self._selects_preset and not self.continued:
-            self._selects_preset = False
-            row = self.value_of(_PRESET)
-            if not self.offsets_known and row != row:
-                self.select_offset(block, f"preset of line {self._line + 1}")
-                return
-            if row != row or row != int(row):
-                raise self.error("preset without a number", "Q339=+1 with the row of the preset table")
-            self.select_offset(block, str(int(row)))
-
-    def select_tool(self, block: PathBlock, body: str) -> None:
-        """Put the tool of a ``TOOL CALL`` into the spindle.
-
-        Raises:
-            InputError: its number or ``DL`` is unknown.
-        """
-        match = vocabulary.TOOL.match(body)
-        if match is None:
-            return
-        delta = vocabulary.TOOL_LENGTH.search(body.split(";")[0])
-        tool = match.group(1) if match.group(2) is None else match.group(2)
-        if not self.tools_known:
-            row = self.value_of(tool)
-            held = "" if row == 0.0 else f"{row:g}" if row == row else tool
-            axis = vocabulary.TOOL_AXIS.match(body)
-            along = None if axis is None else self.index.get(axis.group(1).upper())
-            length = held and f"{held}{'' if delta is None else f' DL{delta.group(1)}'}"
-            self.hold_tool(block, held, length, along=along)
-            return
-        if tool[:1] in "qQ":
-            tool = f"{self.known('TOOL CALL', tool):g}"
-        length = 0.0 if delta is None else self.known("DL", delta.group(1))
-        self.select(block, tool=tool, length="" if tool == "0" else tool, delta_mm=length)
-
-    def tilt(self, block: PathBlock, upper: str) -> None:
-        """Apply ``PLANE SPATIAL`` or ``PLANE RESET``.
-
-        Raises:
-            InputError: another way to define a plane, or one that leaves the rotary axes to the program.
-        """
-        words = upper.split()
-        if words[1:2] == ["RESET"]:
-            if self.frame.plane is not None:
-                self.select(block, plane=None)
-            if "STAY" not in words:
-                self.note("PLANE RESET may move the rotary axes; their positions are unknown afterwards")
-                self.mark_unknown(block, range(self.linear, len(self.names)), moved=bool(self.frames))
-            return
-        if words[1:2] != ["SPATIAL"]:
-            raise self.error("coordinate transformation PLANE", "PLANE SPATIAL with SPA, SPB and SPC")
-        if self.tcp or self.frame.plane is not None:
-            raise self.error("tilted plane within another", "M129 and PLANE RESET before it")
-        if "STAY" in words or not {"TURN", "MOVE"} & set(words):
-            raise self.error("PLANE SPATIAL that does not position the rotary axes", "TURN or MOVE")
-        angles = {letter: self.known(f"SP{letter}", text) for letter, text in _ANGLE.findall(upper)}
-        # About the fixed X, then Y, then Z: the same as about Z, then the turned Y, then the turned X.
-        turned = rotation_about("ZYX", [angles.get(letter, 0.0) for letter in "CBA"])
-        choice = _CHOICE.search(upper)
-        sign = 0 if choice is None else 1 if choice.group(1) == "+" else -1
-        stays = "TURN" in words and not any(word.startswith("MB") for word in words)
-        self.select(block, plane=Plane((0.0, 0.0, 0.0), turned, sign, stays))
-
-    def known(self, name: str, written: str) -> float:
-        """Return the value of a word.
-
-        Raises:
-            InputError: it is unknown.
-        """
-        if "Q" in written.upper():
-            return self.known_value(name, written, "a number, or a Q parameter set to a number before")
-        value = self.value_of(written)
-        if value != value:
-            raise self.missing_number(name, written)
-        return value
-
-
-# --- Modal interpreter of Heidenhain programs -----------------------------------------------------
-
 _new = tuple.__new__
-_PLANES: Final = {"Z": (0, 1, 2), "Y": (2, 0, 1), "X": (1, 2, 0)}
 
 
 @final
@@ -148,7 +30,6 @@ class HeidenhainInterpreter(HeidenhainFrame):
         on = {"M128", *(word.upper() for word in axes.tcp_on)}
         off = {"M129", *(word.upper() for word in axes.tcp_off)}
         super().__init__(source, axes, tcp=tcp, tcp_on=on, tcp_off=off)
-        self.plane = _PLANES["Z"]
         self._simple = vocabulary.simple_pattern(self.names)
         self._shortest_way: list[tuple[int, bool]] = [(-1, False)]
         self._turned_to = np.full((1, len(self.names) - self.linear), np.nan)
@@ -192,7 +73,12 @@ class HeidenhainInterpreter(HeidenhainFrame):
     @property
     def runs_allowed(self) -> bool:
         """See `Interpreter.runs_allowed`: no tool vector, and no block that continues."""
-        return self.set_up and self.vector is None and not self.continued
+        beside = self.beside or self.on_contour
+        return self.set_up and self.vector is None and not (self.continued or self.modal or beside)
+
+    def may_end(self, tail: str) -> bool:
+        """See `Interpreter.may_end`: not while every positioning calls a cycle."""
+        return not self.modal
 
     def moves(self, line: int, text: str) -> tuple[Move, ...]:
         """See `Interpreter.moves`; as `step` does, without the words that only a writer needs."""
@@ -204,7 +90,8 @@ class HeidenhainInterpreter(HeidenhainFrame):
     def _found(self, line: int, text: str) -> re.Match[str] | None:
         """Begin a line and return its match if it is a simple block; only ``LN`` can have vectors."""
         self._line, self._block_text = line, text
-        found = None if self.continued else self._simple.pattern.fullmatch(text)
+        special = self.continued or self.modal or self.beside or self.on_contour or self.parks
+        found = None if special else self._simple.pattern.fullmatch(text)
         if found is not None and found[2] in ("L", "l") and any(found.groups()[self._simple.behind]):
             return None
         return found
@@ -219,6 +106,7 @@ class HeidenhainInterpreter(HeidenhainFrame):
         if self.continued:
             block.numbered = False
             self.continued = body.endswith("~")
+            self.take_parameters(body)
             self._assignments(body)
             self.end_preset(block)
         elif body and body[0] not in ";*%":
@@ -294,6 +182,8 @@ class HeidenhainInterpreter(HeidenhainFrame):
     def _body(self, block: PathBlock, body: str) -> None:
         match = vocabulary.KEYWORD.match(body)
         keyword = "" if match is None else match.group().upper()
+        if not vocabulary.PARAMETER.match(body):
+            self.close_definition()
         if vocabulary.BLOCK_OF_ISO.match(body):
             raise self.error("block of an ISO program", "blocks of plain language", body)
         if vocabulary.SKIPPED.match(body):
@@ -305,7 +195,7 @@ class HeidenhainInterpreter(HeidenhainFrame):
             self._path(block, "", block.head_end)
         elif match is None:
             raise self.error("unknown block", "a plain-language block such as L X+10 FMAX", body)
-        elif keyword in ("L", "LN", "C", "CR"):
+        elif keyword in ("L", "LN") or keyword in vocabulary.ARCS | vocabulary.POLAR:
             self._path(block, keyword, block.head_end + match.end())
         elif keyword == "CC":
             self._pole(block, block.head_end + match.end())
@@ -328,6 +218,7 @@ class HeidenhainInterpreter(HeidenhainFrame):
         if keyword in _STATEMENTS:
             _STATEMENTS[keyword](self, block, body, upper)
         elif vocabulary.PARAMETER.match(body):
+            self.take_parameters(body)
             self._assignments(body)
         elif keyword in self.index or (keyword[:1] == "I" and keyword[1:] in self.index):
             raise self.error("word without a number", f"a number after {keyword}")
@@ -347,7 +238,7 @@ class HeidenhainInterpreter(HeidenhainFrame):
             return
         axis = vocabulary.TOOL_AXIS.match(body)
         if axis is not None:
-            self.plane = _PLANES[axis.group(1).upper()]
+            self.plane = PLANES[axis.group(1).upper()]
         self.select_tool(block, body)
 
     def _call(self, block: PathBlock, body: str, upper: str) -> None:
@@ -355,7 +246,17 @@ class HeidenhainInterpreter(HeidenhainFrame):
             raise self.error("subprogram call or repetition", vocabulary.NO_CALLS)
 
     def _transform(self, block: PathBlock, body: str, upper: str) -> None:
-        if "RESET" not in upper:
+        words = upper.split()
+        rest = upper.partition(" AXIS ")[2] if words[1:3] == ["DATUM", "AXIS"] else upper.partition(" ROTATION ")[2]
+        if words[:3] == ["TRANS", "DATUM", "RESET"]:
+            self._shift_to(block, (), self.frame.turn)
+        elif words[:3] == ["TRANS", "ROTATION", "RESET"]:
+            self._shift_to(block, self.frame.shift, None)
+        elif words[:3] == ["TRANS", "DATUM", "AXIS"]:
+            self.shift(block, rest, "TRANS DATUM")
+        elif words[:2] == ["TRANS", "ROTATION"]:
+            self.turn(block, rest, "TRANS ROTATION")
+        elif "RESET" not in upper:
             name = "POLARKIN" if upper.startswith("POLARKIN") else "TRANS"
             raise self.error(f"coordinate transformation {name}", vocabulary.NO_TRANSFORMATION)
 
@@ -364,15 +265,23 @@ class HeidenhainInterpreter(HeidenhainFrame):
 
     def _cycle(self, block: PathBlock, body: str, upper: str) -> None:
         if upper.startswith("CYCL CALL"):
-            raise self.error("cycle call", vocabulary.EXPANDED_CYCLE)
+            self._call_here(block, upper)
+            return
         match = vocabulary.CYCLE.match(body)
         if match is None:
             raise self.error("cycle without a number", "CYCL DEF and a number")
         cycle, part, rest = int(match.group(1)), match.group(2), match.group(3).split(";")[0].strip(" \t\r\n~")
+        self.define(cycle, part, body)
         if cycle in vocabulary.RUN_AT_ONCE:
             raise self.error(f"cycle {cycle} is executed where it is defined", vocabulary.EXPANDED_CYCLE)
+        if cycle in vocabulary.TRANSFORM_CYCLES and self.continued:
+            raise self.error(
+                f"CYCL DEF {cycle} over several lines", "its parts as blocks of their own, such as CYCL DEF 7.1 X+10"
+            )
         if cycle == 247:
             self.begin_preset()
+        elif cycle in (7, 10) and part is not None and part != "0":
+            (self.shift if cycle == 7 else self.turn)(block, rest, f"CYCL DEF {cycle}")
         elif cycle not in vocabulary.HARMLESS_CYCLES and cycle not in vocabulary.TRANSFORM_CYCLES:
             self.lose(block, body)
         elif cycle in vocabulary.TRANSFORM_CYCLES and (
@@ -381,6 +290,18 @@ class HeidenhainInterpreter(HeidenhainFrame):
             what = f"coordinate transformation CYCL DEF {cycle} ({vocabulary.TRANSFORM_CYCLES[cycle]})"
             raise self.error(what, vocabulary.NO_TRANSFORMATION)
         self._assignments(body)
+
+    def _call_here(self, block: PathBlock, upper: str) -> None:
+        """Execute the cycle in force at the present position: ``CYCL CALL``, with M functions.
+
+        Raises:
+            InputError: a call at other places.
+        """
+        rest = upper.removeprefix("CYCL CALL").split()
+        if any(not vocabulary.HARMLESS_CALL.fullmatch(word) for word in rest):
+            raise self.error("cycle call at other places", f"CYCL CALL, M99 or M89; or {vocabulary.EXPANDED_CYCLE}")
+        block.positions = False
+        self.call_cycle(block)
 
     def _fn(self, block: PathBlock, body: str, upper: str) -> None:
         match = vocabulary.FN.match(body)
@@ -416,10 +337,16 @@ class HeidenhainInterpreter(HeidenhainFrame):
                 take(self, block, match)
         if block.retracts:
             self.note("M140 retracts along the tool axis; the positions of the linear axes are unknown afterwards")
-        if block.words or block.vector_words or (keyword in ("C", "CR") and block.clockwise is not None):
+        arc = keyword in vocabulary.ARCS
+        if block.words or block.vector_words or block.polar or (arc and block.clockwise is not None):
             self._move(block)
-        elif keyword in ("C", "CR"):
+        elif arc:
             raise self.error("circular block without its sense", "DR+ or DR-")
+        if block.calls or (self.modal and block.moves):
+            block.positions = bool(block.moves)
+            if block.machine or block.retracts or block.end_m_words or (self.modal and not block.moves):
+                raise self.error("cycle call in this block", "M99, or M89 in a block with a position")
+            self.call_cycle(block)
         if block.retracts:
             self.mark_unknown(block, range(self.linear), moved=True)
 
@@ -441,17 +368,22 @@ class HeidenhainInterpreter(HeidenhainFrame):
             block.rapid_text = match["feed"]
 
     def _side(self, block: PathBlock, match: re.Match[str]) -> None:
-        if match["side"].upper() != "R0":
-            raise self.error(f"cutter radius compensation {match['side']}", "the tool centre path (R0)")
+        side = match["side"].upper()
+        if side not in ("R0", "RL", "RR"):
+            raise self.error(f"cutter radius compensation {side}", "RL or RR, or the tool centre path (R0)")
+        self.beside = side != "R0"
 
     def _misc(self, block: PathBlock, match: re.Match[str]) -> None:
         code = int(match.group(match.lastindex + 1) if match.lastindex else 0)
         word = f"M{code}"
         if code in vocabulary.REFUSED_M:
-            what = "cycle call" if code in (89, 99) else "function that changes the meaning of axis words"
+            what = "function that changes the meaning of axis words"
             raise self.error(
                 f"{what} {word}", vocabulary.EXPANDED_CYCLE if code != 118 else vocabulary.NO_TRANSFORMATION
             )
+        if code in vocabulary.CALLING_M:
+            self.take_call_word(block, code, Span(match.start("misc"), match.end()))
+            return
         if code in vocabulary.LAST_M:
             block.end_m_words.append(Span(match.start("misc"), match.end()))
         self.switch_by(block, word)
@@ -475,6 +407,16 @@ class HeidenhainInterpreter(HeidenhainFrame):
         written = match.group(match.lastindex + 1) if match.lastindex else ""
         block.radius = self.known("R", written) * (MM_PER_INCH if self.inch else 1.0)
         block.arc_words.append(Span(match.start("radius"), match.end()))
+
+    def _polar(self, block: PathBlock, match: re.Match[str]) -> None:
+        first = (match.lastindex or 0) + 1
+        prefix, name, written = match.group(first, first + 1, first + 2)
+        name = name.upper()
+        if block.keyword not in vocabulary.POLAR or name in block.polar:
+            raise self._stray(block, match)
+        unit = MM_PER_INCH if self.inch and name == "R" else 1.0
+        block.polar[name] = (self.known(f"P{name}", written) * unit, bool(prefix))
+        block.polar_words.append(Span(match.start("polar"), match.end()))
 
     def _vector(self, block: PathBlock, match: re.Match[str]) -> None:
         if block.keyword != "LN" or not match.lastindex:
@@ -528,42 +470,39 @@ class HeidenhainInterpreter(HeidenhainFrame):
         names = self.named(block.axis_bits)
         self.check_plane(block.axis_bits >> self.linear != 0)
         if block.machine:
-            if block.keyword in ("C", "CR", "LN"):
+            if block.keyword not in ("", "L"):
                 raise self.error("machine coordinates in an arc", "an L block")
+            self.leave_contour()
             position = self.machine_position(block, elsewhere=block.elsewhere)
             block.moves += (Move(self._line, kind, self.tcp, position, names, machine=True),)
             return
         if self.unknown:
-            kind = Kind.ARC if block.keyword in ("C", "CR") else kind
+            kind = Kind.ARC if block.keyword in vocabulary.ARCS else kind
             block.moves += (self.unknown_move(kind, block.axis_bits),)
             block.unknown_axes = tuple(range(len(self.names)))
             return
-        start = self.position[: self.linear]
+        if self.parks and kind is Kind.RAPID and block.keyword in ("L", "") and not (block.arc_words or self.vector):
+            block.moves += (self.parking_move(block),)
+            return
+        start, rotary = self.position[: self.linear], self.position[self.linear :]
         self.apply_words(block)
+        sweep = self.polar_end(block, start) if block.keyword in vocabulary.POLAR else None
         normal = self._directed(block.axis_bits, block.tool, block.normal)
         arc: Arc | None = None
-        if block.keyword in ("C", "CR"):
+        if block.keyword in vocabulary.ARCS:
             kind = Kind.ARC
-            arc = self._arc(block, start)
+            arc = self.arc(block, start, sweep)
         elif block.arc_words:
-            raise self.error("DR outside a circular block", "C or CR")
+            raise self.error("DR outside a circular block", "C, CP or CR")
         self.use_set_up(kind)
+        if block.polar:
+            names |= {self.names[axis] for axis in self.plane[:2]}
+        whole = self.compensated(block, rotary)
+        if whole and block.keyword == "CP":
+            raise self.error("cutter radius compensation on an arc by CP", "CC and C, or the tool centre path (R0)")
         position = tuple(self.position)
-        block.moves += (Move(self._line, kind, self.tcp, position, names, False, self.vector, normal, arc),)
-
-    def _arc(self, block: PathBlock, start: list[float]) -> Arc:
-        if block.clockwise is None:
-            raise self.error("circular block without its sense", "DR+ or DR-")
-        a, b, _ = self.plane
-        from_, to = (start[a], start[b]), (self.position[a], self.position[b])
-        if block.keyword == "CR":
-            if block.radius is None:
-                raise self.error("CR without a radius", "R+10 or R-10")
-            return self.valid_arc(arc_by_radius(self.plane, from_, to, block.radius, block.clockwise))
-        if a in self.centre and b in self.centre:
-            centre = (self.centre[a], self.centre[b])
-            return self.valid_arc(arc_by_centre(self.plane, from_, to, centre, block.clockwise))
-        return self.valid_arc(ArcMisfit("circular block without its centre", "CC before it"))
+        move = Move(self._line, kind, self.tcp, position, names, False, self.vector, normal, arc, "", whole)
+        block.moves += (move,)
 
 
 _TOKENS: Final[Mapping[str, Callable[[HeidenhainInterpreter, PathBlock, re.Match[str]], None]]] = {
@@ -572,6 +511,7 @@ _TOKENS: Final[Mapping[str, Callable[[HeidenhainInterpreter, PathBlock, re.Match
     "feed": HeidenhainInterpreter._feed,
     "sense": HeidenhainInterpreter._sense,
     "radius": HeidenhainInterpreter._radius,
+    "polar": HeidenhainInterpreter._polar,
     "vector": HeidenhainInterpreter._vector,
     "misc": HeidenhainInterpreter._misc,
     "bad": HeidenhainInterpreter._bad,

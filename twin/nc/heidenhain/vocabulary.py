@@ -27,11 +27,13 @@ TOKEN = re.compile(
     | (?P<feed>F[ \t]*+(?:MAX|AUTO|[ZU]?[ \t]*+{_VALUE}))
     | (?P<sense>DR[ \t]*+[+-])
     | (?P<radius>R[ \t]*+({_VALUE}))
+    | (?P<polar>(I?)P([RA])[ \t]*+({_VALUE}))
     | (?P<vector>([NT][XYZ])[ \t]*+({_VALUE}))
     | (?P<retract>MB[ \t]*+(?:MAX|{_VALUE}))
     | (?P<misc>M(\d{{1,9}})(?:\.(?!\d)|(?![\d.])))
     | (?P<speed>S[ \t]*+{_VALUE})
     | (?P<ahead>LA[ \t]*+{_VALUE})
+    | (?P<blank>[RFM](?=[ \t\r\n;]|$))
     | (?P<bad>\S)
     )""",
     re.VERBOSE | re.ASCII | re.IGNORECASE,
@@ -48,6 +50,7 @@ EVIDENCE = line_pattern(
     r"FUNCTION[ \t]++(?:TCPM|RESET|MODE)(?!\w)",
     r"(?:LN?|CC|CR?)[ \t]++I?[A-CU-Z][ \t]*+(?:[+-]|\d|Q)",
     r"L[ \t]++(?:R[0LR]|FMAX|M\d)",
+    r"(?:LP|CP)[ \t]++I?P[RA][ \t]*+[-+\dQ]",
 )
 """A line of a plain-language program: one of its statements, or a path function with an axis word."""
 UNIT = re.compile(r"BEGIN[ \t]+PGM[ \t]+(?:.*[ \t])?([^ \t;]+)[ \t]*(?:;.*)?$", re.ASCII | re.IGNORECASE)
@@ -59,8 +62,12 @@ TOOL = re.compile(
 )
 TOOL_LENGTH = re.compile(rf"(?<![A-Z\d])DL[ \t]*=?[ \t]*({_VALUE})", re.ASCII | re.IGNORECASE)
 CYCLE = re.compile(r"CYCL[ \t]+DEF[ \t]+(\d{1,9})(?!\d)(?:\.(\d++))?+(.*)", re.ASCII | re.IGNORECASE)
+SHIFT = re.compile(rf"(?<![A-Z])(I?)([XYZABCUVW])[ \t]*({_VALUE})", re.ASCII | re.IGNORECASE)
+ROTATION = re.compile(rf"(I?)ROT[ \t]*({_VALUE})", re.ASCII | re.IGNORECASE)
 FN = re.compile(r"FN[ \t]*+(\d{1,9})(?!\d)[ \t]*+:?(.*)", re.ASCII | re.IGNORECASE)
 INCHES = frozenset({"INCH", "IN"})
+HARMLESS_CALL = re.compile(r"M0*(?:[3-9]|1[34])", re.ASCII)
+"""M functions of ``CYCL CALL``: spindle and coolant."""
 PARAMETER = re.compile(r"Q[LRS]?\d++[ \t]*+=", re.ASCII | re.IGNORECASE)
 ASSIGNED = re.compile(r"(Q[LR]?\d++)[ \t]*+=[ \t]*+([^;\r\n~]*+)", re.ASCII | re.IGNORECASE)
 WITH_NUMBERS = frozenset({"CYCL", "FN", "PLANE", "Q", "QL", "QR", "TOOL"})
@@ -69,7 +76,7 @@ EXPONENT = re.compile(r"(?<![\\/:.\d])[+-]?(?:\d++[.,]?+\d*+|[.,]\d++)E[+-]?\d+"
 """A number with an exponent outside paths, in one of the statements `WITH_NUMBERS`; the control knows none."""
 NUMBERS = re.compile(r"[+-]?[\d.,]+", re.ASCII)
 
-REFUSED_PATHS = frozenset("CT CP LP CTP LT RND CHF APPR DEP FL FLT FC FCT FPOL FSELECT".split())
+REFUSED_PATHS = frozenset("CT CTP LT RND CHF APPR DEP FL FLT FC FCT FPOL FSELECT".split())
 PASSED = frozenset("END BLK STOP LBL DECLARE PATTERN GLOBAL OPEN WAIT".split())
 HARMLESS_FUNCTIONS = tuple(
     f"FUNCTION {reset}{words}"
@@ -145,13 +152,19 @@ TRANSFORM_CYCLES = {
     19: "working plane",
     26: "scaling",
 }
+BESIDE_CYCLES = frozenset({*range(7, 12), 13, 14, 19, 20, 26, 32, 247})
+"""Cycles that act where they are defined; every other one ends the machining cycle in force."""
 RUN_AT_ONCE = frozenset({12, 220, 221, 224})
 """Cycles that are executed where they are defined: a program call, hole patterns."""
-REFUSED_M = frozenset({89, 98, 99, 118, 130, 144})
+REFUSED_M = frozenset({98, 118, 130, 144})
+CALLING_M = frozenset({89, 99})
 LAST_M = frozenset({0, 1, 2, 5, 9, 30, 60})
 
 EXPANDED_CYCLE = "a cycle expanded into L blocks by the postprocessor"
-LINEAR = "a path of L, LN, CC/C and CR blocks from the postprocessor"
+LINEAR = "a path of L, LN, LP, CC/C, CP and CR blocks from the postprocessor"
+ARCS = frozenset({"C", "CP", "CR"})
+POLAR = frozenset({"LP", "CP"})
+"""Path functions that end on an arc, and those whose end point is given by radius and angle about the pole."""
 NO_TRANSFORMATION = "a program without coordinate transformations"
 NO_CALLS = "one program without jumps or calls"
 

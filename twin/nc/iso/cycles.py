@@ -1,9 +1,9 @@
-"""Drilling cycles, expanded into the strokes that a control executes.
+"""Drilling cycles, expanded into the strokes that a control executes, or left to it at a corrected place.
 
-Sources: Fanuc Series 30i operator's manual and LinuxCNC G-code reference, "Canned cycles" (G73, G81 to G89); SINUMERIK 840D sl,
-Programming Manual Cycles (CYCLE81 to CYCLE85, CYCLE89). Cycles that turn or stop the spindle in between (G76, G86 to G88, CYCLE86 to
-CYCLE88) are not expanded. A thread is tapped by the control's own cycle, at a corrected position; the heights in the cycle are those of
-the program with CYCLE84 and CYCLE840, and corrected, too, with G74 and G84.
+Sources: Fanuc Series 30i operator's manual, Haas mill operator's manual and LinuxCNC G-code reference, "Canned cycles" (G73, G74, G76,
+G81 to G89); SINUMERIK 840D sl, Programming Manual Cycles (CYCLE81 to CYCLE89, CYCLE840, CYCLE801, HOLES1, HOLES2). The control itself
+executes cycles that tap, or turn or stop the spindle in between: the tool goes to the corrected place of the height at which feeding
+begins, and the heights of the cycle are shifted by the correction there.
 """
 
 from __future__ import annotations
@@ -21,20 +21,20 @@ has a parameter for it; the drilled hole does not depend on it.
 MOST_STROKES: Final = 400
 
 
-class Thread(NamedTuple):
-    """A thread that the control taps by a cycle of Fanuc, from a height and back to it.
+class Kept(NamedTuple):
+    """A cycle that the control executes from a height, and from which it returns to that height or to a level of its own.
 
     Attributes:
-        code: its G code without G, one of `FANUC_TAPPING`.
-        depth: height of the bottom, mm.
         top: height at which feeding begins, mm.
-        words: the other words of the cycle.
+        parts: the text of the cycle: what is written as it is, and heights in mm.
+        relative: the same where words are increments; None if the heights are absolute there, too.
+        thread: whether it taps a thread of Fanuc, which may be rigid.
     """
 
-    code: str
-    depth: float
     top: float
-    words: str
+    parts: tuple[str | float, ...]
+    relative: tuple[str | float, ...] | None = None
+    thread: bool = False
 
 
 class Stroke(NamedTuple):
@@ -44,15 +44,15 @@ class Stroke(NamedTuple):
         height: where it ends, mm; NaN if the axis does not move.
         kind: rapid or feed.
         feed: its feed word, if it differs from that of the block.
-        after: a block to write after it (dwell, the cycle of a thread of SINUMERIK).
-        thread: the thread to tap instead of a move.
+        after: a block to write after it (dwell).
+        kept: the control's own cycle to execute instead of a move.
     """
 
     height: float
     kind: Kind
     feed: str = ""
     after: str = ""
-    thread: Thread | None = None
+    kept: Kept | None = None
 
 
 class Drilling(NamedTuple):
@@ -60,7 +60,7 @@ class Drilling(NamedTuple):
 
     Attributes:
         strokes: what the drilling axis does, heights in mm in program coordinates.
-        level: height at which a cycle ends that is left to the control (CYCLE84); NaN: that of the last stroke.
+        level: height at which a cycle ends that is left to the control (SINUMERIK); NaN: that of the last stroke.
     """
 
     strokes: tuple[Stroke, ...]
@@ -69,6 +69,10 @@ class Drilling(NamedTuple):
 
 FANUC: Final = frozenset({"73", "81", "82", "83", "85", "89"})
 FANUC_TAPPING: Final = frozenset({"74", "84"})
+FANUC_KEPT: Final = FANUC_TAPPING | {"76", "86", "88"}
+"""Cycles left to the control: threads, and boring with a spindle that is turned or stopped at the bottom."""
+FANUC_WORDS: Final[Mapping[str, str]] = {"76": "IJ"}
+"""Words of a cycle beside Z, R, Q and P: the shift from the wall."""
 
 
 def pecked(top: float, depth: float, step: float, *, full: bool) -> list[Stroke]:
@@ -96,15 +100,15 @@ def pecked(top: float, depth: float, step: float, *, full: bool) -> list[Stroke]
         strokes += [Stroke(top, Kind.RAPID), Stroke(above, Kind.RAPID)] if full else [Stroke(above, Kind.RAPID)]
 
 
-def of_fanuc(code: str, height: Mapping[str, float], dwell: str, retract: float, words: str) -> Drilling:
-    """Return a cycle of Fanuc or LinuxCNC.
+def of_fanuc(code: str, height: Mapping[str, float], dwell: str, retract: float, words: tuple[str, str]) -> Drilling:
+    """Return a cycle of Fanuc, Haas or LinuxCNC.
 
     Args:
-        code: its G code without G, one of `FANUC` or `FANUC_TAPPING`.
-        height: ``R`` and ``Z`` in mm, and ``Q``, the step of G73 and G83.
+        code: its G code without G, one of `FANUC` or `FANUC_KEPT`.
+        height: ``R`` and the depth ``Z`` in mm, and ``Q``, the step of G73 and G83.
         dwell: value of ``P`` as written; empty if there is none.
         retract: height at which it ends (G98: initial level, G99: R).
-        words: the words of a thread other than Z and R.
+        words: name of the drilling axis, and the words of a kept cycle other than depth and R.
 
     Raises:
         ValueError: a value is missing or contradicts another, in words.
@@ -119,13 +123,14 @@ def of_fanuc(code: str, height: Mapping[str, float], dwell: str, retract: float,
         if not step > 0.0:
             raise ValueError("Q, the depth of a step")
         down = pecked(top, depth, step, full=code == "83")
-    elif code in FANUC_TAPPING:
-        down = [Stroke(math.nan, Kind.LINEAR, thread=Thread(code, depth, top, words))]
+    elif code in FANUC_KEPT:
+        head, tail = f"G99 G{code} {words[0]}", f" {words[1]}" if words[1] else ""
+        relative = (f"{head}", depth - top, f" R0{tail}")
+        kept = Kept(top, (head, depth, " R", top, tail), relative, code in FANUC_TAPPING)
+        down = [Stroke(math.nan, Kind.LINEAR, kept=kept)]
     else:
         down = [Stroke(depth, Kind.LINEAR)]
-    if code in ("82", "89"):
-        if not dwell:
-            raise ValueError("P, the dwell")
+    if code in ("82", "89") and dwell:
         down[-1] = down[-1]._replace(after=f"G4 P{dwell}")
     up = [Stroke(top, Kind.LINEAR)] if code in ("85", "89") else []
     return Drilling((Stroke(top, Kind.RAPID), *down, *up, Stroke(retract, Kind.RAPID)))
@@ -138,7 +143,7 @@ def _sinumerik_81(top: float, depth: float, values: Sequence[float], texts: Sequ
 def _sinumerik_83(top: float, depth: float, values: Sequence[float], texts: Sequence[str]) -> list[Stroke]:
     first, relative, less, dwell, start_dwell, factor, full = values[5:12]
     if less or dwell or start_dwell or factor not in (0.0, 1.0) or full not in (0.0, 1.0) or any(texts[12:]):
-        raise ValueError("steps of equal depth without dwell: DAM, DTB and DTS 0, FRF 1, VARI 0 or 1, nothing after it")
+        return []
     reference = values[1]
     step = reference - first if texts[5] else abs(relative)
     if not step > 0.0:
@@ -173,9 +178,11 @@ _SINUMERIK: Final[Mapping[str, tuple[int, Callable[[float, float, Sequence[float
     "CYCLE85": (8, _sinumerik_85),
     "CYCLE89": (6, _sinumerik_89),
 }
-"""Number of arguments and strokes between the approach and the retract, by the cycle's name."""
-SINUMERIK: Final = frozenset({*_SINUMERIK, "CYCLE84", "CYCLE840"})
-SINUMERIK_TAPPING: Final = frozenset({"CYCLE84", "CYCLE840"})
+"""Most arguments with which a cycle is expanded, and its strokes between the approach and the retract, none for other forms."""
+_DRILLING_AXIS: Final[Mapping[str, int]] = {"CYCLE83": 12, "CYCLE84": 12, "CYCLE840": 11}
+"""Place of the argument for the drilling axis: 1 or 2 is another axis than the third one of the plane."""
+MOST_ARGUMENTS: Final = 40
+SINUMERIK: Final = frozenset({f"CYCLE{number}" for number in (*range(81, 90), 840)})
 
 
 def of_sinumerik(name: str, arguments: str, value_of: Callable[[str], float], unit_mm: float) -> Drilling:
@@ -187,27 +194,113 @@ def of_sinumerik(name: str, arguments: str, value_of: Callable[[str], float], un
         unit_mm: the program's unit of length.
 
     Raises:
-        ValueError: a cycle that is not expanded, or a value that is missing or contradicts another, in words.
+        ValueError: another cycle, or a value that is missing or contradicts another, in words.
     """
     texts = [part.strip() for part in arguments.split(",")]
-    tapping = name in SINUMERIK_TAPPING
-    if not tapping and name not in _SINUMERIK:
-        raise ValueError("CYCLE81, CYCLE82, CYCLE83, CYCLE84, CYCLE85 or CYCLE89")
-    most, inside = (30, None) if tapping else _SINUMERIK[name]
-    if not 4 <= len(texts) <= most:
-        raise ValueError(f"4 to {most} arguments")
-    texts += [""] * (max(most, 6) - len(texts))
+    if name not in SINUMERIK:
+        raise ValueError("CYCLE81 to CYCLE89, or CYCLE840")
+    if not 4 <= len(texts) <= MOST_ARGUMENTS:
+        raise ValueError(f"4 to {MOST_ARGUMENTS} arguments")
+    count = len(texts)
+    texts += [""] * (MOST_ARGUMENTS - count)
     values = [value_of(text) if text else 0.0 for text in texts]
-    if not all(map(math.isfinite, values[:5] if tapping else values)):
+    if not all(map(math.isfinite, values[:5])):
         raise ValueError("arguments with known values")
     retract, reference, distance, depth = values[:4]
+    top = reference + abs(distance)
     if not texts[3]:
         depth = reference - abs(values[4])
-    top = reference + abs(distance)
-    if depth >= reference or retract < top:
-        raise ValueError("a depth below the reference plane, and a retraction plane above both")
-    if inside is None:
-        return Drilling((Stroke(math.nan, Kind.RAPID, after=f"{name}({arguments})"),), retract * unit_mm)
-    down = inside(top, depth, values, texts)
-    scaled = [stroke._replace(height=stroke.height * unit_mm) for stroke in (Stroke(top, Kind.RAPID), *down)]
-    return Drilling((*scaled, Stroke(retract * unit_mm, Kind.RAPID)))
+    if retract < top:
+        raise ValueError("a retraction plane at the safety distance or above")
+    place = _DRILLING_AXIS.get(name)
+    if place is not None and values[place] not in (0.0, 3.0):
+        raise ValueError("drilling along the third axis of the plane")
+    most, inside = _SINUMERIK.get(name, (0, None))
+    down: list[Stroke] = []
+    if inside is not None and count <= most and all(map(math.isfinite, values)):
+        if depth >= reference:
+            raise ValueError("a depth below the reference plane, and a retraction plane above both")
+        down = inside(top, depth, values, texts)
+    approach = Stroke(top * unit_mm, Kind.RAPID)
+    if not down:
+        return Drilling((approach, _kept(name, texts[:count], values, top, unit_mm)), retract * unit_mm)
+    scaled = [stroke._replace(height=stroke.height * unit_mm) for stroke in down]
+    return Drilling((approach, *scaled, Stroke(retract * unit_mm, Kind.RAPID)))
+
+
+def _kept(name: str, texts: Sequence[str], values: Sequence[float], top: float, unit_mm: float) -> Stroke:
+    """Return a cycle of SINUMERIK that is left to the control: its absolute heights are shifted, the other arguments are kept.
+
+    Raises:
+        ValueError: an absolute height is unknown.
+    """
+    absolute = {0, 1, 3} | ({5} if name == "CYCLE83" else set())
+    parts: list[str | float] = [f"{name}("]
+    for place, text in enumerate(texts):
+        parts.append(", " if place else "")
+        if place in absolute and text:
+            if not math.isfinite(values[place]):
+                raise ValueError("arguments with known values")
+            parts.append(values[place] * unit_mm)
+        else:
+            parts.append(text)
+    return Stroke(math.nan, Kind.LINEAR, kept=Kept(top * unit_mm, (*parts, ")")))
+
+
+def _row(values: Sequence[float]) -> list[tuple[float, float]]:
+    x, y, angle, first, step, count = values[:6]
+    steps = [(first + i * step, 0.0) for i in range(int(count))]
+    return _turned((x, y), angle, steps)
+
+
+def _circle(values: Sequence[float]) -> list[tuple[float, float]]:
+    x, y, radius, first, step, count = values[:6]
+    angles = [first + i * (step or 360.0 / count) for i in range(int(count))]
+    return [point for angle in angles for point in _turned((x, y), angle, [(radius, 0.0)])]
+
+
+def _grid(values: Sequence[float]) -> list[tuple[float, float]]:
+    x, y, angle, step, line, columns, rows = values[:7]
+    steps = [
+        (column * step, row * line)
+        for row in range(int(rows))
+        for column in (range(int(columns)) if row % 2 == 0 else range(int(columns) - 1, -1, -1))
+    ]
+    return _turned((x, y), angle, steps)
+
+
+def _turned(
+    origin: tuple[float, float], angle_deg: float, points: Sequence[tuple[float, float]]
+) -> list[tuple[float, float]]:
+    c, s = math.cos(math.radians(angle_deg)), math.sin(math.radians(angle_deg))
+    return [(origin[0] + c * u - s * v, origin[1] + s * u + c * v) for u, v in points]
+
+
+_PATTERNS: Final[Mapping[str, tuple[int, Callable[[Sequence[float]], list[tuple[float, float]]]]]] = {
+    "HOLES1": (6, _row),
+    "HOLES2": (6, _circle),
+    "CYCLE801": (7, _grid),
+}
+"""Number of arguments and places, in the plane, of a pattern of SINUMERIK."""
+PATTERNS: Final = frozenset(_PATTERNS)
+
+
+def places_of(name: str, arguments: str, value_of: Callable[[str], float], unit_mm: float) -> list[tuple[float, float]]:
+    """Return the places of a pattern of holes in mm: ``HOLES1(SPCA, SPCO, STA1, FDIS, DBH, NUM)``, ``HOLES2``, ``CYCLE801``.
+
+    Args:
+        arguments, value_of, unit_mm: as for `of_sinumerik`.
+
+    Raises:
+        ValueError: other arguments, in words.
+    """
+    texts = [part.strip() for part in arguments.split(",")]
+    count, places = _PATTERNS[name]
+    values = [value_of(text) if text else 0.0 for text in texts]
+    values += [0.0] * (count - len(values))
+    counts = values[5:count]
+    if not all(map(math.isfinite, values[:count])) or any(set(texts[count:]) - {"", "0"}):
+        raise ValueError(f"{count} arguments with known values")
+    if not all(value == int(value) and 1 <= value <= MOST_STROKES for value in counts):
+        raise ValueError(f"whole numbers of holes, 1 to {MOST_STROKES}")
+    return [(u * unit_mm, v * unit_mm) for u, v in places(values)]

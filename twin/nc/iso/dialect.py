@@ -18,7 +18,15 @@ from twin.nc.iso import vocabulary
 from twin.nc.iso.calls import IsoInliner
 from twin.nc.iso.interpreter import RIGID, IsoInterpreter
 from twin.nc.iso.writer import CODE, IsoWriter
-from twin.nc.lines.chunks import BlockReader, ChunkReader, ChunkRewriter, ChunkWriter, SimpleRun, only_places
+from twin.nc.lines.chunks import (
+    BlockReader,
+    ChunkReader,
+    ChunkRewriter,
+    ChunkWriter,
+    SimpleRun,
+    only_places,
+    replaces_some,
+)
 from twin.nc.lines.compiled import ARRAYS, LineCode, line_code
 from twin.nc.text import BOM, Style, first_lines, insert_comments, newline_of, number, style_in
 from twin.nc.writer import Formatting, Segments
@@ -123,7 +131,7 @@ class IsoRewriter(ChunkRewriter):
     ) -> None:
         """See `ChunkWriter.drill`: cycles are expanded into blocks from the first part on in which a move of one is replaced."""
         writer = self._writer
-        writer.expand_cycles = writer.expand_cycles or _replaces_some(drilled, moves, new)
+        writer.expand_cycles = writer.expand_cycles or replaces_some(drilled, moves, new)
         writer.rigid_lines = _rigid_lines(text_of, drilled, moves) if writer.expand_cycles else frozenset()
 
     def line(self, line: int, text: str, segments: Mapping[int, Segments]) -> str:
@@ -153,7 +161,7 @@ class IsoRewriter(ChunkRewriter):
         alike = spaced and np.all(small == small[0])
         strokes = self._interpreter.strokes()
         moving = [stroke for stroke in strokes if stroke.height == stroke.height]
-        if any(stroke.thread is not None for stroke in strokes):
+        if any(stroke.kept is not None for stroke in strokes):
             return False
         ends = bool(moving) and (moving[-1].kind is Kind.RAPID) == (run.motion[0] == 0)
         consecutive = (
@@ -242,9 +250,9 @@ class Iso(Dialect):
         style, code = style_in(texts, Style(point=True)), line_code(lines)
         return IsoRewriter(source, axes, newline_of(texts), style, tcp=tcp, code=code)
 
-    def inliner(self, program: Program, folder: Path | None) -> Inliner:
+    def inliner(self, program: Program, folders: Sequence[Path]) -> Inliner:
         """See `Dialect.inliner`."""
-        return IsoInliner(program, folder)
+        return IsoInliner(program, folders)
 
     def with_comments(self, text: str, comments: Sequence[str]) -> str:
         """See `Dialect.with_comments`: after tape mark and program number.
@@ -307,12 +315,6 @@ class _NewIso(NewProgram):
         head = [f"G{code}"] if code != self._code else []
         self._code = code
         self.out.append(" ".join([*head, *words, *([f"F{feed}"] if feed else [])]) + "\n")
-
-
-def _replaces_some(lines: Sequence[range], moves: MoveColumns, new: NewPositions) -> bool:
-    """Return whether a move of these ranges of lines is replaced."""
-    at = np.searchsorted(moves.line, [(part.start, part.stop) for part in lines])
-    return any(bool(new.count[first:last].any()) for first, last in at.tolist())
 
 
 def _rigid_lines(text_of: Callable[[int], str], drilled: Sequence[range], moves: MoveColumns) -> frozenset[int]:

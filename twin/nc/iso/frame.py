@@ -38,13 +38,17 @@ class IsoBlock(Block):
         feed: the value of the F word.
         motion: motion code in force (0 to 3), None before the first.
         inverse_time: whether the feed is an inverse time.
+        absolute_centre: whether the centre of an arc is absolute.
         vector_names: names of the tool vector's words here, with their ``=``, or None if there is no vector.
         cycle_word: the range of a call or the end of a drilling cycle of SINUMERIK.
         cycle_words: words of a drilling cycle of Fanuc, which are not needed once it is expanded.
-        drilling: the cycle that the block executes.
+        drilling: the cycle that the block executes, at all its holes.
+        drilling_axis: the linear axis that drills.
         approaches: whether its axis words name axes that go to a reference or fixed point of SINUMERIK.
         calls: whether the block executes a cycle of SINUMERIK at the present position.
         positions: whether the block moves the axes to the place of the hole before.
+        repeats: number of holes that it drills, each by the increments of its words further than the one before.
+        pattern: places of the holes of a pattern of SINUMERIK, by axis.
     """
 
     skip: str = ""
@@ -57,13 +61,17 @@ class IsoBlock(Block):
     feed: Span | None = None
     motion: int | None = None
     inverse_time: bool = False
+    absolute_centre: bool = False
     vector_names: tuple[str, str, str] | None = None
     cycle_word: Span | None = None
     cycle_words: list[Span] = field(default_factory=list)
     drilling: Drilling | None = None
+    drilling_axis: int = 2
     approaches: bool = False
     calls: bool = False
     positions: bool = True
+    repeats: int = 1
+    pattern: list[dict[int, float]] = field(default_factory=list)
 
 
 # --- Effects of ISO blocks on the frame: work offset, tool in the spindle, and the length that the control adds
@@ -81,6 +89,8 @@ class IsoFrame(Interpreter):
     default).
     """
 
+    without_frames = False
+    """Whether the program has words that no program of SINUMERIK has, so that G58 and G59 select work offsets."""
     _next_tool = ""
     _length_by_h = _by_name = False
 
@@ -90,10 +100,14 @@ class IsoFrame(Interpreter):
         Raises:
             InputError: ``G58`` and ``G59`` that shift coordinates.
         """
-        if code in ("58", "59") and block.items and not any(span.name in "0123" for span in block.codes):
+        shifts = code in ("58", "59") and not self.without_frames
+        if shifts and block.items and not any(span.name in "0123" for span in block.codes):
             raise self.error(f"coordinate transformation G{code}", vocabulary.NO_TRANSFORMATION, f"G{code}")
         if code in ("54.1", "154"):
-            code += "".join(f" P{item.value.strip()}" for item in block.others if item.name == "P")
+            for item in block.others:
+                if item.name == "P":
+                    value = self.value_of(item.value)
+                    code += f" P{value:g}" if value == value else f" P{item.value.strip()}"
         self.select_offset(block, f"G{code}")
 
     def choose_tool(self, block: IsoBlock, words: frozenset[str]) -> None:
@@ -132,7 +146,8 @@ class IsoFrame(Interpreter):
             return {"length": height or tool}
         if "49" in codes or (self._length_by_h and height == "0"):
             return {"length": ""}
-        if "D" in said and not self._length_by_h:
+        radius_only = codes & {"41", "42"} and not (self.frame.length or self._held_length)
+        if "D" in said and not self._length_by_h and not radius_only:
             edge = self._name_of(said["D"])
             return {
                 "length": ""
@@ -203,6 +218,7 @@ class IsoTilt(IsoFrame):
             self._tilt(block, Plane(self._defined.origin_mm, self._defined.rotation, _CHOICES[choice]))
         elif "69" in codes:
             self._defined = None
+            self._check_unshifted()
             self.select(block, plane=None)
             return
         else:
@@ -217,6 +233,7 @@ class IsoTilt(IsoFrame):
         """
         texts = [part.strip() for part in arguments.strip()[1:-1].split(",")]
         if not any(texts):
+            self._check_unshifted()
             self.select(block, plane=None)
             return
         self._check_allowed(block)
@@ -250,7 +267,15 @@ class IsoTilt(IsoFrame):
         self._defined = None
         self.select(block, plane=plane)
 
+    def _check_unshifted(self) -> None:
+        """Raise `InputError` where the program has shifted or turned the coordinates: controls treat that differently."""
+        if self.frame.shift or self.frame.turn:
+            raise self.error(
+                "tilted plane while the coordinates are shifted or turned", "the shift ended before (TRANS, G52, G92.1)"
+            )
+
     def _check_allowed(self, block: IsoBlock) -> None:
+        self._check_unshifted()
         if self.tcp:
             raise self.error("tilted plane under tool centre point control", "tool centre point control off before it")
         if self.frame.plane is not None:

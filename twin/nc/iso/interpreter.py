@@ -7,11 +7,12 @@ from collections.abc import Callable, Mapping
 from typing import Any, Final, final
 
 from twin._common.errors import InputError
-from twin.nc.blocks import AxisWords, Move
+from twin.nc.blocks import AxisWords, Kind, Move
 from twin.nc.iso import vocabulary
-from twin.nc.iso.cycles import SINUMERIK
+from twin.nc.iso.cycles import PATTERNS, SINUMERIK
 from twin.nc.iso.frame import TOOL_CHANGE, IsoBlock, Item
 from twin.nc.iso.motion import CENTRE, INCH_CODES, SPINDLE_VECTOR, IsoMotion
+from twin.nc.iso.shifts import PROGRAMMED
 from twin.nc.modal import Block, Span
 from twin.nc.text import BLANK, BOM, number
 
@@ -24,12 +25,15 @@ _NO_MOTION: Final = frozenset("STDHFPQM")
 _new = tuple.__new__
 _WITHOUT_CYCLE: Final = frozenset({"still", "reference"})
 """Groups of G words whose block does not execute the drilling cycle in force; its words are theirs."""
+_RETURNS: Final = frozenset({"G28", "G30", "G30 P2", "G30 P3", "G30 P4", "G74"})
+"""Words of reference returns whose positions a machine file may name."""
 _SOME_WORDS: Final = "words whose effect is known"
 _MODES: Final[Mapping[str, tuple[str, Callable[[str], Any]]]] = {
     "motion": ("motion", int),
     "distance": ("incremental", lambda code: code == "91"),
     "feed": ("feed_mode", str),
     "plane": ("plane", int),
+    "radius": ("side", int),
     "units": ("inch", INCH_CODES.__contains__),
     "arc centre": ("absolute_centre", lambda code: code == "90.1"),
     "length": ("length_vector", lambda code: code == "43.5"),
@@ -72,6 +76,9 @@ class IsoInterpreter(IsoMotion):
         if stripped[0] == "$" and vocabulary.OKUMA_HEADER.fullmatch(stripped):
             self._okuma = True
             return None
+        if stripped[0] == "<" and vocabulary.PROGRAM_NAME.fullmatch(stripped):
+            self.control = "Fanuc"
+            return None
         self._block_text = stripped
         block = IsoBlock(text, begin)
         self._started = False
@@ -98,19 +105,20 @@ class IsoInterpreter(IsoMotion):
 
     def _state_to(self, block: IsoBlock) -> None:
         block.motion, block.inch, block.incremental = self.motion, self.inch, self.incremental
-        block.inverse_time = self.feed_mode == "93"
+        block.inverse_time, block.absolute_centre = self.feed_mode == "93", self.absolute_centre
 
     def _apply(self, block: IsoBlock) -> IsoBlock:
         if block.skip and not _changes_nothing(block):
             self.note("block skip: assumed to be executed", once=True)
         self._machine_axes(block)
         groups = self._g_words(block) if block.codes else frozenset()
-        if "plane tilt" in groups:
-            self.tilt_words(block)
+        if groups and self._frame_words(block, groups):
+            return block
         groups = self._with_probing(block, groups)
         drills = not groups & _WITHOUT_CYCLE and self.take_cycle_words(block)
         machine = self._names(block) if block.names else False
-        centre = [item for item in block.others if self._is_of_motion(block, item)]
+        own = "".join(vocabulary.OWN_WORDS.get(span.name, "") for span in block.codes)
+        centre = [item for item in block.others if item.name not in own and self._is_of_motion(block, item)]
         self._state_to(block)
         self.choose_tool(block, frozenset(block.m_words))
         if "still" in groups:
@@ -118,24 +126,55 @@ class IsoInterpreter(IsoMotion):
                 raise self.error("a dwell in a block that moves axes", "G4 in a block of its own")
             return block
         if "reference" in groups:
-            self.note(
-                "reference return or probing passed through uncompensated; its axis positions are unknown afterwards"
-            )
-            which = [self.index[item.name] for item in block.items]
-            self.check_plane(not which or max(which) >= self.linear)
-            self.mark_unknown(block, which or range(len(self.names)), moved=True)
+            self._reference(block)
             return block
         machine = machine or "machine" in groups
         for item in block.items:
             self.add(block, self.axis_word(item, machine=machine))
         if block.items or centre:
             self.move(block, centre, machine=machine)
-        elif self.cycle is not None and (drills or block.calls):
+        elif self.cycle is not None and (drills or block.calls or block.pattern):
             block.positions = False
             self.drill(block, self.cycle)
         if block.calls:
             self.cycle = None
         return block
+
+    def _frame_words(self, block: IsoBlock, groups: frozenset[str]) -> bool:
+        """Apply G words that tilt, shift or turn the coordinates; return whether the block does nothing else."""
+        if "plane tilt" in groups:
+            self.tilt_words(block)
+        if "shift" in groups:
+            self._state_to(block)
+            self.shift_words(block, groups)
+        return "shift" in groups
+
+    def _reference(self, block: IsoBlock) -> None:
+        """Apply a reference return, an approach of a fixed point, or probing, which passes through."""
+        which = [self.index[item.name] for item in block.items] or list(range(len(self.names)))
+        self.leave_contour()
+        self.check_plane(max(which) >= self.linear)
+        words = [
+            span.name for span in block.codes if vocabulary.GROUP_OF.get(span.name) == "reference" or block.approaches
+        ]
+        word = f"G{words[0]}" if words and not self._probes else ""
+        point = [self.value_of(item.value) for item in block.others if item.name == "P"]
+        word += f" P{point[0]:g}" if word == "G30" and point not in ([], [2.0]) else ""
+        if word == "G30.1":
+            self.references.pop("G30", None)
+        known = {} if self.unknown else self.references.get(word, {})
+        left = [axis for axis in which if self.names[axis] not in known]
+        if left:
+            self.note(
+                "reference return or probing passed through uncompensated; its axis positions are unknown afterwards"
+            )
+            self.mark_unknown(block, left, moved=True, reference=word if word in _RETURNS else "")
+        there = [axis for axis in which if axis not in left]
+        if there:
+            block.positions = False
+            position = self.placed({axis: known[self.names[axis]] for axis in there}, block)
+            bits = sum(1 << axis for axis in there)
+            block.moves += (Move(self._line, Kind.RAPID, self.tcp, position, self.named(bits), machine=True),)
 
     def _with_probing(self, block: IsoBlock, groups: frozenset[str]) -> frozenset[str]:
         """Return the groups of a block's G words, with that of G38 where it is in force: until a word of the motion group or G80."""
@@ -178,6 +217,7 @@ class IsoInterpreter(IsoMotion):
         if name == "O":
             if block.items or block.names:
                 raise self.error("control flow", vocabulary.NO_CALLS)
+            self.control = "Fanuc"
         elif name not in _NO_MOTION:
             if block.items or block.cycle_words:
                 what = "unknown word in a block that moves axes"
@@ -256,6 +296,8 @@ class IsoInterpreter(IsoMotion):
     def _hash(self, block: IsoBlock, match: re.Match[str]) -> None:
         self._started = True
         name = match.group(17)
+        if name[1] == "<":
+            self.control = "LinuxCNC"
         if name[1:].isdigit() and any(first <= int(name[1:]) <= last for first, last in vocabulary.OFFSET_VARIABLES):
             raise self.error("the program sets a work offset or a tool length", vocabulary.NO_TRANSFORMATION, name)
         self._assignments.append((name, self.value_of(match.group(18))))
@@ -331,6 +373,7 @@ class IsoInterpreter(IsoMotion):
             if group and seen.setdefault(group, code) != code:
                 raise self.error(f"two G words of one modal group ({group})", "one G word per group in a block")
             self._modal(block, span, group)
+            self.tell_control(code)
             self.switch_by(block, f"G{code}")
         return frozenset(seen)
 
@@ -364,6 +407,8 @@ class IsoInterpreter(IsoMotion):
         group = "reference" if block.approaches else vocabulary.GROUP_OF.get(code)
         if group is not None:
             return group
+        if code in vocabulary.ENDED_BY_P0 and [item.value for item in block.others if item.name == "P"] == ["0"]:
+            return ""
         if code in vocabulary.REFUSED_CODES:
             raise self.error(*vocabulary.REFUSED_CODES[code])
         if f"G{code}" in self.tcp_on | self.tcp_off | self.harmless:
@@ -388,14 +433,17 @@ class IsoInterpreter(IsoMotion):
             elif name == "CYCLE800":
                 self.swivel(block, arguments)
             elif name in vocabulary.TRANSFORMS:
-                if name not in vocabulary.CANCELLING or block.items or arguments.strip("() \t"):
+                alone = name in vocabulary.CANCELLING and not (block.items or block.others)
+                if (name in PROGRAMMED or alone) and not arguments.strip("() \t"):
+                    self.program_frame(block, name)
+                else:
                     rest = block.text[start:].split(";")[0].strip()
                     raise self.error(f"coordinate transformation {name}", vocabulary.NO_TRANSFORMATION, rest)
             elif name == "MCALL" or (place and names[place - 1].name == "MCALL"):
                 self.mcall(block, names[place], last=len(names) == place + 1)
             elif name in vocabulary.CURVES:
                 raise self.error(f"curve or rounding {name}", vocabulary.LINEAR)
-            elif name in SINUMERIK and len(names) == 1 and not block.items and self.cycle is None:
+            elif name in (SINUMERIK if self.cycle is None else PATTERNS) and len(names) == 1 and not block.items:
                 self.call_once(block, names[place])
             elif name not in vocabulary.PASSED and name not in self.harmless:
                 self._unknown_name(block, names[place], shown)
@@ -416,7 +464,8 @@ class IsoInterpreter(IsoMotion):
         """Apply an assignment that is not a word of the block; return whether it was one."""
         name, value = item.name, item.value
         shown = f"{name}={value}"
-        if len(name) == 1 or name in SPINDLE_VECTOR or name in ("CR", "TURN"):
+        turns = name == "RPL" and any(one.name in PROGRAMMED for one in block.names)
+        if len(name) == 1 or name in SPINDLE_VECTOR or name in ("CR", "TURN") or turns:
             return False
         if name[0] in "ABCD" and name[1:] in ("2", "6", "7"):
             raise self.error(f"tool orientation by {name}", "a tool vector A3= B3= C3=, or rotary axes", shown)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Final
 
 from twin._common.errors import InputError
@@ -10,17 +11,20 @@ from twin.nc.arcs import MOST_TURNS, PLANES, ArcMisfit, arc_by_centre, arc_by_ra
 from twin.nc.blocks import Arc, AxisWords, Kind, Move
 from twin.nc.iso import cycles, vocabulary
 from twin.nc.iso.cycles import Drilling, Stroke
-from twin.nc.iso.frame import IsoBlock, IsoTilt, Item
-from twin.nc.modal import AxisWord, Span
+from twin.nc.iso.frame import IsoBlock, Item
+from twin.nc.iso.shifts import IsoShift
+from twin.nc.modal import BESIDE, CORRECTION_DEG, AxisWord, Span
 from twin.nc.text import MM_PER_INCH, number
 
 INCH_CODES: Final = frozenset({"20", "70", "700"})
-CODES: Final = cycles.FANUC | cycles.FANUC_TAPPING
+CODES: Final = cycles.FANUC | cycles.FANUC_KEPT
 _MODAL: Final = frozenset("RQP")
 _REPEATS: Final = frozenset("LK")
+_DRILLING: Final = {17: 2, 18: 1, 19: 0}
+"""The linear axis that drills, by plane."""
 
 
-class IsoDrilling(IsoTilt):
+class IsoDrilling(IsoShift):
     """Drilling cycles: those of Fanuc and LinuxCNC, and calls of SINUMERIK by ``MCALL``.
 
     Attributes:
@@ -34,11 +38,19 @@ class IsoDrilling(IsoTilt):
     incremental = False
     cycle: Drilling | None = None
     code = ""
+    _cycle_plane = 17
     _motion_before: int | None = None
     _to_initial = True
     _level_stated = _level_given = False
+    _stated_incremental = False
     _initial = math.nan
-    _words = ""
+    _words = _feed = ""
+    _repeats = 1
+
+    @property
+    def drilling(self) -> int:
+        """The linear axis that drills in the plane in force."""
+        return _DRILLING[self.plane]
 
     def cycle_code(self, block: IsoBlock, span: Span, group: str) -> bool:
         """Apply a G word to the Fanuc cycle in force; return whether it begins one.
@@ -46,11 +58,11 @@ class IsoDrilling(IsoTilt):
         ``G80`` and the motion codes end a cycle; after ``G80`` the motion code before the cycle applies again.
         """
         code = span.name
-        if group == "units" and self.code and self.cycle is not None and self.inch != (code in INCH_CODES):
-            raise self._refused("another unit within a series", "G80 before the unit changes")
+        if group == "units" and self.cycle is not None and self.inch != (code in INCH_CODES):
+            raise self.error("another unit while a drilling cycle is in force", "G80 or MCALL before the unit changes")
         if code in CODES:
             if not self.code:
-                self._motion_before, self._initial = self.motion, self.position[2]
+                self._motion_before, self._initial = self.motion, math.nan
                 self._height: dict[str, float] = {}
                 self._dwell = ""
             self.code, self.motion = code, 0  # positions between holes are rapid
@@ -72,6 +84,7 @@ class IsoDrilling(IsoTilt):
             InputError: a value is missing, contradicts another, or depends on a mode that is not expanded.
         """
         level_stated, self._level_stated = self._level_stated, False
+        self._repeats = 1
         if not self.code:
             return False
         stated = bool(block.cycle_words)
@@ -81,256 +94,92 @@ class IsoDrilling(IsoTilt):
             if level_stated and self.cycle is not None:
                 self.cycle = self._cycle()
             return False
+        if not self._height:
+            self._initial, self._stated_incremental = self.position[self.drilling], self.incremental
         stated |= self._take_values(block)
-        if stated and self.code in cycles.FANUC_TAPPING:
-            self._thread_words(block)
+        if self.code in cycles.FANUC_KEPT:
+            self._kept_words(block, stated=stated)
+            stated |= block.feed is not None
+        self._check_increments()
         if stated or (level_stated and self.cycle is not None):
-            self.cycle = self._cycle()
-        return True
+            self.cycle, self._cycle_plane = self._cycle(), self.plane
+        return self._repeats > 0 or self._only_defines(block)
 
     def _take_values(self, block: IsoBlock) -> bool:
         """Move the values of the cycle from a block's words to the cycle; return whether there is one."""
-        unit = MM_PER_INCH if self.inch else 1.0
-        stated, kept = False, list[Item]()
+        unit, depth = MM_PER_INCH if self.inch else 1.0, self.names[self.drilling].upper()
+        own = _MODAL | set(cycles.FANUC_WORDS.get(self.code, ""))
+        found: dict[str, float] = {}
+        kept = list[Item]()
         for item in (*block.items, *block.others):
             if item.name in _REPEATS:
-                if self.value_of(item.value) != 1.0:
-                    raise self._refused("repeats", "one hole a block, without L or K", item.value)
-            elif item.name == "Z" or item.name in _MODAL:
+                self._repeats = self._number_of_holes(item)
+            elif item.name == depth or item.name in own:
                 value = self.known_value(item.name, item.value, "a number")
-                stated = True
-                self._height[item.name] = value * unit
+                found["Z" if item.name == depth else item.name] = value * unit
                 if item.name == "P":
                     self._dwell = item.value.strip()
             else:
                 kept.append(item)
                 continue
             block.cycle_words.append(Span(item.start, item.end, item.name))
+        self._set_heights(found)
         block.items = [item for item in kept if item.name in self.index]
         block.others = [item for item in kept if item.name not in self.index]
-        return stated
+        return bool(found)
 
-    @property
-    def _retract(self) -> float:
-        return self._initial if self._to_initial else self._height.get("R", math.nan)
+    def _number_of_holes(self, item: Item) -> int:
+        value = self.known_value(item.name, item.value, "a whole number")
+        if value != int(value) or not 0 <= value <= cycles.MOST_STROKES:
+            raise self._refused("repeats", f"a whole number of holes, up to {cycles.MOST_STROKES}", item.value)
+        return int(value)
 
-    def _thread_words(self, block: IsoBlock) -> None:
-        """Take over the words of a thread other than Z and R, which are written again with it."""
-        if not {"Z", "R"} <= {span.name for span in block.cycle_words}:
-            raise self._refused("thread", "Z and R in the block of the cycle")
-        others = [span for span in block.cycle_words if span.name not in (self.code, "Z", "R")]
-        words = [block.text[span.start : span.end].strip() for span in others]
-        feed = [] if block.feed is None else [f"F{block.text[block.feed.start : block.feed.end]}"]
-        self._words = " ".join([*words, *feed])
+    def _set_heights(self, found: dict[str, float]) -> None:
+        """Take over the values of a block: in G91, R counts from the initial level, and the depth from R."""
+        if "R" in found or "Z" in found:
+            if self.incremental and ("R" not in found or "Z" not in found):
+                raise self._refused("increments", "R and the depth in the same block with G91")
+            if self.incremental:
+                found["R"] += self._initial
+                found["Z"] += found["R"]
+            elif self._stated_incremental and self._height and ("R" not in found or "Z" not in found):
+                raise self._refused("increments", "R and the depth in the same block after G91")
+            self._stated_incremental = self.incremental
+        self._height |= found
 
-    def _cycle(self) -> Drilling:
-        if self.plane != 17 or self.incremental or self.tcp or self.vector is not None:
-            raise self._refused("cycle", "drilling along Z in G17, G90, without tool centre point control")
-        top = self._height.get("R", math.nan)
-        if self._initial != self._initial:
-            raise self._refused("position of Z unknown", "a position of Z before the cycle")
-        if self._initial < top - 1e-9:
-            raise self._refused("Z is below R", "Z at R or above before the cycle")
-        if not self._level_given:
-            self.note("drilling cycle without G98 or G99: G98 is assumed (retract to the initial level)", once=True)
-        if self.position[2] < max(top, self._retract) - 1e-9 and self.cycle is not None:
-            self.note(
-                "the tool goes to this hole at the height of the one before (Fanuc); LinuxCNC raises it first to the new R "
-                "or, after G98, to the initial level",
-                once=True,
-            )
-        try:
-            return cycles.of_fanuc(self.code, self._height, self._dwell, self._retract, self._words)
-        except ValueError as error:
-            raise self._refused("cycle", str(error)) from None
+    def _check_increments(self) -> None:
+        """Check that R and the depth mean the same on every control after G90 or G91.
 
-    def _refused(self, what: str, expected: str, value: object = None) -> InputError:
-        return self.error(f"canned cycle G{self.code}: {what}", f"{expected}; or {vocabulary.EXPANDED_CYCLE}", value)
-
-    def call(self, name: str, arguments: str) -> Drilling:
-        """Return the cycle that ``MCALL`` calls.
-
-        Args:
-            name: the cycle.
-            arguments: its argument list, with parentheses.
+        Fanuc and Haas take them over where they are stated; LinuxCNC reads the numbers again as increments or positions.
 
         Raises:
-            InputError: it is not expanded.
+            InputError: they do not, and nothing shows which control it is.
         """
-        shown = f"{name}{arguments}"
-        if self.plane != 17 or self.tcp:
-            expected = "drilling along Z in G17, without TRAORI"
-            raise self.error(f"canned cycle {name}", f"{expected}; or {vocabulary.EXPANDED_CYCLE}", shown)
-        try:
-            return cycles.of_sinumerik(name, arguments[1:-1], self.value_of, MM_PER_INCH if self.inch else 1.0)
-        except ValueError as error:
-            expected = f"{error}; or {vocabulary.EXPANDED_CYCLE}"
-            raise self.error(f"canned cycle {name}", expected, shown) from None
-
-    def call_once(self, block: IsoBlock, item: Item) -> None:
-        """Execute a cycle of SINUMERIK at the present position.
-
-        Raises:
-            InputError: it is not expanded.
-        """
-        block.cycle_word, block.calls = Span(item.start, len(block.text.rstrip("\r\n"))), True
-        self.cycle = self.call(item.name, item.value)
-
-    def mcall(self, block: IsoBlock, item: Item, *, last: bool) -> None:
-        """Apply ``MCALL`` or the cycle after it, the ``last`` statement of its block.
-
-        Raises:
-            InputError: it is not expanded.
-        """
-        if item.name == "MCALL":
-            block.cycle_word = Span(item.start, len(block.text.rstrip("\r\n")))
-            if last:
-                self.cycle = None
+        if self.incremental == self._stated_incremental:
             return
-        if not last:
-            raise self.error(f"canned cycle {item.name}", vocabulary.EXPANDED_CYCLE, block.text[item.start :].strip())
-        self.cycle = self.call(item.name, item.value)
-
-    @property
-    def steady(self) -> bool:
-        """Whether no cycle is in force, or one that is the same at every following place because it ends at the present height."""
-        if self.cycle is None:
-            return True
-        ends = [stroke.height for stroke in self.cycle.strokes if stroke.height == stroke.height]
-        same = bool(ends) and ends[-1] == self.position[2] and self.cycle.level != self.cycle.level
-        return same and self.plane == 17 and not self.tcp
-
-    def strokes(self) -> list[Stroke]:
-        """Return the strokes of the cycle from the present height, without those that do not move; only their blocks behind stay."""
-        height, strokes = self.position[2], list[Stroke]()
-        for stroke in () if self.cycle is None else self.cycle.strokes:
-            if stroke.height == stroke.height and (abs(stroke.height - height) > 1e-9 or height != height):
-                height = stroke.height
-                strokes.append(stroke)
-            elif stroke.after or stroke.thread is not None:
-                strokes.append(stroke._replace(height=math.nan))
-        return strokes
-
-    @property
-    def repeated(self) -> tuple[tuple[float, bool], ...] | None:  # type: ignore[override]
-        """See `Interpreter`."""
-        if self.cycle is None:
-            return None
-        return tuple(
-            (stroke.height, stroke.kind is Kind.RAPID) for stroke in self.strokes() if stroke.height == stroke.height
+        if self.control != "Fanuc":
+            expected = "R and the depth in the block after G90 or G91, or a program number (Fanuc, Haas: O1234)"
+            raise self._refused("heights stated before G90 or G91", expected)
+        self.note(
+            "G90 or G91 within a drilling cycle: R and the depth are those of the block that states them (Fanuc, Haas); LinuxCNC reads "
+            "their numbers again in the new mode",
+            once=True,
         )
 
-    def drill(self, block: IsoBlock, cycle: Drilling) -> None:
-        """Add the strokes of a cycle to the moves of a block, except those that do not move."""
-        if (
-            self.unknown
-            or self.plane != 17
-            or self.incremental
-            or self.tcp
-            or self.vector is not None
-            or block.end_m_words
-        ):
-            raise self.error("canned cycle", vocabulary.EXPANDED_CYCLE)
-        named = frozenset(self.names[2:3])
-        strokes = self.strokes()
-        for stroke in strokes:
-            if stroke.height == stroke.height:
-                self.position[2] = stroke.height
-                block.moves += (Move(self._line, stroke.kind, False, tuple(self.position), named),)
-        if cycle.level == cycle.level:
-            self.position[2] = cycle.level
-        block.drilling = Drilling(tuple(strokes), cycle.level)
-        self.drilled.append(range(self._line, self._line + 1))
-
-
-# --- Effects of ISO blocks on the axes: values of words, targets, arcs, tool vectors, machine coordinates
-
-CENTRE: Final = {"I": 0, "J": 1, "K": 2}
-SPINDLE_VECTOR: Final = {"A3": 0, "B3": 1, "C3": 2}
-_KINDS: Final = (Kind.RAPID, Kind.LINEAR, Kind.ARC, Kind.ARC)
-
-
-class IsoMotion(IsoDrilling):
-    """The modal state that determines the meaning of axis words, and its changes by blocks."""
-
-    def __init__(self, source: str, axes: AxisWords, *, tcp: bool) -> None:
-        on = vocabulary.TCP_ON | {vocabulary.canonical(word) for word in axes.tcp_on}
-        off = vocabulary.TCP_OFF | {vocabulary.canonical(word) for word in axes.tcp_off}
-        super().__init__(source, axes, tcp=tcp, tcp_on=on, tcp_off=off)
-        self.absolute_centre = False
-        self.feed_mode = "94"
-        self.length_vector = False
-
-    @property
-    def runs_allowed(self) -> bool:
-        """See `Interpreter.runs_allowed`: no pending work offset, incremental mode or tool vector, nor a cycle that changes."""
-        return self.steady and self.set_up and not self.incremental and self.vector is None
-
-    def move(self, block: IsoBlock, centre: list[Item], *, machine: bool) -> None:  # noqa: C901, PLR0912
-        """Add the moves of a block whose axis words are known.
-
-        Args:
-            centre: its words for a centre, a radius, full turns or a tool vector.
-            machine: whether its axis words are machine coordinates.
+    def _only_defines(self, block: IsoBlock) -> bool:
+        """Return False for a block with L0 or K0, which defines a cycle but drills nothing.
 
         Raises:
-            InputError: a word contradicts another word or the modal state.
+            InputError: it names another place: whether the tool goes there depends on the control.
         """
-        motion = self.motion
-        self.check_plane(block.axis_bits >> self.linear != 0)
-        if machine:
-            if centre or self.cycle is not None:
-                raise self.error("machine coordinates in an arc or a cycle", "a straight move")
-            kind = Kind.RAPID if motion == 0 else Kind.LINEAR
-            position = self.machine_position(block)
-            block.moves += (Move(self._line, kind, self.tcp, position, self.named(block.axis_bits), machine=True),)
-            return
-        kind = Kind.LINEAR if motion is None else _KINDS[motion]
-        if self.unknown:
-            if self.cycle is not None:
-                raise self.error(f"a cycle in force where {self.unknown}", "G80 or MCALL before")
-            block.moves += (self.unknown_move(kind, block.axis_bits),)
-            block.unknown_axes = tuple(range(len(self.names)))
-            return
-        start = self.position[: self.linear]
-        self.apply_words(block)
-        vector = self._vector(block, centre) if centre else None
-        arc: Arc | None = None
-        if motion is None:
-            self.note("axes move before any of G0, G1, G2, G3: assumed to be a linear move", once=True)
-        elif motion >= 2:
-            if vector is not None or (self.length_vector and self.tcp):
-                raise self.error("arc with a tool vector", vocabulary.LINEAR)
-            arc = self._arc(block, centre, start)
-        elif centre and vector is None:
-            first = centre[0]
-            shown = block.text[first.start : first.end]
-            raise self.error(f"{first.name} outside a circular block", "arcs with G2 or G3", shown)
-        self.use_set_up(kind)
-        if vector is not None:
-            self.set_tool_vector(block.axis_bits, vector)
-        elif block.axis_bits >> self.linear:
-            self.vector = None
-        if self.vector is not None:
-            block.vector_names = ("I", "J", "K") if self.length_vector else ("A3=", "B3=", "C3=")
-        named = self.named(block.axis_bits)
-        block.moves += (Move(self._line, kind, self.tcp, tuple(self.position), named, False, self.vector, None, arc),)
-        if self.cycle is not None:
-            self.drill(block, self.cycle)
-
-    def apply_words(self, block: IsoBlock) -> None:  # type: ignore[override]
-        """Set the position from the axis words, rotary axes the shortest way or in the given direction (``DC``, ``ACP``, ``ACN``)."""
-        turning = [word for word in block.words if word.form and word.form in vocabulary.DIRECTION_FORMS]
-        before = [self.position[word.axis] for word in turning]
-        super().apply_words(block)
-        for word, last in zip(turning, before, strict=True):
-            if last == last:
-                turn = (word.value - last) % 360.0
-                if (word.form == "ACN" and turn > 0.0) or (word.form == "DC" and turn > 180.0):
-                    turn -= 360.0
-                self.position[word.axis] = round(last + turn, 9)
-
-    # ------------------------------------------------------------------ words
+        for item in block.items:
+            word = self.axis_word(item, machine=False)
+            at = self.position[word.axis]
+            if (word.value if word.incremental else word.value - at) != 0.0:
+                raise self._refused("another place with L0 or K0", "the place in the next block", item.value)
+            block.cycle_words.append(Span(item.start, item.end, item.name))
+        block.items = []
+        return False
 
     def axis_word(self, item: Item, *, machine: bool) -> AxisWord:
         """Return an axis word with its value.
@@ -358,6 +207,339 @@ class IsoMotion(IsoDrilling):
             value *= MM_PER_INCH
         incremental = form == "IC" or (form == "" and self.incremental)
         return tuple.__new__(AxisWord, (axis, start, end, value_start, value_end, form, incremental, value))
+
+    @property
+    def _retract(self) -> float:
+        return self._initial if self._to_initial else self._height.get("R", math.nan)
+
+    def _kept_words(self, block: IsoBlock, *, stated: bool) -> None:
+        """Take over the words of a cycle left to the control other than depth and R, which are written again with it."""
+        if block.feed is not None:
+            self._feed = f"F{block.text[block.feed.start : block.feed.end]}"
+        if not stated:
+            return
+        depth = self.names[self.drilling].upper()
+        names = {span.name for span in block.cycle_words}
+        if not {depth, "R"} <= names:
+            what = "thread" if self.code in cycles.FANUC_TAPPING else "boring"
+            raise self._refused(what, f"{depth} and R in the block of the cycle")
+        if self.code == "76" and {"J", "K"} <= names:
+            raise self._refused("thread of LinuxCNC", vocabulary.LINEAR)
+        others = [span for span in block.cycle_words if span.name not in (self.code, depth, "R", *_REPEATS)]
+        self._words = " ".join(block.text[span.start : span.end].strip() for span in others)
+        self._feed = self._feed if block.feed is not None else ""
+
+    def _cycle(self) -> Drilling:
+        if self.vector is not None:
+            raise self._refused("cycle", "drilling with rotary axes in place of a tool vector")
+        top, at = self._height.get("R", math.nan), self.position[self.drilling]
+        axis = self.names[self.drilling]
+        if self.unknown:
+            raise self._refused(
+                f"in force where {self.unknown}", "the words named as harmless in the machine file, or G80 before"
+            )
+        if self._initial != self._initial and (self._to_initial or self.incremental):
+            raise self._refused(f"position of {axis} unknown", f"a position of {axis} before the cycle")
+        if self._to_initial and self._initial < top - 1e-9:
+            raise self._refused(f"{axis} is below R", f"{axis} at R or above before the cycle, or G99")
+        if not self._level_given:
+            self.note("drilling cycle without G98 or G99: G98 is assumed (retract to the initial level)", once=True)
+        if at < max(top, self._retract) - 1e-9 and (self.cycle is not None or at < top - 1e-9):
+            self.note(
+                "the tool goes to this hole at the height of the one before (Fanuc); LinuxCNC raises it first to the new R "
+                "or, after G98, to the initial level",
+                once=True,
+            )
+        if self.code in cycles.FANUC_KEPT:
+            self.note_kept(f"G{self.code}")
+        try:
+            return cycles.of_fanuc(
+                self.code, self._height, self._dwell, self._retract, (axis, f"{self._words} {self._feed}".strip())
+            )
+        except ValueError as error:
+            raise self._refused("cycle", str(error)) from None
+
+    def note_kept(self, name: str) -> None:
+        """Note that a cycle is left to the control."""
+        self.note(
+            f"{name} is left to the control: its place and its heights have the correction of the height at which it begins",
+            once=True,
+        )
+
+    def _refused(self, what: str, expected: str, value: object = None) -> InputError:
+        return self.error(f"canned cycle G{self.code}: {what}", f"{expected}; or {vocabulary.EXPANDED_CYCLE}", value)
+
+    def call(self, name: str, arguments: str) -> Drilling:
+        """Return the cycle that ``MCALL`` calls.
+
+        Args:
+            name: the cycle.
+            arguments: its argument list, with parentheses.
+
+        Raises:
+            InputError: it is not known.
+        """
+        shown = f"{name}{arguments}"
+        unit = MM_PER_INCH if self.inch else 1.0
+        try:
+            cycle = cycles.of_sinumerik(name, arguments[1:-1], self.value_of, unit)
+        except ValueError as error:
+            expected = f"{error}; or {vocabulary.EXPANDED_CYCLE}"
+            raise self.error(f"canned cycle {name}", expected, shown) from None
+        if cycle.level == cycle.level:
+            self.note_kept(name)
+        self._cycle_plane = self.plane
+        return cycle
+
+    def call_once(self, block: IsoBlock, item: Item) -> None:
+        """Execute a cycle of SINUMERIK at the present position, or the one in force at the places of a pattern.
+
+        Raises:
+            InputError: it is not known, or no cycle is in force.
+        """
+        self._check_one_control(item.name)
+        block.cycle_word = Span(item.start, len(block.text.rstrip("\r\n")))
+        if item.name not in cycles.PATTERNS:
+            block.calls, self.cycle = True, self.call(item.name, item.value)
+            return
+        try:
+            places = cycles.places_of(item.name, item.value[1:-1], self.value_of, MM_PER_INCH if self.inch else 1.0)
+        except ValueError as error:
+            raise self.error(f"pattern of holes {item.name}", str(error)) from None
+        a, b, _ = PLANES[self.plane]
+        block.pattern = [{a: u, b: v} for u, v in places]
+
+    def mcall(self, block: IsoBlock, item: Item, *, last: bool) -> None:
+        """Apply ``MCALL`` or the cycle after it, the ``last`` statement of its block.
+
+        Raises:
+            InputError: it is not known.
+        """
+        self._check_one_control(item.name)
+        if item.name == "MCALL":
+            block.cycle_word = Span(item.start, len(block.text.rstrip("\r\n")))
+            if last:
+                self.cycle = None
+            return
+        if not last:
+            raise self.error(f"canned cycle {item.name}", vocabulary.EXPANDED_CYCLE, block.text[item.start :].strip())
+        self.cycle = self.call(item.name, item.value)
+
+    def _check_one_control(self, name: str) -> None:
+        """Raise `InputError` for a cycle of SINUMERIK while one of Fanuc is in force."""
+        if self.code:
+            raise self.error(f"{name} while G{self.code} is in force", "cycles of one control, or G80 before it")
+
+    @property
+    def steady(self) -> bool:
+        """Whether no cycle is in force, or one that is the same at every following place because it ends at the present height."""
+        if self.cycle is None:
+            return True
+        ends = [stroke.height for stroke in self.cycle.strokes if stroke.height == stroke.height]
+        same = bool(ends) and ends[-1] == self.position[2] and self.cycle.level != self.cycle.level
+        return same and self.plane == self._cycle_plane == 17 and not self.tcp and not self._stated_incremental
+
+    def strokes(self) -> list[Stroke]:
+        """Return the strokes of the cycle from the present height, without those that do not move; only their blocks behind stay."""
+        height, strokes = self.position[self.drilling], list[Stroke]()
+        for stroke in () if self.cycle is None else self.cycle.strokes:
+            if stroke.height == stroke.height and (abs(stroke.height - height) > 1e-9 or height != height):
+                height = stroke.height
+                strokes.append(stroke)
+            elif stroke.after or stroke.kept is not None:
+                strokes.append(stroke._replace(height=math.nan))
+        return strokes
+
+    @property
+    def repeated(self) -> tuple[tuple[float, bool], ...] | None:  # type: ignore[override]
+        """See `Interpreter`."""
+        if self.cycle is None:
+            return None
+        return tuple(
+            (stroke.height, stroke.kind is Kind.RAPID) for stroke in self.strokes() if stroke.height == stroke.height
+        )
+
+    def drill(self, block: IsoBlock, cycle: Drilling) -> None:
+        """Add the strokes of a cycle to the moves of a block, except those that do not move, and the holes after the first one."""
+        if self.unknown or self.plane != self._cycle_plane or self.vector is not None or block.end_m_words:
+            raise self.error("canned cycle", vocabulary.EXPANDED_CYCLE)
+        turned = [
+            name
+            for name, value in zip(self.names[self.linear :], self.position[self.linear :], strict=True)
+            if name[0] != "C" and not abs(value) <= CORRECTION_DEG
+        ]
+        if self.tcp and turned:
+            what = f"canned cycle under tool centre point control with {turned[0]} turned"
+            raise self.error(what, f"{turned[0]}0 (the cycle drills along the program's axis), or a tilted plane")
+        if (block.pattern or self._repeats > 1) and any(value != value for value in self.position[: self.linear]):
+            raise self.error("several holes from an unknown position", "a position of every linear axis before them")
+        self.use_set_up(Kind.LINEAR)
+        increments = {word.axis: word.value for word in block.words if word.incremental}
+        done: list[Stroke] = []
+        block.repeats = self._repeats
+        for hole in range(len(block.pattern) or block.repeats):
+            if block.pattern:
+                self._go_to(block, done, block.pattern[hole])
+            elif hole:
+                self._go_to(block, done, {axis: self.position[axis] + value for axis, value in increments.items()})
+            done += self._strike(block)
+            if cycle.level == cycle.level:
+                self.position[self.drilling] = cycle.level
+        block.drilling, block.drilling_axis = Drilling(tuple(done), cycle.level), self.drilling
+        self.drilled.append(range(self._line, self._line + 1))
+
+    def _go_to(self, block: IsoBlock, done: list[Stroke], place: Mapping[int, float]) -> None:
+        """Add the positioning over the next hole to the moves and strokes of a block, if it moves."""
+        if all(abs(value - self.position[axis]) <= 1e-9 for axis, value in place.items()):
+            return
+        for axis, value in place.items():
+            self.position[axis] = value
+        kind = Kind.LINEAR if self.motion == 1 else Kind.RAPID
+        named = frozenset(self.names[axis] for axis in place)
+        block.moves += (Move(self._line, kind, self.tcp, tuple(self.position), named),)
+        done.append(Stroke(self.position[self.drilling], kind))
+
+    def _strike(self, block: IsoBlock) -> list[Stroke]:
+        """Add the strokes at one hole to the moves of a block and return them."""
+        named, strokes = frozenset(self.names[self.drilling : self.drilling + 1]), self.strokes()
+        for stroke in strokes:
+            if stroke.height == stroke.height:
+                self.position[self.drilling] = stroke.height
+                block.moves += (Move(self._line, stroke.kind, self.tcp, tuple(self.position), named),)
+        return strokes
+
+
+# --- Effects of ISO blocks on the axes: values of words, targets, arcs, tool vectors, machine coordinates
+
+CENTRE: Final = {"I": 0, "J": 1, "K": 2}
+SPINDLE_VECTOR: Final = {"A3": 0, "B3": 1, "C3": 2}
+_KINDS: Final = (Kind.RAPID, Kind.LINEAR, Kind.ARC, Kind.ARC)
+
+
+class IsoMotion(IsoDrilling):
+    """The modal state that determines the meaning of axis words, and its changes by blocks."""
+
+    def __init__(self, source: str, axes: AxisWords, *, tcp: bool) -> None:
+        on = vocabulary.TCP_ON | {vocabulary.canonical(word) for word in axes.tcp_on}
+        off = vocabulary.TCP_OFF | {vocabulary.canonical(word) for word in axes.tcp_off}
+        super().__init__(source, axes, tcp=tcp, tcp_on=on, tcp_off=off)
+        self.absolute_centre = False
+        self.side = 40
+        self._on_contour = False
+        self.feed_mode = "94"
+        self.length_vector = False
+
+    @property
+    def beside(self) -> bool:  # type: ignore[override]
+        """See `Interpreter`."""
+        return self.side != 40
+
+    @property
+    def runs_allowed(self) -> bool:
+        """See `Interpreter.runs_allowed`: no pending work offset, incremental mode or tool vector, nor a cycle that changes."""
+        plain = not (self.beside or self._on_contour or self.incremental)
+        return plain and self.steady and self.set_up and self.vector is None
+
+    def leave_contour(self) -> None:
+        """End cutter radius compensation at a reference return.
+
+        Raises:
+            InputError: it is still selected.
+        """
+        if self.beside:
+            raise self.error("reference return under cutter radius compensation", "G40 before it")
+        self._on_contour = False
+
+    def _compensated(self, block: IsoBlock, rotary: list[float]) -> bool:
+        """Return whether a block is under cutter radius compensation, or leads in or out; ``rotary``: the axes before it.
+
+        Raises:
+            InputError: it turns the tool, or a drilling cycle is in force.
+        """
+        compensated = self.beside or self._on_contour
+        if not compensated:
+            return False
+        here = self.position[self.linear :]
+        turns = any(not abs(a - b) <= CORRECTION_DEG for a, b in zip(here, rotary, strict=True) if a == a or b == b)
+        if self.tcp or self.vector is not None or turns or self.cycle is not None:
+            what = f"cutter radius compensation G{self.side} with a tool that turns, or in a cycle"
+            raise self.error(what, "the tool centre path from the CAM system (G40)")
+        self.note(BESIDE, once=True)
+        a, b, _ = PLANES[self.plane]
+        if block.axis_bits & (1 << a | 1 << b) or self.motion in (2, 3):
+            self._on_contour = self.beside
+        return True
+
+    def move(self, block: IsoBlock, centre: list[Item], *, machine: bool) -> None:  # noqa: C901, PLR0912
+        """Add the moves of a block whose axis words are known.
+
+        Args:
+            centre: its words for a centre, a radius, full turns or a tool vector.
+            machine: whether its axis words are machine coordinates.
+
+        Raises:
+            InputError: a word contradicts another word or the modal state.
+        """
+        motion = self.motion
+        self.check_plane(block.axis_bits >> self.linear != 0)
+        if machine:
+            if centre or self.cycle is not None:
+                raise self.error("machine coordinates in an arc or a cycle", "a straight move")
+            self.leave_contour()
+            kind = Kind.RAPID if motion == 0 else Kind.LINEAR
+            position = self.machine_position(block)
+            block.moves += (Move(self._line, kind, self.tcp, position, self.named(block.axis_bits), machine=True),)
+            return
+        kind = Kind.LINEAR if motion is None else _KINDS[motion]
+        if self.unknown:
+            if self.cycle is not None:
+                raise self.error(f"a cycle in force where {self.unknown}", "G80 or MCALL before")
+            block.moves += (self.unknown_move(kind, block.axis_bits),)
+            block.unknown_axes = tuple(range(len(self.names)))
+            return
+        if self.parks and kind is Kind.RAPID and self.cycle is None and not (centre or self.vector):
+            block.moves += (self.parking_move(block),)
+            return
+        start, rotary = self.position[: self.linear], self.position[self.linear :]
+        self.apply_words(block)
+        vector = self._vector(block, centre) if centre else None
+        arc: Arc | None = None
+        if motion is None:
+            self.note("axes move before any of G0, G1, G2, G3: assumed to be a linear move", once=True)
+        elif motion >= 2:
+            if vector is not None or (self.length_vector and self.tcp):
+                raise self.error("arc with a tool vector", vocabulary.LINEAR)
+            arc = self._arc(block, centre, start)
+        elif centre and vector is None:
+            first = centre[0]
+            shown = block.text[first.start : first.end]
+            raise self.error(f"{first.name} outside a circular block", "arcs with G2 or G3", shown)
+        self.use_set_up(kind)
+        if vector is not None:
+            self.set_tool_vector(block.axis_bits, vector)
+        elif block.axis_bits >> self.linear:
+            self.vector = None
+        if self.vector is not None:
+            block.vector_names = ("I", "J", "K") if self.length_vector else ("A3=", "B3=", "C3=")
+        named, whole = self.named(block.axis_bits), self._compensated(block, rotary)
+        move = Move(self._line, kind, self.tcp, tuple(self.position), named, False, self.vector, None, arc, "", whole)
+        block.moves += (move,)
+        if self.cycle is not None:
+            self.drill(block, self.cycle)
+
+    def apply_words(self, block: IsoBlock) -> None:  # type: ignore[override]
+        """Set the position from the axis words, rotary axes the shortest way or in the given direction (``DC``, ``ACP``, ``ACN``)."""
+        turning = [word for word in block.words if word.form and word.form in vocabulary.DIRECTION_FORMS]
+        before = [self.position[word.axis] for word in turning]
+        super().apply_words(block)
+        for word, last in zip(turning, before, strict=True):
+            if last == last:
+                turn = (word.value - last) % 360.0
+                if (word.form == "ACN" and turn > 0.0) or (word.form == "DC" and turn > 180.0):
+                    turn -= 360.0
+                self.position[word.axis] = round(last + turn, 9)
+
+    # ------------------------------------------------------------------ words
 
     def _vector(self, block: IsoBlock, centre: list[Item]) -> tuple[float, float, float] | None:
         by_length = self.length_vector and self.tcp and self.motion in (None, 0, 1)

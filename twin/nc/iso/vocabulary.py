@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 
 from twin.nc.text import line_pattern, number
 
 _STRING = r'"[^"\r\n]*+"'
 _ARGS = rf'\((?:[^()"\r\n]++|{_STRING}|\((?:[^()"\r\n]++|{_STRING}|\([^()"\r\n]*+\))*+\))*+\)'
-_BRACKET = r"\[(?:[^\[\]\r\n]++|\[(?:[^\[\]\r\n]++|\[[^\[\]\r\n]*+\])*+\])*+\]"
+BRACKET = r"\[[^\[\]\r\n]*+\]"
+for _ in range(6):
+    BRACKET = rf"\[(?:[^\[\]\r\n]++|{BRACKET})*+\]"
 _NUMBER = r"[\d.]++"
 _HASH = r"\#(?:\d++|<[^>\r\n]*+>)"
-_NAME = rf"\$?[A-Za-z_]\w*+(?:{_BRACKET})?+(?:{_ARGS})?+"
-_OPERAND = rf"[+-]?+[ \t]*+(?:{_NUMBER}|{_STRING}|{_NAME}|{_HASH}|{_BRACKET})"
+_NAME = rf"\$?[A-Za-z_]\w*+(?:{BRACKET})?+(?:{_ARGS})?+"
+_OPERAND = rf"[+-]?+[ \t]*+(?:{_NUMBER}|{_STRING}|{_NAME}|{_HASH}|{BRACKET})"
 _REST = r"(?:(?![A-Za-z][ \t]*+[+-]?[ \t]*+[\d.\#\[])[^()\r\n])*+"
 _INNER = rf"\([^()\r\n]*+(?:\([^()\r\n]*+\){_REST})*+\)"
 NOTE = rf"\([^()\r\n]*+(?:{_INNER}{_REST})*+\)"
@@ -26,9 +29,9 @@ TOKEN = re.compile(
     rf"""[ \t\f\x1a]*+(?:
       (?P<word>([A-Za-z])[ \t]*+([+-]?+[ \t]*+[\d.]++)(?![ \t]*+=))
     | (?P<note>{NOTE}|;[^\r\n]*+|[\r\n]++)
-    | (?P<given>([A-Za-z]\d*+|\$?[A-Za-z_][A-Za-z_]\w*+)({_BRACKET})?+[ \t]*+=(?!=)[ \t]*+({_FORMULA}))
-    | (?P<name>(\$?(?:[A-Za-z][A-Za-z_]|_)\w*+)({_BRACKET})?+(?:[ \t]*+({_ARGS}))?+)
-    | (?P<late>([A-Za-z])[ \t]*+([+-]?+[ \t]*+(?:{_HASH}|{_BRACKET})))
+    | (?P<given>([A-Za-z]\d*+|\$?[A-Za-z_][A-Za-z_]\w*+)({BRACKET})?+[ \t]*+=(?!=)[ \t]*+({_FORMULA}))
+    | (?P<name>(\$?(?:[A-Za-z][A-Za-z_]|_)\w*+)({BRACKET})?+(?:[ \t]*+({_ARGS}))?+)
+    | (?P<late>([A-Za-z])[ \t]*+([+-]?+[ \t]*+(?:{_HASH}|{BRACKET})))
     | (?P<hash>({_HASH})[ \t]*+=[ \t]*+({_EXPRESSION}))
     | (?P<skip>(?:/\d?+)++)
     | (?P<main>:\d*+)
@@ -46,14 +49,14 @@ ASSIGNED = re.compile(r"([A-Za-z_]\w*+)[ \t]*+=[ \t]*+([+-]?[\d.]++)", re.ASCII)
 
 # G codes by modal group. Two of one group in a block contradict each other; "" means no group.
 GROUPS: dict[str, tuple[str, ...]] = {
-    "motion": ("0", "1", "2", "3", "73", "74", "81", "82", "83", "84", "85", "89"),
+    "motion": ("0", "1", "2", "3", "73", "74", "76", "81", "82", "83", "84", "85", "86", "88", "89"),
     "plane": ("17", "18", "19"),
     "units": ("20", "21", "70", "71", "700", "710"),
     "distance": ("90", "91"),
     "arc centre": ("90.1", "91.1"),
     "feed": ("93", "94", "95"),
     "spindle": ("96", "97", "961", "962", "971", "972"),
-    "radius": ("40",),
+    "radius": ("40", "41", "42"),
     "length": ("43", "43.4", "43.5", "44", "49", "234"),
     "return": ("98", "99"),
     "offset": (
@@ -62,11 +65,31 @@ GROUPS: dict[str, tuple[str, ...]] = {
     ),
     "machine": ("53", "153"),
     "plane tilt": ("68.2", "53.1", "69"),
+    "shift": ("10", "52", "92", "92.1", "92.2", "92.3"),
     "still": ("4", "22", "23", "25", "26"),
     "reference": ("28", "30", "30.1", "75", "27", "31", "38", "38.2", "38.3", "38.4", "38.5"),
     "mode": ("61", "61.1", "62", "64", "60", "641", "642", "643", "644", "645"),
     "": (
-        *("5.1", "5", "8", "9", "13.1", "15", "50", "50.1", "67", "69.1", "80", "601", "602", "603"),
+        *(
+            "5.1",
+            "5.4",
+            "5",
+            "8",
+            "9",
+            "13.1",
+            "15",
+            "40.1",
+            "50",
+            "50.1",
+            "50.2",
+            "67",
+            "69.1",
+            "80",
+            "80.5",
+            "601",
+            "602",
+            "603",
+        ),
         *("103", "187", "450", "451", "460", "461", "462", "621", "340", "341"),
     ),
 }
@@ -87,13 +110,17 @@ NO_CALLS = "one program without jumps or calls"
 FLAGS: frozenset[str] = frozenset({"5.1", "8", "50", "50.1", "103", "187"})
 """G codes with which words of axes are no positions: they name the axes to smooth, or whose scaling or mirroring ends."""
 
+OWN_WORDS: Mapping[str, str] = {"5.1": "QR", "187": "PE"}
+"""Words that belong to a G code of smoothing in its block: mode and level, smoothness and tolerance."""
+ENDED_BY_P0: frozenset[str] = frozenset({"54.2", "54.4"})
+"""G codes of Fanuc and Mazak that shift coordinates by a table, and end that with P0."""
 OFFSET_VARIABLES = ((2001, 2999), (5161, 5400), (7001, 7960), (10001, 13999), (14001, 19988))
 """System variables that hold work offsets and tool lengths (LinuxCNC: 5161 to 5400)."""
 USER_VARIABLES = ((0, 999), (3000, 3012), (3901, 3902), (98000, 98499))
 """Variables without an effect of their own: local and common ones, messages, timers, counters of parts (Fanuc 30i, Haas, LinuxCNC)."""
 
 REFUSED_CODES: dict[str, tuple[str, str]] = {
-    **{code: (f"canned cycle G{code}", EXPANDED_CYCLE) for code in ("76", "84.2", "84.3", "86", "87", "88")},
+    **{code: (f"canned cycle G{code}", EXPANDED_CYCLE) for code in ("84.2", "84.3", "87")},
     **{
         code: (f"thread or tapping G{code}", LINEAR)
         for code in ("33", "33.1", "34", "35", "63", "331", "332", "32", "92.5")
@@ -106,13 +133,13 @@ REFUSED_CODES: dict[str, tuple[str, str]] = {
     **{
         code: (f"coordinate transformation G{code}", NO_TRANSFORMATION)
         for code in (
-            *("7", "7.1", "10", "10.6", "10.9", "11", "12.1", "16", "51", "51.1", "52", "54.2", "54.4"),
-            *("68", "68.1", "68.3", "68.4", "92", "92.1", "92.2", "92.3", "107", "110", "111", "112"),
+            *("7", "7.1", "10.6", "10.9", "11", "12.1", "16", "51", "51.1", "54.2", "54.4"),
+            *("68", "68.1", "68.3", "68.4", "107", "110", "111", "112"),
         )
     },
     **{
         code: (f"cutter radius compensation G{code}", "the tool centre path from the CAM system (G40)")
-        for code in ("41", "41.1", "41.2", "42", "42.1", "42.2", "43.2", "43.3")
+        for code in ("41.1", "41.2", "42.1", "42.2", "43.2", "43.3")
     },
     **{
         code: (f"tool centre point control of Okuma (G{code})", "G43.4 or G43.5, or axis positions without it")
@@ -127,9 +154,12 @@ REFUSED_CODES: dict[str, tuple[str, str]] = {
 OKUMA_HEADER = re.compile(r"\$[^=%\s]++%", re.ASCII)
 """The first line of a program of Okuma: its file name."""
 NOT_OF_OKUMA: frozenset[str] = frozenset(
-    {*(str(code) for code in range(53, 60)), *(str(code) for code in range(71, 90)), "98", "99"} - {"80"}
+    {*(str(code) for code in range(53, 60)), *(str(code) for code in range(71, 90)), "98", "99", *GROUPS["shift"]}
+    - {"80"}
 )
-"""G codes that have another meaning on an OSP: tool length offsets and their end, return levels, cycles with levels of their own."""
+"""G codes that have another meaning on an OSP: tool length offsets and their end, return levels, shifts, cycles with own levels."""
+PROGRAM_NAME = re.compile(r"<[\w.+-]++>[ \t]*+(?:\([^()]*+\))?+", re.ASCII)
+"""A line with the name of a program, of Fanuc and Mazak, in place of its number."""
 OKUMA_OFFSET = (
     "work offset of Okuma (G15 H)",
     "work offsets G54 to G59; other words of Okuma, too, have meanings of their own",

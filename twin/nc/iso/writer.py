@@ -3,22 +3,25 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping
 from typing import Final, final
 
 from twin._common.errors import InputError
-from twin.nc.blocks import AxisWords, Kind, Rewrite
+from twin.nc.blocks import AxisWords, Kind, Move, Rewrite
 from twin.nc.dialect import as_comment
-from twin.nc.iso.cycles import Drilling, Thread
+from twin.nc.iso.cycles import Drilling, Kept
 from twin.nc.iso.frame import IsoBlock
 from twin.nc.iso.vocabulary import DIRECTION_FORMS
 from twin.nc.modal import AxisWord, Span
-from twin.nc.text import Style, apply_edits, ending, format_number, number, style_of
-from twin.nc.writer import Edit, Segments, WordWriter, drop, vector_texts
+from twin.nc.text import MM_PER_INCH, Style, apply_edits, ending, format_number, number, style_of
+from twin.nc.writer import SAME_NUMBER, Edit, Segments, WordWriter, drop, length_text, vector_texts
 
 VECTOR_DECIMALS: Final = 7
 CODE: Final = {Kind.RAPID: 0, Kind.LINEAR: 1, Kind.ARC: 1}
 """Motion code of a rewritten move."""
+_ARC_HEAD: Final = re.compile(r"[A-Za-z]+[ \t]*=?[ \t]*(?:(?P<form>[AaIi][Cc])[ \t]*\([ \t]*)?")
+"""The text of a centre or radius before its number."""
 
 
 @final
@@ -71,6 +74,9 @@ class IsoWriter(WordWriter[IsoBlock]):
             self.said.mark_unknown(block.unknown_axes)
             if block.tcp_switched:
                 self._vector_text = None
+        declared = self._declared(block)
+        if block.reframed is not None:
+            self.said.reframe(*block.reframed)
         moves = block.moves
         if line in self.rigid_lines:
             return self._take_rigid(block)
@@ -81,14 +87,40 @@ class IsoWriter(WordWriter[IsoBlock]):
         elif moves and block.positions:
             text = self._unchanged_block(block)
         else:
-            text = block.text
+            text = apply_edits(block.text, declared)
             if block.motion_word is not None:
                 self.motion = block.motion
             if block.cycle_word is not None and self.expand_cycles:
                 at = block.cycle_word.start
                 text = f"{text[:at]};{text[at:]}"
+            if block.cycle_words and self.expand_cycles and block.drilling is None:
+                text = self._without_cycle(block, text)
         self._mark_stale(block)
         return text if block.drilling is None else self._drilled(block, block.drilling, segments or {}, text)
+
+    def _declared(self, block: IsoBlock) -> list[Edit]:
+        """Return the edits by which words declare the output's present position, so that the coordinates are those of the program.
+
+        Raises:
+            InputError: the output's position is unknown.
+        """
+        edits: list[Edit] = []
+        for word, at in block.declared:
+            said = self.said.value[word.axis]
+            if said != said:
+                name = self.names[word.axis]
+                raise InputError(
+                    f"the present position of {name} is declared anew, but unknown in the output",
+                    expected=f"a move to a position of {name} before it",
+                    file=self.source,
+                    line=self._line + 1,
+                    value=block.text.strip(),
+                )
+            if abs(said - at) > SAME_NUMBER:
+                unit = MM_PER_INCH if block.inch and word.axis < self.linear else 1.0
+                text = format_number((word.value + said - at) / unit, 9, self.style)
+                edits.append((word.value_start, word.value_end, text))
+        return edits
 
     def _follow_codes(self, block: IsoBlock) -> None:
         """Take over the effect of G words on the motion code in force and on rigid tapping."""
@@ -126,11 +158,21 @@ class IsoWriter(WordWriter[IsoBlock]):
         if self.expand_cycles:
             text = self._without_cycle(block, text)
             text += self._strokes(block, drilling, segments, text)
-        elif block.moves:
-            self.said.record(2, block.moves[-1].position[2], False)
-        if drilling.level == drilling.level:
-            self.said.record(2, drilling.level, False)
+        else:
+            self._record_holes(block, drilling)
         return text
+
+    def _record_holes(self, block: IsoBlock, drilling: Drilling) -> None:
+        """Record where a block that drills and is not changed ends."""
+        last = block.moves[-1].position if block.moves else ()
+        height = drilling.level if drilling.level == drilling.level or not last else last[block.drilling_axis]
+        if height == height:
+            self.said.record(block.drilling_axis, height, False)
+        for axis, value in (block.pattern[-1] if block.pattern else {}).items():
+            self.said.record(axis, value, False)
+        for word in block.words if block.repeats > 1 else ():
+            if word.incremental:
+                self.said.record(word.axis, (block.repeats - 1) * word.value, True)
 
     def _mark_stale(self, block: IsoBlock) -> None:
         """Mark everything as uncertain after a block that the operator can skip."""
@@ -159,7 +201,7 @@ class IsoWriter(WordWriter[IsoBlock]):
         """Return the positioning of a block that states a cycle, with the original block in a comment before it."""
         if not block.cycle_words:
             return text
-        if not block.positions:
+        if not block.positions or block.drilling is None:
             edits: list[Edit] = []
             drop(block, block.cycle_words, edits)
             text = apply_edits(text, edits)
@@ -182,23 +224,28 @@ class IsoWriter(WordWriter[IsoBlock]):
                     if words:
                         out.append(block.skip + " ".join([*words, *([stroke.feed] if stroke.feed else [])]) + end)
                 place += 1
-            if stroke.thread is not None:
-                rigid = [self._rigid] if self._rigid else []
-                out += [f"{block.skip}{text}{end}" for text in (*rigid, self._tapped(block, stroke.thread))]
+            if stroke.kept is not None:
+                rigid = [self._rigid] if self._rigid and stroke.kept.thread else []
+                out += [f"{block.skip}{text}{end}" for text in (*rigid, self._own(block, drilling, stroke.kept))]
             if stroke.after:
                 out.append(block.skip + stroke.after + end)
-        if drilling.level == drilling.level:
-            self.motion = None  # the control's own cycle is in force
         self._mark_stale(block)
         return "".join(out)
 
-    def _tapped(self, block: IsoBlock, thread: Thread) -> str:
-        """Return the block that taps a thread from the height reached and back to it, with its depth corrected alike."""
-        reached = self.said.value[2]
-        depth = self.said.number_for(2, thread.depth + reached - thread.top, block.inch, False, self.style)
-        top = self.said.number_for(2, reached, block.inch, False, self.style)
+    def _own(self, block: IsoBlock, drilling: Drilling, kept: Kept) -> str:
+        """Return the control's own cycle at the height reached, its heights shifted by the correction there."""
+        axis = block.drilling_axis
+        reached = self.said.value[axis]
+        parts = kept.parts if kept.relative is None or not block.incremental else kept.relative
+        shift = reached - kept.top if parts is kept.parts else 0.0
+        texts = [
+            part if isinstance(part, str) else self.said.number_for(axis, part + shift, block.inch, False, self.style)
+            for part in parts
+        ]
+        ends = reached if drilling.level != drilling.level else drilling.level + shift
+        self.said.record(axis, ends, False)
         self.motion = None  # the control's own cycle is in force
-        return " ".join(["G99", f"G{thread.code}", f"Z{depth}", f"R{top}", *([thread.words] if thread.words else [])])
+        return "".join(texts)
 
     # ------------------------------------------------------------------ one block
 
@@ -220,6 +267,8 @@ class IsoWriter(WordWriter[IsoBlock]):
         if self.expand_cycles:
             drop(block, block.cycle_words, edits)
         code = CODE[rewrite.move.kind] if block.motion is not None else None
+        if rewrite.move.arc is not None and rewrite.move.whole:
+            code = block.motion
         before, self.motion = self.motion, self.motion if code is None else code
         span = block.motion_word
         if span is not None:
@@ -230,6 +279,42 @@ class IsoWriter(WordWriter[IsoBlock]):
                 edits += ((one.end - 1, one.end, str(code)) for one in repeated or [span])
             return ""
         return "" if code is None or before == code else self.g(code)
+
+    def _bent(self, block: IsoBlock, move: Move, start: list[float], end: list[float], edits: list[Edit]) -> list[str]:
+        a, b, _ = move.arc.plane  # type: ignore[union-attr]  # asked for arcs only
+        centre = dict(zip((a, b), self._new_centre(block, move, start, end), strict=True))
+        by_radius = any(span.name in ("R", "CR") for span in block.arc_words)
+        written: set[int] = set()
+        for span in block.arc_words:
+            head = _ARC_HEAD.match(block.text, span.start, span.end)
+            if head is None or span.name in ("P", "TURN"):
+                continue
+            if by_radius:
+                radius = math.hypot(start[a] - centre[a], start[b] - centre[b])
+                value = math.copysign(radius, self._sign(move))
+            else:
+                axis = "IJK".index(span.name)
+                written.add(axis)
+                absolute = head["form"].upper() == "AC" if head["form"] else block.absolute_centre
+                value = centre[axis] - (0.0 if absolute else start[axis])
+            number = self._length(value, block, a, up=by_radius)
+            edits.append((span.start, span.end, f"{head[0]}{number}{')' if head['form'] else ''}"))
+        if by_radius:
+            return []
+        missing = [axis for axis in (a, b) if axis not in written]
+        words = [(axis, centre[axis] - (0.0 if block.absolute_centre else start[axis])) for axis in missing]
+        texts = [("ijk" if self.lower else "IJK")[axis] + self._length(value, block, a) for axis, value in words]
+        return [
+            text for text, (_, value) in zip(texts, words, strict=True) if block.absolute_centre or abs(value) > 1e-9
+        ]
+
+    def _sign(self, move: Move) -> float:
+        """Return the sign of a radius as written: negative for more than half a circle."""
+        return -1.0 if abs(move.arc.angle_rad) > math.pi + 1e-9 else 1.0  # type: ignore[union-attr]
+
+    def _length(self, value: float, block: IsoBlock, axis: int, *, up: bool = False) -> str:
+        """Return a length in the format of the program, rounded to the increment of an axis, ``up`` away from zero."""
+        return length_text(value, float(self.grids.step[axis]), block.inch, self.style, up=up)
 
     def _insert(self, block: IsoBlock, begin: str, added: list[str], tool: list[str], edits: list[Edit]) -> str:
         text, separator = block.text, self.separator

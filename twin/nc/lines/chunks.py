@@ -256,6 +256,12 @@ def _with_repeated(
     return line, position, named, rapid
 
 
+def replaces_some(lines: Sequence[range], moves: MoveColumns, new: NewPositions) -> bool:
+    """Return whether a move of these ranges of lines is replaced."""
+    at = np.searchsorted(moves.line, [(part.start, part.stop) for part in lines])
+    return any(bool(new.count[first:last].any()) for first, last in at.tolist())
+
+
 class SimpleRun(NamedTuple):
     """Simple lines that are written together.
 

@@ -1,0 +1,140 @@
+"""Paths about the pole and radius compensation in plain language. Truth: end points, sweeps and centres computed by hand."""
+
+from __future__ import annotations
+
+import math
+import re
+
+import numpy as np
+import pytest
+
+from tests.model.errors import random_calibration
+from tests.nc.nc_support import AXES
+from twin._common.errors import InputError
+from twin.compensation import Compensation, Compensator
+from twin.machine.machine import Machine
+from twin.model.calibration import Calibration
+from twin.nc import DIALECTS
+from twin.nc.blocks import Move
+
+PLAIN = DIALECTS[1]
+START = "0 BEGIN PGM A MM\n1 TOOL CALL 5 Z S5000\n2 L X+250 Y+200 Z-100 B+0 C+0 R0 FMAX M3\n"
+POLE = "3 CC X+260 Y+200\n"
+END = "90 L Z-90 R0 FMAX\n91 END PGM A MM\n"
+POLAR = {
+    # name: (blocks behind the pole, end points, sweep of the last one in degrees or None)
+    "radius and angle": ("4 LP PR+20 PA+0 F500\n5 LP PA+90\n", [(280, 200), (260, 220)], None),
+    "increments": ("4 LP PR+20 PA+0 F500\n5 LP IPR+10 IPA+90 FMAX\n", [(280, 200), (260, 230)], None),
+    "from a position": ("4 L X+260 Y+210 F500\n5 LP IPA-90\n", [(260, 210), (270, 200)], None),
+    "an arc": ("4 LP PR+20 PA+0 F500\n5 CP PA+270 DR-\n", [(280, 200), (260, 180)], -90),
+    "an arc the long way": ("4 LP PR+20 PA+0 F500\n5 CP PA+270 DR+\n", [(280, 200), (260, 180)], 270),
+    "an arc by increments": ("4 LP PR+20 PA+0 F500\n5 CP IPA-90 DR-\n", [(280, 200), (260, 180)], -90),
+    "a helix of turns": ("4 LP PR+20 PA+0 F500\n5 CP IPA+810 IZ-5 DR+\n", [(280, 200), (260, 220)], 810),
+    "a circle": ("4 LP PR+20 PA+0 F500\n5 CP IPA+360 DR+\n", [(280, 200), (280, 200)], 360),
+    "parameters": ("4 Q1 = 20\n5 LP PR+Q1 PA+90 F500\n", [(260, 220)], None),
+}
+CONTOUR = (
+    "9 L X+270 Y+200 RL F200\n10 L Y+220\n11 CC X+280 Y+220\n12 C X+280 Y+230 DR-\n13 CR X+290 Y+220 R+10 DR-\n14 L Y+200\n"
+    "15 L X+250 R0 FMAX\n"
+)
+
+
+@pytest.fixture(scope="module")
+def errors(dmu50: Machine) -> Calibration:
+    return random_calibration(dmu50, np.random.default_rng(5), size=120.0)
+
+
+def compensated(text: str, machine: Machine, errors: Calibration) -> Compensation:
+    return Compensator(machine, errors).compensate(PLAIN.read(text.encode(), "part.h"), PLAIN)
+
+
+def moves_of(text: str) -> list[Move]:
+    return list(PLAIN.moves(PLAIN.read(text.encode(), "part"), AXES, tcp=False).moves)
+
+
+@pytest.mark.parametrize("name", POLAR)
+def test_end_points_about_the_pole(name: str) -> None:
+    text, ends, sweep = POLAR[name]
+    moves = moves_of(START + POLE + text)[1:]
+    assert np.array([move.position[:2] for move in moves]) == pytest.approx(np.array(ends, dtype=float))
+    arc = moves[-1].arc
+    assert (None if arc is None else math.degrees(arc.angle_rad)) == (None if sweep is None else pytest.approx(sweep))
+    assert moves[-1].position[2] == (-105.0 if "IZ" in text else -100.0)
+
+
+@pytest.mark.parametrize("name", POLAR)
+def test_they_become_straight_blocks_at_the_corrected_points(dmu50: Machine, errors: Calibration, name: str) -> None:
+    result = compensated(START + POLE + POLAR[name][0] + END, dmu50, errors)
+    assert not re.search(r"\b(LP|CP|I?PA|I?PR)", re.sub(";.*", "", result.text))
+    again = np.array([move.position for move in moves_of(result.text)])
+    ends = [again[np.argmin(np.abs(again - q).sum(axis=1))] for q in result.commands]
+    assert np.array(ends) == pytest.approx(result.commands, abs=2e-3)
+    assert again[-1] == pytest.approx(result.commands[-1], abs=1e-6)
+
+
+@pytest.mark.parametrize("text", [*(POLE + text for text, _, _ in POLAR.values()), CONTOUR])
+def test_without_corrections_every_byte_stays(dmu50: Machine, text: str) -> None:
+    assert compensated(START + text + END, dmu50, Calibration.zero(dmu50)).text == START + text + END
+
+
+def test_a_contour_with_radius_compensation_keeps_its_arcs(dmu50: Machine, errors: Calibration) -> None:
+    """Compare with the original: one block each, RL and R0 where they stood, new poles equally far from both ends of the arc."""
+    result = compensated(START + CONTOUR + END, dmu50, errors)
+    lines = [re.sub(r"^\d+ ", "", line) for line in result.text.splitlines()]
+    assert [line.split()[0] for line in lines if line[0] in "LC"] == [
+        "L",
+        "L",
+        "L",
+        "CC",
+        "CC",
+        "C",
+        "CR",
+        "L",
+        "L",
+        "L",
+    ]
+    assert sum("RL" in line for line in lines) == 1 and len(result.commands) == len(result.reading.moves)
+    ends = np.array([move.position for move in moves_of(result.text)])
+    assert ends == pytest.approx(result.commands, abs=1e-6)
+    pole = [line for line in lines if line.startswith("CC")][-1]
+    x, y = (float(value) for value in re.findall(r"[XY]([-+.\d]+)", pole))
+    start, end = ends[2, :2], ends[3, :2]
+    assert math.dist((x, y), start) == pytest.approx(math.dist((x, y), end), abs=0.002)
+    assert (x - 280, y - 220) == pytest.approx(0.5 * (start + end - (270, 220) - (280, 230)), abs=0.003)
+    radius = float(re.findall(r" R([-+.\d]+)", next(line for line in lines if line.startswith("CR")))[0])
+    assert radius == pytest.approx(10.0, abs=0.01)
+    numbers = [int(number) for number in re.findall(r"(?m)^(\d+) ", result.text)]
+    assert numbers == list(range(len(numbers)))
+
+
+def test_a_block_across_the_plane_neither_leads_in_nor_out() -> None:
+    moves = moves_of(START + "4 L X+270 RL F200\n5 L Z-105\n6 L Y+210\n7 L R0\n8 L Z-100\n9 L X+250\n10 L Y+200\n")
+    assert [move.whole for move in moves] == [False, True, True, True, True, True, False]
+
+
+REFUSED = {
+    "no pole": ("4 LP PR+20 PA+0\n", "without a pole"),
+    "a helix of another sense": (POLE + "4 LP PR+20 PA+0 F500\n5 CP IPA+90 DR-\n", "sign of DR"),
+    "no sense": (POLE + "4 LP PR+20 PA+0 F500\n5 CP IPA+90\n", "DR"),
+    "an arc by its radius": (POLE + "4 CP PR+20 PA+0 DR+\n", "PA or IPA"),
+    "from the pole itself": (POLE + "4 L X+260 F500\n5 LP IPA+26\n", "from the pole itself"),
+    "an angle of a line": ("4 L PA+20\n", "unknown word"),
+    "X in a polar block": (POLE + "4 LP PR+20 X+5\n", "without axis words"),
+    "CP beside a contour": (POLE + "4 LP PR+20 PA+0 RL F500\n5 CP IPA+90 DR+\n", "CC and C"),
+    "a turn beside a contour": ("4 L X+270 RL F200\n5 L C+20\n", "tool that turns"),
+    "machine coordinates": ("4 L X+270 RL F200\n5 L Z+0 M91\n", "R0 before"),
+    "one axis": ("4 X+270 R+ F200\n", "radius compensation"),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_what_is_refused(name: str) -> None:
+    text, words = REFUSED[name]
+    with pytest.raises(InputError, match=words):
+        moves_of(START + text)
+
+
+@pytest.mark.parametrize("text", ["L X+5 Y+6 R F MAX M", "L X+5 Y+6 R F M\n", "L X+5 Y+6 F100 M"])
+def test_words_without_a_value_of_older_controls(text: str) -> None:
+    (move,) = moves_of(f"{START}{text}\n")[1:]
+    assert move.position[:2] == (5.0, 6.0)
