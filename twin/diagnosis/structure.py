@@ -204,6 +204,8 @@ def _replaces(other: Structure, forms: Sequence[Form]) -> bool:
     return (
         likelihood is not None
         and len(other.pattern_tests) == 1
+        # A function of an axis and its approach direction is a reversal with an error of position: two errors of any axis.
+        and not any(channel.direction for channel in other.pattern_tests[0].pattern.channels)
         and len(other.forms) <= len(forms) - PARTS_PER_PATTERN
         and all(likelihood.can_imitate(form)[0] for form in forms if form.key not in kept)
     )
