@@ -243,16 +243,13 @@ def nominal_carriers(machine: Machine, data: Measurements) -> CarriedTargets:
 def turned_about_the_axis(
     machine: Machine, data: Measurements, setup: StationsAndTargets, angles: Sequence[float]
 ) -> list[StationsAndTargets]:
-    """Return the set-up turned by some angles, rad, about the only axis that moved; none if several moved or a place is known.
+    """Return the set-up turned by some angles, rad, about the only axis that moved, a rotary one; else, or if a place is known, none.
 
     On a nominal machine, stations and targets turned together about that axis give the same readings, so that the nominal machine
     cannot tell where they are; only the axis's error motions can.
     """
-    if (
-        np.count_nonzero(np.ptp(data.positions, axis=0) > 0.0) != 1
-        or setup.station_known.any()
-        or setup.target_known.any()
-    ):
+    moved = np.flatnonzero(np.ptp(data.positions, axis=0) > 0.0)
+    if len(moved) != 1 or machine.axes[moved[0]].linear or setup.station_known.any() or setup.target_known.any():
         return []
     carried = nominal_carriers(machine, data)
     first = [int(np.flatnonzero(data.target == name)[0]) for name in setup.targets]
