@@ -361,22 +361,19 @@ def between_positions(candidates: Candidates, forms: Sequence[Form], form: Form)
     if periods:
         other = listed([f"{period:.3g}" for period in periods])
         return f"; other periods ({other} mm) fit equally well at these positions, so the error between them is unknown"
-    orders = equal_orders(candidates, forms, form)
-    if orders and _turns_beyond(candidates, form):
-        return f"; beyond the measured arc the error is unknown, because other orders ({listed(orders)}) fit equally well on it"
     if not predicts_held_out(candidates, form, forms):
         return "; a curve through these positions does not predict held-out ones, so the error between them is unknown"
     return ""
 
 
-def equal_orders(candidates: Candidates, forms: Sequence[Form], form: Form) -> list[str]:
-    """Return the other orders at which a function that repeats with the turn of an axis fits the readings equally well.
+def equal_orders(candidates: Candidates, forms: Sequence[Form], form: Form) -> str:
+    """Return the other orders at which a function that repeats with the turn of an axis fits equally well, in words; empty if none.
 
     On a part of a turn these are the neighbours: it does not show more than a smooth function of the angle.
     """
     specification = form.candidate.specification
     if specification.period or not specification.drawing.period(form.variant.fixed):
-        return []
+        return ""
     tried = [other for other in candidates.forms if other.key == form.key and other is not form]
     others = [other for other in forms if other is not form]
     explained = candidates.scores(others, [other.index for other in (form, *tried)])[:, 0]
@@ -385,7 +382,10 @@ def equal_orders(candidates: Candidates, forms: Sequence[Form], form: Form) -> l
         for other, value in zip(tried, explained[1:], strict=True)
         if value > explained[0] - ALIAS_CHI2
     ]
-    return [f"{order:g}" for order in sorted(orders)]
+    if not orders:
+        return ""
+    beyond = ": beyond the measured arc the error is unknown" if _turns_beyond(candidates, form) else ""
+    return f"; orders {listed([f'{order:g}' for order in sorted(orders)])} fit equally well at these angles{beyond}"
 
 
 def _turns_beyond(candidates: Candidates, form: Form) -> bool:

@@ -41,7 +41,6 @@ from twin.diagnosis.result import Cause, Quantity, readable_unit
 from twin.diagnosis.search import LIMIT_SIGMA, TOO_LARGE
 from twin.diagnosis.second_opinion import Comparison, compare_with_search, second_opinion
 from twin.diagnosis.structure import Findings
-from twin.display.numbers import listed
 from twin.identification.discrepancy import Discrepancy
 from twin.identification.network import Network
 from twin.machine.machine import Machine
@@ -289,10 +288,7 @@ def _cause(sized: SizedCauses, k: int, calibration: Calibration) -> Cause:
     text = evidence(form, sized.estimate, k) + curve_flaw(candidates, sized.forms, form, calibration)
     if form.candidate.specification in (PAYLOAD, CARRIED_LOAD) and form.variant.fixed:
         text += f"; the readings do not determine its centre of mass: the most likely one within ±{CENTRE_RANGE_MM:g} mm is taken"
-    orders = equal_orders(candidates, sized.forms, form)
-    if orders and not doubt:
-        text += f"; orders {listed(orders)} fit equally well at these angles"
-    text += doubt
+    text += equal_orders(candidates, sized.forms, form) + doubt
     groups = () if findings.structure.pattern_tests else together(candidates, form, others)
     equal = tuple(dict.fromkeys([*equivalent(findings, form_beside, others_beside), *chain.from_iterable(groups)]))
     why = reversal_doubt(network.data, network.machine, form.candidate.where) if _approach_axes(form) else ""

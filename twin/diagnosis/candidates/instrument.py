@@ -197,6 +197,8 @@ LARGEST_SENSOR_RANGE_MM: Final = 100.0
 """mm: longer runs are read by a laser interferometer, which has no such error (data sheets of triangulation and inductive sensors)."""
 LARGEST_LINEARITY_UM: Final = 1000.0
 """1 % of that range."""
+FEWEST_POSITIONS_READ: Final = 12
+"""Fewest positions: a polynomial through fewer foretells none that was left out, so that it could be said of nothing else either."""
 MOST_DEGREES: Final = 8
 """Largest degree tried, as for a positioning error: which of the two it is must not depend on the form."""
 
@@ -229,7 +231,7 @@ def sensor_linearities(inputs: CandidateInputs) -> Catalogue:
     across = read[own].any(axis=0)
     positions = np.unique(np.round(data.positions[own], 3), axis=0)
     degrees = min(MOST_DEGREES, len(positions) - 1)
-    if np.count_nonzero(across) != 1 or degrees < 1 or _turned(inputs):
+    if np.count_nonzero(across) != 1 or len(positions) < FEWEST_POSITIONS_READ or _turned(inputs):
         return Catalogue(())
     reading = _smoothed(data, own, data.point_mm[own, int(np.argmax(across))])
     low, high = float(reading.min()), float(reading.max())

@@ -32,6 +32,8 @@ from twin.numerics.functions import exp
 STEADY_PARAMETERS: Final = ("rate", "offset_rate")
 """Parameters of a growth at a constant rate, µm/(m·h) and µm/h: its time constant is longer than the record in which it was found."""
 PARAMETERS: Final = ("amplitude", "offset", "time_constant")
+FEWEST_POSITIONS: Final = 12
+"""Fewest positions: at fewer, those that were left out do not show whether the scale or the whole set-up drifts."""
 REVISITED: Final = 0.75
 """Share of an axis's measured span that each half of the record must cover: a single run looks like a curve of the axis."""
 
@@ -124,12 +126,18 @@ def _candidates(machine: Machine, state: State) -> tuple[list[str], list[tuple[s
     time = state["time_s"]
     halves = [half for half in (time <= np.median(time), time > np.median(time)) if np.any(half)]
 
-    def revisited(where: str) -> bool:
+    def missing(where: str) -> str:
         q = state[where]
-        return len(halves) > 1 and all(np.ptp(q[half]) >= REVISITED * np.ptp(q) > 0.0 for half in halves)
+        if not (len(halves) > 1 and all(np.ptp(q[half]) >= REVISITED * np.ptp(q) > 0.0 for half in halves)):
+            return f"{where} measured again later"
+        return (
+            f"{where} measured at {FEWEST_POSITIONS} positions"
+            if len(np.unique(np.round(q, 3))) < FEWEST_POSITIONS
+            else ""
+        )
 
-    missing = [(where, f"{where} measured again later") for where in linear_axes(machine) if not revisited(where)]
-    return [where for where in linear_axes(machine) if revisited(where)], missing
+    reasons = {where: missing(where) for where in linear_axes(machine)}
+    return [where for where, why in reasons.items() if not why], [(where, why) for where, why in reasons.items() if why]
 
 
 def _forms(machine: Machine, where: str, state: State, payloads: Sequence[Payload] | None) -> Forms:
