@@ -342,13 +342,13 @@ def _alias_free(places: np.ndarray, span: float, highest: float) -> float:
 
 
 def highest_order(distinct: np.ndarray, most: int) -> int:
-    """Return the largest harmonic of a revolution that positions in degrees distinguish from lower ones.
+    """Return the largest harmonic of a revolution that positions in degrees distinguish from lower ones: one position a wave at least.
 
     Args:
         distinct: (n,) the positions, each once, 0 to 360.
         most: upper limit of the harmonic.
     """
-    limit = _alias_free(distinct, float(np.ptp(distinct)), most / 360.0)
+    limit = _alias_free(distinct, float(np.ptp(distinct)), min(most, len(distinct) - 1) / 360.0)
     return int(360.0 * limit + 1e-9)
 
 

@@ -198,7 +198,7 @@ LARGEST_SENSOR_RANGE_MM: Final = 100.0
 LARGEST_LINEARITY_UM: Final = 1000.0
 """1 % of that range."""
 FEWEST_POSITIONS_READ: Final = 12
-"""Fewest positions: a polynomial through fewer foretells none that was left out, so that it could be said of nothing else either."""
+"""Fewest positions: a polynomial through fewer does not predict those that were left out."""
 MOST_DEGREES: Final = 8
 """Largest degree tried, as for a positioning error: which of the two it is must not depend on the form."""
 
