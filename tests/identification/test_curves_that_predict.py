@@ -29,9 +29,17 @@ def constants(rng: np.random.Generator) -> Errors:
     return {**errors, "scale": rng.normal(0.0, 3e-5, 3)}
 
 
+def small_motions(c: float) -> np.ndarray:
+    """Return (6,) error motions of C at an angle, mm and rad: waves without a mean, a first harmonic (the datum's) or axial motion."""
+    a = np.radians(c)
+    return np.array([3e-4 * np.sin(2 * a), 2e-4 * np.cos(3 * a), 0.0, 2e-6 * np.cos(2 * a), 1e-6 * np.sin(2 * a), 0.0])
+
+
 def tip(q: np.ndarray, errors: Errors, length: float) -> np.ndarray:
     """Return the tip in the work frame, mm; q in mm and degrees."""
-    own = {name: np.array(value) for name, value in errors.items() if name != "scale"}
+    own = {name: np.array(value) for name, value in errors.items() if name not in ("scale", "waves")}
+    if "waves" in errors:
+        own["C"] = own.get("C", np.zeros(6)) + small_motions(q[4])
     for i, axis in enumerate("XYZ"):
         own[axis] = own.get(axis, np.zeros(6)) + np.eye(6)[i] * errors["scale"][i] * q[i]
     return np.asarray(dmu50_pose(np.array([*q[:3], *np.radians(q[3:])]), own, length)[:3, 3])
@@ -95,3 +103,23 @@ def test_a_machine_without_curves_is_predicted_within_its_noise(dmu50: Machine, 
     found = identify(probed(tmp_path, errors, rng, dmu50), dmu50)
     assert {name[3] for name in found.calibration.curves} == set("XYZBC")
     assert remaining_um(Kinematics(dmu50, found.calibration), errors) <= 0.6
+
+
+@pytest.mark.parametrize("seeds", [4, pytest.param(40, marks=pytest.mark.slow)])
+def test_curves_that_the_datum_ties_do_not_shrink_to_nothing(dmu50: Machine, tmp_path: Path, seeds: int) -> None:
+    """Motions of C of the size of the noise, tied in pairs by the datum: their 95 % intervals cover them, each curve on its own.
+
+    With a prior for each curve, that of one was a reading of the other: both became zero, with a hundredth of their size as interval.
+    """
+    c = np.arange(0.0, 360.0, 10.0)
+    truth = np.array([small_motions(angle) for angle in c]) * np.array([1e3] * 3 + [1e6] * 3)
+    inside: dict[str, list[float]] = {f"E_{letter}C": [] for letter in "XYAB"}
+    for seed in range(seeds):
+        rng = np.random.default_rng(100 + seed)
+        found = identify(probed(tmp_path, {**constants(rng), "waves": np.zeros(6)}, rng, dmu50), dmu50)
+        for name, shares in inside.items():
+            value, u = found.interval(name, c)
+            shares.append(float(np.mean(np.abs(value - truth[:, "XYZABC".index(name[2])]) <= 1.959964 * u)))
+    for name, shares in inside.items():
+        error = max(float(np.std(shares, ddof=1)), 0.08) / np.sqrt(seeds)
+        assert np.mean(shares) >= 0.94 - 3.7 * error, (name, shares)

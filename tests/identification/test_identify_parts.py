@@ -22,7 +22,7 @@ from twin._common.arrays import read_only
 from twin._common.errors import InputError
 from twin.identification import Identification, identify
 from twin.identification.discrepancy import RowAssessment, assess_rows
-from twin.identification.fitting import DECAYS, SIZES, mixed_prior, robust_start
+from twin.identification.fitting import DECAYS, SIZES, TiedCurves, mixed_prior, robust_start
 from twin.identification.inputs import prepare
 from twin.identification.network import Network, stated_covariance
 from twin.identification.orders import _Fold, choose
@@ -299,7 +299,9 @@ def test_a_mixed_prior_shrinks_as_its_sizes_and_decays_do_on_average(seed: int) 
     estimate = rng.normal(size=count) * 10.0 ** rng.uniform(-4, -1) * 0.5 ** np.arange(count)
     held, shares = 10.0 ** rng.uniform(2, 5, count), rng.dirichlet(np.ones(len(SIZES)))
     covariance = np.linalg.inv(np.linalg.inv(noise) + np.diag(held))
-    mixture = mixed_prior(covariance @ np.linalg.solve(noise, estimate), covariance, held, shares)
+    mixture = mixed_prior(
+        covariance @ np.linalg.solve(noise, estimate), covariance, held, shares, TiedCurves.alone(count)
+    )
     log = np.empty((len(SIZES), len(DECAYS)))
     priors, estimates = np.empty((*log.shape, count)), np.empty((*log.shape, count))
     for i, size in enumerate(SIZES):
@@ -317,6 +319,39 @@ def test_a_mixed_prior_shrinks_as_its_sizes_and_decays_do_on_average(seed: int) 
     # The grid's sizes are far apart where a coefficient is determined to many digits; both round alike.
     expected = np.einsum("ij,ijk->k", likelihood, priors) / likelihood.sum()
     np.testing.assert_allclose(mixture.variance, expected, rtol=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_mixed_prior_of_tied_curves_is_that_of_their_allowed_part(seed: int) -> None:
+    """Two curves of three coefficients with one condition on both: evidence of the allowed part from its own normal density.
+
+    The prior of the allowed part is the conditional one, K = P − P a (aᵀ P a)⁻¹ aᵀ P of the diagonal prior P and the condition a.
+    """
+    rng = np.random.default_rng(seed)
+    orders, condition = np.tile(np.arange(3), 2), rng.normal(size=(6, 1))
+    condition /= np.linalg.norm(condition)
+    inside = np.linalg.svd(condition)[0][:, 1:]
+    noise = np.diag(10.0 ** rng.uniform(-9, -6, 5))
+    estimate = rng.normal(size=5) * 10.0 ** rng.uniform(-4, -2)
+    held, shares = 10.0 ** rng.uniform(2, 4, 6), rng.dirichlet(np.ones(len(SIZES)))
+    covariance = np.linalg.inv(np.linalg.inv(noise) + inside.T @ np.diag(held) @ inside)
+    mean = inside @ covariance @ np.linalg.solve(noise, estimate)
+    tied = TiedCurves(np.arange(6), orders, inside)
+    mixture = mixed_prior(mean, inside @ covariance @ inside.T, held, shares, tied)
+    log, priors = np.empty((len(SIZES), len(DECAYS))), np.empty((len(SIZES), len(DECAYS), 6))
+    for i, size in enumerate(SIZES):
+        for j, decay in enumerate(DECAYS):
+            priors[i, j] = size**2 * decay**orders
+            prior = np.diag(priors[i, j])
+            across = prior @ condition
+            allowed = inside.T @ (prior - across @ across.T / (condition.T @ across)) @ inside
+            log[i, j] = stats.multivariate_normal(np.zeros(5), noise + allowed).logpdf(estimate)
+    likelihood = np.exp(log - log.max())
+    weight = likelihood * shares[:, None]
+    weight /= weight.sum()
+    np.testing.assert_allclose(mixture.share_of_size, weight.sum(axis=1), rtol=1e-5, atol=1e-10)
+    expected = np.einsum("ij,ijk->k", likelihood, priors) / likelihood.sum()
+    np.testing.assert_allclose(mixture.variance, expected, rtol=1e-5)
 
 
 def test_results_do_not_depend_on_the_size_of_chunks(dmu50: Machine, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -7,6 +7,8 @@ noise, and are averaged over (hierarchical model; Gelman 2006). On a grid of siz
 of the curve's coefficients, all other unknowns integrated out, and with the share of the machine's curves that have this size, which is
 estimated from all curves (empirical Bayes; Robbins 1956): on a machine without curves, none is made of the noise of many. The prior
 shrinks each coefficient as the average of these models does (`mixed_prior`). A function well above the noise is hardly changed.
+Curves that a condition of the datum ties to each other (the two tilts of a rotary axis) have one size and decay together: apart, the
+prior of one would be a reading of the other, and both would shrink to zero with an interval far too narrow.
 
 The noise is that of the residuals of the largest model: stated uncertainties that are too large do not increase the shrinkage.
 
@@ -33,6 +35,7 @@ from twin.identification.discrepancy import (
 )
 from twin.identification.network import Network
 from twin.identification.solve import FitSolution, Priors, solve
+from twin.identification.unknowns import Unknowns
 from twin.measurement.set_up import StationsAndTargets
 
 ROUNDS: Final = 8
@@ -217,20 +220,20 @@ def shrunk_start(network: Network, start: RobustStart) -> ShrunkStart:
     normal = free.T @ (triangle.T @ triangle) @ free
     here = np.concatenate([solution.theta / unknowns.plausible, np.zeros(len(solution.setup))])
     right = free.T @ (triangle.T @ (solution.triangle[:, -1] / noise + triangle @ here))
-    columns_of = [np.array(unknowns.of(curve.name), dtype=int) for curve in unknowns.curves]
-    columns_of = [columns for columns in columns_of if len(columns)]
+    groups = _tied_curves(unknowns, free)
     precision, variance = np.full(len(here), FREE), np.zeros(len(here))
-    for columns in columns_of:
-        precision[columns] = 1.0 / SIZES[len(SIZES) // 2] ** 2
+    for group in groups:
+        precision[group.columns] = 1.0 / SIZES[len(SIZES) // 2] ** 2
     share_of_size = np.full(len(SIZES), 1.0 / len(SIZES))
     for _ in range(ITERATIONS):
         spread = np.linalg.inv(normal + free.T @ (precision[:, None] * free))
         mean = free @ (spread @ right)
         # One curve's worth of equal shares is added: a size that no curve has so far remains possible.
         shares = np.full(len(SIZES), 1.0 / len(SIZES))
-        for columns in columns_of:
+        for group in groups:
+            columns = group.columns
             covariance = free[columns] @ spread @ free[columns].T
-            mixture = mixed_prior(mean[columns], covariance, precision[columns], share_of_size)
+            mixture = mixed_prior(mean[columns], covariance, precision[columns], share_of_size, group)
             precision[columns], variance[columns] = mixture.precision, mixture.variance
             shares += mixture.share_of_size
         share_of_size = shares / shares.sum()
@@ -256,6 +259,42 @@ def _noise(solution: FitSolution, readings: int) -> float:
     return float(np.clip(np.sqrt(solution.chi2 / dof), LEAST_NOISE, 1.0))
 
 
+class TiedCurves(NamedTuple):
+    """Curves that conditions of the datum tie to each other, mostly one.
+
+    Attributes:
+        columns: (k,) of their coefficients.
+        orders: (k,) order of each within its curve, from 0.
+        inside: (k, f) orthonormal directions that fulfil the conditions.
+    """
+
+    columns: np.ndarray
+    orders: np.ndarray
+    inside: np.ndarray
+
+    @classmethod
+    def alone(cls, count: int) -> TiedCurves:
+        """Return one curve of some coefficients without conditions."""
+        return cls(np.arange(count), np.arange(count), np.eye(count))
+
+
+def _tied_curves(unknowns: Unknowns, free: np.ndarray) -> list[TiedCurves]:
+    """Return the curves in groups; ``free``: (p, f) directions that fulfil all conditions."""
+    columns_of = {curve.name: unknowns.of(curve.name) for curve in unknowns.curves}
+    group_of = {name: [name] for name, columns in columns_of.items() if columns}
+    for row in unknowns.datum:
+        tied = [name for name in group_of if np.any(row[columns_of[name]] != 0.0)]
+        together = list(dict.fromkeys(other for name in tied for other in group_of[name]))
+        group_of |= dict.fromkeys(together, together)
+    groups = []
+    for names in {id(group): group for group in group_of.values()}.values():
+        columns = np.array([i for name in names for i in columns_of[name]], dtype=int)
+        orders = np.concatenate([np.arange(len(columns_of[name])) for name in names])
+        directions, size, _ = np.linalg.svd(free[columns], full_matrices=False)
+        groups.append(TiedCurves(columns, orders, directions[:, size > 0.5]))
+    return groups
+
+
 class Mixture(NamedTuple):
     """The prior of a curve's k coefficients, a mixture of sizes and decays.
 
@@ -270,8 +309,10 @@ class Mixture(NamedTuple):
     share_of_size: np.ndarray
 
 
-def mixed_prior(mean: np.ndarray, covariance: np.ndarray, precision: np.ndarray, share_of_size: np.ndarray) -> Mixture:
-    """Return the prior of a curve's coefficients, given the readings.
+def mixed_prior(
+    mean: np.ndarray, covariance: np.ndarray, precision: np.ndarray, share_of_size: np.ndarray, curves: TiedCurves
+) -> Mixture:
+    """Return the prior of the coefficients of curves, given the readings.
 
     The estimate of the mixture is the mean of its members' estimates, each with its own covariance C and the weight of its likelihood.
     With the precision of the readings L, a member's estimate is C L y, so that of the mixture has the mean covariance, and its prior
@@ -282,25 +323,27 @@ def mixed_prior(mean: np.ndarray, covariance: np.ndarray, precision: np.ndarray,
         covariance: (k, k) its covariance.
         precision: (k,) precision of that prior.
         share_of_size: (sizes,) share of the machine's curves that have each size.
+        curves: the orders of the coefficients and the conditions on them.
     """
-    count = len(mean)
-    values, vectors = np.linalg.eigh(covariance)
-    # Combinations fixed by the datum have no variance; the floor is far below any size of the grid.
-    inverse = vectors / np.maximum(values, 1e-14) @ vectors.T
-    likelihood = inverse - np.diag(precision)
-    right = inverse @ mean
-    falls = np.sqrt(DECAYS[:, None] ** np.arange(count))
-    sizes = (SIZES[:, None, None] * falls).reshape(-1, count)
-    inner = np.eye(count) + sizes[:, :, None] * likelihood * sizes[:, None, :]
+    inside = curves.inside
+    inverse = np.linalg.inv(inside.T @ covariance @ inside)
+    likelihood = inverse - inside.T @ (precision[:, None] * inside)
+    right = inverse @ (inside.T @ mean)
+    sizes = (SIZES[:, None, None] * np.sqrt(DECAYS[:, None] ** curves.orders)).reshape(-1, len(mean))
+    # Of each prior the part that fulfils the conditions: θ = root ξ with standard normal ξ.
+    outside = np.linalg.qr(inside, mode="complete")[0][:, inside.shape[1] :]
+    allowed = np.linalg.qr(sizes[:, :, None] * outside, mode="complete")[0][:, :, outside.shape[1] :]
+    roots = inside.T @ (sizes[:, :, None] * allowed)
+    inner = np.eye(len(likelihood)) + roots.transpose(0, 2, 1) @ likelihood @ roots
     values, vectors = np.linalg.eigh((inner + inner.transpose(0, 2, 1)) / 2.0)
     values = np.maximum(values, 1.0)
-    along = np.einsum("gij,gi->gj", vectors, sizes * right)
+    along = np.einsum("gji,gj->gi", roots @ vectors, np.broadcast_to(right, (len(sizes), len(right))))
     log = 0.5 * np.sum(along**2 / values - np.log(values), axis=1) + np.log(np.repeat(share_of_size, len(DECAYS)))
     weight = np.exp(log - log.max())
     weight /= weight.sum()
-    root = sizes[:, :, None] * vectors * np.sqrt(weight[:, None] / values)[:, None, :]
-    mixed = np.einsum("gij,gkj->ik", root, root)
-    shrinking = np.diag(np.linalg.inv(mixed) - likelihood)
+    spread = roots @ vectors * np.sqrt(weight[:, None] / values)[:, None, :]
+    mixed = np.einsum("gij,gkj->ik", spread, spread)
+    shrinking = np.diag(inside @ (np.linalg.inv(mixed) - likelihood) @ inside.T) / np.sum(inside**2, axis=1)
     # Between the precision of the mean variance and the mean precision, its limits for readings that say nothing and everything.
     clipped = np.clip(shrinking, 1.0 / (weight @ sizes**2), weight @ sizes**-2.0)
     # Intervals give each size the same share: they hold for a curve that is unlike the others of its machine, too.
