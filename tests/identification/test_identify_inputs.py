@@ -19,6 +19,7 @@ from twin._common.errors import InputError
 from twin.diagnosis import diagnose
 from twin.identification import identify
 from twin.identification.inputs import prepare
+from twin.identification.orders import HeldOutResiduals
 from twin.identification.result import misfit_entry
 from twin.machine.machine import Machine
 from twin.measurement.checks import ASSUMED
@@ -325,7 +326,8 @@ def test_too_few_positions_do_not_test_the_model(dmu50: Machine) -> None:
     assert found.verdict in found.to_text() and found.to_dict()["verdict"] == found.verdict
     assert "consistent" not in found.to_text()
     fit = replace(found.misfit, dof=100.0)
-    assert [misfit_entry(fit, held_out, 1.0, None).verdict for held_out in (1.0, 5.0)] == ["consistent", "untested"]
+    held_out = [HeldOutResiduals(1.0, whitened, 5, 20, 60) for whitened in (1.0, 5.0)]
+    assert [misfit_entry(fit, 1.0, at_poses).verdict for at_poses in held_out] == ["consistent", "untested"]
 
 
 @pytest.mark.slow

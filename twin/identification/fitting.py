@@ -326,7 +326,9 @@ def mixed_prior(
         curves: the orders of the coefficients and the conditions on them.
     """
     inside = curves.inside
-    inverse = np.linalg.inv(inside.T @ covariance @ inside)
+    values, vectors = np.linalg.eigh(inside.T @ covariance @ inside)
+    # Readings without noise leave no variance; the floor is far below any size of the grid.
+    inverse = vectors / np.maximum(values, 1e-14) @ vectors.T
     likelihood = inverse - inside.T @ (precision[:, None] * inside)
     right = inverse @ (inside.T @ mean)
     sizes = (SIZES[:, None, None] * np.sqrt(DECAYS[:, None] ** curves.orders)).reshape(-1, len(mean))

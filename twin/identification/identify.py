@@ -17,7 +17,7 @@ from twin.identification.inputs import NoiseOfReadings, PreparedData, implausibl
 from twin.identification.network import Network
 from twin.identification.orders import Choice, choose, held_out_residuals
 from twin.identification.result import Identification, misfit_entry, residuals_of, rms_um
-from twin.identification.solve import Spread, misfit
+from twin.identification.solve import FitSolution, Spread, misfit
 from twin.identification.unidentified import (
     DeterminedModel,
     Wanted,
@@ -28,6 +28,7 @@ from twin.identification.unidentified import (
     unidentified,
     unknown_reference,
 )
+from twin.identification.unknowns import Unknowns
 from twin.machine.machine import Machine
 from twin.measurement.checks import overstated_noise
 from twin.measurement.columns import CARRIERS
@@ -132,7 +133,8 @@ def _result(model: _Model, estimate: FinalEstimate, noise: NoiseOfReadings, want
     found, _ = unknowns.calibration(solution.theta, range(count), source, covariance[:count, :count])
     found = replace(found, settled=solution.converged, simulated=data.simulated)
     u = np.sqrt(np.maximum(np.diag(covariance)[count:], 0.0))
-    held = held_by_prior(model.determined, solution)
+    constants = constant_errors(machine, data, network.instruments, solution.setup, network.covariance)
+    held = held_by_prior(model.determined, solution, np.sqrt(np.diag(covariance)[:count]), constants)
     residual, whitened = residuals_of(found, network, solution.setup)
     statistics = misfit(whitened, network.read, data, solution.determined, used)
     residual_mm = read_only(np.where(network.read, residual / MM, np.nan))
@@ -141,15 +143,15 @@ def _result(model: _Model, estimate: FinalEstimate, noise: NoiseOfReadings, want
     calibration = replace(
         found,
         not_identifiable=tuple(UnidentifiedEntry(name=one.name, why=one.reason) for one in unknown),
-        misfit=misfit_entry(statistics, model.choice.held_out, rms_um(residual_mm[used]), held_out),
+        misfit=misfit_entry(statistics, rms_um(residual_mm[used]), held_out),
         **_measured_with(network, used, wanted),
     )
     return Identification(
         calibration=calibration,
         unidentified=unknown,
-        held_by_prior={name: float(machine.plausible(name)) for name in held},
+        held_by_prior={name: _prior_of(name, unknowns, solution) for name in held},
         setup=solution.setup,
-        constants=constant_errors(machine, data, network.instruments, solution.setup, network.covariance),
+        constants=constants,
         shares=instrument_shares(network, solution.setup, used, residual_mm, whitened),
         setup_u=dict(zip(solution.setup.names, (float(v) for v in u), strict=True)),
         misfit=statistics,
@@ -174,6 +176,13 @@ def _result(model: _Model, estimate: FinalEstimate, noise: NoiseOfReadings, want
         network=network,
         solution=solution,
     )
+
+
+def _prior_of(name: str, unknowns: Unknowns, solution: FitSolution) -> float:
+    """Return the standard deviation of the prior of an error, of a curve that of its first function, µm or µrad."""
+    first = unknowns.of(name)[0]
+    variance = float(solution.priors.variance[first])
+    return variance**0.5 if variance > 0.0 else float(unknowns.plausible[first])
 
 
 def _measured_with(network: Network, used: np.ndarray, wanted: Wanted) -> dict[str, Any]:

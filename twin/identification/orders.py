@@ -34,6 +34,7 @@ from twin.identification.solve import FitSolution
 from twin.identification.unknowns import Unknowns
 from twin.measurement.table import Measurements
 from twin.numerics.curves import CurveSpace
+from twin.numerics.observability import SINGULAR_VALUE_TOLERANCE
 
 POSE_FOLDS: Final = 5
 ROUND_FOLDS: Final = 8
@@ -330,12 +331,17 @@ def _folds(network: Network, solution: FitSolution, triangles: np.ndarray, folds
     datum = scipy.linalg.null_space(free.T, rcond=DEPENDENT).T
     origin = solution.theta / network.unknowns.plausible
     setup_first = [*range(machine, count), *range(machine), count]
-    # The prior affects only what the remaining data do not determine.
-    prior = np.eye(count, count + 1)
     found = []
     for mask in folds.held_out():
-        held = _factor(list(triangles[mask]))
-        train = _factor([prior[:, setup_first], *triangles[~mask][:, :, setup_first]])
+        held, rest_of_data = _factor(list(triangles[mask])), triangles[~mask]
+        # The prior affects only what the remaining data do not determine: that falls back to its prior mean, and keeps nothing that
+        # the estimate took from the readings held out.
+        _, strength, directions = np.linalg.svd(
+            _factor(list(rest_of_data))[:, :-1] if len(rest_of_data) else np.zeros((count, count))
+        )
+        unseen = directions[np.append(strength, np.zeros(count - len(strength))) <= SINGULAR_VALUE_TOLERANCE]
+        prior = np.column_stack([np.eye(count), -unseen.T @ (unseen @ solution.deviation)])
+        train = _factor([prior[:, setup_first], *rest_of_data[:, :, setup_first]])
         rest = count - machine
         left, own = train[:rest], train[rest:count, rest:]
         inverse = scipy.linalg.solve_triangular(left[:, :rest], left[:, rest:], check_finite=False)
@@ -358,12 +364,14 @@ class HeldOutResiduals:
 
     Attributes:
         rms_um: RMS per coordinate.
+        whitened_rms: the same in standard deviations of the weights, about one if the model holds.
         folds: number of folds.
         poses: number of different poses.
         readings: number of coordinates that were held out.
     """
 
     rms_um: float
+    whitened_rms: float
     folds: int
     poses: int
     readings: int
@@ -410,14 +418,16 @@ def held_out_residuals(network: Network, solution: FitSolution, used: np.ndarray
             for own, of_fold in zip(normal, right, strict=True)
         ]
     )
-    square = 0.0
+    square = whitened_square = 0.0
     for piece in network.chunks(solution.theta, solution.setup):
         safe = network.whitening[piece.rows] + np.eye(3) * ~network.read[piece.rows][:, None, :]
         off = piece.residual - np.einsum("nki,ni->nk", piece.jacobian, steps[fold[piece.rows]])
+        whitened_square += float(np.sum(off[tested[piece.rows]] ** 2))
         off = np.linalg.solve(safe, off[:, :, None])[:, :, 0]
         square += float(np.sum(off[tested[piece.rows]] ** 2))
     readings = int(np.count_nonzero(network.read[tested]))
-    return HeldOutResiduals(float(np.sqrt(square / readings)) * 1e6, folds, len(poses), readings)
+    rms_um, whitened_rms = float(np.sqrt(square / readings)) * 1e6, float(np.sqrt(whitened_square / readings))
+    return HeldOutResiduals(rms_um, whitened_rms, folds, len(poses), readings)
 
 
 def _determined_by_others(names: np.ndarray, fold: np.ndarray, used: np.ndarray) -> np.ndarray:

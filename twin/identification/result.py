@@ -145,7 +145,7 @@ class Identification(DisplayedResult):
         calibration: the errors that the data determine, with their joint covariance.
         unidentified: errors that the data do not determine.
         held_by_prior: errors among these that are in the calibration nevertheless, because others refer to them, with the standard
-            deviation of their prior, µm or µrad.
+            deviation of their prior (of a curve, that of its first function, estimated with all curves), µm or µrad.
         setup: stations and targets as estimated.
         constants: which constant errors the readings determine; None if no axis with any moved.
         shares: the part of each instrument; empty if there is only one.
@@ -203,7 +203,7 @@ class Identification(DisplayedResult):
     @property
     def verdict(self) -> str:
         """Whether the model fits the readings, or there are too few of them to decide."""
-        return _judged(self.misfit, self.choice.held_out)[1]
+        return _judged(self.misfit, self.held_out)[1]
 
     @cached_property
     def rms_um(self) -> float:
@@ -432,7 +432,7 @@ class Identification(DisplayedResult):
         degree8 = _score_up_to(self.choice.uniform, THESIS_FUNCTIONS)
         if degree8 is not None:
             text = f"{self.choice.held_out:.4f} as chosen, {degree8:.4f} with degree 8 everywhere"
-            lines += ["", f"RMS of held-out residuals, in standard deviations of the weights: {text}"]
+            lines += ["", f"RMS of held-out residuals without priors, in standard deviations of the weights: {text}"]
         if self.set_aside:
             lines += [
                 "",
@@ -471,11 +471,14 @@ class Identification(DisplayedResult):
 
     def _prior_text(self) -> str:
         """Return a sentence on the confounded errors in the calibration and their priors."""
-        sizes: dict[str, list[str]] = {}
+        by_unit: dict[str, list[str]] = {}
         for name, size in self.held_by_prior.items():
-            sizes.setdefault(f"{size:g} {'µm' if unit_of(name) == 'um' else 'µrad'}", []).append(name)
-        each = "; ".join(f"{', '.join(names)} ± {size}" for size, names in sizes.items())
-        return f"kept in the calibration with a prior (k = 1), because other errors refer to them: {each}"
+            by_unit.setdefault("µm" if unit_of(name) == "um" else "µrad", []).append(f"{name} {size:.3g}")
+        each = "; ".join(f"{', '.join(sizes)} {unit}" for unit, sizes in by_unit.items())
+        return (
+            "kept in the calibration, because other errors refer to them, with a prior about zero (k = 1; of a curve, that of its "
+            f"first function, from the sizes of all curves): {each}"
+        )
 
     def _by_reason(self) -> dict[str, list[str]]:
         names_by_reason: dict[str, list[str]] = {}
@@ -522,12 +525,12 @@ def _row_text(row: Mapping[str, Any]) -> str:
 Verdict = Literal["consistent", "systematic", "larger", "untested"]
 
 
-def _judged(fit: FitStatistics, held_out: float) -> tuple[Verdict, str]:
+def _judged(fit: FitStatistics, at_poses: HeldOutResiduals | None) -> tuple[Verdict, str]:
     """Return whether the model fits, as in a calibration file and as a sentence.
 
     Args:
         fit: misfit of the rows used.
-        held_out: RMS of the held-out residuals, in standard deviations.
+        at_poses: residuals at held-out poses; None if there are too few poses.
     """
     if fit.dof < 1:
         return (
@@ -551,25 +554,24 @@ def _judged(fit: FitStatistics, held_out: float) -> tuple[Verdict, str]:
             "untested",
             f"TOO FEW DATA to test the model: {fit.dof:.0f} degrees of freedom. Measure more positions or rounds.",
         )
-    if held_out > POOR_PREDICTION * max(1.0, float(np.sqrt(fit.reduced))):
+    if at_poses is not None and at_poses.whitened_rms > POOR_PREDICTION * max(1.0, float(np.sqrt(fit.reduced))):
         return (
             "untested",
-            f"TOO FEW POSITIONS to test the model: the fit is good, but residuals at held-out positions are {held_out:.1f} "
-            "standard deviations RMS (about 1 if the model holds there). Measure more positions.",
+            "TOO FEW POSITIONS to test the model: the fit is good, but residuals at held-out positions are "
+            f"{at_poses.whitened_rms:.1f} standard deviations RMS (about 1 if the model holds there). Measure more positions.",
         )
     return "consistent", CONSISTENT
 
 
-def misfit_entry(fit: FitStatistics, held_out: float, rms: float, at_poses: HeldOutResiduals | None) -> MisfitEntry:
+def misfit_entry(fit: FitStatistics, rms: float, at_poses: HeldOutResiduals | None) -> MisfitEntry:
     """Return the misfit as it is written into the calibration.
 
     Args:
         fit: misfit of the rows used.
-        held_out: RMS of the held-out residuals, in standard deviations.
         rms: RMS of the residuals of a coordinate, µm.
         at_poses: residuals at held-out poses; None if there are too few poses.
     """
-    verdict, says = _judged(fit, held_out)
+    verdict, says = _judged(fit, at_poses)
     numbers = {
         "reduced_chi2": fit.reduced,
         "p_value": fit.p_value,

@@ -337,11 +337,38 @@ class _Part(NamedTuple):
     instrument: SetUpWords
 
 
-def held_by_prior(model: DeterminedModel, solution: FitSolution) -> list[str]:
-    """Return the names of the errors in the estimate that the readings, with their noise, determine no better than the prior."""
+def held_by_prior(
+    model: DeterminedModel, solution: FitSolution, u: np.ndarray, constants: ConstantErrors | None
+) -> list[str]:
+    """Return the names of the errors in the estimate that the readings, with their noise, determine no better than the prior.
+
+    Curves that are confounded with each other share what the readings say by their priors alone. A squareness or a location that is
+    confounded only with curves of many functions is determined if it is so with curves of zero, and if its uncertainty, in which these
+    curves have the sizes that the readings give to all, is well below its prior.
+
+    Args:
+        model: the unknowns.
+        solution: the estimate.
+        u: (columns,) standard uncertainties of the machine's unknowns, µm and µrad.
+        constants: the constant errors that the readings determine.
+    """
     unknowns = model.network.unknowns
     unseen = solution.unseen[: len(unknowns)] > NOT_DETERMINED
-    return [name for name in unknowns.entities if name in model.confounded or unknowns.lowest_unseen(name, unseen)]
+    no_better = u**2 > NOT_DETERMINED * unknowns.plausible**2
+    alone = {} if constants is None else constants.u
+
+    def determined(name: str) -> bool:
+        return bool(
+            name in unknowns.constants
+            and np.isfinite(alone.get(name, np.nan))
+            and not np.any(no_better[unknowns.of(name)])
+        )
+
+    return [
+        name
+        for name in unknowns.entities
+        if unknowns.lowest_unseen(name, unseen) or (name in model.confounded and not determined(name))
+    ]
 
 
 def unidentified(
@@ -369,7 +396,7 @@ def unidentified(
             unidentified.append(Unidentified(name, at_rest(axis)))
         elif name in machine.motion_names and name not in model.considered.entities:
             unidentified.append(Unidentified(name, TOO_FEW.format(axis=axis)))
-        elif name in model.confounded or name in model.left_out:
+        elif name in model.left_out or (name in model.confounded and name in held):
             direction = model.determinability.null_direction_of(
                 model.determinability.names[model.considered.of(name)[0]]
             )
