@@ -13,6 +13,8 @@ from scipy import stats
 from twin._common.arrays import read_only
 from twin.thermal import ThermalModel, ThermalRecord, fit
 from twin.thermal.evidence import (
+    CONSTANT_UM,
+    DENSE_SIZES,
     RESIDUAL_SHARES,
     RESIDUAL_TIMES,
     Average,
@@ -160,7 +162,7 @@ def test_groups_of_sensors_at_their_limits() -> None:
 
 
 def test_held_out_parts_and_their_errors(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Folds by hand: what follows 40, 55 and 70 %, six blocks, the highest speed; the error of fold k is k times the one expected."""
+    """Folds by hand: what follows 40, 55 and 70 %, five of six blocks, the highest speed; fold k errs by k times what is expected."""
     speed = np.repeat([0.0, 500.0, 0.0, 900.0, 0.0, 500.0], 20)
     problem = fit._problem(record(120, speed_rpm=speed))
     fitted: list[list[int]] = []
@@ -170,22 +172,24 @@ def test_held_out_parts_and_their_errors(monkeypatch: pytest.MonkeyPatch) -> Non
         fitted.append(rows.tolist())
         return []
 
-    def errors(problem: Any, models: Any, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def errors(problem: Any, models: Any, weight: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        assert weight == 0.25
         left_out.append(np.flatnonzero(rows).tolist())
         ones = np.ones((int(rows.sum()), 1))
         return 2.0 * len(left_out) * ones * (-1.0) ** np.arange(len(ones))[:, None], 4.0 * ones
 
     monkeypatch.setattr(fit, "_fit", remember)
     monkeypatch.setattr(fit, "_errors", errors)
+    monkeypatch.setattr(fit, "_weight", lambda problem, fitted, folds: np.full(1, 0.25))
     found = fit._held_out(problem, 0, lambda *_: None)
     expected = [list(range(first, 120)) for first in (48, 66, 84)]
-    expected += [list(range(first, first + 20)) for first in range(0, 120, 20)]
+    expected += [list(range(first, first + 20)) for first in range(20, 120, 20)]
     expected.append(list(range(60, 100)))  # the highest speed and the cooling behind it
     assert left_out == expected
     assert fitted == [[i for i in range(120) if i not in rows] for rows in expected]
-    assert found.factor == pytest.approx([np.sqrt(np.mean(np.arange(1, 11) ** 2))])
+    assert found.factor == pytest.approx([np.sqrt(np.mean(np.arange(1, 10) ** 2))])
     assert found.forward_um[:, 0] == pytest.approx([2.0, 4.0, 6.0])
-    assert found.blocks_um == pytest.approx([2.0 * np.sqrt(np.mean(np.arange(4, 10) ** 2))])
+    assert found.blocks_um == pytest.approx([2.0 * np.sqrt(np.mean(np.arange(4, 9) ** 2))])
     assert fit._highest_speed_left_out(replace(problem, record=record(120))) is None
     mostly = np.r_[np.repeat([0.0, 500.0], 25), np.repeat(900.0, 70)]
     assert fit._highest_speed_left_out(replace(problem, record=record(120, speed_rpm=mostly))) is None
@@ -197,10 +201,62 @@ def test_errors_on_averaged_rows_by_hand() -> None:
     covariance[0, -1] = covariance[-1, 0] = 0.4
     average = Average(np.linspace(-1.0, 2.0, len(problem.terms) + 1), covariance, 0.7)
     rows = np.arange(150) % 3 == 1
-    error, variance = fit._errors(problem, [fit.Fitted((0,), DrawnModels((), (average,)))], rows)
+    other = Average(average.mean[::-1], 2.0 * covariance, 0.3)
+    fitted = [fit.Fitted((0,), DrawnModels((), (average,)), (other,))]
     full = np.c_[problem.x, np.ones(150)][rows]
-    assert error[:, 0] == pytest.approx(problem.y[rows, 0] - full @ average.mean)
-    assert variance[:, 0] == pytest.approx([row @ covariance @ row + 0.49 for row in full])
+    for weight in (1.0, 0.0, 0.3):
+        error, variance = fit._errors(problem, fitted, np.full(1, weight), rows)
+        both = [full @ one.mean for one in (average, other)]
+        assert error[:, 0] == pytest.approx(problem.y[rows, 0] - weight * both[0] - (1.0 - weight) * both[1])
+        # Variance of a mixture: that within, and that between.
+        within = weight * (np.array([row @ covariance @ row for row in full]) + 0.49)
+        within += (1.0 - weight) * (np.array([2.0 * row @ covariance @ row for row in full]) + 0.09)
+        assert variance[:, 0] == pytest.approx(within + weight * (1.0 - weight) * (both[0] - both[1]) ** 2)
+
+
+def test_the_weight_of_few_terms_is_that_of_least_squares(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Errors of the two models mixed by hand, on three folds; the best weight by search, and its limits."""
+    rng = np.random.default_rng(4)
+    problem = fit._problem(record(150))
+    few, every = rng.normal(size=(2, 3, 40))
+    every += 0.4 * few
+
+    def errors(problem: Any, models: int, weight: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        mixed = weight * few[models] + (1.0 - weight) * every[models]
+        return mixed[:, None], np.ones((40, 1))
+
+    monkeypatch.setattr(fit, "_errors", errors)
+    folds = [np.ones(150, dtype=bool)] * 3
+    tried = np.linspace(0.0, 1.0, 1001)
+    expected = tried[np.argmin([np.sum((w * few + (1.0 - w) * every) ** 2) for w in tried])]
+    assert fit._weight(problem, [0, 1, 2], folds) == pytest.approx([expected], abs=1e-3)
+    # Hardly better, and worse: few terms alone.
+    for times in (-9.0, 3.0):
+        every[:] = times * few + 0.9 * (times < 0.0) * np.sqrt(np.mean(few**2)) * rng.normal(size=few.shape)
+        assert fit._weight(problem, [0, 1, 2], folds) == pytest.approx([1.0] if times > 0.0 else [0.9], abs=0.02)
+    every[:] = few + 3.0 * rng.normal(size=few.shape)
+    assert fit._weight(problem, [0, 1, 2], folds) == pytest.approx([1.0])
+
+
+def test_all_terms_together_are_ridge_regression() -> None:
+    """With the chosen size and residual, the coefficients are those of generalised ridge regression, written out."""
+    rng = np.random.default_rng(3)
+    problem = fit._problem(record(150))
+    evidence = Evidence(problem.x, problem.y, problem.time_s, problem.terms, problem.noise_um, problem.duration_s)
+    sizes = rng.uniform(0.5, 2.0, len(problem.terms))
+    found = evidence.dense(0, sizes)
+    apart = np.abs(problem.time_s[:, None] - problem.time_s)
+    design = np.c_[problem.x, np.ones(len(problem.x))]
+    closest = np.inf
+    for part in RESIDUAL_TIMES:
+        noise = found.residual_um**2 * np.exp(-apart * part / problem.duration_s)
+        noise += (problem.noise_um[0] ** 2 + 1e-8) * np.eye(len(apart))
+        for size in DENSE_SIZES:
+            prior = np.append((size * sizes) ** 2, CONSTANT_UM**2)
+            gram = design.T @ np.linalg.solve(noise, design) + np.diag(1.0 / prior)
+            expected = np.linalg.solve(gram, design.T @ np.linalg.solve(noise, problem.y[:, 0]))
+            closest = min(closest, float(np.abs(expected / found.mean - 1.0).max()))
+    assert closest < 1e-4
 
 
 def test_few_directions_keep_the_variance() -> None:

@@ -133,8 +133,7 @@ def _result(model: _Model, estimate: FinalEstimate, noise: NoiseOfReadings, want
     found, _ = unknowns.calibration(solution.theta, range(count), source, covariance[:count, :count])
     found = replace(found, settled=solution.converged, simulated=data.simulated)
     u = np.sqrt(np.maximum(np.diag(covariance)[count:], 0.0))
-    constants = constant_errors(machine, data, network.instruments, solution.setup, network.covariance)
-    held = held_by_prior(model.determined, solution, np.sqrt(np.diag(covariance)[:count]), constants)
+    held = held_by_prior(model.determined, solution, np.sqrt(np.diag(covariance)[:count]))
     residual, whitened = residuals_of(found, network, solution.setup)
     statistics = misfit(whitened, network.read, data, solution.determined, used)
     residual_mm = read_only(np.where(network.read, residual / MM, np.nan))
@@ -151,7 +150,7 @@ def _result(model: _Model, estimate: FinalEstimate, noise: NoiseOfReadings, want
         unidentified=unknown,
         held_by_prior={name: _prior_of(name, unknowns, solution) for name in held},
         setup=solution.setup,
-        constants=constants,
+        constants=constant_errors(machine, data, network.instruments, solution.setup, network.covariance),
         shares=instrument_shares(network, solution.setup, used, residual_mm, whitened),
         setup_u=dict(zip(solution.setup.names, (float(v) for v in u), strict=True)),
         misfit=statistics,

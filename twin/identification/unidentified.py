@@ -28,7 +28,7 @@ from twin.measurement.table import Measurements
 from twin.model.effects import split_name
 from twin.model.unknown_errors import NO_REFERENCE, at_rest
 from twin.numerics.curves import POWER, Basis, CurveSpace, bases_for
-from twin.numerics.observability import NOT_DETERMINED, Determinability, NullDirection
+from twin.numerics.observability import NOT_DETERMINED, SINGULAR_VALUE_TOLERANCE, Determinability, NullDirection
 
 MOST_FUNCTIONS: Final = 13
 """Largest number of functions of a curve: degree 12, or six harmonics."""
@@ -337,38 +337,43 @@ class _Part(NamedTuple):
     instrument: SetUpWords
 
 
-def held_by_prior(
-    model: DeterminedModel, solution: FitSolution, u: np.ndarray, constants: ConstantErrors | None
-) -> list[str]:
+def held_by_prior(model: DeterminedModel, solution: FitSolution, u: np.ndarray) -> list[str]:
     """Return the names of the errors in the estimate that the readings, with their noise, determine no better than the prior.
 
     Curves that are confounded with each other share what the readings say by their priors alone. A squareness or a location that is
-    confounded only with curves of many functions is determined if it is so with curves of zero, and if its uncertainty, in which these
-    curves have the sizes that the readings give to all, is well below its prior.
+    confounded with such curves, and with no other constant, is determined if its uncertainty, in which these curves have the sizes that
+    the readings give to all, is well below its prior.
 
     Args:
         model: the unknowns.
         solution: the estimate.
         u: (columns,) standard uncertainties of the machine's unknowns, µm and µrad.
-        constants: the constant errors that the readings determine.
     """
     unknowns = model.network.unknowns
     unseen = solution.unseen[: len(unknowns)] > NOT_DETERMINED
-    no_better = u**2 > NOT_DETERMINED * unknowns.plausible**2
-    alone = {} if constants is None else constants.u
-
-    def determined(name: str) -> bool:
-        return bool(
-            name in unknowns.constants
-            and np.isfinite(alone.get(name, np.nan))
-            and not np.any(no_better[unknowns.of(name)])
-        )
-
+    determined = _determined_without_curves(model.network, solution.setup) if model.confounded else set()
+    share = u**2 / unknowns.plausible**2
+    determined = {name for name in determined if share[unknowns.of(name)[0]] <= NOT_DETERMINED}
     return [
         name
         for name in unknowns.entities
-        if unknowns.lowest_unseen(name, unseen) or (name in model.confounded and not determined(name))
+        if unknowns.lowest_unseen(name, unseen) or (name in model.confounded and name not in determined)
     ]
+
+
+def _determined_without_curves(network: Network, setup: StationsAndTargets) -> set[str]:
+    """Return the squareness and locations of a network that its readings determine, each alone, if all curves are straight lines."""
+    found = constant_rows(network.machine, network.data, network.instruments, setup, network.covariance)
+    if found is None:
+        return set()
+    unknowns, rows = found
+    strength, directions = without_setup(rows, len(unknowns))
+    lost = np.sum(directions[strength <= SINGULAR_VALUE_TOLERANCE] ** 2, axis=0)
+    return {
+        name
+        for name in network.unknowns.constants
+        if name in unknowns.constants and lost[unknowns.of(name)[0]] <= SHARED_VARIANCE
+    }
 
 
 def unidentified(

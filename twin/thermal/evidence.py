@@ -188,10 +188,14 @@ RESIDUAL_TIMES: Final = (48.0, 24.0, 12.0, 6.0)
 """Correlation times of the residual tried: the record's duration divided by these."""
 
 
+DENSE_SIZES: Final = (0.01, 0.03, 0.1, 0.3)
+"""Sizes tried of a candidate's part in a displacement, in the model with all of them, relative to the displacement's variation."""
+
+
 @final
 @dataclass(frozen=True)
 class Average:
-    """Average over the drawn models, for one displacement; the last coefficient is the constant.
+    """Average over models, for one displacement; the last coefficient is the constant.
 
     Attributes:
         mean: (terms + 1,), µm/K or µm.
@@ -202,6 +206,17 @@ class Average:
     mean: np.ndarray
     covariance: np.ndarray
     residual_um: float
+
+    def with_other(self, other: Average, weight: float) -> Average:
+        """Return the average of this, with a weight of 0 to 1, and another; their disagreement counts as uncertainty."""
+        apart = self.mean - other.mean
+        return Average(
+            weight * self.mean + (1.0 - weight) * other.mean,
+            weight * self.covariance
+            + (1.0 - weight) * other.covariance
+            + weight * (1.0 - weight) * np.outer(apart, apart),
+            float(np.sqrt(weight * self.residual_um**2 + (1.0 - weight) * other.residual_um**2)),
+        )
 
 
 @final
@@ -264,21 +279,49 @@ class Evidence:
                     kinds.append((product[:-1, :-1], product[:-1, -1], rest))
             self._normal.append(kinds)
 
-    def log_evidence(self, chosen: Sequence[int], displacement: int, kind: int) -> float:
-        """Return the log evidence of a subset for one displacement and one kind of residual."""
-        matrix, right, rest = self._normal[displacement][kind]
-        index = np.array([*chosen, self.count])
-        factor = np.linalg.cholesky(matrix[index[:, None], index] + np.eye(len(index)))
-        half = np.linalg.solve(factor, right[index])
-        return float(0.5 * half @ half - np.log(np.diag(factor)).sum() - rest)
+    def log_evidence(
+        self, chosen: Sequence[int], displacement: int, kind: int, times: float | np.ndarray = 1.0
+    ) -> float:
+        """Return the log evidence of a subset for one displacement and one kind of residual; ``times``: factor on the terms' priors."""
+        _, normal, right = self._scaled(chosen, displacement, kind, times)
+        factor = np.linalg.cholesky(normal)
+        half = np.linalg.solve(factor, right)
+        return float(0.5 * half @ half - np.log(np.diag(factor)).sum() - self._normal[displacement][kind][2])
 
-    def coefficients(self, chosen: Sequence[int], displacement: int, kind: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return mean and covariance of the coefficients of a subset, the constant last."""
+    def coefficients(
+        self, chosen: Sequence[int], displacement: int, kind: int, times: float | np.ndarray = 1.0
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return mean and covariance of the coefficients of a subset, the constant last; arguments as of `log_evidence`."""
+        index, normal, right = self._scaled(chosen, displacement, kind, times)
+        covariance = np.linalg.inv(normal)
+        scale = self.scale[index] * _with_constant(times, len(index))
+        return covariance @ right * scale, covariance * np.outer(scale, scale)
+
+    def dense(self, displacement: int, sizes: np.ndarray) -> Average:
+        """Return the estimate with all candidates, whose small coefficients have one size: ridge regression on all lags.
+
+        The common size and the kind of residual are those of the largest evidence. Where many sensors warm up together, it predicts
+        what follows better than any few of them.
+
+        Args:
+            displacement: which of the group.
+            sizes: (terms,) coefficients that are alike, µm/K or µm.
+        """
+        every, factor = range(self.count), sizes / self.scale[:-1]
+        tried = [(times * factor, kind) for times in DENSE_SIZES for kind in range(len(self.residual_um[displacement]))]
+        times, kind = max(tried, key=lambda one: self.log_evidence(every, displacement, one[1], one[0]))
+        mean, covariance = self.coefficients(every, displacement, kind, times)
+        return Average(mean, covariance, self.residual_um[displacement][kind])
+
+    def _scaled(
+        self, chosen: Sequence[int], displacement: int, kind: int, times: float | np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the indices of a subset, its normal matrix with the priors, and the right-hand side."""
         matrix, right, _ = self._normal[displacement][kind]
         index = np.array([*chosen, self.count])
-        covariance = np.linalg.inv(matrix[index[:, None], index] + np.eye(len(index)))
-        scale = self.scale[index]
-        return covariance @ right[index] * scale, covariance * np.outer(scale, scale)
+        factor = _with_constant(times, len(index))
+        normal = matrix[index[:, None], index] * np.outer(factor, factor) + np.eye(len(index))
+        return index, normal, right[index] * factor
 
     def draw(self, generator: np.random.Generator, steps: int = STEPS) -> DrawnModels:
         """Draw models from their posterior distribution and return their average.
@@ -332,6 +375,11 @@ class Evidence:
             variance += times * self.residual_um[displacement][kind] ** 2
         mean, second = mean / len(drawn), second / len(drawn)
         return Average(mean, second - np.outer(mean, mean), float(np.sqrt(variance / len(drawn))))
+
+
+def _with_constant(times: float | np.ndarray, count: int) -> np.ndarray:
+    """Return a factor for each coefficient, one for the constant, which is the last."""
+    return np.append(np.broadcast_to(times, count - 1), 1.0)
 
 
 def _counted(drawn: Sequence[tuple[tuple[int, ...], int]]) -> list[tuple[tuple[tuple[int, ...], int], int]]:
