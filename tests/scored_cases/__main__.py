@@ -24,8 +24,8 @@ from tests.scored_cases.cases import KINDS, Case, truth_machines, write_case, wr
 from tests.scored_cases.gain import removed
 from tests.scored_cases.methods import BUILT_IN, Command, Method, run_method
 from tests.scored_cases.real import HEADER, REAL_SETS, Answer, RealSet, summary
-from tests.scored_cases.scores import SCORES, Score, in_words, is_wrong, scores
-from tests.scored_cases.table import markdown, rows, text
+from tests.scored_cases.scores import SCORES, Score, in_words, is_wrong, probabilities, scores
+from tests.scored_cases.table import markdown, reliability, rows, text
 from twin._common.errors import InputError
 from twin.compute.parallel import Workers, map_as_completed
 
@@ -108,6 +108,14 @@ def run(
             wrong.append(f"{one.name}: {in_words(hidden, answer)}\n")
     (folder / "wrong.txt").write_text("".join(wrong), encoding="utf-8")
     return rows(answers)
+
+
+def stated(folder: Path, methods: Sequence[Method], cases: Sequence[Case]) -> dict[str, list[tuple[float, bool]]]:
+    """Return by method the probability of each cause of the saved answers, and whether the cause is there."""
+    return {
+        method.name: [one for case in cases for one in probabilities(*kept(folder, Question(method, case)))]
+        for method in methods
+    }
 
 
 @dataclass(frozen=True)
@@ -239,6 +247,7 @@ def main() -> None:
         return
     methods = options.method or [BUILT_IN["twin"]]
     tables = [run(folder, methods, cases, options.workers, by_family=options.by_family, verbose=True)]
+    tables.append(reliability(stated(folder, methods, cases)))
     if options.real:
         tables.append(run_real(folder, methods, options.workers, verbose=True))
     shown = [table for table in tables if table[1]]

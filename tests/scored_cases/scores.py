@@ -108,6 +108,14 @@ def _gain(truth: Mapping[str, Any], said: Mapping[str, Any]) -> Score:
     return {"gain": float(after < before)}
 
 
+def probabilities(truth: Mapping[str, Any], answer: Mapping[str, Any]) -> list[tuple[float, bool]]:
+    """Return the stated probability of every cause that has one, and whether it or one of its equivalents is hidden."""
+    hidden = {(one["effect"], one["where"]) for one in truth["effects"]}
+    causes = (answer["diagnosis"] or {"causes": []})["causes"]
+    groups = [({(cause["effect"], cause["where"]), *_equivalent(cause)}, cause.get("probability")) for cause in causes]
+    return [(probability, bool(group & hidden)) for group, probability in groups if probability is not None]
+
+
 def is_wrong(score: Score) -> bool:
     """Return whether an answer is wrong, sizes and gain not considered."""
     bad = ("no answer", "alarm", "too many", "false machine")

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
 from typing import Final
 
 from tests.scored_cases.scores import SCORES, Score, mean
 
+PROBABILITIES: Final = (0.0, 0.5, 0.8, 0.9, 0.95, 0.99, 1.0)
+"""Limits of the rows of the reliability table."""
 PLAIN: Final = ("group size", "seconds")
 """Scores that are not shares."""
 
@@ -29,6 +32,23 @@ def rows(
         [*key, str(len(found)), *(_shown(name, mean(found, name)) for name in used)] for key, found in groups.items()
     ]
     return ["method", "machine", "case", "cases", *used], body
+
+
+def reliability(stated: Mapping[str, Sequence[tuple[float, bool]]]) -> tuple[list[str], list[list[str]]]:
+    """Return header and rows of the reliability table: of the causes with a probability in a range, the share that is there.
+
+    Args:
+        stated: by method, the probability of each cause and whether it is there.
+    """
+    body = []
+    for method, causes in stated.items():
+        for low, high in pairwise(PROBABILITIES):
+            within = [(p, there) for p, there in causes if low < p <= high or p == low == 0.0]
+            if within:
+                shares = [sum(p for p, _ in within) / len(within), sum(there for _, there in within) / len(within)]
+                span = f"{100.0 * low:g} to {100.0 * high:g} %"
+                body.append([method, span, str(len(within)), *(f"{100.0 * share:.1f} %" for share in shares)])
+    return ["method", "probability stated", "causes", "mean", "there"], body
 
 
 def _shown(name: str, value: float) -> str:

@@ -24,8 +24,8 @@ from tests.scored_cases.methods import Command, Method, run_method
 from tests.scored_cases.outside import HALF_WAVES, PATTERNS, Outside
 from tests.scored_cases.plan import Plan, write_table
 from tests.scored_cases.real import REAL_SETS, Answer
-from tests.scored_cases.scores import in_words, is_wrong, scores
-from tests.scored_cases.table import markdown, rows, text
+from tests.scored_cases.scores import in_words, is_wrong, probabilities, scores
+from tests.scored_cases.table import markdown, reliability, rows, text
 from tests.truth import hidden
 from tests.truth.any_chain import Chain
 from tests.truth.any_machine import Dmu50, TruthMachine, lagged
@@ -477,6 +477,20 @@ def test_a_table_has_means_by_method_machine_and_kind() -> None:
     ]
     assert markdown(header, body).splitlines()[1] == "| --- | --- | --- | --- | --- | --- | --- |"
     assert text(header, body).splitlines()[2].split() == [*body[1][:4], "100", "%", "–", "1.0"]
+
+
+def test_probabilities_are_compared_with_what_is_there() -> None:
+    """A cause counts with its equivalents; one without a probability does not count."""
+    right = {**cause("reversal", "Y"), "probability": 0.97}
+    in_group = {**cause("reversal", "X", ("reversal", "Y")), "probability": 0.92}
+    false = {**cause("squareness", "E_C0Y"), "probability": 0.96}
+    answer = said("ambiguous", right, in_group, false, cause("reversal", "Y"))
+    found = probabilities(truth([REVERSAL]), answer)
+    assert found == [(0.97, True), (0.92, True), (0.96, False)]
+    assert probabilities(truth([REVERSAL]), said(None)) == []
+    header, body = reliability({"twin": found, "lasso": []})
+    assert header == ["method", "probability stated", "causes", "mean", "there"]
+    assert body == [["twin", "90 to 95 %", "1", "92.0 %", "100.0 %"], ["twin", "95 to 99 %", "2", "96.5 %", "50.0 %"]]
 
 
 # --- runs -----------------------------------------------------------------------------------------------------------------------
