@@ -104,6 +104,39 @@ def predicts_held_out(candidates: Candidates, form: Form, forms: Sequence[Form])
     return interval is not None and interval[0] > 0.0
 
 
+def lines_that_predict(candidates: Candidates, kept: Sequence[Form], forms: Sequence[Form]) -> list[Form]:
+    """Return the straight lines of error motions that predict cells of positions which were left out.
+
+    A pattern takes up a straight line as well as any other smooth function, whatever the line's size. Over the whole range a line is
+    one number of the machine: it comes first, and the pattern is what it leaves.
+
+    Args:
+        kept: causes in the model.
+        forms: causes selected without patterns; of those that are not kept the lines are tried.
+    """
+    problem = candidates.problem
+    axes, data = problem.network.machine.axes, problem.network.data
+    moved = [i for i, axis in enumerate(axes) if axis.linear and np.ptp(data.positions[:, i]) > 0.0]
+    cells = cells_of_positions(data, moved) if moved else None
+    if cells is None:
+        return []
+    lines = {
+        form.key: form for form in candidates.forms if form.variant.fixed == {"first": 1.0} and len(form.columns) == 1
+    }
+    taken, chosen = {form.key for form in kept}, list(kept)
+    for key in dict.fromkeys(form.key for form in forms if form.key not in taken and form.key in lines):
+        models = chosen, [*chosen, lines[key]]
+
+        def predict(part: Candidates, models: tuple[list[Form], ...] = models) -> list[np.ndarray]:
+            return [predicted_shift(problem, part, model) for model in models]
+
+        squares = held_out_squares(candidates, cells, predict)
+        interval = None if squares is None else jackknife_interval(squares)
+        if interval is not None and interval[0] > 0.0:
+            chosen = models[1]
+    return chosen[len(kept) :]
+
+
 def held_out_squares(
     candidates: Candidates, split: HeldOutFolds, predict: Callable[[Candidates], Sequence[np.ndarray]]
 ) -> np.ndarray | None:
@@ -131,6 +164,8 @@ def held_out_squares(
 
 FOLDS: Final = 8
 """Largest number of folds."""
+CELLS: Final = 8
+"""Number of contiguous cells of positions, at least, of which a part is left out at a time."""
 SEED: Final = 2001
 BLOCKS: Final = 8
 """Number of blocks of time of a single round."""
@@ -189,6 +224,22 @@ def folds_at_positions(data: Measurements, axes: Sequence[int]) -> HeldOutFolds 
     _, group = np.unique(np.round(data.positions[:, list(axes)], 3), axis=0, return_inverse=True)
     group = group.reshape(-1)
     return _drawn("positions" if len(axes) == 1 else "poses", group) if group.max() > 0 else None
+
+
+def cells_of_positions(data: Measurements, axes: Sequence[int]) -> HeldOutFolds | None:
+    """Return folds of cells, contiguous in the positions of all axes together, at least `CELLS` if there are enough; None for too few.
+
+    Neighbours are left out together: only what holds over the whole range predicts a cell.
+    """
+    parts = int(np.ceil(CELLS ** (1.0 / len(axes))))
+    cell = np.zeros(len(data), dtype=int)
+    for axis in axes:
+        q = data.positions[:, axis]
+        limits = np.quantile(np.unique(np.round(q, 3)), np.arange(1, parts) / parts)
+        cell = cell * parts + np.searchsorted(limits, q, side="right")
+    _, group = np.unique(cell, return_inverse=True)
+    group = group.reshape(-1)
+    return _drawn("positions", group) if group.max() + 1 >= GROUPS_FOR_AN_INTERVAL else None
 
 
 def _drawn(of: HeldOutOf, group: np.ndarray) -> HeldOutFolds:

@@ -21,6 +21,7 @@ from twin.diagnosis.cross_validation import (
     blocks_of_time,
     held_out_squares,
     jackknife_interval,
+    lines_that_predict,
     predicted_shift,
     predicts_held_out,
     without_overfitting,
@@ -191,9 +192,23 @@ def joint_selection(candidates: Candidates, forms: Sequence[Form], tried: Sequen
         )
         if other.pattern_tests and (simpler or fewer or not small) and not better:
             structure, patterned = other, True
+    if patterned:
+        structure = _with_lines(candidates, structure, forms)
     keys = {form.key for form in structure.forms}
     rejected = tuple(form for form in forms if form.key not in keys)
     return replace(structure, rejected=rejected, patterned=patterned)
+
+
+def _with_lines(candidates: Candidates, structure: Structure, forms: Sequence[Form]) -> Structure:
+    """Return a selection with patterns and those scales, of the causes selected without patterns, that they took up."""
+    likelihood = structure.likelihood
+    lines = lines_that_predict(candidates, structure.forms, forms)
+    if likelihood is None or not lines:
+        return structure
+    kept = (*structure.forms, *lines)
+    model = likelihood.fit(kept, structure.model)
+    problem = candidates.problem.with_random_effects(likelihood.random(model), model.variance_factor)
+    return replace(structure, forms=kept, problem=problem, model=model)
 
 
 def _replaces(other: Structure, forms: Sequence[Form]) -> bool:
