@@ -9,6 +9,8 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Final, NamedTuple
 
+import numpy as np
+
 from twin._common.errors import InputError
 from twin.nc.arcs import ArcMisfit
 from twin.nc.arithmetic import evaluate, key_of
@@ -89,6 +91,26 @@ UNKNOWN_AFTER: Final = (
     "is not known: positions, frame, offsets and modes are unknown until machine coordinates of every axis"
 )
 """End of the notice on a statement after which nothing is known."""
+SWITCHING_M: Final = frozenset(
+    (
+        *range(21, 25),  # mirror images on some controls of Fanuc
+        61,  # number of the tool in the spindle (LinuxCNC)
+        *(91, 92),  # machine coordinates (HEIDENHAIN)
+        *(128, 129),  # tool centre point control on and off (HEIDENHAIN and others)
+        *(428, 429, 430),  # kinematics switched (LinuxCNC's configurations)
+    )
+)
+"""M functions that change coordinates or modes on a public control: nothing is known after them.
+
+Every other one that is not known is an auxiliary function of the machine's builder by ISO 6983-1, which moves no axis and changes no
+coordinates: it passes with a notice (`Interpreter.take_auxiliary`). A machine file can name those that are harmless, or that switch
+tool centre point control.
+"""
+AUXILIARY: Final = (
+    "is not known: taken as an auxiliary function of the machine's builder, which moves no axis and changes no coordinates; name it in "
+    "the machine file (programs: harmless) if that is so"
+)
+"""End of the notice on an M word that is not known."""
 BESIDE: Final = (
     "cutter radius compensation: the programmed points are corrected, arcs stay arcs and blocks stay whole; what the errors change "
     "over the radius of the tool, and along a block, is not corrected"
@@ -126,6 +148,7 @@ class Interpreter(ABC):
         unknown: why positions, frame, offsets and modes are unknown here; empty if they are known.
         offset: the work offset that the program has selected; None before the first, or if offsets do not change what is read.
         used_offset: the offset of the moves so far, None before the first.
+        turned_to: (n, rotary axes) their positions before and at the moves checked last.
         repeated: moves of the third linear axis that follow each simple line, of a drilling cycle: height and whether it is a rapid;
             None if no cycle is in force.
     """
@@ -175,6 +198,8 @@ class Interpreter(ABC):
         self._fed_length: str | None = None
         self._tool_line = self._length_line = 0
         self._tool_chosen = False
+        self._auxiliary: tuple[str, int] | None = None
+        self.turned_to = np.full((1, len(self.names) - self.linear), np.nan)
 
     @abstractmethod
     def moves(self, line: int, text: str) -> Sequence[Move]:
@@ -196,8 +221,22 @@ class Interpreter(ABC):
             text_of: function that returns the text of one of these lines by its 0-based index.
 
         Raises:
-            InputError: one of them must not pass after those before it.
+            InputError: one of them must not pass after those before it: a feed that turns a rotary axis without tool centre point
+                control behind an auxiliary function that is not known, which may be the machine's word for that control.
         """
+        before = self.turned_to[-1:]
+        self.turned_to = np.concatenate([before, moves.position[:, self.linear :]])
+        if self._auxiliary:
+            word, line = self._auxiliary
+            turns = (np.abs(np.diff(self.turned_to, axis=0)) > CORRECTION_DEG).any(axis=1)
+            for at in moves.line[turns & ~moves.rapid & ~moves.tcp & ~moves.passes & (moves.line >= line)][:1].tolist():
+                raise self.error(
+                    f"a feed turns a rotary axis without tool centre point control, and the effect of {word} (line {line + 1}) is not "
+                    "known: it may switch that control",
+                    f"{word} in the machine file, programs: {{harmless: [{word}]}} or {{tcp_on: [{word}]}}",
+                    text_of(at).strip(),
+                    at + 1,
+                )
         return moves
 
     def may_end(self, tail: str) -> bool:
@@ -307,6 +346,12 @@ class Interpreter(ABC):
         self._placed.clear()
         self.vector = None
         self.mark_unknown(block, range(len(self.names)), moved=True)
+
+    def take_auxiliary(self, word: str) -> None:
+        """Pass an M word of the machine's builder on: it is taken as an auxiliary function, with a notice."""
+        self.note(f"{word} {AUXILIARY}")
+        if self._auxiliary is None:
+            self._auxiliary = word, self._line
 
     def unknown_move(self, kind: Kind, axis_bits: int) -> Move:
         """Return the move of a block that names some axes (bits) where nothing is known."""
@@ -516,19 +561,13 @@ class Interpreter(ABC):
     # ------------------------------------------------------------------ moves
 
     def apply_words(self, block: Block) -> None:
-        """Set the position from the axis words of a block; an increment of zero leaves an unknown position unknown.
-
-        Raises:
-            InputError: another word is incremental and the position unknown.
-        """
+        """Set the position from the axis words of a block; an increment leaves an unknown position unknown."""
         position = self.position
         for word in block.words:
             last = position[word.axis]
-            if word.incremental and last != last and word.value != 0.0:
-                name = self.names[word.axis]
-                what = f"incremental {name} while its position is unknown"
-                raise self.error(what, "absolute position first", name)
             position[word.axis] = last + word.value if word.incremental else word.value
+            if word.incremental and last != last and word.value != 0.0:
+                self.mark_unknown(block, (word.axis,), moved=True)
 
     def unit_direction(self, what: str, components: list[float]) -> tuple[float, float, float]:
         """Return a vector at unit length.

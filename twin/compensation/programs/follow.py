@@ -327,24 +327,30 @@ class Follower:
         return np.where(unknown, space.start, rotary)
 
     def _unknown_position(self, move: Move, end: np.ndarray, unmoved: np.ndarray, text_of: TextOf) -> None:
-        """Pass a rapid move to an unknown position through; raise `InputError` for a feed move.
+        """Pass a move to an unknown position through.
 
         Args:
-            unmoved: (axes,) which axes it leaves, or names by an increment of zero, where something has moved them.
+            unmoved: (axes,) which axes it leaves, or names by an increment, where something has moved them.
+
+        Raises:
+            InputError: an arc: its centre, as written, would not suit a corrected start.
         """
         space = self._space
         missing = unmoved | (np.isnan(end) & (np.arange(len(end)) < 3))
         names = ", ".join(name for name, unknown in zip(space.axes.names, missing, strict=True) if unknown)
-        if move.kind is not Kind.RAPID:
-            which = "these axes" if missing[3:].any() else "every linear axis"
+        reason = f"the program has not given a position of {names}"
+        if move.arc is not None:
             raise InputError(
-                f"feed move before the program has given a position of {names}",
-                expected=f"a position of {which} before it{self._cure(missing)}",
+                f"arc where {reason}",
+                expected=f"a position of these axes before it{self._cure(missing)}",
                 file=self._source,
                 line=move.line + 1,
                 value=text_of(move.line).strip(),
             )
-        self.notices.append(Notice(move.line, f"position of {names} not yet known: rapid passed through unchanged"))
+        if move.kind is not Kind.RAPID:
+            self.unknown.append(LostBlock(move.line, True, reason + self._cure(missing)))
+        else:
+            self.notices.append(Notice(move.line, f"position of {names} not yet known: rapid passed through unchanged"))
         commands = space.positions(end)
         if move.tcp or space.tilt is not None:
             commands[:3] = np.nan
@@ -357,7 +363,7 @@ class Follower:
             if axis in self._references:
                 words.setdefault(self._references[axis], []).append(f"{self._space.axes.names[axis]}: ...")
         entries = ", ".join(f"{word}: {{{', '.join(places)}}}" for word, places in words.items())
-        return f", or in the machine file programs: {{references: {{{entries}}}}}" if entries else ""
+        return f" (in the machine file: programs: {{references: {{{entries}}}}})" if entries else ""
 
     def _along_vector(self, move: Move, before: np.ndarray) -> np.ndarray:
         space = self._space

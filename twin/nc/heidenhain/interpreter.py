@@ -13,7 +13,7 @@ from twin.nc.blocks import Arc, AxisWords, Kind, Move, MoveColumns, Notice
 from twin.nc.heidenhain import vocabulary
 from twin.nc.heidenhain.calls import PathBlock
 from twin.nc.heidenhain.frame import PLANES, HeidenhainFrame
-from twin.nc.modal import AxisWord, Span
+from twin.nc.modal import SWITCHING_M, AxisWord, Span
 from twin.nc.text import BLANK, MM_PER_INCH, number
 from twin.nc.writer import Vector
 
@@ -32,7 +32,6 @@ class HeidenhainInterpreter(HeidenhainFrame):
         super().__init__(source, axes, tcp=tcp, tcp_on=on, tcp_off=off)
         self._simple = vocabulary.simple_pattern(self.names)
         self._shortest_way: list[tuple[int, bool]] = [(-1, False)]
-        self._turned_to = np.full((1, len(self.names) - self.linear), np.nan)
 
     def step(self, line: int, text: str, known: Move | None = None) -> PathBlock:
         """Interpret one line.
@@ -53,8 +52,8 @@ class HeidenhainInterpreter(HeidenhainFrame):
         Raises:
             InputError: a feed that turns so: the blocks that it is split into would turn the axis the long way.
         """
-        turned_to = np.concatenate([self._turned_to, moves.position[:, self.linear :]])
-        self._turned_to = turned_to[-1:]
+        moves = super().checked(moves, text_of)
+        turned_to = self.turned_to
         if len(self._shortest_way) > 1:
             lines, on = (np.array(column) for column in zip(*self._shortest_way, strict=True))
             in_force = on[np.searchsorted(lines, moves.line, side="right") - 1]
@@ -391,7 +390,9 @@ class HeidenhainInterpreter(HeidenhainFrame):
             self._shortest_way.append((self._line, code == 126))
         if not (code in vocabulary.HARMLESS_M or word in self.tcp_on | self.tcp_off):
             turned = [position for position in self.position[self.linear :] if not 0.0 <= position < 360.0]
-            if code != 94 or turned:
+            if code not in vocabulary.OF_HEIDENHAIN | SWITCHING_M:
+                self.take_auxiliary(word)
+            elif code != 94 or turned:
                 self.lose(block, match["misc"])
         block.machine |= code in (91, 92)
         block.elsewhere |= code == 92

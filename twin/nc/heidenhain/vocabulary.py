@@ -156,6 +156,8 @@ BESIDE_CYCLES = frozenset({*range(7, 12), 13, 14, 19, 20, 26, 32, 247})
 """Cycles that act where they are defined; every other one ends the machining cycle in force."""
 RUN_AT_ONCE = frozenset({12, 220, 221, 224})
 """Cycles that are executed where they are defined: a program call, hole patterns."""
+OF_HEIDENHAIN = frozenset({*range(89, 150), *range(200, 205)})
+"""M functions that HEIDENHAIN defines; every other one is the machine builder's (`twin.nc.modal.Interpreter.take_auxiliary`)."""
 REFUSED_M = frozenset({98, 118, 130, 144})
 CALLING_M = frozenset({89, 99})
 LAST_M = frozenset({0, 1, 2, 5, 9, 30, 60})

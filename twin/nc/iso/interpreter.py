@@ -13,7 +13,7 @@ from twin.nc.iso.cycles import PATTERNS, SINUMERIK
 from twin.nc.iso.frame import TOOL_CHANGE, IsoBlock, Item
 from twin.nc.iso.motion import CENTRE, INCH_CODES, SPINDLE_VECTOR, IsoMotion
 from twin.nc.iso.shifts import PROGRAMMED
-from twin.nc.modal import Block, Span
+from twin.nc.modal import SWITCHING_M, Block, Span
 from twin.nc.text import BLANK, BOM, number
 
 _AXIS_LETTERS: Final = frozenset("XYZABCUVW")
@@ -356,7 +356,10 @@ class IsoInterpreter(IsoMotion):
             raise self.missing_number("M", value)
         block.m_words.append(word)
         if word not in vocabulary.HARMLESS_M | self.harmless | self.tcp_on | self.tcp_off:
-            self.lose(block, word)
+            if not word[1:].isdigit() or int(word[1:]) in SWITCHING_M:
+                self.lose(block, word)
+            else:
+                self.take_auxiliary(word)
         if word in vocabulary.LAST_M:
             block.end_m_words.append(Span(start, end, word))
         self.switch_by(block, word)
@@ -371,6 +374,12 @@ class IsoInterpreter(IsoMotion):
                 continue
             # The same word twice changes nothing: controls differ in whether they allow it.
             if group and seen.setdefault(group, code) != code:
+                if group == "distance" and any(one.name in ("28", "30") for one in block.codes):
+                    self.note(
+                        "G90 and G91 in one block with a reference return: the last one is in force (Fanuc, Haas)"
+                    )
+                    self._modal(block, span, group)
+                    continue
                 raise self.error(f"two G words of one modal group ({group})", "one G word per group in a block")
             self._modal(block, span, group)
             self.tell_control(code)

@@ -190,10 +190,7 @@ HARMLESS_M: frozenset[str] = frozenset(
         99,  # return, or repetition from the start
     )
 )
-"""M codes that leave positions, frames, offsets and modes alone. Others are the machine builder's, switch modes of a control (M21 to
-M23 mirror axes on some, M72 and M73 of LinuxCNC restore modal words), select tools or call programs. A machine file can name those
-that are harmless.
-"""
+"""M codes that leave positions, frames, offsets and modes alone. Others: `twin.nc.modal.SWITCHING_M`."""
 LAST_M: frozenset[str] = frozenset(
     {"M0", "M1", "M2", "M5", "M9", "M30", "M60", "M17", "M99", "M00", "M01", "M02", "M05", "M09"}
 )
