@@ -454,3 +454,12 @@ def test_increments_of_zero_after_a_reference_stay_and_later_blocks_are_correcte
         assert changed.text.splitlines()[-2:] == out[-2:] and new in changed.text
         lost = [one.missed[0] for one in changed.report.not_corrected if one.kind == "unknown"]
         assert lost == ([] if line is None else [line])
+
+
+@pytest.mark.parametrize(
+    ("word", "hint"), [("A5", "A is an axis of trunnion_ac"), ("W5", "no machine of twin has W"), ("U=5", "has U")]
+)
+def test_the_machine_that_has_an_axis_is_named(dmu50: Machine, calibration: Calibration, word: str, hint: str) -> None:
+    with pytest.raises(InputError, match="unknown axis") as refused:
+        compensate(f"G0 X1 Y1 Z-1\nG0 {word}\n", dmu50, calibration)
+    assert refused.value.line == 2 and refused.value.expected.endswith(hint)

@@ -111,6 +111,7 @@ AUXILIARY: Final = (
     "the machine file (programs: harmless) if that is so"
 )
 """End of the notice on an M word that is not known."""
+UNKNOWN_AXIS: Final = "unknown axis"
 BESIDE: Final = (
     "cutter radius compensation: the programmed points are corrected, arcs stay arcs and blocks stay whole; what the errors change "
     "over the radius of the tool, and along a block, is not corrected"
@@ -262,7 +263,7 @@ class Interpreter(ABC):
 
     def unknown_axis(self, shown: str) -> InputError:
         """Return the error for an axis that this machine does not have."""
-        return self.error("unknown axis", f"one of this machine's axes ({', '.join(self.names)})", shown)
+        return self.error(UNKNOWN_AXIS, f"one of this machine's axes ({', '.join(self.names)})", shown)
 
     # ------------------------------------------------------------------ values
 
