@@ -303,7 +303,7 @@ def test_drilling_written_out():
         ("CYCL DEF 11.0 SCALING\nCYCL DEF 11.1 SCL 0.9", "scaling"),
         ("CYCL DEF 19.0 WORKING PLANE\nCYCL DEF 19.1 A+30 B+0", "working plane"),
         ("CYCL DEF 26.1 X1.5", "scaling"),
-        ("PLANE SPATIAL SPA+30 SPB+0 SPC+0 STAY", "PLANE"),
+        ("PLANE SPATIAL SPA+30 SPB+0 SPC+0", "PLANE"),
         ("TRANS DATUM TABLE", "TRANS"),
         ("CYCL CALL", "cycle call"),
         ("L X+5 M99", "cycle call without a cycle"),

@@ -303,7 +303,7 @@ def test_a_program_in_which_nothing_is_known_is_refused(dmu50: Machine, errors: 
 
 TABLE = {
     "dynamic work offset": (
-        "G54\nG0 X0 Y0 Z100 B30 C0\nG254\nG0 X0 Y0 Z50\nG1 X10 F500\nG255\nM30\n",
+        "G54\nG0 X0 Y0 Z100\nG254\nG0 X0 Y0 Z50\nG1 X10 F500\nG255\nM30\n",
         ".nc",
         3,
         "G254",

@@ -147,6 +147,7 @@ class Interpreter(ABC):
         motion: motion code in force, None before the first and in languages without.
         beside: whether cutter radius compensation is selected.
         unknown: why positions, frame, offsets and modes are unknown here; empty if they are known.
+        doubtful: why controls may differ in the shift of the coordinates; empty if it is known.
         offset: the work offset that the program has selected; None before the first, or if offsets do not change what is read.
         used_offset: the offset of the moves so far, None before the first.
         turned_to: (n, rotary axes) their positions before and at the moves checked last.
@@ -160,6 +161,7 @@ class Interpreter(ABC):
     beside = False
     repeated: tuple[tuple[float, bool], ...] | None = None
     unknown = ""
+    doubtful = ""
     offset: str | None = None
     used_offset: str | None = None
     _offset_line = 0
@@ -171,6 +173,7 @@ class Interpreter(ABC):
         self.names = axes.names
         self.index = {name.upper(): i for i, name in enumerate(self.names)}
         self.linear = len(axes.linear)
+        self._rotary_increments = [axes.increment[name] for name in axes.rotary]
         self.inch = False
         self.position: list[float] = [math.nan] * len(self.names)
         self.vector: tuple[float, float, float] | None = None
@@ -387,6 +390,8 @@ class Interpreter(ABC):
         Raises:
             InputError: it is the program's second one, and the values of the offsets are unknown (rapids in it: `parks`).
         """
+        if self.doubtful:
+            raise self.error(f"move where {self.doubtful}", "the shift cancelled before PLANE or after PLANE RESET")
         if self._offset_known:
             return
         if self.used_offset is not None:
@@ -398,13 +403,13 @@ class Interpreter(ABC):
 
     @property
     def parks(self) -> bool:
-        """Whether a rapid goes to an unknown place: in the program's second work offset, whose values are unknown."""
-        return self.used_offset is not None and not self._offset_known
+        """Whether a rapid goes to an unknown place: in a second work offset of unknown values, or after a doubtful shift."""
+        return bool(self.doubtful) or (self.used_offset is not None and not self._offset_known)
 
     def parking_move(self, block: Block) -> Move:
-        """Return the rapid of a block in a work offset of unknown values; it passes through unchanged."""
+        """Return the rapid of a block that `parks`; it passes through unchanged."""
         position = self.machine_position(block, elsewhere=True)
-        unknown = f"the value of work offset {self.offset} is not known"
+        unknown = self.doubtful or f"the value of work offset {self.offset} is not known"
         return Move(
             self._line, Kind.RAPID, self.tcp, position, self.named(block.axis_bits), machine=True, unknown=unknown
         )
@@ -475,7 +480,11 @@ class Interpreter(ABC):
         same_tool = not self._one_tool or not (
             self._tool_chosen or (self._fed_length != self._held_length and not self.tcp)
         )
-        return same_tool and not self.unknown and (self.offset == self.used_offset or self._offset_known)
+        return (
+            same_tool
+            and not (self.unknown or self.doubtful)
+            and (self.offset == self.used_offset or self._offset_known)
+        )
 
     def check_plane(self, rotary: bool) -> None:
         """Raise `InputError` for a move that the tilted plane does not allow; ``rotary``: whether it names rotary axes."""
@@ -483,6 +492,17 @@ class Interpreter(ABC):
             what = "rotary axes or tool centre point control in a tilted plane"
             cancel = "PLANE RESET" if self.heidenhain else "G69 or CYCLE800()"
             raise self.error(what, f"positions of the linear axes; {cancel} before")
+
+    def stands(self, what: str) -> tuple[float, ...]:
+        """Return the present positions of the rotary axes, at their least increments.
+
+        Raises:
+            InputError: one is unknown.
+        """
+        at = self.position[self.linear :]
+        if any(value != value for value in at):
+            raise self.error(f"{what} at unknown positions of the rotary axes", "a position of each of them before it")
+        return tuple(round(value / step) * step for value, step in zip(at, self._rotary_increments, strict=True))
 
     def select(self, block: Block, **changes: Any) -> None:
         """Change the frame from this block on; positions in the new coordinates are unknown until the program gives them."""

@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import final
+from typing import Final, final
 
 import numpy as np
 
@@ -383,6 +383,10 @@ class Follower:
 # --- Coordinates of a program that selects work offsets and tools: the set-up and the tool length of every frame
 
 
+STANDS_DEG: Final = 0.01
+"""Angle between the tool and the normal of a plane at which the program itself has positioned the rotary axes: rounding of words."""
+
+
 @final
 class FrameSpaces:
     """Conversions of words in the frames of one machine.
@@ -469,17 +473,38 @@ class FrameSpaces:
             origin = space.nominal.forward(zero).point_mm[0]
         else:
             origin = space.origin
-        rotation, turn = np.array(plane.rotation), np.eye(3) if frame.turn is None else np.array(frame.turn)
+        if plane.rotation is None:
+            standing, zero = (self._tool_axes(space, deg) for deg in (rotary_deg, np.zeros(len(rotary_deg))))
+            rotation = standing @ zero.T
+        else:
+            rotation = np.array(plane.rotation)
+        turn = np.eye(3) if frame.turn is None else np.array(frame.turn)
         shift = np.array(frame.shift[:3] or (0.0, 0.0, 0.0))
         at = origin + np.array(plane.origin_mm) + rotation @ shift
         return Tilt(rotation @ turn, at, rotary_deg, plane.stays)
 
     def _rotary(self, space: WordSpace, plane: Plane, standing_deg: np.ndarray, source: str, line: int) -> np.ndarray:
-        """Return the commands of the rotary axes for a plane, rounded to their least increments.
+        """Return the commands of the rotary axes for a plane, rounded to their least increments where the control positions them.
 
         Raises:
-            InputError: the machine does not reach it.
+            InputError: the machine does not reach it, or does not stand at it.
         """
+        if plane.at_deg is not None:
+            at = np.array(plane.at_deg) + space.offset[3:]
+            if plane.rotation is None:
+                return at
+            off = np.degrees(np.linalg.norm(self._tool_axes(space, at)[:, 2] - np.array(plane.rotation)[:, 2]))
+            if not off <= STANDS_DEG:
+                raise InputError(
+                    f"the rotary axes stand {off:.4g}° off the tilted plane",
+                    expected="positions of the rotary axes for it, or its positioning by the control",
+                    file=source,
+                    line=line,
+                    value=" ".join(
+                        f"{name}{word:g}" for name, word in zip(space.axes.rotary, plane.at_deg, strict=True)
+                    ),
+                )
+            return at
         normal = np.array(plane.rotation)[:, 2]
         solutions = space.branches.all(normal[None])[0]
         if plane.choice:
@@ -496,6 +521,13 @@ class FrameSpaces:
             )
         increment = np.array([space.axes.increment[name] for name in space.axes.rotary])
         return np.asarray(np.round(nearest / increment) * increment)
+
+    @staticmethod
+    def _tool_axes(space: WordSpace, rotary_deg: np.ndarray) -> np.ndarray:
+        """Return (3, 3) axes of the tool in the work frame, as columns, at commands of the rotary axes."""
+        commands = np.zeros((1, len(space.order)))
+        commands[:, space.order[3:]] = rotary_deg
+        return np.asarray(space.nominal.forward(commands).rotation[0])
 
     def _origin(self, shift: dict[str, float]) -> tuple[float, float, float]:
         commands = np.array([[shift[axis.name] if axis.linear else 0.0 for axis in self._base.machine.axes]])

@@ -66,7 +66,9 @@ def machine_hints(machine: Machine, dialect: Dialect, text_of: Callable[[int], s
         if error.what == UNKNOWN_AXIS and error.value is not None:
             letter = str(error.value)[:1].upper()
             fit = [one.path.stem for one in bundled_machines() if letter in one.names and one.path is not None]
-            error.expected += f"; {letter} is an axis of {' and '.join(fit)}" if fit else f"; no machine of twin has {letter}"
+            error.expected += (
+                f"; {letter} is an axis of {' and '.join(fit)}" if fit else f"; no machine of twin has {letter}"
+            )
         if dialect.has_increments and error.line is not None and INCREMENTS not in error.what:
             ranges = {
                 axis.name: axis.upper - axis.lower

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable, Mapping
 from typing import Final, final
@@ -72,7 +73,7 @@ class HeidenhainInterpreter(HeidenhainFrame):
     @property
     def runs_allowed(self) -> bool:
         """See `Interpreter.runs_allowed`: no tool vector, and no block that continues."""
-        beside = self.beside or self.on_contour
+        beside = self.beside or self.on_contour or self.pending
         return self.set_up and self.vector is None and not (self.continued or self.modal or beside)
 
     def may_end(self, tail: str) -> bool:
@@ -89,7 +90,7 @@ class HeidenhainInterpreter(HeidenhainFrame):
     def _found(self, line: int, text: str) -> re.Match[str] | None:
         """Begin a line and return its match if it is a simple block; only ``LN`` can have vectors."""
         self._line, self._block_text = line, text
-        special = self.continued or self.modal or self.beside or self.on_contour or self.parks
+        special = self.continued or self.modal or self.beside or self.on_contour or self.parks or self.pending
         found = None if special else self._simple.pattern.fullmatch(text)
         if found is not None and found[2] in ("L", "l") and any(found.groups()[self._simple.behind]):
             return None
@@ -354,10 +355,18 @@ class HeidenhainInterpreter(HeidenhainFrame):
         axis = self.index.get(name.upper(), -1)
         if axis < 0:
             raise self.unknown_axis(match.group().strip())
+        if self.pending is not None and axis >= self.linear and self._is_computed(name, written):
+            return AxisWord(axis, match.start(2), match.end(), match.start(4), match.end(), "Q", bool(prefix), math.nan)
         value = self.known(name, written)
         if axis < self.linear and self.inch:
             value *= MM_PER_INCH
         return AxisWord(axis, match.start(2), match.end(), match.start(4), match.end(), "", bool(prefix), value)
+
+    @staticmethod
+    def _is_computed(name: str, written: str) -> bool:
+        """Return whether the value of a rotary axis is the parameter that ``PLANE`` has set for it."""
+        places = {"A": "120", "B": "121", "C": "122"}
+        return written.replace(" ", "").lstrip("+").upper() == f"Q{places.get(name.upper(), '')}"
 
     def _axis(self, block: PathBlock, match: re.Match[str]) -> None:
         self.add(block, self._axis_word(match))
@@ -469,7 +478,9 @@ class HeidenhainInterpreter(HeidenhainFrame):
     def _move(self, block: PathBlock) -> None:
         kind = Kind.RAPID if block.rapid_text else Kind.LINEAR
         names = self.named(block.axis_bits)
-        self.check_plane(block.axis_bits >> self.linear != 0)
+        if not (block.machine or self.unknown) and self.stand_at_plane(block):
+            return
+        self.check_plane(block.axis_bits >> self.linear != 0 and self.pending is None)
         if block.machine:
             if block.keyword not in ("", "L"):
                 raise self.error("machine coordinates in an arc", "an L block")

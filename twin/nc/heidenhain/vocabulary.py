@@ -106,11 +106,12 @@ HARMLESS_CYCLES = frozenset(
         *(225, 230, 231, 232, 233, 240, 241, 262, 263, 264, 265, 267),
         *range(251, 259),
         *range(270, 278),
+        *(332, 392),
     }
     - {26}
 )
 """Cycles that move nothing and shift nothing where they are defined: machining cycles, which a call executes; dwell, tolerance, spindle
-orientation, contour. Cycle 247 selects a preset.
+orientation, contour, tuning of the drives (332; 392 of DMG MORI). Cycle 247 selects a preset.
 """
 HARMLESS_M = frozenset(
     {

@@ -437,7 +437,7 @@ class IsoMotion(IsoDrilling):
     @property
     def runs_allowed(self) -> bool:
         """See `Interpreter.runs_allowed`: no pending work offset, incremental mode or tool vector, nor a cycle that changes."""
-        plain = not (self.beside or self._on_contour or self.incremental)
+        plain = not (self.beside or self._on_contour or self.incremental or self.pending)
         return plain and self.steady and self.set_up and self.vector is None
 
     def leave_contour(self) -> None:
@@ -481,7 +481,9 @@ class IsoMotion(IsoDrilling):
             InputError: a word contradicts another word or the modal state.
         """
         motion = self.motion
-        self.check_plane(block.axis_bits >> self.linear != 0)
+        if not machine and not self.unknown and self.stand_at_plane(block):
+            return
+        self.check_plane(block.axis_bits >> self.linear != 0 and self.pending is None)
         if machine:
             if centre or self.cycle is not None:
                 raise self.error("machine coordinates in an arc or a cycle", "a straight move")
