@@ -337,7 +337,8 @@ def test_the_program_chooses_between_two_positions(text: str, sign: int, standin
     assert np.sign(b) == sign
 
 
-SHIFTED = f"{HEAD_H}CYCL DEF 7.1 X+10\nCYCL DEF 7.2 Y+5\n{SPATIAL} TURN\n{INSIDE_H}CYCL DEF 7.1 X+0\nCYCL DEF 7.2 Y+0\nPLANE RESET STAY\n"
+CANCELLED = "CYCL DEF 7.1 X+0\nCYCL DEF 7.2 Y+0\nPLANE RESET STAY\n"
+SHIFTED = f"{HEAD_H}CYCL DEF 7.1 X+10\nCYCL DEF 7.2 Y+5\n{SPATIAL} TURN\n{INSIDE_H}{CANCELLED}"
 
 
 def test_a_shift_cancelled_within_its_plane_is_doubtful_until_all_axes_are_shifted_again(

@@ -308,8 +308,6 @@ TABLE = {
         3,
         "G254",
     ),
-    "Okuma offsets": ("G15 H1\nG0 X0 Y0 Z100 B30 C0\nG15 H2\nG1 X10 F500\n", ".nc", 1, "Okuma"),
-    "Okuma TCP": ("G0 X0 Y0 Z100 B30 C0\nG169 HA=1\nG1 X10 F500\nG170\n", ".nc", 2, "Okuma"),
     "numbers with N": (
         "L X+100 Y+0 Z+50 B+0 C+0 FMAX\nN4 L X120 Y0 Z1 FMAX\nN6 APPR LCT X45 Y0 R20 RL F220\n",
         ".h",

@@ -391,7 +391,9 @@ class Interpreter(ABC):
             InputError: it is the program's second one, and the values of the offsets are unknown (rapids in it: `parks`).
         """
         if self.doubtful:
-            raise self.error(f"move where {self.doubtful}", "the shift cancelled before PLANE or after PLANE RESET")
+            raise self.error(
+                f"move where {self.doubtful}", "that stated before it, in a way that every control reads alike"
+            )
         if self._offset_known:
             return
         if self.used_offset is not None:

@@ -491,19 +491,13 @@ class FrameSpaces:
         """
         if plane.at_deg is not None:
             at = np.array(plane.at_deg) + space.offset[3:]
-            if plane.rotation is None:
-                return at
-            off = np.degrees(np.linalg.norm(self._tool_axes(space, at)[:, 2] - np.array(plane.rotation)[:, 2]))
+            wanted = self._tool_axes(space, at) if plane.rotation is None else np.array(plane.rotation)
+            off = np.degrees(np.linalg.norm(self._tool_axes(space, at)[:, 2] - wanted[:, 2]))
             if not off <= STANDS_DEG:
-                raise InputError(
-                    f"the rotary axes stand {off:.4g}° off the tilted plane",
-                    expected="positions of the rotary axes for it, or its positioning by the control",
-                    file=source,
-                    line=line,
-                    value=" ".join(
-                        f"{name}{word:g}" for name, word in zip(space.axes.rotary, plane.at_deg, strict=True)
-                    ),
-                )
+                words = " ".join(f"{name}{word:g}" for name, word in zip(space.axes.rotary, plane.at_deg, strict=True))
+                expected = "positions of the rotary axes for it, or its positioning by the control"
+                what = f"the rotary axes stand {off:.4g}° off the tilted plane"
+                raise InputError(what, expected=expected, file=source, line=line, value=words)
             return at
         normal = np.array(plane.rotation)[:, 2]
         solutions = space.branches.all(normal[None])[0]

@@ -76,7 +76,7 @@ class IsoBlock(Block):
 
 # --- Effects of ISO blocks on the frame: work offset, tool in the spindle, and the length that the control adds
 
-_LENGTH_ON: Final = frozenset({"43", "44", "43.4", "43.5", "234"})
+_LENGTH_ON: Final = frozenset({"43", "44", "43.4", "43.5", "234", "169"})
 _OF_TOOL: Final = frozenset("THD")
 TOOL_CHANGE: Final = "M6"
 
@@ -108,14 +108,19 @@ class IsoFrame(Interpreter):
                 if item.name == "P":
                     value = self.value_of(item.value)
                     code += f" P{value:g}" if value == value else f" P{item.value.strip()}"
+        if code == "15":
+            item = next(item for item in block.others if item.name == "H")
+            code += f" H{self.known_value('H', item.value, vocabulary.KNOWN_VALUE):g}"
         self.select_offset(block, f"G{code}")
 
     def choose_tool(self, block: IsoBlock, words: frozenset[str]) -> None:
         """Apply the words for tool and length of a block; ``words``: its M words."""
-        said = {item.name: item for item in block.others if item.name in _OF_TOOL}
         codes = {span.name for span in block.codes}
+        said = {item.name: item for item in block.others if item.name in (_OF_TOOL if "15" not in codes else "T")}
         if not (said or codes or words):
             return
+        if codes & {"170", "49", *_LENGTH_ON}:
+            self.doubtful = "the length of the tool behind G170 is not stated (G56 H, or G53)" if "170" in codes else ""
         changes: dict[str, Any] = {}
         tool = self.frame.tool if self.tools_known else self._held_tool
         if "T" in said:
@@ -144,7 +149,7 @@ class IsoFrame(Interpreter):
             if not (height or tool) and self.tools_known:
                 raise self.error("tool length without a tool", "G43 with an H word, or a tool change before it")
             return {"length": height or tool}
-        if "49" in codes or (self._length_by_h and height == "0"):
+        if codes & {"49", "170"} or (self._length_by_h and height == "0"):
             return {"length": ""}
         radius_only = codes & {"41", "42"} and not (self.frame.length or self._held_length)
         if "D" in said and not self._length_by_h and not radius_only:

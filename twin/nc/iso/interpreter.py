@@ -17,7 +17,7 @@ from twin.nc.modal import SWITCHING_M, Block, Span
 from twin.nc.text import BLANK, BOM, number
 
 _AXIS_LETTERS: Final = frozenset("XYZABCUVW")
-_LENGTH_WORDS: Final = frozenset({"", "G43.4", "G43.5", "G234"})
+_LENGTH_WORDS: Final = frozenset({"", "G43.4", "G43.5", "G234", "G169"})
 _ARC_WORDS: Final = frozenset({*CENTRE, *SPINDLE_VECTOR, "R", "CR", "TURN"})
 _NORMAL: Final = frozenset(f"{letter}{place}" for letter in "ABC" for place in "45")
 """Surface normal of SINUMERIK at the start and the end of a block: of effect with LEAD, TILT and G41 or G42 only, which are refused."""
@@ -269,6 +269,7 @@ class IsoInterpreter(IsoMotion):
     def _given(self, block: IsoBlock, match: re.Match[str]) -> None:
         self._started = True
         key, value = match.group(6).upper(), match.group(8)
+        key = "H" if key == "HA" and self._okuma else key
         item = Item(key, match.start(6), match.end(), match.start(8), match.end(8), value)
         if key in self.index or not self._assigned(block, item, match.group(7) or ""):
             self._sort(block, item)
@@ -344,7 +345,7 @@ class IsoInterpreter(IsoMotion):
             if len(word) < 2 or not word[1].isdigit():
                 raise self.missing_number("G", value)
             code = self._codes[value] = word[1:]
-        return code
+        return vocabulary.OKUMA_CODES.get(code, code) if self._okuma else code
 
     def _m_word(self, block: IsoBlock, start: int, end: int, value: str) -> None:
         word = vocabulary.canonical(f"M{value}")
@@ -398,12 +399,15 @@ class IsoInterpreter(IsoMotion):
             block.motion_word = span
         elif group == "offset":
             self.choose_offset(block, code)
+        elif group == "length" and code in ("169", "170"):
+            self._okuma = True
         elif group == "length" and self.tcp_word in _LENGTH_WORDS - {""} and code in ("43", "44"):
             self.switch(block, False, f"G{code}")
         elif code in vocabulary.FLAGS and (block.items or any(item.name in CENTRE for item in block.others)):
             raise self.error(f"G{code} with words of axes", f"G{code} without them, in a block of its own")
         elif code == "15" and any(item.name == "H" for item in block.others):
-            raise self.error(*vocabulary.OKUMA_OFFSET)
+            self._okuma = True
+            self.choose_offset(block, code)
         elif code == "5" and (block.items or not any(item.name == "P" for item in block.others)):
             raise self.error("curve G5", vocabulary.LINEAR)
 
@@ -454,9 +458,16 @@ class IsoInterpreter(IsoMotion):
                 raise self.error(f"curve or rounding {name}", vocabulary.LINEAR)
             elif name in (SINUMERIK if self.cycle is None else PATTERNS) and len(names) == 1 and not block.items:
                 self.call_once(block, names[place])
-            elif name not in vocabulary.PASSED and name not in self.harmless:
+            elif not self._passes(name):
                 self._unknown_name(block, names[place], shown)
         return any(item.name == "SUPA" for item in names)
+
+    def _passes(self, name: str) -> bool:
+        """Return whether a statement does not change the meaning of axis words; note whether tool vectors are the machine's."""
+        if name in ("ORIMKS", "ORIWKS"):
+            self.of_machine = name == "ORIMKS"
+        of_tool = self._okuma and name in vocabulary.OKUMA_LENGTHS
+        return name in vocabulary.PASSED or name in self.harmless or of_tool
 
     def _unknown_name(self, block: IsoBlock, item: Item, shown: str) -> None:
         """Pass a statement of unknown effect through; raise `InputError` in a block that moves axes."""

@@ -427,7 +427,7 @@ class IsoMotion(IsoDrilling):
         self.side = 40
         self._on_contour = False
         self.feed_mode = "94"
-        self.length_vector = False
+        self.length_vector = self.of_machine = False
 
     @property
     def beside(self) -> bool:  # type: ignore[override]
@@ -554,6 +554,8 @@ class IsoMotion(IsoDrilling):
                 continue
             if not self.tcp:
                 raise self.error(f"tool vector {name} while tool centre point control is off", "TRAORI before it", text)
+            if self.of_machine:
+                raise self.error(f"tool vector {name} in coordinates of the machine (ORIMKS)", "ORIWKS before it", text)
             components[index] = self.value_of(text)
             if components[index] != components[index]:
                 raise self.missing_number(name, text)

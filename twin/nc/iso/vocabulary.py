@@ -57,7 +57,7 @@ GROUPS: dict[str, tuple[str, ...]] = {
     "feed": ("93", "94", "95"),
     "spindle": ("96", "97", "961", "962", "971", "972"),
     "radius": ("40", "41", "42"),
-    "length": ("43", "43.4", "43.5", "44", "49", "234"),
+    "length": ("43", "43.4", "43.5", "44", "49", "234", "169", "170"),
     "return": ("98", "99"),
     "offset": (
         *("54", "55", "56", "57", "58", "59", "54.1", "59.1", "59.2", "59.3", "154", "500"),
@@ -141,10 +141,6 @@ REFUSED_CODES: dict[str, tuple[str, str]] = {
         code: (f"cutter radius compensation G{code}", "the tool centre path from the CAM system (G40)")
         for code in ("41.1", "41.2", "42.1", "42.2", "43.2", "43.3")
     },
-    **{
-        code: (f"tool centre point control of Okuma (G{code})", "G43.4 or G43.5, or axis positions without it")
-        for code in ("169", "170")
-    },
     "43.1": ("tool length by G43.1, given by the block or along the tool axis", "G43 with an H word"),
     **{
         code: (f"feature coordinate system of Haas (G{code})", "a dynamic work offset (G254), or axis positions")
@@ -157,15 +153,15 @@ OKUMA_HEADER = re.compile(r"\$[^=%\s]++%", re.ASCII)
 """The first line of a program of Okuma: its file name."""
 NOT_OF_OKUMA: frozenset[str] = frozenset(
     {*(str(code) for code in range(53, 60)), *(str(code) for code in range(71, 90)), "98", "99", *GROUPS["shift"]}
-    - {"80"}
+    - {"80", *("53", "56")}
 )
 """G codes that have another meaning on an OSP: tool length offsets and their end, return levels, shifts, cycles with own levels."""
 PROGRAM_NAME = re.compile(r"<[\w.+-]++>[ \t]*+(?:\([^()]*+\))?+", re.ASCII)
 """A line with the name of a program, of Fanuc and Mazak, in place of its number."""
-OKUMA_OFFSET = (
-    "work offset of Okuma (G15 H)",
-    "work offsets G54 to G59; other words of Okuma, too, have meanings of their own",
-)
+OKUMA_CODES: Mapping[str, str] = {"56": "43", "53": "49"}
+"""G codes of Okuma by those of Fanuc: the tool length offset G56 H, and its end."""
+OKUMA_LENGTHS: frozenset[str] = frozenset({"HA", "HB", "HC"})
+"""Names of the three length offsets of the tool in the spindle (Okuma)."""
 REFUSED_M: frozenset[str] = frozenset({"M97", "M98", "M198", "M96"})
 RESTORING_M: frozenset[str] = frozenset({"M72", "M73"})
 """M codes of LinuxCNC that restore modal words saved before."""
@@ -247,8 +243,8 @@ HARMLESS_SYSTEM_VARIABLES: tuple[str, ...] = ("$AC_MARKER", "$AC_PARAM", "$AC_TI
 CHANGING_KEYWORDS: frozenset[str] = frozenset({"DL"})
 """Keywords of SINUMERIK, set with ``=``, that change the length of the tool in the spindle."""
 
-TCP_ON: frozenset[str] = frozenset({"G43.4", "G43.5", "G234", "TRAORI"})
-TCP_OFF: frozenset[str] = frozenset({"G49", "TRAFOOF"})
+TCP_ON: frozenset[str] = frozenset({"G43.4", "G43.5", "G234", "G169", "TRAORI"})
+TCP_OFF: frozenset[str] = frozenset({"G49", "G170", "TRAFOOF"})
 """Words that switch tool centre point control on and off."""
 DIRECTION_FORMS: frozenset[str] = frozenset({"DC", "ACP", "ACN"})
 """Forms that give the direction in which a rotary axis turns to its value."""
