@@ -421,6 +421,7 @@ class Interpretation:
         lost_positions: the lines after which axis positions are unknown.
         frames: the lines that change the frame: by known values of offsets and tools (`AxisWords`), or of the program.
         drilled: ranges of lines that execute a drilling cycle; all their moves belong to it.
+        control: the control whose words the program has; empty if its words are those of several.
     """
 
     moves: Sequence[Move]
@@ -428,6 +429,7 @@ class Interpretation:
     lost_positions: tuple[LostPositions, ...] = ()
     frames: tuple[FrameChange, ...] = ()
     drilled: tuple[range, ...] = ()
+    control: str = ""
 
 
 @final

@@ -41,6 +41,7 @@ class HeidenhainFrame(HeidenhainPaths):
     """
 
     heidenhain = True
+    variant = "HEIDENHAIN"
     continued = False
     plane = PLANES["Z"]
     pending: Plane | None = None

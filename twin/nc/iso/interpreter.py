@@ -55,7 +55,12 @@ class IsoInterpreter(IsoMotion):
         self._started = self._okuma = False
         self._assignments: list[tuple[str, float]] = []
         """Values of ``#`` variables that hold from the next block on: words of the same block have the values before (LinuxCNC)."""
-        self._probes = False
+        self._probes = self._siemens = False
+
+    @property
+    def variant(self) -> str:
+        """The control whose words the program has used so far; empty if they are those of several."""
+        return "Okuma" if self._okuma else self.control or ("SINUMERIK" if self._siemens else "")
 
     # ------------------------------------------------------------------ a block
 
@@ -464,6 +469,7 @@ class IsoInterpreter(IsoMotion):
 
     def _passes(self, name: str) -> bool:
         """Return whether a statement does not change the meaning of axis words; note whether tool vectors are the machine's."""
+        self._siemens = self._siemens or name in vocabulary.PASSED
         if name in ("ORIMKS", "ORIWKS"):
             self.of_machine = name == "ORIMKS"
         of_tool = self._okuma and name in vocabulary.OKUMA_LENGTHS
