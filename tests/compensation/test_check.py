@@ -1,4 +1,4 @@
-"""`twin check`: what it foretells is what a compensation does."""
+"""`twin check`: its predictions agree with the compensation."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def errors(dmu50: Machine) -> Calibration:
 
 
 @pytest.mark.parametrize("name", PROGRAMS)
-def test_it_foretells_the_compensation(dmu50: Machine, errors: Calibration, tmp_path: Path, name: str) -> None:
+def test_it_predicts_the_compensation(dmu50: Machine, errors: Calibration, tmp_path: Path, name: str) -> None:
     options, text = PROGRAMS[name]
     source = tmp_path / "part.nc"
     source.write_text(text)

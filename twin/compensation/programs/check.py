@@ -71,7 +71,7 @@ class LeftBlocks:
 @final
 @dataclass(frozen=True, repr=False)
 class ProgramCheck(Result):
-    """What a program needs, what would be corrected, and what stops it.
+    """Result of examining a program: its needs, the blocks that would be corrected, and its refusal.
 
     Attributes:
         program: its path as given.
@@ -82,8 +82,8 @@ class ProgramCheck(Result):
         blocks: number of blocks by kind: ``rapid``, ``linear``, ``arc``; those that execute a cycle as ``hole``.
         uses: of tool centre point control, planes, cutter radius compensation, cycles and written-out parts: the first line of each.
         travel: by axis, those that it moves.
-        tools, offsets: names of the tools and work offsets that it selects, each with its first line; as far as it can be read.
-        lacks: axes that it names and the machine does not have; as far as it can be read.
+        tools, offsets: names of the tools and work offsets that it selects, each with its first line, up to the first line that cannot be read.
+        lacks: axes that it names and the machine does not have, up to the first line that cannot be read.
         frames: work offsets, tools and planes in force.
         left: blocks that would stay as written.
         notes: assumptions and blocks that pass through unchanged.
