@@ -309,7 +309,7 @@ TABLE = {
         "G254",
     ),
     "numbers with N": (
-        "L X+100 Y+0 Z+50 B+0 C+0 FMAX\nN4 L X120 Y0 Z1 FMAX\nN6 APPR LCT X45 Y0 R20 RL F220\n",
+        "L X+100 Y+0 Z+50 B+0 C+0 FMAX\nN4 L X120 Y0 Z1 FMAX\nN6 APPR PCT PR45 PA0 R20 RL F220\n",
         ".h",
         3,
         "APPR",

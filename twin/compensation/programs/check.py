@@ -82,7 +82,7 @@ class ProgramCheck(Result):
         blocks: number of blocks by kind: ``rapid``, ``linear``, ``arc``; those that execute a cycle as ``hole``.
         uses: of tool centre point control, planes, cutter radius compensation, cycles and written-out parts: the first line of each.
         travel: by axis, those that it moves.
-        tools, offsets: names of the tools and work offsets that it selects, each with its first line, up to the first line that cannot be read.
+        tools, offsets: names of the tools and work offsets that it selects, each with its first line, up to one that cannot be read.
         lacks: axes that it names and the machine does not have, up to the first line that cannot be read.
         frames: work offsets, tools and planes in force.
         left: blocks that would stay as written.

@@ -273,6 +273,7 @@ class PathBlock(Block):
         call_words: its words that say so (``M99``, ``M89``).
         call: what it calls.
         positions: whether its first move is that of its own words.
+        leads: whether the control itself finds the path to its end: a lead-in or lead-out, a tangential arc.
     """
 
     numbered: bool = False
@@ -293,6 +294,7 @@ class PathBlock(Block):
     call_words: list[Span] = field(default_factory=list)
     call: CycleCall | None = None
     positions: bool = True
+    leads: bool = False
 
 
 # --- Simple lines of plain language found all at once, through an image of the text that has the form of ISO lines

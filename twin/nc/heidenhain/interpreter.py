@@ -197,6 +197,8 @@ class HeidenhainInterpreter(HeidenhainFrame):
             raise self.error("unknown block", "a plain-language block such as L X+10 FMAX", body)
         elif keyword in ("L", "LN") or keyword in vocabulary.ARCS | vocabulary.POLAR:
             self._path(block, keyword, block.head_end + match.end())
+        elif keyword in ("APPR", "DEP") or (keyword in vocabulary.ON_CONTOUR and self.beside and self.on_contour):
+            self._left_to_control(block, keyword, body)
         elif keyword == "CC":
             self._pole(block, block.head_end + match.end())
         else:
@@ -210,7 +212,10 @@ class HeidenhainInterpreter(HeidenhainFrame):
     def _statement(self, block: PathBlock, keyword: str, body: str) -> None:
         upper = " ".join(body.split(";")[0].upper().split())
         if keyword in vocabulary.REFUSED_PATHS:
-            raise self.error(f"path function {keyword}", vocabulary.LINEAR)
+            within = (
+                " or the same under RL or RR, between blocks of the contour" if keyword in vocabulary.ON_CONTOUR else ""
+            )
+            raise self.error(f"path function {keyword}", vocabulary.LINEAR + within)
         if keyword in vocabulary.WITH_NUMBERS:
             exponent = vocabulary.EXPONENT.search(vocabulary.QUOTED.sub("", body.split(";")[0]))
             if exponent is not None:
@@ -329,9 +334,45 @@ class HeidenhainInterpreter(HeidenhainFrame):
 
     # ------------------------------------------------------------------ words of paths
 
-    def _path(self, block: PathBlock, keyword: str, at: int) -> None:
+    def _left_to_control(self, block: PathBlock, keyword: str, body: str) -> None:
+        """Apply a block whose path the control finds from the blocks beside it: ``APPR``, ``DEP``, ``RND``, ``CHF``, ``CT``."""
+        if keyword in ("APPR", "DEP"):
+            self._lead(block, body)
+            return
+        self.note(f"{keyword} is left to the control: the points beside it are corrected", once=True)
+        if keyword == "CT":
+            block.leads = True
+            self._path(block, "L", block.text.upper().index("CT", block.head_end) + 2)
+
+    def _lead(self, block: PathBlock, body: str) -> None:
+        """Apply ``APPR`` or ``DEP``, whose path the control finds: its end is corrected, if the block gives it.
+
+        Raises:
+            InputError: another form of them, or one whose end is not in this block.
+        """
+        match = vocabulary.LEAD.match(body)
+        if match is None:
+            raise self.error(f"path function {body.split()[0]}", "APPR or DEP with LT, LN, CT or LCT")
+        at = block.head_end + match.end()
+        words = vocabulary.LEAD_WORD.sub(lambda word: " " * len(word[0]), block.text[at:].split(";")[0])
+        block.leads, arrives = True, match[1].upper() == "APPR"
+        if not arrives:
+            self.beside = False
+        self.note("APPR and DEP are left to the control: their end is corrected where the block gives it", once=True)
+        self._path(block, "L", at, block.text[:at] + words)
+        a, b, _ = self.plane
+        given = bool(block.axis_bits & (1 << a | 1 << b))
+        if given is not (arrives or "LCT" in match[0].upper()):
+            raise self.error(
+                f"{match[0]} with or without its end", "the end with APPR and DEP LCT, none with DEP LT, LN and CT"
+            )
+        if not given:
+            self.on_contour = False
+            self.mark_unknown(block, (a, b), moved=True)
+
+    def _path(self, block: PathBlock, keyword: str, at: int, text: str = "") -> None:
         block.keyword, block.keyword_end = keyword, at
-        for match in vocabulary.TOKEN.finditer(block.text, at):
+        for match in vocabulary.TOKEN.finditer(text or block.text, at):
             take = _TOKENS.get(match.lastgroup or "")
             if take is not None:
                 take(self, block, match)

@@ -76,7 +76,15 @@ EXPONENT = re.compile(r"(?<![\\/:.\d])[+-]?(?:\d++[.,]?+\d*+|[.,]\d++)E[+-]?\d+"
 """A number with an exponent outside paths, in one of the statements `WITH_NUMBERS`; the control knows none."""
 NUMBERS = re.compile(r"[+-]?[\d.,]+", re.ASCII)
 
-REFUSED_PATHS = frozenset("CT CTP LT RND CHF APPR DEP FL FLT FC FCT FPOL FSELECT".split())
+REFUSED_PATHS = frozenset("CT CTP LT RND CHF FL FLT FC FCT FPOL FSELECT".split())
+LEAD = re.compile(r"(APPR|DEP)[ \t]+(?:LCT|CT|LT|LN)(?![A-Z])", re.ASCII | re.IGNORECASE)
+"""Beginning of a block that leads to the contour or away from it."""
+LEAD_WORD = re.compile(
+    r"(?<![A-Z])(?:LEN|CCA|R(?!0(?![\d.,])))[ \t]*+[+-]?(?:Q[LR]?\d+|[\d.,]+)", re.ASCII | re.IGNORECASE
+)
+"""A word of its form: length, angle, radius."""
+ON_CONTOUR = frozenset({"RND", "CHF", "CT"})
+"""Path functions that depend on the blocks beside them, which are written whole under cutter radius compensation only."""
 PASSED = frozenset("END BLK STOP LBL DECLARE PATTERN GLOBAL OPEN WAIT".split())
 HARMLESS_FUNCTIONS = tuple(
     f"FUNCTION {reset}{words}"

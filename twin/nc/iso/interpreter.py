@@ -493,12 +493,10 @@ class IsoInterpreter(IsoMotion):
         turns = name == "RPL" and any(one.name in PROGRAMMED for one in block.names)
         if len(name) == 1 or name in SPINDLE_VECTOR or name in ("CR", "TURN") or turns:
             return False
-        if name[0] in "ABCD" and name[1:] in ("2", "6", "7"):
-            raise self.error(f"tool orientation by {name}", "a tool vector A3= B3= C3=, or rotary axes", shown)
-        if name in vocabulary.CURVES or name in ("I1", "J1", "K1"):
-            raise self.error(f"curve or rounding {name}", vocabulary.LINEAR, shown)
-        if name in vocabulary.TRANSFORMS or name.startswith("$P_"):
-            raise self.error(f"coordinate transformation {name}", vocabulary.NO_TRANSFORMATION, shown)
+        if name in vocabulary.CORNERS and self.beside:
+            self.note(f"{name} is left to the control: the points beside it are corrected", once=True)
+            return True
+        self._check_assigned(name, shown)
         if name[1:].isdigit() and name[0] in _AXIS_LETTERS:
             return False
         if name[0] == "M" and name[1:].isdigit():
@@ -511,6 +509,15 @@ class IsoInterpreter(IsoMotion):
         else:
             self.assign(name + bracket, self.value_of(value))
         return True
+
+    def _check_assigned(self, name: str, shown: str) -> None:
+        """Raise `InputError` for an assignment that changes the meaning of axis words in a way that is not followed."""
+        if name[0] in "ABCD" and name[1:] in ("2", "6", "7"):
+            raise self.error(f"tool orientation by {name}", "a tool vector A3= B3= C3=, or rotary axes", shown)
+        if name in vocabulary.CURVES or name in ("I1", "J1", "K1"):
+            raise self.error(f"curve or rounding {name}", vocabulary.LINEAR, shown)
+        if name in vocabulary.TRANSFORMS or name.startswith("$P_"):
+            raise self.error(f"coordinate transformation {name}", vocabulary.NO_TRANSFORMATION, shown)
 
 
 def _changes_nothing(block: IsoBlock) -> bool:

@@ -223,6 +223,8 @@ CURVES: frozenset[str] = frozenset(
     OEMIPO1 OEMIPO2 POS POSA POSP MOV OSCTRL FOCON FXS LEAD TILT THETA AN PHI PSI ORICURVE ORICONCW ORICONCCW ORICONIO
     ORICONTO ORIPATH ORIPATHS XH YH ZH NUT SPIF1 SPIF2 SPN SPP MEAS MEAW MEASA MEAWA MEAC PUNCHACC""".split()
 )
+CORNERS: frozenset[str] = frozenset({"RND", "CHF", "CHR"})
+"""Rounding and chamfer at the end of a block; beside a contour the blocks next to them are written whole."""
 CYCLE = re.compile(r"CYCLE\d+|MCALL|HOLES\d|POCKET\d|SLOT\d|LONGHOLE|POLY_\w+|CONTPRON|CONTDCON", re.ASCII)
 
 EVIDENCE = line_pattern(
