@@ -41,6 +41,7 @@ _MODES: Final[Mapping[str, tuple[str, Callable[[str], Any]]]] = {
 """For each group of G codes: the attribute of the interpreter that holds its state, and the conversion of a code to that state."""
 
 
+_OF_SINUMERIK: Final = vocabulary.PASSED | vocabulary.TRANSFORMS
 RIGID: Final = re.compile(r"M0*29(?!\d)", re.IGNORECASE)
 """Rigid tapping of Fanuc."""
 
@@ -444,6 +445,7 @@ class IsoInterpreter(IsoMotion):
     def _names(self, block: IsoBlock) -> bool:
         """Apply statements by name and return whether one of them selects machine coordinates."""
         names = block.names
+        self._siemens = self._siemens or any(item.name in _OF_SINUMERIK for item in names)
         for place, (name, start, end, _, _, arguments) in enumerate(names):
             shown = block.text[start:end]
             if name == "SUPA" or name in self.tcp_on or name in self.tcp_off:
@@ -469,7 +471,6 @@ class IsoInterpreter(IsoMotion):
 
     def _passes(self, name: str) -> bool:
         """Return whether a statement does not change the meaning of axis words; note whether tool vectors are the machine's."""
-        self._siemens = self._siemens or name in vocabulary.PASSED
         if name in ("ORIMKS", "ORIWKS"):
             self.of_machine = name == "ORIMKS"
         of_tool = self._okuma and name in vocabulary.OKUMA_LENGTHS
