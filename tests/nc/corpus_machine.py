@@ -47,7 +47,7 @@ def standing(normal: np.ndarray, near: tuple[float, float]) -> tuple[float, floa
 
 
 class Run:
-    """One execution: its state, and in ``ends`` the axis positions at the ends of blocks, whether they are feeds, and the tool length."""
+    """One execution: its state, and in ``ends`` the axis positions at block ends, whether it is a feed, and the tool length."""
 
     def __init__(self) -> None:
         self.words = dict.fromkeys("XYZBC", np.nan)
