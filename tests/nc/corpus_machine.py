@@ -20,7 +20,7 @@ OFFSETS = {
 LENGTHS = {"1": 80.0, "2": 131.5, "12": 65.25, "MILL_D10": 92.5}
 ROTARY_INCREMENT = 0.001
 _WORD = re.compile(r"([A-Z]+\d(?=\s*=)|[A-Z]+)\s*=?\s*([-+]?(?:\d+\.?\d*|\.\d+))")
-_CYCLES = {"81", "82", "83"}
+_CYCLES = {"81", "82", "83", "84"}
 
 
 def table_of(b_deg: float, c_deg: float) -> np.ndarray:
@@ -142,7 +142,7 @@ def run_iso(text: str) -> Run:
             if one == "80":
                 cycle = {}
             if one in _CYCLES:
-                initial = run.words["Z"]
+                initial, code_of_cycle = run.words["Z"], one
                 cycle = {"on": 1.0}
         if "TRAORI" in bare or "TRAFOOF" in bare:
             run.tcp = "TRAORI" in bare
@@ -165,11 +165,9 @@ def run_iso(text: str) -> Run:
             run.words[axis] = value + (run.words[axis] if relative else 0.0)
         run.go(code == "0" or bool(cycle))
         if cycle:
-            for height, rapid in (
-                (cycle["R"], True),
-                (cycle["Z"], False),
-                (initial if to_initial else cycle["R"], True),
-            ):
+            # The bottom of a thread is left to the control, uncorrected.
+            kept = [] if code_of_cycle == "84" else [(cycle["Z"], False)]
+            for height, rapid in ((cycle["R"], True), *kept, (initial if to_initial else cycle["R"], True)):
                 run.words["Z"] = height
                 run.go(rapid)
     return run
@@ -208,7 +206,7 @@ def run_plain(text: str) -> Run:
             run.forget("Z")
         elif block.startswith("PLANE RESET"):
             run.plane, run.shift = None, below
-            run.forget("XYZ")
+            run.forget("XYZ" if "STAY" in block else "XYZBC")
         elif block.startswith("PLANE SPATIAL"):
             angles = [float(value) for value in re.findall(r"SP[ABC]\s*([-+]?[\d.]+)", block)]
             plane = Rotation.from_euler("xyz", angles, degrees=True).as_matrix(), run.shift
@@ -219,9 +217,18 @@ def run_plain(text: str) -> Run:
                 run.tilt(*plane)
         elif "Q121" in block and run.pending:
             run.tilt(*run.pending)
-        elif "M128" in block or "M129" in block:
-            run.tcp = "M128" in block
+        elif "M128" in block or "M129" in block or "TCPM" in block:
+            run.tcp = "M128" in block or block.startswith("FUNCTION TCPM")
             run.forget("XYZ")
+        elif block.startswith("CC"):
+            centre = {axis: float(value) for axis, value in re.findall(r"([XY])([-+]?[\d.]+)", block)}
+        elif block.startswith("CP"):
+            turn, up = np.radians(float(re.findall(r"IPA([-+][\d.]+)", block)[0])), re.findall(r"IZ([-+][\d.]+)", block)
+            x, y = (run.words[axis] - centre[axis] for axis in "XY")
+            run.words["X"] = centre["X"] + x * np.cos(turn) - y * np.sin(turn)
+            run.words["Y"] = centre["Y"] + x * np.sin(turn) + y * np.cos(turn)
+            run.words["Z"] += float(up[0]) if up else 0.0
+            run.go(False)
         elif re.match(r"(?:L|C|CR|APPR|DEP|CYCL CALL)\b", block):
             words = re.sub(r"\b(?:R\+?\d[\d.]*|LEN\+?[\d.]+|CCA\+?[\d.]+|S\d+|F\d[\d.]*|M\d+)", "", block)
             axes = {axis: float(value) for axis, value in re.findall(r"(?<![A-Z])([XYZBC])([-+]?\d[\d.]*)", words)}

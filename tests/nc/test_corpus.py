@@ -37,6 +37,7 @@ LAST_FEED = {
     "tnc_contour.h": (250 - 60, 225 - 45, -390 + 80 + 15),
 }
 CONTROLS = {
+    "mazak": "Fanuc",
     "haas": "Fanuc",
     "fanuc": "Fanuc",
     "mill": "Fanuc",

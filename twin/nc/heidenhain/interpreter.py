@@ -439,7 +439,8 @@ class HeidenhainInterpreter(HeidenhainFrame):
         if code in (126, 127):
             self._shortest_way.append((self._line, code == 126))
         if not (code in vocabulary.HARMLESS_M or word in self.tcp_on | self.tcp_off):
-            turned = [position for position in self.position[self.linear :] if not 0.0 <= position < 360.0]
+            known = [position for position in self.position[self.linear :] if position == position]
+            turned = [position for position in known if not 0.0 <= position < 360.0]
             if code not in vocabulary.OF_HEIDENHAIN | SWITCHING_M:
                 self.take_auxiliary(word)
             elif code != 94 or turned:

@@ -428,6 +428,8 @@ class IsoInterpreter(IsoMotion):
             return group
         if code in vocabulary.ENDED_BY_P0 and [item.value for item in block.others if item.name == "P"] == ["0"]:
             return ""
+        if code in vocabulary.SMOOTHING_BY_P and [item.name for item in block.others] == ["P"] and not block.items:
+            return ""
         if code in vocabulary.REFUSED_CODES:
             raise self.error(*vocabulary.REFUSED_CODES[code])
         if f"G{code}" in self.tcp_on | self.tcp_off | self.harmless:

@@ -114,6 +114,8 @@ OWN_WORDS: Mapping[str, str] = {"5.1": "QR", "187": "PE"}
 """Words that belong to a G code of smoothing in its block: mode and level, smoothness and tolerance."""
 ENDED_BY_P0: frozenset[str] = frozenset({"54.2", "54.4"})
 """G codes of Fanuc and Mazak that shift coordinates by a table, and end that with P0."""
+SMOOTHING_BY_P: frozenset[str] = frozenset({"5.3"})
+"""G codes that set a surface quality by P alone (Hurco), and begin a curve without it (LinuxCNC)."""
 OFFSET_VARIABLES = ((2001, 2999), (5161, 5400), (7001, 7960), (10001, 13999), (14001, 19988))
 """System variables that hold work offsets and tool lengths (LinuxCNC: 5161 to 5400)."""
 USER_VARIABLES = ((0, 999), (3000, 3012), (3901, 3902), (98000, 98499))
