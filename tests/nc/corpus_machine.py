@@ -176,10 +176,10 @@ def run_iso(text: str) -> Run:
 def _written_out(text: str) -> Iterator[str]:
     """Yield the blocks of a program in plain language without numbers and comments, its subprograms written out."""
     points = re.sub(r"(\d),(\d)", r"\1.\2", text)
-    blocks = [re.sub(r"^\d+\s+|;.*|~\s*$", "", line.strip()).strip() for line in points.splitlines()]
+    blocks = [re.sub(r"^/?\d+\s+|;.*|~\s*$", "", line.strip()).strip() for line in points.splitlines()]
     ends = [i for i, block in enumerate(blocks) if re.search(r"\bM30\b|END PGM", block)]
     for block in blocks[: ends[0] + 1]:
-        called = re.match(r"CALL LBL (\d+)$", block)
+        called = re.match(r'CALL LBL (\d+|"\w+")$', block)
         if called:
             begin = blocks.index(f"LBL {called[1]}")
             yield from blocks[begin + 1 : blocks.index("LBL 0", begin)]

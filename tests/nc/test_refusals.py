@@ -284,6 +284,7 @@ def test_drilling_written_out():
         ("LP PR+5 PA+30", "LP"),
         ("CP IPA+30 DR+", "CP"),
         ("/L X+5", "block skip"),
+        ("/L X+5 M30", "block skip"),
         ("12 /L X+5", "block skip"),
         ("N10 G1 X+5", "block of an ISO program"),
         ("L X+5 M3.5", "M3.5"),

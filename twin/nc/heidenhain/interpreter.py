@@ -186,6 +186,9 @@ class HeidenhainInterpreter(HeidenhainFrame):
             self.close_definition()
         if vocabulary.BLOCK_OF_ISO.match(body):
             raise self.error("block of an ISO program", "blocks of plain language", body)
+        if vocabulary.SKIPPED_END.fullmatch(body):
+            self.note("block skip on the end of the program: assumed to be executed")
+            return
         if vocabulary.SKIPPED.match(body):
             expected = "the blocks to execute without /, the others left out"
             raise self.error(

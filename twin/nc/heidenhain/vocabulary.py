@@ -17,6 +17,10 @@ HEAD = re.compile(r"(?:\xef\xbb\xbf)?+[ \t\f\x1a]*+(?:(\d++)(?![.,\d])|[Nn]\d++(
 KEYWORD = re.compile(r"(?:L[NPT]?|C[CRTP]?|CTP)(?=[ \t\r\n;~]|$)|[A-Za-z]++", re.ASCII)
 BLOCK_OF_ISO = re.compile(r"G[ \t]*+\d", re.ASCII | re.IGNORECASE)
 SKIPPED = re.compile(r"[ \t]*+(?:\d++[ \t]*+)?+/")
+SKIPPED_END = re.compile(
+    r"[ \t]*+/[ \t]*+(?:\d++[ \t]*+)?+(?:STOP[ \t]++)?+M0*(?:2|30)(?!\d)[ \t]*+(?:;.*)?", re.ASCII | re.IGNORECASE
+)
+"""The end of the program in a block that may be skipped."""
 PARAXIAL = re.compile(rf"I?[XYZABCUVW][ \t]*+{_VALUE}", re.ASCII | re.IGNORECASE)
 
 TOKEN = re.compile(
