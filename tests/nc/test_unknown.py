@@ -112,7 +112,7 @@ def test_auxiliary_functions_of_the_builder_pass_with_a_notice(dialect: Dialect,
     text = start + "\n" + "\n".join(f"{word}\n{feed} {word}" for word in words) + "\n"
     reading = read_moves(dialect, text)
     assert len(reading.moves) == 1 + len(words) and not any(move.unknown for move in reading.moves)
-    said = [(notice.line, notice.text.split()[0]) for notice in reading.notices]
+    said = [(notice.line, notice.text.split()[0]) for notice in reading.notices if notice.text[0] in "MA"]
     assert said == [(1 + i, words[i // 2]) for i in range(2 * len(words))]
 
 
@@ -133,6 +133,14 @@ def test_a_feed_that_turns_behind_an_unknown_function_is_refused(
     with pytest.raises(InputError, match="effect of M77 \\(line 2\\) is not known: it may switch") as caught:
         read_moves(dialect, f"{start}\nM77\nM78\n{turns}\n")
     assert caught.value.line == 4
+
+
+@pytest.mark.parametrize(
+    ("text", "line"), [("G0 X1\nG1 X2\n", 0), ("G0 X1\nG21\nX2\n", 0), ("(A)\nX1\n" * 60, 1), ("G20\nX1\n", None)]
+)
+def test_a_program_that_states_no_unit_is_noted(text: str, line: int | None) -> None:
+    notices = [notice.line for notice in read_moves(ISO, text).notices if "does not state its unit" in notice.text]
+    assert notices == ([] if line is None else [line])
 
 
 def test_names_are_outside_the_vocabulary() -> None:
@@ -203,7 +211,7 @@ def test_m94_is_known_below_one_turn_only() -> None:
 )
 def test_the_machine_file_names_harmless_words(statement: str, known: bool) -> None:
     axes = replace(AXES, harmless=("M51", "AIRBLAST", "G777"))
-    text = f"G0 X1 Y2 Z3 B4 C5\n{statement}\nG1 X6\n"
+    text = f"G21 G0 X1 Y2 Z3 B4 C5\n{statement}\nG1 X6\n"
     assert not ISO.moves(ISO.read(text.encode(), "t"), axes, tcp=False).notices or known
     assert bool(ISO.moves(ISO.read(text.encode(), "t"), axes, tcp=False).moves[-1].unknown) is known
     if "(" not in statement and statement[0] != "G":

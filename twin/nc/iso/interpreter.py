@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from typing import Any, Final, final
 
 from twin._common.errors import InputError
-from twin.nc.blocks import AxisWords, Kind, Move
+from twin.nc.blocks import AxisWords, Kind, Move, MoveColumns, Notice
 from twin.nc.iso import vocabulary
 from twin.nc.iso.cycles import PATTERNS, SINUMERIK
 from twin.nc.iso.frame import TOOL_CHANGE, IsoBlock, Item
@@ -42,6 +42,7 @@ _MODES: Final[Mapping[str, tuple[str, Callable[[str], Any]]]] = {
 
 
 _OF_SINUMERIK: Final = vocabulary.PASSED | vocabulary.TRANSFORMS
+NO_UNIT: Final = "the program does not state its unit (G20, G21, G70, G71): millimetres are assumed"
 RIGID: Final = re.compile(r"M0*29(?!\d)", re.IGNORECASE)
 """Rigid tapping of Fanuc."""
 
@@ -56,7 +57,8 @@ class IsoInterpreter(IsoMotion):
         self._started = self._okuma = False
         self._assignments: list[tuple[str, float]] = []
         """Values of ``#`` variables that hold from the next block on: words of the same block have the values before (LinuxCNC)."""
-        self._probes = self._siemens = False
+        self._probes = self._siemens = self._begun = False
+        self._unit_line: int | None = None
 
     @property
     def variant(self) -> str:
@@ -99,6 +101,14 @@ class IsoInterpreter(IsoMotion):
             self.assign(name, value)
         self._assignments.clear()
         return applied
+
+    def checked(self, moves: MoveColumns, text_of: Callable[[int], str]) -> MoveColumns:
+        """See `Interpreter.checked`; note that a program does not state its unit before it moves."""
+        if len(moves) and not self._begun:
+            self._begun, first = True, int(moves.line[0])
+            if self._unit_line is None or self._unit_line > first:
+                self.late_notices.append(Notice(first, NO_UNIT))
+        return super().checked(moves, text_of)
 
     def may_end(self, tail: str) -> bool:
         """See `Interpreter.may_end`: not while a cycle is in force or between M29 and its thread, which are written together."""
@@ -391,6 +401,7 @@ class IsoInterpreter(IsoMotion):
             self._modal(block, span, group)
             self.tell_control(code)
             self.switch_by(block, f"G{code}")
+        self._unit_line = self._line if self._unit_line is None and "units" in seen else self._unit_line
         return frozenset(seen)
 
     def _modal(self, block: IsoBlock, span: Span, group: str) -> None:
