@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from twin._common.errors import InputError
     from twin.compensation import Compensator, Options, compensate, compensate_file
     from twin.compensation.fewer_blocks import refit
+    from twin.compensation.programs.check import check_program
     from twin.compensation.programs.comparison import ThesisMethod
     from twin.compensation.programs.execute import execute_file
     from twin.compensation.programs.many import compensate_files
@@ -95,6 +96,7 @@ __all__ = [
     "axis_sliders",
     "calibrated_urdf",
     "calibration_from_frame",
+    "check_program",
     "compare",
     "compensate",
     "compensate_file",

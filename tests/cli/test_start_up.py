@@ -87,6 +87,7 @@ WITH_MACHINE = {
     "info": [],
     "compare": ["a.yaml", "a.yaml"],
     "volume": [],
+    "check": ["cone_frustum.nc"],
     "compensate": ["cone_frustum.nc", "-o", "x.nc"],
     "verify": ["cone_frustum.nc", "--control", "linuxcnc"],
     "path": ["cone_frustum.nc", "-o", "x.nc"],

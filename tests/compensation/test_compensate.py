@@ -215,11 +215,12 @@ def test_three_axis_program_keeps_its_words(dmu50: Machine, calibration: Calibra
 
 
 def test_a_rotary_position_that_was_lost_is_not_assumed(dmu50: Machine, calibration: Calibration) -> None:
-    """Refuse it: the reference is where the builder has put it, not where the set-up begins."""
+    """A feed there stays as written: the reference is where the builder has put it, not where the set-up begins."""
     lines = ["G90", "G0 X100 Y100 Z-100", "G1 X120 F300", "G28 B0", "G0 X100 Y100 Z-100", "G1 X120 F300", "M30"]
-    with pytest.raises(InputError, match="before the program has given a position of B") as refused:
-        compensate("\n".join([*lines, ""]), dmu50, calibration)
-    assert refused.value.line == 6
+    result = compensate("\n".join([*lines, ""]), dmu50, calibration)
+    (left,) = (one for one in result.report.not_corrected if one.kind == "unknown")
+    assert left.missed == (6,) and "has not given a position of B" in left.reason
+    assert "\n".join([*lines[3:], ""]) in result.text
     lines[4] += " B0"
     notes = compensate("\n".join([*lines, ""]), dmu50, calibration).report.notes
     assert [note.line for note in notes if "taken as" in note.text] == [2]

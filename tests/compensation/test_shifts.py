@@ -271,7 +271,6 @@ NOT_FOLLOWED = [
     (f"{HEAD}G43.4 H1\nG92 X5\n", 4, "under tool centre point control"),
     (f"{HEAD}G10 L2 P1 X250\nG43.4 H1\n", 4, "sets a work offset"),
     (f"{HEAD}TRANS X5\nG68.2 I30. J25. K0.\n", 4, "while the coordinates are shifted"),
-    (f"{HEAD}TRANS X5\nG91 G1 X5 F100\n", 4, "incremental X"),
     (f"{HEAD}TRANS X5 M8\n", 3, "with other words"),
     (f"{HEAD}TRANS X5 Q3\n", 3, "with other words"),
     (f"{HEAD}TRANS X=_A\n", 3, "value of X is unknown"),
@@ -286,7 +285,6 @@ NOT_FOLLOWED = [
     (f"{HEAD_H}CYCL DEF 7.1 #3\n", 3, "without axis words"),
     (f"{HEAD_H}CYCL DEF 7.1 X+Q5\n", 3, "value of X is unknown"),
     (f"{HEAD_H}CYCL DEF 7 X+10\n", 3, "datum shift"),
-    (f"{HEAD_H}CYCL DEF 7.1 X+10\nL IX+5 F100\n", 4, "incremental X"),
     (f"{HEAD_H}CYCL DEF 10.1 ROT+10\nCYCL DEF 7.1 X+10\n", 4, "in turned coordinates"),
     (f"{HEAD_H}CYCL DEF 10.1 ROT+10\nM128\n", 4, "turns its coordinates"),
     (f"{HEAD_H}CYCL DEF 7.1 X+5\n{PLANE}CYCL DEF 7.1 X+10\n", 5, "in a tilted plane"),
@@ -313,3 +311,22 @@ def test_tool_tip_coordinates_are_shifted_in_the_work_frame(dmu50: Machine, erro
 def test_the_report_says_what_is_shifted(dmu50: Machine, errors: Calibration) -> None:
     report = compensated(FOLLOWED["AROT after TRANS"][0], dmu50, errors, Setup(work_offset=ZERO)).report
     assert "shifted by the program: X 50; turned by the program" in report.to_text()
+
+
+@pytest.mark.parametrize(
+    ("head", "increment", "other", "again"),
+    [
+        (f"{HEAD}TRANS X5\n", "G91 G1 X5 F100\nG90", "Y3", "X1 Y4"),
+        (f"{HEAD_H}CYCL DEF 7.1 X+10\n", "L IX+5 F100", "L Y+3", "L X+1 Y+4"),
+    ],
+)
+def test_an_increment_where_controls_disagree_stays_as_written_until_its_axis_is_known(
+    dmu50: Machine, head: str, increment: str, other: str, again: str
+) -> None:
+    """Some controls read it from where the axis stands, others from the shifted word."""
+    errors = random_calibration(dmu50, np.random.default_rng(4), size=30.0)
+    result = compensated(f"{head}{increment}\n{other}\n{again}\n", dmu50, errors, ONE)
+    assert f"{increment}\n{other}\n" in result.text and f"\n{again}\n" not in result.text
+    (lost,) = [one for one in result.report.not_corrected if one.kind == "unknown"]
+    first, last = head.count("\n") + 1, head.count("\n") + increment.count("\n") + 2
+    assert lost.missed == (first, last) and "position of X" in lost.reason

@@ -449,7 +449,17 @@ def test_increments_of_zero_after_a_reference_stay_and_later_blocks_are_correcte
     meant = np.array([[110.0, 100.0, -100.0, 30.0, 40.0], [120.0, 100.0, -100.0, 30.0, 40.0]])
     off_um, _ = truth.deviations(done, meant)
     assert off_um.max() < ROUNDING_UM
-    with pytest.raises(InputError, match="position of B, C"):
-        compensate(text.replace("G0 X5 B0", "G1 F100 X5 B0"), dmu50, calibration)
-    with pytest.raises(InputError, match="incremental B while its position is unknown"):
-        compensate(text.replace("X5 B0", "X5 B0.001"), dmu50, calibration)
+    for old, new, line in (("G0 X5 B0", "G1 F100 X5 B0", 4), ("X5 B0", "X5 B0.001", None)):
+        changed = compensate(text.replace(old, new), dmu50, calibration)
+        assert changed.text.splitlines()[-2:] == out[-2:] and new in changed.text
+        lost = [one.missed[0] for one in changed.report.not_corrected if one.kind == "unknown"]
+        assert lost == ([] if line is None else [line])
+
+
+@pytest.mark.parametrize(
+    ("word", "hint"), [("A5", "A is an axis of trunnion_ac"), ("W5", "no machine of twin has W"), ("U=5", "has U")]
+)
+def test_the_machine_that_has_an_axis_is_named(dmu50: Machine, calibration: Calibration, word: str, hint: str) -> None:
+    with pytest.raises(InputError, match="unknown axis") as refused:
+        compensate(f"G0 X1 Y1 Z-1\nG0 {word}\n", dmu50, calibration)
+    assert refused.value.line == 2 and refused.value.expected.endswith(hint)

@@ -204,7 +204,7 @@ def test_boring_of_linuxcnc(dmu50: Machine, errors: Calibration, tmp_path: Path)
         ("MCALL CYCLE81(-300,-312,2,-330)\nHOLES1(300,200,90,5,10,_N)\n", "known values"),
         ("MCALL CYCLE81(-300,-312,2,-330)\nHOLES2(300,200,20,0,0,2.5)\n", "whole numbers of holes"),
         ("MCALL CYCLE81(-300,-312,2,-330)\nHOLES1(300,200,0,0,10,2,1)\n", "6 arguments"),
-        ("M777\nG99 G81 X310. Z-330. R-310.", "the effect of M777 is not known"),
+        ("M91\nG99 G81 X310. Z-330. R-310.", "the effect of M91 is not known"),
         ("G28 Z0\nG98 G81 X310. Z-330. R-310.", "position of Z unknown"),
         ("G99 G81 X310. Z-330. R-310.\nG18 X10.", "canned cycle"),
         ("G99 G81 X310. Z-330. R-310.\nMCALL CYCLE81(-300,-312,2,-330)", "cycles of one control"),

@@ -141,6 +141,11 @@ SINUMERIK = {
 PLAIN = {
     "FN 12": ("Q1=+301\nLBL 1\nL X+Q1 F100\nQ1 = Q1 + 1\nFN 12: IF +Q1 LT +304 GOTO LBL 1\n", (301, 302, 303)),
     "IF without FN": ('Q1=+301\nLBL "A"\nL X+Q1 F100\nFN 1: Q1 = +Q1 + +1\nIF Q1 NE +303 GOTO LBL "A"\n', (301, 302)),
+    "out of a subprogram": (
+        "Q1=+2\nCALL LBL 7\nL X+310 F100\nM30\nLBL 7\nFN 9: IF +Q1 EQU +1 GOTO LBL 8\nFN 9: IF +Q1 EQU +2 GOTO LBL 9\nL X+1\nLBL 0\n"
+        "LBL 8\nL X+2\nLBL 0\nLBL 9\nL X+302 F100\nFN 10: IF +Q1 NE +1 GOTO LBL 10\nLBL 0\nLBL 10\nL X+303\nLBL 0\n",
+        (302, 303, 310),
+    ),
     "FN 9 forward": ("FN 0: Q1=+3\nFN 9: IF +Q1 EQU +3 GOTO LBL 5\nL X+1\nLBL 5\nL X+302 F100\n", (302,)),
     "a jump within a repeated part": (
         "Q1=+301\nLBL 1\nFN 9: IF +Q1 EQU +302 GOTO LBL 2\nL X+Q1 F100\nLBL 2\nQ1 = Q1 + 1\nCALL LBL 1 REP 2\n",
@@ -236,6 +241,8 @@ REFUSED = [
     ("main.mpf", "IF R1==5\nG1 X1\nENDIF\n", 2, "is unknown"),
     ("main.h", "FN 9: IF +Q1 EQU +3 GOTO LBL 5\nLBL 5\n", 3, "is unknown"),
     ("main.h", "FN 9: IF +3 EQU +3 GOTO LBL 5\n", 3, "no label 5"),
+    ("main.h", "CALL LBL 1\nM30\nLBL 1\nFN 9: IF +3 EQU +3 GOTO LBL 5\nLBL 0\nLBL 5\n", 6, "no label 5"),
+    ("main.h", "LBL 5\nLBL 0\nCALL LBL 1\nM30\nLBL 1\nFN 9: IF +3 EQU +3 GOTO LBL 5\nLBL 0\n", 8, "no label 5"),
 ]
 
 

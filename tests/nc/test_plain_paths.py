@@ -123,6 +123,11 @@ REFUSED = {
     "CP beside a contour": (POLE + "4 LP PR+20 PA+0 RL F500\n5 CP IPA+90 DR+\n", "CC and C"),
     "a turn beside a contour": ("4 L X+270 RL F200\n5 L C+20\n", "tool that turns"),
     "machine coordinates": ("4 L X+270 RL F200\n5 L Z+0 M91\n", "R0 before"),
+    "a lead-in without its end": ("4 APPR LT LEN10 RL F200\n", "with or without its end"),
+    "a lead-out to somewhere": ("4 L X+270 RL F200\n5 DEP LT X+5 Y+5 LEN10\n", "with or without its end"),
+    "a lead-in about the pole": ("4 APPR PLT PR+20 PA+0 LEN10 RL F200\n", "LT, LN, CT or LCT"),
+    "a rounding of the tool centre path": ("4 L X+270 F200\n5 RND R5\n6 L Y+220\n", "under RL or RR"),
+    "a tangential arc of the tool centre path": ("4 L X+270 F200\n5 CT X+280 Y+220\n", "under RL or RR"),
     "one axis": ("4 X+270 R+ F200\n", "radius compensation"),
 }
 
@@ -138,3 +143,61 @@ def test_what_is_refused(name: str) -> None:
 def test_words_without_a_value_of_older_controls(text: str) -> None:
     (move,) = moves_of(f"{START}{text}\n")[1:]
     assert move.position[:2] == (5.0, 6.0)
+
+
+ON_CONTOUR = "L Y+220\nL X+300 Y+225\nL Y+200\nL X+285 Y+190\n"
+LEADS = {
+    # name: (lead-in, behind each block of the contour, lead-out), each after the form of plain L blocks
+    "tangents": ("APPR LT X+270 Y+200 LEN15 RL F200", ("", "", "", ""), "DEP LT LEN12,5 F500"),
+    "normals": ("APPR LN X+270 Y+200 LEN+15 RR F200", ("", "", "", ""), "DEP LN LEN+20 F500"),
+    "arcs": ("APPR CT X+270 Y+200 CCA180 R+10 RL F200", ("RND R2 F100", "CHF 1", "", ""), "DEP CT CCA90 R+8"),
+    "lines and arcs": (
+        "APPR LCT X+270 Y+200 Z-105 R10 RL F200",
+        ("RND R2", "", "", ""),
+        "DEP LCT X+250 Y+195 R+8 F500 M9",
+    ),
+    "without a side": ("APPR LCT X+270 Y+200 R10 R0 F200", ("", "", "", ""), "DEP LCT X+250 Y+195 Z-90 R8"),
+}
+
+
+@pytest.mark.parametrize("name", LEADS)
+def test_leads_have_the_ends_of_straight_blocks(dmu50: Machine, errors: Calibration, name: str) -> None:
+    """Compare with the program in which each is a straight block to its end; roundings and chamfers are left out there."""
+    begin, behind, end = LEADS[name]
+    straight = re.sub(r"APPR \w+|LEN\S+|CCA\d+|(?<= )R\+?\d+(?= )", "", begin).replace("  ", " ")
+    out = re.sub(r"DEP LCT|R\+?8", "", end)
+    blocks = [line for pair in zip(ON_CONTOUR.splitlines(), behind, strict=True) for line in pair if line]
+    if "RL" not in begin and "RR" not in begin:
+        blocks = ON_CONTOUR.splitlines()[:1]
+    leads = [begin, *blocks, end, "L Z-80 FMAX", "L X+250 Y+200 FMAX"]
+    plain = [f"L {straight}", *(line for line in blocks if line[0] == "L"), "" if "LCT" not in end else f"L {out} R0"]
+    plain += ["L Z-80 FMAX", "L X+250 Y+200 FMAX"]
+    found, wanted = (
+        [
+            re.sub(r"^\d+ ", "", line)
+            for line in compensated(START + "\n".join(lines) + "\n" + END, dmu50, errors).text.splitlines()
+        ]
+        for lines in (leads, plain)
+    )
+    words = [re.findall(r"(?<![A-Z])[XYZBC][-+][\d.]+", re.sub(r"CCA\d+", "", line)) for line in found]
+    meant = [re.findall(r"[XYZBC][-+][\d.]+", line) for line in wanted]
+    at = next(i for i, line in enumerate(found) if line.startswith("APPR"))
+    until = next(i for i, line in enumerate(found) if line.startswith("DEP"))
+    moved = [line for i, line in enumerate(words[at : until + ("LCT" in end)]) if line]
+    assert moved == [line for line in meant[at:] if line][: len(moved)] and len(moved) > 1
+    kept = re.findall(
+        r"APPR \w+|DEP \w+|LEN\S+|CCA\d+|R\+?\d+|R[LR]|RND.*|CHF.*|[FM]\d+", "\n".join([begin, *blocks, end])
+    )
+    assert kept == re.findall(
+        r"APPR \w+|DEP \w+|LEN\S+|CCA\d+|R\+?\d+|R[LR]|RND.*|CHF.*|[FM]\d+", "\n".join(found[at : until + 1])
+    )
+    if "LCT" not in end:  # where the control goes is not known: the next rapid across the plane stays as it is
+        assert found[until] == end and found[until + 1] == "L Z-80 FMAX" and words[until + 2] != ["X+250", "Y+200"]
+
+
+def test_a_tangential_arc_beside_the_contour_is_left_to_the_control(dmu50: Machine, errors: Calibration) -> None:
+    text = "3 L X+270 Y+200 RL F200\n4 L Y+220\n5 CT X+290 Y+240\n6 L X+300\n7 L Y+200 R0\n"
+    result = compensated(START + text + END, dmu50, errors)
+    arc = next(line for line in result.text.splitlines() if " CT " in line)
+    straight = compensated(START + text.replace("CT", "L") + END, dmu50, errors).text.splitlines()
+    assert arc.replace("CT", "L") in straight and "CT is left to the control" in result.report.to_text()

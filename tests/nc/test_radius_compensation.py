@@ -136,3 +136,19 @@ def test_what_is_refused(name: str) -> None:
     text, words = REFUSED[name]
     with pytest.raises(InputError, match=words):
         ISO.moves(ISO.read((START + text).encode(), "part"), AXES, tcp=False)
+
+
+def test_roundings_and_chamfers_stay_with_the_contour(dmu50: Machine, errors: Calibration) -> None:
+    """The output is that of the program without them, with the words behind their blocks."""
+    text = (
+        CONTOUR.replace("\nY200.\n", "\nY200. RND=2.\n")
+        .replace("G1 X330.\n", "G1 X330. CHF=1.5\n")
+        .replace("Y160.\nX260", "Y160. CHR=1\nX260")
+    )
+    words = re.compile(r" (?:RND=2\.|CHF=1\.5|CHR=1)")
+    result = compensated(START + text, dmu50, errors)
+    assert len(words.findall(result.text)) == 3
+    assert words.sub("", result.text) == compensated(START + CONTOUR, dmu50, errors).text
+    assert "RND is left to the control" in result.report.to_text()
+    with pytest.raises(InputError, match="curve or rounding RND"):
+        compensated(START + "G1 X260. RND=2.\nY160.\n", dmu50, errors)

@@ -31,6 +31,7 @@ COMMANDS: Final = {
     "info": "Show axes, ranges, frames and the error budget of a machine.",
     "compare": "Show what changed between two calibrations of a machine.",
     "volume": "Show the spread of errors over machines drawn from a calibration's covariance.",
+    "check": "Examine NC programs before anything is computed.",
     "compensate": "Rewrite NC programs so that the real machine cuts what was programmed.",
     "verify": "Let a control execute a program, and evaluate the error over the whole motion.",
     "path": "Fit the same tool path with fewer blocks.",

@@ -422,6 +422,12 @@ def _with_error_frames(
     return model, joint_of, frames
 
 
+def bundled_machines() -> tuple[Machine, ...]:
+    """Return the machines that come with twin, by name."""
+    files = sorted(file for file in bundled_folder().glob("*.yaml") if "." not in file.stem)
+    return tuple(Machine.load(file) for file in files)
+
+
 def _start(first: int, source: pin.Model, entries: MachineFile) -> np.ndarray:
     """Return the start (3,) in metres of the branch from joint ``first``, so that its linear axes count from ``frames.origin``."""
     data = source.createData()

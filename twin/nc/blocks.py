@@ -41,16 +41,19 @@ class Plane:
 
     Attributes:
         origin_mm: its zero in the program's coordinates before it.
-        rotation: its axes in those coordinates, as the columns of a rotation matrix (rows of three numbers).
+        rotation: its axes in those coordinates, as the columns of a rotation matrix (rows of three numbers); None: parallel to the
+            linear axes of the machine where the rotary axes are at ``at_deg`` (dynamic work offset).
         choice: which of two positions of the rotary axes to take: +1 or −1: that where the axis nearer the tool is positive or
             negative; 0: the nearer one.
         stays: whether the linear axes stay where they are while the rotary axes turn.
+        at_deg: words of the rotary axes, where the program positions them itself; None: the control positions them.
     """
 
     origin_mm: tuple[float, float, float]
-    rotation: Rows
+    rotation: Rows | None
     choice: int = 0
     stays: bool = True
+    at_deg: tuple[float, ...] | None = None
 
 
 def rotation_about(axes: str, angles_deg: Sequence[float]) -> Rows:
@@ -69,6 +72,28 @@ def rotation_about(axes: str, angles_deg: Sequence[float]) -> Rows:
         turn[j, j], turn[j, k], turn[k, j], turn[k, k] = c, -s, s, c
         matrix = matrix @ turn
     return tuple(tuple(row) for row in matrix.tolist())
+
+
+def rotation_along(first: Sequence[float], normal: Sequence[float]) -> Rows:
+    """Return the rotation matrix whose third column lies along a normal, and whose first column is nearest to another vector.
+
+    Raises:
+        ValueError: a vector of length zero, or both are parallel.
+    """
+    z = np.array(normal, dtype=float)
+    x = np.array(first, dtype=float)
+    if not (z.any() and x.any()):
+        raise ValueError("a vector of length zero")
+    z /= np.linalg.norm(z)
+    x = x / np.linalg.norm(x) - z * (z @ x) / np.linalg.norm(x)
+    if np.linalg.norm(x) < PARALLEL:
+        raise ValueError("two parallel vectors")
+    x /= np.linalg.norm(x)
+    return tuple(tuple(row) for row in np.stack([x, np.cross(z, x), z], axis=1).tolist())
+
+
+PARALLEL: Final = 1e-3
+"""Sine of the least angle between the two directions that define a plane."""
 
 
 def _cos_sin(angle_deg: float) -> tuple[float, float]:
@@ -396,6 +421,7 @@ class Interpretation:
         lost_positions: the lines after which axis positions are unknown.
         frames: the lines that change the frame: by known values of offsets and tools (`AxisWords`), or of the program.
         drilled: ranges of lines that execute a drilling cycle; all their moves belong to it.
+        control: the control whose words the program has; empty if its words are those of several.
     """
 
     moves: Sequence[Move]
@@ -403,6 +429,7 @@ class Interpretation:
     lost_positions: tuple[LostPositions, ...] = ()
     frames: tuple[FrameChange, ...] = ()
     drilled: tuple[range, ...] = ()
+    control: str = ""
 
 
 @final

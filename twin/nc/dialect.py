@@ -225,7 +225,7 @@ class Dialect(ABC):
         for chunk in self.chunks(program, axes):
             found.extend(reader.read(chunk))
         beside = tuple(reader.lost_positions()), tuple(reader.frames()), tuple(reader.drilled())
-        return Interpretation(found.moves(), reader.notices, *beside)
+        return Interpretation(found.moves(), reader.notices, *beside, reader.control)
 
     def rewrite(self, program: Program, axes: AxisWords, reading: Interpretation, new: NewPositions) -> str:
         """Return the text with some moves replaced, as by `rewriter`."""

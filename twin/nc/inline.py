@@ -229,6 +229,15 @@ class Inliner(ABC):
         """Return the local parameters of a subprogram whose values are not in the lines of `body`; at the call."""
         return {}
 
+    def beyond(self, name: str, line: Line) -> list[Line] | None:
+        """Return the lines that a jump out of a subprogram executes, up to the return from it; None if there are none.
+
+        Args:
+            name: the label.
+            line: that of the jump.
+        """
+        return None
+
     @abstractmethod
     def main(self) -> list[Line]:
         """Return the lines that the control executes, in order, where calls stand for their subprograms."""
@@ -456,6 +465,10 @@ class FlowRun:
     def _goto(self, at: int, flow: Flow) -> int:
         if flow.condition and not self._true(flow.condition, at):
             return at + 1
+        beyond = None if flow.name in self._labels else self._inliner.beyond(flow.name, self._lines[at])
+        if beyond is not None:
+            self.added.append(beyond)
+            return len(self._lines)
         return self._target(flow.name, at, flow.towards)
 
     def _case(self, at: int, flow: Flow) -> int:

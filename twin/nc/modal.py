@@ -9,6 +9,8 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Final, NamedTuple
 
+import numpy as np
+
 from twin._common.errors import InputError
 from twin.nc.arcs import ArcMisfit
 from twin.nc.arithmetic import evaluate, key_of
@@ -89,6 +91,27 @@ UNKNOWN_AFTER: Final = (
     "is not known: positions, frame, offsets and modes are unknown until machine coordinates of every axis"
 )
 """End of the notice on a statement after which nothing is known."""
+SWITCHING_M: Final = frozenset(
+    (
+        *range(21, 25),  # mirror images on some controls of Fanuc
+        61,  # number of the tool in the spindle (LinuxCNC)
+        *(91, 92),  # machine coordinates (HEIDENHAIN)
+        *(128, 129),  # tool centre point control on and off (HEIDENHAIN and others)
+        *(428, 429, 430),  # kinematics switched (LinuxCNC's configurations)
+    )
+)
+"""M functions that change coordinates or modes on a public control: nothing is known after them.
+
+Every other one that is not known is an auxiliary function of the machine's builder by ISO 6983-1, which moves no axis and changes no
+coordinates: it passes with a notice (`Interpreter.take_auxiliary`). A machine file can name those that are harmless, or that switch
+tool centre point control.
+"""
+AUXILIARY: Final = (
+    "is not known: taken as an auxiliary function of the machine's builder, which moves no axis and changes no coordinates; name it in "
+    "the machine file (programs: harmless) if that is so"
+)
+"""End of the notice on an M word that is not known."""
+UNKNOWN_AXIS: Final = "unknown axis"
 BESIDE: Final = (
     "cutter radius compensation: the programmed points are corrected, arcs stay arcs and blocks stay whole; what the errors change "
     "over the radius of the tool, and along a block, is not corrected"
@@ -124,8 +147,10 @@ class Interpreter(ABC):
         motion: motion code in force, None before the first and in languages without.
         beside: whether cutter radius compensation is selected.
         unknown: why positions, frame, offsets and modes are unknown here; empty if they are known.
+        doubtful: why controls may differ in the shift of the coordinates; empty if it is known.
         offset: the work offset that the program has selected; None before the first, or if offsets do not change what is read.
         used_offset: the offset of the moves so far, None before the first.
+        turned_to: (n, rotary axes) their positions before and at the moves checked last.
         repeated: moves of the third linear axis that follow each simple line, of a drilling cycle: height and whether it is a rapid;
             None if no cycle is in force.
     """
@@ -136,6 +161,7 @@ class Interpreter(ABC):
     beside = False
     repeated: tuple[tuple[float, bool], ...] | None = None
     unknown = ""
+    doubtful = ""
     offset: str | None = None
     used_offset: str | None = None
     _offset_line = 0
@@ -147,6 +173,7 @@ class Interpreter(ABC):
         self.names = axes.names
         self.index = {name.upper(): i for i, name in enumerate(self.names)}
         self.linear = len(axes.linear)
+        self._rotary_increments = [axes.increment[name] for name in axes.rotary]
         self.inch = False
         self.position: list[float] = [math.nan] * len(self.names)
         self.vector: tuple[float, float, float] | None = None
@@ -175,6 +202,8 @@ class Interpreter(ABC):
         self._fed_length: str | None = None
         self._tool_line = self._length_line = 0
         self._tool_chosen = False
+        self._auxiliary: tuple[str, int] | None = None
+        self.turned_to = np.full((1, len(self.names) - self.linear), np.nan)
 
     @abstractmethod
     def moves(self, line: int, text: str) -> Sequence[Move]:
@@ -196,8 +225,22 @@ class Interpreter(ABC):
             text_of: function that returns the text of one of these lines by its 0-based index.
 
         Raises:
-            InputError: one of them must not pass after those before it.
+            InputError: one of them must not pass after those before it: a feed that turns a rotary axis without tool centre point
+                control behind an auxiliary function that is not known, which may be the machine's word for that control.
         """
+        before = self.turned_to[-1:]
+        self.turned_to = np.concatenate([before, moves.position[:, self.linear :]])
+        if self._auxiliary:
+            word, line = self._auxiliary
+            turns = (np.abs(np.diff(self.turned_to, axis=0)) > CORRECTION_DEG).any(axis=1)
+            for at in moves.line[turns & ~moves.rapid & ~moves.tcp & ~moves.passes & (moves.line >= line)][:1].tolist():
+                raise self.error(
+                    f"a feed turns a rotary axis without tool centre point control, and the effect of {word} (line {line + 1}) is not "
+                    "known: it may switch that control",
+                    f"{word} in the machine file, programs: {{harmless: [{word}]}} or {{tcp_on: [{word}]}}",
+                    text_of(at).strip(),
+                    at + 1,
+                )
         return moves
 
     def may_end(self, tail: str) -> bool:
@@ -223,7 +266,7 @@ class Interpreter(ABC):
 
     def unknown_axis(self, shown: str) -> InputError:
         """Return the error for an axis that this machine does not have."""
-        return self.error("unknown axis", f"one of this machine's axes ({', '.join(self.names)})", shown)
+        return self.error(UNKNOWN_AXIS, f"one of this machine's axes ({', '.join(self.names)})", shown)
 
     # ------------------------------------------------------------------ values
 
@@ -308,6 +351,12 @@ class Interpreter(ABC):
         self.vector = None
         self.mark_unknown(block, range(len(self.names)), moved=True)
 
+    def take_auxiliary(self, word: str) -> None:
+        """Pass an M word of the machine's builder on: it is taken as an auxiliary function, with a notice."""
+        self.note(f"{word} {AUXILIARY}")
+        if self._auxiliary is None:
+            self._auxiliary = word, self._line
+
     def unknown_move(self, kind: Kind, axis_bits: int) -> Move:
         """Return the move of a block that names some axes (bits) where nothing is known."""
         self.position = [math.nan] * len(self.names)
@@ -341,6 +390,10 @@ class Interpreter(ABC):
         Raises:
             InputError: it is the program's second one, and the values of the offsets are unknown (rapids in it: `parks`).
         """
+        if self.doubtful:
+            raise self.error(
+                f"move where {self.doubtful}", "that stated before it, in a way that every control reads alike"
+            )
         if self._offset_known:
             return
         if self.used_offset is not None:
@@ -352,13 +405,13 @@ class Interpreter(ABC):
 
     @property
     def parks(self) -> bool:
-        """Whether a rapid goes to an unknown place: in the program's second work offset, whose values are unknown."""
-        return self.used_offset is not None and not self._offset_known
+        """Whether a rapid goes to an unknown place: in a second work offset of unknown values, or after a doubtful shift."""
+        return bool(self.doubtful) or (self.used_offset is not None and not self._offset_known)
 
     def parking_move(self, block: Block) -> Move:
-        """Return the rapid of a block in a work offset of unknown values; it passes through unchanged."""
+        """Return the rapid of a block that `parks`; it passes through unchanged."""
         position = self.machine_position(block, elsewhere=True)
-        unknown = f"the value of work offset {self.offset} is not known"
+        unknown = self.doubtful or f"the value of work offset {self.offset} is not known"
         return Move(
             self._line, Kind.RAPID, self.tcp, position, self.named(block.axis_bits), machine=True, unknown=unknown
         )
@@ -429,7 +482,11 @@ class Interpreter(ABC):
         same_tool = not self._one_tool or not (
             self._tool_chosen or (self._fed_length != self._held_length and not self.tcp)
         )
-        return same_tool and not self.unknown and (self.offset == self.used_offset or self._offset_known)
+        return (
+            same_tool
+            and not (self.unknown or self.doubtful)
+            and (self.offset == self.used_offset or self._offset_known)
+        )
 
     def check_plane(self, rotary: bool) -> None:
         """Raise `InputError` for a move that the tilted plane does not allow; ``rotary``: whether it names rotary axes."""
@@ -437,6 +494,17 @@ class Interpreter(ABC):
             what = "rotary axes or tool centre point control in a tilted plane"
             cancel = "PLANE RESET" if self.heidenhain else "G69 or CYCLE800()"
             raise self.error(what, f"positions of the linear axes; {cancel} before")
+
+    def stands(self, what: str) -> tuple[float, ...]:
+        """Return the present positions of the rotary axes, at their least increments.
+
+        Raises:
+            InputError: one is unknown.
+        """
+        at = self.position[self.linear :]
+        if any(value != value for value in at):
+            raise self.error(f"{what} at unknown positions of the rotary axes", "a position of each of them before it")
+        return tuple(round(value / step) * step for value, step in zip(at, self._rotary_increments, strict=True))
 
     def select(self, block: Block, **changes: Any) -> None:
         """Change the frame from this block on; positions in the new coordinates are unknown until the program gives them."""
@@ -516,19 +584,13 @@ class Interpreter(ABC):
     # ------------------------------------------------------------------ moves
 
     def apply_words(self, block: Block) -> None:
-        """Set the position from the axis words of a block; an increment of zero leaves an unknown position unknown.
-
-        Raises:
-            InputError: another word is incremental and the position unknown.
-        """
+        """Set the position from the axis words of a block; an increment leaves an unknown position unknown."""
         position = self.position
         for word in block.words:
             last = position[word.axis]
-            if word.incremental and last != last and word.value != 0.0:
-                name = self.names[word.axis]
-                what = f"incremental {name} while its position is unknown"
-                raise self.error(what, "absolute position first", name)
             position[word.axis] = last + word.value if word.incremental else word.value
+            if word.incremental and last != last and word.value != 0.0:
+                self.mark_unknown(block, (word.axis,), moved=True)
 
     def unit_direction(self, what: str, components: list[float]) -> tuple[float, float, float]:
         """Return a vector at unit length.

@@ -32,7 +32,7 @@ from twin.compensation.fewer_blocks.run_refitter import RefittedRun, RunRefitter
 from twin.compensation.fewer_blocks.runs import Run, find_runs
 from twin.compensation.programs.compensator import Compensation, Compensator
 from twin.compensation.programs.follow import follow, motionless
-from twin.compensation.programs.motions import ToolPath, increments_hinted
+from twin.compensation.programs.motions import ToolPath, machine_hints
 from twin.compensation.programs.prepared import Options, PreparedMachine
 from twin.compensation.programs.report import LineNote, Report
 from twin.compensation.programs.uncorrected import of_unknown
@@ -251,7 +251,7 @@ class Refitter:
             InputError: the program cannot be read, or contains something that must not pass; rounding alone exceeds the tolerance.
             OutputError: the output, read back, differs from the intended positions.
         """
-        with increments_hinted(self.prepared.machine, dialect, lambda line: "".join(program.texts[line - 1 : line])):
+        with machine_hints(self.prepared.machine, dialect, lambda line: "".join(program.texts[line - 1 : line])):
             return self._refit(program, dialect, progress, into, printed=printed)
 
     def _refit(

@@ -20,7 +20,7 @@ from twin.compensation.programs.motions import (
     PathMotion,
     ToolPath,
     by_reason,
-    increments_hinted,
+    machine_hints,
     spacings,
 )
 from twin.compensation.programs.pieces import check_one_mode
@@ -136,7 +136,7 @@ def execute_file(
     at.require(errors)
     read, dialect = read_program(program, language)
     space = WordSpace(machine, Setup() if setup is None else setup, tool_length_mm)
-    with errors_in_files(read), increments_hinted(machine, dialect, lambda line: "".join(read.texts[line - 1 : line])):
+    with errors_in_files(read), machine_hints(machine, dialect, lambda line: "".join(read.texts[line - 1 : line])):
         reading = dialect.moves(read, space.axes, tcp=tcp)
         found = Sections(space, read.source).add(as_columns(space.axes.names, reading.moves), reading.frames)
         path = follow(read, reading, space, found)

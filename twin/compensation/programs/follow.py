@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import final
+from typing import Final, final
 
 import numpy as np
 
@@ -327,24 +327,30 @@ class Follower:
         return np.where(unknown, space.start, rotary)
 
     def _unknown_position(self, move: Move, end: np.ndarray, unmoved: np.ndarray, text_of: TextOf) -> None:
-        """Pass a rapid move to an unknown position through; raise `InputError` for a feed move.
+        """Pass a move to an unknown position through.
 
         Args:
-            unmoved: (axes,) which axes it leaves, or names by an increment of zero, where something has moved them.
+            unmoved: (axes,) which axes it leaves, or names by an increment, where something has moved them.
+
+        Raises:
+            InputError: an arc: its centre, as written, would not suit a corrected start.
         """
         space = self._space
         missing = unmoved | (np.isnan(end) & (np.arange(len(end)) < 3))
         names = ", ".join(name for name, unknown in zip(space.axes.names, missing, strict=True) if unknown)
-        if move.kind is not Kind.RAPID:
-            which = "these axes" if missing[3:].any() else "every linear axis"
+        reason = f"the program has not given a position of {names}"
+        if move.arc is not None:
             raise InputError(
-                f"feed move before the program has given a position of {names}",
-                expected=f"a position of {which} before it{self._cure(missing)}",
+                f"arc where {reason}",
+                expected=f"a position of these axes before it{self._cure(missing)}",
                 file=self._source,
                 line=move.line + 1,
                 value=text_of(move.line).strip(),
             )
-        self.notices.append(Notice(move.line, f"position of {names} not yet known: rapid passed through unchanged"))
+        if move.kind is not Kind.RAPID:
+            self.unknown.append(LostBlock(move.line, True, reason + self._cure(missing)))
+        else:
+            self.notices.append(Notice(move.line, f"position of {names} not yet known: rapid passed through unchanged"))
         commands = space.positions(end)
         if move.tcp or space.tilt is not None:
             commands[:3] = np.nan
@@ -357,7 +363,7 @@ class Follower:
             if axis in self._references:
                 words.setdefault(self._references[axis], []).append(f"{self._space.axes.names[axis]}: ...")
         entries = ", ".join(f"{word}: {{{', '.join(places)}}}" for word, places in words.items())
-        return f", or in the machine file programs: {{references: {{{entries}}}}}" if entries else ""
+        return f" (in the machine file: programs: {{references: {{{entries}}}}})" if entries else ""
 
     def _along_vector(self, move: Move, before: np.ndarray) -> np.ndarray:
         space = self._space
@@ -375,6 +381,10 @@ class Follower:
 
 
 # --- Coordinates of a program that selects work offsets and tools: the set-up and the tool length of every frame
+
+
+STANDS_DEG: Final = 0.01
+"""Angle between the tool and the normal of a plane at which the program itself has positioned the rotary axes: rounding of words."""
 
 
 @final
@@ -463,17 +473,32 @@ class FrameSpaces:
             origin = space.nominal.forward(zero).point_mm[0]
         else:
             origin = space.origin
-        rotation, turn = np.array(plane.rotation), np.eye(3) if frame.turn is None else np.array(frame.turn)
+        if plane.rotation is None:
+            standing, zero = (self._tool_axes(space, deg) for deg in (rotary_deg, np.zeros(len(rotary_deg))))
+            rotation = standing @ zero.T
+        else:
+            rotation = np.array(plane.rotation)
+        turn = np.eye(3) if frame.turn is None else np.array(frame.turn)
         shift = np.array(frame.shift[:3] or (0.0, 0.0, 0.0))
         at = origin + np.array(plane.origin_mm) + rotation @ shift
         return Tilt(rotation @ turn, at, rotary_deg, plane.stays)
 
     def _rotary(self, space: WordSpace, plane: Plane, standing_deg: np.ndarray, source: str, line: int) -> np.ndarray:
-        """Return the commands of the rotary axes for a plane, rounded to their least increments.
+        """Return the commands of the rotary axes for a plane, rounded to their least increments where the control positions them.
 
         Raises:
-            InputError: the machine does not reach it.
+            InputError: the machine does not reach it, or does not stand at it.
         """
+        if plane.at_deg is not None:
+            at = np.array(plane.at_deg) + space.offset[3:]
+            wanted = self._tool_axes(space, at) if plane.rotation is None else np.array(plane.rotation)
+            off = np.degrees(np.linalg.norm(self._tool_axes(space, at)[:, 2] - wanted[:, 2]))
+            if not off <= STANDS_DEG:
+                words = " ".join(f"{name}{word:g}" for name, word in zip(space.axes.rotary, plane.at_deg, strict=True))
+                expected = "positions of the rotary axes for it, or its positioning by the control"
+                what = f"the rotary axes stand {off:.4g}° off the tilted plane"
+                raise InputError(what, expected=expected, file=source, line=line, value=words)
+            return at
         normal = np.array(plane.rotation)[:, 2]
         solutions = space.branches.all(normal[None])[0]
         if plane.choice:
@@ -490,6 +515,13 @@ class FrameSpaces:
             )
         increment = np.array([space.axes.increment[name] for name in space.axes.rotary])
         return np.asarray(np.round(nearest / increment) * increment)
+
+    @staticmethod
+    def _tool_axes(space: WordSpace, rotary_deg: np.ndarray) -> np.ndarray:
+        """Return (3, 3) axes of the tool in the work frame, as columns, at commands of the rotary axes."""
+        commands = np.zeros((1, len(space.order)))
+        commands[:, space.order[3:]] = rotary_deg
+        return np.asarray(space.nominal.forward(commands).rotation[0])
 
     def _origin(self, shift: dict[str, float]) -> tuple[float, float, float]:
         commands = np.array([[shift[axis.name] if axis.linear else 0.0 for axis in self._base.machine.axes]])

@@ -13,9 +13,10 @@ import numpy as np
 
 from twin._common.arrays import MadeOnAccess
 from twin._common.errors import InputError
-from twin.machine.machine import Machine
+from twin.machine.machine import Machine, bundled_machines
 from twin.nc.blocks import Kind, Move, Notice
 from twin.nc.dialect import Dialect
+from twin.nc.modal import UNKNOWN_AXIS
 
 SAMPLE_SPACING: Final = (10.0, 3.0)
 """Largest distance between two samples: mm of linear and degrees of rotary motion."""
@@ -51,8 +52,8 @@ def numbers_of_increments(text: str) -> list[tuple[str, float]]:
 
 
 @contextmanager
-def increments_hinted(machine: Machine, dialect: Dialect, text_of: Callable[[int], str]) -> Iterator[None]:
-    """Let an `InputError` at a line say if a number of that line may count increments.
+def machine_hints(machine: Machine, dialect: Dialect, text_of: Callable[[int], str]) -> Iterator[None]:
+    """Let an `InputError` at a line say if a number of that line may count increments, or which machine has the axis that it names.
 
     Args:
         machine: the machine: such a number is larger than the range of its axis.
@@ -62,6 +63,12 @@ def increments_hinted(machine: Machine, dialect: Dialect, text_of: Callable[[int
     try:
         yield
     except InputError as error:
+        if error.what == UNKNOWN_AXIS and error.value is not None:
+            letter = str(error.value)[:1].upper()
+            fit = [one.path.stem for one in bundled_machines() if letter in one.names and one.path is not None]
+            error.expected += (
+                f"; {letter} is an axis of {' and '.join(fit)}" if fit else f"; no machine of twin has {letter}"
+            )
         if dialect.has_increments and error.line is not None and INCREMENTS not in error.what:
             ranges = {
                 axis.name: axis.upper - axis.lower

@@ -31,7 +31,7 @@ from twin.compensation.programs.account import CompensationAccount
 from twin.compensation.programs.block_conditions import CONSTANT, BlockConditions, block_conditions
 from twin.compensation.programs.correction import Corrected, correct, new_positions
 from twin.compensation.programs.follow import Follower, Section, SectionMotions, Sections, motionless, motions_of
-from twin.compensation.programs.motions import SAMPLES_A_PIECE, LostBlock, MotionColumns, ToolPath, increments_hinted
+from twin.compensation.programs.motions import SAMPLES_A_PIECE, LostBlock, MotionColumns, ToolPath, machine_hints
 from twin.compensation.programs.path_errors import EndState
 from twin.compensation.programs.pieces import Pieces, even_cuts, repeat_with_index
 from twin.compensation.programs.prepared import PreparedMachine
@@ -512,7 +512,7 @@ class ProgramRun:
             OutputError: the output, read back, differs from the intended positions.
         """
         source, machine = self._source, self._prepared.machine
-        with source.errors(), increments_hinted(machine, source.dialect, lambda line: source.text_at(line - 1)):
+        with source.errors(), machine_hints(machine, source.dialect, lambda line: source.text_at(line - 1)):
             return self._write(out)
 
     def _write(self, out: BinaryIO) -> Report:

@@ -35,7 +35,7 @@ from twin.nc.blocks import (
 from twin.nc.lines.chunks import DELETED_LINE
 from twin.nc.lines.compiled import LineCode
 from twin.nc.lines.scan import Scan
-from twin.nc.modal import BESIDE, CORRECTION_DEG
+from twin.nc.modal import AUXILIARY, BESIDE, CORRECTION_DEG, SWITCHING_M
 from twin.nc.text import BOM, MM_PER_INCH, UNIT_LENGTH, number, unit_vector
 from twin.nc.writer import Vector
 
@@ -334,8 +334,11 @@ class AptReader:
         self.note("GOHOME passed through uncompensated")
 
     def _auxiliary(self, statement: Statement) -> None:
-        if not (statement.arguments and number(statement.texts[0]) in _AUXILIARY):
+        code = number(statement.texts[0]) if statement.arguments else math.nan
+        if code != code or code in SWITCHING_M:
             self._lose(statement)
+        elif code not in _AUXILIARY:
+            self.note(f"AUXFUN/{code:g} {AUXILIARY}")
 
     def _load(self, statement: Statement) -> None:
         texts = [text for text in statement.texts if text.upper() != "TOOL"]
@@ -445,7 +448,8 @@ class AptReader:
         position = (values[0] * unit, values[1] * unit, values[2] * unit, *self.rotary)
         kind = Kind.RAPID if statement.word == "FROM" or self.rapid or self.cycle else Kind.LINEAR
         self.rapid = self.rapid and statement.word == "FROM"
-        arc = None if self.unknown else self._arc(position, vector)
+        self._circle = None if self.unknown else self._circle
+        arc = self._arc(position, vector)
         whole = self._side or self._on_contour
         if whole and _turns(vector, self.vector):
             what = "cutter radius compensation CUTCOM with a tool that turns"

@@ -23,7 +23,7 @@ import numpy as np
 from twin.nc.arithmetic import evaluate, key_of
 from twin.nc.blocks import Program, line_ends
 from twin.nc.dialect import as_comment
-from twin.nc.heidenhain.vocabulary import ASSIGNED, HEAD
+from twin.nc.heidenhain.vocabulary import ASSIGNED, HEAD, SKIPPED_END
 from twin.nc.inline import Call, Flow, Inliner, Line, Scope, refused, with_ending
 from twin.nc.lines.compiled import LineCode
 from twin.nc.lines.scan import Scan
@@ -109,7 +109,7 @@ class HeidenhainInliner(Inliner):
     def _until_end(self, lines: Sequence[Line]) -> Iterator[Line]:
         for line in lines:
             yield line
-            if _END.match(_bare(line)):
+            if _END.match(_bare(line)) or SKIPPED_END.fullmatch(line.text.strip()):
                 break
         last = [line for line in lines if re.match(r"END[ \t]+PGM\b", _bare(line), _FLAGS)]
         if last and last[-1] is not line:
@@ -140,6 +140,16 @@ class HeidenhainInliner(Inliner):
                 raise refused(f"subprogram {call.name} without an end", "LBL 0", line)
             part = lines[begin + 1 : ends[behind]]
         return list(part)
+
+    def beyond(self, name: str, line: Line) -> list[Line] | None:
+        """See `Inliner.beyond`: a label behind the subprogram; its ``LBL 0`` returns from it."""
+        if not self._called:
+            return None
+        lines = self.lines if line.file == self.program.source else self.read_file(Path(line.file))
+        labels = self._labels_of(line.file, lines)
+        begin = next((at for at in labels.get(name, ()) if at >= line.number), None)
+        end = None if begin is None else next((at for at in labels.get("0", ()) if at > begin), None)
+        return None if begin is None or end is None else lines[begin + 1 : end]
 
     def _labels_of(self, file: str, lines: Sequence[Line]) -> Mapping[str, list[int]]:
         """Return the indices of the lines of a file with a label, in order, by its name; looked for once."""
@@ -273,6 +283,7 @@ class PathBlock(Block):
         call_words: its words that say so (``M99``, ``M89``).
         call: what it calls.
         positions: whether its first move is that of its own words.
+        leads: whether the control itself finds the path to its end: a lead-in or lead-out, a tangential arc.
     """
 
     numbered: bool = False
@@ -293,6 +304,7 @@ class PathBlock(Block):
     call_words: list[Span] = field(default_factory=list)
     call: CycleCall | None = None
     positions: bool = True
+    leads: bool = False
 
 
 # --- Simple lines of plain language found all at once, through an image of the text that has the form of ISO lines

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import Final
 
-from twin.nc.blocks import Plane, Rows, rotation_about
+from twin.nc.blocks import Plane, Rows, product, rotation_about, rotation_along
 from twin.nc.heidenhain import vocabulary
 from twin.nc.heidenhain.calls import PathBlock
 from twin.nc.heidenhain.paths import HeidenhainPaths
@@ -15,7 +17,19 @@ from twin.nc.text import MM_PER_INCH
 
 _PRESET: Final = "Q339"
 PLANES: Final = {"Z": (0, 1, 2), "Y": (2, 0, 1), "X": (1, 2, 0)}
-_ANGLE: Final = re.compile(r"SP([ABC])[ \t]*([+-]?[ \t]*(?:[\d.,]+|Q[LR]?\d+))", re.ASCII | re.IGNORECASE)
+_DEFINITIONS: Final = {
+    "SPATIAL": ("SPA", "SPB", "SPC"),
+    "EULER": ("EULPR", "EULNU", "EULROT"),
+    "VECTOR": ("BX", "BY", "BZ", "NX", "NY", "NZ"),
+    "POINTS": tuple(f"P{point}{axis}" for point in (1, 2, 3) for axis in "XYZ"),
+    "RELATIVE": ("SPA", "SPB", "SPC"),
+}
+"""Ways to define a plane, and their words."""
+_PLANE_VALUE: Final = re.compile(
+    r"(?<![A-Z\d])(SP[ABC]|EUL(?:PR|NU|ROT)|[BN][XYZ]|P[123][XYZ]|PRO(?:PR|MIN)|ROT)[ \t]*([+-]?[ \t]*(?:[\d.,]+|Q[LR]?\d+))",
+    re.ASCII | re.IGNORECASE,
+)
+_ALONG: Final = 1e-12
 _CHOICE: Final = re.compile(r"(?:SEQ|SYM)[ \t]*([+-])", re.ASCII | re.IGNORECASE)
 
 
@@ -27,10 +41,14 @@ class HeidenhainFrame(HeidenhainPaths):
     """
 
     heidenhain = True
+    variant = "HEIDENHAIN"
     continued = False
     plane = PLANES["Z"]
+    pending: Plane | None = None
     _selects_preset = False
     _shift_below: tuple[float, ...] = ()
+    _stated: frozenset[int] = frozenset()
+    """Axes with an absolute shift since the shift became doubtful."""
     _turned_deg = 0.0
 
     def lose(self, block: Block, statement: str) -> None:
@@ -54,7 +72,7 @@ class HeidenhainFrame(HeidenhainPaths):
             InputError: its number is unknown.
         """
         if self._selects_preset and not self.continued:
-            self._selects_preset = False
+            self._selects_preset, self.doubtful = False, ""
             self._shift_to(block, (), None)
             row = self.value_of(_PRESET)
             if not self.offsets_known and row != row:
@@ -89,42 +107,118 @@ class HeidenhainFrame(HeidenhainPaths):
         self.select(block, tool=tool, length="" if tool == "0" else tool, delta_mm=length)
 
     def tilt(self, block: PathBlock, upper: str) -> None:
-        """Apply ``PLANE SPATIAL`` or ``PLANE RESET``.
+        """Apply a ``PLANE`` statement.
 
         Raises:
-            InputError: another way to define a plane, or one that leaves the rotary axes to the program.
+            InputError: another way to define a plane, or a plane where it cannot be followed.
         """
         words = upper.split()
         if words[1:2] == ["RESET"]:
-            if self.frame.plane is not None:
-                if self.frame.shift or self.frame.turn:
-                    raise self.error(
-                        "end of a tilted plane while it is shifted or turned", "the shift cancelled before"
-                    )
-                self.select(block, plane=None, shift=self._shift_below)
-            if "STAY" not in words:
-                self.note("PLANE RESET may move the rotary axes; their positions are unknown afterwards")
-                self.mark_unknown(block, range(self.linear, len(self.names)), moved=bool(self.frames))
+            self._end_plane(block, words)
             return
-        if words[1:2] != ["SPATIAL"]:
-            raise self.error("coordinate transformation PLANE", "PLANE SPATIAL with SPA, SPB and SPC")
-        if self.tcp or self.frame.plane is not None:
-            raise self.error("tilted plane within another", "M129 and PLANE RESET before it")
-        if "STAY" in words or not {"TURN", "MOVE"} & set(words):
-            raise self.error("PLANE SPATIAL that does not position the rotary axes", "TURN or MOVE")
-        angles = {letter: self.known(f"SP{letter}", text) for letter, text in _ANGLE.findall(upper)}
-        # About the fixed X, then Y, then Z: the same as about Z, then the turned Y, then the turned X.
-        turned = rotation_about("ZYX", [angles.get(letter, 0.0) for letter in "CBA"])
+        way = next((word for word in words if word in ("TURN", "MOVE", "STAY")), "")
+        if self.tcp or not way:
+            raise self.error(
+                "PLANE under tool centre point control, or that says nothing of the rotary axes", "TURN, MOVE or STAY"
+            )
+        turned = self._rotation(upper, words[1] if len(words) > 1 else "")
+        if turned[2][2] > 1.0 - _ALONG and turned[0][0] < 1.0 - _ALONG and "COORD ROT" not in upper:
+            expected = "COORD ROT; TABLE ROT turns the table"
+            raise self.error("PLANE that only turns about the tool axis", expected)
         choice = _CHOICE.search(upper)
         sign = 0 if choice is None else 1 if choice.group(1) == "+" else -1
-        stays = "TURN" in words and not any(word.startswith("MB") for word in words)
-        self._shift_below = shift = self.frame.shift
+        stays = way == "STAY" or ("TURN" in words and not any(word.startswith("MB") for word in words))
+        if self.frame.plane is None:
+            self._shift_below = self.frame.shift
+        elif self.frame.shift or self.frame.turn:
+            raise self.error("another tilted plane while this one is shifted or turned", "the shift cancelled before")
+        shift = self._shift_below
         if self.frame.turn or any(shift[self.linear :]):
             raise self.error(
                 "tilted plane in turned coordinates, or after a shift of a rotary axis", "these cancelled before"
             )
         x, y, z = shift[:3] or (0.0, 0.0, 0.0)
-        self.select(block, plane=Plane((x, y, z), turned, sign, stays), shift=())
+        self.pending = Plane((x, y, z), turned, sign, stays)
+        if way != "STAY":
+            self._enter_plane(block, self.pending)
+
+    def _end_plane(self, block: PathBlock, words: Sequence[str]) -> None:
+        """Apply ``PLANE RESET``; ``words``: those of the block."""
+        self.pending = None
+        if self.frame.plane is not None:
+            if self.frame.shift or self.frame.turn:
+                raise self.error("end of a tilted plane while it is shifted or turned", "the shift cancelled before")
+            self.select(block, plane=None, shift=self._shift_below)
+        if "STAY" not in words:
+            self.note("PLANE RESET may move the rotary axes; their positions are unknown afterwards")
+            self.mark_unknown(block, range(self.linear, len(self.names)), moved=bool(self.frames))
+
+    def _enter_plane(self, block: PathBlock, plane: Plane) -> None:
+        self.pending = None
+        self.select(block, plane=plane, shift=())
+
+    def stand_at_plane(self, block: PathBlock) -> bool:
+        """Apply a plane defined with ``STAY``; return whether a block does nothing else.
+
+        Args:
+            block: a block that moves axes. One that names rotary axes only positions them, by the parameters Q120 to Q122 where the
+                control has computed them or by numbers; any other one finds them in position.
+
+        Raises:
+            InputError: it names both, some parameters only, or an unknown position, or under tool centre point control.
+        """
+        plane, rotary = self.pending, [word for word in block.words if word.axis >= self.linear]
+        if plane is None:
+            return False
+        what = "move between PLANE with STAY and its positioning"
+        if self.tcp or (rotary and (len(rotary) < len(block.words) or block.polar)):
+            raise self.error(what, "the rotary axes alone, such as L A+Q120 C+Q122")
+        computed = [word for word in rotary if word.form]
+        if computed:
+            if len(computed) < len(self.names) - self.linear:
+                raise self.error(what, "every rotary axis by its own parameter, such as L A+Q120 C+Q122")
+            self._enter_plane(block, plane)
+            return True
+        if rotary:
+            self.apply_words(block)
+        at = self.stands("tilted plane")
+        self._enter_plane(block, replace(plane, at_deg=at))
+        self.position[self.linear :] = at
+        return bool(rotary)
+
+    def _rotation(self, upper: str, way: str) -> Rows:
+        """Return the rotation of a ``PLANE`` statement: its name and its words.
+
+        Raises:
+            InputError: another definition of a plane, or a value that is missing or unknown.
+        """
+        kind = next((name for name in _DEFINITIONS if way and name.startswith(way[:7]) and len(way) >= 5), "")
+        if not kind:
+            raise self.error(f"coordinate transformation PLANE {way}", f"PLANE {', '.join(_DEFINITIONS)}")
+        values = {name: self.known(name, text) for name, text in _PLANE_VALUE.findall(upper)}
+        wanted = _DEFINITIONS[kind]
+        if not values.keys() <= {*wanted} or (kind in ("VECTOR", "POINTS", "EULER") and len(values) < len(wanted)):
+            raise self.error(f"PLANE {way} with other words", " ".join(wanted))
+        numbers = [values.get(name, 0.0) for name in wanted]
+        if kind == "SPATIAL":
+            # About the fixed X, then Y, then Z: the same as about Z, then the turned Y, then the turned X.
+            return rotation_about("ZYX", numbers[::-1])
+        if kind == "EULER":
+            return rotation_about("ZXZ", numbers)
+        if kind == "RELATIVE":
+            if len(values) != 1:
+                raise self.error("PLANE RELATIVE about several axes", "one of SPA, SPB and SPC")
+            plane = self.frame.plane
+            turned = rotation_about("XYZ", numbers)
+            return turned if plane is None else product(plane.rotation, turned) or turned
+        points = [numbers[i : i + 3] for i in range(0, len(numbers), 3)]
+        if kind == "POINTS":
+            x, y = ([b - a for a, b in zip(points[0], other, strict=True)] for other in points[1:])
+            points = [x, [x[1] * y[2] - x[2] * y[1], x[2] * y[0] - x[0] * y[2], x[0] * y[1] - x[1] * y[0]]]
+        try:
+            return rotation_along(*points)
+        except ValueError as error:
+            raise self.error(f"PLANE {way} with {error}", "two directions across each other") from None
 
     def shift(self, block: PathBlock, words: str, what: str) -> None:
         """Shift the datum by axis words, each absolute or incremental (``IX``); the other axes keep their shift.
@@ -132,6 +226,8 @@ class HeidenhainFrame(HeidenhainPaths):
         Raises:
             InputError: other words, or a shift that cannot be followed.
         """
+        if self.pending is not None:
+            raise self.error(f"{what} between PLANE with STAY and its positioning", "the shift before it")
         shift = [*(self.frame.shift or (0.0,) * len(self.names))]
         found = list(vocabulary.SHIFT.finditer(words))
         if not found or vocabulary.SHIFT.sub("", words).strip():
@@ -142,11 +238,20 @@ class HeidenhainFrame(HeidenhainPaths):
                 raise self.unknown_axis(match[0].strip())
             value = self.known(match[2], match[3]) * (MM_PER_INCH if self.inch and axis < self.linear else 1.0)
             shift[axis] = value + (shift[axis] if match[1] else 0.0)
+            if match[1] and self.doubtful:
+                raise self.error(f"{what} by an increment where {self.doubtful}", "an absolute shift of X, Y and Z")
+        self._stated |= {self.index[match[2].upper()] for match in found if not match[1]}
+        if self.frame.plane is not None and self._shift_below and not any(shift):
+            self.doubtful = "the datum shift from before the tilted plane is cancelled within it"
+            self._stated = frozenset()
+            return
         if self.frame.plane is not None and (self._shift_below or any(shift[self.linear :])):
             raise self.error(f"{what} in a tilted plane", "a shift of the linear axes, and none before the plane")
         if self.frame.turn and any(shift) and tuple(shift) != self.frame.shift:
             raise self.error(f"{what} in turned coordinates", "the rotation after the shift")
         self._shift_to(block, tuple(shift) if any(shift) else (), self.frame.turn)
+        if self.frame.plane is None and self._stated >= {*range(self.linear)}:
+            self.doubtful = ""
 
     def turn(self, block: PathBlock, words: str, what: str) -> None:
         """Turn the coordinates in the working plane by ``ROT``, absolute or incremental.

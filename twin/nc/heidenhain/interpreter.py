@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable, Mapping
 from typing import Final, final
@@ -13,7 +14,7 @@ from twin.nc.blocks import Arc, AxisWords, Kind, Move, MoveColumns, Notice
 from twin.nc.heidenhain import vocabulary
 from twin.nc.heidenhain.calls import PathBlock
 from twin.nc.heidenhain.frame import PLANES, HeidenhainFrame
-from twin.nc.modal import AxisWord, Span
+from twin.nc.modal import SWITCHING_M, AxisWord, Span
 from twin.nc.text import BLANK, MM_PER_INCH, number
 from twin.nc.writer import Vector
 
@@ -32,7 +33,6 @@ class HeidenhainInterpreter(HeidenhainFrame):
         super().__init__(source, axes, tcp=tcp, tcp_on=on, tcp_off=off)
         self._simple = vocabulary.simple_pattern(self.names)
         self._shortest_way: list[tuple[int, bool]] = [(-1, False)]
-        self._turned_to = np.full((1, len(self.names) - self.linear), np.nan)
 
     def step(self, line: int, text: str, known: Move | None = None) -> PathBlock:
         """Interpret one line.
@@ -53,8 +53,8 @@ class HeidenhainInterpreter(HeidenhainFrame):
         Raises:
             InputError: a feed that turns so: the blocks that it is split into would turn the axis the long way.
         """
-        turned_to = np.concatenate([self._turned_to, moves.position[:, self.linear :]])
-        self._turned_to = turned_to[-1:]
+        moves = super().checked(moves, text_of)
+        turned_to = self.turned_to
         if len(self._shortest_way) > 1:
             lines, on = (np.array(column) for column in zip(*self._shortest_way, strict=True))
             in_force = on[np.searchsorted(lines, moves.line, side="right") - 1]
@@ -73,7 +73,7 @@ class HeidenhainInterpreter(HeidenhainFrame):
     @property
     def runs_allowed(self) -> bool:
         """See `Interpreter.runs_allowed`: no tool vector, and no block that continues."""
-        beside = self.beside or self.on_contour
+        beside = self.beside or self.on_contour or self.pending
         return self.set_up and self.vector is None and not (self.continued or self.modal or beside)
 
     def may_end(self, tail: str) -> bool:
@@ -90,7 +90,7 @@ class HeidenhainInterpreter(HeidenhainFrame):
     def _found(self, line: int, text: str) -> re.Match[str] | None:
         """Begin a line and return its match if it is a simple block; only ``LN`` can have vectors."""
         self._line, self._block_text = line, text
-        special = self.continued or self.modal or self.beside or self.on_contour or self.parks
+        special = self.continued or self.modal or self.beside or self.on_contour or self.parks or self.pending
         found = None if special else self._simple.pattern.fullmatch(text)
         if found is not None and found[2] in ("L", "l") and any(found.groups()[self._simple.behind]):
             return None
@@ -186,6 +186,9 @@ class HeidenhainInterpreter(HeidenhainFrame):
             self.close_definition()
         if vocabulary.BLOCK_OF_ISO.match(body):
             raise self.error("block of an ISO program", "blocks of plain language", body)
+        if vocabulary.SKIPPED_END.fullmatch(body):
+            self.note("block skip on the end of the program: assumed to be executed")
+            return
         if vocabulary.SKIPPED.match(body):
             expected = "the blocks to execute without /, the others left out"
             raise self.error(
@@ -197,6 +200,8 @@ class HeidenhainInterpreter(HeidenhainFrame):
             raise self.error("unknown block", "a plain-language block such as L X+10 FMAX", body)
         elif keyword in ("L", "LN") or keyword in vocabulary.ARCS | vocabulary.POLAR:
             self._path(block, keyword, block.head_end + match.end())
+        elif keyword in ("APPR", "DEP") or (keyword in vocabulary.ON_CONTOUR and self.beside and self.on_contour):
+            self._left_to_control(block, keyword, body)
         elif keyword == "CC":
             self._pole(block, block.head_end + match.end())
         else:
@@ -210,7 +215,10 @@ class HeidenhainInterpreter(HeidenhainFrame):
     def _statement(self, block: PathBlock, keyword: str, body: str) -> None:
         upper = " ".join(body.split(";")[0].upper().split())
         if keyword in vocabulary.REFUSED_PATHS:
-            raise self.error(f"path function {keyword}", vocabulary.LINEAR)
+            within = (
+                " or the same under RL or RR, between blocks of the contour" if keyword in vocabulary.ON_CONTOUR else ""
+            )
+            raise self.error(f"path function {keyword}", vocabulary.LINEAR + within)
         if keyword in vocabulary.WITH_NUMBERS:
             exponent = vocabulary.EXPONENT.search(vocabulary.QUOTED.sub("", body.split(";")[0]))
             if exponent is not None:
@@ -329,9 +337,45 @@ class HeidenhainInterpreter(HeidenhainFrame):
 
     # ------------------------------------------------------------------ words of paths
 
-    def _path(self, block: PathBlock, keyword: str, at: int) -> None:
+    def _left_to_control(self, block: PathBlock, keyword: str, body: str) -> None:
+        """Apply a block whose path the control finds from the blocks beside it: ``APPR``, ``DEP``, ``RND``, ``CHF``, ``CT``."""
+        if keyword in ("APPR", "DEP"):
+            self._lead(block, body)
+            return
+        self.note(f"{keyword} is left to the control: the points beside it are corrected", once=True)
+        if keyword == "CT":
+            block.leads = True
+            self._path(block, "L", block.text.upper().index("CT", block.head_end) + 2)
+
+    def _lead(self, block: PathBlock, body: str) -> None:
+        """Apply ``APPR`` or ``DEP``, whose path the control finds: its end is corrected, if the block gives it.
+
+        Raises:
+            InputError: another form of them, or one whose end is not in this block.
+        """
+        match = vocabulary.LEAD.match(body)
+        if match is None:
+            raise self.error(f"path function {body.split()[0]}", "APPR or DEP with LT, LN, CT or LCT")
+        at = block.head_end + match.end()
+        words = vocabulary.LEAD_WORD.sub(lambda word: " " * len(word[0]), block.text[at:].split(";")[0])
+        block.leads, arrives = True, match[1].upper() == "APPR"
+        if not arrives:
+            self.beside = False
+        self.note("APPR and DEP are left to the control: their end is corrected where the block gives it", once=True)
+        self._path(block, "L", at, block.text[:at] + words)
+        a, b, _ = self.plane
+        given = bool(block.axis_bits & (1 << a | 1 << b))
+        if given is not (arrives or "LCT" in match[0].upper()):
+            raise self.error(
+                f"{match[0]} with or without its end", "the end with APPR and DEP LCT, none with DEP LT, LN and CT"
+            )
+        if not given:
+            self.on_contour = False
+            self.mark_unknown(block, (a, b), moved=True)
+
+    def _path(self, block: PathBlock, keyword: str, at: int, text: str = "") -> None:
         block.keyword, block.keyword_end = keyword, at
-        for match in vocabulary.TOKEN.finditer(block.text, at):
+        for match in vocabulary.TOKEN.finditer(text or block.text, at):
             take = _TOKENS.get(match.lastgroup or "")
             if take is not None:
                 take(self, block, match)
@@ -355,10 +399,18 @@ class HeidenhainInterpreter(HeidenhainFrame):
         axis = self.index.get(name.upper(), -1)
         if axis < 0:
             raise self.unknown_axis(match.group().strip())
+        if self.pending is not None and axis >= self.linear and self._is_computed(name, written):
+            return AxisWord(axis, match.start(2), match.end(), match.start(4), match.end(), "Q", bool(prefix), math.nan)
         value = self.known(name, written)
         if axis < self.linear and self.inch:
             value *= MM_PER_INCH
         return AxisWord(axis, match.start(2), match.end(), match.start(4), match.end(), "", bool(prefix), value)
+
+    @staticmethod
+    def _is_computed(name: str, written: str) -> bool:
+        """Return whether the value of a rotary axis is the parameter that ``PLANE`` has set for it."""
+        places = {"A": "120", "B": "121", "C": "122"}
+        return written.replace(" ", "").lstrip("+").upper() == f"Q{places.get(name.upper(), '')}"
 
     def _axis(self, block: PathBlock, match: re.Match[str]) -> None:
         self.add(block, self._axis_word(match))
@@ -390,8 +442,11 @@ class HeidenhainInterpreter(HeidenhainFrame):
         if code in (126, 127):
             self._shortest_way.append((self._line, code == 126))
         if not (code in vocabulary.HARMLESS_M or word in self.tcp_on | self.tcp_off):
-            turned = [position for position in self.position[self.linear :] if not 0.0 <= position < 360.0]
-            if code != 94 or turned:
+            known = [position for position in self.position[self.linear :] if position == position]
+            turned = [position for position in known if not 0.0 <= position < 360.0]
+            if code not in vocabulary.OF_HEIDENHAIN | SWITCHING_M:
+                self.take_auxiliary(word)
+            elif code != 94 or turned:
                 self.lose(block, match["misc"])
         block.machine |= code in (91, 92)
         block.elsewhere |= code == 92
@@ -468,7 +523,9 @@ class HeidenhainInterpreter(HeidenhainFrame):
     def _move(self, block: PathBlock) -> None:
         kind = Kind.RAPID if block.rapid_text else Kind.LINEAR
         names = self.named(block.axis_bits)
-        self.check_plane(block.axis_bits >> self.linear != 0)
+        if not (block.machine or self.unknown) and self.stand_at_plane(block):
+            return
+        self.check_plane(block.axis_bits >> self.linear != 0 and self.pending is None)
         if block.machine:
             if block.keyword not in ("", "L"):
                 raise self.error("machine coordinates in an arc", "an L block")

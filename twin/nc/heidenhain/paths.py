@@ -43,7 +43,7 @@ class HeidenhainPaths(HeidenhainCycles):
         Raises:
             InputError: it turns the tool, or calls a cycle.
         """
-        if not (self.beside or self.on_contour):
+        if not (self.beside or self.on_contour or block.leads):
             return False
         here = self.position[self.linear :]
         turns = any(not abs(a - b) <= CORRECTION_DEG for a, b in zip(here, rotary, strict=True) if a == a or b == b)

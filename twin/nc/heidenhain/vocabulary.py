@@ -17,6 +17,10 @@ HEAD = re.compile(r"(?:\xef\xbb\xbf)?+[ \t\f\x1a]*+(?:(\d++)(?![.,\d])|[Nn]\d++(
 KEYWORD = re.compile(r"(?:L[NPT]?|C[CRTP]?|CTP)(?=[ \t\r\n;~]|$)|[A-Za-z]++", re.ASCII)
 BLOCK_OF_ISO = re.compile(r"G[ \t]*+\d", re.ASCII | re.IGNORECASE)
 SKIPPED = re.compile(r"[ \t]*+(?:\d++[ \t]*+)?+/")
+SKIPPED_END = re.compile(
+    r"[ \t]*+/[ \t]*+(?:\d++[ \t]*+)?+(?:STOP[ \t]++)?+M0*(?:2|30)(?!\d)[ \t]*+(?:;.*)?", re.ASCII | re.IGNORECASE
+)
+"""The end of the program in a block that may be skipped."""
 PARAXIAL = re.compile(rf"I?[XYZABCUVW][ \t]*+{_VALUE}", re.ASCII | re.IGNORECASE)
 
 TOKEN = re.compile(
@@ -76,7 +80,15 @@ EXPONENT = re.compile(r"(?<![\\/:.\d])[+-]?(?:\d++[.,]?+\d*+|[.,]\d++)E[+-]?\d+"
 """A number with an exponent outside paths, in one of the statements `WITH_NUMBERS`; the control knows none."""
 NUMBERS = re.compile(r"[+-]?[\d.,]+", re.ASCII)
 
-REFUSED_PATHS = frozenset("CT CTP LT RND CHF APPR DEP FL FLT FC FCT FPOL FSELECT".split())
+REFUSED_PATHS = frozenset("CT CTP LT RND CHF FL FLT FC FCT FPOL FSELECT".split())
+LEAD = re.compile(r"(APPR|DEP)[ \t]+(?:LCT|CT|LT|LN)(?![A-Z])", re.ASCII | re.IGNORECASE)
+"""Beginning of a block that leads to the contour or away from it."""
+LEAD_WORD = re.compile(
+    r"(?<![A-Z])(?:LEN|CCA|R(?!0(?![\d.,])))[ \t]*+[+-]?(?:Q[LR]?\d+|[\d.,]+)", re.ASCII | re.IGNORECASE
+)
+"""A word of its form: length, angle, radius."""
+ON_CONTOUR = frozenset({"RND", "CHF", "CT"})
+"""Path functions that depend on the blocks beside them, which are written whole under cutter radius compensation only."""
 PASSED = frozenset("END BLK STOP LBL DECLARE PATTERN GLOBAL OPEN WAIT".split())
 HARMLESS_FUNCTIONS = tuple(
     f"FUNCTION {reset}{words}"
@@ -106,11 +118,12 @@ HARMLESS_CYCLES = frozenset(
         *(225, 230, 231, 232, 233, 240, 241, 262, 263, 264, 265, 267),
         *range(251, 259),
         *range(270, 278),
+        *(332, 392),
     }
     - {26}
 )
 """Cycles that move nothing and shift nothing where they are defined: machining cycles, which a call executes; dwell, tolerance, spindle
-orientation, contour. Cycle 247 selects a preset.
+orientation, contour, tuning of the drives (332; 392 of DMG MORI). Cycle 247 selects a preset.
 """
 HARMLESS_M = frozenset(
     {
@@ -156,6 +169,8 @@ BESIDE_CYCLES = frozenset({*range(7, 12), 13, 14, 19, 20, 26, 32, 247})
 """Cycles that act where they are defined; every other one ends the machining cycle in force."""
 RUN_AT_ONCE = frozenset({12, 220, 221, 224})
 """Cycles that are executed where they are defined: a program call, hole patterns."""
+OF_HEIDENHAIN = frozenset({*range(89, 150), *range(200, 205)})
+"""M functions that HEIDENHAIN defines; every other one is the machine builder's (`twin.nc.modal.Interpreter.take_auxiliary`)."""
 REFUSED_M = frozenset({98, 118, 130, 144})
 CALLING_M = frozenset({89, 99})
 LAST_M = frozenset({0, 1, 2, 5, 9, 30, 60})

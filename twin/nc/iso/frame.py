@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Final, NamedTuple, final
 
 from twin.nc.blocks import Plane, rotation_about
@@ -76,7 +76,7 @@ class IsoBlock(Block):
 
 # --- Effects of ISO blocks on the frame: work offset, tool in the spindle, and the length that the control adds
 
-_LENGTH_ON: Final = frozenset({"43", "44", "43.4", "43.5", "234"})
+_LENGTH_ON: Final = frozenset({"43", "44", "43.4", "43.5", "234", "169"})
 _OF_TOOL: Final = frozenset("THD")
 TOOL_CHANGE: Final = "M6"
 
@@ -108,14 +108,19 @@ class IsoFrame(Interpreter):
                 if item.name == "P":
                     value = self.value_of(item.value)
                     code += f" P{value:g}" if value == value else f" P{item.value.strip()}"
+        if code == "15":
+            item = next(item for item in block.others if item.name == "H")
+            code += f" H{self.known_value('H', item.value, vocabulary.KNOWN_VALUE):g}"
         self.select_offset(block, f"G{code}")
 
     def choose_tool(self, block: IsoBlock, words: frozenset[str]) -> None:
         """Apply the words for tool and length of a block; ``words``: its M words."""
-        said = {item.name: item for item in block.others if item.name in _OF_TOOL}
         codes = {span.name for span in block.codes}
+        said = {item.name: item for item in block.others if item.name in (_OF_TOOL if "15" not in codes else "T")}
         if not (said or codes or words):
             return
+        if codes & {"170", "49", *_LENGTH_ON}:
+            self.doubtful = "the length of the tool behind G170 is not stated (G56 H, or G53)" if "170" in codes else ""
         changes: dict[str, Any] = {}
         tool = self.frame.tool if self.tools_known else self._held_tool
         if "T" in said:
@@ -144,7 +149,7 @@ class IsoFrame(Interpreter):
             if not (height or tool) and self.tools_known:
                 raise self.error("tool length without a tool", "G43 with an H word, or a tool change before it")
             return {"length": height or tool}
-        if "49" in codes or (self._length_by_h and height == "0"):
+        if codes & {"49", "170"} or (self._length_by_h and height == "0"):
             return {"length": ""}
         radius_only = codes & {"41", "42"} and not (self.frame.length or self._held_length)
         if "D" in said and not self._length_by_h and not radius_only:
@@ -177,6 +182,9 @@ _ORDER: Final = {1: "X", 2: "Y", 3: "Z"}
 _PLANE_WORDS: Final = tuple("XYZIJKPSTDHF")
 _POSITIONING_WORDS: Final = tuple("PSTDHF")
 """Words of a block with G68.2, and with G53.1: those of the plane, and of spindle, tool and feed."""
+TILTS: Final = frozenset(vocabulary.GROUPS["plane tilt"])
+_DESELECTED: Final = (["0", '"0"'], ["0", '""'], ["", '"0"'])
+"""Arguments of CYCLE800 that deselect the swivel data."""
 _CHOICES: Final = {"0": 0, "1": 1, "2": -1}
 
 
@@ -184,20 +192,27 @@ class IsoTilt(IsoFrame):
     """The tilted plane in force, and one that is defined while the rotary axes are not yet positioned."""
 
     inch = False
-    _defined: Plane | None = None
+    pending: Plane | None = None
 
     def tilt_words(self, block: IsoBlock) -> None:
-        """Apply ``G68.2``, ``G53.1`` and ``G69``, and take their words from a block.
+        """Apply ``G68.2``, ``G53.1``, ``G53.6``, ``G69``, ``G254`` and ``G255``, and take their words from a block.
 
         Raises:
             InputError: another way to define a plane, a plane within a plane, or an unknown value.
         """
         codes = {span.name for span in block.codes}
+        if not codes & TILTS:
+            return
         words = _PLANE_WORDS if "68.2" in codes else _POSITIONING_WORDS
         stray = next((item for item in (*block.items, *block.others) if item.name not in words), None)
-        if stray is not None and codes & {"68.2", "53.1"}:
+        if stray is not None and "69" not in codes:
             shown = block.text[stray.start : stray.end].strip()
             raise self.error("unknown word in a block with a tilted plane", f"no words but {' '.join(words)}", shown)
+        if codes & {"69", "255"}:
+            self.pending = None
+            self._check_unshifted()
+            self.select(block, plane=None)
+            return
         if "68.2" in codes:
             self._check_allowed(block)
             values = {
@@ -208,22 +223,43 @@ class IsoTilt(IsoFrame):
             unit = MM_PER_INCH if self.inch else 1.0
             x, y, z = (values.get(letter, 0.0) * unit for letter in "XYZ")
             turned = rotation_about("ZXZ", [values.get(letter, 0.0) for letter in "IJK"])
-            self._defined = Plane((x, y, z), turned)
-        elif "53.1" in codes:
-            if self._defined is None:
-                raise self.error("G53.1 without a tilted plane", "G68.2 before it")
+            self.pending = Plane((x, y, z), turned)
+        elif "254" in codes:
+            self._check_allowed(block)
+            at = self.stands("G254")
+            self._tilt(block, Plane((0.0, 0.0, 0.0), None, at_deg=at))
+            self.position[self.linear :] = at
+        else:
+            word = "G53.1" if "53.1" in codes else "G53.6"
+            if self.pending is None:
+                raise self.error(f"{word} without a tilted plane", "G68.2 before it")
             choice = next((item.value.strip() for item in block.others if item.name == "P"), "0")
             if choice not in _CHOICES:
-                raise self.error("G53.1 with an unknown P", "P0, P1 or P2", choice)
-            self._tilt(block, Plane(self._defined.origin_mm, self._defined.rotation, _CHOICES[choice]))
-        elif "69" in codes:
-            self._defined = None
-            self._check_unshifted()
-            self.select(block, plane=None)
-            return
-        else:
-            return
+                raise self.error(f"{word} with an unknown P", "P0, P1 or P2", choice)
+            self._tilt(block, replace(self.pending, choice=_CHOICES[choice], stays=word == "G53.1"))
         block.items, block.others = [], []
+
+    def stand_at_plane(self, block: IsoBlock) -> bool:
+        """Apply a pending plane where the program itself positions the rotary axes; return whether a block does nothing else.
+
+        Args:
+            block: a block that moves axes; one that names rotary axes only positions them, any other one finds them in position.
+
+        Raises:
+            InputError: it names both, an unknown position, or under tool centre point control.
+        """
+        plane, rotary = self.pending, [word for word in block.words if word.axis >= self.linear]
+        if plane is None:
+            return False
+        if self.tcp or (rotary and len(rotary) < len(block.words)):
+            expected = "G53.1 directly after G68.2, or the rotary axes alone in the block that positions them"
+            raise self.error("move between G68.2 and G53.1", expected)
+        if rotary:
+            self.apply_words(block)
+        at = self.stands("tilted plane")
+        self._tilt(block, replace(plane, at_deg=at))
+        self.position[self.linear :] = at
+        return bool(rotary)
 
     def swivel(self, block: IsoBlock, arguments: str) -> None:
         """Apply ``CYCLE800(FR, TC, ST, MODE, X0, Y0, Z0, A, B, C, X1, Y1, Z1, DIR, …)``.
@@ -232,7 +268,8 @@ class IsoTilt(IsoFrame):
             InputError: a form of the cycle whose effect is not modelled.
         """
         texts = [part.strip() for part in arguments.strip()[1:-1].split(",")]
-        if not any(texts):
+        if not any(texts) or texts in _DESELECTED:
+            self.pending = None
             self._check_unshifted()
             self.select(block, plane=None)
             return
@@ -247,24 +284,22 @@ class IsoTilt(IsoFrame):
         if mode >> 6 or len(order) != 3 or new % 10:
             expected = "rotations axis by axis (MODE 27, 39, 45, 54 or 57) of a new plane (ST 0)"
             raise self.error("CYCLE800 of this kind", expected, shown)
-        if values[12] not in (-1.0, 1.0):
-            raise self.error("CYCLE800 that does not position the rotary axes", "DIR 1 or -1", shown)
+        if values[12] not in (-1.0, 0.0, 1.0):
+            raise self.error("CYCLE800 with an unknown DIR", "DIR 1, -1 or 0", shown)
         unit = MM_PER_INCH if self.inch else 1.0
         turned = rotation_about(order, values[6:9])
         before, after = ([value * unit for value in values[i : i + 3]] for i in (3, 9))
         x, y, z = (
             before[i] + sum(part * value for part, value in zip(turned[i], after, strict=True)) for i in range(3)
         )
-        self._tilt(block, Plane((x, y, z), turned, int(values[12]), stays=retract == 0))
-
-    def check_plane(self, rotary: bool) -> None:
-        """Raise `InputError` for a move that the tilted plane does not allow; ``rotary``: whether it names rotary axes."""
-        if self._defined is not None:
-            raise self.error("move between G68.2 and G53.1", "G53.1 directly after G68.2")
-        super().check_plane(rotary)
+        plane = Plane((x, y, z), turned, int(values[12]), stays=retract == 0)
+        if values[12]:
+            self._tilt(block, plane)
+        else:
+            self.pending = replace(plane, stays=True)
 
     def _tilt(self, block: IsoBlock, plane: Plane) -> None:
-        self._defined = None
+        self.pending = None
         self.select(block, plane=plane)
 
     def _check_unshifted(self) -> None:

@@ -7,17 +7,17 @@ from collections.abc import Callable, Mapping
 from typing import Any, Final, final
 
 from twin._common.errors import InputError
-from twin.nc.blocks import AxisWords, Kind, Move
+from twin.nc.blocks import AxisWords, Kind, Move, MoveColumns, Notice
 from twin.nc.iso import vocabulary
 from twin.nc.iso.cycles import PATTERNS, SINUMERIK
 from twin.nc.iso.frame import TOOL_CHANGE, IsoBlock, Item
 from twin.nc.iso.motion import CENTRE, INCH_CODES, SPINDLE_VECTOR, IsoMotion
 from twin.nc.iso.shifts import PROGRAMMED
-from twin.nc.modal import Block, Span
+from twin.nc.modal import SWITCHING_M, Block, Span
 from twin.nc.text import BLANK, BOM, number
 
 _AXIS_LETTERS: Final = frozenset("XYZABCUVW")
-_LENGTH_WORDS: Final = frozenset({"", "G43.4", "G43.5", "G234"})
+_LENGTH_WORDS: Final = frozenset({"", "G43.4", "G43.5", "G234", "G169"})
 _ARC_WORDS: Final = frozenset({*CENTRE, *SPINDLE_VECTOR, "R", "CR", "TURN"})
 _NORMAL: Final = frozenset(f"{letter}{place}" for letter in "ABC" for place in "45")
 """Surface normal of SINUMERIK at the start and the end of a block: of effect with LEAD, TILT and G41 or G42 only, which are refused."""
@@ -41,6 +41,8 @@ _MODES: Final[Mapping[str, tuple[str, Callable[[str], Any]]]] = {
 """For each group of G codes: the attribute of the interpreter that holds its state, and the conversion of a code to that state."""
 
 
+_OF_SINUMERIK: Final = vocabulary.PASSED | vocabulary.TRANSFORMS
+NO_UNIT: Final = "the program does not state its unit (G20, G21, G70, G71): millimetres are assumed"
 RIGID: Final = re.compile(r"M0*29(?!\d)", re.IGNORECASE)
 """Rigid tapping of Fanuc."""
 
@@ -55,7 +57,13 @@ class IsoInterpreter(IsoMotion):
         self._started = self._okuma = False
         self._assignments: list[tuple[str, float]] = []
         """Values of ``#`` variables that hold from the next block on: words of the same block have the values before (LinuxCNC)."""
-        self._probes = False
+        self._probes = self._siemens = self._begun = False
+        self._unit_line: int | None = None
+
+    @property
+    def variant(self) -> str:
+        """The control whose words the program has used so far; empty if they are those of several."""
+        return "Okuma" if self._okuma else self.control or ("SINUMERIK" if self._siemens else "")
 
     # ------------------------------------------------------------------ a block
 
@@ -93,6 +101,14 @@ class IsoInterpreter(IsoMotion):
             self.assign(name, value)
         self._assignments.clear()
         return applied
+
+    def checked(self, moves: MoveColumns, text_of: Callable[[int], str]) -> MoveColumns:
+        """See `Interpreter.checked`; note that a program does not state its unit before it moves."""
+        if len(moves) and not self._begun:
+            self._begun, first = True, int(moves.line[0])
+            if self._unit_line is None or self._unit_line > first:
+                self.late_notices.append(Notice(first, NO_UNIT))
+        return super().checked(moves, text_of)
 
     def may_end(self, tail: str) -> bool:
         """See `Interpreter.may_end`: not while a cycle is in force or between M29 and its thread, which are written together."""
@@ -269,6 +285,7 @@ class IsoInterpreter(IsoMotion):
     def _given(self, block: IsoBlock, match: re.Match[str]) -> None:
         self._started = True
         key, value = match.group(6).upper(), match.group(8)
+        key = "H" if key == "HA" and self._okuma else key
         item = Item(key, match.start(6), match.end(), match.start(8), match.end(8), value)
         if key in self.index or not self._assigned(block, item, match.group(7) or ""):
             self._sort(block, item)
@@ -344,7 +361,7 @@ class IsoInterpreter(IsoMotion):
             if len(word) < 2 or not word[1].isdigit():
                 raise self.missing_number("G", value)
             code = self._codes[value] = word[1:]
-        return code
+        return vocabulary.OKUMA_CODES.get(code, code) if self._okuma else code
 
     def _m_word(self, block: IsoBlock, start: int, end: int, value: str) -> None:
         word = vocabulary.canonical(f"M{value}")
@@ -356,7 +373,10 @@ class IsoInterpreter(IsoMotion):
             raise self.missing_number("M", value)
         block.m_words.append(word)
         if word not in vocabulary.HARMLESS_M | self.harmless | self.tcp_on | self.tcp_off:
-            self.lose(block, word)
+            if not word[1:].isdigit() or int(word[1:]) in SWITCHING_M:
+                self.lose(block, word)
+            else:
+                self.take_auxiliary(word)
         if word in vocabulary.LAST_M:
             block.end_m_words.append(Span(start, end, word))
         self.switch_by(block, word)
@@ -371,10 +391,17 @@ class IsoInterpreter(IsoMotion):
                 continue
             # The same word twice changes nothing: controls differ in whether they allow it.
             if group and seen.setdefault(group, code) != code:
+                if group == "distance" and any(one.name in ("28", "30") for one in block.codes):
+                    self.note(
+                        "G90 and G91 in one block with a reference return: the last one is in force (Fanuc, Haas)"
+                    )
+                    self._modal(block, span, group)
+                    continue
                 raise self.error(f"two G words of one modal group ({group})", "one G word per group in a block")
             self._modal(block, span, group)
             self.tell_control(code)
             self.switch_by(block, f"G{code}")
+        self._unit_line = self._line if self._unit_line is None and "units" in seen else self._unit_line
         return frozenset(seen)
 
     def _modal(self, block: IsoBlock, span: Span, group: str) -> None:
@@ -389,12 +416,15 @@ class IsoInterpreter(IsoMotion):
             block.motion_word = span
         elif group == "offset":
             self.choose_offset(block, code)
+        elif group == "length" and code in ("169", "170"):
+            self._okuma = True
         elif group == "length" and self.tcp_word in _LENGTH_WORDS - {""} and code in ("43", "44"):
             self.switch(block, False, f"G{code}")
         elif code in vocabulary.FLAGS and (block.items or any(item.name in CENTRE for item in block.others)):
             raise self.error(f"G{code} with words of axes", f"G{code} without them, in a block of its own")
         elif code == "15" and any(item.name == "H" for item in block.others):
-            raise self.error(*vocabulary.OKUMA_OFFSET)
+            self._okuma = True
+            self.choose_offset(block, code)
         elif code == "5" and (block.items or not any(item.name == "P" for item in block.others)):
             raise self.error("curve G5", vocabulary.LINEAR)
 
@@ -408,6 +438,8 @@ class IsoInterpreter(IsoMotion):
         if group is not None:
             return group
         if code in vocabulary.ENDED_BY_P0 and [item.value for item in block.others if item.name == "P"] == ["0"]:
+            return ""
+        if code in vocabulary.SMOOTHING_BY_P and [item.name for item in block.others] == ["P"] and not block.items:
             return ""
         if code in vocabulary.REFUSED_CODES:
             raise self.error(*vocabulary.REFUSED_CODES[code])
@@ -426,6 +458,7 @@ class IsoInterpreter(IsoMotion):
     def _names(self, block: IsoBlock) -> bool:
         """Apply statements by name and return whether one of them selects machine coordinates."""
         names = block.names
+        self._siemens = self._siemens or any(item.name in _OF_SINUMERIK for item in names)
         for place, (name, start, end, _, _, arguments) in enumerate(names):
             shown = block.text[start:end]
             if name == "SUPA" or name in self.tcp_on or name in self.tcp_off:
@@ -445,9 +478,16 @@ class IsoInterpreter(IsoMotion):
                 raise self.error(f"curve or rounding {name}", vocabulary.LINEAR)
             elif name in (SINUMERIK if self.cycle is None else PATTERNS) and len(names) == 1 and not block.items:
                 self.call_once(block, names[place])
-            elif name not in vocabulary.PASSED and name not in self.harmless:
+            elif not self._passes(name):
                 self._unknown_name(block, names[place], shown)
         return any(item.name == "SUPA" for item in names)
+
+    def _passes(self, name: str) -> bool:
+        """Return whether a statement does not change the meaning of axis words; note whether tool vectors are the machine's."""
+        if name in ("ORIMKS", "ORIWKS"):
+            self.of_machine = name == "ORIMKS"
+        of_tool = self._okuma and name in vocabulary.OKUMA_LENGTHS
+        return name in vocabulary.PASSED or name in self.harmless or of_tool
 
     def _unknown_name(self, block: IsoBlock, item: Item, shown: str) -> None:
         """Pass a statement of unknown effect through; raise `InputError` in a block that moves axes."""
@@ -467,12 +507,10 @@ class IsoInterpreter(IsoMotion):
         turns = name == "RPL" and any(one.name in PROGRAMMED for one in block.names)
         if len(name) == 1 or name in SPINDLE_VECTOR or name in ("CR", "TURN") or turns:
             return False
-        if name[0] in "ABCD" and name[1:] in ("2", "6", "7"):
-            raise self.error(f"tool orientation by {name}", "a tool vector A3= B3= C3=, or rotary axes", shown)
-        if name in vocabulary.CURVES or name in ("I1", "J1", "K1"):
-            raise self.error(f"curve or rounding {name}", vocabulary.LINEAR, shown)
-        if name in vocabulary.TRANSFORMS or name.startswith("$P_"):
-            raise self.error(f"coordinate transformation {name}", vocabulary.NO_TRANSFORMATION, shown)
+        if name in vocabulary.CORNERS and self.beside:
+            self.note(f"{name} is left to the control: the points beside it are corrected", once=True)
+            return True
+        self._check_assigned(name, shown)
         if name[1:].isdigit() and name[0] in _AXIS_LETTERS:
             return False
         if name[0] == "M" and name[1:].isdigit():
@@ -485,6 +523,15 @@ class IsoInterpreter(IsoMotion):
         else:
             self.assign(name + bracket, self.value_of(value))
         return True
+
+    def _check_assigned(self, name: str, shown: str) -> None:
+        """Raise `InputError` for an assignment that changes the meaning of axis words in a way that is not followed."""
+        if name[0] in "ABCD" and name[1:] in ("2", "6", "7"):
+            raise self.error(f"tool orientation by {name}", "a tool vector A3= B3= C3=, or rotary axes", shown)
+        if name in vocabulary.CURVES or name in ("I1", "J1", "K1"):
+            raise self.error(f"curve or rounding {name}", vocabulary.LINEAR, shown)
+        if name in vocabulary.TRANSFORMS or name.startswith("$P_"):
+            raise self.error(f"coordinate transformation {name}", vocabulary.NO_TRANSFORMATION, shown)
 
 
 def _changes_nothing(block: IsoBlock) -> bool:

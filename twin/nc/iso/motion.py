@@ -427,7 +427,7 @@ class IsoMotion(IsoDrilling):
         self.side = 40
         self._on_contour = False
         self.feed_mode = "94"
-        self.length_vector = False
+        self.length_vector = self.of_machine = False
 
     @property
     def beside(self) -> bool:  # type: ignore[override]
@@ -437,7 +437,7 @@ class IsoMotion(IsoDrilling):
     @property
     def runs_allowed(self) -> bool:
         """See `Interpreter.runs_allowed`: no pending work offset, incremental mode or tool vector, nor a cycle that changes."""
-        plain = not (self.beside or self._on_contour or self.incremental)
+        plain = not (self.beside or self._on_contour or self.incremental or self.pending)
         return plain and self.steady and self.set_up and self.vector is None
 
     def leave_contour(self) -> None:
@@ -481,7 +481,9 @@ class IsoMotion(IsoDrilling):
             InputError: a word contradicts another word or the modal state.
         """
         motion = self.motion
-        self.check_plane(block.axis_bits >> self.linear != 0)
+        if not machine and not self.unknown and self.stand_at_plane(block):
+            return
+        self.check_plane(block.axis_bits >> self.linear != 0 and self.pending is None)
         if machine:
             if centre or self.cycle is not None:
                 raise self.error("machine coordinates in an arc or a cycle", "a straight move")
@@ -552,6 +554,8 @@ class IsoMotion(IsoDrilling):
                 continue
             if not self.tcp:
                 raise self.error(f"tool vector {name} while tool centre point control is off", "TRAORI before it", text)
+            if self.of_machine:
+                raise self.error(f"tool vector {name} in coordinates of the machine (ORIMKS)", "ORIWKS before it", text)
             components[index] = self.value_of(text)
             if components[index] != components[index]:
                 raise self.missing_number(name, text)

@@ -57,14 +57,14 @@ GROUPS: dict[str, tuple[str, ...]] = {
     "feed": ("93", "94", "95"),
     "spindle": ("96", "97", "961", "962", "971", "972"),
     "radius": ("40", "41", "42"),
-    "length": ("43", "43.4", "43.5", "44", "49", "234"),
+    "length": ("43", "43.4", "43.5", "44", "49", "234", "169", "170"),
     "return": ("98", "99"),
     "offset": (
         *("54", "55", "56", "57", "58", "59", "54.1", "59.1", "59.2", "59.3", "154", "500"),
         *(str(code) for code in range(505, 600)),
     ),
     "machine": ("53", "153"),
-    "plane tilt": ("68.2", "53.1", "69"),
+    "plane tilt": ("68.2", "53.1", "53.6", "69", "254", "255"),
     "shift": ("10", "52", "92", "92.1", "92.2", "92.3"),
     "still": ("4", "22", "23", "25", "26"),
     "reference": ("28", "30", "30.1", "75", "27", "31", "38", "38.2", "38.3", "38.4", "38.5"),
@@ -114,6 +114,8 @@ OWN_WORDS: Mapping[str, str] = {"5.1": "QR", "187": "PE"}
 """Words that belong to a G code of smoothing in its block: mode and level, smoothness and tolerance."""
 ENDED_BY_P0: frozenset[str] = frozenset({"54.2", "54.4"})
 """G codes of Fanuc and Mazak that shift coordinates by a table, and end that with P0."""
+SMOOTHING_BY_P: frozenset[str] = frozenset({"5.3"})
+"""G codes that set a surface quality by P alone (Hurco), and begin a curve without it (LinuxCNC)."""
 OFFSET_VARIABLES = ((2001, 2999), (5161, 5400), (7001, 7960), (10001, 13999), (14001, 19988))
 """System variables that hold work offsets and tool lengths (LinuxCNC: 5161 to 5400)."""
 USER_VARIABLES = ((0, 999), (3000, 3012), (3901, 3902), (98000, 98499))
@@ -141,13 +143,11 @@ REFUSED_CODES: dict[str, tuple[str, str]] = {
         code: (f"cutter radius compensation G{code}", "the tool centre path from the CAM system (G40)")
         for code in ("41.1", "41.2", "42.1", "42.2", "43.2", "43.3")
     },
-    **{
-        code: (f"tool centre point control of Okuma (G{code})", "G43.4 or G43.5, or axis positions without it")
-        for code in ("169", "170")
-    },
     "43.1": ("tool length by G43.1, given by the block or along the tool axis", "G43 with an H word"),
-    "254": ("dynamic work offset G254", "axis positions, or tool centre point control (G234)"),
-    "255": ("end of a dynamic work offset G255", "axis positions, or tool centre point control (G234)"),
+    **{
+        code: (f"feature coordinate system of Haas (G{code})", "a dynamic work offset (G254), or axis positions")
+        for code in ("253", "268", "269")
+    },
     "29": ("return from the reference point G29", "a G0 block with the position"),
     **{code: (f"macro call G{code}", NO_CALLS) for code in ("65", "66", "66.1", "72.1", "72.2")},
 }
@@ -155,15 +155,15 @@ OKUMA_HEADER = re.compile(r"\$[^=%\s]++%", re.ASCII)
 """The first line of a program of Okuma: its file name."""
 NOT_OF_OKUMA: frozenset[str] = frozenset(
     {*(str(code) for code in range(53, 60)), *(str(code) for code in range(71, 90)), "98", "99", *GROUPS["shift"]}
-    - {"80"}
+    - {"80", *("53", "56")}
 )
 """G codes that have another meaning on an OSP: tool length offsets and their end, return levels, shifts, cycles with own levels."""
 PROGRAM_NAME = re.compile(r"<[\w.+-]++>[ \t]*+(?:\([^()]*+\))?+", re.ASCII)
 """A line with the name of a program, of Fanuc and Mazak, in place of its number."""
-OKUMA_OFFSET = (
-    "work offset of Okuma (G15 H)",
-    "work offsets G54 to G59; other words of Okuma, too, have meanings of their own",
-)
+OKUMA_CODES: Mapping[str, str] = {"56": "43", "53": "49"}
+"""G codes of Okuma by those of Fanuc: the tool length offset G56 H, and its end."""
+OKUMA_LENGTHS: frozenset[str] = frozenset({"HA", "HB", "HC"})
+"""Names of the three length offsets of the tool in the spindle (Okuma)."""
 REFUSED_M: frozenset[str] = frozenset({"M97", "M98", "M198", "M96"})
 RESTORING_M: frozenset[str] = frozenset({"M72", "M73"})
 """M codes of LinuxCNC that restore modal words saved before."""
@@ -190,10 +190,7 @@ HARMLESS_M: frozenset[str] = frozenset(
         99,  # return, or repetition from the start
     )
 )
-"""M codes that leave positions, frames, offsets and modes alone. Others are the machine builder's, switch modes of a control (M21 to
-M23 mirror axes on some, M72 and M73 of LinuxCNC restore modal words), select tools or call programs. A machine file can name those
-that are harmless.
-"""
+"""M codes that leave positions, frames, offsets and modes alone. Others: `twin.nc.modal.SWITCHING_M`."""
 LAST_M: frozenset[str] = frozenset(
     {"M0", "M1", "M2", "M5", "M9", "M30", "M60", "M17", "M99", "M00", "M01", "M02", "M05", "M09"}
 )
@@ -228,6 +225,8 @@ CURVES: frozenset[str] = frozenset(
     OEMIPO1 OEMIPO2 POS POSA POSP MOV OSCTRL FOCON FXS LEAD TILT THETA AN PHI PSI ORICURVE ORICONCW ORICONCCW ORICONIO
     ORICONTO ORIPATH ORIPATHS XH YH ZH NUT SPIF1 SPIF2 SPN SPP MEAS MEAW MEASA MEAWA MEAC PUNCHACC""".split()
 )
+CORNERS: frozenset[str] = frozenset({"RND", "CHF", "CHR"})
+"""Rounding and chamfer at the end of a block; beside a contour the blocks next to them are written whole."""
 CYCLE = re.compile(r"CYCLE\d+|MCALL|HOLES\d|POCKET\d|SLOT\d|LONGHOLE|POLY_\w+|CONTPRON|CONTDCON", re.ASCII)
 
 EVIDENCE = line_pattern(
@@ -248,8 +247,8 @@ HARMLESS_SYSTEM_VARIABLES: tuple[str, ...] = ("$AC_MARKER", "$AC_PARAM", "$AC_TI
 CHANGING_KEYWORDS: frozenset[str] = frozenset({"DL"})
 """Keywords of SINUMERIK, set with ``=``, that change the length of the tool in the spindle."""
 
-TCP_ON: frozenset[str] = frozenset({"G43.4", "G43.5", "G234", "TRAORI"})
-TCP_OFF: frozenset[str] = frozenset({"G49", "TRAFOOF"})
+TCP_ON: frozenset[str] = frozenset({"G43.4", "G43.5", "G234", "G169", "TRAORI"})
+TCP_OFF: frozenset[str] = frozenset({"G49", "G170", "TRAFOOF"})
 """Words that switch tool centre point control on and off."""
 DIRECTION_FORMS: frozenset[str] = frozenset({"DC", "ACP", "ACN"})
 """Forms that give the direction in which a rotary axis turns to its value."""

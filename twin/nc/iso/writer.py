@@ -133,7 +133,7 @@ class IsoWriter(WordWriter[IsoBlock]):
             self.motion = block.motion  # a cycle of Fanuc is in force
 
     def _take_rigid(self, block: IsoBlock) -> str:
-        """Take over rigid tapping for the threads after a block, and return the block as a comment.
+        """Take over rigid tapping for the threads after a block, and return the block as a comment, followed by its feed unit.
 
         The control refuses a move between it and the thread, and a motion word ends its effect. So it is written again before every
         thread, not where it stood.
@@ -142,7 +142,8 @@ class IsoWriter(WordWriter[IsoBlock]):
             InputError: the block has other words.
         """
         others = [item for item in block.others if item.name != "S"]
-        if any((block.skip, block.m_words[1:], others, block.items, block.codes, block.names)):
+        codes = [span for span in block.codes if span.name not in ("94", "95")]
+        if any((block.skip, block.m_words[1:], others, block.items, codes, block.names)):
             raise InputError(
                 "rigid tapping M29",
                 expected="a block of its own (M29 S…) before G84 or G74",
@@ -151,7 +152,9 @@ class IsoWriter(WordWriter[IsoBlock]):
                 value=block.text.strip(),
             )
         self._rigid = " ".join(["M29", *(block.text[item.start : item.end].strip() for item in block.others)])
-        return f"({as_comment(block.text, '()')}){ending(block.text) or self.newline}"
+        end = ending(block.text) or self.newline
+        kept = "".join(f"{block.text[span.start : span.end]}{end}" for span in block.codes)
+        return f"({as_comment(block.text, '()')}){end}{kept}"
 
     def _drilled(self, block: IsoBlock, drilling: Drilling, segments: Mapping[int, Segments], text: str) -> str:
         """Return the output of a block that drills; ``text``: that of its positioning."""

@@ -136,6 +136,11 @@ class ChunkReader(ABC):
         """Notices so far."""
         return (*self._record.notices, *self._record.late_notices)
 
+    @property
+    def control(self) -> str:
+        """The control whose words the program has so far; empty if they are those of several."""
+        return str(getattr(self._record, "variant", ""))
+
     def lost_positions(self) -> list[LostPositions]:
         """Return the unknown axis positions since the last call."""
         return self._new("lost_positions")
