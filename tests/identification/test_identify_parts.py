@@ -354,6 +354,22 @@ def test_a_mixed_prior_of_tied_curves_is_that_of_their_allowed_part(seed: int) -
     np.testing.assert_allclose(mixture.variance, expected, rtol=1e-5)
 
 
+def test_a_coefficient_that_the_conditions_fix_has_no_influence() -> None:
+    """Two curves of three coefficients, the first one zero by the datum: the prior of the others is the one without it."""
+    rng = np.random.default_rng(2)
+    orders, inside = np.tile(np.arange(3), 2), np.eye(6)[:, 1:]
+    root = rng.normal(size=(5, 5)) * 1e-3
+    covariance, mean, held = root @ root.T, rng.normal(size=5) * 1e-3, np.full(6, 10.0)
+    shares = np.full(len(SIZES), 1.0 / len(SIZES))
+    whole = mixed_prior(
+        inside @ mean, inside @ covariance @ inside.T, held, shares, TiedCurves(np.arange(6), orders, inside)
+    )
+    alone = mixed_prior(mean, covariance, held[1:], shares, TiedCurves(np.arange(5), orders[1:], np.eye(5)))
+    assert np.all(np.isfinite(whole.precision))
+    np.testing.assert_allclose(whole.precision[1:], alone.precision, rtol=1e-6)
+    np.testing.assert_allclose(whole.variance[1:], alone.variance, rtol=1e-6)
+
+
 def test_results_do_not_depend_on_the_size_of_chunks(dmu50: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
     """Rows are computed in chunks of thousands; in chunks of 17 and 7 the same readings give the same estimate, all of its parts."""
     rng = np.random.default_rng(6)

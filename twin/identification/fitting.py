@@ -291,7 +291,8 @@ def _tied_curves(unknowns: Unknowns, free: np.ndarray) -> list[TiedCurves]:
         columns = np.array([i for name in names for i in columns_of[name]], dtype=int)
         orders = np.concatenate([np.arange(len(columns_of[name])) for name in names])
         directions, size, _ = np.linalg.svd(free[columns], full_matrices=False)
-        groups.append(TiedCurves(columns, orders, directions[:, size > 0.5]))
+        if np.any(size > 0.5):
+            groups.append(TiedCurves(columns, orders, directions[:, size > 0.5]))
     return groups
 
 
@@ -345,7 +346,9 @@ def mixed_prior(
     weight /= weight.sum()
     spread = roots @ vectors * np.sqrt(weight[:, None] / values)[:, None, :]
     mixed = np.einsum("gij,gkj->ik", spread, spread)
-    shrinking = np.diag(inside @ (np.linalg.inv(mixed) - likelihood) @ inside.T) / np.sum(inside**2, axis=1)
+    # A coefficient that the conditions fix has no part in any direction.
+    part = np.maximum(np.sum(inside**2, axis=1), 1e-12)
+    shrinking = np.diag(inside @ (np.linalg.inv(mixed) - likelihood) @ inside.T) / part
     # Between the precision of the mean variance and the mean precision, its limits for readings that say nothing and everything.
     clipped = np.clip(shrinking, 1.0 / (weight @ sizes**2), weight @ sizes**-2.0)
     # Intervals give each size the same share: they hold for a curve that is unlike the others of its machine, too.
