@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import warnings
+from fnmatch import fnmatch
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from tests.truth.reference import dmu50_pose
+from twin._common.errors import InputError
 from twin.identification import identify
 from twin.machine.machine import Machine
 from twin.measurement.table import Measurements
@@ -142,3 +145,21 @@ def test_squareness_and_locations_of_few_contacts_are_identified(dmu50: Machine,
     # The largest model interpolates all readings: a part of them is not predicted by the others.
     assert found.choice.held_out > 1.0
     assert remaining_um(Kinematics(dmu50, found.calibration), errors) <= 1.0
+
+
+@pytest.mark.parametrize("draws", [15, pytest.param(150, marks=pytest.mark.slow)])
+def test_any_part_of_a_table_is_identified_or_refused(dmu50: Machine, tmp_path: Path, draws: int) -> None:
+    """From four contacts on, with any errors wanted: numbers are finite, and nothing but an error of the input stops it."""
+    rng = np.random.default_rng(11)
+    data = probed(tmp_path, constants(rng), rng, dmu50, count=20)
+    for _ in range(draws):
+        rows = np.sort(rng.choice(len(data), int(rng.integers(4, len(data))), replace=False))
+        pattern = str(rng.choice(["*", "E_*0*", "E_?[XYZ]", "E_*B", "E_*C", "E_[XY]*"]))
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", RuntimeWarning)
+            try:
+                found = identify(data.select(rows), dmu50, wanted=lambda name, pattern=pattern: fnmatch(name, pattern))
+            except InputError:
+                continue
+        assert np.all(np.isfinite(found.calibration.covariance.matrix)), (pattern, rows)
+        assert found.to_text()

@@ -329,6 +329,7 @@ def _folds(network: Network, solution: FitSolution, triangles: np.ndarray, folds
     free = solution.free[:machine]
     # The conditions are the directions of the machine's unknowns that are not free.
     datum = scipy.linalg.null_space(free.T, rcond=DEPENDENT).T
+    datum[np.abs(datum) < DEPENDENT] = 0.0  # rounding would be a condition on a model without its curves
     origin = solution.theta / network.unknowns.plausible
     setup_first = [*range(machine, count), *range(machine), count]
     found = []
