@@ -3,6 +3,14 @@
 Manual: `twin doc control`.
 """
 
-from twin.compensation.live.folder import LiveKinematics, Proof, earlier_of, make_module, outputs_of, write_module
+from twin.compensation.live.folder import (
+    LiveKinematics,
+    Proof,
+    earlier_of,
+    errors_while_on,
+    make_module,
+    outputs_of,
+    write_module,
+)
 
-__all__ = ["LiveKinematics", "Proof", "earlier_of", "make_module", "outputs_of", "write_module"]
+__all__ = ["LiveKinematics", "Proof", "earlier_of", "errors_while_on", "make_module", "outputs_of", "write_module"]

@@ -6,6 +6,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Final, final
 
 import numpy as np
@@ -14,10 +15,21 @@ from twin._common.errors import InputError
 from twin._common.families import BASIC
 from twin._common.files import write_atomic
 from twin._common.provenance import ILLUSTRATIVE, SourceWarning, merge_warnings, warning_texts, warnings_to_json
-from twin._common.records import json_form
+from twin._common.records import SPEED, TIME, json_form
 from twin._common.units import URAD
 from twin.compensation.live.graph import Damping, LiveCorrection
-from twin.compensation.live.module import FORMAT, LETTERS, NAME, c_file, channel_of
+from twin.compensation.live.module import (
+    COMPONENT,
+    FORMAT,
+    LETTERS,
+    NAME,
+    SuppliedChannel,
+    c_file,
+    channel_of,
+    channels_of,
+    component_file,
+    temperatures_of,
+)
 from twin.compute.along import BatchFunction
 from twin.controls import ControlSection, TableEntry, file_sha256
 from twin.machine.machine import Machine
@@ -32,7 +44,16 @@ SCHEMA: Final = "twin.compensation.live/1"
 README: Final = "README.txt"
 CALIBRATION: Final = "calibration.yaml"
 CORRECTED: Final = "corrected.yaml"
-FILES: Final = (f"{NAME}.c", f"{NAME}.hal", f"{NAME}.ini", README, CORRECTED, CALIBRATION)
+FILES: Final = (
+    f"{NAME}.c",
+    f"{NAME}.hal",
+    f"{NAME}.ini",
+    f"{COMPONENT}.py",
+    f"{COMPONENT}.hal",
+    README,
+    CORRECTED,
+    CALIBRATION,
+)
 MARGIN: Final = 1.5
 """Factor on the largest tilt and the largest correction seen over the volume: tools and temperatures differ from those tried."""
 PIN_NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,30}")
@@ -78,6 +99,7 @@ class LiveKinematics:
         errors: the calibration it was made from.
         earlier: calibrations that the control corrected already when that one was measured; their errors are added.
         text: the C file.
+        component: the HAL component that supplies the temperatures.
     """
 
     live: LiveCorrection
@@ -85,6 +107,7 @@ class LiveKinematics:
     errors: Calibration
     earlier: tuple[Calibration, ...]
     text: str
+    component: str
     tool_length_mm: float
 
     @property
@@ -102,7 +125,7 @@ class LiveKinematics:
             "illustrative": ILLUSTRATIVE in self.errors.warnings,
             "warnings": warnings_to_json(self.warnings),
             "tool_length_mm": self.tool_length_mm,
-            "pins": [one.pin for one in map(channel_of, self.live.plain)],
+            "pins": [one.pin for one in channels_of(self.live)],
             "files": list(FILES),
             **json_form(self.proof),
         }
@@ -114,7 +137,7 @@ class LiveKinematics:
             f"{name} {size:.4f} {'mm' if axis.linear else '°'}"
             for name, size, axis in zip(names, proof.largest, machine.axes, strict=True)
         )
-        channels = [channel_of(name) for name in self.live.plain]
+        channels = channels_of(self.live)
         lines = [
             f"LinuxCNC kinematics with the errors of {machine.name}",
             *warning_texts(self.warnings),
@@ -197,8 +220,8 @@ def make_module(
 
     Raises:
         InputError: a location that was not identified, unless that is accepted; a chain that the module does not carry; an axis that
-            is no word of LinuxCNC; a channel without a pin; an estimate that did not settle; errors that the control corrects
-            already; a correction too steep for the forward kinematics.
+            is no word of LinuxCNC; a channel without a pin; an empirical effect without a range that the module can keep; an estimate
+            that did not settle; errors that the control corrects already; a correction too steep for the forward kinematics.
     """
     machine = errors.machine
     _check(errors)
@@ -208,6 +231,7 @@ def make_module(
     plain = _channels(bare)
     length = machine.tool_length_mm if tool_length_mm is None else tool_length_mm
     trial = LiveCorrection(bare, plain, Damping.for_tilt(0.0))
+    _check_ranges(trial, errors.path)
     live = LiveCorrection(bare, plain, Damping.for_tilt(MARGIN * _largest_tilt(trial, length)))
     proof = _proof(live, length)
     if proof.steepest >= 1.0:
@@ -224,7 +248,26 @@ def make_module(
         *(f"calibration: {one.path or 'nominal'}" for one in (*earlier, errors)),
         TEXT_OF_SOURCE,
     ]
-    return LiveKinematics(live, proof, errors, tuple(earlier), c_file(live, largest, header), length)
+    about = [f"Temperatures and record of {NAME} for {machine.name}, written by twin (README.txt).", *header[1:]]
+    texts = c_file(live, largest, header), component_file(live, about)
+    return LiveKinematics(live, proof, errors, tuple(earlier), *texts, length)
+
+
+def errors_while_on(errors: Calibration) -> Calibration:
+    """Return the errors of the machine while the module corrects these: none, as uncertain as these are."""
+    zero = {
+        name: replace(curve, coefficients=(0.0,) * len(curve.coefficients)) for name, curve in errors.curves.items()
+    }
+    kept = {number.name for effect in errors.effects if effect not in errors.extra for number in effect.parameters}
+    return replace(
+        errors,
+        curves=MappingProxyType(zero),
+        squareness=MappingProxyType(dict.fromkeys(errors.squareness, 0.0)),
+        location=MappingProxyType(dict.fromkeys(errors.location, 0.0)),
+        joint=None if errors.joint is None else errors.joint.where(lambda name: name in kept),
+        extra=(),
+        control=None,
+    )
 
 
 def earlier_of(errors: Calibration, *, add: bool) -> tuple[Calibration, ...]:
@@ -273,6 +316,28 @@ def _check(errors: Calibration) -> None:
         )
 
 
+def _check_ranges(live: LiveCorrection, file: Path | None) -> None:
+    """Raise `InputError` unless there are positions and values of the pins at which every empirical effect was measured."""
+    turning = {axis.name: live.range_of(axis.name, -np.inf, np.inf) for axis in live.machine.axes if axis.lower is None}
+    for name, found in turning.items():
+        if np.isfinite(found).any():
+            raise InputError(
+                f"an empirical effect was measured over a part of {name}, which turns without a limit",
+                expected="one that repeats with every turn (whole_turns), or a calibration without it",
+                file=file,
+                value=f"{found[0]:g} to {found[1]:g}",
+            )
+    channels = ((one.name, one.low, one.high) for one in channels_of(live))
+    axes = ((name, *span) for name, span in zip(live.machine.names, live.domains, strict=True))
+    for name, low, high in (*channels, *axes):
+        if not low < high:
+            raise InputError(
+                f"no value of {name} is within the ranges of all errors",
+                expected="an empirical effect that was measured where the other errors are known and the pins can be",
+                file=file,
+            )
+
+
 def _channels(calibrations: Sequence[Calibration]) -> tuple[str, ...]:
     """Return the channels that the control must supply.
 
@@ -293,6 +358,7 @@ def _channels(calibrations: Sequence[Calibration]) -> tuple[str, ...]:
             raise InputError(
                 "the name of a sensor cannot be the name of a pin",
                 expected="letters, digits, - and _, at most 18",
+                file=calibrations[-1].path,
                 value=name,
             )
     return tuple(names)
@@ -302,8 +368,7 @@ def _states(live: LiveCorrection, poses: int) -> np.ndarray:
     """Return random channels (poses, channels): directions of approach, values within the ranges of the pins."""
     rng = np.random.default_rng(20)
     values = [random_approach(np.zeros((poses, len(live.machine.axes))))]
-    usual = [_usual(name) for name in live.plain]
-    values += [rng.uniform(low, high, (poses, 1)) for low, high in usual]
+    values += [rng.uniform(*_usual(one), (poses, 1)) for one in channels_of(live)]
     plain = np.hstack(values) if live.plain else values[0]
     held = np.hstack([plain, np.zeros((poses, len(live.histories)))])
     if not live.histories:
@@ -312,11 +377,11 @@ def _states(live: LiveCorrection, poses: int) -> np.ndarray:
     return np.hstack([plain, drives])
 
 
-def _usual(name: str) -> tuple[float, float]:
-    """Return a range of a channel as it occurs in a shop."""
-    channel = channel_of(name)
+def _usual(channel: SuppliedChannel) -> tuple[float, float]:
+    """Return a range of a channel as it occurs in a shop, within the range over which its errors are known."""
     if channel.unit == "degC":
-        return 15.0, 35.0
+        low, high = max(15.0, channel.low), min(35.0, channel.high)
+        return (low, high) if low < high else (channel.low, channel.high)
     return (
         (0.0, 28800.0) if channel.pin == "time" else (0.0, 12000.0) if channel.pin == "spindle-speed" else (0.0, 100.0)
     )
@@ -394,6 +459,8 @@ def write_module(made: LiveKinematics, folder: Path) -> None:
     write_atomic(folder / f"{NAME}.c", made.text)
     write_atomic(folder / f"{NAME}.hal", hal_lines(made.live))
     write_atomic(folder / f"{NAME}.ini", ini_lines(made.live.machine))
+    write_atomic(folder / f"{COMPONENT}.py", made.component)
+    write_atomic(folder / f"{COMPONENT}.hal", component_lines(made.live))
     write_atomic(folder / README, made.to_text())
     errors.with_control(None).save(folder / CORRECTED)
     entry = TableEntry(folder / CORRECTED, FORMAT, BASIC, file_sha256(folder / CORRECTED))
@@ -418,9 +485,29 @@ def hal_lines(live: LiveCorrection) -> str:
             "# M68 E3 Q1 (then M66 E0 L0): tool centre point; M68 E3 Q0: axis words",
             f"net {NAME}-type motion.analog-out-03 => motion.switchkins-type",
         ]
-    for one in map(channel_of, live.plain):
-        lines.append(f"# net {NAME}-{one.pin} YOUR-SENSOR => {NAME}.{one.pin}  # {one.unit}")
+    for one in channels_of(live):
+        if one.name == SPEED:
+            lines.append(f"net {NAME}-{one.pin} spindle.0.speed-out-abs => {NAME}.{one.pin}")
+        else:
+            lines.append(f"# net {NAME}-{one.pin} YOUR-SENSOR => {NAME}.{one.pin}  # {one.unit}")
     return "\n".join([*lines, "# off until everything is homed:", f"setp {NAME}.enable 0"]) + "\n"
+
+
+def component_lines(live: LiveCorrection) -> str:
+    """Return the HAL file of the component that supplies the temperatures."""
+    lines = [
+        f"# After {NAME}.hal; the settings are in the section [TWIN] of the INI file (README.txt).",
+        f"loadusr -Wn {COMPONENT} /usr/bin/python3 ./{COMPONENT}.py",
+        *(f"net {NAME}-{one.pin} {COMPONENT}.{one.pin} => {NAME}.{one.pin}" for one in temperatures_of(live)),
+        f"net {NAME}-heartbeat {COMPONENT}.heartbeat => {NAME}.heartbeat",
+        "# seconds without a new value of every sensor after which the pin stale is set:",
+        f"setp {NAME}.heartbeat-timeout 5",
+    ]
+    if any(one.name == TIME for one in channels_of(live)):
+        lines.append(
+            f"# If the measurement began when the control was started: net {NAME}-time {COMPONENT}.time => {NAME}.time"
+        )
+    return "\n".join(lines) + "\n"
 
 
 def ini_lines(machine: Machine) -> str:
@@ -429,4 +516,6 @@ def ini_lines(machine: Machine) -> str:
     return (
         f"[KINS]\nKINEMATICS = {NAME}\nJOINTS = {len(machine.axes)}\n\n[TRAJ]\nCOORDINATES = {letters}\n\n[HAL]\n"
         f"# after the other HALFILE lines\nHALFILE = {NAME}.hal\n"
+        f"# with temperatures from a file and a record for `twin watch`, in addition:\n# HALFILE = {COMPONENT}.hal\n"
+        "# [TWIN]\n# SENSORS = temperatures.csv\n# RECORD = checks\n"
     )
