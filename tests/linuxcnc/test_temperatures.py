@@ -67,14 +67,16 @@ def state(seconds: float) -> list[list[Any]]:
     return [["sleep", seconds], *(["hal", ["getp", pin]] for pin in PINS), ["position"]]
 
 
-def error_um(joints: Sequence[float], bed: float, scale: float) -> list[float]:
-    """Return the error of the tool along x and z at `PLACE`: the joints, and how far the machine has grown (by hand)."""
-    x, z = PLACE["X"], PLACE["Z"]
+def error_um(
+    joints: Sequence[float], bed: float, scale: float, axes: Sequence[float] = (*PLACE.values(),)
+) -> list[float]:
+    """Return the error of the tool along x and z: the joints less the axes, and how far the machine has grown (by hand)."""
+    x, z = axes[0], axes[2]
     return [1e3 * (joints[0] - x) + SCALE * (scale - 20.0) * x * 1e-3, 1e3 * (joints[2] - z) + BED * (bed - 20.0)]
 
 
 def test_the_machine_grows_and_the_tool_stays(loaded: Path, machine: twin.Machine, tmp_path: Path) -> None:
-    """Without correction, with it, with sensors that fail, without a new row, in order again, without anybody who feeds."""
+    """Without correction, with it, with sensors that fail, without a new row, in order again, and after the component has ended."""
     row = "{};{};{}\n".format
     actions: list[list[Any]] = [["home"], ["write", "shop.csv", row(1, "26,00", "23")], *state(2.5)]
     actions += [["hal", ["setp", "twinkins.fade-rate", "10"]], ["hal", ["setp", "twinkins.enable", "1"]], *state(1.0)]
@@ -89,7 +91,7 @@ def test_the_machine_grows_and_the_tool_stays(loaded: Path, machine: twin.Machin
     actions += [*state(0.0), ["hal", ["stop"]], ["sleep", 3.0], ["hal", ["start"]], ["sleep", 2.0]]
     actions += [["hal", ["unloadusr", "twinlive"]], *state(4.0)[:4], state(0.0)[-1]]
     began = datetime.now()
-    ran = run(loaded, tmp_path, machine, actions, "# logger of the shop\nNr;Bett 1;T_X_degC\n")
+    ran = run(loaded, tmp_path, machine, actions, "# logger\nNr;Bett 1;T_X_degC\n")
     pins = [text for text in ran.results("hal") if text]
     found = [pins[i : i + len(PINS)] for i in range(0, len(pins), len(PINS))]
     joints = [one["joints"] for one in ran.results("position")]
@@ -97,14 +99,14 @@ def test_the_machine_grows_and_the_tool_stays(loaded: Path, machine: twin.Machin
     assert found[:2] == [["26", "23", "FALSE", "0"]] * 2
     assert error_um(before, 26.0, 23.0) == pytest.approx([8.1, 72.0], abs=1e-3)
     assert error_um(on, 26.0, 23.0) == pytest.approx([0.0, 0.0], abs=0.01)
-    # What has no value keeps the last one, and this is said; the other sensor is followed.
+    # A sensor without a value keeps the last one, with a message; the other sensor is followed.
     assert found[2] == ["26", "23.5", "TRUE", "1"] and found[3] == ["26", "23.5", "TRUE", "1"]
     for one in (no_bed, no_scale, silent, begun):
         assert error_um(one, 26.0, 23.5) == pytest.approx([0.0, 0.0], abs=0.01)
     assert found[4] == found[5] == ["26", "23.5", "TRUE", "2"], "a line that is begun is no row"
     assert found[6] == ["24.5", "24.5", "FALSE", "0"]
     assert error_um(again, 24.5, 24.5) == pytest.approx([0.0, 0.0], abs=0.01)
-    assert found[7] == ["24.5", "24.5", "TRUE"], "the module itself notices that nobody feeds it"
+    assert found[7] == ["24.5", "24.5", "TRUE"], "the module itself notices that the component has ended"
     assert error_um(dead, 24.5, 24.5) == pytest.approx([0.0, 0.0], abs=0.01)
     said = "\n".join(ran.said)
     for text in (
@@ -119,7 +121,7 @@ def test_the_machine_grows_and_the_tool_stays(loaded: Path, machine: twin.Machin
 
 
 def check_record(folder: Path, began: datetime) -> None:
-    """The record of the control, read back by what `twin watch` uses."""
+    """The record of the control, read back as `twin watch` does."""
     (path,) = folder.iterdir()
     assert path.name == f"control_{began:%Y-%m-%d}.csv" and path.read_text().endswith("stopped\n")
     record = ControlRecord.load(path)
@@ -132,3 +134,27 @@ def check_record(folder: Path, began: datetime) -> None:
     header = next(line for line in path.read_text().splitlines() if line.startswith("time_s")).split(",")
     last = dict(zip(header, rows[-1], strict=True))
     assert float(last["correction_Z_mm"]) == pytest.approx(-1e-3 * BED * 4.5, abs=2e-5)
+
+
+def test_it_is_switched_on_by_homing(loaded: Path, machine: twin.Machine, tmp_path: Path) -> None:
+    """As README.txt says, in place of the last line of the HAL file."""
+    assert "net twinkins-homed motion.is-all-homed => twinkins.enable" in (loaded / "README.txt").read_text()
+    (tmp_path / "live").mkdir()
+    for name in ("twinkins.hal", "twinlive.hal", "twinlive.py"):
+        text = (loaded / name).read_text()
+        new = text.replace("setp twinkins.enable 0", "net twinkins-homed motion.is-all-homed => twinkins.enable")
+        assert (new != text) == (name == "twinkins.hal")
+        (tmp_path / "live" / name).write_text(new)
+    ran = run(
+        tmp_path / "live",
+        tmp_path,
+        machine,
+        [["hal", ["getp", "twinkins.enable"]], ["home"], *state(4.0), ["hal", ["getp", "twinkins.fade"]]],
+        f"time,Bett 1,X\n{datetime.now().timestamp() + 2.0:.1f},26,23\n",
+    )
+    assert ran.results("hal")[0] == "FALSE"
+    (found,) = ran.results("position")
+    # Homing leaves the axes within a micrometre: the correction begins in the cycle in which the joints are still moved by themselves.
+    assert np.allclose(np.array(found["axes"])[[0, 1, 2, 4, 5]], list(PLACE.values()), atol=1e-3)
+    assert error_um(found["joints"], 26.0, 23.0, found["axes"]) == pytest.approx([0.0, 0.0], abs=0.001)
+    assert ran.results("hal")[-1] == "1"

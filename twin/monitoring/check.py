@@ -256,7 +256,7 @@ def _state_during(data: Measurements, dated: tuple[datetime, str], records: Sequ
 
 
 def _errors_then(calibration: Calibration, state: ControlState | None) -> tuple[Calibration, str, tuple[str, ...]]:
-    """Return the errors of the machine as it was corrected during a check, the end of the check's kind, and notices.
+    """Return the errors of the machine during a check, the end of the check's kind, and notices.
 
     A check of the machine with the correction and one without it have levels of their own.
     """

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from math import ceil
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final, final
@@ -15,7 +16,7 @@ from twin._common.errors import InputError
 from twin._common.families import BASIC
 from twin._common.files import write_atomic
 from twin._common.provenance import ILLUSTRATIVE, SourceWarning, merge_warnings, warning_texts, warnings_to_json
-from twin._common.records import SPEED, TIME, json_form
+from twin._common.records import SPEED, TIME, json_form, sensor_of
 from twin._common.units import URAD
 from twin.compensation.live.graph import Damping, LiveCorrection
 from twin.compensation.live.module import (
@@ -58,10 +59,8 @@ MARGIN: Final = 1.5
 """Factor on the largest tilt and the largest correction seen over the volume: tools and temperatures differ from those tried."""
 PIN_NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,30}")
 """Characters of a pin of HAL; its name has at most 47 with the prefix."""
-TEXT_OF_SOURCE: Final = (
-    "This file holds the numbers and formulas of your machine, and the code of the module. MODULE_LICENSE is what LinuxCNC asks of "
-    "every module."
-)
+TEXT_OF_SOURCE: Final = "This file holds the numbers and formulas of your machine, and the code of the module."
+TEXT_OF_LICENCE: Final = "MODULE_LICENSE is what LinuxCNC asks of every module."
 
 
 @final
@@ -137,7 +136,6 @@ class LiveKinematics:
             f"{name} {size:.4f} {'mm' if axis.linear else '°'}"
             for name, size, axis in zip(names, proof.largest, machine.axes, strict=True)
         )
-        channels = channels_of(self.live)
         lines = [
             f"LinuxCNC kinematics with the errors of {machine.name}",
             *warning_texts(self.warnings),
@@ -161,46 +159,128 @@ class LiveKinematics:
             )
         lines += [
             "  The uncertainty of the calibration is not reduced by any correction: see `twin volume`.",
-            "",
-            "Build and load (LinuxCNC 2.9)",
-            f"  1. sudo halcompile --install {NAME}.c",
-            f"  2. Take the lines of {NAME}.ini into the INI file: {NAME}.hal comes after the HAL file that loads motmod.",
-            "  3. Home the machine with the correction off (it is off until the pin is set).",
-            f"  4. halcmd setp {NAME}.enable 1: the correction is faded in, within 1 s (parameter fade-rate, 1/s).",
-            "  5. Move every axis once: before that its direction of approach is unknown, and the mean of both is corrected.",
-            "",
-            "Check before cutting",
-            f"  halcmd show pin {NAME}: correction-N, in mm and degrees, must have the sizes above; out-of-range must be FALSE.",
-            "  Touch a sphere or a gauge in several positions of the rotary axes with the correction off, and again with it on: the "
-            "deviations must become smaller. If they grow, switch it off and compare the signs of the axes with the machine file.",
-            "",
-            "Switch off",
-            f"  halcmd setp {NAME}.enable 0, or {NAME}.orientation 0 for the position alone. The module can stay loaded: off, it is "
-            "`trivkins`.",
-            "",
-            "Programs",
-            "  In axis words: as they are; do not compensate them by twin as well. The correction counts the tool by motion.tooloffset "
-            "(G43). If the lengths are in the program instead, without G43, connect nothing to tool-z and set it to the length.",
-        ]
-        if machine.rotary:
-            lines += [
-                "  In coordinates of the workpiece (tool centre point): M68 E3 Q1, then M66 E0 L0, with G43; back with M68 E3 Q0. At "
-                "rotary zero both are the same.",
-            ]
-        if channels:
-            lines += ["", "Pins that you must connect (a value outside the range sets out-of-range)"]
-            lines += [
-                f"  {NAME}.{one.pin}: {one.unit}, {one.low:g} to {one.high:g}; unconnected: {one.start:g}"
-                for one in channels
-            ]
-        lines += [
-            "",
-            "What it does not do",
-            "  Positions outside the range of a curve are corrected as at the end of the range; out-of-range is TRUE there. The "
-            "limits of the joints do not count the correction: leave 1 mm or more between the limits and the stops.",
-            f"  {CALIBRATION} records that the control corrects these errors; {CORRECTED} holds their numbers.",
+            *_loading(machine, proof),
+            *_supplying(self.live),
+            *_trusting(machine),
         ]
         return "\n".join(lines) + "\n"
+
+
+def _loading(machine: Machine, proof: Proof) -> list[str]:
+    """Return the part of README.txt on building, loading, checking and switching off."""
+    largest = [
+        MARGIN
+        * max(
+            (size for size, axis in zip(proof.largest, machine.axes, strict=True) if axis.linear is kind), default=0.0
+        )
+        for kind in (True, False)
+    ]
+    room = f"{ceil(10.0 * largest[0]) / 10.0 or 0.1:g} mm"
+    if machine.rotary:
+        room += f" and {ceil(100.0 * largest[1]) / 100.0 or 0.01:g} °"
+    return [
+        "",
+        "Build and load (LinuxCNC 2.9)",
+        f"  1. sudo halcompile --install {NAME}.c, and again for every new {NAME}.c, with the control ended.",
+        f"  2. INI file: the lines of {NAME}.ini; [KINS] replaces the present section. {NAME}.hal lies beside the INI file and comes "
+        "after the HAL file with `loadrt [KINS]KINEMATICS` and `loadrt [EMCMOT]EMCMOT … num_joints=[KINS]JOINTS`. Joint 0 is the "
+        "first letter of COORDINATES; every axis has one joint (no gantry with two).",
+        f"  3. INI file: the limits of every [JOINT_N] lie outside those of its [AXIS_L] by {room} or more, and the stops outside of "
+        "them: a joint moves beyond its axis by the correction.",
+        "  4. Home the machine with the correction off (it is off until the pin is set).",
+        f"  5. halcmd setp {NAME}.enable 1: the correction is faded in, within 1 s (parameter fade-rate, 1/s). To have it switched on "
+        f"after homing, replace the last line of {NAME}.hal: net {NAME}-homed motion.is-all-homed => {NAME}.enable",
+        "  6. Move every axis once: before that its direction of approach is unknown, and the mean of both is corrected.",
+        "",
+        "Check before cutting",
+        f"  halcmd show pin {NAME}: correction-N, in mm and degrees, must have the sizes above; out-of-range must be FALSE.",
+        f"  halcmd show pin servo-thread.time and {NAME}.update.time (clock cycles) with the correction on: the thread must end well "
+        "within its period.",
+        "  Touch a sphere or a gauge in several positions of the rotary axes with the correction off, and again with it on: the "
+        "deviations must become smaller. If they grow, switch it off and compare the signs of the axes with the machine file.",
+        "",
+        "Switch off",
+        f"  halcmd setp {NAME}.enable 0, or {NAME}.orientation 0 for the position alone. The module can stay loaded: off, it is "
+        "`trivkins`.",
+    ]
+
+
+def _supplying(live: LiveCorrection) -> list[str]:
+    """Return the part of README.txt on the pins that must be supplied, and on the component that does it."""
+    channels, sensors = channels_of(live), [sensor_of(one.name) for one in temperatures_of(live)]
+    lines = []
+    if channels:
+        lines += [
+            "",
+            "Pins that must be supplied (of a value outside the range the last one within is used, and out-of-range is TRUE)",
+            *(
+                f"  {NAME}.{one.pin}: {one.unit}, {one.low:g} to {one.high:g}; unconnected: {one.start:g}"
+                for one in channels
+            ),
+        ]
+    lines += [
+        "",
+        f"{'Temperatures from a file, and the' if sensors else 'The'} record for `twin watch`",
+        f"  {COMPONENT}.hal and {COMPONENT}.py beside the INI file, HALFILE = {COMPONENT}.hal after {NAME}.hal, and in the INI file:",
+        "    [TWIN]",
+    ]
+    if sensors:
+        columns = " ".join(f"T_{name}_degC" for name in sensors)
+        lines += [
+            f"    # a CSV file that your logger writes, with a header and the columns {columns}",
+            "    SENSORS = temperatures.csv",
+            "    # if the columns have other names: SENSOR=COLUMN, SENSOR=COLUMN",
+            *(f"    # COLUMNS = {name}=name of its column" for name in sensors[:1]),
+            "    # s: a last row older than this is no value",
+            "    STALE = 60",
+            "    # degC: other values are those of a broken sensor (without these lines: the ranges above)",
+            "    LOW = 5",
+            "    HIGH = 45",
+        ]
+    lines += [
+        "    # the folder of checks that `twin watch` reads, and s between two rows of the record",
+        "    RECORD = checks",
+        "    EVERY = 10",
+    ]
+    if sensors:
+        lines += [
+            "  The last complete row of the file counts. Its time is that of a column `time` (ISO 8601, or seconds since 1970), or "
+            "else of the file's last change. Commas, semicolons and tabs separate cells.",
+            f"  A sensor without a value, with one out of range, or without a new row keeps its last value; the operator gets a message, "
+            f"{NAME}.stale becomes TRUE, and the record shows it. It becomes TRUE too if {COMPONENT} has ended, or never began. To "
+            f"hold the program then: net {NAME}-stale {NAME}.stale => halui.program.pause",
+        ]
+    return lines
+
+
+def _trusting(machine: Machine) -> list[str]:
+    """Return the part of README.txt on programs, limits and the licence."""
+    lines = [
+        "",
+        "Programs",
+        "  In axis words: as they are; do not compensate them by twin as well. The correction counts the tool by motion.tooloffset "
+        "(G43). If the lengths are in the program instead, without G43, take the lines of tool-x, -y, -z out of the HAL file and set "
+        f"{NAME}.tool-z to the length.",
+    ]
+    if machine.rotary:
+        lines += [
+            "  In coordinates of the workpiece (tool centre point): M68 E3 Q1, then M66 E0 L0, with G43; back with M68 E3 Q0. At "
+            "rotary zero both are the same.",
+        ]
+    return [
+        *lines,
+        "  G64 and its tolerance act before the correction and do not reduce it. G38 stops at corrected positions.",
+        "",
+        "What it does not do",
+        "  Positions outside the range of a curve are corrected as at the end of the range; out-of-range is TRUE there.",
+        "  The position is corrected in the same cycle. Directions of approach, temperatures and the spindle's speed act one cycle "
+        "later and are limited in rate, so that no axis jumps: from one side to the other in 0.1 s, 0.2 K/s, the tool 500 mm/s.",
+        f"  {CALIBRATION} records that the control corrects these errors; {CORRECTED} holds their numbers.",
+        "",
+        "Licence",
+        f"  {NAME}.c and {COMPONENT}.py hold the numbers and formulas of your machine, and the code of the module; nothing else of "
+        "twin. MODULE_LICENSE in the first is what LinuxCNC asks of every module.",
+    ]
 
 
 def make_module(
@@ -249,7 +329,7 @@ def make_module(
         TEXT_OF_SOURCE,
     ]
     about = [f"Temperatures and record of {NAME} for {machine.name}, written by twin (README.txt).", *header[1:]]
-    texts = c_file(live, largest, header), component_file(live, about)
+    texts = c_file(live, largest, [*header, TEXT_OF_LICENCE]), component_file(live, about)
     return LiveKinematics(live, proof, errors, tuple(earlier), *texts, length)
 
 
