@@ -75,6 +75,7 @@ def error_um(
     return [1e3 * (joints[0] - x) + SCALE * (scale - 20.0) * x * 1e-3, 1e3 * (joints[2] - z) + BED * (bed - 20.0)]
 
 
+@pytest.mark.slow
 def test_the_machine_grows_and_the_tool_stays(loaded: Path, machine: twin.Machine, tmp_path: Path) -> None:
     """Without correction, with it, with sensors that fail, without a new row, in order again, and after the component has ended."""
     row = "{};{};{}\n".format

@@ -8,9 +8,19 @@ from twin.compensation.live.folder import (
     Proof,
     earlier_of,
     errors_while_on,
+    held_by_module,
     make_module,
     outputs_of,
     write_module,
 )
 
-__all__ = ["LiveKinematics", "Proof", "earlier_of", "errors_while_on", "make_module", "outputs_of", "write_module"]
+__all__ = [
+    "LiveKinematics",
+    "Proof",
+    "earlier_of",
+    "errors_while_on",
+    "held_by_module",
+    "make_module",
+    "outputs_of",
+    "write_module",
+]

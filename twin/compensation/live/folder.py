@@ -246,7 +246,7 @@ def _supplying(live: LiveCorrection) -> list[str]:
         lines += [
             "  The last complete row of the file counts. Its time is that of a column `time` (ISO 8601, or seconds since 1970), or "
             "else of the file's last change. Commas, semicolons and tabs separate cells.",
-            f"  A sensor without a value, with one out of range, or without a new row keeps its last value; the operator gets a message, "
+            "  A sensor without a value, with one out of range, or without a new row keeps its last value. The operator is warned, "
             f"{NAME}.stale becomes TRUE, and the record shows it. It becomes TRUE too if {COMPONENT} has ended, or never began. To "
             f"hold the program then: net {NAME}-stale {NAME}.stale => halui.program.pause",
         ]
@@ -331,6 +331,23 @@ def make_module(
     about = [f"Temperatures and record of {NAME} for {machine.name}, written by twin (README.txt).", *header[1:]]
     texts = c_file(live, largest, [*header, TEXT_OF_LICENCE]), component_file(live, about)
     return LiveKinematics(live, proof, errors, tuple(earlier), *texts, length)
+
+
+def held_by_module(path: Path, machine: Machine) -> tuple[TableEntry, ...]:
+    """Return the calibrations whose errors a module corrects, from the `calibration.yaml` or `corrected.yaml` of its folder.
+
+    Raises:
+        InputError: a file that cannot be read or has changed since the module was written, or a calibration of tables.
+    """
+    errors = Calibration.load(path, machine)
+    if errors.control is None:
+        return (TableEntry.of(path, FORMAT, BASIC),)
+    if not errors.control.live:
+        expected = f"{CALIBRATION} of a folder that `twin control --to {FORMAT}` wrote"
+        raise InputError("not the calibration of a kinematics module", expected=expected, file=path)
+    for entry in errors.control.live:
+        entry.check()
+    return errors.control.live
 
 
 def errors_while_on(errors: Calibration) -> Calibration:
