@@ -136,10 +136,9 @@ def identify(
         INSTRUMENT_OPTIONS if identification.noise.contradicted or identification.noise.assumed else ""
     )
     if tables is not None:
-        what, more = (
-            ("kinematics module", "a new module holds both") if tables.live else ("tables", "add new tables to them")
-        )
-        text += f"\nThese errors were measured with the control's {what} active: keep them active, and {more} (twin control --add).\n"
+        what, them = ("kinematics module", "it") if tables.live else ("tables", "them")
+        more = "a new module holds both" if tables.live else "add new tables to them"
+        text += f"\nThese errors were measured with the control's {what} active: keep {them} active, and {more} (twin control --add).\n"
         text += f"{tables.caution}\n" if tables.caution else ""
     return CommandResult(
         text,

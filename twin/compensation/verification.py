@@ -184,8 +184,8 @@ def verify(
             "LinuxCNC moves to other positions than those that the program means by these tables of work offsets and tools",
             expected="the control's own tables, and G43 where a tool's length counts",
             file=path,
-            line=found.exact.line,
-            value=f"{found.exact.block}: {found.exact.largest_um / 1e3:.3f} mm away",
+            line=found.before.line,
+            value=f"{found.before.block}: {found.before.largest_um / 1e3:.3f} mm away",
         )
     return found
 

@@ -227,6 +227,7 @@ def _module(calibration: Calibration, found: Budget, outcome: CompensationForeca
                 expected=figure(outcome.judged.rms_um, "µm"),
             )
         )
+        texts += _not_corrected(outcome)
     texts.append(Message("Programs run as they are."))
     yield Step("do", Message("Keep the correction in the control switched on"), joined(" ", texts))
     text = Message(
@@ -444,15 +445,7 @@ def _compensate(calibration: Calibration, found: Budget, outcome: CompensationFo
     else:
         known |= {"rms": figure(outcome.judged.rms_um, "µm"), "within": figure(outcome.judged.quantile(0.95), "µm")}
         texts.append(_compensated(known) if outcome.complete else _at_least_compensated(known))
-        if outcome.not_identified and outcome.with_uncertainty is not None:
-            texts.append(
-                Message(
-                    "This does not include {names}, which could not be determined and which no program corrects: with their plausible "
-                    "size {rms} RMS remain.",
-                    names=listed(outcome.not_identified),
-                    rms=figure(outcome.with_uncertainty.rms_um, "µm"),
-                )
-            )
+        texts += _not_corrected(outcome)
     if outcome.out_of_range:
         texts.append(
             Message(
@@ -463,6 +456,19 @@ def _compensate(calibration: Calibration, found: Budget, outcome: CompensationFo
             )
         )
     yield Step("do", _with_measured(Message("compensate the programs"), calibration), joined(" ", texts))
+
+
+def _not_corrected(outcome: CompensationForecast) -> list[Message]:
+    """Return the sentence on errors that could not be determined; none if there are none."""
+    if not outcome.not_identified or outcome.with_uncertainty is None:
+        return []
+    text = Message(
+        "This does not include {names}, which could not be determined and which no program corrects: with their plausible size {rms} "
+        "RMS remain.",
+        names=listed(outcome.not_identified),
+        rms=figure(outcome.with_uncertainty.rms_um, "µm"),
+    )
+    return [text]
 
 
 def _compensated(known: Mapping[str, str]) -> str:
