@@ -17,11 +17,12 @@ import pytest
 
 import twin
 from tests.cli.commands import TWIN
+from tests.truth import few_axes
 from twin._common.errors import InputError
 from twin._common.provenance import CORRECTED_IN_CONTROL
 from twin.compensation.live import earlier_of, make_module, write_module
 from twin.compensation.live.graph import Damping, LiveCorrection
-from twin.compensation.live.module import channels_of
+from twin.compensation.live.module import channel_of, channels_of
 from twin.model.calibration_file import ColumnSpec, empirical_named
 from twin.monitoring.record import ControlRecord
 
@@ -242,6 +243,53 @@ def test_what_it_cannot_carry_is_refused(tmp_path: Path) -> None:
     words = [*TWIN, "control", "--to", "linuxcnc-kinematics", "-o", str(tmp_path / "no"), "--step", "5"]
     done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 2 and "--step means nothing" in done.stderr and not (tmp_path / "no").exists()
+
+
+@pytest.mark.parametrize(
+    ("write", "says"),
+    [
+        (few_axes.write_stage, "1 linear and 0 rotary axes; expected three linear axes and at most two rotary ones"),
+        (few_axes.write_drill, "2 linear and 0 rotary axes"),
+        (few_axes.write_robot, "has no word in LinuxCNC: 'J1'"),
+    ],
+    ids=["stage", "drill", "robot"],
+)
+def test_a_chain_that_the_module_does_not_carry_is_refused(
+    write: Callable[[Path], Path], says: str, tmp_path: Path
+) -> None:
+    machine = write(tmp_path)
+    done = written(tmp_path, "--machine", str(machine))
+    assert done.returncode == 2 and says in done.stderr, done.stderr
+    assert not (tmp_path / "live").exists()
+
+
+def written(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
+    command = [*TWIN, "control", "--to", "linuxcnc-kinematics", "-o", "live", *words]
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+
+
+def test_locations_that_were_not_identified_are_refused_unless_they_are_accepted(tmp_path: Path) -> None:
+    unknown = "not_identifiable:\n- {name: E_X0B, why: cannot be separated from station 1}\n"
+    head = "schema: twin.calibration/1\nmachine: DMU 50 eVolution\nsource: by hand\n"
+    (tmp_path / "mine.yaml").write_text(f"{head}location: {{E_X0C: 25.0}}\n{unknown}")
+    done = written(tmp_path, "-c", "mine.yaml")
+    assert done.returncode == 2 and "E_X0B were not identified" in done.stderr and "(--force)" in done.stderr
+    assert not (tmp_path / "live").exists()
+    forced = written(tmp_path, "-c", "mine.yaml", "--force")
+    assert (
+        forced.returncode == 0 and "KINEMATICS NOT IDENTIFIED: E_X0B" in (tmp_path / "live" / "twinkins.c").read_text()
+    )
+
+
+def test_an_effect_without_a_pin_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="for which the module has no pin: 'feed_mm_min'"):
+        channel_of("feed_mm_min")
+    effect = "effects:\n- {effect: thermal_growth, where: Z by oil tank, parameters: {coefficient: 1.0}}\n"
+    head = "schema: twin.calibration/1\nmachine: DMU 50 eVolution\nsource: by hand\n"
+    (tmp_path / "mine.yaml").write_text(head + effect)
+    done = written(tmp_path, "-c", "mine.yaml")
+    assert done.returncode == 2 and "mine.yaml" in done.stderr and "name of a pin" in done.stderr
+    assert not (tmp_path / "live").exists()
 
 
 @pytest.fixture
