@@ -124,6 +124,21 @@ def test_the_report_advises_to_keep_the_module(folder: Path, capsys: pytest.Capt
     assert not any("use the control's axis tables" in title.lower() for title in steps)
 
 
+def test_errors_that_remain_under_another_module_are_not_compared(
+    folder: Path, capsys: pytest.CaptureFixture[str], dmu50: twin.Machine
+) -> None:
+    left = twin.Calibration.load("left.yaml", dmu50)
+    write_module(make_module(replace(left, location={"E_X0C": 9.0}).with_control(None)), Path("other"))
+    section = tables_on(["linuxcnc-kinematics=other/calibration.yaml"], dmu50)
+    left.with_control(section).save(Path("other.yaml"))
+    code, said = status("compare left.yaml other.yaml".split(), capsys)
+    assert code == 2 and "remaining under different kinematics modules" in said
+    code, said = status("compare left.yaml mine.yaml".split(), capsys)
+    assert code == 2 and "one calibration gives the machine's own errors" in said
+    code, said = status("compare live/calibration.yaml mine.yaml".split(), capsys)
+    assert code == 0 and "without the kinematics module of the control, which corrects them" in " ".join(said.split())
+
+
 @pytest.mark.parametrize(
     ("entries", "says"),
     [
