@@ -1,4 +1,4 @@
-"""What every command says with the calibration of a kinematics module in the control, or with errors that remain with it."""
+"""Messages of every command with the calibration of a kinematics module in the control, or with errors that remain with it."""
 
 from __future__ import annotations
 

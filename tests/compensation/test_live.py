@@ -354,6 +354,15 @@ def test_the_last_row_of_a_log_gives_the_temperatures(
         assert expected in reason
 
 
+def test_without_temperatures_the_component_writes_the_record_alone(tmp_path: Path) -> None:
+    write_module(make_module(with_errors("dmu50")), tmp_path / "live")
+    module = types.ModuleType("twinlive")
+    exec(compile((tmp_path / "live" / "twinlive.py").read_text(), "twinlive.py", "exec"), vars(module))
+    assert module.read_sensors(settings_of(module, tmp_path, SENSORS=""), NOW) == ({}, {})
+    assert "temperature" not in (tmp_path / "live" / "twinlive.hal").read_text()
+    assert "SENSORS" not in (tmp_path / "live" / "README.txt").read_text()
+
+
 def test_a_long_log_is_read_at_its_end(component: types.ModuleType, tmp_path: Path) -> None:
     rows = "".join(f"{NOW - 50_000 + i},{20 + i * 1e-4:.3f},23\n" for i in range(50_000))
     (tmp_path / "shop.csv").write_text("# made by the logger\ntime,bed,X\n" + rows)
