@@ -150,8 +150,15 @@ def test_it_is_switched_on_by_homing(loaded: Path, machine: twin.Machine, tmp_pa
         tmp_path / "live",
         tmp_path,
         machine,
-        [["hal", ["getp", "twinkins.enable"]], ["home"], *state(4.0), ["hal", ["getp", "twinkins.fade"]]],
-        f"time,Bett 1,X\n{datetime.now().timestamp() + 2.0:.1f},26,23\n",
+        # Until the control has configured its joints, none of them is not homed, and the pin is true; nothing can move then.
+        [
+            ["sleep", 1.5],
+            ["hal", ["getp", "twinkins.enable"]],
+            ["home"],
+            *state(4.0),
+            ["hal", ["getp", "twinkins.fade"]],
+        ],
+        f"time,Bett 1,X\n{datetime.now().timestamp() + 4.0:.1f},26,23\n",
     )
     assert ran.results("hal")[0] == "FALSE"
     (found,) = ran.results("position")
