@@ -6,7 +6,10 @@ import ctypes
 import json
 import shutil
 import subprocess
+import types
+from collections.abc import Callable
 from dataclasses import replace
+from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
@@ -14,10 +17,14 @@ import pytest
 
 import twin
 from tests.cli.commands import TWIN
+from tests.truth import few_axes
 from twin._common.errors import InputError
 from twin._common.provenance import CORRECTED_IN_CONTROL
 from twin.compensation.live import earlier_of, make_module, write_module
 from twin.compensation.live.graph import Damping, LiveCorrection
+from twin.compensation.live.module import channel_of, channels_of
+from twin.model.calibration_file import ColumnSpec, empirical_named
+from twin.monitoring.record import ControlRecord
 
 TOOL_MM = 120.0
 MACHINES = ("dmu50", "trunnion_ac", "xyzbc_trunnion")
@@ -199,6 +206,25 @@ def test_effects_of_time_and_temperature_get_pins() -> None:
     assert (warm - rest)[2] == pytest.approx(-40e-6, rel=1e-2)  # 6 K · 5 µm/K + half of 20 µm
 
 
+def pattern(where: str, size: float, machine: twin.Machine, **ranges: tuple[float, float]) -> twin.Calibration:
+    """Return a machine whose tool side has moved along x by size·cos(π (value − low)/(high − low)), cause unknown."""
+    columns = [ColumnSpec(name, "half_waves", 1, span) for name, span in ranges.items()]
+    key = "x[1]" if len(columns) == 1 else "x[1,0]"
+    extra = empirical_named(f"tool by {where}", "base", columns, {key: size}, machine)
+    return replace(twin.Calibration.zero(machine), extra=(extra,))
+
+
+def test_an_empirical_effect_is_not_used_beyond_its_range() -> None:
+    """Beyond, the value at the end of the range is corrected; a pin beyond its range keeps the last value within (tests/linuxcnc)."""
+    machine = twin.Machine.load("dmu50")
+    live = make_module(pattern("X_mm", 30.0, machine, X_mm=(100.0, 300.0))).live
+    found = [live.correction([x, 0.2, -0.1, 0, 0], [0] * 5, [0, 0, 0.1], 1.0) for x in (0.05, 0.1, 0.2, 0.3, 0.35)]
+    assert np.array(found)[:, 0, 0] == pytest.approx([-30e-6, -30e-6, 0.0, 30e-6, 30e-6], abs=1e-8)
+    live = make_module(pattern("T_bed_degC", 30.0, machine, T_bed_degC=(22.0, 27.0))).live
+    (pin,) = channels_of(live)
+    assert (pin.pin, pin.low, pin.high, pin.start) == ("temperature-bed", 22.0, 27.0, 22.0)
+
+
 def test_what_it_cannot_carry_is_refused(tmp_path: Path) -> None:
     machine = twin.Machine.load("dmu50")
     errors = twin.Calibration.default(machine)
@@ -207,6 +233,173 @@ def test_what_it_cannot_carry_is_refused(tmp_path: Path) -> None:
         make_module(replace(errors, extra=(growth,)))
     with pytest.raises(InputError, match="did not settle"):
         make_module(replace(errors, settled=False))
+    with pytest.raises(InputError, match="C, which turns without a limit"):
+        make_module(pattern("C_deg", 30.0, machine, C_deg=(0.0, 90.0)))
+    with pytest.raises(InputError, match="no value of T_oven_degC is within"):
+        make_module(pattern("T_oven_degC", 30.0, machine, T_oven_degC=(70.0, 90.0)))
+    cold = replace(errors, extra=pattern("X_mm", 30.0, machine, X_mm=(-90.0, -10.0)).extra)
+    with pytest.raises(InputError, match="no value of X is within"):
+        make_module(cold)
     words = [*TWIN, "control", "--to", "linuxcnc-kinematics", "-o", str(tmp_path / "no"), "--step", "5"]
     done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 2 and "--step means nothing" in done.stderr and not (tmp_path / "no").exists()
+
+
+@pytest.mark.parametrize(
+    ("write", "says"),
+    [
+        (few_axes.write_stage, "1 linear and 0 rotary axes; expected three linear axes and at most two rotary ones"),
+        (few_axes.write_drill, "2 linear and 0 rotary axes"),
+        (few_axes.write_robot, "has no word in LinuxCNC: 'J1'"),
+    ],
+    ids=["stage", "drill", "robot"],
+)
+def test_a_chain_that_the_module_does_not_carry_is_refused(
+    write: Callable[[Path], Path], says: str, tmp_path: Path
+) -> None:
+    machine = write(tmp_path)
+    done = written(tmp_path, "--machine", str(machine))
+    assert done.returncode == 2 and says in done.stderr, done.stderr
+    assert not (tmp_path / "live").exists()
+
+
+def written(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
+    command = [*TWIN, "control", "--to", "linuxcnc-kinematics", "-o", "live", *words]
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+
+
+def test_locations_that_were_not_identified_are_refused_unless_they_are_accepted(tmp_path: Path) -> None:
+    unknown = "not_identifiable:\n- {name: E_X0B, why: cannot be separated from station 1}\n"
+    head = "schema: twin.calibration/1\nmachine: DMU 50 eVolution\nsource: by hand\n"
+    (tmp_path / "mine.yaml").write_text(f"{head}location: {{E_X0C: 25.0}}\n{unknown}")
+    done = written(tmp_path, "-c", "mine.yaml")
+    assert done.returncode == 2 and "E_X0B were not identified" in done.stderr and "(--force)" in done.stderr
+    assert not (tmp_path / "live").exists()
+    forced = written(tmp_path, "-c", "mine.yaml", "--force")
+    assert (
+        forced.returncode == 0 and "KINEMATICS NOT IDENTIFIED: E_X0B" in (tmp_path / "live" / "twinkins.c").read_text()
+    )
+
+
+def test_an_effect_without_a_pin_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="for which the module has no pin: 'feed_mm_min'"):
+        channel_of("feed_mm_min")
+    effect = "effects:\n- {effect: thermal_growth, where: Z by oil tank, parameters: {coefficient: 1.0}}\n"
+    head = "schema: twin.calibration/1\nmachine: DMU 50 eVolution\nsource: by hand\n"
+    (tmp_path / "mine.yaml").write_text(head + effect)
+    done = written(tmp_path, "-c", "mine.yaml")
+    assert done.returncode == 2 and "mine.yaml" in done.stderr and "name of a pin" in done.stderr
+    assert not (tmp_path / "live").exists()
+
+
+@pytest.fixture
+def component(tmp_path: Path) -> types.ModuleType:
+    """Return the component that supplies the temperatures of two sensors; without HAL, which it imports when it runs."""
+    machine = twin.Machine.load("dmu50")
+    named = {"thermal_growth Z by bed": {"coefficient": 12.0}, "thermal_expansion X": {"coefficient": 9.0}}
+    extra = tuple(twin.effect_named(*name.split(" ", 1), numbers, machine) for name, numbers in named.items())
+    write_module(make_module(replace(twin.Calibration.zero(machine), extra=extra)), tmp_path / "live")
+    module = types.ModuleType("twinlive")
+    exec(compile((tmp_path / "live" / "twinlive.py").read_text(), "twinlive.py", "exec"), vars(module))
+    return module
+
+
+def settings_of(component: types.ModuleType, folder: Path, **entries: str) -> object:
+    (folder / "checks").mkdir(exist_ok=True)
+    return component.Settings(({"SENSORS": "shop.csv", "RECORD": "checks"} | entries).get, str(folder))
+
+
+NOW = datetime(2026, 3, 2, 7, 10, tzinfo=UTC).timestamp()
+
+
+@pytest.mark.parametrize(
+    ("text", "entries", "found", "missing"),
+    [
+        ("time,T_bed_degC,X\n2026-03-02T08:09:30+01:00,26.5,23\n", {}, {"bed": 26.5, "X": 23.0}, ()),
+        ("time;bed;Halle;X\n2026-03-02 07:09:30Z;26,5;19;23\n", {}, {"bed": 26.5, "X": 23.0}, ()),
+        (f"# log\r\ntime\tB 1\tX\r\n{NOW - 30}\t26,5\t23\r\n", {"COLUMNS": "bed=B 1"}, {"bed": 26.5, "X": 23.0}, ()),
+        (f"time,bed,X\n{NOW},26,23\n{NOW},99", {}, {"bed": 26.0, "X": 23.0}, ()),
+        (f"time,bed,X\n{NOW},-127,23\n", {}, {"X": 23.0}, ("-127 is outside 0 to 60",)),
+        (f"time,bed,X\n{NOW},26,41\n", {"HIGH": "40"}, {"bed": 26.0}, ("41 is outside 0 to 40",)),
+        (f"time,bed,X\n{NOW},nan,\n", {}, {}, ("nan is outside", "no number: ''")),
+        (
+            f"time,bed\n{NOW},26\n",
+            {},
+            {"bed": 26.0},
+            ("no column for the sensor X: expected T_X_degC or X, got time, bed",),
+        ),
+        (f"time,bed,X\n{NOW - 61},26,23\n", {}, {}, ("no new row for 61 s",) * 2),
+        (f"time,bed,X\n{NOW + 61},26,23\n", {}, {}, ("61 s ahead of the clock",) * 2),
+        ("time,bed,X\nyesterday,26,23\n", {}, {}, ("Invalid isoformat string: 'yesterday'",) * 2),
+        (f"time,bed,X\n{NOW},26\n", {}, {}, ("2 cells in the last row, 3 in the header",) * 2),
+        ("time,bed,X\n", {}, {}, ("no header and no row",) * 2),
+        ("", {}, {}, ("no header and no row",) * 2),
+        (None, {}, {}, ("No such file",) * 2),
+    ],
+)
+def test_the_last_row_of_a_log_gives_the_temperatures(
+    component: types.ModuleType,
+    tmp_path: Path,
+    text: str | None,
+    entries: dict[str, str],
+    found: dict[str, float],
+    missing: tuple[str, ...],
+) -> None:
+    if text is not None:
+        (tmp_path / "shop.csv").write_bytes(text.encode())
+    values, reasons = component.read_sensors(settings_of(component, tmp_path, **entries), NOW)
+    assert values == found and set(values).isdisjoint(reasons) and {*values, *reasons} == {"bed", "X"}
+    assert len(reasons) == len(missing)
+    for reason, expected in zip((reasons[name] for name in ("bed", "X") if name in reasons), missing, strict=True):
+        assert expected in reason
+
+
+def test_without_temperatures_the_component_writes_the_record_alone(tmp_path: Path) -> None:
+    write_module(make_module(with_errors("dmu50")), tmp_path / "live")
+    module = types.ModuleType("twinlive")
+    exec(compile((tmp_path / "live" / "twinlive.py").read_text(), "twinlive.py", "exec"), vars(module))
+    assert module.read_sensors(settings_of(module, tmp_path, SENSORS=""), NOW) == ({}, {})
+    assert "temperature" not in (tmp_path / "live" / "twinlive.hal").read_text()
+    assert "SENSORS" not in (tmp_path / "live" / "README.txt").read_text()
+
+
+def test_a_long_log_is_read_at_its_end(component: types.ModuleType, tmp_path: Path) -> None:
+    rows = "".join(f"{NOW - 50_000 + i},{20 + i * 1e-4:.3f},23\n" for i in range(50_000))
+    (tmp_path / "shop.csv").write_text("# made by the logger\ntime,bed,X\n" + rows)
+    values, reasons = component.read_sensors(settings_of(component, tmp_path), NOW)
+    assert values == {"bed": 25.0, "X": 23.0} and not reasons
+
+
+@pytest.mark.parametrize(
+    ("entries", "says"),
+    [
+        ({"SENSORS": ""}, r"\[TWIN\]SENSORS is missing: the file of the temperatures bed, X"),
+        ({"RECORD": ""}, r"\[TWIN\]RECORD is missing"),
+        ({"RECORD": "nowhere"}, "expected a folder that .* may write, got .*nowhere"),
+        ({"STALE": "0"}, r"\[TWIN\]STALE: expected a number of 1 or more, got '0'"),
+        ({"HIGH": "warm"}, r"\[TWIN\]HIGH: expected a number, got 'warm'"),
+        ({"COLUMNS": "oven=T"}, "expected SENSOR=COLUMN, of bed, X, got 'oven=T'"),
+    ],
+)
+def test_the_component_does_not_start_with(
+    component: types.ModuleType, tmp_path: Path, entries: dict[str, str], says: str
+) -> None:
+    with pytest.raises(component.Refused, match=says):
+        settings_of(component, tmp_path, **entries)
+
+
+def test_records_go_on_and_never_mix(component: types.ModuleType, tmp_path: Path) -> None:
+    """After a new start the same file goes on; after midnight, after a torn line and with other columns there is a new one."""
+    row: Callable[[float], str] = lambda elapsed: f"{elapsed:.1f}" + ",0" * (len(component.Record.columns) - 1)  # noqa: E731
+    local = datetime.now().replace(hour=12, minute=0, second=0, microsecond=0).timestamp()
+    for start in (local, local + 3600.0):
+        component.Record(str(tmp_path)).add(row, start)
+    (path,) = tmp_path.glob("control_*.csv")
+    loaded = ControlRecord.load(path)
+    assert loaded.time_s.tolist() == [0.0, 3600.0] and loaded.begin.timestamp() == local
+    path.write_text(path.read_text() + "7200.0,0")
+    component.Record(str(tmp_path)).add(row, local + 7200.0)
+    component.Record(str(tmp_path)).add(row, local + 86400.0)
+    assert len(list(tmp_path.glob("control_*.csv"))) == 3
+    second = next(tmp_path.glob("control_*_2.csv"))
+    assert ControlRecord.load(second).begin.timestamp() == local + 7200.0

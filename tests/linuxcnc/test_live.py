@@ -133,6 +133,8 @@ def test_a_program_in_axis_words_is_cut_right_without_being_compensated(
         ["hal", ["setp", "twinkins.tool-z", f"{TOOL}"]],
         ["hal", ["setp", "twinkins.temperature-bed", "26"]],
         ["hal", ["setp", "twinkins.temperature-X", "23"]],
+        # The program's own speed would make the machine grow while it runs.
+        ["hal", ["unlinkp", "twinkins.spindle-speed"]],
         FADE,
         *ON,
         ["record", "part.txt"],
@@ -142,8 +144,19 @@ def test_a_program_in_axis_words_is_cut_right_without_being_compensated(
         ["hal", ["getp", "twinkins.out-of-range"]],
         ["hal", ["getp", "twinkins.update.time"]],
         ["hal", ["getp", "servo-thread.time"]],
+        ["hal", ["setp", "twinkins.spindle-speed", "0"]],
+        ["mdi", "M5 G53 G0 B0 C0"],
+        ["sleep", 0.5],
+        ["position"],
+        ["hal", ["linkps", "twinkins.spindle-speed", "twinkins-spindle-speed"]],
+        ["mdi", "S6000 M3"],
+        ["sleep", 4.0],
+        ["position"],
     ]
     ran = run(loaded, tmp_path, machine, actions)
+    cold, warm = (result["joints"][2] for result in ran.results("position"))
+    # 20 µm at 12,000 1/min, exponent 1.5, time constant 2 s; the command of the action takes some tenths of a second.
+    assert 1e3 * (cold - warm) == pytest.approx(20.0 * 0.5**1.5 * (1.0 - np.exp(-4.3 / 2.0)), abs=0.25)
     conditions = twin.Conditions(temperature_degC={"bed": 26.0, "X": 23.0}, spindle_rpm=0.0, time_s=0.0)
     distance, tilt, plain = off(machine, errors, ran.samples("part.txt"), conditions)
     assert len(distance) > 8000 and plain.mean() > 25.0

@@ -248,7 +248,7 @@ def test_dates(dmu50: Machine, calibration: Calibration, tmp_path: Path, capsys:
         "2026-05-03T08:10:00",
         "2026-05-05T00:00:00",
     ]
-    assert [check.dated_by for check in found.checks] == ["comment of the table", "file name", "given"]
+    assert [check.dated_by for check in found.checks] == ["comment of the table (UTC)", "file name", "given"]
     assert date_text(found.checks[0].day) == "2026-05-01"
 
 

@@ -17,6 +17,8 @@ from twin._common.units import count_with_noun
 
 TIME: Final = "time_s"
 SPEED: Final = "spindle_rpm"
+RECORD_OF_CONTROL: Final = "record of the control"
+"""Beginning of the first comment of a record that a control with live compensation writes (`twin doc control`)."""
 MAX_CELLS: Final = 5_000_000
 
 

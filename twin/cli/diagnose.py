@@ -59,6 +59,14 @@ def diagnose(
         options.need_pictures("the HTML report")
     loaded = options.machine(machine)
     errors = options.calibration_of(calibration, loaded)
+    if extended is not None and errors.corrected_in_control and errors.control is not None:
+        raise InputError(
+            "a kinematics module in the control corrects these errors, and would not correct those that are added",
+            expected=f"the calibration {errors.control.live[-1].file.name} for readings with the module switched off; for readings "
+            "with it on, one that was identified with --control linuxcnc-kinematics",
+            file=errors.path,
+            setting="extended",
+        )
     with progress_bar() as bar:
         bar("reading", 0.0)
         data = Measurements.join([Measurements.load(path, loaded) for path in measured])

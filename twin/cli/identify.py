@@ -64,7 +64,8 @@ ControlOption = Annotated[
     list[str] | None,
     typer.Option(
         "--control",
-        help="FORMAT=FILE of a compensation table active in the control during the measurement; repeatable (twin doc control).",
+        help="FORMAT=FILE of a compensation table active in the control during the measurement; repeatable. For a kinematics module: "
+        "linuxcnc-kinematics=FOLDER/calibration.yaml (twin doc control).",
     ),
 ]
 
@@ -74,6 +75,7 @@ ControlOption = Annotated[
     "twin identify measured.csv -o x.yaml --only E_*X",
     "twin identify measured.csv -o mine.yaml --uncertainty 'between poses'",
     "twin identify measured.csv -o left.yaml --control linuxcnc=X.comp --control linuxcnc=joints.ini",
+    "twin identify measured.csv -o left.yaml --control linuxcnc-kinematics=live/calibration.yaml",
 )
 def identify(
     measured: options.MeasuredArgument,
@@ -134,8 +136,9 @@ def identify(
         INSTRUMENT_OPTIONS if identification.noise.contradicted or identification.noise.assumed else ""
     )
     if tables is not None:
-        text += "\nThese errors were measured with the control's tables active: keep them active, and add new tables to them "
-        text += "(twin control --add).\n"
+        what, them = ("kinematics module", "it") if tables.live else ("tables", "them")
+        more = "a new module holds both" if tables.live else "add new tables to them"
+        text += f"\nThese errors were measured with the control's {what} active: keep {them} active, and {more} (twin control --add).\n"
         text += f"{tables.caution}\n" if tables.caution else ""
     return CommandResult(
         text,
@@ -146,16 +149,17 @@ def identify(
 
 
 def tables_on(entries: Sequence[str], machine: Machine) -> ControlSection:
-    """Return the control's tables that were active during the measurement, each given as ``FORMAT=FILE``.
+    """Return the control's tables or module that were active during the measurement, each given as ``FORMAT=FILE``.
 
     Raises:
-        InputError: an unknown format; a file that cannot be read, or is not a table of this machine.
+        InputError: an unknown format; a file that cannot be read, or is not a table of this machine; a module and tables.
     """
-    from twin._common.families import TABLE_FORMATS
+    from twin._common.families import LIVE_FORMATS, TABLE_FORMATS
+    from twin.compensation.live import held_by_module
     from twin.controls import ControlSection, TableEntry, read_tables
 
     tables: dict[str, list[Path]] = {}
-    known = list(TABLE_FORMATS)
+    known = [*TABLE_FORMATS, *LIVE_FORMATS]
     for entry in entries:
         kind, equals, file = entry.partition("=")
         if not equals or kind not in known:
@@ -166,8 +170,14 @@ def tables_on(entries: Sequence[str], machine: Machine) -> ControlSection:
                 nearest=closest_name(kind, known),
             )
         tables.setdefault(kind, []).append(Path(file))
+    live = [entry for kind in LIVE_FORMATS for file in tables.pop(kind, []) for entry in held_by_module(file, machine)]
+    if live and tables:
+        raise InputError(
+            "a kinematics module and tables are never active together",
+            expected="the calibration.yaml of the module alone, or the tables",
+            setting="control",
+        )
     for kind, files in tables.items():
         read_tables(kind, files, machine)
-    return ControlSection(
-        "remaining", tuple(TableEntry.of(file, kind, ()) for kind, files in tables.items() for file in files)
-    )
+    found = tuple(TableEntry.of(file, kind, ()) for kind, files in tables.items() for file in files)
+    return ControlSection("remaining", found, (), tuple(live))

@@ -109,8 +109,11 @@ def simulate(
         lambda: report,
         met=not planned.set_aside,
         written=f"written: {{}}, {count_with_noun(len(measured), 'point')}",
-        after=_notes(planned),
+        after=[*_notes(planned), *([MODULE_OFF] if truth.corrected_in_control else [])],
     )
+
+
+MODULE_OFF = "  the machine is simulated with the kinematics module in its control switched off"
 
 
 def _notes(planned: Measurements) -> list[str]:

@@ -21,7 +21,7 @@ class Control(StrEnum):
 
 @command(
     "twin verify cone_frustum.nc --control linuxcnc --tool-length 120",
-    "twin verify part.ngc --control linuxcnc --calibration mine.yaml --json verified.json",
+    "twin verify part.ngc --control linuxcnc --calibration mine.yaml --offsets linuxcnc.var --tools tool.tbl --json verified.json",
 )
 def verify(
     program: Annotated[
@@ -38,6 +38,8 @@ def verify(
     calibration: options.CalibrationOption = None,
     tool_length: options.ToolOption = None,
     work_offset: options.OffsetOption = None,
+    offsets: options.OffsetsOption = None,
+    tools: options.ToolsOption = None,
     rotary_limit: options.RotaryLimitOption = DEFAULT_ROTARY_LIMIT_DEG,
     temperature: options.TemperatureOption = None,
     time: options.TimeOption = None,
@@ -66,7 +68,7 @@ def verify(
 
     loaded = options.machine(machine)
     settings = Options(
-        setup=options.setup(loaded, work_offset, None),
+        setup=options.setup(loaded, work_offset, None, offsets, tools),
         tool_length_mm=tool_length,
         rotary_limit_deg=rotary_limit,
         conditions=options.conditions(temperature, time, rpm, load),

@@ -53,6 +53,7 @@ def watch(
 ) -> CommandResult:
     """Watch a folder of check measurements: which error changed, since when, is it temperature, is the calibration still good.
 
+    Records of a control with live compensation in the folder give temperatures, and say whether the correction was on.
     FOLDER.watch.sqlite beside the folder remembers what was read and said. The exit status is 3 if an error changed, or if the
     calibration is proven not to meet the tolerance.
     """

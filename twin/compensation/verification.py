@@ -14,7 +14,7 @@ import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, final
+from typing import Any, Final, NamedTuple, final
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -23,10 +23,17 @@ from twin._common.errors import InputError
 from twin._common.provenance import warning_texts
 from twin.compensation.programs.compensator import Compensator
 from twin.compensation.programs.execute import execute
-from twin.compensation.programs.follow import follow
+from twin.compensation.programs.follow import Sections, follow, motions_of
+from twin.compensation.programs.prepared import PreparedMachine
+from twin.compensation.programs.words import Setup
 from twin.controls import linuxcnc
+from twin.controls.offsets.linuxcnc import parameter_file
 from twin.display.results import Result
+from twin.machine.machine import Machine
+from twin.model.calibration import Calibration
 from twin.nc import read_program
+from twin.nc.blocks import Program, as_columns
+from twin.nc.dialect import Dialect
 from twin.tool.forward import Kinematics
 
 SCHEMA: Final = "twin.verification/1"
@@ -38,7 +45,8 @@ _FEEDS: Final = (2, 3)
 _PATH_MODE: Final = re.compile(r"G\s*0*64(?![\d.])", re.IGNORECASE)
 _PATH_TOLERANCE: Final = re.compile(r"[PQ]\s*[-+]?\s*(\[[^\]]*\]|#\s*(<[^>]*>|\d+)|[\d.]+)", re.IGNORECASE)
 _COMMENT: Final = re.compile(r"(\([^)]*\)|;.*)")
-_TOOLS: Final = "".join(f"T{number} P{number}\n" for number in range(1, 100))
+ELSEWHERE_UM: Final = 500.0
+"""Distance of the control on the exact path from the words of a program from which it has read other words."""
 
 
 @final
@@ -153,25 +161,33 @@ def verify(
     result = compensator.compensate(program, dialect)
     if any(move.tcp for move in result.reading.moves):
         raise InputError("tool centre point control", expected="a program in axis words for this control", file=path)
-    space, real = compensator.prepared.space, compensator.prepared.real
-    course = _Course(space.nominal, execute(program, result.path, space, real).positions)
-    written = dialect.read(result.text.encode("latin-1"), str(path))
-    words = follow(written, dialect.moves(written, space.axes, tcp=False), space)
-    own = _Course(real, execute(written, words, space, real).positions)
+    prepared = compensator.prepared
+    nominal, real = _Tips(prepared, real=False), _Tips(prepared, real=True)
+    course = _Course(nominal, *_way(program, dialect, prepared))
+    own = _Course(real, *_way(dialect.read(result.text.encode("latin-1"), str(path)), dialect, prepared))
     texts = {"original": program.text, "compensated": result.text, "exact": on_exact_path(result.text)}
     recorded = _executed(texts, compensator, path, user=user, acceleration=acceleration, seconds=seconds)
     lines = {name: text.splitlines() for name, text in texts.items()}
-    (original, first), (compensated, second), (exact, third) = (recorded[name] for name in texts)
-    return Verification(
+    (original, compensated, exact) = (recorded[name] for name in texts)
+    found = Verification(
         str(path),
-        _remaining(course.off(real, original), first, lines["original"]),
-        _remaining(course.off(real, compensated), second, lines["compensated"]),
-        _remaining(own.off(real, compensated), second, lines["compensated"]),
-        _remaining(own.off(real, exact), third, lines["exact"]),
-        (len(original), len(compensated)),
+        _remaining(course.off(real, original), original.lines, lines["original"]),
+        _remaining(course.off(real, compensated), compensated.lines, lines["compensated"]),
+        _remaining(own.off(real, compensated), compensated.lines, lines["compensated"]),
+        _remaining(own.off(real, exact), exact.lines, lines["exact"]),
+        (len(original.lines), len(compensated.lines)),
         acceleration,
-        tuple(warning_texts(real.calibration.warnings)),
+        tuple(warning_texts(prepared.calibration.warnings)),
     )
+    if found.exact.largest_um > ELSEWHERE_UM:
+        raise InputError(
+            "LinuxCNC moves to other positions than those that the program means by these tables of work offsets and tools",
+            expected="the control's own tables, and G43 where a tool's length counts",
+            file=path,
+            line=found.before.line,
+            value=f"{found.before.block}: {found.before.largest_um / 1e3:.3f} mm away",
+        )
+    return found
 
 
 def on_exact_path(text: str) -> str:
@@ -185,32 +201,84 @@ def on_exact_path(text: str) -> str:
     return "".join(lines)
 
 
+class _Samples(NamedTuple):
+    """Feed motions: positions of the motors (n, axes), tool lengths (n,) in mm, and lines (n,) of the program."""
+
+    positions: np.ndarray
+    lengths: np.ndarray
+    lines: np.ndarray
+
+
+@final
+class _Tips:
+    """Tool points of a machine with its errors, or without, for tools of several lengths."""
+
+    def __init__(self, prepared: PreparedMachine, *, real: bool) -> None:
+        self.machine, self._prepared, self._real = prepared.machine, prepared, real
+        self._of: dict[float, Kinematics] = {}
+
+    def at(self, positions: np.ndarray, lengths: np.ndarray) -> np.ndarray:
+        """Return (n, 3) tool points in the work frame, mm, at positions (n, axes) with tools of (n,) lengths in mm."""
+        points, sides = np.empty((len(positions), 3)), _sides(positions)
+        for length in np.unique(lengths):
+            rows = lengths == length
+            points[rows] = 1e3 * self._with(float(length)).reached(positions[rows] * self.machine.scale, sides[rows])[1]
+        return points
+
+    def _with(self, length: float) -> Kinematics:
+        prepared = self._prepared
+        if length not in self._of:
+            errors = prepared.calibration if self._real else Calibration.zero(prepared.machine)
+            conditions = prepared.options.conditions if self._real else None
+            self._of[length] = Kinematics(prepared.machine, errors, tool_length_mm=length, conditions=conditions)
+        return self._of[length]
+
+
+def _way(program: Program, dialect: Dialect, prepared: PreparedMachine) -> tuple[np.ndarray, np.ndarray]:
+    """Return positions (n, axes) along a program, between which the axes move on straight lines, and tool lengths (n,)."""
+    space = prepared.space
+    reading = dialect.moves(program, space.axes, tcp=False)
+    sections = Sections(space, program.source).add(as_columns(space.axes.names, reading.moves), reading.frames)
+    path = follow(program, reading, space, sections)
+    positions, lengths = [], []
+    for part in motions_of(space, sections, path):
+        positions.append(execute(program, part.path, part.space, prepared.real, context=part.context).positions)
+        lengths.append(np.full(len(positions[-1]), part.space.nominal.tool_length_mm))
+    return np.vstack(positions), np.concatenate(lengths)
+
+
 @final
 class _Course:
     """A path in the workpiece, as a polyline.
 
     Args:
-        kinematics: the machine that the path belongs to.
+        tips: of the machine that the path belongs to.
         positions: (n, axes) positions along the program, between which the axes move on straight lines.
+        lengths: (n,) length of the tool with which each is reached, mm.
     """
 
-    def __init__(self, kinematics: Kinematics, positions: np.ndarray) -> None:
-        limits = np.where([axis.linear for axis in kinematics.machine.axes], STEP_MM, STEP_DEG)
+    def __init__(self, tips: _Tips, positions: np.ndarray, lengths: np.ndarray) -> None:
+        # Where the tool changes, the path goes on at the same position with the other tool.
+        changes = np.flatnonzero(np.diff(lengths)) + 1
+        positions, lengths = (
+            np.insert(positions, changes, positions[changes - 1], axis=0),
+            np.insert(lengths, changes, lengths[changes]),
+        )
+        limits = np.where([axis.linear for axis in tips.machine.axes], STEP_MM, STEP_DEG)
         counts = np.maximum(1, np.ceil((np.abs(np.diff(positions, axis=0)) / limits).max(axis=1))).astype(int)
         starts = np.repeat(np.arange(len(counts)), counts)
         share = (np.arange(len(starts)) - np.repeat(np.cumsum(counts) - counts, counts)) / counts[starts]
         rows = positions[starts] + share[:, None] * (positions[starts + 1] - positions[starts])
-        self._points = self._reached(kinematics, np.vstack([rows, positions[-1:]]))
+        used = np.append(lengths[starts], lengths[-1])
+        self._points = tips.at(np.vstack([rows, positions[-1:]]), used)
+        self._joined = np.diff(used) == 0.0
         self._tree = cKDTree(self._points)
-        self._half = 0.5 * float(np.linalg.norm(np.diff(self._points, axis=0), axis=1).max(initial=0.0))
+        parts = np.linalg.norm(np.diff(self._points, axis=0), axis=1)[self._joined]
+        self._half = 0.5 * float(parts.max(initial=0.0))
 
-    @staticmethod
-    def _reached(kinematics: Kinematics, positions: np.ndarray) -> np.ndarray:
-        return 1e3 * kinematics.reached(positions * kinematics.machine.scale, _sides(positions))[1]
-
-    def off(self, kinematics: Kinematics, positions: np.ndarray) -> np.ndarray:
+    def off(self, tips: _Tips, samples: _Samples) -> np.ndarray:
         """Return (n,) distances, µm, of the tool point at positions of the motors from the path."""
-        points = self._reached(kinematics, positions)
+        points = tips.at(samples.positions, samples.lengths)
         found, rows, count = np.full(len(points), np.inf), np.arange(len(points)), 1
         while len(rows):
             count = min(4 * count, len(self._points))
@@ -226,7 +294,8 @@ class _Course:
 
     def _from(self, points: np.ndarray, begin: np.ndarray) -> np.ndarray:
         """Return (n,) distances, mm, of points from parts of the path, given by their first vertices."""
-        start, along = self._points[begin], self._points[begin + 1] - self._points[begin]
+        start = self._points[begin]
+        along = (self._points[begin + 1] - start) * self._joined[begin][:, None]
         length = np.maximum((along**2).sum(axis=1), 1e-30)
         share = np.clip(((points - start) * along).sum(axis=1) / length, 0.0, 1.0)
         return np.asarray(np.linalg.norm(points - start - share[:, None] * along, axis=1))
@@ -249,44 +318,66 @@ def _remaining(off: np.ndarray, lines: np.ndarray, texts: Sequence[str]) -> Path
 
 def _executed(
     texts: dict[str, str], compensator: Compensator, path: Path, *, user: str, acceleration: float, seconds: float
-) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """Return positions of the motors (n, axes) and lines (n,) of the feed motions of each program."""
-    machine = compensator.prepared.space.machine
+) -> dict[str, _Samples]:
+    """Return the feed motions of each program, each executed by a control that has just been started."""
+    prepared = compensator.prepared
+    machine = prepared.machine
     home = {axis.name: 0.0 if axis.lower is None else sum(axis.domain) / 2.0 for axis in machine.axes}
-    offsets = compensator.prepared.space.setup.work_offset
-    letters = "XYZABCUVW"
-    parameters = "".join(f"{5221 + letters.index(name)} {value:.6f}\n" for name, value in sorted(offsets.items()))
-    actions: list[list[Any]] = [["home"]]
-    for name in texts:
-        # The mode that a program without G61 and G64 runs in; what the one before it has set remains.
-        actions += [["mdi", "G61" if name == "exact" else "G64"]]
-        actions += [["record", f"{name}.txt"], ["program", f"{name}.ngc", seconds], ["stop"]]
     motors = [f"motor-{i}" for i in range(len(machine.names))]
+    table, lengths = _tools(prepared)
     configuration = linuxcnc.Configuration(
         machine,
         home,
-        pins=[*motors, "#motion.program-line", "#motion.motion-type"],
-        tools=_TOOLS,
-        parameters=parameters,
+        pins=[
+            *motors,
+            "motion.tooloffset.z",
+            "#iocontrol.0.tool-number",
+            "#motion.program-line",
+            "#motion.motion-type",
+        ],
+        tools=table,
+        parameters=_parameters(prepared.space.setup, machine),
         acceleration=acceleration,
     )
-    with tempfile.TemporaryDirectory(prefix="twin-verify-") as name:
-        folder = Path(name)
-        for one, text in texts.items():
-            (folder / f"{one}.ngc").write_bytes(text.encode("latin-1"))
-        ran = linuxcnc.run(folder, configuration, actions, user=user, seconds=seconds)
-        if ran.failed:
-            said = " ".join(ran.said) or ran.failed
-            raise InputError(
-                "LinuxCNC refuses the program", expected="a program that it executes", file=path, value=said
-            )
-        samples = {one: ran.samples(f"{one}.txt") for one in texts}
     found = {}
-    for one, rows in samples.items():
-        feeds = np.isin(rows[:, -1], _FEEDS)
-        if not feeds.any():
+    for name, text in texts.items():
+        # The mode that a program without G61 and G64 runs in.
+        actions: list[list[Any]] = [["home"], ["mdi", "G61" if name == "exact" else "G64"], ["record", "samples.txt"]]
+        actions += [["program", "program.ngc", seconds], ["stop"]]
+        with tempfile.TemporaryDirectory(prefix="twin-verify-") as scratch:
+            folder = Path(scratch)
+            (folder / "program.ngc").write_bytes(text.encode("latin-1"))
+            ran = linuxcnc.run(folder, configuration, actions, user=user, seconds=seconds)
+            if ran.failed:
+                said = " ".join(ran.said) or ran.failed
+                raise InputError(
+                    "LinuxCNC refuses the program", expected="a program that it executes", file=path, value=said
+                )
+            rows = ran.samples("samples.txt")
+        rows = rows[np.isin(rows[:, -1], _FEEDS)]
+        if not len(rows):
             raise InputError("the program has no feed motion", expected="blocks with G1, G2 or G3", file=path)
         # The motors count from the position at which the axes stand when they are homed.
-        positions = rows[feeds][:, : len(motors)] + np.array([home[axis] for axis in machine.names])
-        found[one] = (positions, rows[feeds][:, -2].astype(int))
+        positions = rows[:, : len(motors)] + np.array([home[axis] for axis in machine.names])
+        offset, tool = rows[:, -4], rows[:, -3].astype(int)
+        of_tool = np.array([lengths.get(number, prepared.space.nominal.tool_length_mm) for number in tool])
+        found[name] = _Samples(positions, np.where(offset != 0.0, offset, of_tool), rows[:, -2].astype(int))
     return found
+
+
+def _tools(prepared: PreparedMachine) -> tuple[str, dict[int, float]]:
+    """Return the tool table of the control, and the lengths of the tools that it has."""
+    setup = prepared.space.setup
+    if setup.tools is not None:
+        known = {int(name): length for name, length in setup.tools.lengths_mm.items() if name.isdecimal()}
+        return "".join(f"T{number} P{number} Z{length:.6f}\n" for number, length in known.items()), known
+    # Without a table of tools, words count the length only if there is a table of offsets.
+    length = 0.0 if setup.offsets is None else prepared.space.nominal.tool_length_mm
+    return "".join(f"T{number} P{number} Z{length:.6f}\n" for number in range(1, 100)), {}
+
+
+def _parameters(setup: Setup, machine: Machine) -> str:
+    """Return the parameter file of the control: its work offsets, the one in force, and the positions of reference returns."""
+    table = setup.offsets
+    rows = {"G54": setup.work_offset} if table is None else table.rows
+    return parameter_file(rows, "" if table is None else table.assumed, machine.references)

@@ -215,9 +215,14 @@ def check(user: str = "") -> None:
         raise InputError("LinuxCNC does not run as root", expected=expected, value="root", setting="user")
     if user:
         try:
-            pwd.getpwnam(user)
+            number = pwd.getpwnam(user).pw_uid
         except KeyError:
             raise InputError("no such user", expected="a user of this computer", value=user, setting="user") from None
+        if os.geteuid() not in (0, number):
+            expected = "no other user, or root to choose one"
+            raise InputError(
+                "only root runs the control as another user", expected=expected, value=user, setting="user"
+            )
     if LOCK.exists():
         raise InputError("LinuxCNC is running already", expected="none, or no lock that one left behind", file=LOCK)
 

@@ -14,7 +14,7 @@ from typing import Any, Final, Literal, final
 
 import numpy as np
 
-from twin._common.provenance import warning_texts
+from twin._common.provenance import CORRECTED_IN_CONTROL, warning_texts
 from twin.diagnosis.candidates.catalogue import SPECIFICATIONS
 from twin.diagnosis.result import Cause, DiagnosisResult, Extension, Unexplained, readable_unit
 from twin.display import note, table
@@ -237,6 +237,10 @@ COVERED_RATIO: Final = 0.9
 """Ratio of the RMS residual with and without the calibration's uncertainty below which that uncertainty makes it consistent."""
 DOUBTED_NOISE_RATIO: Final = 1.2
 """Ratio of the residual to the stated noise above which the stated noise is doubted."""
+COMPENSATE: Final = "Compensate with the present calibration."
+KEEP: Final = (
+    "Switch the correction in the control on for machining: it holds this calibration, and programs run as they are."
+)
 NEXT_SECTION: Final = "“What to measure next”"
 SIZE_IN_TEXT: Final = re.compile(r"\d (µm|µrad|mm|°|ppm)")
 
@@ -291,7 +295,7 @@ def facts(diagnosis: DiagnosisResult) -> list[tuple[str, str]]:
             )
         return [
             ("Result", f"The RMS residual is {diagnosis.rms_um:.3g} µm, {why}."),
-            ("What to do", "Nothing. Compensate with the present calibration."),
+            ("What to do", f"Nothing. {KEEP if CORRECTED_IN_CONTROL in diagnosis.warnings else COMPENSATE}"),
             (
                 "Note",
                 f"This covers only errors that these readings can show. The others are listed under {NEXT_SECTION}.",

@@ -93,6 +93,9 @@ def about_rows(
             rows.append(("control", f"these errors are {control.errors_are} by its tables {tables}"))
         held = ", ".join(f"{kinematic.file.name} ({kinematic.format})" for kinematic in control.kinematics)
         rows.append(("kinematics of the control, in tool centre point mode", held))
+        live = ", ".join(entry.file.name for entry in control.live)
+        if live:
+            rows.append(("control", f"these errors are {control.errors_are} by its kinematics module, of {live}"))
     rows.append((f"{DRAWN} illustrative, not measured", ", ".join(drawn)))
     rows.append((f"uncertainty {UNKNOWN} of", ", ".join(unknown)))
     return rows

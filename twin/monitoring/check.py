@@ -6,7 +6,7 @@ import hashlib
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any, Final, final
 
@@ -18,6 +18,7 @@ from twin._common.errors import InputError, closest_name
 from twin._common.files import folder_entries, read_bytes
 from twin._common.resources import Progress, one_blas_thread, silent
 from twin._common.units import MM
+from twin.compensation.live import errors_while_on
 from twin.identification.inputs import prepare
 from twin.identification.network import Network
 from twin.identification.solve import FitSolution, solve
@@ -31,6 +32,7 @@ from twin.measurement.table import Measurements
 from twin.model.calibration import Calibration
 from twin.model.effects import unit_of
 from twin.monitoring.change import WatchedError
+from twin.monitoring.record import ControlState, is_record, state_at
 from twin.monitoring.tool import JudgedErrors, Remaining
 from twin.monitoring.tool import at_tool as change_at_tool
 
@@ -39,6 +41,11 @@ ISO_DATE: Final = re.compile(r"(?<!\d)(\d{4}-\d\d-\d\d|\d{8})(?:[T_ ](\d\d)[-:.h
 """An ISO 8601 date in a file name, with the time in any separators that a file name may have."""
 DATE_COMMENT: Final = re.compile(r"(?:measured|date)\b\s*(?:on|:|=)?\s*(\d{4}-\d\d-\d\d.*)", re.I)
 """A comment of a table that gives the date of the measurement: ``measured 2026-03-02 08:10``, ``date: 2026-03-02``."""
+IN_UTC: Final = " (UTC)"
+"""End of the words that say where a date comes from, if it gave a time zone."""
+WITH_CORRECTION: Final = " with the correction in the control"
+WHILE_SWITCHED: Final = " while the correction was switched"
+"""Ends of the kind of a check during which the control corrected the errors, or began or ended to."""
 SECONDS_PER_DAY: Final = 86400.0
 
 
@@ -102,16 +109,22 @@ def unit_of_constant(name: str) -> str:
     return "um/m" if name[3] != "0" else unit_of(name)
 
 
-def files_of(folder: Path) -> tuple[list[CheckFile], list[str]]:
-    """Return the measurement tables of a folder by name, and the names of its other files.
+def files_of(folder: Path) -> tuple[list[CheckFile], list[Path], list[str]]:
+    """Return the measurement tables of a folder by name, the records of its control, and the names of its other files.
 
     Raises:
         InputError: it is not a folder that can be read, or a table cannot be read.
     """
     visible = [path for path in folder_entries(folder, "the folder of checks") if not path.name.startswith(".")]
     tables = [path for path in visible if path.suffix.lower() == SUFFIX and path.is_file()]
-    files = [CheckFile(path.name, hashlib.sha256(read_bytes(path)).hexdigest(), path) for path in tables]
-    return files, [path.name for path in visible if path not in tables]
+    files, records = [], []
+    for path in tables:
+        content = read_bytes(path)
+        if is_record(content):
+            records.append(path)
+        else:
+            files.append(CheckFile(path.name, hashlib.sha256(content).hexdigest(), path))
+    return files, records, [path.name for path in visible if path not in tables]
 
 
 def date_of(file: CheckFile, given: Mapping[str, datetime]) -> tuple[datetime, str]:
@@ -127,7 +140,8 @@ def date_of(file: CheckFile, given: Mapping[str, datetime]) -> tuple[datetime, s
     for text in read_table(file.path)[2]:
         match = DATE_COMMENT.match(text)
         if match is not None:
-            return parsed_date(match[1].strip(), file.path), "comment of the table"
+            moment, text = parsed_date(match[1].strip(), file.path), match[1].strip()
+            return moment, f"comment of the table{'' if datetime.fromisoformat(text).tzinfo is None else IN_UTC}"
     named = ISO_DATE.search(file.path.stem)
     if named is None:
         raise InputError(
@@ -170,18 +184,26 @@ def check_names_of_dates(files: list[CheckFile], given: Mapping[str, datetime]) 
 
 
 def read_check(
-    file: CheckFile, dated: tuple[datetime, str], machine: Machine, calibration: Calibration, read_at: datetime
+    file: CheckFile,
+    dated: tuple[datetime, str],
+    machine: Machine,
+    calibration: Calibration,
+    read_at: datetime,
+    records: Sequence[Path] = (),
 ) -> Check:
     """Return a check: the deviations of the constant errors that its readings determine, with the set-up estimated anew.
 
     All scales, squareness errors and locations of the axes that it moves are estimated together with the places of spheres and
     stations, by weighted least squares about the calibration. Those of which more than a fiftieth of the prior variance remains are
-    not determined.
+    not determined. Temperatures that the table does not give, and whether the control corrected the errors, come from the records of
+    the control.
 
     Raises:
-        InputError: the file is not a measurement of this machine, or no axis with a constant error moves.
+        InputError: the file is not a measurement of this machine, no axis with a constant error moves, or a record cannot be used.
     """
     data = Measurements.load(file.path, machine)
+    state = _state_during(data, dated, records)
+    calibration, kind, said = _errors_then(calibration, state)
     with one_blas_thread():
         placed = prepare(machine, data, None)
         data = placed.data
@@ -204,22 +226,58 @@ def read_check(
         sha256=file.sha256,
         date=dated[0],
         dated_by=dated[1],
-        instruments=" and ".join(sorted({one.name for one in placed.instruments.by_station.values()})),
+        instruments=" and ".join(sorted({one.name for one in placed.instruments.by_station.values()})) + kind,
         rows=len(data),
         errors=tuple(labels[i] for i in determined),
         value=(solution.theta * factor)[determined],
         covariance=covariance[np.ix_(determined, determined)],
         lost=() if constants is None else constants.lost,
         reduced_chi2=solution.chi2 / dof if dof >= 1.0 else np.nan,
-        temperature_degC={
+        temperature_degC=({} if state is None else dict(state.temperature_degC))
+        | {
             name: float(np.mean(values[np.isfinite(values)]))
             for name, values in data.temperature_degC.items()
             if np.isfinite(values).any()
         },
         simulated=data.simulated,
-        notices=(*data.notices, *(f"set aside, {text}" for text in grouped_notes(data.set_aside))),
+        notices=(*data.notices, *said, *(f"set aside, {text}" for text in grouped_notes(data.set_aside))),
         read_at=read_at.isoformat(timespec="seconds"),
     )
+
+
+def _state_during(data: Measurements, dated: tuple[datetime, str], records: Sequence[Path]) -> ControlState | None:
+    """Return the state of the control during a check; None if no record covers it, or only the day of the check is known."""
+    date, source = dated
+    if (date.hour, date.minute, date.second) == (0, 0, 0):
+        return None
+    times = data.time_s[np.isfinite(data.time_s)]
+    length = timedelta(seconds=float(np.ptp(times))) if len(times) > 1 else None
+    return state_at(records, date, length, utc=source.endswith(IN_UTC))
+
+
+def _errors_then(calibration: Calibration, state: ControlState | None) -> tuple[Calibration, str, tuple[str, ...]]:
+    """Return the errors of the machine during a check, the end of the check's kind, and notices.
+
+    A check of the machine with the correction and one without it have levels of their own.
+    """
+    live = calibration.corrected_in_control
+    if state is None:
+        if not live:
+            return calibration, "", ()
+        text = "no record says whether the correction in the control was on: taken as on"
+        return errors_while_on(calibration), WITH_CORRECTION, (text,)
+    if state.on < 1.0 and state.off < 1.0:
+        text = f"the correction in the control was on in {100 * state.on:.0f} % of the check: repeat it"
+        mostly = live and state.on > state.off
+        return errors_while_on(calibration) if mostly else calibration, WHILE_SWITCHED, (text,)
+    if state.on < 1.0:
+        return calibration, "", ()
+    said = [] if not state.stale else ["the correction in the control used temperatures that were not new"]
+    if not live and calibration.control is None:
+        said.append(
+            "the correction in the control was on, but the calibration does not know of it: use that of the module"
+        )
+    return errors_while_on(calibration) if live else calibration, WITH_CORRECTION, tuple(said)
 
 
 def _solved(network: Network, setup: StationsAndTargets, calibration: Calibration) -> FitSolution:

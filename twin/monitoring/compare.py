@@ -200,31 +200,39 @@ def _check_tables(first: Calibration, second: Calibration) -> list[str]:
         require_type(name, side, Calibration)
     one, two = first.control, second.control
     kinds = ["remaining" if c is not None and c.errors_are == "remaining" else "uncorrected" for c in (one, two)]
+    what = "kinematics module" if any(c is not None and c.live for c in (one, two)) else "tables"
+    several = "kinematics modules" if what == "kinematics module" else what
     if kinds[0] != kinds[1]:
         raise InputError(
-            "one calibration gives the machine's own errors, the other those remaining under the control's tables; they differ by the "
-            "tables even if the machine did not change",
-            expected="both `errors_are: uncorrected`, or both `remaining` under the same tables",
+            f"one calibration gives the machine's own errors, the other those remaining under the control's {what}; they differ by the "
+            f"{what} even if the machine did not change",
+            expected=f"both `errors_are: uncorrected`, or both `remaining` under the same {what}",
             file=second.path,
             value=f"{kinds[0]} and {kinds[1]}",
         )
-    tables = [set() if c is None else {entry.sha256 for entry in c.tables} for c in (one, two)]
+    tables = [set() if c is None else {entry.sha256 for entry in (*c.tables, *c.live)} for c in (one, two)]
     if kinds[0] == "remaining":
         if tables[0] != tables[1]:
             raise InputError(
-                "the calibrations give the errors remaining under different tables of the control; they differ by the tables even if "
+                f"the calibrations give the errors remaining under different {several} of the control; they differ by them even if "
                 "the machine did not change",
-                expected="two calibrations measured under the same tables",
+                expected=f"two calibrations measured under the same {what}",
                 file=second.path,
-                value="different tables",
+                value=f"different {several}",
             )
         return [
-            "both give the errors remaining under the same tables of the control; the machine's own errors are not compared"
+            f"both give the errors remaining under the same {what} of the control; the machine's own errors are not compared"
         ]
     if tables[0] or tables[1]:
+        part = "them" if what == "kinematics module" else "part of them"
+        verb = "corrects" if what == "kinematics module" else "correct"
         return [
-            "the machine's own errors are compared, without the tables of the control, which correct part of them"
-            + ("" if tables[0] == tables[1] else "; the tables differ between the two")
+            f"the machine's own errors are compared, without the {what} of the control, which {verb} {part}"
+            + (
+                ""
+                if tables[0] == tables[1]
+                else f"; the {what} {'differs' if part == 'them' else 'differ'} between the two"
+            )
         ]
     return []
 

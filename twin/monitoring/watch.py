@@ -30,6 +30,7 @@ from twin.monitoring.check import (
     remaining_error,
     unit_of_constant,
 )
+from twin.monitoring.record import ControlRecord
 from twin.monitoring.watch_page import headline
 from twin.monitoring.watched import Remembered, Watch, WatchKey, WatchStatement, memory_path, recall, remember
 
@@ -122,10 +123,10 @@ def watch(
     calibration.check_settled()
     looked = (datetime.now() if now is None else now).isoformat(timespec="seconds")
     key, memory = _key(machine, calibration, settings), memory_path(folder)
-    files, ignored = files_of(folder)
+    files, records, ignored = files_of(folder)
     check_names_of_dates(files, settings.dates)
     known = recall(memory, key)
-    new = _new_checks(files, known, machine, calibration, settings, looked, progress)
+    new = _new_checks(files, records, known, machine, calibration, settings, looked, progress)
     checks = tuple(sorted((*known.checks, *new), key=lambda one: (one.date, one.name)))
     if not checks:
         raise InputError("no check in the folder", expected="measurement tables (.csv)", file=folder)
@@ -138,7 +139,7 @@ def watch(
         calibration=key.calibration,
         news=_news(new, known),
         statements=known.statements,
-        notices=(*_file_notices(files, ignored, known, new), *_check_notices(checks)),
+        notices=(*_file_notices(files, ignored, known, new), *_record_notices(records), *_check_notices(checks)),
         warnings=merge_warnings(calibration.warnings, compared.warnings),
     )
     return _remembered(compared, key, new, looked)
@@ -199,6 +200,7 @@ def _key(machine: Machine, calibration: Calibration, settings: WatchSettings) ->
 
 def _new_checks(
     files: Sequence[CheckFile],
+    records: Sequence[Path],
     known: Remembered,
     machine: Machine,
     calibration: Calibration,
@@ -217,7 +219,7 @@ def _new_checks(
         dated = date_of(file, settings.dates)
         if settings.since is not None and dated[0] < settings.since:
             continue
-        new_checks.append(read_check(file, dated, machine, calibration, datetime.fromisoformat(looked)))
+        new_checks.append(read_check(file, dated, machine, calibration, datetime.fromisoformat(looked), records))
         digests.add(file.sha256)
     return new_checks
 
@@ -301,6 +303,15 @@ def _file_notices(
             "alarm rate of its own"
         )
     return file_notices
+
+
+def _record_notices(records: Sequence[Path]) -> list[str]:
+    """Return what the last record of the control says."""
+    if not records:
+        return []
+    last = max(map(ControlRecord.load, records[-2:]), key=lambda one: one.begin)
+    state = "no rows" if last.whole is None else last.whole.text
+    return [f"{count_with_noun(len(records), 'record')} of the control; {last.path.name}: {state}"]
 
 
 def _check_notices(checks: Sequence[Check]) -> list[str]:

@@ -178,26 +178,85 @@ def advise(
         *_incomplete(calibration, left_out, identified),
         *_misfit(points, calibration),
         *_control(calibration, outcome),
-        *(
-            _wait()
-            if identified is not None and identified.doubtful
-            else _one_of(_compensate(calibration, found, outcome), _adjust(found), _tables(found, tables))
-        ),
+        *_corrections(calibration, found, outcome, identified, tables),
         *_unknown(calibration, outcome),
         *_measure(found, outcome, None if identified is None else identified.relative_instrument),
         *_never(calibration, found),
     ]
+    live = calibration.corrected_in_control
     return MachineAdvice(
-        _headline(found, outcome),
-        "well" if found.total.max_um <= SMALL_UM else "wrong",
+        _headline(found, outcome, live=live),
+        "well" if found.total.max_um <= SMALL_UM else "unknown" if live else "wrong",
         tuple(_line(error) for error in found.errors[:NAMED]),
         tuple(sorted(every, key=lambda step: _ORDER.index(step.kind))),
     )
 
 
-def _headline(found: Budget, outcome: CompensationForecast) -> str:
-    """Return the error at the tool, and which errors it does not contain."""
+def _corrections(
+    calibration: Calibration,
+    found: Budget,
+    outcome: CompensationForecast,
+    identified: Identified | None,
+    tables: Sequence[TablesLeft],
+) -> Iterator[Step]:
+    """Yield how the errors are to be corrected."""
+    if calibration.corrected_in_control:
+        yield from _module(calibration, found, outcome)
+    elif identified is not None and identified.doubtful:
+        yield from _wait()
+    else:
+        yield from _one_of(_compensate(calibration, found, outcome), _adjust(found), _tables(found, tables))
+
+
+def _module(calibration: Calibration, found: Budget, outcome: CompensationForecast) -> Iterator[Step]:
+    """Yield the steps for errors that a kinematics module in the control corrects already."""
     sizes = {"rms": figure(found.total.rms_um, "µm"), "largest": figure(found.total.max_um, "µm")}
+    texts = [
+        Message(
+            "A kinematics module in the control corrects these errors while it is switched on. With it switched off the error is {rms} "
+            "RMS and up to {largest}.",
+            **sizes,
+        )
+    ]
+    if outcome.judged is None:
+        texts.append(Message("What remains with it is unknown, because the calibration gives no uncertainty."))
+    else:
+        texts.append(
+            Message(
+                "With it, {expected} RMS are expected, from the uncertainty of the calibration.",
+                expected=figure(outcome.judged.rms_um, "µm"),
+            )
+        )
+        texts += _not_corrected(outcome)
+    texts.append(Message("Programs run as they are."))
+    yield Step("do", Message("Keep the correction in the control switched on"), joined(" ", texts))
+    text = Message(
+        "A measurement with it switched on shows the errors that remain: `twin identify measured.csv -o remaining.yaml{machine} "
+        "--control linuxcnc-kinematics={file}`. `twin control --to linuxcnc-kinematics --add -c remaining.yaml -o live2/` then makes a "
+        "module for both.",
+        machine=calibration.machine.as_option,
+        file="calibration.yaml" if calibration.path is None else calibration.path.name,
+    )
+    yield Step("measure", Message("Measure what remains"), text)
+    control = calibration.control
+    text = Message(
+        "Programs, tables and kinematics made from these errors would correct them a second time. `twin compensate` and `twin control` "
+        "refuse this calibration. With the module switched off, {file} is the calibration. After an adjustment of the machine, make a "
+        "new module from a new measurement.",
+        file="" if control is None else control.live[-1].file.name,
+    )
+    yield Step("never", Message("Compensate programs or write tables beside the module"), text)
+
+
+def _headline(found: Budget, outcome: CompensationForecast, *, live: bool) -> str:
+    """Return the error at the tool, and which errors it does not contain; ``live``: a module in the control corrects it."""
+    sizes = {"rms": figure(found.total.rms_um, "µm"), "largest": figure(found.total.max_um, "µm")}
+    if live:
+        return Message(
+            "With the correction in the control switched off, the error at the tool point is {rms} RMS over the working volume and up "
+            "to {largest}.",
+            **sizes,
+        )
     if not outcome.not_identified:
         return Message("The error at the tool point is {rms} RMS over the working volume and up to {largest}.", **sizes)
     return Message(
@@ -314,6 +373,13 @@ def _misfit(points: Sequence[PointComparison], calibration: Calibration) -> Iter
 
 def _control(calibration: Calibration, outcome: CompensationForecast) -> Iterator[Step]:
     control, without_tables = calibration.control, outcome.without_tables
+    if control is not None and control.live and control.errors_are == "remaining":
+        text = Message(
+            "These errors were measured with the kinematics module active and remain in addition. `twin control --to "
+            "linuxcnc-kinematics --add{options} -o live2/` makes a module for both.",
+            options=_about(calibration),
+        )
+        yield Step("do", Message("Keep the correction in the control switched on"), text)
     if control is None or not control.tables:
         return
     alike: dict[tuple[str, ...], list[str]] = {}
@@ -379,15 +445,7 @@ def _compensate(calibration: Calibration, found: Budget, outcome: CompensationFo
     else:
         known |= {"rms": figure(outcome.judged.rms_um, "µm"), "within": figure(outcome.judged.quantile(0.95), "µm")}
         texts.append(_compensated(known) if outcome.complete else _at_least_compensated(known))
-        if outcome.not_identified and outcome.with_uncertainty is not None:
-            texts.append(
-                Message(
-                    "This does not include {names}, which could not be determined and which no program corrects: with their plausible "
-                    "size {rms} RMS remain.",
-                    names=listed(outcome.not_identified),
-                    rms=figure(outcome.with_uncertainty.rms_um, "µm"),
-                )
-            )
+        texts += _not_corrected(outcome)
     if outcome.out_of_range:
         texts.append(
             Message(
@@ -398,6 +456,19 @@ def _compensate(calibration: Calibration, found: Budget, outcome: CompensationFo
             )
         )
     yield Step("do", _with_measured(Message("compensate the programs"), calibration), joined(" ", texts))
+
+
+def _not_corrected(outcome: CompensationForecast) -> list[Message]:
+    """Return the sentence on errors that could not be determined; none if there are none."""
+    if not outcome.not_identified or outcome.with_uncertainty is None:
+        return []
+    text = Message(
+        "This does not include {names}, which could not be determined and which no program corrects: with their plausible size {rms} "
+        "RMS remain.",
+        names=listed(outcome.not_identified),
+        rms=figure(outcome.with_uncertainty.rms_um, "µm"),
+    )
+    return [text]
 
 
 def _compensated(known: Mapping[str, str]) -> str:
@@ -602,7 +673,7 @@ def _never(calibration: Calibration, found: Budget) -> Iterator[Step]:
     if insignificant:
         text = Message("{names}: smaller than its uncertainty.", names=listed(insignificant))
         yield Step("never", Message("Adjust errors that are not significant"), text)
-    if found.total.rms_um > 0.0 and not calibration.illustrative:
+    if found.total.rms_um > 0.0 and not calibration.illustrative and not calibration.corrected_in_control:
         text = Message(
             "If the control's tables are active, compensate programs only with the `calibration.yaml` written beside them, which "
             "contains what the tables correct. Do not use this calibration after the machine was adjusted."

@@ -225,7 +225,8 @@ def _rows_of(rows: Sequence[tuple[int, str]]) -> list[str]:
 
 
 def _tables_of(control: ControlSection) -> list[str]:
-    return [f"{table.file.name} ({' '.join(table.classes)})" for table in control.tables]
+    others = [f"{entry.file.name} ({entry.format})" for entry in (*control.kinematics, *control.live)]
+    return [*(f"{table.file.name} ({' '.join(table.classes)})" for table in control.tables), *others]
 
 
 # --- Print an HTML page to PDF through an installed browser, headless and without network ---------

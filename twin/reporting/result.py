@@ -319,6 +319,7 @@ class MachineReport(Result):
                 and {
                     "errors_are": control.errors_are,
                     "tables": [{"file": str(table.file), "classes": table.classes} for table in control.tables],
+                    "live": [str(entry.file) for entry in control.live],
                 },
                 "definition_of_U": DEFINITION,
                 "summary": self.advice,

@@ -5,7 +5,9 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from math import ceil
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Final, final
 
 import numpy as np
@@ -14,10 +16,21 @@ from twin._common.errors import InputError
 from twin._common.families import BASIC
 from twin._common.files import write_atomic
 from twin._common.provenance import ILLUSTRATIVE, SourceWarning, merge_warnings, warning_texts, warnings_to_json
-from twin._common.records import json_form
+from twin._common.records import SPEED, TIME, json_form, sensor_of
 from twin._common.units import URAD
 from twin.compensation.live.graph import Damping, LiveCorrection
-from twin.compensation.live.module import FORMAT, LETTERS, NAME, c_file, channel_of
+from twin.compensation.live.module import (
+    COMPONENT,
+    FORMAT,
+    LETTERS,
+    NAME,
+    SuppliedChannel,
+    c_file,
+    channel_of,
+    channels_of,
+    component_file,
+    temperatures_of,
+)
 from twin.compute.along import BatchFunction
 from twin.controls import ControlSection, TableEntry, file_sha256
 from twin.machine.machine import Machine
@@ -32,15 +45,22 @@ SCHEMA: Final = "twin.compensation.live/1"
 README: Final = "README.txt"
 CALIBRATION: Final = "calibration.yaml"
 CORRECTED: Final = "corrected.yaml"
-FILES: Final = (f"{NAME}.c", f"{NAME}.hal", f"{NAME}.ini", README, CORRECTED, CALIBRATION)
+FILES: Final = (
+    f"{NAME}.c",
+    f"{NAME}.hal",
+    f"{NAME}.ini",
+    f"{COMPONENT}.py",
+    f"{COMPONENT}.hal",
+    README,
+    CORRECTED,
+    CALIBRATION,
+)
 MARGIN: Final = 1.5
 """Factor on the largest tilt and the largest correction seen over the volume: tools and temperatures differ from those tried."""
 PIN_NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,30}")
 """Characters of a pin of HAL; its name has at most 47 with the prefix."""
-TEXT_OF_SOURCE: Final = (
-    "This file holds the numbers and formulas of your machine, and the code of the module. MODULE_LICENSE is what LinuxCNC asks of "
-    "every module."
-)
+TEXT_OF_SOURCE: Final = "This file holds the numbers and formulas of your machine, and the code of the module."
+TEXT_OF_LICENCE: Final = "MODULE_LICENSE is what LinuxCNC asks of every module."
 
 
 @final
@@ -78,6 +98,7 @@ class LiveKinematics:
         errors: the calibration it was made from.
         earlier: calibrations that the control corrected already when that one was measured; their errors are added.
         text: the C file.
+        component: the HAL component that supplies the temperatures.
     """
 
     live: LiveCorrection
@@ -85,6 +106,7 @@ class LiveKinematics:
     errors: Calibration
     earlier: tuple[Calibration, ...]
     text: str
+    component: str
     tool_length_mm: float
 
     @property
@@ -102,7 +124,7 @@ class LiveKinematics:
             "illustrative": ILLUSTRATIVE in self.errors.warnings,
             "warnings": warnings_to_json(self.warnings),
             "tool_length_mm": self.tool_length_mm,
-            "pins": [one.pin for one in map(channel_of, self.live.plain)],
+            "pins": [one.pin for one in channels_of(self.live)],
             "files": list(FILES),
             **json_form(self.proof),
         }
@@ -114,7 +136,6 @@ class LiveKinematics:
             f"{name} {size:.4f} {'mm' if axis.linear else '°'}"
             for name, size, axis in zip(names, proof.largest, machine.axes, strict=True)
         )
-        channels = [channel_of(name) for name in self.live.plain]
         lines = [
             f"LinuxCNC kinematics with the errors of {machine.name}",
             *warning_texts(self.warnings),
@@ -138,46 +159,128 @@ class LiveKinematics:
             )
         lines += [
             "  The uncertainty of the calibration is not reduced by any correction: see `twin volume`.",
-            "",
-            "Build and load (LinuxCNC 2.9)",
-            f"  1. sudo halcompile --install {NAME}.c",
-            f"  2. Take the lines of {NAME}.ini into the INI file: {NAME}.hal comes after the HAL file that loads motmod.",
-            "  3. Home the machine with the correction off (it is off until the pin is set).",
-            f"  4. halcmd setp {NAME}.enable 1: the correction is faded in, within 1 s (parameter fade-rate, 1/s).",
-            "  5. Move every axis once: before that its direction of approach is unknown, and the mean of both is corrected.",
-            "",
-            "Check before cutting",
-            f"  halcmd show pin {NAME}: correction-N, in mm and degrees, must have the sizes above; out-of-range must be FALSE.",
-            "  Touch a sphere or a gauge in several positions of the rotary axes with the correction off, and again with it on: the "
-            "deviations must become smaller. If they grow, switch it off and compare the signs of the axes with the machine file.",
-            "",
-            "Switch off",
-            f"  halcmd setp {NAME}.enable 0, or {NAME}.orientation 0 for the position alone. The module can stay loaded: off, it is "
-            "`trivkins`.",
-            "",
-            "Programs",
-            "  In axis words: as they are; do not compensate them by twin as well. The correction counts the tool by motion.tooloffset "
-            "(G43). If the lengths are in the program instead, without G43, connect nothing to tool-z and set it to the length.",
-        ]
-        if machine.rotary:
-            lines += [
-                "  In coordinates of the workpiece (tool centre point): M68 E3 Q1, then M66 E0 L0, with G43; back with M68 E3 Q0. At "
-                "rotary zero both are the same.",
-            ]
-        if channels:
-            lines += ["", "Pins that you must connect (a value outside the range sets out-of-range)"]
-            lines += [
-                f"  {NAME}.{one.pin}: {one.unit}, {one.low:g} to {one.high:g}; unconnected: {one.start:g}"
-                for one in channels
-            ]
-        lines += [
-            "",
-            "What it does not do",
-            "  Positions outside the range of a curve are corrected as at the end of the range; out-of-range is TRUE there. The "
-            "limits of the joints do not count the correction: leave 1 mm or more between the limits and the stops.",
-            f"  {CALIBRATION} records that the control corrects these errors; {CORRECTED} holds their numbers.",
+            *_loading(machine, proof),
+            *_supplying(self.live),
+            *_trusting(machine),
         ]
         return "\n".join(lines) + "\n"
+
+
+def _loading(machine: Machine, proof: Proof) -> list[str]:
+    """Return the part of README.txt on building, loading, checking and switching off."""
+    largest = [
+        MARGIN
+        * max(
+            (size for size, axis in zip(proof.largest, machine.axes, strict=True) if axis.linear is kind), default=0.0
+        )
+        for kind in (True, False)
+    ]
+    room = f"{ceil(10.0 * largest[0]) / 10.0 or 0.1:g} mm"
+    if machine.rotary:
+        room += f" and {ceil(100.0 * largest[1]) / 100.0 or 0.01:g} °"
+    return [
+        "",
+        "Build and load (LinuxCNC 2.9)",
+        f"  1. sudo halcompile --install {NAME}.c, and again for every new {NAME}.c, with the control ended.",
+        f"  2. INI file: the lines of {NAME}.ini; [KINS] replaces the present section. {NAME}.hal lies beside the INI file and comes "
+        "after the HAL file with `loadrt [KINS]KINEMATICS` and `loadrt [EMCMOT]EMCMOT … num_joints=[KINS]JOINTS`. Joint 0 is the "
+        "first letter of COORDINATES; every axis has one joint (no gantry with two).",
+        f"  3. INI file: the limits of every [JOINT_N] lie outside those of its [AXIS_L] by {room} or more, and the stops outside of "
+        "them: a joint moves beyond its axis by the correction.",
+        "  4. Home the machine with the correction off (it is off until the pin is set).",
+        f"  5. halcmd setp {NAME}.enable 1: the correction is faded in, within 1 s (parameter fade-rate, 1/s). To have it switched on "
+        f"after homing, replace the last line of {NAME}.hal: net {NAME}-homed motion.is-all-homed => {NAME}.enable",
+        "  6. Move every axis once: before that its direction of approach is unknown, and the mean of both is corrected.",
+        "",
+        "Check before cutting",
+        f"  halcmd show pin {NAME}: correction-N, in mm and degrees, must have the sizes above; out-of-range must be FALSE.",
+        f"  halcmd show pin servo-thread.time and {NAME}.update.time (clock cycles) with the correction on: the thread must end well "
+        "within its period.",
+        "  Touch a sphere or a gauge in several positions of the rotary axes with the correction off, and again with it on: the "
+        "deviations must become smaller. If they grow, switch it off and compare the signs of the axes with the machine file.",
+        "",
+        "Switch off",
+        f"  halcmd setp {NAME}.enable 0, or {NAME}.orientation 0 for the position alone. The module can stay loaded: off, it is "
+        "`trivkins`.",
+    ]
+
+
+def _supplying(live: LiveCorrection) -> list[str]:
+    """Return the part of README.txt on the pins that must be supplied, and on the component that does it."""
+    channels, sensors = channels_of(live), [sensor_of(one.name) for one in temperatures_of(live)]
+    lines = []
+    if channels:
+        lines += [
+            "",
+            "Pins that must be supplied (of a value outside the range the last one within is used, and out-of-range is TRUE)",
+            *(
+                f"  {NAME}.{one.pin}: {one.unit}, {one.low:g} to {one.high:g}; unconnected: {one.start:g}"
+                for one in channels
+            ),
+        ]
+    lines += [
+        "",
+        f"{'Temperatures from a file, and the' if sensors else 'The'} record for `twin watch`",
+        f"  {COMPONENT}.hal and {COMPONENT}.py beside the INI file, HALFILE = {COMPONENT}.hal after {NAME}.hal, and in the INI file:",
+        "    [TWIN]",
+    ]
+    if sensors:
+        columns = " ".join(f"T_{name}_degC" for name in sensors)
+        lines += [
+            f"    # a CSV file that your logger writes, with a header and the columns {columns}",
+            "    SENSORS = temperatures.csv",
+            "    # if the columns have other names: SENSOR=COLUMN, SENSOR=COLUMN",
+            *(f"    # COLUMNS = {name}=name of its column" for name in sensors[:1]),
+            "    # s: a last row older than this is no value",
+            "    STALE = 60",
+            "    # degC: other values are those of a broken sensor (without these lines: the ranges above)",
+            "    LOW = 5",
+            "    HIGH = 45",
+        ]
+    lines += [
+        "    # the folder of checks that `twin watch` reads, and s between two rows of the record",
+        "    RECORD = checks",
+        "    EVERY = 10",
+    ]
+    if sensors:
+        lines += [
+            "  The last complete row of the file counts. Its time is that of a column `time` (ISO 8601, or seconds since 1970), or "
+            "else of the file's last change. Commas, semicolons and tabs separate cells.",
+            "  A sensor without a value, with one out of range, or without a new row keeps its last value. The operator is warned, "
+            f"{NAME}.stale becomes TRUE, and the record shows it. It becomes TRUE too if {COMPONENT} has ended, or never began. To "
+            f"hold the program then: net {NAME}-stale {NAME}.stale => halui.program.pause",
+        ]
+    return lines
+
+
+def _trusting(machine: Machine) -> list[str]:
+    """Return the part of README.txt on programs, limits and the licence."""
+    lines = [
+        "",
+        "Programs",
+        "  In axis words: as they are; do not compensate them by twin as well. The correction counts the tool by motion.tooloffset "
+        "(G43). If the lengths are in the program instead, without G43, take the lines of tool-x, -y, -z out of the HAL file and set "
+        f"{NAME}.tool-z to the length.",
+    ]
+    if machine.rotary:
+        lines += [
+            "  In coordinates of the workpiece (tool centre point): M68 E3 Q1, then M66 E0 L0, with G43; back with M68 E3 Q0. At "
+            "rotary zero both are the same.",
+        ]
+    return [
+        *lines,
+        "  G64 and its tolerance act before the correction and do not reduce it. G38 stops at corrected positions.",
+        "",
+        "What it does not do",
+        "  Positions outside the range of a curve are corrected as at the end of the range; out-of-range is TRUE there.",
+        "  The position is corrected in the same cycle. Directions of approach, temperatures and the spindle's speed act one cycle "
+        "later and are limited in rate, so that no axis jumps: from one side to the other in 0.1 s, 0.2 K/s, the tool 500 mm/s.",
+        f"  {CALIBRATION} records that the control corrects these errors; {CORRECTED} holds their numbers.",
+        "",
+        "Licence",
+        f"  {NAME}.c and {COMPONENT}.py hold the numbers and formulas of your machine, and the code of the module; nothing else of "
+        "twin. MODULE_LICENSE in the first is what LinuxCNC asks of every module.",
+    ]
 
 
 def make_module(
@@ -197,8 +300,8 @@ def make_module(
 
     Raises:
         InputError: a location that was not identified, unless that is accepted; a chain that the module does not carry; an axis that
-            is no word of LinuxCNC; a channel without a pin; an estimate that did not settle; errors that the control corrects
-            already; a correction too steep for the forward kinematics.
+            is no word of LinuxCNC; a channel without a pin; an empirical effect without a range that the module can keep; an estimate
+            that did not settle; errors that the control corrects already; a correction too steep for the forward kinematics.
     """
     machine = errors.machine
     _check(errors)
@@ -208,6 +311,7 @@ def make_module(
     plain = _channels(bare)
     length = machine.tool_length_mm if tool_length_mm is None else tool_length_mm
     trial = LiveCorrection(bare, plain, Damping.for_tilt(0.0))
+    _check_ranges(trial, errors.path)
     live = LiveCorrection(bare, plain, Damping.for_tilt(MARGIN * _largest_tilt(trial, length)))
     proof = _proof(live, length)
     if proof.steepest >= 1.0:
@@ -224,7 +328,43 @@ def make_module(
         *(f"calibration: {one.path or 'nominal'}" for one in (*earlier, errors)),
         TEXT_OF_SOURCE,
     ]
-    return LiveKinematics(live, proof, errors, tuple(earlier), c_file(live, largest, header), length)
+    about = [f"Temperatures and record of {NAME} for {machine.name}, written by twin (README.txt).", *header[1:]]
+    texts = c_file(live, largest, [*header, TEXT_OF_LICENCE]), component_file(live, about)
+    return LiveKinematics(live, proof, errors, tuple(earlier), *texts, length)
+
+
+def held_by_module(path: Path, machine: Machine) -> tuple[TableEntry, ...]:
+    """Return the calibrations whose errors a module corrects, from the `calibration.yaml` or `corrected.yaml` of its folder.
+
+    Raises:
+        InputError: a file that cannot be read or has changed since the module was written, or a calibration of tables.
+    """
+    errors = Calibration.load(path, machine)
+    if errors.control is None:
+        return (TableEntry.of(path, FORMAT, BASIC),)
+    if not errors.control.live:
+        expected = f"{CALIBRATION} of a folder that `twin control --to {FORMAT}` wrote"
+        raise InputError("not the calibration of a kinematics module", expected=expected, file=path)
+    for entry in errors.control.live:
+        entry.check()
+    return errors.control.live
+
+
+def errors_while_on(errors: Calibration) -> Calibration:
+    """Return the errors of the machine while the module corrects these: none, as uncertain as these are."""
+    zero = {
+        name: replace(curve, coefficients=(0.0,) * len(curve.coefficients)) for name, curve in errors.curves.items()
+    }
+    kept = {number.name for effect in errors.effects if effect not in errors.extra for number in effect.parameters}
+    return replace(
+        errors,
+        curves=MappingProxyType(zero),
+        squareness=MappingProxyType(dict.fromkeys(errors.squareness, 0.0)),
+        location=MappingProxyType(dict.fromkeys(errors.location, 0.0)),
+        joint=None if errors.joint is None else errors.joint.where(lambda name: name in kept),
+        extra=(),
+        control=None,
+    )
 
 
 def earlier_of(errors: Calibration, *, add: bool) -> tuple[Calibration, ...]:
@@ -273,6 +413,28 @@ def _check(errors: Calibration) -> None:
         )
 
 
+def _check_ranges(live: LiveCorrection, file: Path | None) -> None:
+    """Raise `InputError` unless there are positions and values of the pins at which every empirical effect was measured."""
+    turning = {axis.name: live.range_of(axis.name, -np.inf, np.inf) for axis in live.machine.axes if axis.lower is None}
+    for name, found in turning.items():
+        if np.isfinite(found).any():
+            raise InputError(
+                f"an empirical effect was measured over a part of {name}, which turns without a limit",
+                expected="one that repeats with every turn (whole_turns), or a calibration without it",
+                file=file,
+                value=f"{found[0]:g} to {found[1]:g}",
+            )
+    channels = ((one.name, one.low, one.high) for one in channels_of(live))
+    axes = ((name, *span) for name, span in zip(live.machine.names, live.domains, strict=True))
+    for name, low, high in (*channels, *axes):
+        if not low < high:
+            raise InputError(
+                f"no value of {name} is within the ranges of all errors",
+                expected="an empirical effect that was measured where the other errors are known and the pins can be",
+                file=file,
+            )
+
+
 def _channels(calibrations: Sequence[Calibration]) -> tuple[str, ...]:
     """Return the channels that the control must supply.
 
@@ -293,6 +455,7 @@ def _channels(calibrations: Sequence[Calibration]) -> tuple[str, ...]:
             raise InputError(
                 "the name of a sensor cannot be the name of a pin",
                 expected="letters, digits, - and _, at most 18",
+                file=calibrations[-1].path,
                 value=name,
             )
     return tuple(names)
@@ -302,8 +465,7 @@ def _states(live: LiveCorrection, poses: int) -> np.ndarray:
     """Return random channels (poses, channels): directions of approach, values within the ranges of the pins."""
     rng = np.random.default_rng(20)
     values = [random_approach(np.zeros((poses, len(live.machine.axes))))]
-    usual = [_usual(name) for name in live.plain]
-    values += [rng.uniform(low, high, (poses, 1)) for low, high in usual]
+    values += [rng.uniform(*_usual(one), (poses, 1)) for one in channels_of(live)]
     plain = np.hstack(values) if live.plain else values[0]
     held = np.hstack([plain, np.zeros((poses, len(live.histories)))])
     if not live.histories:
@@ -312,11 +474,11 @@ def _states(live: LiveCorrection, poses: int) -> np.ndarray:
     return np.hstack([plain, drives])
 
 
-def _usual(name: str) -> tuple[float, float]:
-    """Return a range of a channel as it occurs in a shop."""
-    channel = channel_of(name)
+def _usual(channel: SuppliedChannel) -> tuple[float, float]:
+    """Return a range of a channel as it occurs in a shop, within the range over which its errors are known."""
     if channel.unit == "degC":
-        return 15.0, 35.0
+        low, high = max(15.0, channel.low), min(35.0, channel.high)
+        return (low, high) if low < high else (channel.low, channel.high)
     return (
         (0.0, 28800.0) if channel.pin == "time" else (0.0, 12000.0) if channel.pin == "spindle-speed" else (0.0, 100.0)
     )
@@ -394,6 +556,8 @@ def write_module(made: LiveKinematics, folder: Path) -> None:
     write_atomic(folder / f"{NAME}.c", made.text)
     write_atomic(folder / f"{NAME}.hal", hal_lines(made.live))
     write_atomic(folder / f"{NAME}.ini", ini_lines(made.live.machine))
+    write_atomic(folder / f"{COMPONENT}.py", made.component)
+    write_atomic(folder / f"{COMPONENT}.hal", component_lines(made.live))
     write_atomic(folder / README, made.to_text())
     errors.with_control(None).save(folder / CORRECTED)
     entry = TableEntry(folder / CORRECTED, FORMAT, BASIC, file_sha256(folder / CORRECTED))
@@ -418,9 +582,29 @@ def hal_lines(live: LiveCorrection) -> str:
             "# M68 E3 Q1 (then M66 E0 L0): tool centre point; M68 E3 Q0: axis words",
             f"net {NAME}-type motion.analog-out-03 => motion.switchkins-type",
         ]
-    for one in map(channel_of, live.plain):
-        lines.append(f"# net {NAME}-{one.pin} YOUR-SENSOR => {NAME}.{one.pin}  # {one.unit}")
+    for one in channels_of(live):
+        if one.name == SPEED:
+            lines.append(f"net {NAME}-{one.pin} spindle.0.speed-out-abs => {NAME}.{one.pin}")
+        else:
+            lines.append(f"# net {NAME}-{one.pin} YOUR-SENSOR => {NAME}.{one.pin}  # {one.unit}")
     return "\n".join([*lines, "# off until everything is homed:", f"setp {NAME}.enable 0"]) + "\n"
+
+
+def component_lines(live: LiveCorrection) -> str:
+    """Return the HAL file of the component that supplies the temperatures."""
+    lines = [
+        f"# After {NAME}.hal; the settings are in the section [TWIN] of the INI file (README.txt).",
+        f"loadusr -Wn {COMPONENT} /usr/bin/python3 ./{COMPONENT}.py",
+        *(f"net {NAME}-{one.pin} {COMPONENT}.{one.pin} => {NAME}.{one.pin}" for one in temperatures_of(live)),
+        f"net {NAME}-heartbeat {COMPONENT}.heartbeat => {NAME}.heartbeat",
+        "# seconds without a new value of every sensor after which the pin stale is set:",
+        f"setp {NAME}.heartbeat-timeout 5",
+    ]
+    if any(one.name == TIME for one in channels_of(live)):
+        lines.append(
+            f"# If the measurement began when the control was started: net {NAME}-time {COMPONENT}.time => {NAME}.time"
+        )
+    return "\n".join(lines) + "\n"
 
 
 def ini_lines(machine: Machine) -> str:
@@ -429,4 +613,6 @@ def ini_lines(machine: Machine) -> str:
     return (
         f"[KINS]\nKINEMATICS = {NAME}\nJOINTS = {len(machine.axes)}\n\n[TRAJ]\nCOORDINATES = {letters}\n\n[HAL]\n"
         f"# after the other HALFILE lines\nHALFILE = {NAME}.hal\n"
+        f"# with temperatures from a file and a record for `twin watch`, in addition:\n# HALFILE = {COMPONENT}.hal\n"
+        "# [TWIN]\n# SENSORS = temperatures.csv\n# RECORD = checks\n"
     )

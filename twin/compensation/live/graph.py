@@ -31,6 +31,7 @@ from twin.machine.machine import Machine
 from twin.model.calibration import Calibration
 from twin.model.conditions import APPROACH
 from twin.model.effects.base import HistoryShift
+from twin.model.effects.empirical import channel_name
 from twin.model.unknown_errors import ErrorTerms
 
 STEPS: Final = 3
@@ -113,7 +114,17 @@ class LiveCorrection:
         for i, axis in enumerate(self.machine.axes):
             if axis.lower is None:
                 bounds[i] = -np.inf, np.inf
+            else:
+                bounds[i] = self.range_of(axis.name, *bounds[i])
         return read_only(bounds * self.machine.scale[:, None])
+
+    def range_of(self, name: str, low: float, high: float) -> tuple[float, float]:
+        """Return the part of the range of an axis (mm, degrees) or a channel over which the empirical effects were measured."""
+        for effect in (effect for one in self.calibrations for effect in one.empirical):
+            for column, (lowest, highest) in effect.ranges.items():
+                if channel_name(column) == name:
+                    low, high = max(low, lowest), min(high, highest)
+        return low, high
 
     @cached_property
     def correction(self) -> ca.Function:

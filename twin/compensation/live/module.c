@@ -13,9 +13,9 @@ MODULE_LICENSE("GPL");
 #define SOLVED 2e-13              /* m, rad: residual at which the forward kinematics is solved */
 
 typedef struct {
-    hal_bit_t *enable, *orientation, *out_of_range;
-    hal_float_t *tool[3], *command[AXES], *correction[AXES], *fade, *channel[CHANNELS + 1];
-    hal_float_t fade_rate, reversal_rate, tool_rate, reversal_distance[AXES];
+    hal_bit_t *enable, *orientation, *heartbeat, *out_of_range, *stale;
+    hal_float_t *tool[3], *command[AXES], *correction[AXES], *fade, *seconds, *channel[CHANNELS + 1];
+    hal_float_t fade_rate, reversal_rate, tool_rate, heartbeat_timeout, reversal_distance[AXES];
 } Pins;
 
 /* What the correction depends on besides the positions; changed by update() alone, by small steps. */
@@ -23,7 +23,8 @@ typedef struct {
     double fade, orientation, tool[3];
     double channels[AXES + CHANNELS + HISTORIES + 1];
     double turned[AXES], side[AXES], nominal[AXES], history[HISTORIES + 1];
-    int started, outside;
+    double silent;                /* s since the heartbeat changed */
+    int started, outside, beat;
 } State;
 
 static Pins *pins;
@@ -176,8 +177,8 @@ static void follow_channels(double seconds)
     int i, outside = 0;
     for (i = 0; i < CHANNELS; i++) {
         double value = *pins->channel[i], *held = &state.channels[AXES + i];
-        if (!isfinite(value) || value < CHANNEL_LOW[i] || value > CHANNEL_HIGH[i]) outside = 1;
-        value = isfinite(value) ? within(value, CHANNEL_LOW[i], CHANNEL_HIGH[i]) : *held;
+        /* A sensor that fails has a value far outside, often: the last one within is the best estimate. */
+        if (!(value >= CHANNEL_LOW[i] && value <= CHANNEL_HIGH[i])) { outside = 1; value = *held; }
         *held = state.fade > 0.0 ? towards(*held, value, CHANNEL_RATE[i] * seconds) : value;
     }
     if (HISTORIES) twin_drives(arguments, results, 0, 0, 0);
@@ -187,6 +188,14 @@ static void follow_channels(double seconds)
         state.channels[AXES + CHANNELS + i] = state.history[i];
     }
     state.outside |= outside;
+}
+
+/* Whoever supplies the channels changes the heartbeat as long as all of them are new. */
+static void follow_heartbeat(double seconds)
+{
+    state.silent = *pins->heartbeat == state.beat ? state.silent + seconds : 0.0;
+    state.beat = *pins->heartbeat;
+    *pins->stale = pins->heartbeat_timeout > 0.0 && state.silent > pins->heartbeat_timeout;
 }
 
 static void update(void *unused, long period)
@@ -210,6 +219,7 @@ static void update(void *unused, long period)
     }
     follow_sides(state.nominal, pins->reversal_rate * seconds);
     follow_channels(seconds);
+    follow_heartbeat(seconds);
     for (i = 0; i < 3; i++) {
         double tool = isfinite(*pins->tool[i]) ? *pins->tool[i] * 1e-3 : 0.0;
         state.tool[i] = state.fade > 0.0 ? towards(state.tool[i], tool, pins->tool_rate * 1e-3 * seconds) : tool;
@@ -218,6 +228,7 @@ static void update(void *unused, long period)
     state.fade = towards(state.fade, *pins->enable, pins->fade_rate * seconds);
     state.started = 1;
     *pins->fade = state.fade;
+    *pins->seconds += seconds;
     *pins->out_of_range = state.outside;
 }
 
@@ -228,7 +239,10 @@ static int export_pins(void)
     failed |= hal_pin_bit_newf(HAL_IN, &pins->enable, component, NAME ".enable");
     failed |= hal_pin_bit_newf(HAL_IN, &pins->orientation, component, NAME ".orientation");
     failed |= hal_pin_bit_newf(HAL_OUT, &pins->out_of_range, component, NAME ".out-of-range");
+    failed |= hal_pin_bit_newf(HAL_IN, &pins->heartbeat, component, NAME ".heartbeat");
+    failed |= hal_pin_bit_newf(HAL_OUT, &pins->stale, component, NAME ".stale");
     failed |= hal_pin_float_newf(HAL_OUT, &pins->fade, component, NAME ".fade");
+    failed |= hal_pin_float_newf(HAL_OUT, &pins->seconds, component, NAME ".seconds");
     for (i = 0; i < 3; i++) failed |= hal_pin_float_newf(HAL_IN, &pins->tool[i], component, NAME ".tool-%c", xyz[i]);
     for (i = 0; i < AXES; i++) {
         failed |= hal_pin_float_newf(HAL_IN, &pins->command[i], component, NAME ".command-%d", i);
@@ -238,14 +252,16 @@ static int export_pins(void)
     }
     for (i = 0; i < CHANNELS; i++) {
         failed |= hal_pin_float_newf(HAL_IN, &pins->channel[i], component, NAME ".%s", CHANNEL_NAME[i]);
-        if (!failed) *pins->channel[i] = CHANNEL_START[i];
+        if (!failed) *pins->channel[i] = state.channels[AXES + i] = CHANNEL_START[i];
     }
     failed |= hal_param_float_newf(HAL_RW, &pins->fade_rate, component, NAME ".fade-rate");
     failed |= hal_param_float_newf(HAL_RW, &pins->reversal_rate, component, NAME ".reversal-rate");
     failed |= hal_param_float_newf(HAL_RW, &pins->tool_rate, component, NAME ".tool-rate");
+    failed |= hal_param_float_newf(HAL_RW, &pins->heartbeat_timeout, component, NAME ".heartbeat-timeout");
     pins->fade_rate = 1.0;       /* 1/s */
     pins->reversal_rate = 20.0;  /* 1/s: from one side to the other in 0.1 s */
     pins->tool_rate = 500.0;     /* mm/s */
+    pins->heartbeat_timeout = 0; /* s; 0: nothing is expected */
     if (!failed) *pins->orientation = 1;
     return failed;
 }

@@ -369,10 +369,10 @@ class CompensationAccount:
         section, acts = self._prepared.calibration.control, bool(self._prepared.calibration.corrections)
         if section is None or (not acts and section.errors_are == "uncorrected"):
             return None
-        active = section.entries if self._prepared.options.tcp else section.tables
+        active = section.entries if self._prepared.options.tcp else (*section.tables, *section.live)
         files = tuple(entry.file.name for entry in active)
         if not acts:
-            return ControlNote(section.errors_are, files, (), None, None, section.caution)
+            return ControlNote(section.errors_are, files, (), None, None, section.caution, bool(section.live))
         moves = []
         for aim, sample in self._samples.items():
             before, before_from, _, _ = sample.poses()

@@ -125,6 +125,7 @@ class ControlNote:
         axes: axes they correct; empty if the errors are the remaining ones.
         rms_um, max_um: displacement of the tool by the tables over the program; None if the errors are the remaining ones.
         caution: a further condition; empty if none.
+        module: whether the files are those of a kinematics module.
     """
 
     errors_are: str
@@ -133,6 +134,7 @@ class ControlNote:
     rms_um: float | None
     max_um: float | None
     caution: str = ""
+    module: bool = False
 
     @property
     def sentence(self) -> str:
@@ -140,7 +142,8 @@ class ControlNote:
         files = ", ".join(self.tables)
         if self.rms_um is None or self.max_um is None:
             return (
-                f"these errors were measured with its tables active ({files}): keep them active; "
+                f"these errors were measured with its {'kinematics module' if self.module else 'tables'} active ({files}): keep "
+                f"{'it' if self.module else 'them'} active; "
                 f"the program corrects only the remaining errors{'. ' if self.caution else ''}{self.caution}"
             )
         return (

@@ -23,7 +23,7 @@ from twin._common.records import json_form
 from twin.compensation.tables.account import CALIBRATION, README, SCHEMA, Account, outputs_of, write_folder, written_by
 from twin.compensation.tables.axis_tables import ConstantKinematics, make_kinematics, read_kinematics, real_geometry
 from twin.compensation.tables.design import Request, RequiredCorrections
-from twin.compensation.tables.make import ControlTables, Stages, make, stages_of
+from twin.compensation.tables.make import ControlTables, Stages, check_no_module, make, stages_of
 from twin.controls import ControlSection, TableEntry, format_named
 from twin.controls.kinematics import TableGeometry, linear_shift
 from twin.model.calibration import Calibration
@@ -241,7 +241,7 @@ def make_both(
             identified, unless the request accepts them.
     """
     errors.check_settled()
-    errors.check_not_live()
+    check_no_module(errors)
     if not request.unidentified:
         check_locations_identified(errors)
     if request.tables is not None and format_named(request.tables.kind).knows_machine:

@@ -346,7 +346,7 @@ def make(
     if not request.tolerance_um > 0.0:
         raise InputError("tolerance must be positive", expected="µm", value=request.tolerance_um)
     calibration.check_settled()
-    calibration.check_not_live()
+    check_no_module(calibration)
     form = request.form
     doubts = (f"not checked against public documentation: {one}" for one in form.unchecked)
     held = values_in_words(request.conditions.used(calibration)).replace("°C", "degC")
@@ -387,6 +387,17 @@ def make(
     said = form.read_back(whole, machine)
     rows = (*tables, *_compare_sums(said, (old, back), form))
     return ControlTables(required, request, whole, files, said, rows, plan.left_out, plan.unproven, _largest(said))
+
+
+def check_no_module(calibration: Calibration) -> None:
+    """Raise `InputError` if a kinematics module is active in the control, beside which tables and kinematics are not made."""
+    calibration.check_not_live()
+    if calibration.control is not None and calibration.control.live:
+        raise InputError(
+            "these errors were measured with a kinematics module active: tables or kinematics beside it are not made",
+            expected="a new module that holds both (twin doc control)",
+            file=calibration.path,
+        )
 
 
 def _old_tables(machine: Machine, calibration: Calibration, request: Request) -> Correction | None:

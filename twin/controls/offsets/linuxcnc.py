@@ -7,7 +7,7 @@ files do not state: millimetres are assumed.
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Final, final
 
@@ -18,11 +18,33 @@ SYSTEMS: Final = ("G54", "G55", "G56", "G57", "G58", "G59", "G59.1", "G59.2", "G
 _AXES: Final = "XYZABCUVW"
 _FIRST: Final = 5221
 _STEP: Final = 20
+_ACTIVE: Final = 5220
+"""Parameter with the number of the work offset in force."""
+_RETURNS: Final = {"G28": 5161, "G30": 5181}
+"""First parameters of the positions of reference returns."""
 _ADDED: Final = 5210
 """Parameter that says whether the offset of G92 (the nine parameters after it) is active."""
 _PARAMETER: Final = re.compile(r"\s*(\d+)\s+([+-]?[\d.]+(?:[eE][+-]?\d+)?)\s*")
 _TOOL: Final = re.compile(r"\s*T(\d+)\s+P\d+\b(.*)", re.IGNORECASE)
 _LENGTH: Final = re.compile(r"\bZ\s*([+-]?[\d.]+)", re.IGNORECASE)
+
+
+def parameter_file(
+    offsets: Mapping[str, Mapping[str, float]], in_force: str, references: Mapping[str, Mapping[str, float]]
+) -> str:
+    """Return a parameter file.
+
+    Args:
+        offsets: work offsets by name, each by axis, mm and degrees; those that the control does not have are left out.
+        in_force: name of the one in force; that of G54 if the control does not have it.
+        references: positions of the axes after ``G28`` and ``G30``.
+    """
+    values: dict[int, float] = {_ACTIVE: SYSTEMS.index(in_force) + 1 if in_force in SYSTEMS else 1}
+    rows = [(_FIRST + _STEP * SYSTEMS.index(name), row) for name, row in offsets.items() if name in SYSTEMS]
+    rows += [(first, references.get(word, {})) for word, first in _RETURNS.items()]
+    for first, row in rows:
+        values |= {first + _AXES.index(axis): value for axis, value in row.items() if axis in _AXES}
+    return "".join(f"{number} {value:.6f}\n" for number, value in sorted(values.items()))
 
 
 @final
