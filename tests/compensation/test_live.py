@@ -14,6 +14,8 @@ import pytest
 
 import twin
 from tests.cli.commands import TWIN
+from tests.linuxcnc.machines import KINDS
+from tests.model.errors import random_calibration
 from twin._common.errors import InputError
 from twin._common.provenance import CORRECTED_IN_CONTROL
 from twin.compensation.live import earlier_of, make_module, write_module
@@ -87,6 +89,26 @@ def test_the_correction_can_be_undone_everywhere(errors: twin.Calibration) -> No
     for row in n:
         slope = np.array(live.slopes(row, still, tool)[1])
         assert np.all(np.isfinite(slope)) and np.linalg.norm(slope, 2) < 0.5
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_it_is_finite_and_can_be_undone_for_every_kind(kind: str, tmp_path: Path) -> None:
+    """All curves and constants of other kinds of machines: at singular positions, at the ends of the ranges and far beyond."""
+    machine = KINDS[kind]().machine(tmp_path)
+    live = make_module(random_calibration(machine, np.random.default_rng(7), 100.0), tool_length_mm=TOOL_MM).live
+    tool, rng = np.array([0.003, -0.002, 0.12]), np.random.default_rng(9)
+    n = poses(machine, 60)
+    low, high = np.array([axis.domain for axis in machine.axes]).T * machine.scale
+    for first in machine.rotary[:1]:
+        n[:20, first] = np.concatenate([[0.0, 1e-300, -1e-12], rng.uniform(-0.02, 0.02, 17)])
+    n[20:40] = np.where(rng.random((20, len(low))) < 0.5, low, high)
+    n[40:50] *= 10.0
+    for row in n:
+        states = np.append(rng.choice([-1.0, 0.0, 1.0], len(low)), np.zeros(live.channel_count - len(low)))
+        for share in (0.0, 0.5, 1.0):
+            assert np.all(np.isfinite(np.array(live.correction(row, states, tool, share))))
+        slope = np.array(live.slopes(row, states, tool)[1])
+        assert np.all(np.isfinite(slope)) and np.linalg.norm(slope, 2) < 0.9
 
 
 @pytest.mark.parametrize("name", MACHINES)
