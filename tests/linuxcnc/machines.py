@@ -45,12 +45,14 @@ class Kind:
     Attributes:
         nose: (3,) spindle nose on the last part of the tool side, mm.
         bundled: name of its machine file, if that comes with twin.
+        increment: least increment of its words, mm and degrees, if it does not.
     """
 
     tool: tuple[Part, ...]
     work: tuple[Part, ...] = ()
     nose: tuple[float, float, float] = (0.0, 0.0, 0.0)
     bundled: str = ""
+    increment: float = 0.001
 
     def machine(self, folder: Path) -> twin.Machine:
         """Return the machine, its files written into a folder."""
@@ -70,7 +72,8 @@ class Kind:
         for part in sorted((*self.tool, *self.work), key=lambda one: (not one.linear, one.name)):
             kind = "linear" if part.linear else "rotary"
             axes.append(
-                f"  - {{name: {part.name}, joint: joint_{part.name}, kind: {kind}, range: [{part.low}, {part.high}], increment: 0.001}}"
+                f"  - {{name: {part.name}, joint: joint_{part.name}, kind: {kind}, range: [{part.low}, {part.high}], "
+                f"increment: {self.increment}}}"
             )
         urdf = f'<?xml version="1.0"?>\n<robot name="kind"><link name="base"/>\n{"".join(joints)}</robot>\n'
         file = "schema: twin.machine/1\nname: kind\nurdf: kind.urdf\naxes:\n" + "\n".join(axes)
