@@ -5,6 +5,7 @@ Nothing here is code of twin but the harness that starts the control.
 
 from __future__ import annotations
 
+import csv
 import os
 import re
 import shutil
@@ -20,6 +21,7 @@ import numpy as np
 
 import twin
 from tests.linuxcnc.control import user_for
+from tests.truth.any_chain import rotations
 from tests.truth.machine import RANGES
 from tests.truth.reference import dmu50_pose
 from twin.controls.linuxcnc import PERIOD_S, Configuration, Ran, run
@@ -45,6 +47,7 @@ class Physical:
         places: (n, 3) true centres of the spheres on the table.
         curves: (5, 6, 8) coefficients of cosines, for C of cosines and sines in turn.
         probe: parameters of the component.
+        reflectors: a tracker's targets by name: whether on the table (else on the spindle head), and the place there, mm.
     """
 
     scale: np.ndarray
@@ -53,6 +56,7 @@ class Physical:
     places: np.ndarray
     curves: np.ndarray = field(default_factory=lambda: np.zeros((5, 6, 8)))
     probe: Mapping[str, float] = field(default_factory=dict)
+    reflectors: Mapping[str, tuple[bool, tuple[float, ...]]] = field(default_factory=dict)
 
     @classmethod
     def drawn(cls, seed: int, *, curves_um: float = 0.0) -> Physical:
@@ -78,10 +82,14 @@ class Physical:
 
     def header(self) -> str:
         """Return the C header with the numbers."""
-        lines = [f"#define SPHERES {len(self.places)}", "#define RADIUS 12.5"]
+        held = list(self.reflectors.values())
+        lines = [f"#define SPHERES {len(self.places)}", "#define RADIUS 12.5", f"#define REFLECTORS {len(held)}"]
+        on_table = ", ".join([*(str(int(table)) for table, _ in held), "0"])
+        lines.append(f"static const int ON_TABLE[{len(held) + 1}] = {{{on_table}}};")
         limits = np.array([RANGES[axis] for axis in "XYZBC"])
         named = {"SCALE": self.scale, "SQUARE": self.square, "LOCATION": self.location, "CURVES": self.curves}
-        for name, values in (named | {"RANGES": limits, "PLACES": self.places}).items():
+        reflected = np.array([*(place for _, place in held), (0.0, 0.0, 0.0)])
+        for name, values in (named | {"RANGES": limits, "PLACES": self.places, "REFLECTED": reflected}).items():
             sizes = "".join(f"[{n}]" for n in values.shape)
             numbers = ", ".join(f"{value:.17g}" for value in values.ravel())
             lines.append(f"static const double {name}{sizes} = {{{numbers}}};")
@@ -126,6 +134,8 @@ class Physical:
         values = {f"home-{i}": value for i, value in enumerate(HOME.values())} | dict(self.probe) | dict(faults)
         lines = ["loadrt probed", *(f"setp probed.0.{name} {value:.12g}" for name, value in values.items())]
         lines += [f"net motor-{i} => probed.0.motor-{i}" for i in range(5)]
+        lines += [f"net seen-{i} probed.0.seen-{i} => motion.analog-in-{i:02}" for i in range(3)]
+        lines.append("net looked-at motion.analog-out-00 => probed.0.reflector")
         return "\n".join([*lines, "addf probed.0 servo-thread", "net touch probed.0.touched => motion.probe-input\n"])
 
 
@@ -174,6 +184,59 @@ def visits(places: np.ndarray) -> list[list[Any]]:
 def tips(ran: Ran, count: int) -> np.ndarray:
     """Return (n, 3) the answers of `visits`, the last actions of a run."""
     return np.array([float(value) for value in ran.results("hal")[-3 * count :]]).reshape(-1, 3)
+
+
+def stops(plan: Path) -> list[dict[str, str]]:
+    """Return the rows of a tracker's plan."""
+    lines = [line for line in plan.read_text().splitlines() if not line.startswith("#")]
+    return list(csv.DictReader(lines))
+
+
+def reflectors(rows: Sequence[Mapping[str, str]]) -> dict[str, tuple[bool, tuple[float, ...]]]:
+    """Return the targets of a plan, up to 5 mm from where they should be."""
+    rng = np.random.default_rng(2)
+    planned = {row["target"]: row for row in rows}
+    return {
+        name: (
+            row["carrier"] == "work",
+            tuple(float(row[f"planned_place_{axis}_mm"]) + rng.uniform(-5.0, 5.0) for axis in "xyz"),
+        )
+        for name, row in planned.items()
+    }
+
+
+def tracker_program(rows: Sequence[Mapping[str, str]], physical: Physical, length: float) -> str:
+    """Return a program that stops at the points of a plan and logs where the reflector is; it stands for a tracker's own recording."""
+    numbers = {name: i for i, name in enumerate(physical.reflectors)}
+    lines = [f"G21 G90 G43.1 Z{length}", "(LOGOPEN,points.csv)"]
+    for row in rows:
+        words = " ".join(f"{axis}{row[f'{axis}_mm' if axis in 'XYZ' else f'{axis}_deg']}" for axis in "XYZBC")
+        lines += [f"G53 G0 {words}", "G4 P0.1", f"M68 E0 Q{numbers[row['target']]}"]
+        for i in range(3):
+            lines += [f"M66 E{i} L0", f"#{101 + i}=#5399"]
+        lines.append("(LOG,#101,#102,#103)")
+    return "\n".join([*lines, "(LOGCLOSE)", "M2\n"])
+
+
+def write_tracked(path: Path, rows: Sequence[Mapping[str, str]], seen: np.ndarray, seed: int) -> None:
+    """Write a measurement table: places (n, 3) as a laser tracker reads them in its own frame, with noise of its data sheet."""
+    rng, stations, lines = np.random.default_rng(seed), {}, []
+    names = ["X_mm", "Y_mm", "Z_mm", "B_deg", "C_deg", "target", "carrier", "station", "round", "time_s"]
+    for row, point in zip(rows, seen, strict=True):
+        if row["station"] not in stations:
+            place = np.array([float(row[f"planned_station_{axis}_mm"]) for axis in "xyz"]) + rng.uniform(-30, 30, 3)
+            # Level to some milliradians, its zero anywhere.
+            turn = rotations(np.array([[*rng.normal(0.0, 0.003, 2), rng.uniform(-3.0, 3.0)]]))[0]
+            stations[row["station"]] = place, turn
+        place, turn = stations[row["station"]]
+        reading = turn.T @ (point - place)
+        metres = np.linalg.norm(reading) / 1e3
+        # Half of the largest permissible errors: 0.4 µm + 0.3 µm/m along the beam, 15 µm + 6 µm/m across.
+        along, across = 0.5e-3 * (0.4 + 0.3 * metres), 0.5e-3 * (15.0 + 6.0 * metres)
+        beam, noise = reading / np.linalg.norm(reading), rng.normal(0.0, 1.0, 3)
+        reading = reading + across * noise + (along - across) * (noise @ beam) * beam
+        lines.append(",".join([*(row[name] for name in names), *(f"{value:.5f}" for value in reading)]))
+    path.write_text("\n".join([",".join([*names, "x_mm", "y_mm", "z_mm"]), *lines, ""]))
 
 
 def remaining_um(places: np.ndarray, reached: np.ndarray) -> np.ndarray:

@@ -9,6 +9,7 @@ import re
 import subprocess
 import sys
 from collections.abc import Iterator, Mapping
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 
@@ -29,10 +30,14 @@ from tests.linuxcnc.physical import (
     module,
     nominal,
     poses,
+    reflectors,
     remaining_um,
     rms,
+    stops,
     tips,
+    tracker_program,
     visits,
+    write_tracked,
 )
 from tests.truth.reference import dmu50_pose
 
@@ -275,6 +280,45 @@ def test_programs_of_drift_tests_run_to_their_end(
         found, _ = centres(machine, tmp_path / "measured.csv")
         assert 5 * len(found) == text.count("G38.2")
         assert np.ptp(found[:, :3], axis=0).max() < 0.01
+
+
+NOT_IDENTIFIABLE = 3
+"""Status of `plan` where some errors cannot be determined; here those that a motion of the workpiece or the tool imitates."""
+
+
+@pytest.mark.slow
+def test_tracker_points_at_standstill_correct_a_machine_with_all_curves(machine: twin.Machine, tmp_path: Path) -> None:
+    """The tracker's plan is executed twice, the second time with the module made from the first on: its errors are added."""
+    plan = tmp_path / "plan.csv"
+    command(tmp_path, "plan", "-o", plan, "--tool-length", LENGTH, "--quiet", status=NOT_IDENTIFIABLE)
+    rows = stops(plan)
+    physical = replace(Physical.drawn(3, curves_um=3.0), reflectors=reflectors(rows))
+    places, found = poses(), []
+    actions = [["home"], ["program", "points.ngc"], *visits(places)]
+    with physical.installed(tmp_path / "component"):
+        for i, live in enumerate(("", "first", "second")):
+            run = tmp_path / f"run_{i}"
+            run.mkdir()
+            (run / "points.ngc").write_text(tracker_program(rows, physical, LENGTH))
+            with module(tmp_path / live) if live else nullcontext("") as lines:
+                todo = [actions[0], *(ON if live else []), *actions[1:]]
+                ran = execute(run, machine, physical, todo, live=lines)
+            assert not ran.failed, f"{ran.failed}\n{ran.log}"
+            found.append(remaining_um(places, tips(ran, len(places))))
+            print(f"{i} loops: {rms(found[-1]):.2f} RMS, {found[-1].max():.2f} µm largest", flush=True)
+            if i == 2:
+                break
+            name = ("first", "second")[i]
+            write_tracked(tmp_path / f"{name}.csv", rows, np.loadtxt(run / "points.csv", delimiter=","), seed=i)
+            on = ["--control", "linuxcnc-kinematics=first/calibration.yaml"] if i else []
+            words = ["identify", f"{name}.csv", "-o", f"{name}.yaml", *on]
+            command(tmp_path, *words)
+            to = ["control", "--to", "linuxcnc-kinematics", "-o", name, "-c", f"{name}.yaml", "--tool-length", LENGTH]
+            assert "were not identified" in command(tmp_path, *to, *(["--add"] if i else []), status=2)
+            command(tmp_path, *to, "--force", *(["--add"] if i else []))
+    before, once, twice = found
+    assert rms(before) > 15.0 and rms(once) < 3.5 and once.max() < 8.0
+    assert rms(twice) < 1.1 * rms(once)
 
 
 LOGGED = """G21 G90 G17 G94

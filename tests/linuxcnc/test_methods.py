@@ -36,23 +36,22 @@ def test_the_table_of_the_manual(name: str, tmp_path: Path, tmp_path_factory: py
 
 
 @pytest.mark.sample(1)  # of 2
-@pytest.mark.parametrize(("increment", "chord_mm"), [(0.001, 1e-4), (1e-5, 1e-5)])
+@pytest.mark.parametrize(("increment", "chord_mm"), [(0.001, 1e-3), (1e-5, 1e-5)])
 def test_program_and_kinematics_move_the_motors_alike(
     increment: float, chord_mm: float, tmp_path: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
     """The same path in the motors, within the rounding of the words and the chords between them, whatever the increment."""
     one = subject(NAMES[2], tmp_path, increment=increment)
     skip_without_control(tmp_path_factory.mktemp("plain"), one.machine)
-    programs = {name: text.replace("F3000", "F9000") for name, text in one.programs.items() if "pocket" in name}
-    one = replace(one, programs=programs)
+    one = replace(one, programs={name: text for name, text in one.programs.items() if "pocket" in name})
     folders = [tmp_path_factory.mktemp(name) for name in ("words", "live")]
     (words,) = executed(one, compensated(one, tmp_path, chord_mm), folders[0]).values()
     (live,) = with_kinematics(one, folders[1]).values()
     # Of all words of a line; of an arc its start and its centre as well.
     rounding = 0.5 * increment * (np.sqrt(len(one.machine.axes)) + 2.0 * np.sqrt(2.0)) + chord_mm
     for path, points in ((words, live), (live, words)):
-        # Where it stops the control's interpolation cuts corners, by a sixth of the acceleration times the period squared.
+        # The control cuts corners by a sixth of the acceleration times the period squared: 0.02 µm on the arc of 20 mm.
         steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
         off = 1e-3 * off_path_um(path, points[1:-1][np.minimum(steps[1:], steps[:-1]) > 0.02])
         print(f"increment {increment} mm and °: {np.median(off):.2g} median, {off.max():.2g} largest")
-        assert len(off) > 2000 and np.median(off) < 0.7 * increment + chord_mm and off.max() < rounding + 2e-6
+        assert len(off) > 2000 and np.median(off) < 0.7 * increment + chord_mm and off.max() < rounding + 3e-5

@@ -64,7 +64,8 @@ ControlOption = Annotated[
     list[str] | None,
     typer.Option(
         "--control",
-        help="FORMAT=FILE of a compensation table active in the control during the measurement; repeatable (twin doc control).",
+        help="FORMAT=FILE of a compensation table active in the control during the measurement, or of the calibration.yaml of an "
+        "active kinematics module; repeatable (twin doc control).",
     ),
 ]
 
@@ -149,13 +150,14 @@ def tables_on(entries: Sequence[str], machine: Machine) -> ControlSection:
     """Return the control's tables that were active during the measurement, each given as ``FORMAT=FILE``.
 
     Raises:
-        InputError: an unknown format; a file that cannot be read, or is not a table of this machine.
+        InputError: an unknown format; a file that cannot be read, or is not a table of this machine; a kinematics module with tables,
+            or given twice.
     """
-    from twin._common.families import TABLE_FORMATS
+    from twin._common.families import LIVE_FORMATS, TABLE_FORMATS
     from twin.controls import ControlSection, TableEntry, read_tables
 
     tables: dict[str, list[Path]] = {}
-    known = list(TABLE_FORMATS)
+    known = [*TABLE_FORMATS, *LIVE_FORMATS]
     for entry in entries:
         kind, equals, file = entry.partition("=")
         if not equals or kind not in known:
@@ -166,8 +168,38 @@ def tables_on(entries: Sequence[str], machine: Machine) -> ControlSection:
                 nearest=closest_name(kind, known),
             )
         tables.setdefault(kind, []).append(Path(file))
+    for kind in LIVE_FORMATS:
+        if modules := tables.get(kind):
+            if len(entries) > 1:
+                raise InputError(
+                    "--control names a kinematics module and more",
+                    expected="the module alone: it holds all errors, and the control runs one",
+                    value=entries[-1],
+                )
+            return _module_on(modules[0], machine)
     for kind, files in tables.items():
         read_tables(kind, files, machine)
     return ControlSection(
         "remaining", tuple(TableEntry.of(file, kind, ()) for kind, files in tables.items() for file in files)
     )
+
+
+def _module_on(file: Path, machine: Machine) -> ControlSection:
+    """Return the errors that a kinematics module corrected during the measurement.
+
+    Raises:
+        InputError: the file is not the calibration of such a module, or a file that it names has changed.
+    """
+    from twin.controls import ControlSection
+    from twin.model.calibration import Calibration
+
+    section = Calibration.load(file, machine).control
+    if section is None or not section.live or section.errors_are != "uncorrected":
+        raise InputError(
+            "not the calibration of a kinematics module",
+            expected="calibration.yaml of the folder written by twin control --to linuxcnc-kinematics",
+            file=file,
+        )
+    for entry in section.live:
+        entry.check()
+    return ControlSection("remaining", (), (), section.live)

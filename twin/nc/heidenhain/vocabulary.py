@@ -158,6 +158,10 @@ RUN_AT_ONCE = frozenset({12, 220, 221, 224})
 """Cycles that are executed where they are defined: a program call, hole patterns."""
 REFUSED_M = frozenset({98, 118, 130, 144})
 CALLING_M = frozenset({89, 99})
+END_M = frozenset({2, 30})
+"""M functions behind which nothing of a program is executed."""
+BEGINNING = re.compile(r"BEGIN[ \t]+PGM\b", re.IGNORECASE)
+ENDING = re.compile(r"END[ \t]+PGM\b", re.IGNORECASE)
 LAST_M = frozenset({0, 1, 2, 5, 9, 30, 60})
 
 EXPANDED_CYCLE = "a cycle expanded into L blocks by the postprocessor"
