@@ -21,6 +21,7 @@ import numpy as np
 
 import twin
 from tests.linuxcnc.control import user_for
+from tests.linuxcnc.machines import Kind, Part
 from tests.truth.any_chain import rotations
 from tests.truth.machine import RANGES
 from tests.truth.reference import dmu50_pose
@@ -47,6 +48,8 @@ class Physical:
         places: (n, 3) true centres of the spheres on the table.
         curves: (5, 6, 8) coefficients of cosines, for C of cosines and sines in turn.
         probe: parameters of the component.
+        home: where the axes stand at first, in the order of the motors.
+        chains: C statements of the two sides of another machine than the DMU 50, by `TOOL_CHAIN` and `WORK_CHAIN`; without errors.
         reflectors: a tracker's targets by name: whether on the table (else on the spindle head), and the place there, mm.
     """
 
@@ -56,6 +59,8 @@ class Physical:
     places: np.ndarray
     curves: np.ndarray = field(default_factory=lambda: np.zeros((5, 6, 8)))
     probe: Mapping[str, float] = field(default_factory=dict)
+    home: Mapping[str, float] = field(default_factory=lambda: HOME)
+    chains: Mapping[str, str] = field(default_factory=dict)
     reflectors: Mapping[str, tuple[bool, tuple[float, ...]]] = field(default_factory=dict)
 
     @classmethod
@@ -80,12 +85,24 @@ class Physical:
         }
         return cls(np.zeros(3), square, location, places, curves, probe)
 
+    @classmethod
+    def of_kind(cls, kind: Kind, names: tuple[str, ...], place: tuple[float, ...]) -> Physical:
+        """Return a machine of another kind, without errors, with a probe and one sphere up to 0.8 mm from its place."""
+        rng, parts = np.random.default_rng(6), {part.name: part for part in (*kind.tool, *kind.work)}
+        home = {name: 0.0 for name in names} | {name: 0.5 * (parts[name].low + parts[name].high) for name in "XY"}
+        home["Z"] = parts["Z"].high
+        probe = {"length": LENGTH, "pretravel": 0.008, "lobing": 0.001, "noise": 0.001, "seed": 7}
+        chains = {"TOOL_CHAIN": _chain(kind.tool, names, kind.nose), "WORK_CHAIN": _chain(kind.work, names)}
+        there = np.array([place]) + rng.uniform(-0.8, 0.8, (1, 3))
+        return cls(np.zeros(3), np.zeros(3), np.zeros((2, 6)), there, probe=probe, home=home, chains=chains)
+
     def header(self) -> str:
         """Return the C header with the numbers."""
         held = list(self.reflectors.values())
         lines = [f"#define SPHERES {len(self.places)}", "#define RADIUS 12.5", f"#define REFLECTORS {len(held)}"]
         on_table = ", ".join([*(str(int(table)) for table, _ in held), "0"])
         lines.append(f"static const int ON_TABLE[{len(held) + 1}] = {{{on_table}}};")
+        lines += [f"#define {name} {text}" for name, text in self.chains.items()]
         limits = np.array([RANGES[axis] for axis in "XYZBC"])
         named = {"SCALE": self.scale, "SQUARE": self.square, "LOCATION": self.location, "CURVES": self.curves}
         reflected = np.array([*(place for _, place in held), (0.0, 0.0, 0.0)])
@@ -131,12 +148,23 @@ class Physical:
 
     def hal(self, faults: Mapping[str, float]) -> str:
         """Return the lines that connect it."""
-        values = {f"home-{i}": value for i, value in enumerate(HOME.values())} | dict(self.probe) | dict(faults)
+        values = {f"home-{i}": value for i, value in enumerate(self.home.values())} | dict(self.probe) | dict(faults)
         lines = ["loadrt probed", *(f"setp probed.0.{name} {value:.12g}" for name, value in values.items())]
-        lines += [f"net motor-{i} => probed.0.motor-{i}" for i in range(5)]
+        lines += [f"net motor-{i} => probed.0.motor-{i}" for i in range(len(self.home))]
         lines += [f"net seen-{i} probed.0.seen-{i} => motion.analog-in-{i:02}" for i in range(3)]
         lines.append("net looked-at motion.analog-out-00 => probed.0.reflector")
         return "\n".join([*lines, "addf probed.0 servo-thread", "net touch probed.0.touched => motion.probe-input\n"])
+
+
+def _chain(parts: Sequence[Part], names: tuple[str, ...], end: tuple[float, ...] = (0.0, 0.0, 0.0)) -> str:
+    """Return C statements that carry a pose along the axes of a side."""
+    lines = []
+    for part in parts:
+        unit = np.array(part.motion) / np.linalg.norm(part.motion)
+        scale = "" if part.linear else " * PI / 180.0"
+        by = ", ".join(f"{value:.17g} * q[{names.index(part.name)}]{scale}" for value in unit)
+        lines += [f"shift(&p, {', '.join(map(repr, part.place))});", f"{'shift' if part.linear else 'turn'}(&p, {by});"]
+    return " ".join([*lines, f"shift(&p, {', '.join(map(repr, end))});"])
 
 
 @contextmanager
@@ -280,7 +308,9 @@ def execute(
         room = Path(name)
         shutil.copytree(folder, room, dirs_exist_ok=True)
         for _ in range(4):
-            ran = run(room, Configuration(machine, HOME, **options), actions, user=user_for(room), seconds=590.0)
+            ran = run(
+                room, Configuration(machine, physical.home, **options), actions, user=user_for(room), seconds=590.0
+            )
             if "Queue is not empty after probing" not in ran.failed:
                 break
         for path in room.glob("*.*"):

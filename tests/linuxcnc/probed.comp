@@ -72,6 +72,11 @@ static void off(pose *p, const double e[6]) {
     turn(p, e[3], e[4], e[5]);
 }
 
+#ifdef TOOL_CHAIN
+/* Another machine, without errors: its two chains as statements. */
+static pose tool_side(const double q[5]) { pose p = start(); TOOL_CHAIN return p; }
+static pose work_side(const double q[5]) { pose p = start(); WORK_CHAIN return p; }
+#else
 /* Error motions of an axis: cosines over the range of X, Y, Z and B, harmonics of C. */
 static void errors_of(int axis, double q, double e[6]) {
     double u = axis == 4 ? q * PI / 180.0 : PI * (q - RANGES[axis][0]) / (RANGES[axis][1] - RANGES[axis][0]);
@@ -116,6 +121,7 @@ static pose work_side(const double q[5]) {
     turn(&p, 0.0, 0.0, -q[4] * PI / 180.0);
     return p;
 }
+#endif
 
 static double uniform(rtapi_u32 *draw) {
     *draw ^= *draw << 13; *draw ^= *draw >> 17; *draw ^= *draw << 5;

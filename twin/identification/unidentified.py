@@ -244,7 +244,8 @@ def without_setup(rows: np.ndarray, machine: int) -> tuple[np.ndarray, np.ndarra
     whole = np.concatenate([np.roll(flat, setup, axis=1), np.eye(setup, rows.shape[-1])])
     triangle = np.asarray(np.linalg.qr(whole, mode="r"))[setup:, setup:]
     _, size, directions = np.linalg.svd(triangle)
-    return size, directions
+    # With fewer readings than unknowns some directions have no singular value.
+    return np.pad(size, (0, len(directions) - len(size))), directions
 
 
 def constant_rows(
