@@ -1,4 +1,4 @@
-"""What the control makes of the same programs in four ways: as they are, with joint tables, compensated, with live kinematics.
+"""The same programs executed by the control in four ways: as they are, with joint tables, compensated, with live kinematics.
 
 Three machines, three programs each; the error is that of machines in plain numpy. ``python -m tests.linuxcnc.methods`` prints the
 table of the manual (`twin doc control`); run it as root.
