@@ -18,6 +18,7 @@ from tests.linuxcnc.machines import KINDS
 from tests.model.errors import random_calibration
 from twin._common.errors import InputError
 from twin._common.provenance import CORRECTED_IN_CONTROL
+from twin.cli.identify import tables_on
 from twin.compensation.live import earlier_of, make_module, write_module
 from twin.compensation.live.graph import Damping, LiveCorrection
 
@@ -177,7 +178,12 @@ def test_errors_measured_with_the_module_are_added_to_its_own(tmp_path: Path) ->
     errors, rest = with_errors("dmu50"), with_errors("dmu50", 7.0)
     write_module(make_module(errors), tmp_path / "first")
     section = twin.Calibration.load(tmp_path / "first" / "calibration.yaml", errors.machine).control
-    remaining = rest.with_control(replace(section, errors_are="remaining"))
+    active = tables_on([f"linuxcnc-kinematics={tmp_path / 'first' / 'calibration.yaml'}"], errors.machine)
+    assert active == replace(section, errors_are="remaining")
+    for wrong in (["corrected.yaml"], ["calibration.yaml", "calibration.yaml"]):
+        with pytest.raises(InputError, match="kinematics module"):
+            tables_on([f"linuxcnc-kinematics={tmp_path / 'first' / name}" for name in wrong], errors.machine)
+    remaining = rest.with_control(active)
     with pytest.raises(InputError, match="--add"):
         earlier_of(remaining, add=False)
     earlier = earlier_of(remaining, add=True)
