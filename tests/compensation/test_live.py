@@ -183,6 +183,14 @@ def test_errors_measured_with_the_module_are_added_to_its_own(tmp_path: Path) ->
     for wrong in (["corrected.yaml"], ["calibration.yaml", "calibration.yaml"]):
         with pytest.raises(InputError, match="kinematics module"):
             tables_on([f"linuxcnc-kinematics={tmp_path / 'first' / name}" for name in wrong], errors.machine)
+    # A tracker sees the corrections of the linear axes: only the tool relative to the workpiece shows what remains.
+    readings = "".join(f"{x},0,0,0,0,K,tool,{x},{y},3\n" for x, y in ((0, 2), (90, 2), (200, 7), (300, 2), (400, 9)))
+    (tmp_path / "m.csv").write_text(f"X_mm,Y_mm,Z_mm,B_deg,C_deg,target,carrier,x_mm,y_mm,z_mm\n{readings}")
+    on = ["--control", "linuxcnc-kinematics=first/calibration.yaml"]
+    words = [*TWIN, "identify", "m.csv", "-o", "no.yaml", *on]
+    done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 2 and "m.csv:2: a reading from the base" in done.stderr
+    assert not (tmp_path / "no.yaml").exists()
     remaining = rest.with_control(active)
     with pytest.raises(InputError, match="--add"):
         earlier_of(remaining, add=False)

@@ -239,7 +239,8 @@ def tracker_program(rows: Sequence[Mapping[str, str]], physical: Physical, lengt
     lines = [f"G21 G90 G43.1 Z{length}", "(LOGOPEN,points.csv)"]
     for row in rows:
         words = " ".join(f"{axis}{row[f'{axis}_mm' if axis in 'XYZ' else f'{axis}_deg']}" for axis in "XYZBC")
-        lines += [f"G53 G0 {words}", "G4 P0.1", f"M68 E0 Q{numbers[row['target']]}"]
+        # The control takes its time to read what has been chosen.
+        lines += [f"G53 G0 {words}", "G4 P0.1", f"M68 E0 Q{numbers[row['target']]}", "G4 P0.05"]
         for i in range(3):
             lines += [f"M66 E{i} L0", f"#{101 + i}=#5399"]
         lines.append("(LOG,#101,#102,#103)")

@@ -21,6 +21,7 @@ from twin.cli.shared.command import CALIBRATION, HTML, CommandResult, JsonOption
 if TYPE_CHECKING:
     from twin.controls import ControlSection
     from twin.machine.machine import Machine
+    from twin.measurement.table import Measurements
 
 
 class UncertaintyChoice(StrEnum):
@@ -112,6 +113,8 @@ def identify(
     with progress_bar() as bar:
         bar("reading", 0.0)
         data = Measurements.join([Measurements.load(path, loaded) for path in measured])
+        if tables is not None and tables.live:
+            _check_relative(data)
         identification = run_identification(
             data,
             loaded,
@@ -182,6 +185,21 @@ def tables_on(entries: Sequence[str], machine: Machine) -> ControlSection:
     return ControlSection(
         "remaining", tuple(TableEntry.of(file, kind, ()) for kind, files in tables.items() for file in files)
     )
+
+
+def _check_relative(data: Measurements) -> None:
+    """Raise `InputError` unless every reading is of the tool relative to the workpiece.
+
+    A kinematics module moves the linear axes for the errors of the rotary ones. Relative to the workpiece only what remains is seen;
+    from the base these corrections as well, which are no error motions of the linear axes.
+    """
+    relative = (data.carrier != data.station_carrier) & (data.station_carrier != "base")
+    if not relative.all():
+        raise data.error(
+            "a reading from the base while a kinematics module was active",
+            expected="the tool relative to the workpiece (probe and sphere, R-test, ball bar), or a measurement with the module off",
+            row=int(relative.argmin()),
+        )
 
 
 def _module_on(file: Path, machine: Machine) -> ControlSection:
