@@ -224,15 +224,15 @@ def test_programs_of_drift_tests_run_to_their_end(
         assert np.ptp(found[:, :3], axis=0).max() < 0.01
 
 
-NOT_IDENTIFIABLE = 3
-"""Status of `plan` where some errors cannot be determined; here those that a motion of the workpiece or the tool imitates."""
+NOT_MET = 3
+"""Status of `plan` where some errors cannot be determined, or a pose cannot be probed for lack of clearance."""
 
 
 @pytest.mark.slow
 def test_tracker_points_at_standstill_correct_a_machine_with_all_curves(machine: twin.Machine, tmp_path: Path) -> None:
     """The tracker's plan is executed, all errors are identified and corrected by the module."""
     plan = tmp_path / "plan.csv"
-    command(tmp_path, "plan", "-o", plan, "--tool-length", LENGTH, "--quiet", status=NOT_IDENTIFIABLE)
+    command(tmp_path, "plan", "-o", plan, "--tool-length", LENGTH, "--quiet", status=NOT_MET)
     rows = stops(plan)
     physical = replace(Physical.drawn(3, curves_um=3.0), reflectors=reflectors(rows))
     places, run, again = poses(), tmp_path / "run", tmp_path / "again"
@@ -276,19 +276,9 @@ def test_measuring_programs_of_every_kind_run_to_their_end(name: str, machine: t
     other = kind.machine(tmp_path)
     physical = Physical.of_kind(kind, other.names, place)
     plan = ["plan", "--instrument", "probe", "-m", kind.bundled or "kind.yaml", "-o", "p.csv", "--program", "p.ngc"]
-    command(
-        tmp_path,
-        *plan,
-        "--tool-length",
-        LENGTH,
-        "--clearance",
-        3,
-        "--minutes",
-        8,
-        "--quiet",
-        "--spheres",
-        joined(place),
-    )
+    plan += ["--tool-length", str(LENGTH), "--clearance", "3", "--minutes", "8", "--quiet", "--spheres", joined(place)]
+    # The head of two axes is too close to the table in one of the poses.
+    command(tmp_path, *plan, status=NOT_MET if name == "head-head" else 0)
     folder = room(tmp_path, tmp_path / "p.ngc")
     with physical.installed(tmp_path / "component"):
         ran = execute(folder, other, physical, [["home"], ["program", "p.ngc"]])
