@@ -268,7 +268,7 @@ SPHERE_OF = {
 }
 
 
-@pytest.mark.sample(1)  # of 5
+@pytest.mark.slow  # half a minute each
 @pytest.mark.parametrize("name", SPHERE_OF)
 def test_measuring_programs_of_every_kind_run_to_their_end(name: str, machine: twin.Machine, tmp_path: Path) -> None:
     """The centres in the log are where the tip of the machine, in plain numpy, is at the true sphere; no rapid touches it."""

@@ -35,7 +35,7 @@ def test_the_table_of_the_manual(name: str, tmp_path: Path, tmp_path_factory: py
         assert np.median(live) < 0.005 and live.max() < 0.05
 
 
-@pytest.mark.sample(1)  # of 2
+@pytest.mark.slow  # half a minute each; `test_machines.py` executes programs with live kinematics in the default run
 @pytest.mark.parametrize(("increment", "chord_mm"), [(0.001, 1e-3), (1e-5, 1e-5)])
 def test_program_and_kinematics_move_the_motors_alike(
     increment: float, chord_mm: float, tmp_path: Path, tmp_path_factory: pytest.TempPathFactory
