@@ -225,7 +225,7 @@ def test_programs_of_drift_tests_run_to_their_end(
 
 
 NOT_MET = 3
-"""Status of `plan` where some errors cannot be determined, or a pose cannot be probed for lack of clearance."""
+"""Status of `plan` where some errors cannot be determined; here those that a motion of the workpiece or the tool imitates."""
 
 
 @pytest.mark.slow
@@ -259,11 +259,12 @@ def test_tracker_points_at_standstill_correct_a_machine_with_all_curves(machine:
     assert "reading from the base" in command(tmp_path, "identify", "measured.csv", "-o", "no.yaml", *on, status=2)
 
 
+# The way to the first pose is not checked: at home the tip is clear of the sphere.
 SPHERE_OF = {
     "trunnion": (50.0, 0.0, 60.0),
     "head-table": (60.0, -40.0, 60.0),
     "nutating head and table": (60.0, -40.0, 60.0),
-    "head-head": (300.0, 250.0, 150.0),
+    "head-head": (400.0, 300.0, 60.0),
     "four axes": (150.0, 120.0, 220.0),
 }
 
@@ -277,8 +278,7 @@ def test_measuring_programs_of_every_kind_run_to_their_end(name: str, machine: t
     physical = Physical.of_kind(kind, other.names, place)
     plan = ["plan", "--instrument", "probe", "-m", kind.bundled or "kind.yaml", "-o", "p.csv", "--program", "p.ngc"]
     plan += ["--tool-length", str(LENGTH), "--clearance", "3", "--minutes", "8", "--quiet", "--spheres", joined(place)]
-    # The head of two axes is too close to the table in one of the poses.
-    command(tmp_path, *plan, status=NOT_MET if name == "head-head" else 0)
+    command(tmp_path, *plan)
     folder = room(tmp_path, tmp_path / "p.ngc")
     with physical.installed(tmp_path / "component"):
         ran = execute(folder, other, physical, [["home"], ["program", "p.ngc"]])
