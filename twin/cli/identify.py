@@ -24,6 +24,13 @@ if TYPE_CHECKING:
     from twin.measurement.table import Measurements
 
 
+TABLES_ACTIVE = (
+    "\nThese errors were measured with the control's tables active: keep them active, and add new tables to them "
+    "(twin control --add).\n"
+)
+MODULE_ACTIVE = "\nThese errors were measured with a kinematics module active: twin control --add makes one that corrects the old errors and these.\n"
+
+
 class UncertaintyChoice(StrEnum):
     """Source of the noise from which uncertainties are computed."""
 
@@ -138,8 +145,7 @@ def identify(
         INSTRUMENT_OPTIONS if identification.noise.contradicted or identification.noise.assumed else ""
     )
     if tables is not None:
-        text += "\nThese errors were measured with the control's tables active: keep them active, and add new tables to them "
-        text += "(twin control --add).\n"
+        text += TABLES_ACTIVE if tables.tables else MODULE_ACTIVE
         text += f"{tables.caution}\n" if tables.caution else ""
     return CommandResult(
         text,
