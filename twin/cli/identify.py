@@ -28,7 +28,9 @@ TABLES_ACTIVE = (
     "\nThese errors were measured with the control's tables active: keep them active, and add new tables to them "
     "(twin control --add).\n"
 )
-MODULE_ACTIVE = "\nThese errors were measured with a kinematics module active: twin control --add makes one that corrects the old errors and these.\n"
+MODULE_ACTIVE = (
+    "\nMeasured with a kinematics module active: twin control --add makes one that corrects the old errors and these.\n"
+)
 
 
 class UncertaintyChoice(StrEnum):
