@@ -143,7 +143,7 @@ def test_errors_that_remain_under_another_module_are_not_compared(
     ("entries", "says"),
     [
         (["linuxcnc-kinematics=mine.yml"], "cannot be read"),
-        (["linuxcnc-kinematics=live/calibration.yaml", "linuxcnc=X.comp"], "never active together"),
+        (["linuxcnc-kinematics=live/calibration.yaml", "linuxcnc=X.comp"], "names a kinematics module and more"),
         (["linuxcnc-kinematic=live/calibration.yaml"], "did you mean linuxcnc-kinematics"),
     ],
 )

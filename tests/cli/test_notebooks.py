@@ -14,7 +14,10 @@ NOTEBOOKS = sorted((Path(__file__).resolve().parents[2] / "notebooks").glob("*.i
 SECONDS_A_CELL = 300
 """Far beyond what a cell takes on a busy machine: a hang, not slowness."""
 
-LONG = {"01_identify", "02_diagnose", "03_plan_a_measurement", "04_your_own_machine", "05_with_a_probe"}
+LONG = {
+    *("01_identify", "02_diagnose", "03_plan_a_measurement", "04_your_own_machine", "05_with_a_probe"),
+    "07_a_control_in_the_loop",
+}
 """Ten seconds to a minute each; in the default run `test_hidden_effects.py`, `test_plan.py` and `test_few_axes.py` do what they do."""
 
 
@@ -144,10 +147,22 @@ def probed(notebook: nbformat.NotebookNode) -> None:
     assert both <= known + 1.0
 
 
+def looped(notebook: nbformat.NotebookNode) -> None:
+    """The recorded log is of the program that is planned here, and the figures are those of the page of the documentation."""
+    text = output_of(notebook)
+    (count,) = re.findall(r"^(\d+) poses, ", text, re.M)
+    planned_contacts, logged = re.findall(r"(\d+) contacts$", text, re.M)[:2]
+    assert int(planned_contacts) == 5 * int(count) == int(logged)
+    assert "consistent with the noise" in text and "halcompile --install" in text and "linuxcnc-uspace" in text
+    rms = {name: float(value) for name, value in re.findall(r"^(before|after) +RMS +([\d.]+)", text, re.M)}
+    assert rms["before"] > 8.0 and rms["after"] < 1.5
+
+
 CLAIMS: dict[str, Callable[[nbformat.NotebookNode], None]] = {
     "00_tour": toured,
     "04_your_own_machine": built,
     "05_with_a_probe": probed,
+    "07_a_control_in_the_loop": looped,
     "02_diagnose": diagnosed,
     "03_plan_a_measurement": planned,
 }

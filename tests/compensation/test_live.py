@@ -17,9 +17,12 @@ import pytest
 
 import twin
 from tests.cli.commands import TWIN
+from tests.linuxcnc.machines import KINDS
+from tests.model.errors import random_calibration
 from tests.truth import few_axes
 from twin._common.errors import InputError
 from twin._common.provenance import CORRECTED_IN_CONTROL
+from twin.cli.identify import tables_on
 from twin.compensation.live import earlier_of, make_module, write_module
 from twin.compensation.live.graph import Damping, LiveCorrection
 from twin.compensation.live.module import channel_of, channels_of
@@ -96,6 +99,26 @@ def test_the_correction_can_be_undone_everywhere(errors: twin.Calibration) -> No
         assert np.all(np.isfinite(slope)) and np.linalg.norm(slope, 2) < 0.5
 
 
+@pytest.mark.parametrize("kind", KINDS)
+def test_it_is_finite_and_can_be_undone_for_every_kind(kind: str, tmp_path: Path) -> None:
+    """All curves and constants of other kinds of machines: at singular positions, at the ends of the ranges and far beyond."""
+    machine = KINDS[kind]().machine(tmp_path)
+    live = make_module(random_calibration(machine, np.random.default_rng(7), 100.0), tool_length_mm=TOOL_MM).live
+    tool, rng = np.array([0.003, -0.002, 0.12]), np.random.default_rng(9)
+    n = poses(machine, 60)
+    low, high = np.array([axis.domain for axis in machine.axes]).T * machine.scale
+    for first in machine.rotary[:1]:
+        n[:20, first] = np.concatenate([[0.0, 1e-300, -1e-12], rng.uniform(-0.02, 0.02, 17)])
+    n[20:40] = np.where(rng.random((20, len(low))) < 0.5, low, high)
+    n[40:50] *= 10.0
+    for row in n:
+        states = np.append(rng.choice([-1.0, 0.0, 1.0], len(low)), np.zeros(live.channel_count - len(low)))
+        for share in (0.0, 0.5, 1.0):
+            assert np.all(np.isfinite(np.array(live.correction(row, states, tool, share))))
+        slope = np.array(live.slopes(row, states, tool)[1])
+        assert np.all(np.isfinite(slope)) and np.linalg.norm(slope, 2) < 0.9
+
+
 @pytest.mark.parametrize("name", MACHINES)
 def test_coordinates_of_the_workpiece_and_axes_are_inverse(name: str) -> None:
     machine = twin.Machine.load(name)
@@ -162,7 +185,20 @@ def test_errors_measured_with_the_module_are_added_to_its_own(tmp_path: Path) ->
     errors, rest = with_errors("dmu50"), with_errors("dmu50", 7.0)
     write_module(make_module(errors), tmp_path / "first")
     section = twin.Calibration.load(tmp_path / "first" / "calibration.yaml", errors.machine).control
-    remaining = rest.with_control(replace(section, errors_are="remaining"))
+    active = tables_on([f"linuxcnc-kinematics={tmp_path / 'first' / 'calibration.yaml'}"], errors.machine)
+    assert active == replace(section, errors_are="remaining")
+    for wrong in (["corrected.yaml"], ["calibration.yaml", "calibration.yaml"]):
+        with pytest.raises(InputError, match="kinematics module"):
+            tables_on([f"linuxcnc-kinematics={tmp_path / 'first' / name}" for name in wrong], errors.machine)
+    # A tracker sees the corrections of the linear axes: only the tool relative to the workpiece shows what remains.
+    readings = "".join(f"{x},0,0,0,0,K,tool,{x},{y},3\n" for x, y in ((0, 2), (90, 2), (200, 7), (300, 2), (400, 9)))
+    (tmp_path / "m.csv").write_text(f"X_mm,Y_mm,Z_mm,B_deg,C_deg,target,carrier,x_mm,y_mm,z_mm\n{readings}")
+    on = ["--control", "linuxcnc-kinematics=first/calibration.yaml"]
+    words = [*TWIN, "identify", "m.csv", "-o", "no.yaml", *on]
+    done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 2 and "m.csv:2: a reading from the base" in done.stderr
+    assert not (tmp_path / "no.yaml").exists()
+    remaining = rest.with_control(active)
     with pytest.raises(InputError, match="--add"):
         earlier_of(remaining, add=False)
     earlier = earlier_of(remaining, add=True)

@@ -45,12 +45,14 @@ class Kind:
     Attributes:
         nose: (3,) spindle nose on the last part of the tool side, mm.
         bundled: name of its machine file, if that comes with twin.
+        increment: least increment of its words, mm and degrees, if it does not.
     """
 
     tool: tuple[Part, ...]
     work: tuple[Part, ...] = ()
     nose: tuple[float, float, float] = (0.0, 0.0, 0.0)
     bundled: str = ""
+    increment: float = 0.001
 
     def machine(self, folder: Path) -> twin.Machine:
         """Return the machine, its files written into a folder."""
@@ -70,17 +72,21 @@ class Kind:
         for part in sorted((*self.tool, *self.work), key=lambda one: (not one.linear, one.name)):
             kind = "linear" if part.linear else "rotary"
             axes.append(
-                f"  - {{name: {part.name}, joint: joint_{part.name}, kind: {kind}, range: [{part.low}, {part.high}], increment: 0.001}}"
+                f"  - {{name: {part.name}, joint: joint_{part.name}, kind: {kind}, range: [{part.low}, {part.high}], "
+                f"increment: {self.increment}}}"
             )
         urdf = f'<?xml version="1.0"?>\n<robot name="kind"><link name="base"/>\n{"".join(joints)}</robot>\n'
         file = "schema: twin.machine/1\nname: kind\nurdf: kind.urdf\naxes:\n" + "\n".join(axes)
         return twin.Machine.load(write_both(folder, "kind", urdf, file + "\nframes: {tool: tool, work: work}\n"))
 
     def tip(
-        self, names: tuple[str, ...], q: np.ndarray, length: float, truth: TruthMachine | None = None
+        self, names: tuple[str, ...], q: np.ndarray, tool: tuple[float, float, float], truth: TruthMachine | None = None
     ) -> np.ndarray:
-        """Return (n, 3) the tool tip on the workpiece, mm, at commands (n, axes) in mm and degrees; without ``truth``: nominal."""
-        point = np.tile(np.array([0.0, 0.0, -length]) + self.nose, (len(q), 1))
+        """Return (n, 3) the tool tip on the workpiece, mm, at commands (n, axes) in mm and degrees; without ``truth``: nominal.
+
+        ``tool``: offsets as a tool table holds them, mm: the tip is behind the spindle nose by them.
+        """
+        point = np.tile(np.array(self.nose) - tool, (len(q), 1))
         for part in reversed(self.tool):
             turn, shift = self._pose(part, q[:, names.index(part.name)], truth)
             point = np.einsum("nij,nj->ni", turn, point) + shift
@@ -88,6 +94,30 @@ class Kind:
             turn, shift = self._pose(part, q[:, names.index(part.name)], truth)
             point = np.einsum("nji,nj->ni", turn, point - shift)
         return point
+
+    def axes(self, names: tuple[str, ...], words: np.ndarray, tool: tuple[float, float, float]) -> np.ndarray:
+        """Return (n, axes) where the axes of the nominal machine stand at words in coordinates of the workpiece (n, axes).
+
+        X, Y and Z name the point that the tip reaches at these positions of the linear axes with all rotary axes at zero.
+        """
+        return self._moved(names, self.tip(names, _at_zero(names, words, linear=False), tool), words, tool)
+
+    def words(self, names: tuple[str, ...], q: np.ndarray, tool: tuple[float, float, float]) -> np.ndarray:
+        """Return (n, axes) the words in coordinates of the workpiece of positions (n, axes): the inverse of `axes`."""
+        rest = self._moved(names, self.tip(names, q, tool), _at_zero(names, q, linear=False), tool)
+        return np.where([name in "XYZ" for name in names], rest, q)
+
+    def _moved(
+        self, names: tuple[str, ...], goal: np.ndarray, q: np.ndarray, tool: tuple[float, float, float]
+    ) -> np.ndarray:
+        """Return positions (n, axes) with the rotary axes of ``q`` at which the tip is at ``goal``: it is linear in X, Y and Z."""
+        found = _at_zero(names, q, linear=True)
+        columns = [names.index(name) for name in "XYZ"]
+        start = self.tip(names, found, tool)
+        units = np.eye(len(names))[columns]
+        by = np.stack([self.tip(names, found + unit, tool) - start for unit in units], axis=2)
+        found[:, columns] = np.linalg.solve(by, (goal - start)[:, :, None])[:, :, 0]
+        return found
 
     @staticmethod
     def _pose(part: Part, q: np.ndarray, truth: TruthMachine | None) -> tuple[np.ndarray, np.ndarray]:
@@ -108,6 +138,11 @@ class Kind:
         return outer @ turn @ rotations(np.radians(q)[:, None] * motion), part.place + UM * located[
             0, :3
         ] + shift @ outer.T
+
+
+def _at_zero(names: tuple[str, ...], q: np.ndarray, *, linear: bool) -> np.ndarray:
+    """Return positions with the linear axes, or all others, at zero."""
+    return np.where([(name in "XYZ") == linear for name in names], 0.0, q)
 
 
 def _metres(place: tuple[float, ...]) -> str:

@@ -5,6 +5,7 @@ Nothing here is code of twin but the harness that starts the control.
 
 from __future__ import annotations
 
+import csv
 import os
 import re
 import shutil
@@ -20,6 +21,8 @@ import numpy as np
 
 import twin
 from tests.linuxcnc.control import user_for
+from tests.linuxcnc.machines import Kind, Part
+from tests.truth.any_chain import rotations
 from tests.truth.machine import RANGES
 from tests.truth.reference import dmu50_pose
 from twin.controls.linuxcnc import PERIOD_S, Configuration, Ran, run
@@ -45,6 +48,9 @@ class Physical:
         places: (n, 3) true centres of the spheres on the table.
         curves: (5, 6, 8) coefficients of cosines, for C of cosines and sines in turn.
         probe: parameters of the component.
+        home: where the axes stand at first, in the order of the motors.
+        chains: C statements of the two sides of another machine than the DMU 50, by `TOOL_CHAIN` and `WORK_CHAIN`; without errors.
+        reflectors: a tracker's targets by name: whether on the table (else on the spindle head), and the place there, mm.
     """
 
     scale: np.ndarray
@@ -53,6 +59,9 @@ class Physical:
     places: np.ndarray
     curves: np.ndarray = field(default_factory=lambda: np.zeros((5, 6, 8)))
     probe: Mapping[str, float] = field(default_factory=dict)
+    home: Mapping[str, float] = field(default_factory=lambda: HOME)
+    chains: Mapping[str, str] = field(default_factory=dict)
+    reflectors: Mapping[str, tuple[bool, tuple[float, ...]]] = field(default_factory=dict)
 
     @classmethod
     def drawn(cls, seed: int, *, curves_um: float = 0.0) -> Physical:
@@ -76,12 +85,28 @@ class Physical:
         }
         return cls(np.zeros(3), square, location, places, curves, probe)
 
+    @classmethod
+    def of_kind(cls, kind: Kind, names: tuple[str, ...], place: tuple[float, ...]) -> Physical:
+        """Return a machine of another kind, without errors, with a probe and one sphere up to 0.8 mm from its place."""
+        rng, parts = np.random.default_rng(6), {part.name: part for part in (*kind.tool, *kind.work)}
+        home = {name: 0.0 for name in names} | {name: 0.5 * (parts[name].low + parts[name].high) for name in "XY"}
+        home["Z"] = parts["Z"].high
+        probe = {"length": LENGTH, "pretravel": 0.008, "lobing": 0.001, "noise": 0.001, "seed": 7}
+        chains = {"TOOL_CHAIN": _chain(kind.tool, names, kind.nose), "WORK_CHAIN": _chain(kind.work, names)}
+        there = np.array([place]) + rng.uniform(-0.8, 0.8, (1, 3))
+        return cls(np.zeros(3), np.zeros(3), np.zeros((2, 6)), there, probe=probe, home=home, chains=chains)
+
     def header(self) -> str:
         """Return the C header with the numbers."""
-        lines = [f"#define SPHERES {len(self.places)}", "#define RADIUS 12.5"]
+        held = list(self.reflectors.values())
+        lines = [f"#define SPHERES {len(self.places)}", "#define RADIUS 12.5", f"#define REFLECTORS {len(held)}"]
+        on_table = ", ".join([*(str(int(table)) for table, _ in held), "0"])
+        lines.append(f"static const int ON_TABLE[{len(held) + 1}] = {{{on_table}}};")
+        lines += [f"#define {name} {text}" for name, text in self.chains.items()]
         limits = np.array([RANGES[axis] for axis in "XYZBC"])
         named = {"SCALE": self.scale, "SQUARE": self.square, "LOCATION": self.location, "CURVES": self.curves}
-        for name, values in (named | {"RANGES": limits, "PLACES": self.places}).items():
+        reflected = np.array([*(place for _, place in held), (0.0, 0.0, 0.0)])
+        for name, values in (named | {"RANGES": limits, "PLACES": self.places, "REFLECTED": reflected}).items():
             sizes = "".join(f"[{n}]" for n in values.shape)
             numbers = ", ".join(f"{value:.17g}" for value in values.ravel())
             lines.append(f"static const double {name}{sizes} = {{{numbers}}};")
@@ -123,10 +148,23 @@ class Physical:
 
     def hal(self, faults: Mapping[str, float]) -> str:
         """Return the lines that connect it."""
-        values = {f"home-{i}": value for i, value in enumerate(HOME.values())} | dict(self.probe) | dict(faults)
+        values = {f"home-{i}": value for i, value in enumerate(self.home.values())} | dict(self.probe) | dict(faults)
         lines = ["loadrt probed", *(f"setp probed.0.{name} {value:.12g}" for name, value in values.items())]
-        lines += [f"net motor-{i} => probed.0.motor-{i}" for i in range(5)]
+        lines += [f"net motor-{i} => probed.0.motor-{i}" for i in range(len(self.home))]
+        lines += [f"net seen-{i} probed.0.seen-{i} => motion.analog-in-{i:02}" for i in range(3)]
+        lines.append("net looked-at motion.analog-out-00 => probed.0.reflector")
         return "\n".join([*lines, "addf probed.0 servo-thread", "net touch probed.0.touched => motion.probe-input\n"])
+
+
+def _chain(parts: Sequence[Part], names: tuple[str, ...], end: tuple[float, ...] = (0.0, 0.0, 0.0)) -> str:
+    """Return C statements that carry a pose along the axes of a side."""
+    lines = []
+    for part in parts:
+        unit = np.array(part.motion) / np.linalg.norm(part.motion)
+        scale = "" if part.linear else " * PI / 180.0"
+        by = ", ".join(f"{value:.17g} * q[{names.index(part.name)}]{scale}" for value in unit)
+        lines += [f"shift(&p, {', '.join(map(repr, part.place))});", f"{'shift' if part.linear else 'turn'}(&p, {by});"]
+    return " ".join([*lines, f"shift(&p, {', '.join(map(repr, end))});"])
 
 
 @contextmanager
@@ -176,6 +214,60 @@ def tips(ran: Ran, count: int) -> np.ndarray:
     return np.array([float(value) for value in ran.results("hal")[-3 * count :]]).reshape(-1, 3)
 
 
+def stops(plan: Path) -> list[dict[str, str]]:
+    """Return the rows of a tracker's plan."""
+    lines = [line for line in plan.read_text().splitlines() if not line.startswith("#")]
+    return list(csv.DictReader(lines))
+
+
+def reflectors(rows: Sequence[Mapping[str, str]]) -> dict[str, tuple[bool, tuple[float, ...]]]:
+    """Return the targets of a plan, up to 5 mm from where they should be."""
+    rng = np.random.default_rng(2)
+    planned = {row["target"]: row for row in rows}
+    return {
+        name: (
+            row["carrier"] == "work",
+            tuple(float(row[f"planned_place_{axis}_mm"]) + rng.uniform(-5.0, 5.0) for axis in "xyz"),
+        )
+        for name, row in planned.items()
+    }
+
+
+def tracker_program(rows: Sequence[Mapping[str, str]], physical: Physical, length: float) -> str:
+    """Return a program that stops at the points of a plan and logs where the reflector is; it stands for a tracker's own recording."""
+    numbers = {name: i for i, name in enumerate(physical.reflectors)}
+    lines = [f"G21 G90 G43.1 Z{length}", "(LOGOPEN,points.csv)"]
+    for row in rows:
+        words = " ".join(f"{axis}{row[f'{axis}_mm' if axis in 'XYZ' else f'{axis}_deg']}" for axis in "XYZBC")
+        # The control takes its time to read what has been chosen.
+        lines += [f"G53 G0 {words}", "G4 P0.1", f"M68 E0 Q{numbers[row['target']]}", "G4 P0.05"]
+        for i in range(3):
+            lines += [f"M66 E{i} L0", f"#{101 + i}=#5399"]
+        lines.append("(LOG,#101,#102,#103)")
+    return "\n".join([*lines, "(LOGCLOSE)", "M2\n"])
+
+
+def write_tracked(path: Path, rows: Sequence[Mapping[str, str]], seen: np.ndarray, seed: int) -> None:
+    """Write a measurement table: places (n, 3) as a laser tracker reads them in its own frame, with noise of its data sheet."""
+    rng, stations, lines = np.random.default_rng(seed), {}, []
+    names = ["X_mm", "Y_mm", "Z_mm", "B_deg", "C_deg", "target", "carrier", "station", "round", "time_s"]
+    for row, point in zip(rows, seen, strict=True):
+        if row["station"] not in stations:
+            place = np.array([float(row[f"planned_station_{axis}_mm"]) for axis in "xyz"]) + rng.uniform(-30, 30, 3)
+            # Level to some milliradians, its zero anywhere.
+            turn = rotations(np.array([[*rng.normal(0.0, 0.003, 2), rng.uniform(-3.0, 3.0)]]))[0]
+            stations[row["station"]] = place, turn
+        place, turn = stations[row["station"]]
+        reading = turn.T @ (point - place)
+        metres = np.linalg.norm(reading) / 1e3
+        # Half of the largest permissible errors: 0.4 µm + 0.3 µm/m along the beam, 15 µm + 6 µm/m across.
+        along, across = 0.5e-3 * (0.4 + 0.3 * metres), 0.5e-3 * (15.0 + 6.0 * metres)
+        beam, noise = reading / np.linalg.norm(reading), rng.normal(0.0, 1.0, 3)
+        reading = reading + across * noise + (along - across) * (noise @ beam) * beam
+        lines.append(",".join([*(row[name] for name in names), *(f"{value:.5f}" for value in reading)]))
+    path.write_text("\n".join([",".join([*names, "x_mm", "y_mm", "z_mm"]), *lines, ""]))
+
+
 def remaining_um(places: np.ndarray, reached: np.ndarray) -> np.ndarray:
     """Return (n,) distances of true and nominal tips, µm, after the operator has set the workpiece and the tool.
 
@@ -217,7 +309,9 @@ def execute(
         room = Path(name)
         shutil.copytree(folder, room, dirs_exist_ok=True)
         for _ in range(4):
-            ran = run(room, Configuration(machine, HOME, **options), actions, user=user_for(room), seconds=590.0)
+            ran = run(
+                room, Configuration(machine, physical.home, **options), actions, user=user_for(room), seconds=590.0
+            )
             if "Queue is not empty after probing" not in ran.failed:
                 break
         for path in room.glob("*.*"):

@@ -3,6 +3,8 @@ pin in float motor-# [5] "positions of the motors X Y Z B C, mm and degrees";
 pin out bit touched "state of the probe";
 pin out float tip-# [3] "true centre of the stylus ball on the workpiece, mm";
 pin out float axis-# [3] "true direction of the tool axis on the workpiece";
+pin in float reflector "number of the reflector that a tracker looks at";
+pin out float seen-# [3] "where it is, in the base of the machine, mm";
 pin out s32 contacts "number of contacts so far";
 param rw float home-# [5] "where the axes stand when the motors are at zero, mm and degrees";
 param rw float length = 120 "true distance of the ball from the spindle nose, mm";
@@ -30,7 +32,7 @@ license "GPL";
 ;;
 #include <rtapi_math.h>
 /* numbers of the machine, written by the test: SCALE[3], SQUARE[3] (E_C0Y, E_A0Z, E_B0Z), LOCATION[2][6] of B and C, CURVES[5][6][8],
-   RANGES[5][2], SPHERES, PLACES[][3], RADIUS; mm and radians */
+   RANGES[5][2], SPHERES, PLACES[][3], RADIUS, REFLECTORS, ON_TABLE[], REFLECTED[][3]; mm and radians */
 #include "numbers.h"
 
 #define PIVOT 154.996
@@ -70,6 +72,11 @@ static void off(pose *p, const double e[6]) {
     turn(p, e[3], e[4], e[5]);
 }
 
+#ifdef TOOL_CHAIN
+/* Another machine, without errors: its two chains as statements. */
+static pose tool_side(const double q[5]) { pose p = start(); TOOL_CHAIN return p; }
+static pose work_side(const double q[5]) { pose p = start(); WORK_CHAIN return p; }
+#else
 /* Error motions of an axis: cosines over the range of X, Y, Z and B, harmonics of C. */
 static void errors_of(int axis, double q, double e[6]) {
     double u = axis == 4 ? q * PI / 180.0 : PI * (q - RANGES[axis][0]) / (RANGES[axis][1] - RANGES[axis][0]);
@@ -114,6 +121,7 @@ static pose work_side(const double q[5]) {
     turn(&p, 0.0, 0.0, -q[4] * PI / 180.0);
     return p;
 }
+#endif
 
 static double uniform(rtapi_u32 *draw) {
     *draw ^= *draw << 13; *draw ^= *draw >> 17; *draw ^= *draw << 5;
@@ -145,6 +153,13 @@ FUNCTION(_) {
         }
         tip(i) = point;
         axis(i) = direction;
+    }
+    int looked_at = (int)floor(reflector + 0.5);
+    if (looked_at >= 0 && looked_at < REFLECTORS) {
+        const double *place = REFLECTED[looked_at];
+        pose centre = ON_TABLE[looked_at] ? work : tool;
+        shift(&centre, place[0], place[1], place[2]);
+        for (int i = 0; i < 3; i++) seen(i) = centre.t[i];
     }
     for (int s = 0; s < SPHERES; s++) {
         pose centre = work;

@@ -5,9 +5,8 @@ The machine is ``probed.comp``, a realtime component behind the control; twin se
 
 from __future__ import annotations
 
+import json
 import re
-import subprocess
-import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -18,6 +17,8 @@ import yaml
 
 import twin
 from tests.linuxcnc.control import needs_linuxcnc, needs_root, skip_without_control
+from tests.linuxcnc.loop import ON, RECORD, centres, command, converted, joined, one_loop, planned, room, spread_um
+from tests.linuxcnc.machines import KINDS
 from tests.linuxcnc.physical import (
     LENGTH,
     SPHERES,
@@ -25,21 +26,22 @@ from tests.linuxcnc.physical import (
     URAD,
     Physical,
     execute,
-    faster,
     module,
     nominal,
     poses,
+    reflectors,
     remaining_um,
     rms,
+    stops,
     tips,
+    tracker_program,
     visits,
+    write_tracked,
 )
-from tests.truth.reference import dmu50_pose
 
 pytestmark = [needs_linuxcnc, needs_root, pytest.mark.xdist_group("linuxcnc")]
 SHORT = 4
 """Poses of a program that is cut short."""
-ON = [["hal", ["setp", "twinkins.fade-rate", "10"]], ["hal", ["setp", "twinkins.enable", "1"]], ["sleep", 0.5]]
 
 
 @pytest.fixture(scope="module")
@@ -54,39 +56,6 @@ def physical(machine: twin.Machine, tmp_path_factory: pytest.TempPathFactory) ->
     found = Physical.drawn(1)
     with found.installed(tmp_path_factory.mktemp("component")):
         yield found
-
-
-def command(folder: Path, *words: object, status: int = 0) -> str:
-    """Run twin as a user does, in a folder, and return what it says."""
-    whole = [sys.executable, "-m", "twin.cli", *map(str, words)]
-    done = subprocess.run(whole, cwd=folder, capture_output=True, text=True, check=False)
-    assert done.returncode == status, done.stderr + done.stdout
-    return " ".join((done.stdout + done.stderr).split())
-
-
-def planned(folder: Path, name: str, *words: object, spheres: int = 3) -> Path:
-    """Return a measuring program of twin; the first spheres are where the operator believes."""
-    places = [f"{x:g},{y:g},{z:g}" for x, y, z in SPHERES[:spheres]]
-    plan = ["plan", "--instrument", "probe", "-o", f"{name}.csv", "--program", f"{name}.ngc", "--tool-length", LENGTH]
-    command(folder, *plan, "--clearance", 3, "--spheres", *places, "--quiet", *words)
-    return folder / f"{name}.ngc"
-
-
-def room(folder: Path, program: Path) -> Path:
-    """Return the folder of a run, with the program as the control of the tests executes it."""
-    run = folder / f"run_{program.stem}"
-    run.mkdir()
-    (run / program.name).write_text(faster(program.read_text()))
-    return run
-
-
-def converted(folder: Path, log: Path, table: str, *words: object, status: int = 0) -> str:
-    return command(folder, "convert", log, "--contacts", 5, "-o", table, *words, status=status)
-
-
-def centres(machine: twin.Machine, path: Path) -> tuple[np.ndarray, list[str]]:
-    data = twin.Measurements.load(path, machine)
-    return np.array(data.positions), [str(name) for name in data.target]
 
 
 def short(folder: Path) -> Path:
@@ -142,47 +111,25 @@ def test_a_false_contact_makes_no_calibration(
     assert not (tmp_path / "measured.csv").exists()
 
 
-def spread_um(found: np.ndarray, names: list[str]) -> float:
-    """Return the RMS distance of sphere centres from their places on the nominal machine, with tip and places fitted, µm."""
-    kinds = sorted(set(names))
-    rows, off = [], []
-    for q, name in zip(found, names, strict=True):
-        pose = dmu50_pose(np.array([*q[:3], *np.radians(q[3:])]), {}, LENGTH)
-        place = np.hstack([np.eye(3) * (name == kind) for kind in kinds])
-        rows.append(np.hstack([pose[:3, :3], -place]))
-        off.append(-pose[:3, 3])
-    matrix, wanted = np.concatenate(rows), np.concatenate(off)
-    left = wanted - matrix @ np.linalg.lstsq(matrix, wanted, rcond=None)[0]
-    return 1e3 * float(np.sqrt(3.0 * np.mean(left**2)))
-
-
 @pytest.mark.slow
 def test_the_machine_is_right_after_one_loop(machine: twin.Machine, physical: Physical, tmp_path: Path) -> None:
-    """Plan, measure, convert, identify, correct in the control, measure with another program: 1.5 µm RMS or less remain."""
-    program = planned(tmp_path, "first", "--minutes", 45)
-    folder = room(tmp_path, program)
-    places = poses()
-    ran = execute(folder, machine, physical, [["home"], ["program", program.name], *visits(places)])
-    assert not ran.failed, f"{ran.failed}\n{ran.log}"
-    before = remaining_um(places, tips(ran, len(places)))
-    probe = physical.probe
-    tip = f"{probe['offset-x']:.3f},{probe['offset-y']:.3f},{-probe['length']:.3f}"
-    converted(tmp_path, folder / "FIRST_LOG.csv", "measured.csv", "--tip", tip)
-    command(tmp_path, "identify", "measured.csv", "-o", "mine.yaml", "--only", "E_*0*")
-    command(
-        tmp_path, "control", "--to", "linuxcnc-kinematics", "-o", "live", "-c", "mine.yaml", "--tool-length", LENGTH
-    )
-    with module(tmp_path / "live") as live:
-        second = planned(tmp_path, "second", "--sequence", "turns", spheres=1)
-        again = room(tmp_path, second)
-        ran = execute(again, machine, physical, [["home"], *ON, ["program", second.name], *visits(places)], live=live)
-    assert not ran.failed, f"{ran.failed}\n{ran.log}"
-    after = remaining_um(places, tips(ran, len(places)))
+    """1.5 µm RMS or less remain; the record that the course's notebook evaluates is of such a loop, and not older than the programs."""
+    loop = one_loop(tmp_path, machine, physical)
+    before, after = np.array(loop["before_um"]), np.array(loop["after_um"])
     print(f"before {rms(before):.2f} {before.max():.2f}, after {rms(after):.2f} {after.max():.2f} µm")
-    converted(tmp_path, again / "SECOND_LOG.csv", "second.csv")
     assert rms(before) > 8.0 and rms(after) <= 1.5 and after.max() < 0.25 * before.max()
     first = spread_um(*centres(machine, tmp_path / "measured.csv"))
     assert first > 10.0 and spread_um(*centres(machine, tmp_path / "second.csv")) < 3.0
+    kept = json.loads(RECORD.read_text())
+    assert kept["tip_mm"] == loop["tip_mm"]
+    for name in ("first_log", "second_log"):
+        new, old = (np.array([row.split(",")[:5] for row in one[name].splitlines()[1:]], float) for one in (loop, kept))
+        # Each contact has its noise, and is seen a cycle earlier or later.
+        assert new.shape == old.shape and np.abs(new - old).max() < 0.02
+    assert (
+        abs(rms(np.array(kept["before_um"])) - rms(before)) < 0.1
+        and abs(rms(np.array(kept["after_um"])) - rms(after)) < 0.5
+    )
 
 
 def left_um(physical: Physical, calibration: Path) -> tuple[float, float]:
@@ -275,6 +222,74 @@ def test_programs_of_drift_tests_run_to_their_end(
         found, _ = centres(machine, tmp_path / "measured.csv")
         assert 5 * len(found) == text.count("G38.2")
         assert np.ptp(found[:, :3], axis=0).max() < 0.01
+
+
+NOT_MET = 3
+"""Status of `plan` where some errors cannot be determined; here those that a motion of the workpiece or the tool imitates."""
+
+
+@pytest.mark.slow
+def test_tracker_points_at_standstill_correct_a_machine_with_all_curves(machine: twin.Machine, tmp_path: Path) -> None:
+    """The tracker's plan is executed, all errors are identified and corrected by the module."""
+    plan = tmp_path / "plan.csv"
+    command(tmp_path, "plan", "-o", plan, "--tool-length", LENGTH, "--quiet", status=NOT_MET)
+    rows = stops(plan)
+    physical = replace(Physical.drawn(3, curves_um=3.0), reflectors=reflectors(rows))
+    places, run, again = poses(), tmp_path / "run", tmp_path / "again"
+    run.mkdir()
+    again.mkdir()
+    (run / "points.ngc").write_text(tracker_program(rows, physical, LENGTH))
+    with physical.installed(tmp_path / "component"):
+        ran = execute(run, machine, physical, [["home"], ["program", "points.ngc"], *visits(places)])
+        assert not ran.failed, f"{ran.failed}\n{ran.log}"
+        before = remaining_um(places, tips(ran, len(places)))
+        write_tracked(tmp_path / "measured.csv", rows, np.loadtxt(run / "points.csv", delimiter=","), seed=0)
+        command(tmp_path, "identify", "measured.csv", "-o", "mine.yaml")
+        to = ["control", "--to", "linuxcnc-kinematics", "-o", "live", "-c", "mine.yaml", "--tool-length", LENGTH]
+        assert "were not identified" in command(tmp_path, *to, status=2)
+        command(tmp_path, *to, "--force")
+        with module(tmp_path / "live") as live:
+            ran = execute(again, machine, physical, [["home"], *ON, *visits(places)], live=live)
+        assert not ran.failed, f"{ran.failed}\n{ran.log}"
+    after = remaining_um(places, tips(ran, len(places)))
+    print(f"before {rms(before):.2f} {before.max():.2f}, after {rms(after):.2f} {after.max():.2f} µm")
+    assert rms(before) > 15.0 and rms(after) < 3.5 and after.max() < 5.3
+    # From the base the correction itself is seen: such readings are refused.
+    on = ["--control", "linuxcnc-kinematics=live/calibration.yaml"]
+    assert "reading from the base" in command(tmp_path, "identify", "measured.csv", "-o", "no.yaml", *on, status=2)
+
+
+# The way to the first pose is not checked: at home the tip is clear of the sphere.
+SPHERE_OF = {
+    "trunnion": (50.0, 0.0, 60.0),
+    "head-table": (60.0, -40.0, 60.0),
+    "nutating head and table": (60.0, -40.0, 60.0),
+    "head-head": (400.0, 300.0, 60.0),
+    "four axes": (150.0, 120.0, 220.0),
+}
+
+
+@pytest.mark.slow  # half a minute each
+@pytest.mark.parametrize("name", SPHERE_OF)
+def test_measuring_programs_of_every_kind_run_to_their_end(name: str, machine: twin.Machine, tmp_path: Path) -> None:
+    """The centres in the log are where the tip of the machine, in plain numpy, is at the true sphere; no rapid touches it."""
+    kind, place = KINDS[name](), SPHERE_OF[name]
+    other = kind.machine(tmp_path)
+    physical = Physical.of_kind(kind, other.names, place)
+    plan = ["plan", "--instrument", "probe", "-m", kind.bundled or "kind.yaml", "-o", "p.csv", "--program", "p.ngc"]
+    plan += ["--tool-length", str(LENGTH), "--clearance", "3", "--minutes", "8", "--quiet", "--spheres", joined(place)]
+    command(tmp_path, *plan)
+    folder = room(tmp_path, tmp_path / "p.ngc")
+    with physical.installed(tmp_path / "component"):
+        ran = execute(folder, other, physical, [["home"], ["program", "p.ngc"]])
+    assert not ran.failed and not ran.said, f"{ran.failed}\n{ran.said}\n{ran.log}"
+    converted(tmp_path, folder / "P_LOG.csv", "m.csv", "-m", kind.bundled or "kind.yaml")
+    found, _ = centres(other, tmp_path / "m.csv")
+    assert len(found) >= 3 and 5 * len(found) == (tmp_path / "p.ngc").read_text().count("G38.2")
+    off = np.linalg.norm(kind.tip(other.names, found, (0.0, 0.0, LENGTH)) - physical.places[0], axis=1)
+    print(f"{name}: {len(found)} poses, the sphere off by {1e3 * off.max():.1f} µm at most")
+    # Resolution 3.3 µm, noise, lobing; what is alike on all sides is along the tool.
+    assert off.max() < 0.012 < 0.1 < np.linalg.norm(np.array(place) - physical.places[0])
 
 
 LOGGED = """G21 G90 G17 G94

@@ -74,19 +74,19 @@ def compare(path: Path, folder: Path, *, known: bool = True, tools: str = "", pa
 
     ours = [(line, list(group)) for (line, _), group in groupby(reading.moves, block)]
     theirs = [(line, list(group)) for line, group in groupby(judge.motions, lambda motion: motion.line)]
-    return replace(_difference(ours, theirs, lost, 0 if judge.refusal else judge.line), judge=judge, said=said)
+    return replace(_difference(ours, theirs, lost, not judge.refusal), judge=judge, said=said)
 
 
 def _difference(
     ours: Sequence[tuple[int, list[Move]]],
     theirs: Sequence[tuple[int, list[rs274.Motion]]],
     lost: set[int],
-    last: int,
+    whole: bool,
 ) -> Comparison:
     """Return the comparison of the blocks that have motions.
 
     Args:
-        last: line of the program's end, beyond which only twin reads; 0 if the interpreter did not come to it.
+        whole: whether the interpreter came to the end of the program.
     """
     at, blocks, values = 0, 0, 0
     before: tuple[tuple[float, ...], tuple[float, ...]] = ((0.0,) * 5, (0.0,) * 5)
@@ -101,14 +101,14 @@ def _difference(
             there = f"line {ours[at][0]}: {ours[at][1]}" if at < len(ours) else "nothing more"
             return Comparison(f"line {line}: {motions} but twin has {there}", blocks=blocks, values=values)
         moves = ours[at][1]
-        if not last and motions is theirs[-1][1]:
+        if not whole and motions is theirs[-1][1]:
             moves = moves[: len(motions)]  # the interpreter has stopped within a subprogram or loop
         found = _block(moves, motions, before)
         if isinstance(found, str):
             return Comparison(f"line {line}: {found}", blocks=blocks, values=values)
         before = (motions[-1].event.end, moves[-1].position)
         at, blocks, values = at + 1, blocks + 1, values + found
-    if at < len(ours) and ours[at][0] <= last:
+    if at < len(ours) and whole:
         return Comparison(f"twin has line {ours[at][0]}: {ours[at][1]}", blocks=blocks, values=values)
     return Comparison(blocks=blocks, values=values)
 

@@ -1,8 +1,7 @@
 """LinuxCNC's interpreter as the judge of reading: every position is the same, or twin refuses the program with the line.
 
 Where the two differ in a program that both accept, the manual of LinuxCNC decides ("G-Codes", "O Codes", "Parameters"), unless the
-word means something else on another control: then twin says so. Only twin reads behind M2, M30 and the last ``%``; no control
-executes that.
+word means something else on another control: then twin says so.
 """
 
 from __future__ import annotations
@@ -97,6 +96,7 @@ EQUAL = {
     + "#101=5\no100 call [#101]",
     "a hole after the unit has changed": "G81 X5 Y5 Z-5 R2\nG80 G20\nG81 X1 Y1 Z-.5 R1\nG80",
 }
+ENDS = ("M2", "M30", "X7 M02", "N7 (end) m 30", "M99", "%", "G0 Z9 M030 (end)", "/M2")
 REFUSED = {
     "words after the arguments": SUB.format("G1 X#1") + "o100 call [8] G1 X5",
     "another unit within a cycle": "G81 X5 Y5 Z-5 R2\nG20 X.7\nG80",
@@ -113,6 +113,22 @@ def test_what_was_once_read_differently(name: str, tmp_path: Path) -> None:
     found = judged(START + EQUAL[name] + "\nM2\n", tmp_path)
     assert found.judge is not None and not found.judge.refusal
     assert not found.difference and not found.refused and found.values > 5
+
+
+@pytest.mark.parametrize("end", ENDS)
+def test_behind_the_end_nothing_is_executed(end: str, tmp_path: Path) -> None:
+    """In a block, or many together; twin says so, with the line, and refuses where a switch of the control decides."""
+    tape = "%\n" if end == "%" else ""
+    for behind in ("G1 X1 Y2\nX3", "\n".join(f"G1 X{x} Y{x}" for x in range(30)), "(M2)\n\nG2 X9 Y9 I2 J0"):
+        found = judged(f"{tape}{START}G1 X5 F100 (M2 M30)\n{end}\n{behind}\n", tmp_path)
+        line = 4 + len(tape.splitlines())
+        if end.startswith("/"):
+            assert "switch for block skip" in found.refused and found.line is not None and found.line > line
+            continue
+        assert not found.refused and not found.difference and found.values > 5
+        assert found.judge is not None and (not found.judge.refusal) and f"in line {line})" in found.said
+    again = judged(f"{tape}{START}G1 X5 F100\n{end}\n(nothing but comments)\n\n%\n", tmp_path)
+    assert again.blocks and "behind the end" not in again.said
 
 
 @pytest.mark.parametrize("name", REFUSED)

@@ -198,7 +198,6 @@ def test_a_second_work_offset_is_refused_where_it_is_chosen():
             "#100=5",
             "#<a>=[1+2]",
             "SPOS=90",
-            "%",
             "O1234",
         ),
         *("G05.1 Q1", "G5 P10000", "SOFT FFWON", "G25 X0 Y0", "MCALL", "STOPRE", 'T="A"', "_X_HOME=-365. _Y_HOME=224."),
@@ -342,7 +341,6 @@ def test_plain(block, what):
         *(
             "CYCL DEF 32.0 TOLERANCE\nCYCL DEF 32.1 T0.05",
             "CYCL DEF 9.0 DWELL TIME\nCYCL DEF 9.1 DWELL 1",
-            "L M30",
             "M3",
         ),
         *("CYCL DEF 200 DRILLING ~\n  Q200=2 ;CLEARANCE ~\n  Q201=-20 ;DEPTH", "Q1 = +5", "FN 0: Q1 = +5", "LBL 0"),
@@ -353,7 +351,7 @@ def test_plain(block, what):
             "M129",
         ),
         "FN 16: F-PRINT TNC:\\10E5.A",
-        *("END PGM A MM", "L R0 FMAX M3", "CC X+5 Y+5", "M126"),
+        *("L R0 FMAX M3", "CC X+5 Y+5", "M126"),
     ],
 )
 def test_plain_passes(block):

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.linuxcnc.machines import KINDS
 from tests.truth.reference import dmu50_pose
 from twin import cli
 from twin._common.errors import InputError
@@ -230,3 +231,11 @@ def test_from_the_sequence_to_the_constants(tmp_path: Path, instrument: str) -> 
         assert abs(errors[name]["value"] - truth[name]) < 3.5 * standard + 0.01, name
         # The estimate also has curves of degree 12 as unknowns, which the prediction leaves out.
         assert 0.99 < errors[name]["u"] / standard < 3.0, name
+
+
+def test_fewer_readings_than_unknowns(tmp_path: Path) -> None:
+    """A head with two axes, four poses in reach of one sphere: most errors are not determined, and the plan says so."""
+    machine = KINDS["head-head"]().machine(tmp_path)
+    sizes = InstrumentSizes(tool_length_mm=120.0)
+    plan = measuring_sequence(machine, "probe", "turns", places_mm={"a": (50.0, 0.0, 60.0)}, sizes=sizes)
+    assert len(plan.table) == 4 and "6 of 14 determined" in plan.to_text()

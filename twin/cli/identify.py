@@ -21,6 +21,16 @@ from twin.cli.shared.command import CALIBRATION, HTML, CommandResult, JsonOption
 if TYPE_CHECKING:
     from twin.controls import ControlSection
     from twin.machine.machine import Machine
+    from twin.measurement.table import Measurements
+
+
+TABLES_ACTIVE = (
+    "\nThese errors were measured with the control's tables active: keep them active, and add new tables to them "
+    "(twin control --add).\n"
+)
+MODULE_ACTIVE = (
+    "\nMeasured with a kinematics module active: twin control --add makes one that corrects the old errors and these.\n"
+)
 
 
 class UncertaintyChoice(StrEnum):
@@ -64,8 +74,8 @@ ControlOption = Annotated[
     list[str] | None,
     typer.Option(
         "--control",
-        help="FORMAT=FILE of a compensation table active in the control during the measurement; repeatable. For a kinematics module: "
-        "linuxcnc-kinematics=FOLDER/calibration.yaml (twin doc control).",
+        help="FORMAT=FILE of a compensation table active in the control during the measurement, or of the calibration.yaml of an "
+        "active kinematics module; repeatable (twin doc control).",
     ),
 ]
 
@@ -113,6 +123,8 @@ def identify(
     with progress_bar() as bar:
         bar("reading", 0.0)
         data = Measurements.join([Measurements.load(path, loaded) for path in measured])
+        if tables is not None and tables.live:
+            _check_relative(data)
         identification = run_identification(
             data,
             loaded,
@@ -136,9 +148,7 @@ def identify(
         INSTRUMENT_OPTIONS if identification.noise.contradicted or identification.noise.assumed else ""
     )
     if tables is not None:
-        what, them = ("kinematics module", "it") if tables.live else ("tables", "them")
-        more = "a new module holds both" if tables.live else "add new tables to them"
-        text += f"\nThese errors were measured with the control's {what} active: keep {them} active, and {more} (twin control --add).\n"
+        text += TABLES_ACTIVE if tables.tables else MODULE_ACTIVE
         text += f"{tables.caution}\n" if tables.caution else ""
     return CommandResult(
         text,
@@ -171,13 +181,28 @@ def tables_on(entries: Sequence[str], machine: Machine) -> ControlSection:
             )
         tables.setdefault(kind, []).append(Path(file))
     live = [entry for kind in LIVE_FORMATS for file in tables.pop(kind, []) for entry in held_by_module(file, machine)]
-    if live and tables:
+    if live and len(entries) > 1:
         raise InputError(
-            "a kinematics module and tables are never active together",
-            expected="the calibration.yaml of the module alone, or the tables",
-            setting="control",
+            "--control names a kinematics module and more",
+            expected="the calibration.yaml of the module alone: it holds all errors, and the control runs one",
+            value=entries[-1],
         )
     for kind, files in tables.items():
         read_tables(kind, files, machine)
     found = tuple(TableEntry.of(file, kind, ()) for kind, files in tables.items() for file in files)
     return ControlSection("remaining", found, (), tuple(live))
+
+
+def _check_relative(data: Measurements) -> None:
+    """Raise `InputError` unless every reading is of the tool relative to the workpiece.
+
+    A kinematics module moves the linear axes for the errors of the rotary ones. Relative to the workpiece only what remains is seen;
+    from the base these corrections as well, which are no error motions of the linear axes.
+    """
+    relative = (data.carrier != data.station_carrier) & (data.station_carrier != "base")
+    if not relative.all():
+        raise data.error(
+            "a reading from the base while a kinematics module was active",
+            expected="the tool relative to the workpiece (probe and sphere, R-test, ball bar), or a measurement with the module off",
+            row=int(relative.argmin()),
+        )

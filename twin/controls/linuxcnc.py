@@ -27,6 +27,8 @@ PROGRAMS: Final = ("linuxcnc", "halcmd", "halsampler", "setpriv")
 LOCK: Final = Path("/tmp/linuxcnc.lock")
 MARK: Final = "TWIN_CONTROL"
 """Variable in the environment of every process of a run."""
+LOST: Final = "USRMOT: ERROR: command timeout"
+"""In its output where a command did not reach the motion controller; a refused one is an "invalid command" and has a message."""
 PERIOD_S: Final = 0.001
 _LIMITS: Final = "MIN_LIMIT = {low}\nMAX_LIMIT = {high}\nMAX_VELOCITY = 500\nMAX_ACCELERATION = {acceleration}"
 DEFAULT_ACCELERATION: Final = 5000.0
@@ -190,11 +192,9 @@ def run(
     display.write_text(resources.files("twin.controls").joinpath("linuxcnc_display.txt").read_text(encoding="utf-8"))
     display.chmod(0o755)
     log = _run(folder, user or getpass.getuser(), seconds)
-    if "USRMOT: ERROR" in log:
+    if LOST in log:
         # It goes on with the next action, as if the program had ended.
-        raise InputError(
-            "commands to the control were lost", expected="a computer that is less busy", value="USRMOT: ERROR"
-        )
+        raise InputError("commands to the control were lost", expected="a computer that is less busy", value=LOST)
     results = folder / "results.json"
     if not results.exists():
         raise InputError("LinuxCNC does not start", expected="a control that runs here", value=log[-600:].strip())

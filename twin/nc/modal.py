@@ -7,7 +7,7 @@ import re
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, final
 
 import numpy as np
 
@@ -124,6 +124,45 @@ _WITH_LETTER = re.compile(r"[A-Za-z_]")
 _REFERENCE = re.compile(r"([+-]?)[ \t]*+(\$?[A-Za-z_]\w*+|\#(?:\d++|<[^>\r\n]*+>))", re.ASCII)
 
 
+@final
+class ProgramEnd:
+    """End of a program. No control executes what is behind it: it stays as it is.
+
+    Attributes:
+        word: the word that ends it; empty before.
+    """
+
+    def __init__(self) -> None:
+        self.word = ""
+        self._line, self._skipped, self._another = 0, False, ""
+
+    def reached(self, word: str, line: int, *, skipped: bool = False) -> None:
+        """Take note of the end; ``line``: its 0-based index, ``skipped``: whether a switch of the control decides on it."""
+        self.word, self._line, self._skipped = word, line, skipped
+
+    def begins(self, what: str) -> None:
+        """Take note of the beginning of another program behind the end."""
+        self._another = self._another or what
+
+    def refusal(self) -> tuple[str, str] | None:
+        """Return what is wrong with a block behind the end that moves axes, and what is expected; None if it can stay."""
+        where = f"behind the end of the program ({self.word} in line {self._line + 1})"
+        if self._another:
+            expected = "one program in a file, and subprograms that it calls"
+            return f"another program {where}, which begins with {self._another}", expected
+        if self._skipped:
+            return f"a block {where}, which the control's switch for block skip turns off", "an end without /"
+        return None
+
+    @property
+    def notice(self) -> str:
+        """Notice on the first block behind the end."""
+        return (
+            f"not executed and left as it is, with all that follows: behind the end of the program ({self.word} in line "
+            f"{self._line + 1})"
+        )
+
+
 class Interpreter(ABC):
     """Modal state of an ISO or Heidenhain program.
 
@@ -135,11 +174,9 @@ class Interpreter(ABC):
     Attributes:
         position: last commanded position, mm and degrees, NaN where unknown.
         vector: the tool vector in force, if orientation is given as one.
-        notices: remarks for the report.
-        late_notices: further ones, which follow those of the whole program.
+        notices, late_notices: remarks for the report; the second ones follow those of the whole program.
         lost_positions: lines after which axis positions are unknown.
-        frame: the coordinates in force.
-        frames: lines that change them.
+        frame, frames: the coordinates in force, and the lines that change them.
         drilled: see `twin.nc.blocks.Interpretation`.
         stated_offsets: values of work offsets that the program has set, by axis; None for those that it has not.
         tcp: whether tool centre point control is on.
@@ -151,6 +188,7 @@ class Interpreter(ABC):
         offset: the work offset that the program has selected; None before the first, or if offsets do not change what is read.
         used_offset: the offset of the moves so far, None before the first.
         turned_to: (n, rotary axes) their positions before and at the moves checked last.
+        end: the end of the program.
         repeated: moves of the third linear axis that follow each simple line, of a drilling cycle: height and whether it is a rapid;
             None if no cycle is in force.
     """
@@ -190,6 +228,7 @@ class Interpreter(ABC):
         self.tcp_word = ""
         self.tcp_on = frozenset(tcp_on)
         self.tcp_off = frozenset(tcp_off) - self.tcp_on
+        self.end = ProgramEnd()
         self._line = 0
         self._block_text = ""
         self._variables: dict[str, float] = {}
@@ -246,6 +285,17 @@ class Interpreter(ABC):
     def may_end(self, tail: str) -> bool:
         """Return whether a program may be divided here; ``tail``: its lines after the last move."""
         return True
+
+    def behind_end(self, *, moves: bool) -> None:
+        """Take note of a block behind the end of the program.
+
+        Raises:
+            InputError: it moves axes, and the control may execute it.
+        """
+        refused = self.end.refusal() if moves else None
+        if refused is not None:
+            raise self.error(*refused)
+        self.note(self.end.notice, once=True)
 
     # ------------------------------------------------------------------ messages
 

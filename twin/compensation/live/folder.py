@@ -334,15 +334,13 @@ def make_module(
 
 
 def held_by_module(path: Path, machine: Machine) -> tuple[TableEntry, ...]:
-    """Return the calibrations whose errors a module corrects, from the `calibration.yaml` or `corrected.yaml` of its folder.
+    """Return the calibrations whose errors a module corrects, from the `calibration.yaml` of its folder.
 
     Raises:
-        InputError: a file that cannot be read or has changed since the module was written, or a calibration of tables.
+        InputError: a file that cannot be read or has changed since the module was written, or another calibration.
     """
     errors = Calibration.load(path, machine)
-    if errors.control is None:
-        return (TableEntry.of(path, FORMAT, BASIC),)
-    if not errors.control.live:
+    if errors.control is None or not errors.control.live:
         expected = f"{CALIBRATION} of a folder that `twin control --to {FORMAT}` wrote"
         raise InputError("not the calibration of a kinematics module", expected=expected, file=path)
     for entry in errors.control.live:

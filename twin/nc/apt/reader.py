@@ -35,7 +35,7 @@ from twin.nc.blocks import (
 from twin.nc.lines.chunks import DELETED_LINE
 from twin.nc.lines.compiled import LineCode
 from twin.nc.lines.scan import Scan
-from twin.nc.modal import AUXILIARY, BESIDE, CORRECTION_DEG, SWITCHING_M
+from twin.nc.modal import AUXILIARY, BESIDE, CORRECTION_DEG, SWITCHING_M, ProgramEnd
 from twin.nc.text import BOM, MM_PER_INCH, UNIT_LENGTH, number, unit_vector
 from twin.nc.writer import Vector
 
@@ -173,7 +173,7 @@ def scan(data: bytes, names: tuple[str, ...], code: LineCode) -> Scan:
     place = np.arange(len(commas)) - np.searchsorted(commas, starts)[line]
     image[commas] = np.where(headed[line], _LETTERS[np.minimum(place, len(_LETTERS) - 1)], ord(","))
     notes = starts[:-1][text.take(starts[:-1], mode="clip") == ord("$")]
-    image[notes[text.take(notes + 1, mode="clip") == ord("$")]] = ord("%")
+    image[notes[text.take(notes + 1, mode="clip") == ord("$")]] = ord(";")
     scan = code.scan(image.tobytes(), _NAMES)
     count = np.diff(scan.first)
     simple = scan.simple & headed[: len(scan.simple)] & ((count == 3) | (count == 6))
@@ -257,14 +257,15 @@ class AptReader:
         self._side = self._on_contour = False
         self._at: tuple[float, ...] = (math.nan,) * 3
         self._circle: tuple[Statement, list[float]] | None = None
+        self.end = ProgramEnd()
         self._noted: set[str] = set()
         self._line = 0
 
     @property
     def alone(self) -> bool:
-        """Whether the next location must be read alone: a rapid, a hole, one beside the contour, the end of an arc, or unknown."""
+        """Whether the next location must be read alone: rapid, hole, beside the contour, end of an arc, unknown, or after the end."""
         beside = self._side or self._on_contour
-        return self.rapid or self.cycle or beside or self._circle is not None or bool(self.unknown)
+        return self.rapid or self.cycle or beside or self._circle is not None or bool(self.unknown or self.end.word)
 
     def error(self, what: str, value: object, expected: str) -> InputError:
         """Return an error at the current statement."""
@@ -286,6 +287,11 @@ class AptReader:
         if not word:
             return None
         self._line = statement.line
+        if self.end.word:
+            self.note(self.end.notice, once=True)
+            return None
+        if word == "FINI":
+            self.end.reached(word, self._line)
         if word in _MEANINGS:
             return _MEANINGS[word](self, statement)
         if word in _REFUSED:

@@ -362,7 +362,7 @@ def scan(data: bytes, names: tuple[str, ...], code: LineCode) -> Scan:
 
 
 def _with_iso_heads(data: bytes) -> bytes:
-    """Return the image of a text in which the head of an L block ends in ``G1``, and that of a comment in ``%``."""
+    """Return the image of a text in which the head of an L block ends in ``G1``, and that of a comment in ``;``."""
     image = np.frombuffer(bytearray(data.translate(_IMAGE)), dtype=np.uint8)
     text, kind = (np.frombuffer(one, dtype=np.uint8) for one in (data, data.translate(_KINDS)))
     starts = np.concatenate([[0], line_ends(text, data) + 1])
@@ -384,5 +384,5 @@ def _with_iso_heads(data: bytes) -> bytes:
     for i in range(longest):
         image[start[start + i < at] + i] = ord(" ")
     moves = at[kind[at] == _KEYWORD]
-    image[at], image[moves], image[moves + 1] = ord("%"), ord("G"), ord("1")
+    image[at], image[moves], image[moves + 1] = ord(";"), ord("G"), ord("1")
     return image.tobytes()

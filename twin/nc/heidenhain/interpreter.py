@@ -74,7 +74,7 @@ class HeidenhainInterpreter(HeidenhainFrame):
     def runs_allowed(self) -> bool:
         """See `Interpreter.runs_allowed`: no tool vector, and no block that continues."""
         beside = self.beside or self.on_contour or self.pending
-        return self.set_up and self.vector is None and not (self.continued or self.modal or beside)
+        return self.set_up and self.vector is None and not (self.continued or self.modal or beside or self.end.word)
 
     def may_end(self, tail: str) -> bool:
         """See `Interpreter.may_end`: not while every positioning calls a cycle."""
@@ -90,7 +90,15 @@ class HeidenhainInterpreter(HeidenhainFrame):
     def _found(self, line: int, text: str) -> re.Match[str] | None:
         """Begin a line and return its match if it is a simple block; only ``LN`` can have vectors."""
         self._line, self._block_text = line, text
-        special = self.continued or self.modal or self.beside or self.on_contour or self.parks or self.pending
+        special = (
+            self.continued
+            or self.modal
+            or self.beside
+            or self.on_contour
+            or self.parks
+            or self.pending
+            or bool(self.end.word)
+        )
         found = None if special else self._simple.pattern.fullmatch(text)
         if found is not None and found[2] in ("L", "l") and any(found.groups()[self._simple.behind]):
             return None
@@ -103,7 +111,9 @@ class HeidenhainInterpreter(HeidenhainFrame):
         block = PathBlock(text, begin, self.inch, numbered=head is not None and head.group(1) is not None)
         block.keyword_end = begin
         body = text[begin:].strip(" \t\r\n\f\x1a")
-        if self.continued:
+        if self.end.word:
+            self._behind_end(block, body)
+        elif self.continued:
             block.numbered = False
             self.continued = body.endswith("~")
             self.take_parameters(body)
@@ -111,7 +121,20 @@ class HeidenhainInterpreter(HeidenhainFrame):
             self.end_preset(block)
         elif body and body[0] not in ";*%":
             self._body(block, body)
+            if vocabulary.ENDING.match(body):
+                self.end.reached("END PGM", self._line)
         return block
+
+    def _behind_end(self, block: PathBlock, body: str) -> None:
+        """Interpret a line behind the end of the program: a comment, the rest, ``END PGM``, or another program."""
+        block.numbered = False
+        if vocabulary.BEGINNING.match(body):
+            self.end.begins(body)
+        elif body and body[0] not in ";*%" and not vocabulary.ENDING.match(body):
+            match = vocabulary.KEYWORD.match(body)
+            keyword = "" if match is None else match.group().upper()
+            paths = {"L", "LN"} | vocabulary.ARCS | vocabulary.POLAR
+            self.behind_end(moves=keyword in paths or vocabulary.PARAXIAL.match(body) is not None)
 
     def _simple_block(self, match: re.Match[str], known: Move | None) -> PathBlock:
         """Interpret a simple block from the groups of its pattern."""
@@ -436,6 +459,8 @@ class HeidenhainInterpreter(HeidenhainFrame):
         if code in vocabulary.CALLING_M:
             self.take_call_word(block, code, Span(match.start("misc"), match.end()))
             return
+        if code in vocabulary.END_M:
+            self.end.reached(word, self._line)
         if code in vocabulary.LAST_M:
             block.end_m_words.append(Span(match.start("misc"), match.end()))
         self.switch_by(block, word)

@@ -173,6 +173,10 @@ OF_HEIDENHAIN = frozenset({*range(89, 150), *range(200, 205)})
 """M functions that HEIDENHAIN defines; every other one is the machine builder's (`twin.nc.modal.Interpreter.take_auxiliary`)."""
 REFUSED_M = frozenset({98, 118, 130, 144})
 CALLING_M = frozenset({89, 99})
+END_M = frozenset({2, 30})
+"""M functions behind which nothing of a program is executed."""
+BEGINNING = re.compile(r"BEGIN[ \t]+PGM\b", re.IGNORECASE)
+ENDING = re.compile(r"END[ \t]+PGM\b", re.IGNORECASE)
 LAST_M = frozenset({0, 1, 2, 5, 9, 30, 60})
 
 EXPANDED_CYCLE = "a cycle expanded into L blocks by the postprocessor"

@@ -57,7 +57,7 @@ class IsoInterpreter(IsoMotion):
         self._started = self._okuma = False
         self._assignments: list[tuple[str, float]] = []
         """Values of ``#`` variables that hold from the next block on: words of the same block have the values before (LinuxCNC)."""
-        self._probes = self._siemens = self._begun = False
+        self._probes = self._siemens = self._begun = self._any = self._marked = False
         self._unit_line: int | None = None
 
     @property
@@ -79,7 +79,12 @@ class IsoInterpreter(IsoMotion):
         self._line, self._block_text = line, text
         begin = len(BOM) if line == 0 and text.startswith(BOM) else 0
         stripped = text[begin:].strip(" \t\r\n\f\x1a")
+        if stripped[:1] == "%":
+            self._tape_mark(stripped)
         if not stripped or stripped[0] in "%;":
+            return None
+        if self.end.word:
+            self._behind_end(text, stripped)
             return None
         if stripped[0] == "$" and vocabulary.OKUMA_HEADER.fullmatch(stripped):
             self._okuma = True
@@ -97,6 +102,8 @@ class IsoInterpreter(IsoMotion):
             if kind != "note" and _TOKENS[kind](self, block, match):
                 break
         applied = self._apply(block) if self._started or block.names else None
+        self._any = True
+        self._end(block)
         for name, value in self._assignments:
             self.assign(name, value)
         self._assignments.clear()
@@ -109,6 +116,39 @@ class IsoInterpreter(IsoMotion):
             if self._unit_line is None or self._unit_line > first:
                 self.late_notices.append(Notice(first, NO_UNIT))
         return super().checked(moves, text_of)
+
+    def _end(self, block: IsoBlock) -> None:
+        """Take note of a word that ends the program, or that returns from a subprogram, in a program that was not called."""
+        words = [word for word in block.m_words if word in vocabulary.END_M]
+        words += [item.name for item in block.names if item.name == "RET"]
+        if not words:
+            return
+        if words[0] == "M99" and any(item.name == "P" for item in block.others):
+            raise self.error("jump at the end of the program", "M99 without P")
+        self.end.reached(words[0], self._line, skipped=bool(block.skip))
+
+    def _tape_mark(self, text: str) -> None:
+        """Take note of a line with %: the second one, or one behind a block, ends the program or begins another."""
+        if self.end.word:
+            if text.strip("%"):
+                self.end.begins(text)
+        elif self._any or not all(value != value for value in self.position) or (self._marked and text == "%"):
+            self.end.reached("%", self._line)
+            if text.strip("%"):
+                self.end.begins(text)
+        self._marked |= text == "%"
+
+    def _behind_end(self, text: str, stripped: str) -> None:
+        """Interpret a line behind the end of the program.
+
+        Raises:
+            InputError: it moves axes, and the control may execute it.
+        """
+        words = [match for match in vocabulary.TOKEN.finditer(text) if match.lastgroup != "note"]
+        if vocabulary.PROGRAM_BEGIN.match(stripped):
+            self.end.begins(stripped)
+        elif any((match[2] or match[6] or "").upper() not in ("", "N") for match in words):
+            self.behind_end(moves=any((match[2] or match[6] or "").upper() in self.index for match in words))
 
     def may_end(self, tail: str) -> bool:
         """See `Interpreter.may_end`: not while a cycle is in force or between M29 and its thread, which are written together."""

@@ -191,6 +191,10 @@ HARMLESS_M: frozenset[str] = frozenset(
     )
 )
 """M codes that leave positions, frames, offsets and modes alone. Others: `twin.nc.modal.SWITCHING_M`."""
+END_M: frozenset[str] = frozenset({"M2", "M30", "M17", "M99"})
+"""M words behind which nothing of a program is executed: its end, or its return if it is called (M99 otherwise begins again)."""
+PROGRAM_BEGIN = re.compile(r"(?:[O:][ \t]*\d|<[^<>]*>|PROC\b)", re.IGNORECASE)
+"""Beginning of a program or subprogram, beside a line with ``%``."""
 LAST_M: frozenset[str] = frozenset(
     {"M0", "M1", "M2", "M5", "M9", "M30", "M60", "M17", "M99", "M00", "M01", "M02", "M05", "M09"}
 )

@@ -40,7 +40,7 @@ _FOLLOWS: Final = {
 }
 """Kinds of character that may follow each kind in a simple line."""
 _NUMBER, _CODE, _FEED = -3, -2, -1
-NOTE: Final = re.compile(rb"[ \t]*+(?:%[^\r\n]*+|(?:[Nn]\d++[ \t]*+)?+(?:;[^\r\n]*+|\([^()\r\n]*+\)[ \t]*+))[\r\n]*+")
+NOTE: Final = re.compile(rb"[ \t]*+(?:[Nn]\d++[ \t]*+)?+(?:;[^\r\n]*+|\([^()\r\n]*+\)[ \t]*+)[\r\n]*+")
 """Comment lines without anything else, among the lines for which `twin.nc.iso.interpreter.Interpreter.step` returns None."""
 _MINUS, _PLUS, _ZERO, _SPACE = b"-+0 "
 
