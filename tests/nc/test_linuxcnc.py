@@ -15,6 +15,7 @@ import pytest
 
 from tests.nc import rs274
 from tests.nc.linuxcnc_programs import PARAMETERS, TOOLS, ControlProgram
+from tests.nc.nc_support import read_moves
 from tests.nc.readings import Comparison, compare
 from tests.truth.machine import TruthMachine
 from twin._common.bundled import find_program
@@ -137,6 +138,20 @@ def test_where_controls_differ_twin_says_so(said: str, tmp_path: Path) -> None:
         assert found.difference and said in found.said
     same = judged(START + "G99 G81 X5 Y5 Z-5 R2\nX7 R1\nG80\nM2\n", tmp_path)
     assert not same.difference and said not in same.said
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_machine_coordinates_in_increments_are_noted(known: bool, tmp_path: Path) -> None:
+    """LinuxCNC refuses them; twin passes them, says so, and does not know where the axes are until an absolute word."""
+    text = START + f"G9{0 if known else 1}\nG53 G0 Z5\nG90 X1\nG91 Z1\nG90 Z7\nM2\n"
+    found = judged(text, tmp_path)
+    assert (
+        found.judge is not None and bool(found.judge.refusal) is not known and ("G53 in G91" in found.said) is not known
+    )
+    moves = read_moves(dialect_for(tmp_path / "part.ngc"), text).moves[1:]
+    assert [move.position[2] for move in moves] == pytest.approx(
+        [5.0 if known else np.nan, np.nan, np.nan, 7.0], nan_ok=True
+    )
 
 
 @pytest.mark.sample(3)
