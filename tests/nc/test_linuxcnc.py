@@ -92,6 +92,7 @@ EQUAL = {
     "a local shift": "G52 X5 B1\nG91 G1 X5\nG90 G52 X7\nG1 Y5\nG52 X0 B0\nG1 Z2",
     "a work offset by its value and by the position": "G10 L2 P1 X7 Y3\nG90 G1 X5 Y2\n#<a>=1\nG10 L20 P1 X0 Y9\nG91 X1 Y1",
     "a turned work offset": "G10 L2 P1 X7 Y3 Z1 R30\nG90 G1 X5 Y2 Z1\nG2 X9 Y2 I2 J0\nG10 L2 P1 R-20\nG91 G1 X1",
+    "machine coordinates where the work offset is turned": "G10 L2 P1 R30\nG53 G0 X5\nG1 X7\nY3 X1\nG53 G1 Z5\nX2",
     "an argument that changes": SUB.format("#101=9\nG1 X#1") + "#101=5\no100 call [#101]",
     "and one that changes within": "o101 sub\n#101=9\no101 endsub\n"
     + SUB.format("o101 call\nG1 X#1")

@@ -592,6 +592,16 @@ class Interpreter(ABC):
             if word.incremental and last != last and word.value != 0.0:
                 self.mark_unknown(block, (word.axis,), moved=True)
 
+    def words_of(self, axes: Iterable[int]) -> set[int]:
+        """Return axes of the machine and those whose words a move of one changes, because the coordinates are turned or tilted."""
+        which = {*axes}
+        linear = [axis for axis in which if axis < self.linear]
+        if linear and self.frame.plane is not None:
+            which.update(range(self.linear))
+        elif self.frame.turn is not None:
+            which.update(i for axis in linear for i, part in enumerate(self.frame.turn[axis]) if part)
+        return which
+
     def unit_direction(self, what: str, components: list[float]) -> tuple[float, float, float]:
         """Return a vector at unit length.
 
@@ -639,7 +649,7 @@ class Interpreter(ABC):
     def placed(self, values: Mapping[int, float], block: Block) -> tuple[float, ...]:
         """Return machine coordinates of some axes, NaN for the others; their place in program coordinates is unknown."""
         position = [values.get(axis, math.nan) for axis in range(len(self.names))]
-        which = {*values}
+        which = self.words_of(values)
         if self.tcp:
             which.update(range(self.linear))
         if any(axis >= self.linear for axis in which):

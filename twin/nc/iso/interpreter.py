@@ -185,6 +185,7 @@ class IsoInterpreter(IsoMotion):
                 "reference return or probing passed through uncompensated; its axis positions are unknown afterwards"
             )
             self.mark_unknown(block, left, moved=True, reference=word if word in _RETURNS else "")
+            self.mark_unknown(block, self.words_of(left), moved=None)
         there = [axis for axis in which if axis not in left]
         if there:
             block.positions = False
