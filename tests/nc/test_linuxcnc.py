@@ -32,6 +32,7 @@ KINDS = {
     "lines and arcs": ("line", "line", "arc", "arc", "mode", "feed"),
     "parameters": ("line", "assign", "assign", "arc"),
     "offsets": ("line", "line", "offset", "machine"),
+    "turned offsets": ("line", "line", "turned", "machine"),
     "tools": ("line", "line", "tool", "machine"),
     "subprograms": ("line", "call", "assign"),
     "loops": ("line", "loop", "assign"),
