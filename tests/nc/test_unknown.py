@@ -193,16 +193,19 @@ PLANE_OF = {ISO: "G68.2 X0 Y0 Z0 I0 J30 K0\nG53.1", PLAIN: "PLANE SPATIAL SPA+0 
         (ISO, "G10 L2 P1 R30", "G53 G0 Z0", "XY"),
         (ISO, "G10 L2 P1 R0", "G53 G0 X0", "XYZ"),
         (ISO, "ROT Z30", "SUPA G0 X0", "XZ"),
+        (ISO, "ROT Y30", "T1 M6\nG43 H1\nG0 Z9", "YZ"),
+        (ISO, PLANE_OF[ISO], "T1 M6\nG43 H1", "XY"),
         (ISO, PLANE_OF[ISO], "G53 G0 Z0", "X"),
         (PLAIN, "CYCL DEF 10.0 ROTATION\nCYCL DEF 10.1 ROT+30", "L X+0 FMAX M91", "XZ"),
         (PLAIN, PLANE_OF[PLAIN], "L Z+0 FMAX M91", "X"),
     ],
 )
-def test_a_machine_move_makes_every_word_unknown_that_it_changes(
+def test_every_word_that_changes_with_a_machine_axis_is_unknown(
     dialect: Dialect, frame: str, machine: str, known: str
 ) -> None:
-    """An axis of the machine moves along several axes of coordinates that are turned or tilted."""
+    """An axis of the machine, or a length along it, is several axes of coordinates that are turned or tilted."""
     word = "G0 X{} Y2 Z3\n{}\n{}\nG0 X5\n" if dialect is ISO else "L X+{} Y+2 Z+3 FMAX\n{}\n{}\nL X+5 FMAX\n"
+    word = word.replace("X5", "B0") if "ROT Y" in frame else word
     start = "G54\nG0 B0 C0\n" if dialect is ISO else "L B+0 C+0 FMAX\n"
     at = word.replace("{}\n{}\n", f"{frame}\n{word.splitlines()[0].format(1)}\n{machine}\n").format(1)
     last = read_moves(dialect, start + at).moves[-1].position

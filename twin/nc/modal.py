@@ -435,7 +435,7 @@ class Interpreter(ABC):
         if (tool, length) != (self._held_tool, self._held_length) and not block.tcp_switched:
             axes = (self.linear - 1 if along is None else along,)
             self.lost_positions.append(LostPositions(self._line - 1, axes, True))  # before the words of this block
-            self.mark_unknown(block, axes, moved=None)
+            self.mark_unknown(block, axes if self.frame.plane else self.words_of(axes), moved=None)
         if tool != self._held_tool:
             self._held_tool, self._tool_line, self._tool_chosen = tool, self._line, True
         if length != self._held_length:
@@ -516,7 +516,9 @@ class Interpreter(ABC):
             self.check_beside()
         self.frame = frame
         self.frames.append(FrameChange(self._line, frame))
-        self.mark_unknown(block, range(len(self.names)) if everything else (self.linear - 1,), moved=None)
+        along = (self.linear - 1,)
+        words = along if frame.plane else self.words_of(along)
+        self.mark_unknown(block, range(len(self.names)) if everything else words, moved=None)
 
     def reframe(self, block: Block, *, carried: bool, **changes: Any) -> None:
         """Change the frame by known values from this block on.
