@@ -94,6 +94,8 @@ EQUAL = {
     "a work offset by its value and by the position": "G10 L2 P1 X7 Y3\nG90 G1 X5 Y2\n#<a>=1\nG10 L20 P1 X0 Y9\nG91 X1 Y1",
     "a turned work offset": "G10 L2 P1 X7 Y3 Z1 R30\nG90 G1 X5 Y2 Z1\nG2 X9 Y2 I2 J0\nG10 L2 P1 R-20\nG91 G1 X1",
     "machine coordinates where the work offset is turned": "G10 L2 P1 R30\nG53 G0 X5\nG1 X7\nY3 X1\nG53 G1 Z5\nX2",
+    "the angle of the spindle": "M19 R90 Q1\nG1 X5 Y6\nG81 X9 Z-5 R2\nG80 M19 R7\nG1 X5",
+    "the angle of the spindle where nothing is known": "G1 X5 Y6\nG28.1\nM19 R90\nX5",
     "an argument that changes": SUB.format("#101=9\nG1 X#1") + "#101=5\no100 call [#101]",
     "and one that changes within": "o101 sub\n#101=9\no101 endsub\n"
     + SUB.format("o101 call\nG1 X#1")
@@ -103,6 +105,7 @@ EQUAL = {
 REFUSED = {
     "words after the arguments": SUB.format("G1 X#1") + "o100 call [8] G1 X5",
     "another unit within a cycle": "G81 X5 Y5 Z-5 R2\nG20 X.7\nG80",
+    "the angle of the spindle or the height of a cycle": "G81 X5 Y5 Z-5 R2\nM19 R4\nX7\nG80",
     "a dwell and a move": "G4 P.001 G0 X1 Y1\nG1 Z3",
     "a root of a negative number": "#1=-4\nG1 X[#1 ** 0.5]",
     **{word: f"{word}\nG1 X5" for word in ("G92.3", "G10 L2 P0 X7", "G10 L20 P1 X7", "#5221=7")},
