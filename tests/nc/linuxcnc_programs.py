@@ -182,6 +182,10 @@ class ControlProgram:
             ]
         self.lines.append(rng.choice(words))
 
+    def turned(self) -> None:
+        """A turned work offset."""
+        self.lines.append(f"G10 L2 P1 R{self.number(-90, 90)}")
+
     def tool(self) -> None:
         """A tool or a length."""
         words = ["T1 M6", "T2 M6", "T7 M6 G43", "G43", "G43 H1", "G43 H2", "G43 H7 Z5", "G49", "T1", "M6", "T0 M6"]
@@ -195,7 +199,8 @@ class ControlProgram:
         """Machine coordinates and reference positions."""
         words = [f"G53 G0 {self.words('XYZBC')}", f"G53 G1 {self.words('XYZBC')}", "G53 G0 X250 Y200 Z-150 B10 C20"]
         words += ["G28", "G30", f"G28 {self.words('XYZ')}", "G28.1", "G30.1", "G0 X250 Y200 Z-150 B10 C20"]
-        self.lines.append(self.rng.choice(words))
+        words += [f"G53 {self.words('XYZBC')}", f"G30 {self.words('BC')}", "G91 G28 Z0\nG90"]
+        self.lines += self.rng.choice(words).split("\n")
 
     def assign(self) -> None:
         """Assignments, alone, several, or in the block of a move."""

@@ -14,6 +14,7 @@ import pytest
 
 from tests.nc import rs274
 from tests.nc.linuxcnc_programs import PARAMETERS, TOOLS, ControlProgram
+from tests.nc.nc_support import read_moves
 from tests.nc.readings import Comparison, compare
 from tests.truth.machine import TruthMachine
 from twin._common.bundled import find_program
@@ -30,6 +31,7 @@ KINDS = {
     "lines and arcs": ("line", "line", "arc", "arc", "mode", "feed"),
     "parameters": ("line", "assign", "assign", "arc"),
     "offsets": ("line", "line", "offset", "machine"),
+    "turned offsets": ("line", "line", "turned", "machine"),
     "tools": ("line", "line", "tool", "machine"),
     "subprograms": ("line", "call", "assign"),
     "loops": ("line", "loop", "assign"),
@@ -90,6 +92,9 @@ EQUAL = {
     "a local shift": "G52 X5 B1\nG91 G1 X5\nG90 G52 X7\nG1 Y5\nG52 X0 B0\nG1 Z2",
     "a work offset by its value and by the position": "G10 L2 P1 X7 Y3\nG90 G1 X5 Y2\n#<a>=1\nG10 L20 P1 X0 Y9\nG91 X1 Y1",
     "a turned work offset": "G10 L2 P1 X7 Y3 Z1 R30\nG90 G1 X5 Y2 Z1\nG2 X9 Y2 I2 J0\nG10 L2 P1 R-20\nG91 G1 X1",
+    "machine coordinates where the work offset is turned": "G10 L2 P1 R30\nG53 G0 X5\nG1 X7\nY3 X1\nG53 G1 Z5\nX2",
+    "the angle of the spindle": "M19 R90 Q1\nG1 X5 Y6\nG81 X9 Z-5 R2\nG80 M19 R7\nG1 X5",
+    "the angle of the spindle where nothing is known": "G1 X5 Y6\nG28.1\nM19 R90\nX5",
     "an argument that changes": SUB.format("#101=9\nG1 X#1") + "#101=5\no100 call [#101]",
     "and one that changes within": "o101 sub\n#101=9\no101 endsub\n"
     + SUB.format("o101 call\nG1 X#1")
@@ -100,6 +105,7 @@ ENDS = ("M2", "M30", "X7 M02", "N7 (end) m 30", "M99", "%", "G0 Z9 M030 (end)", 
 REFUSED = {
     "words after the arguments": SUB.format("G1 X#1") + "o100 call [8] G1 X5",
     "another unit within a cycle": "G81 X5 Y5 Z-5 R2\nG20 X.7\nG80",
+    "the angle of the spindle or the height of a cycle": "G81 X5 Y5 Z-5 R2\nM19 R4\nX7\nG80",
     "a dwell and a move": "G4 P.001 G0 X1 Y1\nG1 Z3",
     "a root of a negative number": "#1=-4\nG1 X[#1 ** 0.5]",
     **{word: f"{word}\nG1 X5" for word in ("G92.3", "G10 L2 P0 X7", "G10 L20 P1 X7", "#5221=7")},
@@ -153,6 +159,20 @@ def test_where_controls_differ_twin_says_so(said: str, tmp_path: Path) -> None:
         assert found.difference and said in found.said
     same = judged(START + "G99 G81 X5 Y5 Z-5 R2\nX7 R1\nG80\nM2\n", tmp_path)
     assert not same.difference and said not in same.said
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_machine_coordinates_in_increments_are_noted(known: bool, tmp_path: Path) -> None:
+    """LinuxCNC refuses them; twin passes them, says so, and does not know where the axes are until an absolute word."""
+    text = START + f"G9{0 if known else 1}\nG53 G0 Z5\nG90 X1\nG91 Z1\nG90 Z7\nM2\n"
+    found = judged(text, tmp_path)
+    assert (
+        found.judge is not None and bool(found.judge.refusal) is not known and ("G53 in G91" in found.said) is not known
+    )
+    moves = read_moves(dialect_for(tmp_path / "part.ngc"), text).moves[1:]
+    assert [move.position[2] for move in moves] == pytest.approx(
+        [5.0 if known else np.nan, np.nan, np.nan, 7.0], nan_ok=True
+    )
 
 
 @pytest.mark.sample(3)

@@ -182,6 +182,36 @@ def test_what_does_not_make_anything_known(dialect: Dialect, block: str) -> None
     assert not read_moves(dialect, f"{head}{machine}\n{start}\n{feed}\n").moves[-1].unknown
 
 
+PLANE_OF = {ISO: "G68.2 X0 Y0 Z0 I0 J30 K0\nG53.1", PLAIN: "PLANE SPATIAL SPA+0 SPB+35 SPC+0 TURN FMAX"}
+
+
+@pytest.mark.parametrize(
+    ("dialect", "frame", "machine", "known"),
+    [
+        (ISO, "G10 L2 P1 R30", "G53 G0 X0", "XZ"),
+        (ISO, "G10 L2 P1 R30", "G28 X0", "XZ"),
+        (ISO, "G10 L2 P1 R30", "G53 G0 Z0", "XY"),
+        (ISO, "G10 L2 P1 R0", "G53 G0 X0", "XYZ"),
+        (ISO, "ROT Z30", "SUPA G0 X0", "XZ"),
+        (ISO, "ROT Y30", "T1 M6\nG43 H1\nG0 Z9", "YZ"),
+        (ISO, PLANE_OF[ISO], "T1 M6\nG43 H1", "XY"),
+        (ISO, PLANE_OF[ISO], "G53 G0 Z0", "X"),
+        (PLAIN, "CYCL DEF 10.0 ROTATION\nCYCL DEF 10.1 ROT+30", "L X+0 FMAX M91", "XZ"),
+        (PLAIN, PLANE_OF[PLAIN], "L Z+0 FMAX M91", "X"),
+    ],
+)
+def test_every_word_that_changes_with_a_machine_axis_is_unknown(
+    dialect: Dialect, frame: str, machine: str, known: str
+) -> None:
+    """An axis of the machine, or a length along it, is several axes of coordinates that are turned or tilted."""
+    word = "G0 X{} Y2 Z3\n{}\n{}\nG0 X5\n" if dialect is ISO else "L X+{} Y+2 Z+3 FMAX\n{}\n{}\nL X+5 FMAX\n"
+    word = word.replace("X5", "B0") if "ROT Y" in frame else word
+    start = "G54\nG0 B0 C0\n" if dialect is ISO else "L B+0 C+0 FMAX\n"
+    at = word.replace("{}\n{}\n", f"{frame}\n{word.splitlines()[0].format(1)}\n{machine}\n").format(1)
+    last = read_moves(dialect, start + at).moves[-1].position
+    assert "".join(name for name, value in zip("XYZ", last[:3], strict=True) if value == value) == known
+
+
 def test_arcs_and_incremental_words_pass_where_nothing_is_known() -> None:
     text = "G0 X1 Y2 Z3 B4 C5\nFOO\nG2 X5 Y5 I1\nG91 X1\nG90 G1 X2\n"
     assert [move.kind.value for move in read_moves(ISO, text).moves if move.unknown] == ["arc", "arc", "linear"]

@@ -485,7 +485,7 @@ class Interpreter(ABC):
         if (tool, length) != (self._held_tool, self._held_length) and not block.tcp_switched:
             axes = (self.linear - 1 if along is None else along,)
             self.lost_positions.append(LostPositions(self._line - 1, axes, True))  # before the words of this block
-            self.mark_unknown(block, axes, moved=None)
+            self.mark_unknown(block, axes if self.frame.plane else self.words_of(axes), moved=None)
         if tool != self._held_tool:
             self._held_tool, self._tool_line, self._tool_chosen = tool, self._line, True
         if length != self._held_length:
@@ -566,7 +566,9 @@ class Interpreter(ABC):
             self.check_beside()
         self.frame = frame
         self.frames.append(FrameChange(self._line, frame))
-        self.mark_unknown(block, range(len(self.names)) if everything else (self.linear - 1,), moved=None)
+        along = (self.linear - 1,)
+        words = along if frame.plane else self.words_of(along)
+        self.mark_unknown(block, range(len(self.names)) if everything else words, moved=None)
 
     def reframe(self, block: Block, *, carried: bool, **changes: Any) -> None:
         """Change the frame by known values from this block on.
@@ -642,6 +644,16 @@ class Interpreter(ABC):
             if word.incremental and last != last and word.value != 0.0:
                 self.mark_unknown(block, (word.axis,), moved=True)
 
+    def words_of(self, axes: Iterable[int]) -> set[int]:
+        """Return axes of the machine and those whose words a move of one changes, because the coordinates are turned or tilted."""
+        which = {*axes}
+        linear = [axis for axis in which if axis < self.linear]
+        if linear and self.frame.plane is not None:
+            which.update(range(self.linear))
+        elif self.frame.turn is not None:
+            which.update(i for axis in linear for i, part in enumerate(self.frame.turn[axis]) if part)
+        return which
+
     def unit_direction(self, what: str, components: list[float]) -> tuple[float, float, float]:
         """Return a vector at unit length.
 
@@ -689,7 +701,7 @@ class Interpreter(ABC):
     def placed(self, values: Mapping[int, float], block: Block) -> tuple[float, ...]:
         """Return machine coordinates of some axes, NaN for the others; their place in program coordinates is unknown."""
         position = [values.get(axis, math.nan) for axis in range(len(self.names))]
-        which = {*values}
+        which = self.words_of(values)
         if self.tcp:
             which.update(range(self.linear))
         if any(axis >= self.linear for axis in which):

@@ -174,6 +174,7 @@ class IsoInterpreter(IsoMotion):
         drills = not groups & _WITHOUT_CYCLE and self.take_cycle_words(block)
         machine = self._names(block) if block.names else False
         own = "".join(vocabulary.OWN_WORDS.get(span.name, "") for span in block.codes)
+        own += "R" if "M19" in block.m_words and not block.items else ""  # the angle of the spindle
         centre = [item for item in block.others if item.name not in own and self._is_of_motion(block, item)]
         self._state_to(block)
         self.choose_tool(block, frozenset(block.m_words))
@@ -225,6 +226,7 @@ class IsoInterpreter(IsoMotion):
                 "reference return or probing passed through uncompensated; its axis positions are unknown afterwards"
             )
             self.mark_unknown(block, left, moved=True, reference=word if word in _RETURNS else "")
+            self.mark_unknown(block, self.words_of(left), moved=None)
         there = [axis for axis in which if axis not in left]
         if there:
             block.positions = False

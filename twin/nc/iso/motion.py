@@ -94,6 +94,8 @@ class IsoDrilling(IsoShift):
             if level_stated and self.cycle is not None:
                 self.cycle = self._cycle()
             return False
+        if "M19" in block.m_words and not block.items:
+            raise self._refused("R beside M19", "the angle of the spindle before the cycle, or after G80")
         if not self._height:
             self._initial, self._stated_incremental = self.position[self.drilling], self.incremental
         stated |= self._take_values(block)
@@ -414,6 +416,10 @@ class IsoDrilling(IsoShift):
 CENTRE: Final = {"I": 0, "J": 1, "K": 2}
 SPINDLE_VECTOR: Final = {"A3": 0, "B3": 1, "C3": 2}
 _KINDS: Final = (Kind.RAPID, Kind.LINEAR, Kind.ARC, Kind.ARC)
+MACHINE_INCREMENTS: Final = (
+    "G53 in G91: Mitsubishi moves by the increments, Fanuc leaves the move out, LinuxCNC refuses it; the block stays as written, and "
+    "the positions of its axes are unknown afterwards"
+)
 
 
 class IsoMotion(IsoDrilling):
@@ -488,6 +494,8 @@ class IsoMotion(IsoDrilling):
             if centre or self.cycle is not None:
                 raise self.error("machine coordinates in an arc or a cycle", "a straight move")
             self.leave_contour()
+            if self.incremental and any(span.name == "53" for span in block.codes):
+                self.note(MACHINE_INCREMENTS, once=True)
             kind = Kind.RAPID if motion == 0 else Kind.LINEAR
             position = self.machine_position(block)
             block.moves += (Move(self._line, kind, self.tcp, position, self.named(block.axis_bits), machine=True),)
