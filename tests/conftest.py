@@ -10,10 +10,12 @@ from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, settings
+from xdist.scheduler import LoadFileScheduling
 
 from twin._common.resources import one_blas_thread
 from twin.cli import commands
@@ -104,6 +106,18 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: p
     seed = config.getoption("hypothesis_seed", None)
     if seed is not None:
         terminalreporter.write_line(f"new examples of hypothesis, drawn with --hypothesis-seed={seed}")
+
+
+class OneControl(LoadFileScheduling):
+    """Modules stay together, and those that run LinuxCNC go to one process: a computer runs one control."""
+
+    def _split_scope(self, nodeid: str) -> str:
+        return "tests/linuxcnc" if nodeid.startswith("tests/linuxcnc/") else str(super()._split_scope(nodeid))
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> OneControl:
+    return OneControl(config, log)
 
 
 @pytest.fixture(scope="session")

@@ -39,7 +39,7 @@ from tests.linuxcnc.physical import (
     write_tracked,
 )
 
-pytestmark = [needs_linuxcnc, needs_root, pytest.mark.xdist_group("linuxcnc")]
+pytestmark = [needs_linuxcnc, needs_root]
 SHORT = 4
 """Poses of a program that is cut short."""
 

@@ -20,7 +20,7 @@ from tests.linuxcnc.control import LETTERS, control, needs_linuxcnc, needs_root,
 from twin.compensation.live import make_module, outputs_of, write_module
 from twin.controls.linuxcnc import Ran
 
-pytestmark = [needs_linuxcnc, needs_root, pytest.mark.xdist_group("linuxcnc")]
+pytestmark = [needs_linuxcnc, needs_root]
 MODULES = Path("/usr/lib/linuxcnc/modules")
 LAG = 2
 TOOL = 120.0

@@ -21,7 +21,7 @@ from tests.truth.machine import TruthMachine
 from twin.compensation.live import make_module, write_module
 from twin.controls.linuxcnc import Ran
 
-pytestmark = [needs_linuxcnc, needs_root, pytest.mark.xdist_group("linuxcnc")]
+pytestmark = [needs_linuxcnc, needs_root]
 ERRORS_UM = 100.0
 TOOLS = ((0.0, 0.0, 120.0), (3.0, -2.0, 80.0))
 ON = [["hal", ["setp", "twinkins.fade-rate", "10"]], ["hal", ["setp", "twinkins.enable", "1"]], ["sleep", 0.5]]

@@ -19,7 +19,7 @@ from tests.linuxcnc.methods import (
     with_kinematics,
 )
 
-pytestmark = [needs_linuxcnc, needs_root, pytest.mark.xdist_group("linuxcnc")]
+pytestmark = [needs_linuxcnc, needs_root]
 
 
 @pytest.mark.slow  # 2 min each

@@ -14,7 +14,7 @@ from tests.linuxcnc.control import control, needs_linuxcnc, skip_without_control
 from tests.truth.machine import AXES, RANGES, TruthMachine
 from twin.compensation.tables import Request, make
 
-pytestmark = [needs_linuxcnc, pytest.mark.xdist_group("linuxcnc")]
+pytestmark = [needs_linuxcnc]
 TOOL = 120.0
 HOME = {"X": 240.0, "Y": 215.0, "Z": -190.0, "B": 80.0, "C": 100.0}
 REVERSALS = {"X": 9.0, "Y": -6.0, "Z": 4.0, "B": 25.0, "C": -40.0}

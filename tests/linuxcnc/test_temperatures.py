@@ -18,7 +18,7 @@ from twin.compensation.live import make_module, write_module
 from twin.controls.linuxcnc import Ran
 from twin.monitoring.record import ControlRecord, state_at
 
-pytestmark = [needs_linuxcnc, needs_root, pytest.mark.xdist_group("linuxcnc")]
+pytestmark = [needs_linuxcnc, needs_root]
 MODULES = Path("/usr/lib/linuxcnc/modules")
 PLACE = {"X": 300.0, "Y": 225.0, "Z": -100.0, "B": 0.0, "C": 0.0}
 BED, SCALE = 12.0, 9.0

@@ -15,7 +15,7 @@ from tests.linuxcnc.control import control, needs_linuxcnc, skip_without_control
 from tests.truth.rotary_table import pins_of, trt_joints
 from twin.controls.kinematics.linuxcnc_trt import LinuxCncTrt
 
-pytestmark = [needs_linuxcnc, pytest.mark.xdist_group("linuxcnc")]
+pytestmark = [needs_linuxcnc]
 URDF = Path(__file__).parents[2] / "urdf"
 POSES = ((300, 250, -100, 0, 0), (310, 240, -150, 30, 40), (280, 260, -120, -20, 170), (290, 245, -130, 80, -95))
 _ROTARY = re.compile(r'(<joint name="[^"]*" type="(?:revolute|continuous)">.*?<axis xyz=")([^"]*)(")', re.DOTALL)

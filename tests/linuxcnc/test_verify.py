@@ -22,7 +22,7 @@ from twin.compensation import Compensator, Options
 from twin.compensation.verification import Verification, on_exact_path, verify
 from twin.controls import linuxcnc
 
-pytestmark = [needs_linuxcnc, pytest.mark.xdist_group("linuxcnc")]
+pytestmark = [needs_linuxcnc]
 TOOL = 120.0
 CORNER_UM = 1e3 * linuxcnc.DEFAULT_ACCELERATION * linuxcnc.PERIOD_S**2 / 6.0 + 0.05
 """At a corner on the exact path: the control's interpolation, (x₋₁ + 4x₀ + x₁)/6, joins the last and the first step, a·T² at most."""
