@@ -410,6 +410,7 @@ def results(
         twin.identify_as_thesis(simulate(plan, dmu50, drawn, LaserTracker(), np.random.default_rng(7))[0], dmu50),
         *(twin.calibrated_urdf(drawn), record, thermal),
         twin.report(dmu50, Calibration.zero(dmu50), made=datetime(2026, 1, 2, tzinfo=UTC)),
+        twin.check_program(arc, dmu50, options=options),
     ]
     return {type(one).__name__: one for one in made}
 

@@ -7,7 +7,7 @@ import re
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Final, NamedTuple, final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from twin._common.errors import InputError
 from twin.nc.arcs import ArcMisfit
 from twin.nc.arithmetic import evaluate, key_of
 from twin.nc.blocks import Arc, AxisWords, FrameChange, Kind, LostPositions, Move, MoveColumns, Notice, WordFrame
-from twin.nc.text import LARGEST, number, unit_vector
+from twin.nc.text import LARGEST, ProgramEnd, number, unit_vector
 
 
 class AxisWord(NamedTuple):
@@ -122,45 +122,6 @@ CORRECTION_DEG: Final = 0.1
 _WITH_LETTER = re.compile(r"[A-Za-z_]")
 """An exponent, or what else Python reads as part of a number; no control does."""
 _REFERENCE = re.compile(r"([+-]?)[ \t]*+(\$?[A-Za-z_]\w*+|\#(?:\d++|<[^>\r\n]*+>))", re.ASCII)
-
-
-@final
-class ProgramEnd:
-    """End of a program. No control executes what is behind it: it stays as it is.
-
-    Attributes:
-        word: the word that ends it; empty before.
-    """
-
-    def __init__(self) -> None:
-        self.word = ""
-        self._line, self._skipped, self._another = 0, False, ""
-
-    def reached(self, word: str, line: int, *, skipped: bool = False) -> None:
-        """Take note of the end; ``line``: its 0-based index, ``skipped``: whether a switch of the control decides on it."""
-        self.word, self._line, self._skipped = word, line, skipped
-
-    def begins(self, what: str) -> None:
-        """Take note of the beginning of another program behind the end."""
-        self._another = self._another or what
-
-    def refusal(self) -> tuple[str, str] | None:
-        """Return what is wrong with a block behind the end that moves axes, and what is expected; None if it can stay."""
-        where = f"behind the end of the program ({self.word} in line {self._line + 1})"
-        if self._another:
-            expected = "one program in a file, and subprograms that it calls"
-            return f"another program {where}, which begins with {self._another}", expected
-        if self._skipped:
-            return f"a block {where}, which the control's switch for block skip turns off", "an end without /"
-        return None
-
-    @property
-    def notice(self) -> str:
-        """Notice on the first block behind the end."""
-        return (
-            f"not executed and left as it is, with all that follows: behind the end of the program ({self.word} in line "
-            f"{self._line + 1})"
-        )
 
 
 class Interpreter(ABC):

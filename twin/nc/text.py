@@ -13,7 +13,7 @@ import re
 from collections.abc import Callable, Iterable, Sequence
 from functools import lru_cache
 from textwrap import wrap
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, final
 
 import numpy as np
 
@@ -363,3 +363,42 @@ def insert_comments(
     small = any(line != line.upper() for line in lines)
     written = (style(line) for line in new)
     return before + "".join(f"{line if small else line.upper()}{newline}" for line in written) + rest(text[begin:])
+
+
+@final
+class ProgramEnd:
+    """End of a program. No control executes what is behind it: it stays as it is.
+
+    Attributes:
+        word: the word that ends it; empty before.
+    """
+
+    def __init__(self) -> None:
+        self.word = ""
+        self._line, self._skipped, self._another = 0, False, ""
+
+    def reached(self, word: str, line: int, *, skipped: bool = False) -> None:
+        """Take note of the end; ``line``: its 0-based index, ``skipped``: whether a switch of the control decides on it."""
+        self.word, self._line, self._skipped = word, line, skipped
+
+    def begins(self, what: str) -> None:
+        """Take note of the beginning of another program behind the end."""
+        self._another = self._another or what
+
+    def refusal(self) -> tuple[str, str] | None:
+        """Return what is wrong with a block behind the end that moves axes, and what is expected; None if it can stay."""
+        where = f"behind the end of the program ({self.word} in line {self._line + 1})"
+        if self._another:
+            expected = "one program in a file, and subprograms that it calls"
+            return f"another program {where}, which begins with {self._another}", expected
+        if self._skipped:
+            return f"a block {where}, which the control's switch for block skip turns off", "an end without /"
+        return None
+
+    @property
+    def notice(self) -> str:
+        """Notice on the first block behind the end."""
+        return (
+            f"not executed and left as it is, with all that follows: behind the end of the program ({self.word} in line "
+            f"{self._line + 1})"
+        )

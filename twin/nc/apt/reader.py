@@ -35,8 +35,8 @@ from twin.nc.blocks import (
 from twin.nc.lines.chunks import DELETED_LINE
 from twin.nc.lines.compiled import LineCode
 from twin.nc.lines.scan import Scan
-from twin.nc.modal import AUXILIARY, BESIDE, CORRECTION_DEG, SWITCHING_M, ProgramEnd
-from twin.nc.text import BOM, MM_PER_INCH, UNIT_LENGTH, number, unit_vector
+from twin.nc.modal import AUXILIARY, BESIDE, CORRECTION_DEG, SWITCHING_M
+from twin.nc.text import BOM, MM_PER_INCH, UNIT_LENGTH, ProgramEnd, number, unit_vector
 from twin.nc.writer import Vector
 
 _STATEMENT = re.compile(r"[ \t\f\x1a]*+([A-Za-z][A-Za-z0-9_ -]*+)(?:(/)(.*))?", re.ASCII | re.DOTALL)
