@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import subprocess
 import sys
@@ -54,7 +55,9 @@ def test_the_slow_run_draws_new_examples_and_prints_their_seed(tmp_path: Path) -
     def run(*arguments: str) -> tuple[str, str]:
         (tmp_path / "drawn").unlink(missing_ok=True)
         command = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", *arguments]
-        done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=300, check=True)
+        # In the common folder of temporary files it would take the rights of the user that runs LinuxCNC away.
+        own = {**os.environ, "PYTEST_DEBUG_TEMPROOT": str(tmp_path)}
+        done = subprocess.run(command, cwd=tmp_path, env=own, capture_output=True, text=True, timeout=300, check=True)
         return (tmp_path / "drawn").read_text(), done.stdout
 
     default, said = run("-m", "not slow")
