@@ -300,7 +300,11 @@ def test_a_mixed_prior_shrinks_as_its_sizes_and_decays_do_on_average(seed: int) 
     held, shares = 10.0 ** rng.uniform(2, 5, count), rng.dirichlet(np.ones(len(SIZES)))
     covariance = np.linalg.inv(np.linalg.inv(noise) + np.diag(held))
     mixture = mixed_prior(
-        covariance @ np.linalg.solve(noise, estimate), covariance, held, shares, TiedCurves.alone(count)
+        covariance @ np.linalg.solve(noise, estimate),
+        covariance,
+        held,
+        shares,
+        TiedCurves(np.arange(count), np.arange(count), np.eye(count)),
     )
     log = np.empty((len(SIZES), len(DECAYS)))
     priors, estimates = np.empty((*log.shape, count)), np.empty((*log.shape, count))

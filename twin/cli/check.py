@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 from collections import Counter
-from pathlib import Path
-from typing import Annotated
-
-import typer
 
 from twin._common.bundled import DEFAULT
 from twin._common.units import count_with_noun
-from twin.cli.shared import complete, options
-from twin.cli.shared.command import PROGRAM, CommandResult, JsonOption, command
+from twin.cli.shared import options
+from twin.cli.shared.command import CommandResult, JsonOption, command
 from twin.cli.shared.installation import BAD_INPUT, NOT_ALL_MET
 
 SCHEMA = "twin.checks/1"
@@ -23,15 +19,7 @@ SCHEMA = "twin.checks/1"
     "twin check part.h --offsets preset.pr --tools tool.t --subprograms macros",
 )
 def check(
-    programs: Annotated[
-        list[Path],
-        typer.Argument(
-            metavar="PROGRAM",
-            help="One or more NC programs: ISO, Heidenhain .h, APT .cls, or the name of a bundled one.",
-            autocompletion=complete.programs,
-        ),
-        PROGRAM,
-    ],
+    programs: options.ProgramsArgument,
     machine: options.MachineOption = DEFAULT,
     mode: options.ModeOption = options.Mode.axis,
     language: options.LanguageOption = None,

@@ -17,8 +17,8 @@ from twin._common.errors import InputError
 from twin._common.files import write_atomic
 from twin._common.provenance import warning_texts
 from twin._common.units import count_with_noun
-from twin.cli.shared import complete, options
-from twin.cli.shared.command import ANY, POSITIVE, PROGRAM, CommandResult, JsonOption, Output, command, progress_bar
+from twin.cli.shared import options
+from twin.cli.shared.command import ANY, POSITIVE, CommandResult, JsonOption, Output, command, progress_bar
 from twin.cli.shared.installation import BAD_INPUT, INTERRUPTED, NOT_ALL_MET
 
 if TYPE_CHECKING:
@@ -38,15 +38,6 @@ class Method(StrEnum):
     thesis = "thesis"
 
 
-ProgramsArgument = Annotated[
-    list[Path],
-    typer.Argument(
-        metavar="PROGRAM",
-        help="One or more NC programs: ISO, Heidenhain .h, APT .cls, or the name of a bundled one.",
-        autocompletion=complete.programs,
-    ),
-    PROGRAM,
-]
 OutputOption = Annotated[
     Path,
     typer.Option("--output", "-o", help="Compensated program to write; for several programs, a folder."),
@@ -69,7 +60,7 @@ MethodOption = Annotated[
     "twin compensate main.h -o out.h --subprograms macros cycles",
 )
 def compensate(
-    programs: ProgramsArgument,
+    programs: options.ProgramsArgument,
     output: OutputOption,
     machine: options.MachineOption = DEFAULT,
     calibration: options.CalibrationOption = None,

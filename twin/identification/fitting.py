@@ -272,11 +272,6 @@ class TiedCurves(NamedTuple):
     orders: np.ndarray
     inside: np.ndarray
 
-    @classmethod
-    def alone(cls, count: int) -> TiedCurves:
-        """Return one curve of some coefficients without conditions."""
-        return cls(np.arange(count), np.arange(count), np.eye(count))
-
 
 def _tied_curves(unknowns: Unknowns, free: np.ndarray) -> list[TiedCurves]:
     """Return the curves in groups; ``free``: (p, f) directions that fulfil all conditions."""

@@ -13,7 +13,7 @@ import typer
 from twin._common.bundled import find_program
 from twin._common.errors import InputError, closest_name
 from twin.cli.shared import complete
-from twin.cli.shared.command import EXISTING, MACHINE, POSITIVE
+from twin.cli.shared.command import EXISTING, MACHINE, POSITIVE, PROGRAM
 from twin.cli.shared.terminal import axis_values, echo, number, pairs, three_numbers
 
 if TYPE_CHECKING:
@@ -39,6 +39,15 @@ class ProgramLanguage(StrEnum):
     apt = "apt"
 
 
+ProgramsArgument = Annotated[
+    list[Path],
+    typer.Argument(
+        metavar="PROGRAM",
+        help="One or more NC programs: ISO, Heidenhain .h, APT .cls, or the name of a bundled one.",
+        autocompletion=complete.programs,
+    ),
+    PROGRAM,
+]
 LanguageOption = Annotated[
     ProgramLanguage | None,
     typer.Option("--language", help="Language of the programs; default: recognised by content, then by suffix."),
