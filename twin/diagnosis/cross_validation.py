@@ -281,14 +281,17 @@ def without_overfitting(candidates: Candidates, forms: Sequence[Form]) -> list[F
     table = held_out_squares(candidates, folds, predict)
     if table is None:
         return list(forms)
-    fitted_um = in_um(
-        problem.network, problem.project(problem.residual - predicted_shift(problem, candidates, claimed))
-    )
-    fitted_rms = rms(fitted_um, problem.network.read)
-    if table[:, -2].sum() / table[:, -1].sum() <= (OVERFITTED_RATIO * fitted_rms) ** 2:
+    if table[:, -2].sum() / table[:, -1].sum() <= (OVERFITTED_RATIO * fitted_rms_um(candidates, claimed)) ** 2:
         return list(forms)
     overfitted = claimed[_fewest(table[:, : _significant(candidates, claimed) + 1]) :]
     return [form for form in forms if form not in overfitted]
+
+
+def fitted_rms_um(candidates: Candidates, forms: Sequence[Form]) -> float:
+    """Return the RMS residual per coordinate, µm, that some causes leave in the readings that they are fitted to."""
+    problem = candidates.problem
+    left = problem.project(problem.residual - predicted_shift(problem, candidates, forms))
+    return rms(in_um(problem.network, left), problem.network.read)
 
 
 def _chosen_again(part: Candidates, count: int) -> list[Form]:

@@ -19,8 +19,10 @@ from twin._common.errors import InputError
 from twin.diagnosis.causes import SizedCauses
 from twin.diagnosis.cross_validation import (
     GROUPS_FOR_AN_INTERVAL,
+    OVERFITTED_RATIO,
     HeldOutFolds,
     choose_folds,
+    fitted_rms_um,
     folds_at_positions,
     folds_in_time,
     held_out_squares,
@@ -75,7 +77,8 @@ def held_out(sized: SizedCauses, written: Collection[int] = ()) -> HeldOut | Non
 def only_predicting(sized: SizedCauses) -> SizedCauses:
     """Return the causes, those of the machine in doubt if together they do not lower the residuals of held-out readings.
 
-    They are compared with the causes of the instrument alone; with too few groups to judge, nothing is doubted.
+    They are compared with the causes of the instrument alone; with too few groups to judge, nothing is doubted. Nor do they predict if
+    they leave much more in held-out readings than in those that they are fitted to, unless the gain is larger than its uncertainty.
     """
     problem, pairs = sized.findings.problem, list(zip(sized.forms, sized.doubts, strict=True))
     named = [form for form, doubt in pairs if not doubt]
@@ -88,9 +91,12 @@ def only_predicting(sized: SizedCauses) -> SizedCauses:
         return predicted_shift(problem, part, of_instrument), predicted_shift(problem, part, named)
 
     held = _held_out(sized.findings.candidates, split, predict)
-    if held is None or held.groups < GROUPS_FOR_AN_INTERVAL or held.after_um < held.before_um:
+    if held is None or held.ci95_um is None:
         return sized
-    why = f"; held-out {held.of} are predicted no better with it ({held.before_um:.3g} µm without, {held.after_um:.3g} µm with)"
+    overfitted = held.after_um > OVERFITTED_RATIO * fitted_rms_um(sized.findings.candidates, named)
+    if held.after_um < held.before_um and not (overfitted and held.ci95_um[0] <= 0.0):
+        return sized
+    why = f"; held-out {held.of} are not predicted better with it ({held.before_um:.3g} µm without, {held.after_um:.3g} µm with)"
     return replace(
         sized,
         doubts=tuple(doubt or ("" if form.candidate.origin == "instrument" else why) for form, doubt in pairs),

@@ -300,7 +300,7 @@ def highest_frequency(q: np.ndarray, span: float) -> float:
     Space Sci. 36, 137).
     """
     places = np.unique(np.round(q, 3))
-    return _alias_free(places, span, min(1.0 / SHORTEST_PERIOD, max(len(places) - 1, 1) / span))
+    return _alias_free(places, span, min(1.0 / SHORTEST_PERIOD, 4 * max(len(places) - 1, 1) / span))
 
 
 def sampling_frequency(q: np.ndarray) -> float | None:
@@ -348,7 +348,7 @@ def highest_order(distinct: np.ndarray, most: int) -> int:
         distinct: (n,) the positions, each once, 0 to 360.
         most: upper limit of the harmonic.
     """
-    limit = _alias_free(distinct, float(np.ptp(distinct)), min(most, len(distinct) - 1) / 360.0)
+    limit = _alias_free(distinct, float(np.ptp(distinct)), min(most, 4 * (len(distinct) - 1)) / 360.0)
     return int(360.0 * limit + 1e-9)
 
 
