@@ -20,7 +20,7 @@ also start from forms selected by other means, and the result with the larger ev
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Final, final
 
@@ -28,7 +28,7 @@ import numpy as np
 import scipy
 
 from twin._common.arrays import first_largest, largest_first
-from twin.diagnosis.forms import LEAST_NONCENTRALITY, Candidates, Form
+from twin.diagnosis.forms import DEVIANCE_RULED_OUT, LEAST_NONCENTRALITY, Candidates, Form, columns_of, pseudo_inverse
 from twin.diagnosis.search import ALL_OR_NOTHING_TOLERANCE
 
 FOUND_ODDS: Final = 20.0
@@ -298,6 +298,8 @@ def _sum(effects: Sequence[Fit]) -> np.ndarray | float:
 
 CREDIBLE_PROBABILITY: Final = 0.95
 """Smallest posterior probability of a credible set."""
+SUM_REMAINDER: Final = 0.05
+"""Largest share of an effect's χ² that causes leave which together are the same."""
 MAX_EFFECTS: Final = 12
 """Largest number of effects."""
 Key = tuple[str, str]
@@ -313,11 +315,13 @@ class SingleEffect:
         log_odds: natural log of the odds of an effect against none.
         posterior: probability of each cause given that there is an effect, all forms of the cause together; the likeliest first.
         credible: the smallest set of causes that has `CREDIBLE_PROBABILITY` of the probability, the likeliest first.
+        sum_of: causes of the search that together, and not without one of them, are this effect; empty if they are not.
     """
 
     log_odds: float
     posterior: Mapping[Key, float]
     credible: tuple[Key, ...]
+    sum_of: tuple[Key, ...] = ()
 
     @property
     def found(self) -> bool:
@@ -325,8 +329,10 @@ class SingleEffect:
         return self.log_odds >= float(np.log(FOUND_ODDS))
 
     def probability(self, keys: Collection[Key]) -> float:
-        """Return the posterior probability that the effect exists and is one of the given causes."""
+        """Return the posterior probability that the effect exists and is one of the given causes, or a sum with one of them."""
         share = sum(self.posterior.get(key, 0.0) for key in set(keys))
+        if not set(keys).isdisjoint(self.sum_of):
+            share = 1.0
         return float(min(share, 1.0) / (1.0 + np.exp(-self.log_odds)))
 
 
@@ -369,12 +375,32 @@ def second_opinion(candidates: Candidates, start: Sequence[Form] = ()) -> tuple[
 
     Args:
         candidates: the data and the forms; forms forbidden to the search are included with their own prior.
-        start: forms selected by the search; the iteration starts from them as well as from no effect.
+        start: forms selected by the search; the iteration starts from them as well as from no effect. An effect can be the sum of
+            several: a lean of X in the machine is the same as one of Y and one of the rotary axis that Y carries.
     """
     effects = SingleEffects(_alternatives(candidates), candidates.slope, candidates.cross, candidates.dof)
     fitted = effects.fitted(MAX_EFFECTS, [form.index for form in start])
     ordered = sorted(fitted, key=lambda effect: (not effect.found, -effect.log_odds))
-    return tuple(_by_key(effect, candidates) for effect in ordered)
+    return tuple(replace(_by_key(effect, candidates), sum_of=_sum_of(effect, candidates, start)) for effect in ordered)
+
+
+def _sum_of(effect: Fit, candidates: Candidates, named: Sequence[Form]) -> tuple[Key, ...]:
+    """Return the named causes that together make the same readings as an effect and not without one of them; empty if none do."""
+    size = float(effect.coefficients @ effect.slope)
+    most_left = min(SUM_REMAINDER * size, DEVIANCE_RULED_OUT)
+
+    def spanned(forms: Sequence[Form]) -> bool:
+        slope = effect.slope[columns_of(forms)]
+        return size - float(slope @ pseudo_inverse(candidates.gram(forms)) @ slope) <= most_left
+
+    if not effect.found or not named or not spanned(named):
+        return ()
+    needed = list(named)
+    for form in named:
+        others = [other for other in needed if other is not form]
+        if others and spanned(others):
+            needed = others
+    return tuple(form.key for form in needed)
 
 
 def compare_with_search(effects: Sequence[SingleEffect], groups: Sequence[Collection[Key]]) -> Comparison:
@@ -390,7 +416,11 @@ def compare_with_search(effects: Sequence[SingleEffect], groups: Sequence[Collec
     """
     common = np.array([[effect.probability(group) for effect in effects] for group in groups])
     pairs = zip(*_assigned(common), strict=True) if len(groups) else ()
-    partner = {int(g): int(e) for g, e in pairs if set(groups[g]).intersection(effects[e].credible)}
+    partner = {
+        int(g): int(e)
+        for g, e in pairs
+        if set(groups[g]).intersection((*effects[e].credible, *effects[e].sum_of))
+    }
     likeliest = {effects[e].credible[0] for e in partner.values()}
     named = {key for group in groups for key in group}
     instead: dict[int, int] = {}
@@ -401,7 +431,7 @@ def compare_with_search(effects: Sequence[SingleEffect], groups: Sequence[Collec
         free = [g for g in range(len(groups)) if g not in partner and g not in instead]
         if free:
             instead[free[first_largest(common[free, e])]] = e
-        elif named.isdisjoint(effect.credible):
+        elif named.isdisjoint((*effect.credible, *effect.sum_of)):
             further.append(effect)
     credible, replacing = (
         tuple(effects[of[g]].credible if g in of else () for g in range(len(groups))) for of in (partner, instead)

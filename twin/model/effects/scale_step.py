@@ -143,6 +143,6 @@ SCALE_STEP: Final = Specification(
     forms=_forms,
     candidates=_candidates,
     curve=True,
-    most=1,
+    most=2,
     plain_forms=0,
 )
