@@ -85,7 +85,7 @@ def test_its_neighbours_keep_their_names(truth: Hidden, look: Look) -> None:
     assert cause.effect != "scale_step"
 
 
-@pytest.mark.parametrize("seed", [35, 36])
+@pytest.mark.parametrize("seed", [35, 37])
 def test_nothing_is_named_without_it(seed: int, look: Look) -> None:
     assert look([], seed).verdict == "consistent"
 

@@ -31,7 +31,7 @@ from twin.diagnosis.problem import Problem, in_um, rewhitened, rms, unwhiten
 from twin.diagnosis.readings import ReadingNoise
 from twin.diagnosis.result import Cause, DiagnosisResult, Trend, Unexplained, Verdict
 from twin.diagnosis.structure import Findings
-from twin.diagnosis.text import diagnosis_display, diagnosis_text, symbol
+from twin.diagnosis.text import diagnosis_display, diagnosis_text, percent, symbol
 from twin.display.numbers import listed
 from twin.display.results import Display, DisplayedResult
 from twin.identification.network import Network
@@ -39,6 +39,7 @@ from twin.identification.result import FEWEST_DOF
 from twin.identification.solve import setup_unknowns
 from twin.measurement.checks import overstated_noise
 from twin.measurement.columns import CARRIERS
+from twin.measurement.observation import has_times
 from twin.model.calibration import Calibration
 from twin.model.calibration_file import MeasuredWith, MisfitEntry, UnidentifiedEntry
 from twin.model.effects import split_name
@@ -191,21 +192,23 @@ def conclude(sized: SizedCauses, calibration: Calibration, *, empirical: bool = 
     findings, forms = sized.findings, sized.forms
     task, candidates, problem = findings.task, findings.candidates, findings.problem
     by_noise, network = task.by_noise, problem.network
+    predict = sized is all_sized
     named, comparison = causes_with_alternatives(sized, calibration)
     read_too_early, undecided = readback_causes(candidates, forms)
     named, loads = causes_with_payloads(candidates, forms, named)
-    order = largest_first(np.array([cause.share for cause in named])).tolist()
+    order = [k for k in largest_first(np.array([cause.share for cause in named])).tolist() if k not in sized.jumped]
     named = [named[k] for k in order]
     wanted = points_to_measure(findings.given_patterns, findings.beside_patterns([forms[k] for k in order]), named)
     said = notices(sized, comparison, undecided)
     causes = (*named, *read_too_early, *loads)
-    unexplained = _unexplained(sized)
+    unexplained = _jump(sized) or _unexplained(sized)
     extension = extend(sized, calibration) if empirical and unexplained is not None else None
     if unexplained is not None and extension is not None:
         unexplained = replace(unexplained, extension=extension.extension)
     extended = _extended(sized, causes, calibration, extension)
-    changed = bool(forms or extended is not calibration)
-    by_instrument = sized.estimate.signature[:, [not effects for effects in sized.estimate.effects]].sum(axis=1)
+    changed = bool(len(sized.jumped) < len(forms) or extended is not calibration)
+    subtracted = [k for k, effects in enumerate(sized.estimate.effects) if not effects and k not in sized.jumped]
+    by_instrument = sized.estimate.signature[:, subtracted].sum(axis=1)
     residual = in_um(network, problem.residual)
     after = residuals_as_written(problem, extended, by_instrument, sized.discrepancy.root) if changed else residual
     hidden = _unidentifiable(findings)
@@ -214,7 +217,7 @@ def conclude(sized: SizedCauses, calibration: Calibration, *, empirical: bool = 
     overstated = overstated_noise(rms(residual, network.read), by_noise.chi2, by_noise.dof) if stated else ()
     by_patterns = [float(np.exp(test.log_p_corrected)) for test in findings.structure.pattern_tests]
     diagnosis = Diagnosis(
-        verdict=_verdict(causes, unexplained, disagree=comparison.disagree, predict=sized is all_sized),
+        verdict=_verdict(causes, unexplained, disagree=comparison.disagree, predict=predict),
         rms_um=rms(residual, network.read),
         absorbed_rms_um=rms(in_um(by_noise.network, by_noise.projected), network.read),
         expected_rms_um=_expected_um(by_noise),
@@ -298,6 +301,31 @@ NOISE_P_VALUE: Final = 1e-4
 """p-value of the residuals from which on they count as noise."""
 NEGLIGIBLE_EXCESS: Final = 0.01
 """Share of the excess below which unexplained residuals are not a finding: real machines always have some."""
+
+
+def _jump(sized: SizedCauses) -> Unexplained | None:
+    """Return the jump of a whole side as unexplained: the machine may have jumped, or what holds all its targets; None if none did."""
+    findings, jumped = sized.findings, list(sized.jumped)
+    if not jumped:
+        return None
+    problem, data = findings.problem, findings.problem.network.data
+    others = [form for k, form in enumerate(sized.forms) if k not in jumped]
+    explained = findings.candidates.explained_by
+    share = float(np.clip((explained(sized.forms) - explained(others)) / sized.excess, 0.0, 1.0))
+    shift = sized.estimate.signature[:, jumped].sum(axis=1)
+    size = rms(in_um(problem.network, problem.project(shift)), problem.network.read)
+    side = str(data.carrier[np.argmax(np.any(shift.reshape(-1, 3) != 0.0, axis=1))])
+    lines = [sized.forms[k].variant.fixed.get("line", 0.0) for k in jumped]
+    moment = (
+        f"between lines {min(lines):.0f} and {max(lines):.0f}" if min(lines) < max(lines) else f"at line {lines[0]:.0f}"
+    )
+    if min(lines) == 0.0:
+        moment = f"in round {listed(sorted({sized.forms[k].key[1].rpartition('round ')[2] for k in jumped}))}"
+    text = (
+        f"all targets on the {side} side jumped {moment}, {size:.2g} µm RMS per coordinate, {percent(share)} of the excess; no known "
+        f"effect does so: the {side} side was displaced (a collision, a lost reference), or what holds all its targets"
+    )
+    return Unexplained(share, ("time_s",) if has_times(data) else ("round",), side, text, size)
 
 
 def _unexplained(sized: SizedCauses) -> Unexplained | None:

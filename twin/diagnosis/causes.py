@@ -10,7 +10,7 @@ Payloads under which joints were found to deflect are causes of their own.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
 from typing import Final, final
@@ -31,7 +31,7 @@ from twin.diagnosis.alternatives import (
     together,
 )
 from twin.diagnosis.candidates.catalogue import SPECIFICATIONS
-from twin.diagnosis.candidates.instrument import ASSUMED_OF_INSTRUMENT
+from twin.diagnosis.candidates.instrument import ASSUMED_OF_INSTRUMENT, of_a_jumped_side
 from twin.diagnosis.candidates.machine import FOLLOWING_ERROR, READ_BACK
 from twin.diagnosis.estimate import MANY_ROUNDS, Estimate, estimate, reweighted
 from twin.diagnosis.forms import DEVIANCE_RULED_OUT, Candidates, Form, log_p_value
@@ -82,6 +82,11 @@ class SizedCauses:
         return max(problem.chi2 - problem.dof, self.estimate.explained, 1e-30)
 
     @property
+    def jumped(self) -> Collection[int]:
+        """Return the numbers of the displaced targets that are no causes, because their whole side jumped."""
+        return [k for k, doubt in enumerate(self.doubts) if doubt == JUMPED]
+
+    @property
     def effects(self) -> list[Effect]:
         """Return the effects of the promised causes."""
         return [
@@ -120,8 +125,10 @@ def estimate_sizes(findings: Findings) -> SizedCauses:
         forms = [form for form in forms if form is not weakest]
     sizes, discrepancy = reweighted(findings.task, forms, estimated, structure.random_effects)
     # The search keeps sizes within their limits, but its last steps and the final weights move them: a mass near zero gives any centre.
+    jumped = of_a_jumped_side(findings.problem.network.data, [(form.candidate, form.variant) for form in forms])
     doubts = tuple(
-        (BELOW_INCREMENT if _below_increment(findings.problem.network, sizes.signature[:, k]) else "")
+        (JUMPED if form.key in jumped else "")
+        or (BELOW_INCREMENT if _below_increment(findings.problem.network, sizes.signature[:, k]) else "")
         or between_positions(findings.candidates, forms, form)
         or (IMPOSSIBLE if _is_impossible(form, quantities, effects) else "")
         for k, (form, quantities, effects) in enumerate(zip(forms, sizes.quantities, sizes.effects, strict=True))
@@ -163,6 +170,8 @@ def _log_p_of_groups(against: tuple[float, int, float]) -> float:
 
 IMPOSSIBLE: Final = "; this size is physically impossible, so the readings do not determine it"
 BELOW_INCREMENT: Final = "; it is below the least increment of the axes, so no command can correct it"
+JUMPED: Final = "; all targets of its side moved alike"
+"""Doubt of a displaced target where its whole side jumped: the jump is unexplained, and its target no cause."""
 ONLY_A_PART: Final = "they explain only part of a pattern that no known effect explains as a whole"
 OVERFITTED: Final = "they increase the residuals of held-out readings: too few readings for this number of causes"
 """Reasons for which causes are left out, in words."""

@@ -16,7 +16,7 @@ import numpy as np
 
 from twin._common.arrays import read_only
 from twin._common.errors import InputError
-from twin.diagnosis.causes import SizedCauses
+from twin.diagnosis.causes import JUMPED, SizedCauses
 from twin.diagnosis.cross_validation import (
     GROUPS_FOR_AN_INTERVAL,
     OVERFITTED_RATIO,
@@ -304,7 +304,7 @@ def gain(
     not_promised = sum(
         float(np.nansum(in_um(network, sized.estimate.signature[:, k]) ** 2) / len(data))
         for k, doubt in enumerate(sized.doubts)
-        if doubt
+        if doubt and doubt != JUMPED
     )
     pattern_um = 0.0 if unexplained is None or not unexplained.depends_on else unexplained.size_um
     unseen = 0.0

@@ -417,9 +417,7 @@ def compare_with_search(effects: Sequence[SingleEffect], groups: Sequence[Collec
     common = np.array([[effect.probability(group) for effect in effects] for group in groups])
     pairs = zip(*_assigned(common), strict=True) if len(groups) else ()
     partner = {
-        int(g): int(e)
-        for g, e in pairs
-        if set(groups[g]).intersection((*effects[e].credible, *effects[e].sum_of))
+        int(g): int(e) for g, e in pairs if set(groups[g]).intersection((*effects[e].credible, *effects[e].sum_of))
     }
     likeliest = {effects[e].credible[0] for e in partner.values()}
     named = {key for group in groups for key in group}

@@ -437,7 +437,7 @@ def _when_unexplained(diagnosis: DiagnosisResult) -> list[tuple[str, str]]:
     share = f"{percent(unexplained.share)} of the excess over measurement noise"
     check = "Check the instrument and its stated uncertainties before working on the machine."
     spurious = "if the noise is larger than stated, some of the causes found may not exist."
-    if noisier_than_stated(diagnosis) and diagnosis.gain is not None:
+    if noisier_than_stated(diagnosis) and diagnosis.causes and diagnosis.gain is not None:
         times = diagnosis.gain.rms_after_um / diagnosis.expected_rms_um
         rest = f"With these causes in the model the RMS residual is {micrometres(diagnosis.gain.rms_after_um)}"
         return [

@@ -38,7 +38,7 @@ from twin.diagnosis.candidates.candidate import (
 from twin.machine.machine import Axis, Machine
 from twin.measurement.observation import at_origin, has_times, order_in_time
 from twin.measurement.table import Measurements
-from twin.model.effects.specification import NOTHING, REST, Advice, Drawing, Specification
+from twin.model.effects.specification import NOTHING, REST, Advice, Drawing, FittedCause, Specification
 from twin.model.effects.thermal_drift import drift_course, drift_time_constants
 from twin.numerics.functions import Functions, Rows, tabulated
 
@@ -537,10 +537,10 @@ TIME_SKEW_SOURCE: Final = CandidateSource((TIME_SKEW,), time_skews)
 # --- Candidates: a change between rounds, the instrument's frame re-aligned or a target displaced -
 
 FRAME: Final[tuple[Freedom, ...]] = tuple((name, i) for name in ("station", "station turn") for i in range(3))
-PROBE: Final = "probe"
-"""Instrument whose targets are spheres that are touched, one after the other."""
-FEWEST_POSES: Final = 2
-"""Least number of poses of a sphere before and after it was pushed; a single pose is an outlier."""
+FEWEST_READINGS: Final = 2
+"""Least number of readings of a target before and after it was displaced; a single one is an outlier."""
+MOST_LINES: Final = 32
+"""Largest number of lines of one round, evenly spaced, from which on something is tried as displaced."""
 PLACE: Final[tuple[Freedom, ...]] = tuple(("place", i) for i in range(3))
 SHIFTS: Final = tuple((f"shift_{a}", "um") for a in "xyz")
 TURNS: Final = tuple((f"turn_{a}", "urad") for a in "xyz")
@@ -548,11 +548,16 @@ TURNS: Final = tuple((f"turn_{a}", "urad") for a in "xyz")
 
 ONE_ROUND: Final = " only"
 """End of the place of an alignment of one round: ``round 2 only``."""
+WITHIN: Final = "within round "
+"""Beginning of the place of a change in the middle of a round; the line from which on is its parameter ``line``."""
 
 
 def _frame_shift_title(where: str) -> str:
     station, _, number = where.rpartition("round ")
-    at = f" at {station.removesuffix(' from ').removesuffix(' in ')}" if station else ""
+    station = station.removesuffix("within ").strip()
+    at = f" at {station.removesuffix(' from').removesuffix(' in')}" if station else ""
+    if WITHIN in where:
+        return f"instrument{at} displaced within round {number}"
     if number.endswith(ONE_ROUND):
         return f"instrument{at} aligned differently in round {number}"
     return f"instrument{at} re-aligned from round {number} on"
@@ -560,7 +565,24 @@ def _frame_shift_title(where: str) -> str:
 
 def _target_shift_title(where: str) -> str:
     target, _, moment = where.rpartition(" from ")
-    return f"target {target} displaced from {moment} on"
+    return f"target {target} displaced from {moment} on" if target else f"target {where.replace(' ', ' displaced ', 1)}"
+
+
+def _changed_in(where: str) -> tuple[str, ...]:
+    return ("time_s",) if WITHIN in where else ("round",)
+
+
+def _frame_shift_evidence(of: FittedCause) -> str:
+    if "line" in of.numbers:
+        return f"the instrument was displaced {of.where}, from line {of.numbers['line']:.0f} of the table on"
+    if of.where.endswith(ONE_ROUND):
+        return f"the instrument's frame was aligned differently in {of.where}"
+    return f"the instrument's frame was re-aligned from {of.where} on"
+
+
+def _target_shift_evidence(of: FittedCause) -> str:
+    moment = f", from line {of.numbers['line']:.0f} of the table on" if "line" in of.numbers else ""
+    return f"target {of.where.replace(' ', ' was displaced ', 1)}{moment}"
 
 
 FRAME_SHIFT: Final = Specification(
@@ -573,13 +595,11 @@ FRAME_SHIFT: Final = Specification(
         f"{REST} Better, measure again in one alignment.",
         NOTHING,
     ),
-    evidence=lambda of: (
-        f"the instrument's frame was aligned differently in {of.where}"
-        if of.where.endswith(ONE_ROUND)
-        else f"the instrument's frame was re-aligned from {of.where} on"
-    ),
+    evidence=_frame_shift_evidence,
+    fixed={"line": "1"},
     varies="with time",
-    drawing=Drawing(columns=lambda where: ("round",), by_state=True, shared="station"),
+    drawing=Drawing(columns=_changed_in, by_state=True, shared="station"),
+    most=1,
 )
 TARGET_SHIFT: Final = Specification(
     name="target_shift",
@@ -587,17 +607,18 @@ TARGET_SHIFT: Final = Specification(
     title=_target_shift_title,
     family="displaced targets",
     advice=Advice("Metrology: check the mounting of that target.", REST, NOTHING),
-    evidence=lambda of: f"target {of.where} was displaced",
+    evidence=_target_shift_evidence,
+    fixed={"line": "1"},
     varies="with time",
-    drawing=Drawing(columns=lambda where: ("round",), by_state=True, shared="target"),
+    drawing=Drawing(columns=_changed_in, by_state=True, shared="target"),
+    most=1,
 )
 
 
 def alignments(inputs: CandidateInputs) -> Catalogue:
-    """Return a candidate for the instrument's frame and for every target, from each round but the first on.
+    """Return a candidate for the instrument's frame and for every target, from each round but the first on, and within each round.
 
     And for the frame in one round alone; in the first or the last it is the same as from a round on.
-    A sphere that a touch probe finds in one round may have been pushed: a candidate from each of its poses on.
     """
     station, rounds = inputs.data.station, list(dict.fromkeys(inputs.data.round))
     number = np.array([rounds.index(name) for name in inputs.data.round])
@@ -618,14 +639,66 @@ def alignments(inputs: CandidateInputs) -> Catalogue:
         for target, mask in _changed(later, inputs.data.target):
             variant = Variant(masked_columns(PLACE, mask, UM))
             target_shifts.append(Candidate(TARGET_SHIFT, f"{target} from round {name}", SHIFTS, (variant,), 1.0))
-    if len(rounds) == 1 and np.all(inputs.data.instrument == PROBE):
-        for target in dict.fromkeys(inputs.data.target):
-            own = inputs.data.target == target
-            for row in np.flatnonzero(own)[FEWEST_POSES : 1 - FEWEST_POSES]:
-                variant = Variant(masked_columns(PLACE, own & (np.arange(len(own)) >= row), UM))
-                where = f"{target} from line {inputs.data.lines[row]}"
-                target_shifts.append(Candidate(TARGET_SHIFT, where, SHIFTS, (variant,), 1.0))
+    if len(rounds) <= MOST_ROUNDS:
+        sides = {str(side): set(inputs.data.target[inputs.data.carrier == side]) for side in inputs.data.carrier}
+        # With one side only, or one target on a side, a jump of the machine is the same.
+        for name in dict.fromkeys(station.tolist()) if len(sides) > 1 else ():
+            where = "" if single else f"station {name} "
+            frame_shifts += _within_rounds(inputs.data, FRAME_SHIFT, where, station == name, FRAME)
+        for name in sorted(set().union(*(targets for targets in sides.values() if len(targets) > 1))):
+            own = inputs.data.target == name
+            target_shifts += _within_rounds(inputs.data, TARGET_SHIFT, f"{name} ", own, PLACE)
     return Catalogue((*frame_shifts, *target_shifts))
+
+
+def of_a_jumped_side(data: Measurements, chosen: Sequence[tuple[Candidate, Variant]]) -> set[tuple[str, str]]:
+    """Return effect and place of displaced targets that are all targets of a side: then the side jumped, and no target.
+
+    Args:
+        data: the readings.
+        chosen: causes with their forms.
+    """
+    shifted = [
+        (candidate.key, set(data.target[variant.columns[0].terms[0].functions.values(slice(None))[:, 0] != 0.0]))
+        for candidate, variant in chosen
+        if candidate.specification is TARGET_SHIFT
+    ]
+    for side in dict.fromkeys(data.carrier.tolist()):
+        targets = set(data.target[data.carrier == side])
+        own = [(key, moved) for key, moved in shifted if moved <= targets]
+        if len(targets) > 1 and set().union(*(moved for _, moved in own)) == targets:
+            return {key for key, _ in own}
+    return set()
+
+
+def _within_rounds(
+    data: Measurements, of: Specification, where: str, own: np.ndarray, freedoms: Sequence[Freedom]
+) -> list[Candidate]:
+    """Return a candidate for each round in the middle of which a station or a target may have been displaced, from a line on.
+
+    Args:
+        where: the beginning of the place.
+        own: (n,) the readings of that station or target.
+        freedoms: of the displacement.
+    """
+    order = order_in_time(data)
+    read, candidates = order[own[order]], []
+    for name in dict.fromkeys(data.round[read].tolist()):
+        inside = np.flatnonzero(data.round[read] == name)
+        # From the first reading of a later round on is the same as from that round on.
+        inside = inside[(inside >= FEWEST_READINGS) & (inside <= len(read) - FEWEST_READINGS) & (inside > inside[:1])]
+        tried = inside[np.unique(np.linspace(0, len(inside) - 1, min(len(inside), MOST_LINES)).astype(int))]
+        variants = []
+        for first in tried.tolist():
+            later = np.zeros(len(data), dtype=bool)
+            later[read[first:]] = True
+            variants.append(Variant(masked_columns(freedoms, later, UM), {"line": float(data.lines[read[first]])}))
+        if variants:
+            names = SHIFTS if freedoms is PLACE else (*SHIFTS, *TURNS)
+            # Neighbouring lines differ by few readings: halves, quarters and so on of the round are independent.
+            tests = 1.0 + float(np.log2(len(variants)))
+            candidates.append(Candidate(of, f"{where}{WITHIN}{name}", names, tuple(variants), tests))
+    return candidates
 
 
 def _changed(later: np.ndarray, names: np.ndarray) -> list[tuple[str, np.ndarray]]:
