@@ -416,7 +416,9 @@ def _pulls(
                 continue
             first = round(form.variant.fixed.get("first", 0.0))
             linear = candidate.space.transform[: first + len(linear), first : first + len(linear)] @ linear
-        true = dict(zip([q.name for q in quantities if q.name not in candidate.specification.fixed], linear, strict=False))
+        true = dict(
+            zip([q.name for q in quantities if q.name not in candidate.specification.fixed], linear, strict=False)
+        )
         if candidate.effect == "pitch_error":
             true = {"amplitude": float(np.hypot(*linear)), "period": fixed["period"]}
         elif candidate.effect == "thermal_drift":

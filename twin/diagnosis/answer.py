@@ -43,6 +43,8 @@ from twin.measurement.observation import has_times
 from twin.model.calibration import Calibration
 from twin.model.calibration_file import MeasuredWith, MisfitEntry, UnidentifiedEntry
 from twin.model.effects import split_name
+from twin.model.effects.base import axis_of
+from twin.model.effects.empirical import channel_name
 from twin.model.unknown_errors import at_rest
 from twin.numerics.covariance import Covariance
 from twin.numerics.observability import Unknown, determinability
@@ -217,7 +219,9 @@ def conclude(sized: SizedCauses, calibration: Calibration, *, empirical: bool = 
     overstated = overstated_noise(rms(residual, network.read), by_noise.chi2, by_noise.dof) if stated else ()
     by_patterns = [float(np.exp(test.log_p_corrected)) for test in findings.structure.pattern_tests]
     diagnosis = Diagnosis(
-        verdict=_verdict(causes, unexplained, disagree=comparison.disagree, predict=predict),
+        verdict=_verdict(
+            causes, unexplained, disagree=comparison.disagree, predict=predict and not _misshapen(sized, unexplained)
+        ),
         rms_um=rms(residual, network.read),
         absorbed_rms_um=rms(in_um(by_noise.network, by_noise.projected), network.read),
         expected_rms_um=_expected_um(by_noise),
@@ -272,6 +276,26 @@ def _verdict(causes: Sequence[Cause], unexplained: Unexplained | None, *, disagr
     if disagree or any(cause.equivalent for cause in causes):
         return "ambiguous"
     return "explained" if causes else "consistent"
+
+
+def _misshapen(sized: SizedCauses, unexplained: Unexplained | None) -> bool:
+    """Return whether a course in time, which stands for temperatures, leaves a pattern in time of its axis though temperatures were read.
+
+    Then the error follows none of them in a known form, and the course will not come again.
+    """
+    temperatures = {f"T_{name}_degC" for name in sized.findings.problem.network.data.temperature_degC}
+    axes = {
+        axis_of(form.candidate.where)
+        for form in sized.forms
+        if form.candidate.origin == "machine" and form.candidate.drift is not None
+    }
+    if unexplained is None or unexplained.share <= NEGLIGIBLE_EXCESS or not temperatures:
+        return False
+    for names in (unexplained.depends_on, *unexplained.or_on):
+        left = {channel_name(name) for name in names if name not in {"time_s", "round", *temperatures}}
+        if len(left) < len(names) and any(left <= {axis} for axis in axes):
+            return True
+    return False
 
 
 def _unidentifiable(findings: Findings) -> dict[tuple[str, str], str]:
