@@ -113,7 +113,7 @@ def test_few_loaded_poses_alone_name_joints_and_payload(tmp_path: Path) -> None:
 
 
 def test_a_load_that_bends_nothing_is_not_named(tmp_path: Path) -> None:
-    data, machine = arm_with(tmp_path, np.tile(LOADS, 20), 5, compliance={})
+    data, machine = arm_with(tmp_path, np.tile(LOADS, 20), 6, compliance={})
     assert diagnose(data, machine, Calibration.default(machine)).verdict == "consistent"
 
 

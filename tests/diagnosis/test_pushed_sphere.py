@@ -42,9 +42,10 @@ def probed(folder: Path, machine: Machine, pushed: int | None, seed: int) -> Mea
 def test_a_pushed_sphere_is_named(dmu50: Machine, tmp_path: Path, pushed: int) -> None:
     found = diagnose(probed(tmp_path, dmu50, pushed, 1), dmu50, Calibration.zero(dmu50))
     (cause,) = found.causes
-    assert (cause.effect, cause.where) == ("target_shift", f"K2 from line {FIRST_LINE + POSES + pushed}")
-    assert f"Target K2 displaced from line {FIRST_LINE + POSES + pushed} on" in found.to_text()
+    assert (cause.effect, cause.where) == ("target_shift", "K2 within round 1")
     sizes = {one.name: one.value for one in cause.parameters}
+    assert sizes["line"] == FIRST_LINE + POSES + pushed
+    assert f"from line {FIRST_LINE + POSES + pushed} of the table on" in found.to_text()
     assert np.allclose([sizes[f"shift_{axis}"] for axis in "xyz"], 1e3 * PUSH_MM, atol=2.5)
 
 

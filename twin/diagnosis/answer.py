@@ -279,9 +279,9 @@ def _verdict(causes: Sequence[Cause], unexplained: Unexplained | None, *, disagr
 
 
 def _misshapen(sized: SizedCauses, unexplained: Unexplained | None) -> bool:
-    """Return whether a course in time, which stands for temperatures, leaves a pattern in time of its axis though temperatures were read.
+    """Return whether a course in time leaves a pattern in time of its axis although temperatures were read.
 
-    Then the error follows none of them in a known form, and the course will not come again.
+    Such a course stands for a temperature: the error then follows none of them in a known form, and the course will not come again.
     """
     temperatures = {f"T_{name}_degC" for name in sized.findings.problem.network.data.temperature_degC}
     axes = {

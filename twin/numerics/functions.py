@@ -280,6 +280,8 @@ def _recursion(decay: np.ndarray, driven: np.ndarray, first: float) -> np.ndarra
 
 SHORTEST_PERIOD: Final = 2.0
 """mm: pitch errors of shorter periods are not considered."""
+WAVES_PER_POSITION: Final = 4
+"""Largest number of waves for each measured position: uneven positions resolve more than one, but so many waves imitate any error."""
 ALIASED: Final = 0.5
 """Value of the spectral window (1 for even spacing) above which two frequencies are aliases."""
 SAMPLED_POSITIONS: Final = 500
@@ -293,14 +295,14 @@ OVERSAMPLING: Final = 2.0
 
 
 def highest_frequency(q: np.ndarray, span: float) -> float:
-    """Return the largest frequency, in 1/mm, at which a wave is sought: one position a period, or where aliasing begins.
+    """Return the largest frequency, in 1/mm, at which a wave is sought: `WAVES_PER_POSITION`, or where aliasing begins.
 
     Evenly spaced positions cannot distinguish f from f_s − f, where f_s is the sampling frequency; unevenly spaced ones can. The
     spectral window shows which is the case: at such an f_s all positions are nearly whole periods apart (Deeming 1975, Astrophys.
     Space Sci. 36, 137).
     """
     places = np.unique(np.round(q, 3))
-    return _alias_free(places, span, min(1.0 / SHORTEST_PERIOD, 4 * max(len(places) - 1, 1) / span))
+    return _alias_free(places, span, min(1.0 / SHORTEST_PERIOD, WAVES_PER_POSITION * max(len(places) - 1, 1) / span))
 
 
 def sampling_frequency(q: np.ndarray) -> float | None:
@@ -342,13 +344,13 @@ def _alias_free(places: np.ndarray, span: float, highest: float) -> float:
 
 
 def highest_order(distinct: np.ndarray, most: int) -> int:
-    """Return the largest harmonic of a revolution that positions in degrees distinguish from lower ones: one position a wave at least.
+    """Return the largest harmonic of a revolution that positions in degrees distinguish from lower ones, `WAVES_PER_POSITION` at most.
 
     Args:
         distinct: (n,) the positions, each once, 0 to 360.
         most: upper limit of the harmonic.
     """
-    limit = _alias_free(distinct, float(np.ptp(distinct)), min(most, 4 * (len(distinct) - 1)) / 360.0)
+    limit = _alias_free(distinct, float(np.ptp(distinct)), min(most, WAVES_PER_POSITION * (len(distinct) - 1)) / 360.0)
     return int(360.0 * limit + 1e-9)
 
 

@@ -564,8 +564,11 @@ def _frame_shift_title(where: str) -> str:
 
 
 def _target_shift_title(where: str) -> str:
+    if WITHIN in where:
+        target, _, number = where.rpartition(f" {WITHIN}")
+        return f"target {target} displaced {WITHIN}{number}"
     target, _, moment = where.rpartition(" from ")
-    return f"target {target} displaced from {moment} on" if target else f"target {where.replace(' ', ' displaced ', 1)}"
+    return f"target {target} displaced from {moment} on"
 
 
 def _changed_in(where: str) -> tuple[str, ...]:
@@ -581,8 +584,10 @@ def _frame_shift_evidence(of: FittedCause) -> str:
 
 
 def _target_shift_evidence(of: FittedCause) -> str:
-    moment = f", from line {of.numbers['line']:.0f} of the table on" if "line" in of.numbers else ""
-    return f"target {of.where.replace(' ', ' was displaced ', 1)}{moment}"
+    if "line" not in of.numbers:
+        return f"target {of.where} was displaced"
+    target, _, number = of.where.rpartition(f" {WITHIN}")
+    return f"target {target} was displaced {WITHIN}{number}, from line {of.numbers['line']:.0f} of the table on"
 
 
 FRAME_SHIFT: Final = Specification(
