@@ -57,12 +57,12 @@ class Plan:
 
 @dataclass(frozen=True)
 class Errors:
-    """What is wrong.
+    """Errors of machine and instrument.
 
     Attributes:
         motion: error motions by axis, (n, 6) mm and rad in the order XYZABC.
         tool, base, place: (n, 3) mm shifts of the tool side, of all targets, and of each target on its carrier.
-        instrument: what it makes of (n, 3) true coordinates in its frame.
+        instrument: (n, 3) true coordinates in its frame → those that it reads.
     """
 
     motion: Mapping[str, np.ndarray] = field(default_factory=dict)

@@ -31,7 +31,8 @@ from twin.diagnosis.alternatives import (
     together,
 )
 from twin.diagnosis.candidates.catalogue import SPECIFICATIONS
-from twin.diagnosis.candidates.instrument import ASSUMED_OF_INSTRUMENT, of_a_jumped_side
+from twin.diagnosis.candidates.displaced import of_a_jumped_side
+from twin.diagnosis.candidates.instrument import ASSUMED_OF_INSTRUMENT
 from twin.diagnosis.candidates.machine import FOLLOWING_ERROR, READ_BACK
 from twin.diagnosis.estimate import MANY_ROUNDS, Estimate, estimate, reweighted
 from twin.diagnosis.forms import DEVIANCE_RULED_OUT, Candidates, Form, log_p_value

@@ -9,7 +9,7 @@ correlated, so that this correction is too strict; a simulation of the search on
 
 from __future__ import annotations
 
-from collections.abc import Collection, Hashable, Sequence
+from collections.abc import Collection, Hashable, Iterable, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -21,6 +21,7 @@ import scipy
 from twin._common.distributions import chi2_isf, chi2_log_sf, f_isf, f_log_sf
 from twin.diagnosis.candidates.candidate import Candidate, Column, Variant
 from twin.diagnosis.problem import Problem, Products
+from twin.model.effects.base import axis_of
 
 FALSE_ALARM_RATE: Final = 0.03
 """Share of data sets of noise alone in which any form is accepted as a cause; patterns have a rate of their own."""
@@ -37,6 +38,9 @@ LEAST_NONCENTRALITY: Final = 25.0
 """Noncentrality at the largest plausible size below which a direction is not identifiable from the data."""
 DEVIANCE_RULED_OUT: Final = 9.21
 """2 ln 100: a rival is ruled out if its likelihood, corrected for multiple testing, is at least a hundred times smaller."""
+# Of n waves, the best follows about 2·ln(n) / positions of any error: with some 40 positions and 300 waves a quarter.
+LEAST_SHORT_SHARE: Final = 0.25
+"""Smallest share of the excess of waves that are shorter than the mean distance of the measured positions."""
 SAMPLED_POINTS: Final = 4096
 """Points that suffice to estimate the correlation between forms."""
 TIE: Final = 1e-6
@@ -176,6 +180,21 @@ class Candidates:
                 taken[slot] = np.abs(tried[:, None] - chosen).min(axis=1) * span < RESOLVED
         return np.asarray(taken)
 
+    def is_short_wave(self, form: Form) -> bool:
+        """Return whether a form is a wave shorter than the mean distance of the measured positions."""
+        period = form.candidate.specification.drawing.period(form.variant.fixed) if form.variant.fixed else 0.0
+        if period == 0.0:
+            return False
+        data, machine = self.problem.network.data, self.problem.network.machine
+        places = np.unique(np.round(data.positions[:, machine.names.index(axis_of(form.candidate.where))], 3))
+        return bool(np.ptp(places) > period * (len(places) - 1))
+
+    def has_imitating_waves(self, forms: Sequence[Form]) -> bool:
+        """Return whether some forms hold short waves that explain a small part: one of many fits the rest of any other error."""
+        others = [form for form in forms if not self.is_short_wave(form)]
+        own = self.explained_by(forms) - self.explained_by(others)
+        return len(others) < len(forms) and own < LEAST_SHORT_SHARE * (self.problem.chi2 - self.problem.dof)
+
     def calibrate(self) -> None:
         """Set the level so that noise alone is taken for a cause in a share `FALSE_ALARM_RATE` of all data sets.
 
@@ -236,7 +255,7 @@ class Candidates:
         allowed = {form.key for form in self.forms if np.isfinite(self._critical[form.index, 1])}
         return {key: why for key, why in self._reasons.items() if key not in allowed}
 
-    def exclude_forms(self, forms: Sequence[Form]) -> None:
+    def exclude_forms(self, forms: Iterable[Form]) -> None:
         """Exclude these forms until `set_problem` is called."""
         self._critical = np.array(self._critical)
         self._critical[[form.index for form in forms]] = np.inf

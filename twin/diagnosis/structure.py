@@ -36,24 +36,21 @@ from twin.diagnosis.readings import DiagnosisTask
 from twin.diagnosis.search import MAX_CAUSES, MAX_EXCHANGED_CAUSES, Selection, candidates_of, excess_ratio_of
 from twin.identification.discrepancy import settled
 from twin.measurement.observation import machine_state
-from twin.model.effects.base import axis_of
 
 MAX_PATTERNS: Final = 3
 """Largest number of patterns."""
 MAX_PATTERNS_EVALUATED: Final = 8
 """Number of patterns, those with the smallest p-values, whose likelihood is evaluated before one is chosen."""
-# The most promising ones alone are refitted with the variances of the patterns, which takes nearly all of the time.
 MAX_CAUSES_EVALUATED: Final = 5
-"""Number of causes evaluated in full at every step."""
+"""Number of causes refitted with the variances of the patterns at every step, which takes nearly all of the time."""
 # Refitted variances can raise what a cause explains, but not from a small part of its price to the whole.
 EVALUATED_PRICE_SHARE: Final = 0.3
 """Share of its price that a cause must explain at the present variances of the patterns to be evaluated in full."""
 # The gain that is bounded is that of a drop without a refit: at twenty times the price the refit cannot reverse the decision.
 KEPT_GAIN_RATIO: Final = 20.0
 """Ratio of a cause's bound on its gain to its price from which on it is kept without a refit."""
-# Far below any price and above rounding: an exchange and its reverse must not alternate.
 EXCHANGE_GAIN: Final = 0.1
-"""Smallest gain in twice the log likelihood for an exchange of causes."""
+"""Smallest gain in twice the log likelihood for an exchange of causes, far below any price: it and its reverse must not alternate."""
 # As in the verdict: causes that leave less than a tenth explain the readings.
 KEPT_CHI2_SHARE: Final = 0.9
 """Share of the explained χ² from which on causes are kept, whatever the patterns explain in addition."""
@@ -516,9 +513,6 @@ MOST_RESELECTIONS: Final = 4
 TIME: Final = "time_s"
 NOT_PREDICTED: Final = "they do not predict held-out positions"
 """Reason for which variants are left out, in words."""
-# Of n waves, the best follows about 2·ln(n) / positions of any error: with some 40 positions and 300 waves a quarter.
-LEAST_SHORT_SHARE: Final = 0.25
-"""Smallest share of the excess of waves that are shorter than the mean distance of the measured positions."""
 REFINED_CHI2: Final = 100.0
 """χ² of a cause above which its residual between two tabulated periods or time constants could look like another cause."""
 MAX_REFINEMENTS: Final = 2
@@ -640,28 +634,13 @@ class Searcher:
         ]:
             self.candidates.exclude({form.key for form in varying}, NOT_PREDICTED)
             structure, refuted = self._settled()
-        if self._imitate(structure.forms):
-            self.candidates.exclude_forms([form for form in self.candidates.forms if self._is_short(form)])
+        if self.candidates.has_imitating_waves(structure.forms):
+            self.candidates.exclude_forms(
+                [form for form in self.candidates.forms if self.candidates.is_short_wave(form)]
+            )
             structure, refuted = self._settled()
         given_patterns = self.candidates.for_problem(structure.problem) if structure.pattern_tests else self.candidates
         return Findings(self.task, self.patterns, self.candidates, given_patterns, structure, self.candidates, refuted)
-
-    def _is_short(self, form: Form) -> bool:
-        """Return whether a form is a wave shorter than the mean distance of the measured positions."""
-        period = form.candidate.specification.drawing.period(form.variant.fixed) if form.variant.fixed else 0.0
-        if period == 0.0:
-            return False
-        names = self.problem.network.machine.names
-        places = np.unique(
-            np.round(self.problem.network.data.positions[:, names.index(axis_of(form.candidate.where))], 3)
-        )
-        return bool(np.ptp(places) > period * (len(places) - 1))
-
-    def _imitate(self, forms: Sequence[Form]) -> bool:
-        """Return whether forms hold short waves that explain a small part: of so many waves one fits the rest of another error."""
-        others = [form for form in forms if not self._is_short(form)]
-        own = self.candidates.explained_by(forms) - self.candidates.explained_by(others)
-        return len(others) < len(forms) and own < LEAST_SHORT_SHARE * (self.problem.chi2 - self.problem.dof)
 
     def _settled(self) -> tuple[Structure, tuple[Form, ...]]:
         """Return the selected causes and patterns, and the causes that held-out readings refute.

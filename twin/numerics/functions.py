@@ -281,7 +281,7 @@ def _recursion(decay: np.ndarray, driven: np.ndarray, first: float) -> np.ndarra
 SHORTEST_PERIOD: Final = 2.0
 """mm: pitch errors of shorter periods are not considered."""
 WAVES_PER_POSITION: Final = 4
-"""Largest number of waves for each measured position: uneven positions resolve more than one, but so many waves imitate any error."""
+"""Largest number of waves for each measured position: uneven positions resolve more than one, but many waves imitate any error."""
 ALIASED: Final = 0.5
 """Value of the spectral window (1 for even spacing) above which two frequencies are aliases."""
 SAMPLED_POSITIONS: Final = 500

@@ -6,9 +6,9 @@ from typing import Final
 
 from twin.diagnosis.candidates import misplaced
 from twin.diagnosis.candidates.candidate import CandidateInputs, CandidateSource, Catalogue
+from twin.diagnosis.candidates.displaced import ALIGNMENT_SOURCE
 from twin.diagnosis.candidates.instrument import (
     AFFINE_SCALE_SOURCE,
-    ALIGNMENT_SOURCE,
     BEAM_BENDING_SOURCE,
     PROBE_LOBING_SOURCE,
     REFRACTION_SCALE_SOURCE,
