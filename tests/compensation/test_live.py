@@ -28,6 +28,7 @@ from twin.compensation.live.graph import Damping, LiveCorrection
 from twin.compensation.live.module import channel_of, channels_of
 from twin.model.calibration_file import ColumnSpec, empirical_named
 from twin.monitoring.record import ControlRecord
+from twin.numerics.covariance import Covariance
 
 TOOL_MM = 120.0
 MACHINES = ("dmu50", "trunnion_ac", "xyzbc_trunnion")
@@ -199,8 +200,10 @@ def test_errors_measured_with_the_module_are_added_to_its_own(tmp_path: Path) ->
     assert done.returncode == 2 and "m.csv:2: a reading from the base" in done.stderr
     assert not (tmp_path / "no.yaml").exists()
     remaining = rest.with_control(active)
-    with pytest.raises(InputError, match="--add"):
+    with pytest.raises(InputError, match="a new module must hold the old ones as well"):
         earlier_of(remaining, add=False)
+    with pytest.raises(InputError, match="nothing to add them to"):
+        earlier_of(rest, add=True)
     earlier = earlier_of(remaining, add=True)
     made = make_module(remaining, earlier=earlier, tool_length_mm=TOOL_MM)
     both = made.live
@@ -220,6 +223,40 @@ def test_errors_measured_with_the_module_are_added_to_its_own(tmp_path: Path) ->
     row, tool = poses(errors.machine, 1)[0], np.array([0.0, 0.0, 0.12])
     found, expected = (np.array(one.correction(row, np.zeros(5), tool, 1.0)).ravel() for one in (both, alone))
     assert np.allclose(found, expected, rtol=1e-9)
+
+
+@pytest.mark.parametrize(("u_um", "is_proven"), [(5.0, True), (5.2, False)])
+def test_errors_smaller_than_their_uncertainty_are_no_reason_for_a_module(u_um: float, is_proven: bool) -> None:
+    """A location shifts the tool by 10 µm everywhere; U (95 %) of one direction is 1.96 u."""
+    machine = twin.Machine.load("dmu50")
+    covariance = Covariance(("E_X0C",), np.array([[u_um**2]]))
+    errors = replace(twin.Calibration.zero(machine), location={"E_X0C": 10.0}, joint=covariance)
+    if is_proven:
+        made = make_module(errors, tool_length_mm=TOOL_MM)
+        assert "FORCED" not in made.text + made.to_text() and made.to_dict()["unproven"] == ""
+        return
+    with pytest.raises(InputError, match="tool point 10.00 µm, U 10.19 µm"):
+        make_module(errors, tool_length_mm=TOOL_MM)
+    made = make_module(errors, tool_length_mm=TOOL_MM, force=True)
+    assert all("FORCED: U (95 %)" in text for text in (made.text, made.to_text(), made.component))
+    # What depends on a channel was found significant when it was identified.
+    growth = twin.effect_named("thermal_growth", "Z by bed", {"coefficient": 1.0}, machine)
+    assert make_module(replace(errors, extra=(growth,))).unproven == ""
+
+
+@pytest.mark.parametrize("kind", ["head-head", "head-table"])
+def test_the_bound_of_the_correction_leaves_room_for_a_longer_tool(kind: str, tmp_path: Path) -> None:
+    """A wobble of the head does not move its centre: made without a tool, the module corrects one of half a metre in full."""
+    machine = KINDS[kind]().machine(tmp_path)
+    name = {"head-head": "E_BA", "head-table": "E_AB"}[kind]
+    effect = twin.effect_named("harmonic", name, {"order": 1.0, "cos": 0.0, "sin": 80.0}, machine)
+    made = make_module(replace(twin.Calibration.zero(machine), extra=(effect,)), tool_length_mm=0.0)
+    bound, still = np.array(made.proof.bound) * machine.scale, np.zeros(made.live.channel_count)
+    for orientation in (0.0, 1.0):
+        rows = [made.live.correction(row, still, [0.0, 0.0, 0.5], orientation) for row in poses(machine)]
+        found = np.array(rows)[:, :, 0]
+        assert np.all(np.abs(found).max(axis=0) <= bound)
+        assert orientation == 1.0 or np.abs(found[:, list(machine.linear)]).max() > 20e-6
 
 
 def test_effects_of_time_and_temperature_get_pins() -> None:

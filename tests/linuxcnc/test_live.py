@@ -195,6 +195,15 @@ def test_nothing_jumps_when_it_is_switched_on_and_off(loaded: Path, machine: twi
             ["hal", ["setp", "twinkins.orientation", "1"]],
             ["sleep", 0.3],
         ]
+    # A correction of a tool of 20 m is cut at its bound, which is reported; a tool of 500 mm has its own in full.
+    actions += [["hal", ["unlinkp", "twinkins.tool-z"]], ["mdi", "G53 G0 X250 Y225 Z-200 B60 C30"]]
+    for length in (500, 20000):
+        actions += [["hal", ["setp", "twinkins.tool-z", str(length)]], *ON, ["sleep", 0.3]]
+        actions += [
+            ["hal", ["getp", "twinkins.out-of-range"]],
+            ["hal", ["setp", "twinkins.enable", "0"]],
+            ["sleep", 0.3],
+        ]
     ran = run(loaded, tmp_path, machine, actions)
     places = ran.results("position")
     rotary = list(machine.rotary)
@@ -212,7 +221,7 @@ def test_nothing_jumps_when_it_is_switched_on_and_off(loaded: Path, machine: twi
         names = [LETTERS.index(name) for name in machine.names]
         assert np.allclose(np.array(on["axes"])[names], pose, atol=1e-9)
     states = [result for result in ran.results("hal") if result in ("TRUE", "FALSE")]
-    assert states == ["FALSE", "FALSE", "FALSE", "FALSE", "TRUE"]
+    assert states == ["FALSE", "FALSE", "FALSE", "FALSE", "TRUE", "FALSE", "TRUE"]
 
 
 def test_the_singular_position_is_passed_smoothly(

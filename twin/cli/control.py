@@ -250,7 +250,7 @@ def _write_live(
     _check_folder(output, outputs_of(output))
     with progress_bar() as bar:
         bar("kinematics module", 0.0)
-        made = make_module(errors, tool_length_mm=tool_length, earlier=earlier_of(errors, add=add), unidentified=force)
+        made = make_module(errors, tool_length_mm=tool_length, earlier=earlier_of(errors, add=add), force=force)
         write_module(made, output)
     if json_file is not None:
         write_json(json_file, made.to_dict())

@@ -35,11 +35,11 @@ from twin.compute.along import BatchFunction
 from twin.controls import ControlSection, TableEntry, file_sha256
 from twin.machine.machine import Machine
 from twin.model.calibration import Calibration
-from twin.model.conditions import APPROACH
+from twin.model.conditions import APPROACH, Conditions
 from twin.model.effects.base import HistoryShift, RecordingState
 from twin.model.unknown_errors import check_locations_identified, nominal_locations
 from twin.tool.forward import Kinematics
-from twin.tool.uncertainty import random_approach, volume_inside_domains
+from twin.tool.uncertainty import ToolUncertainty, random_approach, volume_inside_domains
 
 SCHEMA: Final = "twin.compensation.live/1"
 README: Final = "README.txt"
@@ -56,7 +56,12 @@ FILES: Final = (
     CALIBRATION,
 )
 MARGIN: Final = 1.5
-"""Factor on the largest tilt and the largest correction seen over the volume: tools and temperatures differ from those tried."""
+"""Factor on the largest tilt and the largest correction seen over the volume: temperatures and tools differ from those tried."""
+LEAST_BOUND: Final = 1e-9
+"""Metres and radians."""
+LEAST_TILT_URAD: Final = 1e-6
+LONGEST_MM: Final = 500.0
+"""A correction of a tool up to this length, or up to that stated if it is longer, stays below its bound."""
 PIN_NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,30}")
 """Characters of a pin of HAL; its name has at most 47 with the prefix."""
 TEXT_OF_SOURCE: Final = "This file holds the numbers and formulas of your machine, and the code of the module."
@@ -74,6 +79,7 @@ class Proof:
         tilt_before_urad, tilt_after_urad: RMS and largest tilt of the tool axis.
         damped: share of the poses that are close to a singular position, where the orientation is corrected in part.
         largest: (axes,) largest correction, mm and degrees.
+        bound: (axes,) what no correction exceeds in the control, with any tool, with the orientation or without.
         steepest: largest change of the correction with a position; below 1 the forward kinematics exists.
     """
 
@@ -84,6 +90,7 @@ class Proof:
     tilt_after_urad: tuple[float, float]
     damped: float
     largest: tuple[float, ...]
+    bound: tuple[float, ...]
     steepest: float
 
 
@@ -99,6 +106,7 @@ class LiveKinematics:
         earlier: calibrations that the control corrected already when that one was measured; their errors are added.
         text: the C file.
         component: the HAL component that supplies the temperatures.
+        unproven: why the correction is not shown to be an improvement; empty if it is.
     """
 
     live: LiveCorrection
@@ -108,6 +116,7 @@ class LiveKinematics:
     text: str
     component: str
     tool_length_mm: float
+    unproven: str = ""
 
     @property
     def warnings(self) -> tuple[SourceWarning, ...]:
@@ -124,6 +133,7 @@ class LiveKinematics:
             "illustrative": ILLUSTRATIVE in self.errors.warnings,
             "warnings": warnings_to_json(self.warnings),
             "tool_length_mm": self.tool_length_mm,
+            "unproven": self.unproven,
             "pins": [one.pin for one in channels_of(self.live)],
             "files": list(FILES),
             **json_form(self.proof),
@@ -139,7 +149,8 @@ class LiveKinematics:
         lines = [
             f"LinuxCNC kinematics with the errors of {machine.name}",
             *warning_texts(self.warnings),
-            f"calibration: {self.errors.path or 'no file: the nominal machine'}",
+            *([f"FORCED: {self.unproven}"] if self.unproven else []),
+            *(f"calibration: {one.path or 'no file: the nominal machine'}" for one in (*self.earlier, self.errors)),
             "",
             f"Error at the tool over the volume ({proof.poses} poses, tool {self.tool_length_mm:g} mm), by the model",
             f"{'':12}{'point, µm RMS':>16}{'largest':>12}{'tool axis, µrad RMS':>22}{'largest':>12}",
@@ -161,7 +172,7 @@ class LiveKinematics:
             "  The uncertainty of the calibration is not reduced by any correction: see `twin volume`.",
             *_loading(machine, proof),
             *_supplying(self.live),
-            *_trusting(machine),
+            *_trusting(machine, self.tool_length_mm),
         ]
         return "\n".join(lines) + "\n"
 
@@ -169,10 +180,7 @@ class LiveKinematics:
 def _loading(machine: Machine, proof: Proof) -> list[str]:
     """Return the part of README.txt on building, loading, checking and switching off."""
     largest = [
-        MARGIN
-        * max(
-            (size for size, axis in zip(proof.largest, machine.axes, strict=True) if axis.linear is kind), default=0.0
-        )
+        max((size for size, axis in zip(proof.bound, machine.axes, strict=True) if axis.linear is kind), default=0.0)
         for kind in (True, False)
     ]
     room = f"{ceil(10.0 * largest[0]) / 10.0 or 0.1:g} mm"
@@ -253,7 +261,7 @@ def _supplying(live: LiveCorrection) -> list[str]:
     return lines
 
 
-def _trusting(machine: Machine) -> list[str]:
+def _trusting(machine: Machine, length_mm: float) -> list[str]:
     """Return the part of README.txt on programs, limits and the licence."""
     lines = [
         "",
@@ -272,7 +280,8 @@ def _trusting(machine: Machine) -> list[str]:
         "  G64 and its tolerance act before the correction and do not reduce it. G38 stops at corrected positions.",
         "",
         "What it does not do",
-        "  Positions outside the range of a curve are corrected as at the end of the range; out-of-range is TRUE there.",
+        "  Positions outside the range of a curve are corrected as at the end of the range; out-of-range is TRUE there. It is TRUE too "
+        f"where the correction reaches its bound, with a tool much longer than {max(length_mm, LONGEST_MM):g} mm.",
         "  The position is corrected in the same cycle. Directions of approach, temperatures and the spindle's speed act one cycle "
         "later and are limited in rate, so that no axis jumps: from one side to the other in 0.1 s, 0.2 K/s, the tool 500 mm/s.",
         f"  {CALIBRATION} records that the control corrects these errors; {CORRECTED} holds their numbers.",
@@ -288,7 +297,7 @@ def make_module(
     *,
     tool_length_mm: float | None = None,
     earlier: Sequence[Calibration] = (),
-    unidentified: bool = False,
+    force: bool = False,
 ) -> LiveKinematics:
     """Make the module.
 
@@ -296,20 +305,25 @@ def make_module(
         errors: the errors to be corrected.
         tool_length_mm: tool length for which the effect over the volume is computed; None: that of the machine file.
         earlier: errors that the control corrected already when ``errors`` were measured.
-        unidentified: whether the module is made although locations of rotary axes were not identified.
+        force: whether the module is made although locations of rotary axes were not identified, or these errors are smaller than
+            their uncertainty.
 
     Raises:
-        InputError: a location that was not identified, unless that is accepted; a chain that the module does not carry; an axis that
+        InputError: a location that was not identified, or errors smaller than their uncertainty, without ``force``; a chain that the module does not carry; an axis that
             is no word of LinuxCNC; a channel without a pin; an empirical effect without a range that the module can keep; an estimate
             that did not settle; errors that the control corrects already; a correction too steep for the forward kinematics.
     """
     machine = errors.machine
     _check(errors)
-    if not unidentified:
+    length = machine.tool_length_mm if tool_length_mm is None else tool_length_mm
+    unproven = _unproven(errors, length)
+    if not force:
         check_locations_identified(errors)
+        if unproven:
+            expected = "the control as it is, a calibration with smaller uncertainties, or a module without proof"
+            raise InputError(unproven, expected=expected, file=errors.path, setting="force")
     bare = [one.with_control(None) for one in (*earlier, errors)]
     plain = _channels(bare)
-    length = machine.tool_length_mm if tool_length_mm is None else tool_length_mm
     trial = LiveCorrection(bare, plain, Damping.for_tilt(0.0))
     _check_ranges(trial, errors.path)
     live = LiveCorrection(bare, plain, Damping.for_tilt(MARGIN * _largest_tilt(trial, length)))
@@ -321,16 +335,17 @@ def make_module(
             file=errors.path,
             value=f"{proof.steepest:.2f}",
         )
-    largest = MARGIN * np.array(proof.largest) * machine.scale
+    largest = np.array(proof.bound) * machine.scale
     header = [
         f"LinuxCNC kinematics with the errors of {machine.name}, written by twin. Build: halcompile --install {NAME}.c",
         *warning_texts(merge_warnings(errors.warnings, nominal_locations(errors))),
+        *([f"FORCED: {unproven}"] if unproven else []),
         *(f"calibration: {one.path or 'nominal'}" for one in (*earlier, errors)),
         TEXT_OF_SOURCE,
     ]
     about = [f"Temperatures and record of {NAME} for {machine.name}, written by twin (README.txt).", *header[1:]]
     texts = c_file(live, largest, [*header, TEXT_OF_LICENCE]), component_file(live, about)
-    return LiveKinematics(live, proof, errors, tuple(earlier), *texts, length)
+    return LiveKinematics(live, proof, errors, tuple(earlier), *texts, length, unproven)
 
 
 def held_by_module(path: Path, machine: Machine) -> tuple[TableEntry, ...]:
@@ -373,18 +388,26 @@ def earlier_of(errors: Calibration, *, add: bool) -> tuple[Calibration, ...]:
         add: whether the user wants them added.
 
     Raises:
-        InputError: the control corrects these very errors already; or a module was active, and it is not said that its errors are to
-            be added.
+        InputError: the control corrects these very errors already; a module was active, and it is not said that its errors are to
+            be added; or none was, and they cannot be added.
     """
     errors.check_not_live()
     section = errors.control
     if section is None or not section.live:
+        if add:
+            raise InputError(
+                "a module was not active when these errors were measured: there is nothing to add them to",
+                expected="a calibration identified with the module's calibration.yaml; without it the new module replaces an old one",
+                file=errors.path,
+                setting="add",
+            )
         return ()
     if not add:
         raise InputError(
             "these errors were measured with the module active: a new module must hold the old ones as well",
-            expected="--add",
+            expected="old and new errors in one module",
             file=errors.path,
+            setting="add",
         )
     for entry in section.live:
         entry.check()
@@ -409,6 +432,33 @@ def _check(errors: Calibration) -> None:
             expected="a calibration measured without tables, or tables and kinematics taken out of the control",
             file=errors.path,
         )
+
+
+def _unproven(errors: Calibration, length_mm: float) -> str:
+    """Return why the correction of these errors is not shown to be an improvement; empty if it is, or the uncertainty is unknown.
+
+    Where their uncertainty exceeds them over the volume, at the tool point and of its axis, the correction may increase the error.
+    Effects of channels (temperatures, spindle speed) were found significant when they were identified: with such, nothing is said.
+    """
+    if not errors.covariance.names or Conditions().missing(errors):
+        return ""
+    real = Kinematics(errors.machine, errors, tool_length_mm=length_mm)
+    nominal = Kinematics(errors.machine, Calibration.zero(errors.machine), tool_length_mm=length_mm)
+    q = volume_inside_domains(errors)
+    sides = random_approach(q)
+    goal, reached, u = nominal.forward(q), real.forward(q, sides), ToolUncertainty(real, "identified").at(q, sides)
+    sizes = [
+        np.linalg.norm(reached.point_mm - goal.point_mm, axis=1) * 1e3,
+        np.linalg.norm(reached.tilt_urad(goal), axis=1),
+    ]
+    found = [_rms_and_largest(values)[0] for values in (*sizes, u.expanded_um, u.axis_expanded_urad)]
+    # An error without a tilt has one of rounding.
+    if found[0] > found[2] or found[1] > found[3] + LEAST_TILT_URAD or not np.isfinite(found).all():
+        return ""
+    return (
+        "U (95 %) of the correction exceeds the correction, which may increase the error: "
+        f"tool point {found[0]:.2f} µm, U {found[2]:.2f} µm; tool axis {found[1]:.2f} µrad, U {found[3]:.2f} µrad (RMS over the volume)"
+    )
 
 
 def _check_ranges(live: LiveCorrection, file: Path | None) -> None:
@@ -507,7 +557,14 @@ def _proof(live: LiveCorrection, length_mm: float) -> Proof:
     nominal = Kinematics(machine, Calibration.zero(machine), tool_length_mm=length_mm)
     goal, before = nominal.forward(q), nominal.with_errors(q, _errors(live, q, states))
     tool = np.tile([0.0, 0.0, 1e-3 * length_mm], (len(q), 1))
-    (correction,) = BatchFunction(live.correction)(q * machine.scale, states, tool, np.ones((len(q), 1)))
+    found = [
+        BatchFunction(live.correction)(q * machine.scale, states, one, np.full((len(q), 1), orientation))[0]
+        for one in (tool, np.tile([0.0, 0.0, 1e-3 * max(length_mm, LONGEST_MM)], (len(q), 1)))
+        for orientation in (1.0, 0.0)
+    ]
+    correction = found[0]
+    # Not zero: what rounding leaves of no correction is none that exceeds its bound.
+    bound = MARGIN * np.abs(found).max(axis=(0, 1)) + LEAST_BOUND
     corrected = q + correction / machine.scale
     after = nominal.with_errors(corrected, _errors(live, np.clip(corrected, *_bounds(live)), states))
     off = [1e3 * np.linalg.norm(one.point_mm - goal.point_mm, axis=1) for one in (before, after)]
@@ -521,6 +578,7 @@ def _proof(live: LiveCorrection, length_mm: float) -> Proof:
         tilt_after_urad=_rms_and_largest(tilts[1]),
         damped=float(np.mean(smallest < live.damping.region)) if machine.rotary else 0.0,
         largest=tuple((np.abs(correction) / machine.scale).max(axis=0).tolist()),
+        bound=tuple((bound / machine.scale).tolist()),
         steepest=float(np.abs(slopes).max()),
     )
 
