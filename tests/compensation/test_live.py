@@ -235,7 +235,7 @@ def test_errors_smaller_than_their_uncertainty_are_no_reason_for_a_module(u_um: 
         made = make_module(errors, tool_length_mm=TOOL_MM)
         assert "FORCED" not in made.text + made.to_text() and made.to_dict()["unproven"] == ""
         return
-    with pytest.raises(InputError, match="tool point 10.00 µm, U 10.19 µm"):
+    with pytest.raises(InputError, match=r"tool point 10\.00 µm, U 10\.19 µm"):
         make_module(errors, tool_length_mm=TOOL_MM)
     made = make_module(errors, tool_length_mm=TOOL_MM, force=True)
     assert all("FORCED: U (95 %)" in text for text in (made.text, made.to_text(), made.component))

@@ -78,11 +78,11 @@ Tables = Annotated[
 ]
 PRODUCTS_HELP = "Use products of two tables for angular errors, in formats that have them (twin doc control)."
 Products = Annotated[bool, typer.Option("--products/--no-products", help=PRODUCTS_HELP)]
-ADD_HELP = "Add to the tables that were active when the calibration was measured."
+ADD_HELP = "Add to the tables or the kinematics module that were active when the calibration was measured."
 Add = Annotated[bool, typer.Option("--add", help=ADD_HELP)]
 FORCE_HELP = (
-    "Also write tables whose uncertainty exceeds their correction, and kinematics with locations that were not identified; "
-    "the files say so."
+    "Also write tables and kinematics modules whose uncertainty exceeds their correction, and kinematics with locations that were "
+    "not identified; the files say so."
 )
 Force = Annotated[bool, typer.Option("--force", help=FORCE_HELP)]
 

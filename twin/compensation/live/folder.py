@@ -309,9 +309,10 @@ def make_module(
             their uncertainty.
 
     Raises:
-        InputError: a location that was not identified, or errors smaller than their uncertainty, without ``force``; a chain that the module does not carry; an axis that
-            is no word of LinuxCNC; a channel without a pin; an empirical effect without a range that the module can keep; an estimate
-            that did not settle; errors that the control corrects already; a correction too steep for the forward kinematics.
+        InputError: a location that was not identified, or errors smaller than their uncertainty, without ``force``; a chain that the
+            module does not carry; an axis that is no word of LinuxCNC; a channel without a pin; an empirical effect without a range
+            that the module can keep; an estimate that did not settle; errors that the control corrects already; a correction too
+            steep for the forward kinematics.
     """
     machine = errors.machine
     _check(errors)
