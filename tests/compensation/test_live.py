@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import json
+import re
 import shutil
 import subprocess
 import types
@@ -24,6 +25,7 @@ from twin._common.errors import InputError
 from twin._common.provenance import CORRECTED_IN_CONTROL
 from twin.cli.identify import tables_on
 from twin.compensation.live import earlier_of, make_module, write_module
+from twin.compensation.live.folder import Proof
 from twin.compensation.live.graph import Damping, LiveCorrection
 from twin.compensation.live.module import channel_of, channels_of
 from twin.model.calibration_file import ColumnSpec, empirical_named
@@ -59,6 +61,7 @@ def test_the_machine_with_errors_goes_where_the_program_means(errors: twin.Calib
     made = make_module(errors, tool_length_mm=TOOL_MM)
     n = poses(machine)
     tool = np.array([0.0, 0.0, 1e-3 * TOOL_MM])
+    check_proof(errors, made.proof)
     still = np.zeros(len(machine.axes))
     c = np.array([made.live.correction(row, still, tool, 1.0) for row in n]).reshape(n.shape)
     real, nominal = (
@@ -73,6 +76,22 @@ def test_the_machine_with_errors_goes_where_the_program_means(errors: twin.Calib
     tilt = np.linalg.norm((after - turn)[:, 6:], axis=1)
     assert tilt[whole].max() < 1e-8 < 1e-4 < np.linalg.norm((before - turn)[:, 6:], axis=1).max()
     assert np.all(tilt <= 1.01 * np.linalg.norm((before - turn)[:, 6:], axis=1) + 1e-9)
+
+
+def check_proof(errors: twin.Calibration, proof: Proof) -> None:
+    """The figures of README.txt: those of other poses without the module, and what it leaves, the orientation near singular poses."""
+    q = poses(errors.machine, 2000) / errors.machine.scale
+    real, nominal = (
+        twin.Kinematics(errors.machine, one, tool_length_mm=TOOL_MM).forward(q)
+        for one in (errors, twin.Calibration.zero(errors.machine))
+    )
+    off = 1e3 * np.linalg.norm(real.point_mm - nominal.point_mm, axis=1)
+    tilt = 1e6 * np.linalg.norm(real.axis - nominal.axis, axis=1)
+    for (rms, largest), values in ((proof.point_before_um, off), (proof.tilt_before_urad, tilt)):
+        assert rms == pytest.approx(np.sqrt(np.mean(values**2)), rel=0.1)
+        assert largest == pytest.approx(values.max(), rel=0.3)
+    assert proof.point_after_um[1] < 0.05 < 10.0 < proof.point_before_um[0]
+    assert proof.tilt_after_urad[0] < 0.3 * proof.tilt_before_urad[0]
 
 
 def test_without_orientation_the_rotary_axes_stay(errors: twin.Calibration) -> None:
@@ -170,7 +189,8 @@ def test_the_folder_knows_what_the_control_corrects(tmp_path: Path) -> None:
     assert (tmp_path / "live" / "README.txt").read_text() in done.stdout
     written = twin.Calibration.load(tmp_path / "live" / "calibration.yaml", errors.machine)
     corrected = twin.Calibration.load(tmp_path / "live" / "corrected.yaml", errors.machine)
-    assert corrected.location == pytest.approx(dict(errors.location))
+    assert corrected.location == pytest.approx(dict(errors.location)) and corrected.control is None
+    assert written.control is not None and written.control.errors_are == "uncorrected"
     assert CORRECTED_IN_CONTROL in written.warnings and CORRECTED_IN_CONTROL not in corrected.warnings
     for use in (
         lambda: make_module(written),
@@ -269,6 +289,15 @@ def test_effects_of_time_and_temperature_get_pins() -> None:
     )
     made = make_module(replace(twin.Calibration.default(machine), extra=extra))
     assert made.to_dict()["pins"] == ["temperature-bed", "spindle-speed"]
+    found = {
+        name: [float(one) for one in values.split(",")]
+        for name, values in re.findall(r"(\w+)\[[^]]*\] = \{([-+e.\d, ]+)\}", made.text)
+    }
+    # A lag of temperatures begins in balance with its sensor, growth with the spindle's speed at rest; the last of each is unused.
+    assert found["HISTORY_SETTLED"][:2] == [1, 0] and found["HISTORY_CONSTANT"][:2] == [600, 300]
+    assert found["CHANNEL_START"][:2] == [20, 0] and found["CHANNEL_RATE"][:2] == [0.2, 1e6]
+    assert found["LARGEST"] == pytest.approx(np.array(made.proof.bound) * machine.scale, rel=1e-12)
+    assert found["SCALE"] == pytest.approx(machine.scale, rel=1e-15)
     drives = np.array(made.live.drives(np.array([0, 0, 0, 0, 0, 26.0, 6000.0, 0.0, 0.0]))).ravel()
     assert drives == pytest.approx([6.0, 0.5**1.5])
     row, tool = poses(machine, 1)[0], np.array([0.0, 0.0, 0.12])
@@ -304,6 +333,9 @@ def test_what_it_cannot_carry_is_refused(tmp_path: Path) -> None:
     growth = twin.effect_named("thermal_growth", "Z by oil tank", {"coefficient": 1.0}, machine)
     with pytest.raises(InputError, match="name of a pin"):
         make_module(replace(errors, extra=(growth,)))
+    steep = replace(errors.curves["E_XX"], coefficients=tuple(1e5 * one for one in errors.curves["E_XX"].coefficients))
+    with pytest.raises(InputError, match="changes by more than the position does"):
+        make_module(replace(errors, curves={**errors.curves, "E_XX": steep}))
     with pytest.raises(InputError, match="did not settle"):
         make_module(replace(errors, settled=False))
     with pytest.raises(InputError, match="C, which turns without a limit"):

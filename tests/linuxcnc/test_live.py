@@ -149,7 +149,7 @@ def test_a_program_in_axis_words_is_cut_right_without_being_compensated(
         ["sleep", 0.5],
         ["position"],
         ["hal", ["linkps", "twinkins.spindle-speed", "twinkins-spindle-speed"]],
-        ["mdi", "S6000 M3"],
+        ["mdi", "S6000 M4"],
         ["sleep", 4.0],
         ["position"],
     ]
