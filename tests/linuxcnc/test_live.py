@@ -195,15 +195,6 @@ def test_nothing_jumps_when_it_is_switched_on_and_off(loaded: Path, machine: twi
             ["hal", ["setp", "twinkins.orientation", "1"]],
             ["sleep", 0.3],
         ]
-    # A correction of a tool of 20 m is cut at its bound, which is reported; a tool of 500 mm has its own in full.
-    actions += [["hal", ["unlinkp", "twinkins.tool-z"]], ["mdi", "G53 G0 X250 Y225 Z-200 B60 C30"]]
-    for length in (500, 20000):
-        actions += [["hal", ["setp", "twinkins.tool-z", str(length)]], *ON, ["sleep", 0.3]]
-        actions += [
-            ["hal", ["getp", "twinkins.out-of-range"]],
-            ["hal", ["setp", "twinkins.enable", "0"]],
-            ["sleep", 0.3],
-        ]
     ran = run(loaded, tmp_path, machine, actions)
     places = ran.results("position")
     rotary = list(machine.rotary)
@@ -221,7 +212,56 @@ def test_nothing_jumps_when_it_is_switched_on_and_off(loaded: Path, machine: twi
         names = [LETTERS.index(name) for name in machine.names]
         assert np.allclose(np.array(on["axes"])[names], pose, atol=1e-9)
     states = [result for result in ran.results("hal") if result in ("TRUE", "FALSE")]
-    assert states == ["FALSE", "FALSE", "FALSE", "FALSE", "TRUE", "FALSE", "TRUE"]
+    assert states == ["FALSE", "FALSE", "FALSE", "FALSE", "TRUE"]
+
+
+def test_what_comes_to_the_pins_is_bounded_and_limited_in_rate(
+    loaded: Path, machine: twin.Machine, tmp_path: Path
+) -> None:
+    """A longer tool, a jump of a temperature, a value that no sensor has, a tool of 500 m: the axes stay, the joints do not jump."""
+
+    def pin(name: str, value: float) -> list[Any]:
+        return ["hal", ["setp", f"twinkins.{name}", f"{value:g}"]]
+
+    outside = ["hal", ["getp", "twinkins.out-of-range"]]
+    actions: list[list[Any]] = [["home"], FADE, ["mdi", "G53 G0 X250 Y225 Z-200 B60 C30"]]
+    actions += [["hal", ["unlinkp", "twinkins.tool-z"]], pin("tool-z", TOOL), ["sleep", 0.3], *ON]
+    actions += [
+        ["position"],
+        ["record", "tool.txt"],
+        pin("tool-z", TOOL + 300.0),
+        ["sleep", 1.2],
+        ["stop"],
+        ["position"],
+        outside,
+    ]
+    actions += [["record", "warm.txt"], pin("temperature-bed", 26.0), ["sleep", 1.0], ["stop"]]
+    actions += [pin("temperature-bed", 75.0), ["sleep", 0.2], ["position"], ["sleep", 0.5], ["position"], outside]
+    actions += [
+        pin("temperature-bed", 20.0),
+        ["sleep", 0.2],
+        outside,
+        pin("tool-rate", 1e9),
+        pin("tool-z", 500e3),
+        ["sleep", 0.3],
+    ]
+    actions += [["position"], outside]
+    ran = run(loaded, tmp_path, machine, actions)
+    short, long, held, later, cut = (np.array(one["joints"]) for one in ran.results("position"))
+    joints, axes = np.hsplit(ran.samples("tool.txt"), 2)
+    assert np.ptp(axes, axis=0).max() < 1e-9
+    change = np.abs(long - short)[:3].max()
+    # 300 mm at 500 mm/s: 600 cycles.
+    assert change > 0.005 and np.abs(np.diff(joints, axis=0))[:, :3].max() < 2.0 * change / 600.0
+    # 12 µm/K at 0.2 K/s; the value beyond 60 °C is not followed, nor is what remained of the way to the last one.
+    joints, _ = np.hsplit(ran.samples("warm.txt"), 2)
+    assert 1.5e-3 < joints[0, 2] - joints[-1, 2] < 6e-3 and np.abs(np.diff(joints[:, 2])).max() < 5e-6
+    assert later == pytest.approx(held, abs=1e-9)
+    assert [one for one in ran.results("hal") if one in ("TRUE", "FALSE")] == ["FALSE", "TRUE", "FALSE", "TRUE"]
+    assert (
+        np.isfinite(cut).all()
+        and np.abs(cut - np.array(ran.results("position")[-1]["axes"])[[0, 1, 2, 4, 5]])[:3].max() < 10.0
+    )
 
 
 def test_the_singular_position_is_passed_smoothly(
