@@ -28,7 +28,7 @@ from twin.compensation.live import earlier_of, make_module, write_module
 from twin.compensation.live.folder import Proof
 from twin.compensation.live.graph import Damping, LiveCorrection
 from twin.compensation.live.module import channel_of, channels_of
-from twin.model.calibration_file import ColumnSpec, empirical_named
+from twin.model.calibration_file import ColumnSpec, UnidentifiedEntry, empirical_named
 from twin.monitoring.record import ControlRecord
 from twin.numerics.covariance import Covariance
 
@@ -142,7 +142,7 @@ def test_it_is_finite_and_can_be_undone_for_every_kind(kind: str, tmp_path: Path
 @pytest.mark.parametrize("name", MACHINES)
 def test_coordinates_of_the_workpiece_and_axes_are_inverse(name: str) -> None:
     machine = twin.Machine.load(name)
-    live = LiveCorrection([twin.Calibration.zero(machine)], (), Damping.for_tilt(0.0))
+    live = LiveCorrection(twin.Calibration.zero(machine), (), Damping.for_tilt(0.0))
     tool, linear = np.array([0.01, -0.02, 0.12]), list(machine.linear)
     nominal = twin.Kinematics(machine, twin.Calibration.zero(machine), tool_length_mm=120.0)
     for row in poses(machine, 10):
@@ -228,9 +228,9 @@ def test_errors_measured_with_the_module_are_added_to_its_own(tmp_path: Path) ->
     made = make_module(remaining, earlier=earlier, tool_length_mm=TOOL_MM)
     both = made.live
     write_module(made, tmp_path / "second")
-    again = twin.Calibration.load(tmp_path / "second" / "calibration.yaml", errors.machine).control
-    held = [twin.Calibration.load(entry.file, errors.machine).location["E_X0C"] for entry in again.live]
-    assert held == pytest.approx([errors.location["E_X0C"], rest.location["E_X0C"]]), "a third one needs both"
+    again = twin.Calibration.load(tmp_path / "second" / "calibration.yaml", errors.machine)
+    (entry,) = again.control.live
+    assert entry.file == tmp_path / "second" / "corrected.yaml", "the folder needs no other"
     locations = {name: value + rest.location[name] for name, value in errors.location.items()}
     angles = {name: value + rest.squareness[name] for name, value in errors.squareness.items()}
     curves = {
@@ -243,6 +243,35 @@ def test_errors_measured_with_the_module_are_added_to_its_own(tmp_path: Path) ->
     row, tool = poses(errors.machine, 1)[0], np.array([0.0, 0.0, 0.12])
     found, expected = (np.array(one.correction(row, np.zeros(5), tool, 1.0)).ravel() for one in (both, alone))
     assert np.allclose(found, expected, rtol=1e-9)
+    # With the module off, these are the errors of the machine.
+    for held in (again, twin.Calibration.load(entry.file, errors.machine)):
+        assert (held.location, held.squareness) == (pytest.approx(locations), pytest.approx(angles))
+        assert held.curves["E_XX"](200.0) == pytest.approx(2.0 * errors.curves["E_XX"](200.0))
+
+
+def test_the_sum_of_two_measurements_is_as_certain_as_the_last(tmp_path: Path) -> None:
+    """Of what was measured twice the second uncertainty counts; what no measurement determined stays unknown."""
+    machine = twin.Machine.load("dmu50")
+
+    def measured(values: dict[str, float], u_um: dict[str, float], *unknown: str) -> twin.Calibration:
+        covariance = Covariance(tuple(u_um), np.diag([one**2 for one in u_um.values()]))
+        why = tuple(UnidentifiedEntry(name=name, why="a reason") for name in unknown)
+        return replace(twin.Calibration.zero(machine), location=values, joint=covariance, not_identifiable=why)
+
+    first = measured({"E_X0C": 40.0, "E_Y0C": 9.0}, {"E_X0C": 3.0, "E_Y0C": 2.0}, "E_X0B", "E_Y0B", "E_A0B")
+    second = measured(
+        {"E_X0C": -15.0, "E_X0B": 7.0, "E_A0B": 0.0}, {"E_X0C": 1.0, "E_X0B": 0.5, "E_A0B": 50.0}, "E_Y0C", "E_A0B"
+    )
+    made = make_module(second, earlier=[first], force=True)
+    whole = made.whole
+    assert whole.location == {"E_X0C": 25.0, "E_Y0C": 9.0, "E_X0B": 7.0, "E_A0B": 0.0}
+    sizes = dict(zip(whole.covariance.names, np.sqrt(np.diag(whole.covariance.matrix)), strict=True))
+    assert sizes == pytest.approx({"E_X0C": 1.0, "E_Y0C": 2.0, "E_X0B": 0.5, "E_A0B": 50.0})
+    assert sorted(error.name for error in whole.not_identifiable) == ["E_A0B", "E_Y0B"]
+    with pytest.raises(InputError, match="E_Y0B, E_A0B were not identified"):
+        make_module(second, earlier=[first])
+    write_module(made, tmp_path)
+    assert dict(twin.Calibration.load(tmp_path / "corrected.yaml", machine).location) == whole.location
 
 
 @pytest.mark.parametrize(("u_um", "is_proven"), [(5.0, True), (5.2, False)])

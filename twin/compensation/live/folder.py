@@ -104,6 +104,7 @@ class LiveKinematics:
         proof: its effect over the volume.
         errors: the calibration it was made from.
         earlier: calibrations that the control corrected already when that one was measured; their errors are added.
+        whole: all errors that it corrects: those of the machine with the module switched off.
         text: the C file.
         component: the HAL component that supplies the temperatures.
         unproven: why the correction is not shown to be an improvement; empty if it is.
@@ -113,6 +114,7 @@ class LiveKinematics:
     proof: Proof
     errors: Calibration
     earlier: tuple[Calibration, ...]
+    whole: Calibration
     text: str
     component: str
     tool_length_mm: float
@@ -121,7 +123,7 @@ class LiveKinematics:
     @property
     def warnings(self) -> tuple[SourceWarning, ...]:
         """Warnings about the source of the numbers."""
-        return merge_warnings(self.errors.warnings, nominal_locations(self.errors))
+        return merge_warnings(self.whole.warnings, nominal_locations(self.whole))
 
     def to_dict(self) -> dict[str, Any]:
         """Return the account as JSON."""
@@ -130,7 +132,7 @@ class LiveKinematics:
             "format": FORMAT,
             "machine": self.live.machine.name,
             "calibration": str(self.errors.path or "no file"),
-            "illustrative": ILLUSTRATIVE in self.errors.warnings,
+            "illustrative": ILLUSTRATIVE in self.whole.warnings,
             "warnings": warnings_to_json(self.warnings),
             "tool_length_mm": self.tool_length_mm,
             "unproven": self.unproven,
@@ -317,17 +319,16 @@ def make_module(
     machine = errors.machine
     _check(errors)
     length = machine.tool_length_mm if tool_length_mm is None else tool_length_mm
-    unproven = _unproven(errors, length)
+    whole, unproven = _sum(earlier, errors), _unproven(errors, length)
     if not force:
-        check_locations_identified(errors)
+        check_locations_identified(whole)
         if unproven:
             expected = "the control as it is, a calibration with smaller uncertainties, or a module without proof"
             raise InputError(unproven, expected=expected, file=errors.path, setting="force")
-    bare = [one.with_control(None) for one in (*earlier, errors)]
-    plain = _channels(bare)
-    trial = LiveCorrection(bare, plain, Damping.for_tilt(0.0))
+    plain = _channels(whole)
+    trial = LiveCorrection(whole, plain, Damping.for_tilt(0.0))
     _check_ranges(trial, errors.path)
-    live = LiveCorrection(bare, plain, Damping.for_tilt(MARGIN * _largest_tilt(trial, length)))
+    live = LiveCorrection(whole, plain, Damping.for_tilt(MARGIN * _largest_tilt(trial, length)))
     proof = _proof(live, length)
     if proof.steepest >= 1.0:
         raise InputError(
@@ -339,14 +340,43 @@ def make_module(
     largest = np.array(proof.bound) * machine.scale
     header = [
         f"LinuxCNC kinematics with the errors of {machine.name}, written by twin. Build: halcompile --install {NAME}.c",
-        *warning_texts(merge_warnings(errors.warnings, nominal_locations(errors))),
+        *warning_texts(merge_warnings(whole.warnings, nominal_locations(whole))),
         *([f"FORCED: {unproven}"] if unproven else []),
         *(f"calibration: {one.path or 'nominal'}" for one in (*earlier, errors)),
         TEXT_OF_SOURCE,
     ]
     about = [f"Temperatures and record of {NAME} for {machine.name}, written by twin (README.txt).", *header[1:]]
     texts = c_file(live, largest, [*header, TEXT_OF_LICENCE]), component_file(live, about)
-    return LiveKinematics(live, proof, errors, tuple(earlier), *texts, length, unproven)
+    return LiveKinematics(live, proof, errors, tuple(earlier), whole, *texts, length, unproven)
+
+
+def _sum(earlier: Sequence[Calibration], errors: Calibration) -> Calibration:
+    """Return the errors of the machine without the module, from those that it corrected and those that then remained.
+
+    What was measured again is as uncertain as the last measurement of it: the corrections before it are known.
+    """
+    whole, *parts = (one.with_control(None) for one in (*earlier, errors))
+    for part in parts:
+        unknown = {error.name for error in part.not_identifiable}
+        again = {name.partition("[")[0] for name in part.covariance.names}
+        known = {effect.name for effect in whole.effects} - {error.name for error in whole.not_identifiable}
+        first = replace(
+            whole,
+            curves=MappingProxyType({name: replace(curve, covariance=None) for name, curve in whole.curves.items()}),
+            joint=whole.covariance.where(lambda name, again=again: name.partition("[")[0] not in again),  # type: ignore[misc]
+        )
+        open_before = {error.name: error for error in whole.not_identifiable if error.name not in again - unknown}
+        open_now = {error.name: error for error in part.not_identifiable if error.name not in known}
+        whole = replace(
+            first.extended(part.effects, part.covariance, part.source, simulated=part.simulated),
+            path=part.path,
+            not_identifiable=(*(open_before | open_now).values(),),
+            not_estimated=tuple(name for name in whole.not_estimated if name in part.not_estimated),
+            misfit=part.misfit,
+            set_up=part.set_up,
+            instruments=tuple(dict.fromkeys((*whole.instruments, *part.instruments))),
+        )
+    return whole
 
 
 def held_by_module(path: Path, machine: Machine) -> tuple[TableEntry, ...]:
@@ -484,27 +514,25 @@ def _check_ranges(live: LiveCorrection, file: Path | None) -> None:
             )
 
 
-def _channels(calibrations: Sequence[Calibration]) -> tuple[str, ...]:
+def _channels(errors: Calibration) -> tuple[str, ...]:
     """Return the channels that the control must supply.
 
     Raises:
         InputError: a channel without a pin.
     """
-    names: dict[str, None] = {}
-    for one in calibrations:
-        asked = RecordingState(one.machine)
-        for effect in one.effects:
-            if isinstance(effect, HistoryShift):
-                effect.driven(asked)
-            else:
-                effect.components(asked)
-        names |= dict.fromkeys(name for name in asked.asked if not name.startswith(APPROACH))
+    asked = RecordingState(errors.machine)
+    for effect in errors.effects:
+        if isinstance(effect, HistoryShift):
+            effect.driven(asked)
+        else:
+            effect.components(asked)
+    names = dict.fromkeys(name for name in asked.asked if not name.startswith(APPROACH))
     for name in names:
         if not PIN_NAME.fullmatch(channel_of(name).pin):
             raise InputError(
                 "the name of a sensor cannot be the name of a pin",
                 expected="letters, digits, - and _, at most 18",
-                file=calibrations[-1].path,
+                file=errors.path,
                 value=name,
             )
     return tuple(names)
@@ -535,7 +563,7 @@ def _usual(channel: SuppliedChannel) -> tuple[float, float]:
 
 def _poses(live: LiveCorrection) -> tuple[np.ndarray, np.ndarray]:
     """Return poses (n, axes) over the volume, mm and degrees, and random channels (n, channels)."""
-    q = volume_inside_domains(live.calibrations[0])
+    q = volume_inside_domains(live.calibration)
     return q, _states(live, len(q))
 
 
@@ -616,13 +644,10 @@ def write_module(made: LiveKinematics, folder: Path) -> None:
     write_atomic(folder / f"{COMPONENT}.py", made.component)
     write_atomic(folder / f"{COMPONENT}.hal", component_lines(made.live))
     write_atomic(folder / README, made.to_text())
-    errors.with_control(None).save(folder / CORRECTED)
+    made.whole.save(folder / CORRECTED)
     entry = TableEntry(folder / CORRECTED, FORMAT, BASIC, file_sha256(folder / CORRECTED))
-    # All that the module holds: of errors measured with an earlier one active, the earlier ones too.
-    held = errors.control.live if errors.control is not None and made.earlier else ()
-    section = ControlSection("uncorrected", (), (), (*held, entry))
-    marked = replace(errors, source=f"{errors.source}; the control has the kinematics module {NAME}")
-    marked.with_control(section).save(folder / CALIBRATION)
+    marked = replace(made.whole, source=f"{made.whole.source}; the control has the kinematics module {NAME}")
+    marked.with_control(ControlSection("uncorrected", (), (), (entry,))).save(folder / CALIBRATION)
 
 
 def hal_lines(live: LiveCorrection) -> str:
