@@ -250,7 +250,7 @@ def test_errors_measured_with_the_module_are_added_to_its_own(tmp_path: Path) ->
 
 
 def test_the_sum_of_two_measurements_is_as_certain_as_the_last(tmp_path: Path) -> None:
-    """Of what was measured twice the second uncertainty counts; what no measurement determined stays unknown."""
+    """The second uncertainty counts where both measured an error; what no measurement determined stays unknown."""
     machine = twin.Machine.load("dmu50")
 
     def measured(values: dict[str, float], u_um: dict[str, float], *unknown: str) -> twin.Calibration:

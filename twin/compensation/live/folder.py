@@ -419,7 +419,7 @@ def earlier_of(errors: Calibration, *, add: bool) -> tuple[Calibration, ...]:
         add: whether the user wants them added.
 
     Raises:
-        InputError: the control corrects these very errors already; a module was active, and it is not said that its errors are to
+        InputError: the control corrects these very errors already; a module was active, and it is not stated that its errors are to
             be added; or none was, and they cannot be added.
     """
     errors.check_not_live()
@@ -469,7 +469,7 @@ def _unproven(errors: Calibration, length_mm: float) -> str:
     """Return why the correction of these errors is not shown to be an improvement; empty if it is, or the uncertainty is unknown.
 
     Where their uncertainty exceeds them over the volume, at the tool point and of its axis, the correction may increase the error.
-    Effects of channels (temperatures, spindle speed) were found significant when they were identified: with such, nothing is said.
+    Effects of channels (temperatures, spindle speed) were found significant when they were identified: with them the result is empty.
     """
     if not errors.covariance.names or Conditions().missing(errors):
         return ""
