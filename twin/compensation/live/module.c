@@ -178,16 +178,19 @@ static void follow_channels(double seconds)
     double drives[HISTORIES + 1];
     const double *arguments[1] = {state.channels};
     double *results[1] = {drives};
-    int i, outside = 0;
+    int i, outside = 0, begun = !state.started;
     for (i = 0; i < CHANNELS; i++) {
         double value = *pins->channel[i], *held = &state.channels[AXES + i];
         /* A sensor that fails has a value far outside, often: the last one within is the best estimate. */
         if (!(value >= CHANNEL_LOW[i] && value <= CHANNEL_HIGH[i])) { outside = 1; value = *held; }
+        /* A sensor that comes after the control has started: the value before was none. */
+        begun |= state.fade == 0.0 && fabs(value - *held) > CHANNEL_RATE[i];
         *held = state.fade > 0.0 ? towards(*held, value, CHANNEL_RATE[i] * seconds) : value;
     }
     if (HISTORIES) twin_drives(arguments, results, 0, 0, 0);
     for (i = 0; i < HISTORIES; i++) {
-        if (!state.started) state.history[i] = HISTORY_SETTLED[i] ? drives[i] : 0.0;
+        if (!state.started) state.history[i] = 0.0;
+        if (begun && HISTORY_SETTLED[i]) state.history[i] = drives[i];
         state.history[i] += (drives[i] - state.history[i]) * (1.0 - exp(-seconds / HISTORY_CONSTANT[i]));
         state.channels[AXES + CHANNELS + i] = state.history[i];
     }
