@@ -245,7 +245,9 @@ def test_what_comes_to_the_pins_is_bounded_and_limited_in_rate(
         ["sleep", 1.0],
         place,
     ]
-    actions = [*start, *longer, *bed, *longest, *oil]
+    back = [["mdi", "G53 G0 Y226"], ["mdi", "G53 G0 Y225"], ["sleep", 0.3]]
+    turning = [*recorded("turned.txt", pin("orientation", 1), ["sleep", 0.3]), *recorded("back.txt", *back)]
+    actions = [*start, *longer, *bed, *longest, *oil, *turning]
     ran = run(loaded, tmp_path, machine, actions)
     short, long, held, later, cut, warm, followed = (np.array(one["joints"]) for one in ran.results("position"))
     joints, axes = np.hsplit(ran.samples("tool.txt"), 2)
@@ -262,6 +264,13 @@ def test_what_comes_to_the_pins_is_bounded_and_limited_in_rate(
     # A lag is in balance with a sensor that comes while the correction is off; then it follows: 5 µm/K in 600 s.
     assert warm[2] - short[2] == pytest.approx(-0.05, abs=1e-4)
     assert 0.0 < followed[2] - warm[2] < 1e-5
+    # A tenth of a second for the orientation at the rate of `FADE`, and for the 9 µm of the reversal.
+    joints, _ = np.hsplit(ran.samples("turned.txt"), 2)
+    change = np.abs(joints[-1] - joints[0]).max()
+    assert change > 0.005 and np.abs(np.diff(joints, axis=0)).max() < 0.02 * change
+    joints, axes = synchronous(ran.samples("back.txt"))
+    correction = (joints - axes)[:, 1]
+    assert 0.006 < np.ptp(correction) < 0.012 and np.abs(np.diff(correction)).max() < 5e-4
 
 
 def test_the_singular_position_is_passed_smoothly(
