@@ -229,7 +229,7 @@ def test_what_comes_to_the_pins_is_bounded_and_limited_in_rate(
 
     outside, place, off = ["hal", ["getp", "twinkins.out-of-range"]], ["position"], [pin("enable", 0), ["sleep", 0.3]]
     start = [["home"], FADE, ["mdi", "G53 G0 X250 Y225 Z-200 B60 C30"], ["hal", ["unlinkp", "twinkins.tool-z"]]]
-    # With the orientation, the rotary axes take out what the length would make of a tilt.
+    # With the orientation, the rotary axes take out a tilt, and the length of the tool does not matter.
     start += [pin("tool-z", TOOL), pin("orientation", 0), ["sleep", 0.3], *ON, place]
     longer = [*recorded("tool.txt", pin("tool-z", TOOL + 300.0), ["sleep", 1.2]), place, outside]
     bed = recorded("warm.txt", pin("temperature-bed", 26.0), ["sleep", 1.0])
