@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import json
+import re
 import shutil
 import subprocess
 import types
@@ -24,10 +25,12 @@ from twin._common.errors import InputError
 from twin._common.provenance import CORRECTED_IN_CONTROL
 from twin.cli.identify import tables_on
 from twin.compensation.live import earlier_of, make_module, write_module
+from twin.compensation.live.folder import Proof
 from twin.compensation.live.graph import Damping, LiveCorrection
 from twin.compensation.live.module import channel_of, channels_of
-from twin.model.calibration_file import ColumnSpec, empirical_named
+from twin.model.calibration_file import ColumnSpec, UnidentifiedEntry, empirical_named
 from twin.monitoring.record import ControlRecord
+from twin.numerics.covariance import Covariance
 
 TOOL_MM = 120.0
 MACHINES = ("dmu50", "trunnion_ac", "xyzbc_trunnion")
@@ -58,6 +61,7 @@ def test_the_machine_with_errors_goes_where_the_program_means(errors: twin.Calib
     made = make_module(errors, tool_length_mm=TOOL_MM)
     n = poses(machine)
     tool = np.array([0.0, 0.0, 1e-3 * TOOL_MM])
+    check_proof(errors, made.proof)
     still = np.zeros(len(machine.axes))
     c = np.array([made.live.correction(row, still, tool, 1.0) for row in n]).reshape(n.shape)
     real, nominal = (
@@ -72,6 +76,22 @@ def test_the_machine_with_errors_goes_where_the_program_means(errors: twin.Calib
     tilt = np.linalg.norm((after - turn)[:, 6:], axis=1)
     assert tilt[whole].max() < 1e-8 < 1e-4 < np.linalg.norm((before - turn)[:, 6:], axis=1).max()
     assert np.all(tilt <= 1.01 * np.linalg.norm((before - turn)[:, 6:], axis=1) + 1e-9)
+
+
+def check_proof(errors: twin.Calibration, proof: Proof) -> None:
+    """The figures of README.txt: those of other poses without the module, and what it leaves, the orientation near singular poses."""
+    q = poses(errors.machine, 2000) / errors.machine.scale
+    real, nominal = (
+        twin.Kinematics(errors.machine, one, tool_length_mm=TOOL_MM).forward(q)
+        for one in (errors, twin.Calibration.zero(errors.machine))
+    )
+    off = 1e3 * np.linalg.norm(real.point_mm - nominal.point_mm, axis=1)
+    tilt = 1e6 * np.linalg.norm(real.axis - nominal.axis, axis=1)
+    for (rms, largest), values in ((proof.point_before_um, off), (proof.tilt_before_urad, tilt)):
+        assert rms == pytest.approx(np.sqrt(np.mean(values**2)), rel=0.1)
+        assert largest == pytest.approx(values.max(), rel=0.3)
+    assert proof.point_after_um[1] < 0.05 < 10.0 < proof.point_before_um[0]
+    assert proof.tilt_after_urad[0] < 0.3 * proof.tilt_before_urad[0]
 
 
 def test_without_orientation_the_rotary_axes_stay(errors: twin.Calibration) -> None:
@@ -122,7 +142,7 @@ def test_it_is_finite_and_can_be_undone_for_every_kind(kind: str, tmp_path: Path
 @pytest.mark.parametrize("name", MACHINES)
 def test_coordinates_of_the_workpiece_and_axes_are_inverse(name: str) -> None:
     machine = twin.Machine.load(name)
-    live = LiveCorrection([twin.Calibration.zero(machine)], (), Damping.for_tilt(0.0))
+    live = LiveCorrection(twin.Calibration.zero(machine), (), Damping.for_tilt(0.0))
     tool, linear = np.array([0.01, -0.02, 0.12]), list(machine.linear)
     nominal = twin.Kinematics(machine, twin.Calibration.zero(machine), tool_length_mm=120.0)
     for row in poses(machine, 10):
@@ -169,7 +189,8 @@ def test_the_folder_knows_what_the_control_corrects(tmp_path: Path) -> None:
     assert (tmp_path / "live" / "README.txt").read_text() in done.stdout
     written = twin.Calibration.load(tmp_path / "live" / "calibration.yaml", errors.machine)
     corrected = twin.Calibration.load(tmp_path / "live" / "corrected.yaml", errors.machine)
-    assert corrected.location == pytest.approx(dict(errors.location))
+    assert corrected.location == pytest.approx(dict(errors.location)) and corrected.control is None
+    assert written.control is not None and written.control.errors_are == "uncorrected"
     assert CORRECTED_IN_CONTROL in written.warnings and CORRECTED_IN_CONTROL not in corrected.warnings
     for use in (
         lambda: make_module(written),
@@ -199,15 +220,17 @@ def test_errors_measured_with_the_module_are_added_to_its_own(tmp_path: Path) ->
     assert done.returncode == 2 and "m.csv:2: a reading from the base" in done.stderr
     assert not (tmp_path / "no.yaml").exists()
     remaining = rest.with_control(active)
-    with pytest.raises(InputError, match="--add"):
+    with pytest.raises(InputError, match="a new module must hold the old ones as well"):
         earlier_of(remaining, add=False)
+    with pytest.raises(InputError, match="nothing to add them to"):
+        earlier_of(rest, add=True)
     earlier = earlier_of(remaining, add=True)
     made = make_module(remaining, earlier=earlier, tool_length_mm=TOOL_MM)
     both = made.live
     write_module(made, tmp_path / "second")
-    again = twin.Calibration.load(tmp_path / "second" / "calibration.yaml", errors.machine).control
-    held = [twin.Calibration.load(entry.file, errors.machine).location["E_X0C"] for entry in again.live]
-    assert held == pytest.approx([errors.location["E_X0C"], rest.location["E_X0C"]]), "a third one needs both"
+    again = twin.Calibration.load(tmp_path / "second" / "calibration.yaml", errors.machine)
+    (entry,) = again.control.live
+    assert entry.file == tmp_path / "second" / "corrected.yaml", "the folder needs no other"
     locations = {name: value + rest.location[name] for name, value in errors.location.items()}
     angles = {name: value + rest.squareness[name] for name, value in errors.squareness.items()}
     curves = {
@@ -220,6 +243,69 @@ def test_errors_measured_with_the_module_are_added_to_its_own(tmp_path: Path) ->
     row, tool = poses(errors.machine, 1)[0], np.array([0.0, 0.0, 0.12])
     found, expected = (np.array(one.correction(row, np.zeros(5), tool, 1.0)).ravel() for one in (both, alone))
     assert np.allclose(found, expected, rtol=1e-9)
+    # With the module off, these are the errors of the machine.
+    for held in (again, twin.Calibration.load(entry.file, errors.machine)):
+        assert (held.location, held.squareness) == (pytest.approx(locations), pytest.approx(angles))
+        assert held.curves["E_XX"](200.0) == pytest.approx(2.0 * errors.curves["E_XX"](200.0))
+
+
+def test_the_sum_of_two_measurements_is_as_certain_as_the_last(tmp_path: Path) -> None:
+    """The second uncertainty counts where both measured an error; what no measurement determined stays unknown."""
+    machine = twin.Machine.load("dmu50")
+
+    def measured(values: dict[str, float], u_um: dict[str, float], *unknown: str) -> twin.Calibration:
+        covariance = Covariance(tuple(u_um), np.diag([one**2 for one in u_um.values()]))
+        why = tuple(UnidentifiedEntry(name=name, why="a reason") for name in unknown)
+        return replace(twin.Calibration.zero(machine), location=values, joint=covariance, not_identifiable=why)
+
+    first = measured({"E_X0C": 40.0, "E_Y0C": 9.0}, {"E_X0C": 3.0, "E_Y0C": 2.0}, "E_X0B", "E_Y0B", "E_A0B")
+    second = measured(
+        {"E_X0C": -15.0, "E_X0B": 7.0, "E_A0B": 0.0}, {"E_X0C": 1.0, "E_X0B": 0.5, "E_A0B": 50.0}, "E_Y0C", "E_A0B"
+    )
+    made = make_module(second, earlier=[first], force=True)
+    whole = made.whole
+    assert whole.location == {"E_X0C": 25.0, "E_Y0C": 9.0, "E_X0B": 7.0, "E_A0B": 0.0}
+    sizes = dict(zip(whole.covariance.names, np.sqrt(np.diag(whole.covariance.matrix)), strict=True))
+    assert sizes == pytest.approx({"E_X0C": 1.0, "E_Y0C": 2.0, "E_X0B": 0.5, "E_A0B": 50.0})
+    assert sorted(error.name for error in whole.not_identifiable) == ["E_A0B", "E_Y0B"]
+    with pytest.raises(InputError, match="E_Y0B, E_A0B were not identified"):
+        make_module(second, earlier=[first])
+    write_module(made, tmp_path)
+    assert dict(twin.Calibration.load(tmp_path / "corrected.yaml", machine).location) == whole.location
+
+
+@pytest.mark.parametrize(("u_um", "is_proven"), [(5.0, True), (5.2, False)])
+def test_errors_smaller_than_their_uncertainty_are_no_reason_for_a_module(u_um: float, is_proven: bool) -> None:
+    """A location shifts the tool by 10 µm everywhere; U (95 %) of one direction is 1.96 u."""
+    machine = twin.Machine.load("dmu50")
+    covariance = Covariance(("E_X0C",), np.array([[u_um**2]]))
+    errors = replace(twin.Calibration.zero(machine), location={"E_X0C": 10.0}, joint=covariance)
+    if is_proven:
+        made = make_module(errors, tool_length_mm=TOOL_MM)
+        assert "FORCED" not in made.text + made.to_text() and made.to_dict()["unproven"] == ""
+        return
+    with pytest.raises(InputError, match=r"tool point 10\.00 µm, U 10\.19 µm"):
+        make_module(errors, tool_length_mm=TOOL_MM)
+    made = make_module(errors, tool_length_mm=TOOL_MM, force=True)
+    assert all("FORCED: U (95 %)" in text for text in (made.text, made.to_text(), made.component))
+    # What depends on a channel was found significant when it was identified.
+    growth = twin.effect_named("thermal_growth", "Z by bed", {"coefficient": 1.0}, machine)
+    assert make_module(replace(errors, extra=(growth,))).unproven == ""
+
+
+@pytest.mark.parametrize("kind", ["head-head", "head-table"])
+def test_the_bound_of_the_correction_leaves_room_for_a_longer_tool(kind: str, tmp_path: Path) -> None:
+    """A wobble of the head does not move its centre: made without a tool, the module corrects one of half a metre in full."""
+    machine = KINDS[kind]().machine(tmp_path)
+    name = {"head-head": "E_BA", "head-table": "E_AB"}[kind]
+    effect = twin.effect_named("harmonic", name, {"order": 1.0, "cos": 0.0, "sin": 80.0}, machine)
+    made = make_module(replace(twin.Calibration.zero(machine), extra=(effect,)), tool_length_mm=0.0)
+    bound, still = np.array(made.proof.bound) * machine.scale, np.zeros(made.live.channel_count)
+    for orientation in (0.0, 1.0):
+        rows = [made.live.correction(row, still, [0.0, 0.0, 0.5], orientation) for row in poses(machine)]
+        found = np.array(rows)[:, :, 0]
+        assert np.all(np.abs(found).max(axis=0) <= bound)
+        assert orientation == 1.0 or np.abs(found[:, list(machine.linear)]).max() > 20e-6
 
 
 def test_effects_of_time_and_temperature_get_pins() -> None:
@@ -232,6 +318,15 @@ def test_effects_of_time_and_temperature_get_pins() -> None:
     )
     made = make_module(replace(twin.Calibration.default(machine), extra=extra))
     assert made.to_dict()["pins"] == ["temperature-bed", "spindle-speed"]
+    found = {
+        name: [float(one) for one in values.split(",")]
+        for name, values in re.findall(r"(\w+)\[[^]]*\] = \{([-+e.\d, ]+)\}", made.text)
+    }
+    # A lag of temperatures begins in balance with its sensor, growth with the spindle's speed at rest; the last of each is unused.
+    assert found["HISTORY_SETTLED"][:2] == [1, 0] and found["HISTORY_CONSTANT"][:2] == [600, 300]
+    assert found["CHANNEL_START"][:2] == [20, 0] and found["CHANNEL_RATE"][:2] == [0.2, 1e6]
+    assert found["LARGEST"] == pytest.approx(np.array(made.proof.bound) * machine.scale, rel=1e-12)
+    assert found["SCALE"] == pytest.approx(machine.scale, rel=1e-15)
     drives = np.array(made.live.drives(np.array([0, 0, 0, 0, 0, 26.0, 6000.0, 0.0, 0.0]))).ravel()
     assert drives == pytest.approx([6.0, 0.5**1.5])
     row, tool = poses(machine, 1)[0], np.array([0.0, 0.0, 0.12])
@@ -267,6 +362,9 @@ def test_what_it_cannot_carry_is_refused(tmp_path: Path) -> None:
     growth = twin.effect_named("thermal_growth", "Z by oil tank", {"coefficient": 1.0}, machine)
     with pytest.raises(InputError, match="name of a pin"):
         make_module(replace(errors, extra=(growth,)))
+    steep = replace(errors.curves["E_XX"], coefficients=tuple(3e4 * one for one in errors.curves["E_XX"].coefficients))
+    with pytest.raises(InputError, match="changes by more than the position does"):
+        make_module(replace(errors, curves={**errors.curves, "E_XX": steep}))
     with pytest.raises(InputError, match="did not settle"):
         make_module(replace(errors, settled=False))
     with pytest.raises(InputError, match="C, which turns without a limit"):

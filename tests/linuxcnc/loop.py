@@ -88,6 +88,50 @@ def spread_um(found: np.ndarray, names: list[str]) -> float:
     return 1e3 * float(np.sqrt(3.0 * np.mean(left**2)))
 
 
+def measured(
+    folder: Path,
+    machine: twin.Machine,
+    physical: Physical,
+    program: Path,
+    table: str,
+    *tip: object,
+    live: str = "",
+    seed: int = SEED,
+) -> np.ndarray:
+    """Execute a measuring program and convert its log.
+
+    Args:
+        tip: words of `twin convert` on the probe's tip.
+        live: HAL lines of the kinematics module, which is switched on; empty: without one.
+        seed: of the noise.
+
+    Returns:
+        (n,) distance of the true tip from the nominal one at `poses`, µm (`remaining_um`).
+    """
+    run, places = room(folder, program), poses()
+    actions = [["home"], *(ON if live else []), ["program", program.name], *visits(places)]
+    ran = execute(run, machine, physical, actions, live=live, faults={"seed": seed})
+    assert not ran.failed, f"{ran.failed}\n{ran.log}"
+    converted(folder, log_of(folder, program), table, *tip)
+    return remaining_um(places, tips(ran, len(places)))
+
+
+def log_of(folder: Path, program: Path) -> Path:
+    return folder / f"run_{program.stem}" / f"{program.stem.upper()}_LOG.csv"
+
+
+def tip_of(physical: Physical) -> str:
+    """Return the calibrated place of the stylus ball from the spindle nose, mm."""
+    probe = physical.probe
+    return f"{probe['offset-x']:.3f},{probe['offset-y']:.3f},{-probe['length']:.3f}"
+
+
+def corrected(folder: Path, calibration: str, live: str, *words: object, status: int = 0) -> str:
+    """Make the kinematics module of a calibration, and return what twin says."""
+    to = ["control", "--to", "linuxcnc-kinematics", "-o", live, "-c", calibration, "--tool-length", LENGTH]
+    return command(folder, *to, *words, status=status)
+
+
 def one_loop(folder: Path, machine: twin.Machine, physical: Physical) -> dict[str, Any]:
     """Plan, measure, convert, identify, correct in the control, measure with another program.
 
@@ -96,29 +140,18 @@ def one_loop(folder: Path, machine: twin.Machine, physical: Physical) -> dict[st
         which the machine was asked for its true tip, and the distance of that tip from the nominal one before and after, µm
         (`remaining_um`).
     """
-    program = planned(folder, "first", "--minutes", MINUTES)
-    run, places = room(folder, program), poses()
-    ran = execute(run, machine, physical, [["home"], ["program", program.name], *visits(places)])
-    assert not ran.failed, f"{ran.failed}\n{ran.log}"
-    before = remaining_um(places, tips(ran, len(places)))
-    probe = physical.probe
-    tip = f"{probe['offset-x']:.3f},{probe['offset-y']:.3f},{-probe['length']:.3f}"
-    converted(folder, run / "FIRST_LOG.csv", "measured.csv", "--tip", tip)
+    first, tip = planned(folder, "first", "--minutes", MINUTES), tip_of(physical)
+    before = measured(folder, machine, physical, first, "measured.csv", "--tip", tip, seed=SEED + 1)
     command(folder, "identify", "measured.csv", "-o", "mine.yaml", "--only", "E_*0*")
-    to = ["control", "--to", "linuxcnc-kinematics", "-o", "live", "-c", "mine.yaml", "--tool-length", LENGTH]
-    command(folder, *to)
+    corrected(folder, "mine.yaml", "live")
     with module(folder / "live") as live:
         second = planned(folder, "second", "--sequence", "turns", spheres=1)
-        again = room(folder, second)
-        ran = execute(again, machine, physical, [["home"], *ON, ["program", second.name], *visits(places)], live=live)
-    assert not ran.failed, f"{ran.failed}\n{ran.log}"
-    after = remaining_um(places, tips(ran, len(places)))
-    converted(folder, again / "SECOND_LOG.csv", "second.csv")
+        after = measured(folder, machine, physical, second, "second.csv", live=live, seed=SEED + 1)
     return {
-        "first_log": (run / "FIRST_LOG.csv").read_text(),
-        "second_log": (again / "SECOND_LOG.csv").read_text(),
+        "first_log": log_of(folder, first).read_text(),
+        "second_log": log_of(folder, second).read_text(),
         "tip_mm": tip,
-        "positions": places.tolist(),
+        "positions": poses().tolist(),
         "before_um": np.round(before, 3).tolist(),
         "after_um": np.round(after, 3).tolist(),
     }

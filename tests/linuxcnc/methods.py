@@ -95,7 +95,7 @@ def cone(kind: Kind, machine: twin.Machine, rng: np.random.Generator, points: in
         words[:, list(machine.rotary)] = rotary
         q = kind.axes(machine.names, words, (0.0, 0.0, TOOL))
         if np.all((q > low + 5.0) & (q < high - 3.0)):
-            return _program(machine, q, "F3000")
+            return program(machine, q, "F3000")
     raise AssertionError("no place for the cone")
 
 
@@ -121,7 +121,7 @@ def _straight(machine: twin.Machine, rng: np.random.Generator) -> dict[str, str]
     ends = np.round(low + rng.uniform(0.1, 0.9, (6, len(low))) * (high - low), 2)
     return {
         "pocket, tilted": "G21 G17 G90 G94\n" + "\n".join(pocket) + "\nM2\n",
-        "across the volume": _program(machine, ends, "F15000"),
+        "across the volume": program(machine, ends, "F15000"),
     }
 
 
@@ -129,7 +129,7 @@ def _words(machine: twin.Machine, q: np.ndarray) -> str:
     return " ".join(f"{name}{value:.4f}" for name, value in zip(machine.names, q, strict=True))
 
 
-def _program(machine: twin.Machine, q: np.ndarray, feed: str) -> str:
+def program(machine: twin.Machine, q: np.ndarray, feed: str) -> str:
     lines = [f"G0 {_words(machine, q[0])}", f"G1 {_words(machine, q[1])} {feed}"]
     return "G21 G17 G90 G94\n" + "\n".join([*lines, *(_words(machine, row) for row in q[2:])]) + "\nM2\n"
 
@@ -226,9 +226,9 @@ def main() -> None:
         with tempfile.TemporaryDirectory(prefix="twin-methods-") as folder:
             root = Path(folder)
             root.chmod(0o755)
-            for program, found in errors_um(subject(name, root), root).items():
+            for title, found in errors_um(subject(name, root), root).items():
                 cells = " | ".join(f"{np.median(off):.3g} / {off.max():.3g}" for off in found)
-                print(f"| {name} | {program} | {cells} |", flush=True)
+                print(f"| {name} | {title} | {cells} |", flush=True)
 
 
 if __name__ == "__main__":

@@ -114,15 +114,19 @@ class Physical:
 
     @contextmanager
     def installed(self, folder: Path) -> Iterator[None]:
-        """Compile the machine into the control, and take it out at the end."""
+        """Compile the machine into the control, and take it out at the end; one that was there before comes back."""
         folder.mkdir(exist_ok=True)
+        target = MODULES / "probed.so"
+        former = target.read_bytes() if target.exists() else None
         shutil.copy(Path(__file__).with_name("probed.comp"), folder)
         (folder / "numbers.h").write_text(self.header())
         subprocess.run(["halcompile", "--install", "probed.comp"], cwd=folder, check=True, capture_output=True)
         try:
             yield
         finally:
-            (MODULES / "probed.so").unlink()
+            target.unlink()
+            if former is not None:
+                target.write_bytes(former)
 
     def tip(self, q: np.ndarray) -> np.ndarray:
         """Return (3,) the true tip on the workpiece, mm, by other code than that of the component; without curves."""

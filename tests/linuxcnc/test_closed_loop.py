@@ -17,7 +17,21 @@ import yaml
 
 import twin
 from tests.linuxcnc.control import needs_linuxcnc, needs_root, skip_without_control
-from tests.linuxcnc.loop import ON, RECORD, centres, command, converted, joined, one_loop, planned, room, spread_um
+from tests.linuxcnc.loop import (
+    ON,
+    RECORD,
+    centres,
+    command,
+    converted,
+    corrected,
+    joined,
+    measured,
+    one_loop,
+    planned,
+    room,
+    spread_um,
+    tip_of,
+)
 from tests.linuxcnc.machines import KINDS
 from tests.linuxcnc.physical import (
     LENGTH,
@@ -38,6 +52,7 @@ from tests.linuxcnc.physical import (
     visits,
     write_tracked,
 )
+from twin.cli.identify import tables_on
 
 pytestmark = [needs_linuxcnc, needs_root]
 SHORT = 4
@@ -135,18 +150,56 @@ def test_the_machine_is_right_after_one_loop(machine: twin.Machine, physical: Ph
 def left_um(physical: Physical, calibration: Path) -> tuple[float, float]:
     """Return the RMS error at the tool, µm, without a correction, and with one by the numbers of a calibration."""
     data = yaml.safe_load(calibration.read_text())
-    square = [data["squareness"].get(name, 0.0) for name in ("E_C0Y", "E_A0Z", "E_B0Z")]
-    location = [[data["location"].get(f"E_{letter}0{axis}", 0.0) for letter in "XYZABC"] for axis in "BC"]
-    identified = replace(
-        physical,
-        square=np.array(square) * URAD,
-        location=np.array(location) * ([UM] * 3 + [URAD] * 3),
-    )
+    square = np.array([data["squareness"].get(name, 0.0) for name in ("E_C0Y", "E_A0Z", "E_B0Z")])
+    location = np.array([[data["location"].get(f"E_{letter}0{axis}", 0.0) for letter in "XYZABC"] for axis in "BC"])
+    identified = replace(physical, square=square * URAD, location=location * ([UM] * 3 + [URAD] * 3))
     places = poses(100)
     true, found = (np.array([one.tip(q) for q in places]) for one in (physical, identified))
     wanted = np.array([nominal(q) for q in places])
     # Where both errors are the same the tool is right.
     return rms(remaining_um(places, true)), rms(remaining_um(places, wanted + true - found))
+
+
+@pytest.mark.slow
+def test_a_second_loop_corrects_what_the_machine_has_moved_since(
+    machine: twin.Machine, physical: Physical, tmp_path: Path
+) -> None:
+    """With the module on: nothing is added while the machine is right; after a collision the sum of both corrects it."""
+    tip, live_1, found = ("--tip", tip_of(physical)), "linuxcnc-kinematics=live/calibration.yaml", {}
+    first, second, third = (planned(tmp_path, name, "--minutes", 30) for name in ("first", "second", "third"))
+    found["before"] = measured(tmp_path, machine, physical, first, "first.csv", *tip, seed=11)
+    command(tmp_path, "identify", "first.csv", "-o", "mine.yaml", "--only", "E_*0*")
+    assert "add" in corrected(tmp_path, "mine.yaml", "no", "--add", status=2)
+    corrected(tmp_path, "mine.yaml", "live")
+    # The true locations and squareness, apart from those that were measured, by a collision.
+    moved = replace(
+        physical,
+        square=physical.square + np.array([25.0, -20.0, 30.0]) * URAD,
+        location=physical.location
+        + np.array([[12, 8, 0, 20, -15, 0], [-10, 14, 0, -25, 20, 0]]) * ([UM] * 3 + [URAD] * 3),
+    )
+    on = ["--only", "E_*0*", "--control", live_1]
+    with module(tmp_path / "live") as live:
+        found["corrected"] = measured(tmp_path, machine, physical, second, "second.csv", *tip, live=live, seed=12)
+        command(tmp_path, "identify", "second.csv", "-o", "right.yaml", *on)
+        assert "exceeds the correction" in corrected(tmp_path, "right.yaml", "no", "--add", status=2)
+        with moved.installed(tmp_path / "component"):
+            found["moved"] = measured(tmp_path, machine, moved, third, "third.csv", *tip, live=live, seed=13)
+    said = command(tmp_path, "identify", "third.csv", "-o", "rest.yaml", *on)
+    assert "add" in corrected(tmp_path, "rest.yaml", "no", status=2) and not (tmp_path / "no").exists(), said
+    corrected(tmp_path, "rest.yaml", "live2", "--add")
+    with moved.installed(tmp_path / "component"), module(tmp_path / "live2") as live:
+        check = planned(tmp_path, "check", "--sequence", "turns", spheres=1)
+        found["second loop"] = measured(tmp_path, machine, moved, check, "check.csv", live=live, seed=14)
+    for name, values in found.items():
+        print(f"{name}: {rms(values):.2f} {values.max():.2f} µm")
+    left = [rms(values) for values in found.values()]
+    assert left[0] > 8.0 and left[1] < 1.5 and left[2] > 5.0 and left[3] < 1.5
+    assert spread_um(*centres(machine, tmp_path / "check.csv")) < 3.0
+    # The folder's calibration is that of the machine with the module off.
+    (held,) = tables_on(["linuxcnc-kinematics=" + str(tmp_path / "live2" / "calibration.yaml")], machine).live
+    _, expected = left_um(moved, held.file)
+    assert abs(left[3] - expected) < 0.5
 
 
 FAULTS = {

@@ -40,6 +40,7 @@ def errors(machine: twin.Machine) -> twin.Calibration:
     named = {
         "reversal Y": {"size": 9.0},
         "thermal_growth Z by bed": {"coefficient": 12.0},
+        "thermal_lag Z by oil": {"coefficient": 5.0, "time_constant": 600.0},
         "thermal_expansion X": {"coefficient": 9.0},
         "spindle_growth Z": {"amplitude": 20.0, "exponent": 1.5, "time_constant": 2.0, "highest_rpm": 12000.0},
     }
@@ -149,7 +150,7 @@ def test_a_program_in_axis_words_is_cut_right_without_being_compensated(
         ["sleep", 0.5],
         ["position"],
         ["hal", ["linkps", "twinkins.spindle-speed", "twinkins-spindle-speed"]],
-        ["mdi", "S6000 M3"],
+        ["mdi", "S6000 M4"],
         ["sleep", 4.0],
         ["position"],
     ]
@@ -157,7 +158,7 @@ def test_a_program_in_axis_words_is_cut_right_without_being_compensated(
     cold, warm = (result["joints"][2] for result in ran.results("position"))
     # 20 µm at 12,000 1/min, exponent 1.5, time constant 2 s; the command of the action takes some tenths of a second.
     assert 1e3 * (cold - warm) == pytest.approx(20.0 * 0.5**1.5 * (1.0 - np.exp(-4.3 / 2.0)), abs=0.25)
-    conditions = twin.Conditions(temperature_degC={"bed": 26.0, "X": 23.0}, spindle_rpm=0.0, time_s=0.0)
+    conditions = twin.Conditions(temperature_degC={"bed": 26.0, "X": 23.0, "oil": 20.0}, spindle_rpm=0.0, time_s=0.0)
     distance, tilt, plain = off(machine, errors, ran.samples("part.txt"), conditions)
     assert len(distance) > 8000 and plain.mean() > 25.0
     assert np.median(distance) < 0.002 and distance.max() < 0.02 and tilt.max() < 1.0
@@ -215,6 +216,63 @@ def test_nothing_jumps_when_it_is_switched_on_and_off(loaded: Path, machine: twi
     assert states == ["FALSE", "FALSE", "FALSE", "FALSE", "TRUE"]
 
 
+def test_what_comes_to_the_pins_is_bounded_and_limited_in_rate(
+    loaded: Path, machine: twin.Machine, tmp_path: Path
+) -> None:
+    """A longer tool, a jump of a temperature, a value that no sensor has, a tool of 500 m: the axes stay, the joints do not jump."""
+
+    def pin(name: str, value: float) -> list[Any]:
+        return ["hal", ["setp", f"twinkins.{name}", f"{value:g}"]]
+
+    def recorded(name: str, *steps: list[Any]) -> list[list[Any]]:
+        return [["record", name], *steps, ["stop"]]
+
+    outside, place, off = ["hal", ["getp", "twinkins.out-of-range"]], ["position"], [pin("enable", 0), ["sleep", 0.3]]
+    start = [["home"], FADE, ["mdi", "G53 G0 X250 Y225 Z-200 B60 C30"], ["hal", ["unlinkp", "twinkins.tool-z"]]]
+    # With the orientation, the rotary axes take out a tilt, and the length of the tool does not matter.
+    start += [pin("tool-z", TOOL), pin("orientation", 0), ["sleep", 0.3], *ON, place]
+    longer = [*recorded("tool.txt", pin("tool-z", TOOL + 300.0), ["sleep", 1.2]), place, outside]
+    bed = recorded("warm.txt", pin("temperature-bed", 26.0), ["sleep", 1.0])
+    bed += [pin("temperature-bed", 75.0), ["sleep", 0.2], place, ["sleep", 0.5], place, outside]
+    bed += [pin("temperature-bed", 20.0), ["sleep", 0.2], outside]
+    longest = [pin("tool-rate", 1e9), pin("tool-z", 500e3), ["sleep", 0.3], place, outside, *off, pin("tool-z", TOOL)]
+    oil = [
+        pin("temperature-oil", 30.0),
+        ["sleep", 0.2],
+        *ON,
+        place,
+        pin("temperature-oil", 20.0),
+        ["sleep", 1.0],
+        place,
+    ]
+    back = [["mdi", "G53 G0 Y226"], ["mdi", "G53 G0 Y225"], ["sleep", 0.3]]
+    turning = [*recorded("turned.txt", pin("orientation", 1), ["sleep", 0.3]), *recorded("back.txt", *back)]
+    actions = [*start, *longer, *bed, *longest, *oil, *turning]
+    ran = run(loaded, tmp_path, machine, actions)
+    short, long, held, later, cut, warm, followed = (np.array(one["joints"]) for one in ran.results("position"))
+    joints, axes = np.hsplit(ran.samples("tool.txt"), 2)
+    assert np.ptp(axes, axis=0).max() < 1e-9
+    change = np.abs(long - short)[:3].max()
+    # 300 mm at 500 mm/s: 600 cycles.
+    assert change > 0.005 and np.abs(np.diff(joints, axis=0))[:, :3].max() < 2.0 * change / 600.0
+    # 12 µm/K at 0.2 K/s; the value beyond 60 °C is not followed, nor is what remained of the way to the last one.
+    joints, _ = np.hsplit(ran.samples("warm.txt"), 2)
+    assert 1.5e-3 < joints[0, 2] - joints[-1, 2] < 6e-3 and np.abs(np.diff(joints[:, 2])).max() < 5e-6
+    assert later == pytest.approx(held, abs=1e-9)
+    assert [one for one in ran.results("hal") if one in ("TRUE", "FALSE")] == ["FALSE", "TRUE", "FALSE", "TRUE"]
+    assert np.isfinite(cut).all() and np.abs(cut - short)[:3].max() < 10.0
+    # A lag is in balance with a sensor that comes while the correction is off; then it follows: 5 µm/K in 600 s.
+    assert warm[2] - short[2] == pytest.approx(-0.05, abs=1e-4)
+    assert 0.0 < followed[2] - warm[2] < 1e-5
+    # A tenth of a second for the orientation at the rate of `FADE`, and for the 9 µm of the reversal.
+    joints, _ = np.hsplit(ran.samples("turned.txt"), 2)
+    change = np.abs(joints[-1] - joints[0]).max()
+    assert change > 0.005 and np.abs(np.diff(joints, axis=0)).max() < 0.02 * change
+    joints, axes = synchronous(ran.samples("back.txt"))
+    correction = (joints - axes)[:, 1]
+    assert 0.006 < np.ptp(correction) < 0.012 and np.abs(np.diff(correction)).max() < 5e-4
+
+
 def test_the_singular_position_is_passed_smoothly(
     loaded: Path, machine: twin.Machine, errors: twin.Calibration, tmp_path: Path
 ) -> None:
@@ -226,7 +284,7 @@ def test_the_singular_position_is_passed_smoothly(
     )
     actions = [["home"], FADE, *ON, ["record", "zero.txt"], ["program", "zero.ngc"], ["stop"]]
     ran = run(loaded, tmp_path, machine, actions)
-    conditions = twin.Conditions(temperature_degC={"bed": 20.0, "X": 20.0}, spindle_rpm=0.0, time_s=0.0)
+    conditions = twin.Conditions(temperature_degC={"bed": 20.0, "X": 20.0, "oil": 20.0}, spindle_rpm=0.0, time_s=0.0)
     samples = ran.samples("zero.txt")
     distance, _, _ = off(machine, errors, samples, conditions)
     assert distance.max() < 0.05
@@ -264,7 +322,7 @@ def test_coordinates_of_the_workpiece_follow_the_tip(
     _, meant = nominal.reached(axes * machine.scale)
     approach, settled = sides(axes)
     settled &= np.all(approach != 0.0, axis=1)
-    conditions = twin.Conditions(temperature_degC={"bed": 20.0, "X": 20.0}, spindle_rpm=0.0, time_s=0.0)
+    conditions = twin.Conditions(temperature_degC={"bed": 20.0, "X": 20.0, "oil": 20.0}, spindle_rpm=0.0, time_s=0.0)
     real = twin.Kinematics(machine, errors, tool_length_mm=TOOL, conditions=conditions)
     _, reached = real.reached(joints * machine.scale, approach)
     distance = (1e6 * np.linalg.norm(reached - meant, axis=1))[settled]

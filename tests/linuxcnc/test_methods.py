@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,6 +16,7 @@ from tests.linuxcnc.methods import (
     errors_um,
     executed,
     off_path_um,
+    program,
     subject,
     with_kinematics,
 )
@@ -27,12 +29,34 @@ pytestmark = [needs_linuxcnc, needs_root]
 def test_the_table_of_the_manual(name: str, tmp_path: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
     one = subject(name, tmp_path)
     skip_without_control(tmp_path_factory.mktemp("plain"), one.machine)
-    for program, (plain, tables, words, live) in errors_um(one, tmp_path).items():
+    for title, (plain, tables, words, live) in errors_um(one, tmp_path).items():
         sizes = [f"{np.median(off):.3g} / {off.max():.3g}" for off in (plain, tables, words, live)]
-        print(program, *sizes, sep=" | ")
+        print(title, *sizes, sep=" | ")
         assert np.median(plain) > 30.0 and np.median(tables) > 0.5 * np.median(plain)
         assert np.median(words) < 1.0 and words.max() < 6.0
         assert np.median(live) < 0.005 and live.max() < 0.05
+
+
+def test_a_sample_of_the_table(tmp_path: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
+    """One line of all axes on a machine with a head, compensated and with live kinematics; its path is that of the words."""
+    one = subject(NAMES[1], tmp_path)
+    skip_without_control(tmp_path_factory.mktemp("plain"), one.machine)
+    name, text = next((name, text) for name, text in one.programs.items() if "across" in name)
+    lines = text.splitlines()
+    ends = np.array([[float(word[1:]) for word in re.findall(r"[XYZABC][-\d.]+", line)] for line in lines[1:3]])
+    # A third of the way takes a third of the time.
+    ends[1] = np.round(ends[0] + (ends[1] - ends[0]) / 3.0, 2)
+    one = replace(one, programs={name: program(one.machine, ends, "F15000")})
+    path = one.tip(np.linspace(*ends, 20001), False)
+    folders = [tmp_path_factory.mktemp(name) for name in ("words", "live")]
+    (words,) = executed(one, compensated(one, tmp_path), folders[0]).values()
+    (live,) = with_kinematics(one, folders[1]).values()
+    found = [off_path_um(path, one.tip(q[::3], True)) for q in (words, live)]
+    print(*(f"{np.median(off):.3g} / {off.max():.3g}" for off in found), sep=" | ")
+    plain = off_path_um(path, one.tip(np.linspace(*ends, 101), True))
+    assert min(map(len, found)) > 60 and plain.min() > 10.0
+    assert np.median(found[0]) < 1.2 and found[0].max() < 6.0
+    assert np.median(found[1]) < 0.01 and found[1].max() < 0.05
 
 
 @pytest.mark.slow  # half a minute each; `test_machines.py` executes programs with live kinematics in the default run

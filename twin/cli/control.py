@@ -78,11 +78,11 @@ Tables = Annotated[
 ]
 PRODUCTS_HELP = "Use products of two tables for angular errors, in formats that have them (twin doc control)."
 Products = Annotated[bool, typer.Option("--products/--no-products", help=PRODUCTS_HELP)]
-ADD_HELP = "Add to the tables that were active when the calibration was measured."
+ADD_HELP = "Add to the tables or the kinematics module that were active when the calibration was measured."
 Add = Annotated[bool, typer.Option("--add", help=ADD_HELP)]
 FORCE_HELP = (
-    "Also write tables whose uncertainty exceeds their correction, and kinematics with locations that were not identified; "
-    "the files say so."
+    "Also write tables and kinematics modules whose uncertainty exceeds their correction, and kinematics with locations that were "
+    "not identified; the files say so."
 )
 Force = Annotated[bool, typer.Option("--force", help=FORCE_HELP)]
 
@@ -250,7 +250,7 @@ def _write_live(
     _check_folder(output, outputs_of(output))
     with progress_bar() as bar:
         bar("kinematics module", 0.0)
-        made = make_module(errors, tool_length_mm=tool_length, earlier=earlier_of(errors, add=add), unidentified=force)
+        made = make_module(errors, tool_length_mm=tool_length, earlier=earlier_of(errors, add=add), force=force)
         write_module(made, output)
     if json_file is not None:
         write_json(json_file, made.to_dict())

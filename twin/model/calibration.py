@@ -328,8 +328,7 @@ class Calibration(DisplayedResult):
     def check_not_live(self) -> None:
         """Raise `InputError` if a kinematics module in the control corrects these errors already."""
         if self.control is not None and self.corrected_in_control:
-            (*more, last) = self.control.live
-            off = "one measured then" if more else last.file.name
+            off = self.control.live[-1].file.name
             raise InputError(
                 "a kinematics module in the control corrects these errors: they would be corrected twice",
                 expected=f"programs as they are; with the module switched off, the calibration {off}",

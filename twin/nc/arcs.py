@@ -20,6 +20,8 @@ PLANES: dict[int, tuple[int, int, int]] = {17: (0, 1, 2), 18: (2, 0, 1), 19: (1,
 
 CIRCLE_MM = 1e-6
 """Distance of the ends of a full circle that rounding may leave."""
+HALF_CIRCLE_MM = 2e-11
+"""Difference of a radius and half the chord that rounding may leave of half a circle."""
 
 
 class ArcMisfit(NamedTuple):
@@ -121,7 +123,9 @@ def arc_by_radius(
     size = abs(radius)
     if chord / 2 > size and _misses(chord / 2 - size, size):
         return ArcMisfit(f"radius {size:g} mm is too small for a chord of {chord:.4f} mm", "at least half the chord")
-    height = math.sqrt(max(0.0, size * size - chord * chord / 4))
+    gap = size - chord / 2
+    # Half a circle: the ends are rounded, and the root would make nanometres of it.
+    height = math.sqrt(gap * (size + chord / 2)) if gap > HALF_CIRCLE_MM else 0.0
     left = (radius > 0) != clockwise  # the centre lies left of the chord for a short counter-clockwise arc
     sign = 1.0 if left else -1.0
     centre = (start[0] + dx / 2 - sign * height * dy / chord, start[1] + dy / 2 + sign * height * dx / chord)

@@ -35,11 +35,11 @@ from twin.compute.along import BatchFunction
 from twin.controls import ControlSection, TableEntry, file_sha256
 from twin.machine.machine import Machine
 from twin.model.calibration import Calibration
-from twin.model.conditions import APPROACH
+from twin.model.conditions import APPROACH, Conditions
 from twin.model.effects.base import HistoryShift, RecordingState
 from twin.model.unknown_errors import check_locations_identified, nominal_locations
 from twin.tool.forward import Kinematics
-from twin.tool.uncertainty import random_approach, volume_inside_domains
+from twin.tool.uncertainty import ToolUncertainty, random_approach, volume_inside_domains
 
 SCHEMA: Final = "twin.compensation.live/1"
 README: Final = "README.txt"
@@ -56,7 +56,12 @@ FILES: Final = (
     CALIBRATION,
 )
 MARGIN: Final = 1.5
-"""Factor on the largest tilt and the largest correction seen over the volume: tools and temperatures differ from those tried."""
+"""Factor on the largest tilt and the largest correction seen over the volume: temperatures and tools differ from those tried."""
+LEAST_BOUND: Final = 1e-9
+"""Metres and radians."""
+LEAST_TILT_URAD: Final = 1e-6
+LONGEST_MM: Final = 500.0
+"""A correction of a tool up to this length, or up to that stated if it is longer, stays below its bound."""
 PIN_NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,30}")
 """Characters of a pin of HAL; its name has at most 47 with the prefix."""
 TEXT_OF_SOURCE: Final = "This file holds the numbers and formulas of your machine, and the code of the module."
@@ -74,6 +79,7 @@ class Proof:
         tilt_before_urad, tilt_after_urad: RMS and largest tilt of the tool axis.
         damped: share of the poses that are close to a singular position, where the orientation is corrected in part.
         largest: (axes,) largest correction, mm and degrees.
+        bound: (axes,) what no correction exceeds in the control, with any tool, with the orientation or without.
         steepest: largest change of the correction with a position; below 1 the forward kinematics exists.
     """
 
@@ -84,6 +90,7 @@ class Proof:
     tilt_after_urad: tuple[float, float]
     damped: float
     largest: tuple[float, ...]
+    bound: tuple[float, ...]
     steepest: float
 
 
@@ -97,22 +104,26 @@ class LiveKinematics:
         proof: its effect over the volume.
         errors: the calibration it was made from.
         earlier: calibrations that the control corrected already when that one was measured; their errors are added.
+        whole: all errors that it corrects: those of the machine with the module switched off.
         text: the C file.
         component: the HAL component that supplies the temperatures.
+        unproven: why the correction is not shown to be an improvement; empty if it is.
     """
 
     live: LiveCorrection
     proof: Proof
     errors: Calibration
     earlier: tuple[Calibration, ...]
+    whole: Calibration
     text: str
     component: str
     tool_length_mm: float
+    unproven: str = ""
 
     @property
     def warnings(self) -> tuple[SourceWarning, ...]:
         """Warnings about the source of the numbers."""
-        return merge_warnings(self.errors.warnings, nominal_locations(self.errors))
+        return merge_warnings(self.whole.warnings, nominal_locations(self.whole))
 
     def to_dict(self) -> dict[str, Any]:
         """Return the account as JSON."""
@@ -121,9 +132,10 @@ class LiveKinematics:
             "format": FORMAT,
             "machine": self.live.machine.name,
             "calibration": str(self.errors.path or "no file"),
-            "illustrative": ILLUSTRATIVE in self.errors.warnings,
+            "illustrative": ILLUSTRATIVE in self.whole.warnings,
             "warnings": warnings_to_json(self.warnings),
             "tool_length_mm": self.tool_length_mm,
+            "unproven": self.unproven,
             "pins": [one.pin for one in channels_of(self.live)],
             "files": list(FILES),
             **json_form(self.proof),
@@ -139,7 +151,8 @@ class LiveKinematics:
         lines = [
             f"LinuxCNC kinematics with the errors of {machine.name}",
             *warning_texts(self.warnings),
-            f"calibration: {self.errors.path or 'no file: the nominal machine'}",
+            *([f"FORCED: {self.unproven}"] if self.unproven else []),
+            *(f"calibration: {one.path or 'no file: the nominal machine'}" for one in (*self.earlier, self.errors)),
             "",
             f"Error at the tool over the volume ({proof.poses} poses, tool {self.tool_length_mm:g} mm), by the model",
             f"{'':12}{'point, µm RMS':>16}{'largest':>12}{'tool axis, µrad RMS':>22}{'largest':>12}",
@@ -161,7 +174,7 @@ class LiveKinematics:
             "  The uncertainty of the calibration is not reduced by any correction: see `twin volume`.",
             *_loading(machine, proof),
             *_supplying(self.live),
-            *_trusting(machine),
+            *_trusting(machine, self.tool_length_mm),
         ]
         return "\n".join(lines) + "\n"
 
@@ -169,10 +182,7 @@ class LiveKinematics:
 def _loading(machine: Machine, proof: Proof) -> list[str]:
     """Return the part of README.txt on building, loading, checking and switching off."""
     largest = [
-        MARGIN
-        * max(
-            (size for size, axis in zip(proof.largest, machine.axes, strict=True) if axis.linear is kind), default=0.0
-        )
+        max((size for size, axis in zip(proof.bound, machine.axes, strict=True) if axis.linear is kind), default=0.0)
         for kind in (True, False)
     ]
     room = f"{ceil(10.0 * largest[0]) / 10.0 or 0.1:g} mm"
@@ -253,7 +263,7 @@ def _supplying(live: LiveCorrection) -> list[str]:
     return lines
 
 
-def _trusting(machine: Machine) -> list[str]:
+def _trusting(machine: Machine, length_mm: float) -> list[str]:
     """Return the part of README.txt on programs, limits and the licence."""
     lines = [
         "",
@@ -272,7 +282,8 @@ def _trusting(machine: Machine) -> list[str]:
         "  G64 and its tolerance act before the correction and do not reduce it. G38 stops at corrected positions.",
         "",
         "What it does not do",
-        "  Positions outside the range of a curve are corrected as at the end of the range; out-of-range is TRUE there.",
+        "  Positions outside the range of a curve are corrected as at the end of the range; out-of-range is TRUE there. It is TRUE too "
+        f"where the correction reaches its bound, with a tool much longer than {max(length_mm, LONGEST_MM):g} mm.",
         "  The position is corrected in the same cycle. Directions of approach, temperatures and the spindle's speed act one cycle "
         "later and are limited in rate, so that no axis jumps: from one side to the other in 0.1 s, 0.2 K/s, the tool 500 mm/s.",
         f"  {CALIBRATION} records that the control corrects these errors; {CORRECTED} holds their numbers.",
@@ -288,7 +299,7 @@ def make_module(
     *,
     tool_length_mm: float | None = None,
     earlier: Sequence[Calibration] = (),
-    unidentified: bool = False,
+    force: bool = False,
 ) -> LiveKinematics:
     """Make the module.
 
@@ -296,23 +307,28 @@ def make_module(
         errors: the errors to be corrected.
         tool_length_mm: tool length for which the effect over the volume is computed; None: that of the machine file.
         earlier: errors that the control corrected already when ``errors`` were measured.
-        unidentified: whether the module is made although locations of rotary axes were not identified.
+        force: whether the module is made although locations of rotary axes were not identified, or these errors are smaller than
+            their uncertainty.
 
     Raises:
-        InputError: a location that was not identified, unless that is accepted; a chain that the module does not carry; an axis that
-            is no word of LinuxCNC; a channel without a pin; an empirical effect without a range that the module can keep; an estimate
-            that did not settle; errors that the control corrects already; a correction too steep for the forward kinematics.
+        InputError: a location that was not identified, or errors smaller than their uncertainty, without ``force``; a chain that the
+            module does not carry; an axis that is no word of LinuxCNC; a channel without a pin; an empirical effect without a range
+            that the module can keep; an estimate that did not settle; errors that the control corrects already; a correction too
+            steep for the forward kinematics.
     """
     machine = errors.machine
     _check(errors)
-    if not unidentified:
-        check_locations_identified(errors)
-    bare = [one.with_control(None) for one in (*earlier, errors)]
-    plain = _channels(bare)
     length = machine.tool_length_mm if tool_length_mm is None else tool_length_mm
-    trial = LiveCorrection(bare, plain, Damping.for_tilt(0.0))
+    whole, unproven = _sum(earlier, errors), _unproven(errors, length)
+    if not force:
+        check_locations_identified(whole)
+        if unproven:
+            expected = "the control as it is, a calibration with smaller uncertainties, or a module without proof"
+            raise InputError(unproven, expected=expected, file=errors.path, setting="force")
+    plain = _channels(whole)
+    trial = LiveCorrection(whole, plain, Damping.for_tilt(0.0))
     _check_ranges(trial, errors.path)
-    live = LiveCorrection(bare, plain, Damping.for_tilt(MARGIN * _largest_tilt(trial, length)))
+    live = LiveCorrection(whole, plain, Damping.for_tilt(MARGIN * _largest_tilt(trial, length)))
     proof = _proof(live, length)
     if proof.steepest >= 1.0:
         raise InputError(
@@ -321,16 +337,46 @@ def make_module(
             file=errors.path,
             value=f"{proof.steepest:.2f}",
         )
-    largest = MARGIN * np.array(proof.largest) * machine.scale
+    largest = np.array(proof.bound) * machine.scale
     header = [
         f"LinuxCNC kinematics with the errors of {machine.name}, written by twin. Build: halcompile --install {NAME}.c",
-        *warning_texts(merge_warnings(errors.warnings, nominal_locations(errors))),
+        *warning_texts(merge_warnings(whole.warnings, nominal_locations(whole))),
+        *([f"FORCED: {unproven}"] if unproven else []),
         *(f"calibration: {one.path or 'nominal'}" for one in (*earlier, errors)),
         TEXT_OF_SOURCE,
     ]
     about = [f"Temperatures and record of {NAME} for {machine.name}, written by twin (README.txt).", *header[1:]]
     texts = c_file(live, largest, [*header, TEXT_OF_LICENCE]), component_file(live, about)
-    return LiveKinematics(live, proof, errors, tuple(earlier), *texts, length)
+    return LiveKinematics(live, proof, errors, tuple(earlier), whole, *texts, length, unproven)
+
+
+def _sum(earlier: Sequence[Calibration], errors: Calibration) -> Calibration:
+    """Return the errors of the machine without the module, from those that it corrected and those that then remained.
+
+    What was measured again is as uncertain as the last measurement of it: the corrections before it are known.
+    """
+    whole, *parts = (one.with_control(None) for one in (*earlier, errors))
+    for part in parts:
+        unknown = {error.name for error in part.not_identifiable}
+        again = {name.partition("[")[0] for name in part.covariance.names}
+        known = {effect.name for effect in whole.effects} - {error.name for error in whole.not_identifiable}
+        first = replace(
+            whole,
+            curves=MappingProxyType({name: replace(curve, covariance=None) for name, curve in whole.curves.items()}),
+            joint=whole.covariance.where(lambda name, again=again: name.partition("[")[0] not in again),  # type: ignore[misc]
+        )
+        open_before = {error.name: error for error in whole.not_identifiable if error.name not in again - unknown}
+        open_now = {error.name: error for error in part.not_identifiable if error.name not in known}
+        whole = replace(
+            first.extended(part.effects, part.covariance, part.source, simulated=part.simulated),
+            path=part.path,
+            not_identifiable=(*(open_before | open_now).values(),),
+            not_estimated=tuple(name for name in whole.not_estimated if name in part.not_estimated),
+            misfit=part.misfit,
+            set_up=part.set_up,
+            instruments=tuple(dict.fromkeys((*whole.instruments, *part.instruments))),
+        )
+    return whole
 
 
 def held_by_module(path: Path, machine: Machine) -> tuple[TableEntry, ...]:
@@ -373,18 +419,26 @@ def earlier_of(errors: Calibration, *, add: bool) -> tuple[Calibration, ...]:
         add: whether the user wants them added.
 
     Raises:
-        InputError: the control corrects these very errors already; or a module was active, and it is not said that its errors are to
-            be added.
+        InputError: the control corrects these very errors already; a module was active, and it is not stated that its errors are to
+            be added; or none was, and they cannot be added.
     """
     errors.check_not_live()
     section = errors.control
     if section is None or not section.live:
+        if add:
+            raise InputError(
+                "a module was not active when these errors were measured: there is nothing to add them to",
+                expected="a calibration identified with the module's calibration.yaml; without it the new module replaces an old one",
+                file=errors.path,
+                setting="add",
+            )
         return ()
     if not add:
         raise InputError(
             "these errors were measured with the module active: a new module must hold the old ones as well",
-            expected="--add",
+            expected="old and new errors in one module",
             file=errors.path,
+            setting="add",
         )
     for entry in section.live:
         entry.check()
@@ -411,6 +465,33 @@ def _check(errors: Calibration) -> None:
         )
 
 
+def _unproven(errors: Calibration, length_mm: float) -> str:
+    """Return why the correction of these errors is not shown to be an improvement; empty if it is, or the uncertainty is unknown.
+
+    Where their uncertainty exceeds them over the volume, at the tool point and of its axis, the correction may increase the error.
+    Effects of channels (temperatures, spindle speed) were found significant when they were identified: with them the result is empty.
+    """
+    if not errors.covariance.names or Conditions().missing(errors):
+        return ""
+    real = Kinematics(errors.machine, errors, tool_length_mm=length_mm)
+    nominal = Kinematics(errors.machine, Calibration.zero(errors.machine), tool_length_mm=length_mm)
+    q = volume_inside_domains(errors)
+    sides = random_approach(q)
+    goal, reached, u = nominal.forward(q), real.forward(q, sides), ToolUncertainty(real, "identified").at(q, sides)
+    sizes = [
+        np.linalg.norm(reached.point_mm - goal.point_mm, axis=1) * 1e3,
+        np.linalg.norm(reached.tilt_urad(goal), axis=1),
+    ]
+    found = [_rms_and_largest(values)[0] for values in (*sizes, u.expanded_um, u.axis_expanded_urad)]
+    # An error without a tilt has one of rounding.
+    if found[0] > found[2] or found[1] > found[3] + LEAST_TILT_URAD or not np.isfinite(found).all():
+        return ""
+    return (
+        "U (95 %) of the correction exceeds the correction, which may increase the error: "
+        f"tool point {found[0]:.2f} µm, U {found[2]:.2f} µm; tool axis {found[1]:.2f} µrad, U {found[3]:.2f} µrad (RMS over the volume)"
+    )
+
+
 def _check_ranges(live: LiveCorrection, file: Path | None) -> None:
     """Raise `InputError` unless there are positions and values of the pins at which every empirical effect was measured."""
     turning = {axis.name: live.range_of(axis.name, -np.inf, np.inf) for axis in live.machine.axes if axis.lower is None}
@@ -433,27 +514,25 @@ def _check_ranges(live: LiveCorrection, file: Path | None) -> None:
             )
 
 
-def _channels(calibrations: Sequence[Calibration]) -> tuple[str, ...]:
+def _channels(errors: Calibration) -> tuple[str, ...]:
     """Return the channels that the control must supply.
 
     Raises:
         InputError: a channel without a pin.
     """
-    names: dict[str, None] = {}
-    for one in calibrations:
-        asked = RecordingState(one.machine)
-        for effect in one.effects:
-            if isinstance(effect, HistoryShift):
-                effect.driven(asked)
-            else:
-                effect.components(asked)
-        names |= dict.fromkeys(name for name in asked.asked if not name.startswith(APPROACH))
+    asked = RecordingState(errors.machine)
+    for effect in errors.effects:
+        if isinstance(effect, HistoryShift):
+            effect.driven(asked)
+        else:
+            effect.components(asked)
+    names = dict.fromkeys(name for name in asked.asked if not name.startswith(APPROACH))
     for name in names:
         if not PIN_NAME.fullmatch(channel_of(name).pin):
             raise InputError(
                 "the name of a sensor cannot be the name of a pin",
                 expected="letters, digits, - and _, at most 18",
-                file=calibrations[-1].path,
+                file=errors.path,
                 value=name,
             )
     return tuple(names)
@@ -484,7 +563,7 @@ def _usual(channel: SuppliedChannel) -> tuple[float, float]:
 
 def _poses(live: LiveCorrection) -> tuple[np.ndarray, np.ndarray]:
     """Return poses (n, axes) over the volume, mm and degrees, and random channels (n, channels)."""
-    q = volume_inside_domains(live.calibrations[0])
+    q = volume_inside_domains(live.calibration)
     return q, _states(live, len(q))
 
 
@@ -507,7 +586,14 @@ def _proof(live: LiveCorrection, length_mm: float) -> Proof:
     nominal = Kinematics(machine, Calibration.zero(machine), tool_length_mm=length_mm)
     goal, before = nominal.forward(q), nominal.with_errors(q, _errors(live, q, states))
     tool = np.tile([0.0, 0.0, 1e-3 * length_mm], (len(q), 1))
-    (correction,) = BatchFunction(live.correction)(q * machine.scale, states, tool, np.ones((len(q), 1)))
+    found = [
+        BatchFunction(live.correction)(q * machine.scale, states, one, np.full((len(q), 1), orientation))[0]
+        for one in (tool, np.tile([0.0, 0.0, 1e-3 * max(length_mm, LONGEST_MM)], (len(q), 1)))
+        for orientation in (1.0, 0.0)
+    ]
+    correction = found[0]
+    # Not zero: what rounding leaves of no correction is none that exceeds its bound.
+    bound = MARGIN * np.abs(found).max(axis=(0, 1)) + LEAST_BOUND
     corrected = q + correction / machine.scale
     after = nominal.with_errors(corrected, _errors(live, np.clip(corrected, *_bounds(live)), states))
     off = [1e3 * np.linalg.norm(one.point_mm - goal.point_mm, axis=1) for one in (before, after)]
@@ -521,6 +607,7 @@ def _proof(live: LiveCorrection, length_mm: float) -> Proof:
         tilt_after_urad=_rms_and_largest(tilts[1]),
         damped=float(np.mean(smallest < live.damping.region)) if machine.rotary else 0.0,
         largest=tuple((np.abs(correction) / machine.scale).max(axis=0).tolist()),
+        bound=tuple((bound / machine.scale).tolist()),
         steepest=float(np.abs(slopes).max()),
     )
 
@@ -557,13 +644,10 @@ def write_module(made: LiveKinematics, folder: Path) -> None:
     write_atomic(folder / f"{COMPONENT}.py", made.component)
     write_atomic(folder / f"{COMPONENT}.hal", component_lines(made.live))
     write_atomic(folder / README, made.to_text())
-    errors.with_control(None).save(folder / CORRECTED)
+    made.whole.save(folder / CORRECTED)
     entry = TableEntry(folder / CORRECTED, FORMAT, BASIC, file_sha256(folder / CORRECTED))
-    # All that the module holds: of errors measured with an earlier one active, the earlier ones too.
-    held = errors.control.live if errors.control is not None and made.earlier else ()
-    section = ControlSection("uncorrected", (), (), (*held, entry))
-    marked = replace(errors, source=f"{errors.source}; the control has the kinematics module {NAME}")
-    marked.with_control(section).save(folder / CALIBRATION)
+    marked = replace(made.whole, source=f"{made.whole.source}; the control has the kinematics module {NAME}")
+    marked.with_control(ControlSection("uncorrected", (), (), (entry,))).save(folder / CALIBRATION)
 
 
 def hal_lines(live: LiveCorrection) -> str:

@@ -70,13 +70,13 @@ class LiveCorrection:
     then the outputs of the lags (``histories``).
 
     Args:
-        calibrations: the calibrations whose errors are corrected, added.
+        calibration: its errors are corrected.
         plain: names of the channels that the control must supply.
         damping: damping near singular positions.
 
     Attributes:
         machine: the machine.
-        calibrations: as given.
+        calibration: as given.
         errors: CasADi function (positions, channels) → errors (6·frames,).
         histories: effects whose value depends on what the machine did before.
 
@@ -84,8 +84,8 @@ class LiveCorrection:
         InputError: a machine without three linear axes, or with more than two rotary ones.
     """
 
-    def __init__(self, calibrations: Sequence[Calibration], plain: Sequence[str], damping: Damping) -> None:
-        self.machine: Machine = calibrations[0].machine
+    def __init__(self, calibration: Calibration, plain: Sequence[str], damping: Damping) -> None:
+        self.machine: Machine = calibration.machine
         self.plain, self.damping = tuple(plain), damping
         machine = self.machine
         if len(machine.linear) != 3 or len(machine.rotary) > 2:
@@ -94,8 +94,7 @@ class LiveCorrection:
                 expected="three linear axes and at most two rotary ones",
                 file=machine.path,
             )
-        self.calibrations = tuple(calibrations)
-        effects = tuple(effect for one in calibrations for effect in one.effects)
+        self.calibration, effects = calibration, calibration.effects
         self.histories = tuple(effect for effect in effects if isinstance(effect, HistoryShift))
         # The derivatives by the other parameters do not enter the errors.
         unused = {name: 0.0 for effect in self.histories for name in effect.factor_channels[1:]}
@@ -109,8 +108,7 @@ class LiveCorrection:
     @cached_property
     def domains(self) -> np.ndarray:
         """(axes, 2) positions at which the errors are known, metres and radians; beyond them they keep the values of the ends."""
-        every = np.array([one.domains() for one in self.calibrations])
-        bounds = np.stack([every[:, :, 0].max(axis=0), every[:, :, 1].min(axis=0)], axis=1)
+        bounds = np.array(self.calibration.domains())
         for i, axis in enumerate(self.machine.axes):
             if axis.lower is None:
                 bounds[i] = -np.inf, np.inf
@@ -120,7 +118,7 @@ class LiveCorrection:
 
     def range_of(self, name: str, low: float, high: float) -> tuple[float, float]:
         """Return the part of the range of an axis (mm, degrees) or a channel over which the empirical effects were measured."""
-        for effect in (effect for one in self.calibrations for effect in one.empirical):
+        for effect in self.calibration.empirical:
             for column, (lowest, highest) in effect.ranges.items():
                 if channel_name(column) == name:
                     low, high = max(low, lowest), min(high, highest)

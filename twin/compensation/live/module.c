@@ -34,15 +34,19 @@ static int component, kinematics_type;
 static double within(double value, double low, double high) { return fmin(fmax(value, low), high); }
 static double towards(double value, double target, double step) { return value + within(target - value, -step, step); }
 
-/* Correction (m, rad) of the commands at positions (m, rad). */
-static void correct(const double *position, double *correction)
+/* Correction (m, rad) of the commands at positions (m, rad); whether it is cut at its bound. */
+static int correct(const double *position, double *correction)
 {
     const double *arguments[4] = {position, state.channels, state.tool, &state.orientation};
     double *results[1] = {correction};
-    int i;
+    int i, cut = 0;
 
     twin_correction(arguments, results, 0, 0, 0);
-    for (i = 0; i < AXES; i++) correction[i] = state.fade * within(correction[i], -LARGEST[i], LARGEST[i]);
+    for (i = 0; i < AXES; i++) {
+        cut |= fabs(correction[i]) > LARGEST[i];
+        correction[i] = state.fade * within(correction[i], -LARGEST[i], LARGEST[i]);
+    }
+    return cut;
 }
 
 /* The positions whose corrected commands are given: Broyden's method, from the identity. */
@@ -174,16 +178,19 @@ static void follow_channels(double seconds)
     double drives[HISTORIES + 1];
     const double *arguments[1] = {state.channels};
     double *results[1] = {drives};
-    int i, outside = 0;
+    int i, outside = 0, begun = !state.started;
     for (i = 0; i < CHANNELS; i++) {
         double value = *pins->channel[i], *held = &state.channels[AXES + i];
         /* A sensor that fails has a value far outside, often: the last one within is the best estimate. */
         if (!(value >= CHANNEL_LOW[i] && value <= CHANNEL_HIGH[i])) { outside = 1; value = *held; }
+        /* A sensor that comes after the control has started: the value before was none. */
+        begun |= state.fade == 0.0 && fabs(value - *held) > CHANNEL_RATE[i];
         *held = state.fade > 0.0 ? towards(*held, value, CHANNEL_RATE[i] * seconds) : value;
     }
     if (HISTORIES) twin_drives(arguments, results, 0, 0, 0);
     for (i = 0; i < HISTORIES; i++) {
-        if (!state.started) state.history[i] = HISTORY_SETTLED[i] ? drives[i] : 0.0;
+        if (!state.started) state.history[i] = 0.0;
+        if (begun && HISTORY_SETTLED[i]) state.history[i] = drives[i];
         state.history[i] += (drives[i] - state.history[i]) * (1.0 - exp(-seconds / HISTORY_CONSTANT[i]));
         state.channels[AXES + CHANNELS + i] = state.history[i];
     }
@@ -206,7 +213,7 @@ static void update(void *unused, long period)
     state.outside = 0;
     /* Where the axes are meant to be, to some 0.01 µm: twice, because a rapid changes the correction by micrometres a cycle. */
     for (turn = 0; turn < 2; turn++) {
-        correct(state.nominal, correction);
+        state.outside |= correct(state.nominal, correction);
         for (i = 0; i < AXES; i++) {
             double command = *pins->command[i] * SCALE[i];
             if (isfinite(command)) state.nominal[i] = command - correction[i];
@@ -221,7 +228,8 @@ static void update(void *unused, long period)
     follow_channels(seconds);
     follow_heartbeat(seconds);
     for (i = 0; i < 3; i++) {
-        double tool = isfinite(*pins->tool[i]) ? *pins->tool[i] * 1e-3 : 0.0;
+        double tool = isfinite(*pins->tool[i]) ? *pins->tool[i] * 1e-3 : state.tool[i];
+        if (!isfinite(*pins->tool[i])) state.outside = 1;
         state.tool[i] = state.fade > 0.0 ? towards(state.tool[i], tool, pins->tool_rate * 1e-3 * seconds) : tool;
     }
     state.orientation = state.fade > 0.0 ? towards(state.orientation, *pins->orientation, pins->fade_rate * seconds) : *pins->orientation;
