@@ -53,7 +53,7 @@ class Run:
         self.words = dict.fromkeys("XYZBC", np.nan)
         self.ends: list[tuple[np.ndarray, bool, float]] = []
         self.offset, self.tool, self.length = "G54", "", 0.0
-        self.shift = np.zeros(3)
+        self.shift, self.turn = np.zeros(3), np.eye(3)
         self.tcp = self.rapid = False
         self.plane: tuple[np.ndarray, np.ndarray] | None = None
         self.pending: tuple[np.ndarray, np.ndarray] | None = None
@@ -64,8 +64,8 @@ class Run:
         rotary = np.nan_to_num([self.words[axis] for axis in "BC"])
         zero = np.array(OFFSETS[self.offset])
         if self.plane is None and not self.tcp:
-            return np.array([*(xyz + self.shift + zero + [0, 0, self.length]), *rotary])
-        turn, origin = (np.eye(3), self.shift) if self.plane is None else self.plane
+            return np.array([*(self.turn @ xyz + self.shift + zero + [0, 0, self.length]), *rotary])
+        turn, origin = (self.turn, self.shift) if self.plane is None else self.plane
         tip = turn @ xyz + origin + zero + [-250.0, -225.0, 400.0]
         x, y, z, _ = table_of(*rotary) @ [*tip, 1.0]
         return np.array([x + 250.0, y + 225.0, z - 400.0 + self.length, *rotary])
@@ -88,6 +88,16 @@ class Run:
         self.plane, self.pending = (turn, origin), None
         self.forget("XYZ")
 
+    def program_frame(self, added: bool, kind: str, values: dict[str, float]) -> None:
+        """Shift or turn the coordinates as SINUMERIK does."""
+        if not added:
+            self.shift, self.turn = np.zeros(3), np.eye(3)
+        if kind == "TRANS":
+            self.shift = self.shift + self.turn @ [values.get(axis, 0.0) for axis in "XYZ"]
+        for axis, angle in values.items() if kind == "ROT" else ():
+            self.turn = self.turn @ Rotation.from_euler(axis, angle, degrees=True).as_matrix()
+        self.forget("XYZ")
+
 
 def run_iso(text: str) -> Run:
     """Execute a program of Fanuc, Haas, Okuma or SINUMERIK."""
@@ -105,6 +115,12 @@ def run_iso(text: str) -> Run:
             else:
                 run.plane = None
                 run.forget("XYZ")
+            continue
+        framed = re.match(r"(A?)(TRANS|ROT)\b(.*)", bare)
+        if framed:
+            run.program_frame(
+                framed[1] == "A", framed[2], {axis: float(value) for axis, value in _WORD.findall(framed[3])}
+            )
             continue
         words = [(name, value) for name, value in _WORD.findall(re.sub(r'"[^"]*"', "1", bare)) if name != "N"]
         name = re.search(r'T="([^"]*)"', line)
@@ -187,6 +203,17 @@ def _written_out(text: str) -> Iterator[str]:
             yield block
 
 
+def _rotation(block: str) -> np.ndarray:
+    """Return the axes of a plane as columns."""
+    numbers = [float(value) for value in re.findall(r"(?:SP[ABC]|[BN][XYZ])\s*([-+]?[\d.]+)", block)]
+    if block.startswith("PLANE SPATIAL"):
+        return Rotation.from_euler("xyz", numbers, degrees=True).as_matrix()
+    x, z = np.array(numbers[:3]), np.array(numbers[3:]) / np.linalg.norm(numbers[3:])
+    x = x - z * (x @ z)
+    x /= np.linalg.norm(x)
+    return np.stack([x, np.cross(z, x), z], axis=1)
+
+
 def run_plain(text: str) -> Run:
     """Execute a program in plain language."""
     run, called, parameters, below = Run(), False, dict[str, float](), np.zeros(3)
@@ -207,9 +234,8 @@ def run_plain(text: str) -> Run:
         elif block.startswith("PLANE RESET"):
             run.plane, run.shift = None, below
             run.forget("XYZ" if "STAY" in block else "XYZBC")
-        elif block.startswith("PLANE SPATIAL"):
-            angles = [float(value) for value in re.findall(r"SP[ABC]\s*([-+]?[\d.]+)", block)]
-            plane = Rotation.from_euler("xyz", angles, degrees=True).as_matrix(), run.shift
+        elif block.startswith("PLANE"):
+            plane = _rotation(block), run.shift
             below, run.shift = run.shift, np.zeros(3)
             if "STAY" in block:
                 run.pending = plane

@@ -164,6 +164,7 @@ class Interpreter(ABC):
     offset: str | None = None
     used_offset: str | None = None
     _offset_line = 0
+    _inclined = False
 
     def __init__(
         self, source: str, axes: AxisWords, *, tcp: bool, tcp_on: Iterable[str], tcp_off: Iterable[str]
@@ -501,10 +502,24 @@ class Interpreter(ABC):
 
     def check_plane(self, rotary: bool) -> None:
         """Raise `InputError` for a move that the tilted plane does not allow; ``rotary``: whether it names rotary axes."""
-        if self.frame.plane is not None and (rotary or self.tcp):
+        if not self.plane_allows(rotary):
             what = "rotary axes or tool centre point control in a tilted plane"
             cancel = "PLANE RESET" if self.heidenhain else "G69 or CYCLE800()"
             raise self.error(what, f"positions of the linear axes; {cancel} before")
+
+    def plane_allows(self, rotary: bool) -> bool:
+        """Return whether the tilted plane in force, if any, allows a move, and take it into account; ``rotary``: as `check_plane`.
+
+        HEIDENHAIN (TNC 640, user's manual, "Inclined-tool machining in the tilted plane"): with tool centre point control, positions of
+        the tool tip stay in the tilted coordinates, and words of rotary axes are those of the axes. Without it again, coordinates where
+        the tool is inclined to the plane are not followed.
+        """
+        if self.frame.plane is None:
+            return True
+        if self.heidenhain and self.tcp:
+            self._inclined = self._inclined or rotary
+            return True
+        return not (rotary or self.tcp or self._inclined)
 
     def stands(self, what: str) -> tuple[float, ...]:
         """Return the present positions of the rotary axes, at their least increments.
@@ -523,6 +538,7 @@ class Interpreter(ABC):
         if frame == self.frame:
             return
         everything = self.tcp or (frame.offset, frame.plane) != (self.frame.offset, self.frame.plane)
+        self._inclined = self._inclined and frame.plane == self.frame.plane
         if everything:
             self.check_beside()
         self.frame = frame
@@ -565,9 +581,9 @@ class Interpreter(ABC):
 
     def _check_tcp(self, tcp: bool, frame: WordFrame) -> None:
         """Raise `InputError` for a frame that is not followed under tool centre point control."""
-        if tcp and (frame.turn or frame.stated or any(frame.shift[self.linear :])):
-            what = "tool centre point control where the program turns its coordinates, shifts a rotary axis or sets a work offset"
-            raise self.error(what, "shifts of the linear axes only")
+        if tcp and (frame.stated or any(frame.shift[self.linear :])):
+            what = "tool centre point control where the program shifts a rotary axis or sets a work offset"
+            raise self.error(what, "shifts of the linear axes and rotations only")
 
     def switch(self, block: Block, on: bool, word: str) -> None:
         """Switch tool centre point control, unless it has that state already.
@@ -632,10 +648,12 @@ class Interpreter(ABC):
         """Set the tool vector from a block that names some axes (bits); the control then determines the rotary axes.
 
         Raises:
-            InputError: the block names rotary axes too.
+            InputError: the block names rotary axes too, or the coordinates are turned: controls differ in what they turn.
         """
         if axis_bits >> self.linear:
             raise self.error("tool vector and rotary axes in one block", "only one of them")
+        if self.frame.turn is not None or self.frame.plane is not None:
+            raise self.error("tool vector in turned or tilted coordinates", "words of the rotary axes")
         self.vector = vector
         for i in range(self.linear, len(self.position)):
             self.position[i] = math.nan

@@ -347,10 +347,13 @@ class Follower:
                 line=move.line + 1,
                 value=text_of(move.line).strip(),
             )
-        if move.kind is not Kind.RAPID:
-            self.unknown.append(LostBlock(move.line, True, reason + self._cure(missing)))
+        if move.kind is Kind.RAPID or not (move.tcp or move.named & {*space.axes.linear}):
+            kind = "rapid" if move.kind is Kind.RAPID else "turn of rotary axes"
+            self.notices.append(
+                Notice(move.line, f"position of {names} not yet known: {kind} passed through unchanged")
+            )
         else:
-            self.notices.append(Notice(move.line, f"position of {names} not yet known: rapid passed through unchanged"))
+            self.unknown.append(LostBlock(move.line, True, reason + self._cure(missing)))
         commands = space.positions(end)
         if move.tcp or space.tilt is not None:
             commands[:3] = np.nan

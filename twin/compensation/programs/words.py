@@ -200,8 +200,7 @@ class WordSpace:
         shifted = self.positions(words)
         if tips:
             rows = self._tip_rows(words, tcp)
-            points = words[rows, :3]
-            points = points if self.tilt is None else points @ self.tilt.rotation.T
+            points = words[rows, :3] if self._tip_turn is None else words[rows, :3] @ self._tip_turn.T
             rotary, scale = shifted[rows, 3:], self.machine.scale[self.order[3:]]
             (linear,) = linear_axes(points + self.origin, rotary)
             # To radians and back, as the solver does: no difference in rounding between ends and points between them.
@@ -218,7 +217,8 @@ class WordSpace:
     def commands_at(self, words: Any) -> Any:
         """Return `simulated_commands` as an expression of (axes,) words of the tool tip outside a tilted plane."""
         rotary = words[3:] + ca.DM(self.offset[3:])
-        linear = self._linear_axes(words[:3] + ca.DM(self.origin), rotary)
+        tip = words[:3] if self._tip_turn is None else ca.DM(self._tip_turn) @ words[:3]
+        linear = self._linear_axes(tip + ca.DM(self.origin), rotary)
         return ca.vertcat(linear, rotary)[np.argsort(self.order).tolist()]
 
     @cached_property
@@ -241,6 +241,11 @@ class WordSpace:
         others = [ca.cross(a, b) for a, b in ((y, z), (z, x), (x, y))]
         solved = ca.vertcat(*(ca.dot(left, other) for other in others)) / ca.dot(x, others[0])
         return ca.Function("linear_axes", [wanted, rotary], [ca.cse(ca.densify(solved))])
+
+    @property
+    def _tip_turn(self) -> np.ndarray | None:
+        """(3, 3) axes, as columns, of the words that are places of the tool tip, in the work frame; None if they are parallel."""
+        return self.turn if self.tilt is None else self.tilt.rotation
 
     @property
     def parallel(self) -> bool:
@@ -283,7 +288,7 @@ class WordSpace:
         if tips:
             rows = self._tip_rows(commands, tcp)
             points = self.nominal.forward(commands[rows]).point_mm - self.origin
-            words[rows, :3] = points if self.tilt is None else points @ self.tilt.rotation
+            words[rows, :3] = points if self._tip_turn is None else points @ self._tip_turn
         return words
 
     def _tip_rows(self, known: np.ndarray, tcp: np.ndarray) -> np.ndarray | slice:

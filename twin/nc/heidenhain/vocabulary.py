@@ -21,6 +21,10 @@ SKIPPED_END = re.compile(
     r"[ \t]*+/[ \t]*+(?:\d++[ \t]*+)?+(?:STOP[ \t]++)?+M0*(?:2|30)(?!\d)[ \t]*+(?:;.*)?", re.ASCII | re.IGNORECASE
 )
 """The end of the program in a block that may be skipped."""
+TECHNOLOGY = re.compile(
+    r"(?:M\d|S[ \t]*[+\d.]|F[ \t]*(?:MAX|AUTO|[+\d.])|R[0LR](?![A-Z\d.,]))", re.ASCII | re.IGNORECASE
+)
+"""The beginning of a block without a path function: M, S, F or the side of the tool."""
 PARAXIAL = re.compile(rf"I?[XYZABCUVW][ \t]*+{_VALUE}", re.ASCII | re.IGNORECASE)
 
 TOKEN = re.compile(
@@ -108,6 +112,8 @@ HARMLESS_FUNCTIONS = tuple(
     )
 )
 """Beginnings of functions that act on feed, spindle, files and messages only."""
+OTHER_TCPM = re.compile(r"(?<!PATHCTRL )AXIS SPAT|REFPNT (?!TIP-TIP)\S+")
+"""Words with which rotary axis words are spatial angles, and positions not those of the tool tip."""
 HARMLESS_FN = frozenset({*range(9), 13, 14, 15, 16, 18, 20, 23, 24, 26, 27, 28, 37, 38})
 """Parameter functions that compute, read, wait or write free tables; 17, 19, 25 and 29 write data of the control, a datum, the PLC."""
 HARMLESS_CYCLES = frozenset(

@@ -193,6 +193,8 @@ HARMLESS_M: frozenset[str] = frozenset(
 """M codes that leave positions, frames, offsets and modes alone. Others: `twin.nc.modal.SWITCHING_M`."""
 END_M: frozenset[str] = frozenset({"M2", "M30", "M17", "M99"})
 """M words behind which nothing of a program is executed: its end, or its return if it is called (M99 otherwise begins again)."""
+NAME_BEHIND_O = re.compile(r"O[ \t]*[A-Z_][^<;]*+", re.ASCII | re.IGNORECASE)
+"""A name in place of a program number, or a number that was never entered."""
 PROGRAM_BEGIN = re.compile(r"(?:[O:][ \t]*\d|<[^<>]*>|PROC\b)", re.IGNORECASE)
 """Beginning of a program or subprogram, beside a line with ``%``."""
 LAST_M: frozenset[str] = frozenset(
