@@ -500,9 +500,14 @@ class Interpreter(ABC):
             and (self.offset == self.used_offset or self._offset_known)
         )
 
-    def check_plane(self, rotary: bool) -> None:
-        """Raise `InputError` for a move that the tilted plane does not allow; ``rotary``: whether it names rotary axes."""
-        if not self.plane_allows(rotary):
+    def check_plane(self, rotary: bool, *, machine: bool = False) -> None:
+        """Raise `InputError` for a move that the tilted plane does not allow.
+
+        Args:
+            rotary: whether it names rotary axes.
+            machine: whether it is in machine coordinates.
+        """
+        if (rotary or not machine) and not self.plane_allows(rotary):
             what = "rotary axes or tool centre point control in a tilted plane"
             cancel = "PLANE RESET" if self.heidenhain else "G69 or CYCLE800()"
             raise self.error(what, f"positions of the linear axes; {cancel} before")

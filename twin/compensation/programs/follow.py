@@ -312,11 +312,8 @@ class Follower:
         """Return rotary words, with the set-up's values for unknown ones; a notice is recorded the first time."""
         space, unknown = self._space, np.isnan(rotary)
         if not self._assumed:
-            assumed = {
-                name: value
-                for name, value, missing in zip(space.axes.rotary, space.start, unknown, strict=True)
-                if missing
-            }
+            rows = zip(space.axes.rotary, space.start, unknown, strict=True)
+            assumed = {name: value for name, value, missing in rows if missing}
             at = ", ".join(f"{name} = {value:g}°" for name, value in assumed.items())
             self.notices.append(
                 Notice(
@@ -347,16 +344,14 @@ class Follower:
                 line=move.line + 1,
                 value=text_of(move.line).strip(),
             )
-        if move.kind is Kind.RAPID or not (move.tcp or move.named & {*space.axes.linear}):
-            kind = "rapid" if move.kind is Kind.RAPID else "turn of rotary axes"
-            self.notices.append(
-                Notice(move.line, f"position of {names} not yet known: {kind} passed through unchanged")
-            )
+        turns = missing[:3].any() and not (move.tcp or move.named & {*space.axes.linear})
+        if turns or move.kind is Kind.RAPID:
+            text = f"position of {names} not yet known: {'turn' if turns else 'rapid'} passed through unchanged"
+            self.notices.append(Notice(move.line, text))
         else:
             self.unknown.append(LostBlock(move.line, True, reason + self._cure(missing)))
         commands = space.positions(end)
-        if move.tcp or space.tilt is not None:
-            commands[:3] = np.nan
+        commands[:3] = np.nan if move.tcp or space.tilt is not None else commands[:3]
         self._pass(commands, self._named(move))
 
     def _cure(self, missing: np.ndarray) -> str:

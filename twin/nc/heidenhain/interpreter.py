@@ -559,9 +559,7 @@ class HeidenhainInterpreter(HeidenhainFrame):
         names = self.named(block.axis_bits)
         if not (block.machine or self.unknown) and self.stand_at_plane(block):
             return
-        turns = block.axis_bits >> self.linear != 0
-        if turns or not block.machine:
-            self.check_plane(turns and self.pending is None)
+        self.check_plane(block.axis_bits >> self.linear != 0 and self.pending is None, machine=block.machine)
         if block.machine:
             if block.keyword not in ("", "L"):
                 raise self.error("machine coordinates in an arc", "an L block")
