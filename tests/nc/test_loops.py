@@ -229,12 +229,6 @@ REFUSED = [
     ("main.ngc", "o1 if [1]\nX1\no2 endif\nM2\n", 4, "without its beginning"),
     ("main.ngc", "o1 break\nM2\n", 2, "outside a loop"),
     ("main.ngc", "o1 sub\no1 call\no1 endsub\no1 call\nM2\n", 3, "too deeply"),
-    (
-        "main.ngc",
-        "o1 sub\n#<a>=#1\no2 if [#1 GT 0]\no1 call [#1-1]\no2 endif\nG1 X#<a>\no1 endsub\no1 call [2]\nM2\n",
-        5,
-        "calls itself",
-    ),
     ("main.ngc", "o1 sub\no2 if [#1 EQ #2]\nG1 X1\no2 endif\no1 endsub\no1 call [0]\nM2\n", 3, "is unknown"),
     ("main.mpf", "FOR R1=1 TO 2\nG1 X=R1\nENDFOR\nG1 Y=R1\n", 5, "the value of R1 is unknown"),
     ("main.mpf", "GOTOB NOWHERE\nNOWHERE: G1 X1\n", 2, "no label NOWHERE"),

@@ -94,7 +94,6 @@ UNKNOWN_AFTER: Final = (
 SWITCHING_M: Final = frozenset(
     (
         *range(21, 25),  # mirror images on some controls of Fanuc
-        61,  # number of the tool in the spindle (LinuxCNC)
         *(91, 92),  # machine coordinates (HEIDENHAIN)
         *(128, 129),  # tool centre point control on and off (HEIDENHAIN and others)
         *(428, 429, 430),  # kinematics switched (LinuxCNC's configurations)

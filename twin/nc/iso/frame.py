@@ -73,6 +73,11 @@ class IsoBlock(Block):
     repeats: int = 1
     pattern: list[dict[int, float]] = field(default_factory=list)
 
+    def own_of(self, word: str) -> str:
+        """Return the letters of the words here that belong to an M word; the angle of M19 only without axis words (``G2 X5 R7 M19``)."""
+        own = "" if word == "M19" and self.items else vocabulary.OWN_OF_M.get(word, "")
+        return "".join(item.name for item in self.others if item.name in own)
+
 
 # --- Effects of ISO blocks on the frame: work offset, tool in the spindle, and the length that the control adds
 
@@ -116,6 +121,7 @@ class IsoFrame(Interpreter):
     def choose_tool(self, block: IsoBlock, words: frozenset[str]) -> None:
         """Apply the words for tool and length of a block; ``words``: its M words."""
         codes = {span.name for span in block.codes}
+        in_spindle = next((item for item in block.others if item.name == "Q"), None) if "M61" in words else None
         said = {item.name: item for item in block.others if item.name in (_OF_TOOL if "15" not in codes else "T")}
         if not (said or codes or words):
             return
@@ -131,6 +137,10 @@ class IsoFrame(Interpreter):
             tool = changes["tool"] = self._next_tool or f"of line {self._line + 1}"
             if self._by_name:
                 changes["length"] = tool
+        elif in_spindle is not None:  # LinuxCNC
+            tool = changes["tool"] = self._name_of(in_spindle)
+        elif "M61" in words:
+            self.take_auxiliary("M61")
         changes |= self._length(said, codes, tool)
         if changes and self.tools_known:
             self.select(block, **changes)

@@ -184,7 +184,7 @@ class IsoInterpreter(IsoMotion):
         drills = not groups & _WITHOUT_CYCLE and self.take_cycle_words(block)
         machine = self._names(block) if block.names else False
         own = "".join(vocabulary.OWN_WORDS.get(span.name, "") for span in block.codes)
-        own += "R" if "M19" in block.m_words and not block.items else ""  # the angle of the spindle
+        own += "".join(map(block.own_of, block.m_words))
         centre = [item for item in block.others if item.name not in own and self._is_of_motion(block, item)]
         self._state_to(block)
         self.choose_tool(block, frozenset(block.m_words))

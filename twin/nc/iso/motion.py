@@ -94,8 +94,8 @@ class IsoDrilling(IsoShift):
             if level_stated and self.cycle is not None:
                 self.cycle = self._cycle()
             return False
-        if "M19" in block.m_words and not block.items:
-            raise self._refused("R beside M19", "the angle of the spindle before the cycle, or after G80")
+        for word in filter(block.own_of, block.m_words):
+            raise self._refused(f"a word of {word} beside it", f"{word} in a block of its own, or after G80")
         if not self._height:
             self._initial, self._stated_incremental = self.position[self.drilling], self.incremental
         stated |= self._take_values(block)
