@@ -304,7 +304,7 @@ def test_drilling_written_out():
         ("CYCL DEF 8.0 MIRROR IMAGE\nCYCL DEF 8.1 X", "mirror"),
         ("CYCL DEF 10.0 ROTATION\nCYCL DEF 10.1 ROT", "without an angle"),
         ("CYCL DEF 11.0 SCALING\nCYCL DEF 11.1 SCL 0.9", "scaling"),
-        ("CYCL DEF 19.0 WORKING PLANE\nCYCL DEF 19.1 A+30 B+0", "working plane"),
+        ("CYCL DEF 19.0 WORKING PLANE\nCYCL DEF 19.1 A+30 X+0", "CYCL DEF 19 with other words"),
         ("CYCL DEF 26.1 X1.5", "scaling"),
         ("PLANE SPATIAL SPA+30 SPB+0 SPC+0", "PLANE"),
         ("TRANS DATUM TABLE", "TRANS"),

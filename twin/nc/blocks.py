@@ -47,6 +47,7 @@ class Plane:
             negative; 0: the nearer one.
         stays: whether the linear axes stay where they are while the rotary axes turn.
         at_deg: words of the rotary axes, where the program positions them itself; None: the control positions them.
+        read_deg: words of the rotary axes, as which a control may read the angles of the plane as well: it must be the same plane.
     """
 
     origin_mm: tuple[float, float, float]
@@ -54,6 +55,7 @@ class Plane:
     choice: int = 0
     stays: bool = True
     at_deg: tuple[float, ...] | None = None
+    read_deg: tuple[float, ...] | None = None
 
 
 def rotation_about(axes: str, angles_deg: Sequence[float]) -> Rows:

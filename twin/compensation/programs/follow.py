@@ -472,7 +472,7 @@ class FrameSpaces:
         else:
             origin = space.origin
         if plane.rotation is None:
-            standing, zero = (self._tool_axes(space, deg) for deg in (rotary_deg, np.zeros(len(rotary_deg))))
+            standing, zero = (space.tool_axes(deg) for deg in (rotary_deg, np.zeros(len(rotary_deg))))
             rotation = standing @ zero.T
         else:
             rotation = np.array(plane.rotation)
@@ -487,10 +487,16 @@ class FrameSpaces:
         Raises:
             InputError: the machine does not reach it, or does not stand at it.
         """
+        if plane.read_deg is not None:
+            other = space.tool_axes(np.array(plane.read_deg)) @ space.tool_axes(np.zeros(len(plane.read_deg))).T
+            if np.abs(other - np.array(plane.rotation)).max() > np.radians(STANDS_DEG):
+                what = "the angles of the plane are another plane as positions of the rotary axes"
+                expected = "PLANE SPATIAL, or angles that are the same as both"
+                raise InputError(what, expected=expected, file=source, line=line, value=plane.read_deg)
         if plane.at_deg is not None:
             at = np.array(plane.at_deg) + space.offset[3:]
-            wanted = self._tool_axes(space, at) if plane.rotation is None else np.array(plane.rotation)
-            off = np.degrees(np.linalg.norm(self._tool_axes(space, at)[:, 2] - wanted[:, 2]))
+            wanted = space.tool_axes(at) if plane.rotation is None else np.array(plane.rotation)
+            off = np.degrees(np.linalg.norm(space.tool_axes(at)[:, 2] - wanted[:, 2]))
             if not off <= STANDS_DEG:
                 words = " ".join(f"{name}{word:g}" for name, word in zip(space.axes.rotary, plane.at_deg, strict=True))
                 expected = "positions of the rotary axes for it, or its positioning by the control"
@@ -513,13 +519,6 @@ class FrameSpaces:
             )
         increment = np.array([space.axes.increment[name] for name in space.axes.rotary])
         return np.asarray(np.round(nearest / increment) * increment)
-
-    @staticmethod
-    def _tool_axes(space: WordSpace, rotary_deg: np.ndarray) -> np.ndarray:
-        """Return (3, 3) axes of the tool in the work frame, as columns, at commands of the rotary axes."""
-        commands = np.zeros((1, len(space.order)))
-        commands[:, space.order[3:]] = rotary_deg
-        return np.asarray(space.nominal.forward(commands).rotation[0])
 
     def _origin(self, shift: dict[str, float]) -> tuple[float, float, float]:
         commands = np.array([[shift[axis.name] if axis.linear else 0.0 for axis in self._base.machine.axes]])

@@ -247,6 +247,12 @@ class WordSpace:
         """(3, 3) axes, as columns, of the words that are places of the tool tip, in the work frame; None if they are parallel."""
         return self.turn if self.tilt is None else self.tilt.rotation
 
+    def tool_axes(self, rotary_deg: np.ndarray) -> np.ndarray:
+        """Return (3, 3) axes of the tool in the work frame, as columns, at commands of the rotary axes."""
+        commands = np.zeros((1, len(self.order)))
+        commands[:, self.order[3:]] = rotary_deg
+        return np.asarray(self.nominal.forward(commands).rotation[0])
+
     @property
     def parallel(self) -> bool:
         """Whether each linear word moves one linear axis outside tool centre point mode."""

@@ -313,6 +313,8 @@ class HeidenhainInterpreter(HeidenhainFrame):
             self.begin_preset()
         elif cycle in (7, 10) and part is not None and part != "0":
             (self.shift if cycle == 7 else self.turn)(block, rest, f"CYCL DEF {cycle}")
+        elif cycle == 19 and part not in (None, "0"):
+            self.working_plane(block, rest)
         elif cycle not in vocabulary.HARMLESS_CYCLES and cycle not in vocabulary.TRANSFORM_CYCLES:
             self.lose(block, body)
         elif cycle in vocabulary.TRANSFORM_CYCLES and (

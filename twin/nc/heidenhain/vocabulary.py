@@ -71,6 +71,9 @@ TOOL = re.compile(
 TOOL_LENGTH = re.compile(rf"(?<![A-Z\d])DL[ \t]*=?[ \t]*({_VALUE})", re.ASCII | re.IGNORECASE)
 CYCLE = re.compile(r"CYCL[ \t]+DEF[ \t]+(\d{1,9})(?!\d)(?:\.(\d++))?+(.*)", re.ASCII | re.IGNORECASE)
 SHIFT = re.compile(rf"(?<![A-Z])(I?)([XYZABCUVW])[ \t]*({_VALUE})", re.ASCII | re.IGNORECASE)
+TILT = re.compile(rf"(?<![A-Z])([ABC])[ \t]*({_VALUE})", re.ASCII | re.IGNORECASE)
+TILT_REST = re.compile(rf"(?:F[ \t]*{_VALUE}|(?:SETUP|ABST)[ \t]*{_VALUE}|[ \t])*", re.ASCII | re.IGNORECASE)
+"""Words of cycle 19: its angles, and with which feed and at which distance the axes are positioned."""
 ROTATION = re.compile(rf"(I?)ROT[ \t]*({_VALUE})", re.ASCII | re.IGNORECASE)
 FN = re.compile(r"FN[ \t]*+(\d{1,9})(?!\d)[ \t]*+:?(.*)", re.ASCII | re.IGNORECASE)
 INCHES = frozenset({"INCH", "IN"})
@@ -199,7 +202,7 @@ def cancels(cycle: int, rest: str) -> bool:
     values = [number(text) for text in NUMBERS.findall(rest)]
     if cycle in (11, 26):
         return bool(values) and all(value == 1.0 for value in values)
-    if cycle in (8, 19) and not rest:
+    if cycle == 8 and not rest:
         return True
     return cycle != 8 and bool(values) and "Q" not in rest.upper() and all(value == 0.0 for value in values)
 

@@ -17,7 +17,7 @@ import numpy as np
 from twin.nc.arithmetic import evaluate, key_of
 from twin.nc.blocks import Program
 from twin.nc.dialect import as_comment
-from twin.nc.inline import DEEPEST, RETURN, Call, Flow, Inliner, Line, Scope, refused, with_ending
+from twin.nc.inline import RETURN, Call, Flow, Inliner, Line, Scope, refused, with_ending
 from twin.nc.iso import vocabulary
 from twin.nc.iso.cycles import SINUMERIK
 
