@@ -40,6 +40,7 @@ CONTROLS = {
     "mazak": "Fanuc",
     "haas": "Fanuc",
     "fanuc": "Fanuc",
+    "linuxcnc": "",  # no word that other controls do not have
     "mill": "Fanuc",
     "okuma": "Okuma",
     "sinumerik": "SINUMERIK",

@@ -422,6 +422,10 @@ class Interpreter(ABC):
     def parking_move(self, block: Block) -> Move:
         """Return the rapid of a block that `parks`; it passes through unchanged."""
         position = self.machine_position(block, elsewhere=True)
+        if self._offset_known:  # what is doubtful does not shift rotary axes
+            for word in block.words:
+                if word.axis >= self.linear and not word.incremental:
+                    self.position[word.axis] = word.value
         unknown = self.doubtful or f"the value of work offset {self.offset} is not known"
         return Move(
             self._line, Kind.RAPID, self.tcp, position, self.named(block.axis_bits), machine=True, unknown=unknown

@@ -128,14 +128,16 @@ class IsoFrame(Interpreter):
             self.doubtful = "the length of the tool behind G170 is not stated (G56 H, or G53)" if "170" in codes else ""
         changes: dict[str, Any] = {}
         tool = self.frame.tool if self.tools_known else self._held_tool
-        if "T" in said:
-            self._next_tool, self._by_name = self._name_of(said["T"]), '"' in said["T"].value
+        tools = [item for item in block.others if item.name == "T"]
+        if tools:
+            self._next_tool, self._by_name = self._name_of(tools[0]), '"' in tools[0].value
         if TOOL_CHANGE in words:
             if not self._next_tool and self.tools_known:
                 raise self.error("tool change without a tool", "T with a number or a name before M6")
             tool = changes["tool"] = self._next_tool or f"of line {self._line + 1}"
             if self._by_name:
                 changes["length"] = tool
+            self._next_tool = self._name_of(tools[-1]) if len(tools) > 1 else self._next_tool  # Mazak: T1 T2 M6
         elif "M61" in words:
             tool = changes["tool"] = self._in_spindle(block, tool)
         changes |= self._length(said, codes, tool)
