@@ -656,7 +656,7 @@ class Interpreter(ABC):
         """Set the tool vector from a block that names some axes (bits); the control then determines the rotary axes.
 
         Raises:
-            InputError: the block names rotary axes too, or the coordinates are turned: controls differ in what they turn.
+            InputError: the block names rotary axes too, or the coordinates are turned: controls differ in which vectors they turn.
         """
         if axis_bits >> self.linear:
             raise self.error("tool vector and rotary axes in one block", "only one of them")
