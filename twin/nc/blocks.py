@@ -365,6 +365,7 @@ class WordFrame:
         shift: what is added to the words of each axis, before the plane and the work offset; empty for nothing.
         turn: axes of the words x, y, z as columns of a rotation matrix (rows of three numbers), None if they are not turned. The words
             are turned first, then shifted.
+        inclined: whether the rotary axes may turn within the plane, by tool centre point control.
     """
 
     offset: str = ""
@@ -375,6 +376,7 @@ class WordFrame:
     stated: tuple[float | None, ...] = ()
     shift: tuple[float, ...] = ()
     turn: Rows | None = None
+    inclined: bool = False
 
     def converted(self, words: Sequence[float], into: WordFrame) -> list[float]:
         """Return the words of the same axis positions in another frame of the same work offset and plane; NaN where unknown."""

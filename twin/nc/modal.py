@@ -543,6 +543,7 @@ class Interpreter(ABC):
     def select(self, block: Block, **changes: Any) -> None:
         """Change the frame from this block on; positions in the new coordinates are unknown until the program gives them."""
         frame = replace(self.frame, **changes)
+        frame = replace(frame, inclined=frame.inclined and frame.plane is not None)
         if frame == self.frame:
             return
         everything = self.tcp or (frame.offset, frame.plane) != (self.frame.offset, self.frame.plane)
@@ -607,6 +608,9 @@ class Interpreter(ABC):
                 self.note(f"{word} switches tool centre point control off")
             self.vector = None
         self.tcp = on
+        if self.frame.plane is not None:
+            self.frame = replace(self.frame, inclined=on)
+            self.frames.append(FrameChange(self._line, self.frame))
         self.tcp_word = word if on else "off"
         block.tcp_switched = True
         self.mark_unknown(block, range(self.linear), moved=None)

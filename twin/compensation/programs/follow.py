@@ -443,7 +443,7 @@ class FrameSpaces:
         if frame.plane is None:
             return space
         rotary = self._rotary(space, frame.plane, standing_deg, source, line)
-        key = (*key, frame.plane, frame.shift, frame.turn, tuple(rotary.tolist()))
+        key = (*key, frame.plane, frame.shift, frame.turn, frame.inclined, tuple(rotary.tolist()))
         if key not in self._made:
             self._made[key] = WordSpace(
                 base.machine, space.setup, length, self._tilt(space, frame.plane, frame, rotary)
