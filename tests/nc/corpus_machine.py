@@ -85,6 +85,10 @@ class Run:
         """Forget the words of axes: their coordinates are others now."""
         self.words |= dict.fromkeys(axes, np.nan)
 
+    def switched(self) -> str:
+        """Return the axes whose words change with tool centre point control: at B0 C0 only Z, by what is not known of it."""
+        return "Z" if self.plane is None and self.words["B"] == self.words["C"] == 0.0 else "XYZ"
+
     def tilt(self, turn: np.ndarray, origin: np.ndarray, *, stands: bool = False) -> None:
         """Enter a plane; ``stands``: the program has positioned the rotary axes."""
         if not stands:
@@ -162,9 +166,9 @@ def run_iso(text: str) -> Run:
             if one in ("43", "43.4", "234", "169") or (okuma and one == "56"):
                 run.length = LENGTHS[f"{values.get('H', values.get('HA', float(run.tool or 0))):g}"]
                 run.tcp = one in ("43.4", "234", "169")
-                run.forget("XYZ" if run.tcp else "Z")
+                run.forget(run.switched() if run.tcp else "Z")
             if one in ("49", "170") or (okuma and one == "53"):
-                run.forget("XYZ" if run.tcp else "Z")
+                run.forget(run.switched() if run.tcp else "Z")
                 run.tcp, run.length = False, 0.0
             if one == "68.2":
                 turn = Rotation.from_euler("ZXZ", [values.get(k, 0.0) for k in "IJK"], degrees=True).as_matrix()

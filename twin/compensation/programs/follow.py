@@ -216,7 +216,7 @@ class Follower:
             self._change_space(self._later.pop()[1])
         if move.tcp != self._tcp:
             if self._tcp is not None:
-                self._words = self._switched(move.tcp)
+                self._words = self._space.switched_if_known(self._words, tcp=move.tcp)
             self._tcp = move.tcp
         if move.unknown and not move.machine:
             self._lose(move)
@@ -301,12 +301,6 @@ class Follower:
         if tilt is not None:
             self._words[3:], self._lost[3:] = space.start, False
         self._space = space
-
-    def _switched(self, tcp: bool) -> np.ndarray:
-        """Return the axis positions in the words of the other mode."""
-        if not np.isfinite(self._words).all():
-            return np.concatenate([np.full(3, np.nan), self._words[3:]])
-        return self._space.switched(self._words[None, :], tcp=tcp)[0]
 
     def _assume(self, line: int, rotary: np.ndarray) -> np.ndarray:
         """Return rotary words, with the set-up's values for unknown ones; a notice is recorded the first time."""

@@ -29,6 +29,10 @@ from twin.nc.blocks import AxisWords, Move
 from twin.tool.forward import Kinematics, Poses
 from twin.tool.inverse import Branches, Inverse
 
+PROBE_MM = 100.0
+"""By which an unknown word is changed to see which words of the other mode depend on it."""
+SAME_MM = 1e-6
+
 
 @final
 @dataclass(frozen=True)
@@ -284,6 +288,15 @@ class WordSpace:
         """Return (n, axes) words converted from the other mode to the mode ``tcp``."""
         into = np.full(len(words), tcp)
         return self.words(self.commands(words, ~into), into)
+
+    def switched_if_known(self, words: np.ndarray, *, tcp: bool) -> np.ndarray:
+        """Return (axes,) words converted likewise; NaN where they depend on a word that is unknown (NaN)."""
+        unknown = np.flatnonzero(np.isnan(words))
+        if (unknown >= 3).any():
+            return np.where(np.arange(len(words)) < 3, np.nan, words)
+        base = np.nan_to_num(words)
+        trials = self.switched(np.array([base, *(base + np.eye(len(words))[i] * PROBE_MM for i in unknown)]), tcp=tcp)
+        return np.where((np.abs(trials - trials[0]) < SAME_MM).all(axis=0), trials[0], np.nan)
 
     def words(self, commands: np.ndarray, tcp: np.ndarray) -> np.ndarray:
         """Return the (n, axes) words from which the control derives (n, axes) commands; ``tcp``: (n,) mode of each."""
