@@ -85,8 +85,6 @@ class Block:
     declared: list[tuple[AxisWord, float]] = field(default_factory=list)
 
 
-# --- Modal state shared by the interpreters of ISO and Heidenhain blocks: positions, variables, notices, errors with their li
-
 UNKNOWN_AFTER: Final = (
     "is not known: positions, frame, offsets and modes are unknown until machine coordinates of every axis"
 )
@@ -504,12 +502,7 @@ class Interpreter(ABC):
         )
 
     def check_plane(self, rotary: bool, *, machine: bool = False) -> None:
-        """Raise `InputError` for a move that the tilted plane does not allow.
-
-        Args:
-            rotary: whether it names rotary axes.
-            machine: whether it is in machine coordinates.
-        """
+        """Raise `InputError` for a move that the plane does not allow; ``rotary``: it names rotary axes, ``machine``: coordinates."""
         if (rotary or not machine) and not self.plane_allows(rotary):
             what = "rotary axes or tool centre point control in a tilted plane"
             cancel = "PLANE RESET" if self.heidenhain else "G69 or CYCLE800()"
