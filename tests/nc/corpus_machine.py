@@ -86,7 +86,7 @@ class Run:
         self.words |= dict.fromkeys(axes, np.nan)
 
     def switched(self) -> str:
-        """Return the axes whose words change with tool centre point control: at B0 C0 only Z, by what is not known of it."""
+        """Return the axes whose words change with tool centre point control: at B0 C0 only that of Z."""
         return "Z" if self.plane is None and self.words["B"] == self.words["C"] == 0.0 else "XYZ"
 
     def tilt(self, turn: np.ndarray, origin: np.ndarray, *, stands: bool = False) -> None:

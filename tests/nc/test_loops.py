@@ -41,6 +41,14 @@ FANUC = {
         "#1=300\nWHILE [#1 LT 400] DO1\n#1=#1+1\nIF [#1 EQ 303] GOTO 50\nG1 X#1 F100\nEND1\nN50 G1 X310 F100\n",
         points(301, 302, 310),
     ),
+    "GOTO behind the end": (
+        "#1=5\nIF [#1 GT 3] GOTO 70\nG1 X1\nM30\nN70 G1 X302 F100\nX303\nM30\nO8\nN70 X9\nM99\n",
+        points(302, 303),
+    ),
+    "GOTO behind the end, not taken": (
+        "#1=2\nIF [#1 GT 3] GOTO 70\nG1 X302 F100\nM30\nN70 G1 X1 F100\nM30\n",
+        points(302),
+    ),
     "IF THEN": ("#1=2\nIF [#1 EQ 2] THEN #3=304\nIF [#1 EQ 3] THEN #3=305\nG1 X#3 F100\n", points(304)),
     "a loop in a subprogram": (
         "M98 P100\nM98 P100\nM30\nO100\n#1=1\nWHILE [#1 LE 2] DO1\nG91 G1 X#1 F100\n#1=#1+1\nEND1\nG90\nM99\n",

@@ -6,6 +6,7 @@ Programming Manual Job Planning ("Subprograms", "EXTCALL").
 
 from __future__ import annotations
 
+import itertools
 import math
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -263,8 +264,22 @@ class IsoInliner(Inliner):
                 lines.append(line)
                 if _END.search(_bare(line)):
                     tail = self.lines[-1]
-                    return [*lines, tail] if tail.text.strip() == "%" and tail != line else lines
+                    lines += self._behind(lines)
+                    return [*lines, tail] if tail.text.strip() == "%" and tail != lines[-1] else lines
         return lines
+
+    def _behind(self, lines: Sequence[Line]) -> list[Line]:
+        """Return the lines behind the first end of the program, up to a subprogram, if a jump among those before leads there."""
+        flows = [self.flow(line) for line in lines if self.likely(line.text)]
+        targets = {flow.name for flow in flows if flow is not None and flow.kind == "goto"}
+        if targets <= {name for line in lines for name in self.labels(line)}:
+            return []
+        behind = itertools.takewhile(lambda line: not _O_NUMBER.match(_bare(line)), self.lines[lines[-1].number :])
+        return [line for line in behind if line.text.strip() != "%"]
+
+    def ends(self, line: Line) -> bool:
+        """See `Inliner.ends`."""
+        return _END.search(_bare(line)) is not None
 
     def body(self, call: Call, line: Line) -> list[Line] | None:
         """See `Inliner.body`."""
