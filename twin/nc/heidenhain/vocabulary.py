@@ -61,6 +61,7 @@ EVIDENCE = line_pattern(
     r"(?:LP|CP)[ \t]++I?P[RA][ \t]*+[-+\dQ]",
 )
 """A line of a plain-language program: one of its statements, or a path function with an axis word."""
+OPENING = line_pattern(r"BEGIN[ \t]++PGM(?!\w)")
 UNIT = re.compile(r"BEGIN[ \t]+PGM[ \t]+(?:.*[ \t])?([^ \t;]+)[ \t]*(?:;.*)?$", re.ASCII | re.IGNORECASE)
 TOOL_AXIS = re.compile(
     r"TOOL[ \t]+CALL[ \t]+(?:(?:\"[^\"]*\"|[^ \t\"]+)[ \t]+)?([XYZ])(?![A-Z\d])", re.ASCII | re.IGNORECASE
