@@ -89,6 +89,8 @@ def refused(dialect, start, block, what, tcp=False):
         ("G90 G91 X5", "modal group"),
         ("G2 X5 Y0", "centre or radius"),
         ("G2 X10 Y0 I4 J0", "off its circle"),
+        ("G1 X7 Y3\nG2 X2 Y8 I5 J0", "it would fit if I, J, K were the way from the centre to the start"),
+        ("G1 X7 Y3\nG3 X2 Y8 I2 J3", "it would fit if I, J, K were the place of the centre"),
         ("G2 X10 Y0 R2", "too small"),
         ("G2 X0 Y0 R5", "ends where it starts"),
         ("G2 X10 I5 K1", "outside the plane"),
