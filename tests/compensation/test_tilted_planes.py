@@ -60,6 +60,7 @@ def standing(rotation: Rotation) -> tuple[float, float]:
 
 
 B, C = standing(TURNED)
+ANGLES = " ".join(f"{name}{deg:+.7f}" for name, deg in zip("ABC", TURNED.as_euler("xyz", degrees=True), strict=True))
 MACHINE_AXES = Rotation.from_matrix(np.linalg.inv(table_of(40.0, -25.0)[:3, :3]))
 PLANES = {
     # name: (program, rotation, origin in the program's coordinates)
@@ -146,6 +147,16 @@ PLANES = {
         Rotation.from_euler("ZXZ", [30, 25, -40], degrees=True),
         (10, 5, 2),
     ),
+    "G68.2 P1 with one angle": (
+        f"{HEAD}G68.2 P1 Q321 X10. J25.\nG53.1\n{INSIDE}G69\n",
+        Rotation.from_euler("Y", 25, degrees=True),
+        (10, 0, 0),
+    ),
+    "CYCL DEF 19": (
+        f"{HEAD_H}CYCL DEF 19.0 WORKING PLANE\nCYCL DEF 19.1 {ANGLES}\nL B+Q121 C+Q122 R0 FMAX\n{INSIDE_H}{RESET_H}",
+        TURNED,
+        (0, 0, 0),
+    ),
     "G68.2 where the axes stand": (
         f"{HEAD}G0 B{B:.4f} C{C:.4f}\nG68.2 X10. I{{0}} J{{1}} K{{2}}\n{INSIDE}G69\n".format(
             *TURNED.as_euler("ZXZ", degrees=True).round(7)
@@ -188,6 +199,12 @@ REFUSED = [
     (f"{HEAD_H}PLANE VECTOR BX1 BY0 BZ0 TURN FMAX\n", "with other words", 3),
     (f"{HEAD_H}PLANE RELATIVE SPA+5 SPB+5 TURN\n", "about several axes", 3),
     (f"{HEAD_H}PLANE PROJECTED PROPR+24 PROMIN+24 ROT+30 TURN\n", "transformation PLANE PROJECTED", 3),
+    (
+        f"{HEAD_H}CYCL DEF 19.1 B+30 C+10\nL B+Q121 C+Q122 R0 FMAX\nL X+5\n",
+        "another plane as positions of the rotary axes",
+        5,
+    ),
+    (f"{HEAD_H}CYCL DEF 19.1 A+20 B+30\nL X+5 B+Q121 C+Q122 R0 FMAX\n", "STAY and its positioning", 4),
     (f"{HEAD_H}PLANE AXIAL B+45 TURN\n", "transformation PLANE AXIAL", 3),
 ]
 

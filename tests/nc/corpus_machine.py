@@ -21,6 +21,7 @@ LENGTHS = {"1": 80.0, "2": 131.5, "12": 65.25, "MILL_D10": 92.5}
 ROTARY_INCREMENT = 0.001
 _WORD = re.compile(r"([A-Z]+\d(?=\s*=)|[A-Z]+)\s*=?\s*([-+]?(?:\d+\.?\d*|\.\d+))")
 _CYCLES = {"81", "82", "83", "84"}
+_UNITS = {"20", "21", "70", "700", "710"}
 
 
 def table_of(b_deg: float, c_deg: float) -> np.ndarray:
@@ -30,8 +31,10 @@ def table_of(b_deg: float, c_deg: float) -> np.ndarray:
     return translation(0, 0, D) @ swivel @ translation(0, 0, -D) @ about(2, -c)
 
 
-def standing(normal: np.ndarray, near: tuple[float, float]) -> tuple[float, float]:
-    """Return the rotary axes for a tool along a normal in the workpiece, at their least increments: the solution nearer to others."""
+def standing(
+    normal: np.ndarray, near: tuple[float, float], increment: float | None = ROTARY_INCREMENT
+) -> tuple[float, float]:
+    """Return the rotary axes for a tool along a normal in the workpiece: the solution nearer to others, at their increment if any."""
     low, high = 0.0, 180.0
     for _ in range(60):
         b = 0.5 * (low + high)
@@ -43,7 +46,7 @@ def standing(normal: np.ndarray, near: tuple[float, float]) -> tuple[float, floa
     turned = [np.linalg.inv(table_of(b, sign * c)[:3, :3])[:, 2] for sign in (1.0, -1.0)]
     c = c if np.linalg.norm(turned[0] - normal) < 1e-9 else -c
     c += 360.0 * round((near[1] - c) / 360.0)
-    return tuple(np.round(np.array([b, c]) / ROTARY_INCREMENT) * ROTARY_INCREMENT)
+    return (b, c) if increment is None else tuple(np.round(np.array([b, c]) / increment) * increment)
 
 
 class Run:
@@ -53,7 +56,8 @@ class Run:
         self.words = dict.fromkeys("XYZBC", np.nan)
         self.ends: list[tuple[np.ndarray, bool, float]] = []
         self.offset, self.tool, self.length = "G54", "", 0.0
-        self.shift = np.zeros(3)
+        self.offsets = dict(OFFSETS)
+        self.shift, self.turn = np.zeros(3), np.eye(3)
         self.tcp = self.rapid = False
         self.plane: tuple[np.ndarray, np.ndarray] | None = None
         self.pending: tuple[np.ndarray, np.ndarray] | None = None
@@ -62,11 +66,12 @@ class Run:
         """Return the axis positions."""
         xyz = np.array([self.words[axis] for axis in "XYZ"])
         rotary = np.nan_to_num([self.words[axis] for axis in "BC"])
-        zero = np.array(OFFSETS[self.offset])
+        zero = np.array(self.offsets[self.offset])
         if self.plane is None and not self.tcp:
-            return np.array([*(xyz + self.shift + zero + [0, 0, self.length]), *rotary])
-        turn, origin = (np.eye(3), self.shift) if self.plane is None else self.plane
-        tip = turn @ xyz + origin + zero + [-250.0, -225.0, 400.0]
+            return np.array([*(self.turn @ xyz + self.shift + zero + [0, 0, self.length]), *rotary])
+        turn, origin = (self.turn, self.shift) if self.plane is None else self.plane
+        within = 0.0 if self.plane is None else self.shift
+        tip = turn @ (xyz + within) + origin + zero + [-250.0, -225.0, 400.0]
         x, y, z, _ = table_of(*rotary) @ [*tip, 1.0]
         return np.array([x + 250.0, y + 225.0, z - 400.0 + self.length, *rotary])
 
@@ -80,6 +85,10 @@ class Run:
         """Forget the words of axes: their coordinates are others now."""
         self.words |= dict.fromkeys(axes, np.nan)
 
+    def switched(self) -> str:
+        """Return the axes whose words change with tool centre point control: at B0 C0 only that of Z."""
+        return "Z" if self.plane is None and self.words["B"] == self.words["C"] == 0.0 else "XYZ"
+
     def tilt(self, turn: np.ndarray, origin: np.ndarray, *, stands: bool = False) -> None:
         """Enter a plane; ``stands``: the program has positioned the rotary axes."""
         if not stands:
@@ -88,15 +97,37 @@ class Run:
         self.plane, self.pending = (turn, origin), None
         self.forget("XYZ")
 
+    def program_frame(self, added: bool, kind: str, values: dict[str, float]) -> None:
+        """Shift or turn the coordinates as SINUMERIK does."""
+        if not added:
+            self.shift, self.turn = np.zeros(3), np.eye(3)
+        if kind == "TRANS":
+            self.shift = self.shift + self.turn @ [values.get(axis, 0.0) for axis in "XYZ"]
+        for axis, angle in values.items() if kind == "ROT" else ():
+            self.turn = self.turn @ Rotation.from_euler(axis, angle, degrees=True).as_matrix()
+        self.forget("XYZ")
+
 
 def run_iso(text: str) -> Run:
     """Execute a program of Fanuc, Haas, Okuma or SINUMERIK."""
     run, okuma, chosen = Run(), "G15 H" in text, ""
     cycle: dict[str, float] = {}
-    code, relative, initial, to_initial = "0", False, np.nan, True
-    for line in re.sub(r"\(\*.*", "", text).splitlines():
+    code, relative, initial, to_initial, unit = "0", False, np.nan, True, 1.0
+    for line in _with_subprograms(re.sub(r"\(\*.*", "", text)):
         bare = re.sub(r"CYCLE800\((.*)\)", lambda m: f"@{m[1]}@", line.upper())
+        called = re.search(r"MCALL\s+CYCLE(8[123])\(([^()]*)\)", bare)
         bare = re.sub(r"\([^()]*\)|;.*|^N\d+", "", bare).strip()
+        once = re.match(r"(?:N\d+\s+)?CYCLE83\(([^,]*),", line)
+        if once:
+            run.words["Z"] = float(once[1])  # the cycle itself is left to the control
+            continue
+        if called or bare == "MCALL":
+            level, plane, distance, depth = (
+                (float(part) * unit for part in called[2].split(",")[:4]) if called else (0,) * 4
+            )
+            cycle = {"on": 1.0, "R": plane + distance, "Z": depth, "level": level} if called else {}
+            code_of_cycle = called[1] if called else ""
+            continue
         if "@" in bare:
             parts = [part.strip() for part in bare.split("@")[1].split(",")]
             if any(parts):
@@ -106,12 +137,26 @@ def run_iso(text: str) -> Run:
                 run.plane = None
                 run.forget("XYZ")
             continue
+        framed = re.match(r"(A?)(TRANS|ROT)\b(.*)", bare)
+        if framed:
+            run.program_frame(
+                framed[1] == "A",
+                framed[2],
+                {axis.replace("RPL", "Z"): float(value) for axis, value in _WORD.findall(framed[3])},
+            )
+            continue
         words = [(name, value) for name, value in _WORD.findall(re.sub(r'"[^"]*"', "1", bare)) if name != "N"]
         name = re.search(r'T="([^"]*)"', line)
         codes = [value.lstrip("0") or "0" for word, value in words if word == "G"]
-        values = {word: float(value) for word, value in words if word not in ("G", "M")}
-        chosen = name[1] if name else f"{values['T']:g}" if "T" in values else chosen
+        unit = {"20": 25.4, "70": 25.4, "700": 25.4, "21": 1.0, "710": 1.0}.get(next(iter({*codes} & _UNITS), ""), unit)
+        scaled = {*"XYZRIJK"} - ({*"IJK"} if "68.2" in codes else set())
+        values = {
+            word: float(value) * (unit if word in scaled else 1.0) for word, value in words if word not in ("G", "M")
+        }
+        tools = [f"{float(value):g}" for word, value in words if word == "T"]
+        chosen = name[1] if name else tools[0] if tools else chosen
         run.tool = chosen if re.search(r"M0?6\b", bare) else run.tool
+        chosen = tools[-1] if len(tools) > 1 else chosen  # Mazak: the second one is the next tool
         machine = "SUPA" in bare or ("53" in codes and not okuma)
         for one in codes:
             key = f"G15 H{values['H']:g}" if one == "15" else f"G{one}"
@@ -121,9 +166,9 @@ def run_iso(text: str) -> Run:
             if one in ("43", "43.4", "234", "169") or (okuma and one == "56"):
                 run.length = LENGTHS[f"{values.get('H', values.get('HA', float(run.tool or 0))):g}"]
                 run.tcp = one in ("43.4", "234", "169")
-                run.forget("XYZ" if run.tcp else "Z")
+                run.forget(run.switched() if run.tcp else "Z")
             if one in ("49", "170") or (okuma and one == "53"):
-                run.forget("XYZ" if run.tcp else "Z")
+                run.forget(run.switched() if run.tcp else "Z")
                 run.tcp, run.length = False, 0.0
             if one == "68.2":
                 turn = Rotation.from_euler("ZXZ", [values.get(k, 0.0) for k in "IJK"], degrees=True).as_matrix()
@@ -151,6 +196,19 @@ def run_iso(text: str) -> Run:
             run.length = LENGTHS[run.tool]
             run.forget("Z" if not run.tcp else "")
         axes = {axis: values[axis] for axis in "XYZBC" if axis in values}
+        vector = [values.get(name) for name in ("A3", "B3", "C3")]
+        if run.tcp and None not in vector:
+            near = tuple(np.nan_to_num([run.words[axis] for axis in "BC"]))
+            axes |= dict(zip("BC", standing(np.array(vector) / np.linalg.norm(vector), near, None), strict=True))
+        if "10" in codes:
+            name = f"G{53 + int(values['P'])}"
+            run.offsets[name] = tuple(values.get(a, old) for a, old in zip("XYZ", run.offsets[name], strict=True))
+            run.forget("XYZ" if name == run.offset else "")
+            continue
+        if "52" in codes:
+            run.shift = np.array([values.get(axis, place) for axis, place in zip("XYZ", run.shift, strict=True)])
+            run.forget("XYZ")
+            continue
         if {"68.2", "28", "4"} & {*codes} or not axes:
             if "28" in codes:
                 run.forget("".join(axes))
@@ -160,23 +218,49 @@ def run_iso(text: str) -> Run:
             continue
         if cycle:
             cycle |= {axis: values[axis] for axis in "ZR" if axis in values}
-            axes.pop("Z", None)
+            axes = axes if called_by_name(cycle) else {axis: value for axis, value in axes.items() if axis != "Z"}
         for axis, value in axes.items():
             run.words[axis] = value + (run.words[axis] if relative else 0.0)
         run.go(code == "0" or bool(cycle))
         if cycle:
             # The bottom of a thread is left to the control, uncorrected.
-            kept = [] if code_of_cycle == "84" else [(cycle["Z"], False)]
-            for height, rapid in ((cycle["R"], True), *kept, (initial if to_initial else cycle["R"], True)):
+            back = cycle.get("level", initial if to_initial else cycle["R"])
+            strokes = [(cycle["R"], True), (cycle["Z"], False), (back, True)]
+            if code_of_cycle == "84":
+                strokes = strokes[::2]
+            if called_by_name(cycle) and code_of_cycle == "83":
+                strokes = strokes[:1]
+            for height, rapid in strokes:
                 run.words["Z"] = height
                 run.go(rapid)
+            run.words["Z"] = back
     return run
+
+
+def called_by_name(cycle: dict[str, float]) -> bool:
+    """Return whether a cycle is one of SINUMERIK, in whose blocks Z is a position."""
+    return "level" in cycle
+
+
+def _with_subprograms(text: str) -> Iterator[str]:
+    """Yield the lines of a program up to its end, with those of the subprograms that ``M98 P.. L..`` calls."""
+    lines = text.splitlines()
+    for line in lines:
+        call = re.search(r"^[^(]*\bM98\s*P0*(\d+)(?:\s*L(\d+))?", line)
+        if call:
+            begin = next(i for i, one in enumerate(lines) if re.match(rf"O0*{call[1]}\b", one))
+            end = next(i for i, one in enumerate(lines) if i > begin and re.search(r"\bM99\b", one))
+            yield from lines[begin + 1 : end] * int(call[2] or 1)
+            continue
+        yield line
+        if re.search(r"\bM0?(?:2|30)\b", line):
+            return
 
 
 def _written_out(text: str) -> Iterator[str]:
     """Yield the blocks of a program in plain language without numbers and comments, its subprograms written out."""
     points = re.sub(r"(\d),(\d)", r"\1.\2", text)
-    blocks = [re.sub(r"^/?\d+\s+|;.*|~\s*$", "", line.strip()).strip() for line in points.splitlines()]
+    blocks = [re.sub(r"^/?N?\d+\s+|;.*|~\s*$", "", line.strip()).strip() for line in points.splitlines()]
     ends = [i for i, block in enumerate(blocks) if re.search(r"\bM30\b|END PGM", block)]
     for block in blocks[: ends[0] + 1]:
         called = re.match(r'CALL LBL (\d+|"\w+")$', block)
@@ -187,15 +271,30 @@ def _written_out(text: str) -> Iterator[str]:
             yield block
 
 
+def _rotation(block: str) -> np.ndarray:
+    """Return the axes of a plane as columns."""
+    numbers = [float(value) for value in re.findall(r"(?:SP[ABC]|[BN][XYZ])\s*([-+]?[\d.]+)", block)]
+    if block.startswith("PLANE SPATIAL"):
+        return Rotation.from_euler("xyz", numbers, degrees=True).as_matrix()
+    x, z = np.array(numbers[:3]), np.array(numbers[3:]) / np.linalg.norm(numbers[3:])
+    x = x - z * (x @ z)
+    x /= np.linalg.norm(x)
+    return np.stack([x, np.cross(z, x), z], axis=1)
+
+
 def run_plain(text: str) -> Run:
     """Execute a program in plain language."""
     run, called, parameters, below = Run(), False, dict[str, float](), np.zeros(3)
+    unit = 25.4 if re.search(r"BEGIN PGM .*IN(CH)?\s*$", text, re.MULTILINE) else 1.0
     for block in filter(None, _written_out(text)):
         parameters |= {name: float(value) for name, value in re.findall(r"(Q\d+)\s*=\s*([-+]?[\d.]+)", block)}
         if block.startswith("CYCL DEF 247") or "Q339" in block:
             if "Q339" in block:
                 run.offset = f"{parameters['Q339']:g}"
                 run.forget("XYZBC")
+        elif block.startswith("TRANS DATUM"):
+            run.shift = np.array([float(value) for value in re.findall(r"[XYZ]([-+]?[\d.]+)", block)] or [0.0] * 3)
+            run.forget("XYZ")
         elif re.match(r"CYCL DEF 7\.[123]", block):
             axis, value = re.findall(r"([XYZ])([-+]?[\d.]+)", block.split(maxsplit=3)[-1])[0]
             run.shift["XYZ".index(axis)] = float(value)
@@ -207,9 +306,17 @@ def run_plain(text: str) -> Run:
         elif block.startswith("PLANE RESET"):
             run.plane, run.shift = None, below
             run.forget("XYZ" if "STAY" in block else "XYZBC")
-        elif block.startswith("PLANE SPATIAL"):
-            angles = [float(value) for value in re.findall(r"SP[ABC]\s*([-+]?[\d.]+)", block)]
-            plane = Rotation.from_euler("xyz", angles, degrees=True).as_matrix(), run.shift
+        elif block.startswith("CYCL DEF 19.1"):
+            angles = dict(re.findall(r"([ABC])([-+]?[\d.]+)", block))
+            turn = Rotation.from_euler("xyz", [float(angles.get(axis, 0)) for axis in "ABC"], degrees=True).as_matrix()
+            run.pending = (turn, run.shift) if angles else None
+            if not angles and run.plane is not None:
+                run.plane, run.shift = None, below
+                run.forget("XYZBC")
+            elif angles:
+                below, run.shift = run.shift, np.zeros(3)
+        elif block.startswith("PLANE"):
+            plane = _rotation(block), run.shift
             below, run.shift = run.shift, np.zeros(3)
             if "STAY" in block:
                 run.pending = plane
@@ -229,13 +336,22 @@ def run_plain(text: str) -> Run:
             run.words["Y"] = centre["Y"] + x * np.sin(turn) + y * np.cos(turn)
             run.words["Z"] += float(up[0]) if up else 0.0
             run.go(False)
+        elif block.startswith("LN"):
+            words = {name: float(value) for name, value in re.findall(r"([NT]?[XYZ])([-+]?[\d.]+)", block)}
+            tool = np.array([words[f"T{axis}"] for axis in "XYZ"])
+            near = tuple(np.nan_to_num([run.words[axis] for axis in "BC"]))
+            turned = dict(zip("BC", standing(tool / np.linalg.norm(tool), near, None), strict=True))
+            run.words |= {axis: value * unit for axis, value in words.items() if axis in run.words} | turned
+            run.go(False)
         elif re.match(r"(?:L|C|CR|APPR|DEP|CYCL CALL)\b", block):
             words = re.sub(r"\b(?:R\+?\d[\d.]*|LEN\+?[\d.]+|CCA\+?[\d.]+|S\d+|F\d[\d.]*|M\d+)", "", block)
-            axes = {axis: float(value) for axis, value in re.findall(r"(?<![A-Z])([XYZBC])([-+]?\d[\d.]*)", words)}
+            axes = {
+                axis: float(value) for axis, value in re.findall(r"(?<![A-Z])([XYZBC])([-+]?(?:\d[\d.]*|\.\d+))", words)
+            }
             if "M91" in block or "M140" in block or (block.startswith("DEP") and not axes):
                 run.forget("".join(axes) or ("XY" if block.startswith("DEP") else "XYZ"))
                 continue
-            run.words |= axes
+            run.words |= {axis: value * (unit if axis in "XYZ" else 1.0) for axis, value in axes.items()}
             if axes:
                 run.go("FMAX" in block)
             called = "M99" in block or block.startswith("CYCL CALL")

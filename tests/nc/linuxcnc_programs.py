@@ -16,6 +16,11 @@ NAMED = ("#<a>", "#<_glob>", "#<Depth of cut>", "#<_Wide>", "#101", "#102", "#31
 FUNCTIONS = ("SIN", "COS", "TAN", "ABS", "ROUND", "FIX", "FUP", "SQRT", "EXP", "LN", "ASIN", "ACOS")
 OPERATORS = ("+", "-", "*", "/", "**", "MOD", "EQ", "NE", "GT", "GE", "LT", "LE", "AND", "OR", "XOR")
 TOOLS = "T1 P1 Z1.5\nT2 P2 Z2.5\nT7 P3 Z-3.25\n"
+RECURSION = [
+    *("o900 sub", "#<own>=[#1*2]", "o901 if [#1 GT 0]", "o900 call [#1-1] [#<own>]", "o901 endif"),
+    *("G1 X#<own> Y#2", "o900 endsub"),
+]
+"""A subprogram that calls itself, with a named parameter at each level."""
 PARAMETERS = "".join(
     f"{5221 + 20 * system + axis} {value:.6f}\n"
     for system in range(9)
@@ -297,6 +302,10 @@ class ControlProgram:
         ]
         words += ["G8", "G7", "M48", "M64 P1", "M66 P0 L0", "(print,#1)", "%", "G1 (a) X5 (b) Y6", "X 1 0", "G 1 Z 5"]
         words += ["M98 P100", "G5.1 X1 I1 J1", "M19 R0", "M1", "M6 T1", "G96 D1000 S100", "G38.3 Z-5", "G33 Z5 K1"]
-        self.lines.append(self.rng.choice(words))
+        words += ["M67 E0 Q5", "G1 X5 Y6 M68 E1 Q-2", "M66 E1 L0", "M61 Q1", "M65 P3 G0 Y4"]
+        words += ["G81 X5 Y5 Z-5 R2\nM67 E1 Q3\nX9\nG80", "o900 call [3] [7]", "M68 E0 Q2 X9", "G2 X5 Y5 R40 M19"]
+        word = self.rng.choice(words)
+        self.subs += RECURSION if "o900" in word and RECURSION[0] not in self.subs else []
+        self.lines += word.split("\n")
         if "arc" in self.kinds:
             self.lines.append("G90 G0 X250 Y200 Z-150 B10 C20")

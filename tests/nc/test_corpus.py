@@ -7,6 +7,7 @@ feed ends, computed by hand for programs without tool centre point control and p
 from __future__ import annotations
 
 from pathlib import Path
+from random import Random
 
 import numpy as np
 import pytest
@@ -23,6 +24,7 @@ from twin.nc import read_program
 
 CORPUS = Path(__file__).parent / "corpus"
 PROGRAMS = sorted(CORPUS.iterdir())
+End = tuple[np.ndarray, bool, float]
 SETUP = Setup(
     offsets=OffsetTable(Path("o.csv"), {name: dict(zip("XYZ", row, strict=True)) for name, row in OFFSETS.items()}),
     tools=ToolTable(Path("t.csv"), LENGTHS),
@@ -40,6 +42,7 @@ CONTROLS = {
     "mazak": "Fanuc",
     "haas": "Fanuc",
     "fanuc": "Fanuc",
+    "linuxcnc": "",  # no word that other controls do not have
     "mill": "Fanuc",
     "okuma": "Okuma",
     "sinumerik": "SINUMERIK",
@@ -61,26 +64,118 @@ def compensated(path: Path, machine: Machine, errors: Calibration) -> Compensati
 def test_the_output_leads_the_real_machine_where_the_program_means(
     dmu50: Machine, errors: Calibration, path: Path
 ) -> None:
-    run = run_plain if path.suffix == ".h" else run_iso
-    text = path.read_text()
-    result = compensated(path, dmu50, errors)
-    meant, done = run(text).ends, run(result.text).ends
+    truth, meant = leads_where_meant(dmu50, errors, path)
     assert len(meant) > 5
-    at = 0
-    for position, cutting, length in meant:
-        assert errors.path is not None
-        truth = TruthMachine(errors.path, length)
-        near = np.array([place for place, _, _ in done[at : at + BETWEEN]])
-        off_um, _ = truth.deviations(near, np.repeat(position[None], len(near), axis=0))
-        reached = np.flatnonzero((off_um < ROUNDING_UM) & (np.abs(near[:, 3:] - position[3:]).max(axis=1) < 0.2))
-        assert reached.size, f"{position} {cutting}: {off_um.min():.2f} µm"
-        at += int(reached[0])
-    assert at >= len(done) - 2
     before, _ = truth.deviations(np.array([row[0] for row in meant]), np.array([row[0] for row in meant]))
     assert before.max() > 20.0
     if path.name in LAST_FEED:
         feeds = [place for place, cutting, _ in meant if cutting]
         assert feeds[-1][:3] == pytest.approx(LAST_FEED[path.name], abs=1e-9)
+
+
+def leads_where_meant(machine: Machine, errors: Calibration, path: Path) -> tuple[TruthMachine, list[End]]:
+    """Check that the output of a program reaches the ends of the original in order; return the machine and these ends."""
+    run = run_plain if path.suffix == ".h" else run_iso
+    result = compensated(path, machine, errors)
+    meant, done = run(path.read_text()).ends, run(result.text).ends
+    at = 0
+    for position, cutting, length in meant:
+        assert errors.path is not None
+        truth = TruthMachine(errors.path, length)
+        turned = 0.2 + 0.05 / max(
+            np.sin(np.radians(abs(position[3]))), 0.01
+        )  # near B = 0 a small tilt is a large turn of C
+        near = np.array([place for place, _, _ in done[at : at + BETWEEN]])
+        off_um, _ = truth.deviations(near, np.repeat(position[None], len(near), axis=0))
+        reached = np.flatnonzero((off_um < ROUNDING_UM) & (np.abs(near[:, 3:] - position[3:]).max(axis=1) < turned))
+        assert reached.size, f"{position} {cutting}: {off_um.min():.2f} µm"
+        at += int(reached[0])
+    assert at >= len(done) - 2
+    return truth, meant
+
+
+class Posted:
+    """A program as a postprocessor could have written it: operations drawn at random."""
+
+    def __init__(self, seed: str) -> None:
+        self.rng = Random(seed)
+
+    def near(self, size: float) -> str:
+        """Return a number around zero as written."""
+        return f"{self.rng.uniform(-size, size):.{self.rng.randrange(1, 4)}f}"
+
+    def sinumerik(self) -> str:
+        """Return a program with frames, tool centre point control, tool vectors, swivelled planes and cycles."""
+        rng, near = self.rng, self.near
+        lines = ["N1 G17 G710 G90 G94 G40", 'N2 T="MILL_D10"', "N3 M6", rng.choice(["G54", "G505"]) + " D1", "F900"]
+        for _ in range(rng.randrange(2, 5)):
+            lines += ["SUPA G0 Z=-1 D0", f"G0 B{rng.uniform(0, 70):.3f} C{near(150)}", "D1"]
+            kind = rng.choice(["axis", "frame", "tcp", "turned tcp", "vector", "swivel"])
+            frame = [f"TRANS X{near(8)} Y{near(8)} Z{near(3)}"] if rng.random() < 0.6 else []
+            frame += [f"AROT {rng.choice('XYZ')}{near(60)}" for _ in range(rng.randrange(1, 4))]
+            frame += [f"ATRANS X{near(4)} Z{near(2)}"] if rng.random() < 0.4 else []
+            if kind == "swivel":
+                lines.append(
+                    f'CYCLE800(1,"DMU",0,57,{near(9)},{near(9)},{near(4)},{near(30)},{near(30)},{near(30)},0,0,0,1)'
+                )
+            lines += ["TRAORI"] if kind in ("tcp", "turned tcp", "vector") else []
+            lines += frame if kind in ("frame", "turned tcp") else []
+            lines.append(f"G0 X{near(30)} Y{near(30)} Z{rng.uniform(30, 60):.2f}")
+            for _ in range(rng.randrange(2, 6)):
+                lines.append(f"G1 X{near(30)} Y{near(30)} Z{rng.uniform(2, 20):.3f}")
+                if kind in ("tcp", "turned tcp") and rng.random() < 0.6:
+                    lines[-1] += f" B={rng.uniform(5, 60):.3f} C={near(90)}"
+                elif kind == "vector":
+                    lines[-1] += f" A3={near(0.4)} B3={near(0.4)} C3=0.{rng.randrange(6, 10)}"
+            if kind in ("turned tcp", "frame", "axis") and rng.random() < 0.5:
+                lines += [
+                    "G0 Z40",
+                    f"MCALL CYCLE81(30,2,3,-{rng.uniform(1, 8):.2f})",
+                    *(f"X{near(20)} Y{near(20)}" for _ in "ab"),
+                    "MCALL",
+                ]
+            lines += ["TRAFOOF"] if "tcp" in kind or kind == "vector" else ["CYCLE800()"] if kind == "swivel" else []
+            lines.append("TRANS")
+        return "\n".join([*lines, "SUPA G0 Z=-1 D0", "M30", ""])
+
+    def plain(self) -> str:
+        """Return a program in plain language with shifts, planes, and tool centre point control in and out of planes."""
+        rng, near = self.rng, self.near
+        lines = ["BEGIN PGM A MM", f"CYCL DEF 247 Q339=+{rng.randrange(1, 3)}", "TOOL CALL 2 Z S5000"]
+        for _ in range(rng.randrange(2, 5)):
+            kind = rng.choice(["axis", "tcp", "plane", "vector plane", "inclined", "cycle 19"])
+            lines += ["L M140 MB MAX", f"L B{rng.uniform(0, 70):+.3f} C{near(150)} R0 FMAX", "CYCL DEF 7.0 DATUM SHIFT"]
+            lines += [f"CYCL DEF 7.{i} {axis}{near(8)}" for i, axis in enumerate("XYZ", 1)]
+            way = rng.choice(["TURN FMAX", "STAY"])
+            angles = rng.uniform(5, 30), rng.uniform(-30, 30), rng.uniform(-40, 40)
+            if kind == "plane":
+                lines.append("PLANE SPATIAL SPA{:+.3f} SPB{:+.3f} SPC{:+.3f} ".format(*angles) + way)
+            elif kind in ("vector plane", "inclined"):
+                lines.append(f"PLANE VECTOR BX0.9 BY{near(0.3)} BZ{near(0.2)} NX{near(0.3)} NY{near(0.3)} NZ0.9 {way}")
+            elif kind == "cycle 19":
+                lines.append("CYCL DEF 19.1 A{:+.3f} B{:+.3f} C{:+.3f}".format(*angles))
+            if kind == "cycle 19" or (way == "STAY" and kind not in ("axis", "tcp")):
+                lines.append("L B+Q121 C+Q122 R0 FMAX")
+            lines += ["L M128"] if kind in ("tcp", "inclined") else []
+            lines.append(f"L X{near(30)} Y{near(30)} Z{rng.uniform(40, 60):+.2f} R0 FMAX")
+            for _ in range(rng.randrange(2, 6)):
+                lines.append(f"L X{near(30)} Y{near(30)} Z{rng.uniform(2, 20):+.3f}")
+                lines[-1] += f" B{rng.uniform(5, 60):+.3f} C{near(90)}" if kind in ("tcp", "inclined") else ""
+                lines[-1] += rng.choice(["", " F700"])
+            lines += ["M129"] if kind in ("tcp", "inclined") else []
+            lines += ["L Z-1 R0 FMAX M91", "CYCL DEF 19.1" if kind == "cycle 19" else "PLANE RESET STAY"]
+        return "\n".join([*lines, "M30", "END PGM A MM", ""])
+
+
+@pytest.mark.sample(10)
+@pytest.mark.parametrize("seed", range(40))
+@pytest.mark.parametrize("language", ["sinumerik", "plain"])
+def test_random_programs_of_posts(
+    dmu50: Machine, errors: Calibration, tmp_path: Path, language: str, seed: int
+) -> None:
+    path = tmp_path / ("a.h" if language == "plain" else "a.mpf")
+    path.write_text(getattr(Posted(f"{language} {seed}"), language)())
+    assert leads_where_meant(dmu50, errors, path)[1], path.read_text()
 
 
 @pytest.mark.parametrize("path", PROGRAMS, ids=lambda path: path.name)

@@ -99,6 +99,11 @@ def test_what_fits_several_languages_needs_a_suffix_or_is_refused() -> None:
         dialect_for(Path("a.cls"), mixed)
 
 
+def test_begin_pgm_decides_over_a_stray_g_word() -> None:
+    text = b"0 BEGIN PGM 100 MM\n10 L X0 FMAX\n20 G91 G28 Z0.0\n"
+    assert dialect_for(Path("a.ptp"), text).name == dialect_for(Path("a.nc"), text).name == "heidenhain"
+
+
 def test_a_language_given_decides_over_content_and_suffix() -> None:
     for dialect in DIALECTS:
         for text in (text for texts in CONTENT.values() for text in texts):

@@ -84,6 +84,10 @@ EQUAL = {
     "named parameters of nested subprograms": "o101 sub\n#<a>=9\nG1 Y#<a>\no101 endsub\n"
     + SUB.format("#<a>=#1\no101 call\nG1 X#<a>")
     + "o100 call [3]\no100 call [4]",
+    "named parameters of each level": SUB.format(
+        "#<a>=#1\no2 if [#1 GT 0]\no100 call [#1-1] [#<a>]\no100 call [#1-2] [#<a>*2]\no2 endif\nG1 X#<a> Y#2"
+    )
+    + "o100 call [4] [1]",
     "spaces in a name do not count": "#<a b>=1\n#<ab>=2\nG1 X#<a b>",
     "arguments with brackets in brackets": SUB.format("G1 X#1 Y#2") + "o100 call [[1+2]*[3+1]] [SQRT[[4]]]",
     "probing stays in force": "G38.2 Z5\nX240\nG0 X3 Z9",
@@ -99,6 +103,9 @@ EQUAL = {
     "and one that changes within": "o101 sub\n#101=9\no101 endsub\n"
     + SUB.format("o101 call\nG1 X#1")
     + "#101=5\no100 call [#101]",
+    "analogue outputs": "M67 E0 Q5\nG1 X5 F100 M68 E1 Q-3\nG81 X5 Y5 Z-5 R2\nM67 E2 Q1\nX7\nG80\nG1 X9",
+    "inputs": "G1 X5\nM66 P0 L0\nG1 Y7\nM66 E0 L0\nX9",
+    "the tool in the spindle": "G1 X5\nM61 Q2\nG43\nG1 X7 Z9\nM61 Q1 G49\nG43 Z5",
     "a hole after the unit has changed": "G81 X5 Y5 Z-5 R2\nG80 G20\nG81 X1 Y1 Z-.5 R1\nG80",
 }
 ENDS = ("M2", "M30", "X7 M02", "N7 (end) m 30", "M99", "%", "G0 Z9 M030 (end)", "/M2")

@@ -41,6 +41,14 @@ FANUC = {
         "#1=300\nWHILE [#1 LT 400] DO1\n#1=#1+1\nIF [#1 EQ 303] GOTO 50\nG1 X#1 F100\nEND1\nN50 G1 X310 F100\n",
         points(301, 302, 310),
     ),
+    "GOTO behind the end": (
+        "#1=5\nIF [#1 GT 3] GOTO 70\nG1 X1\nM30\nN70 G1 X302 F100\nX303\nM30\nO8\nN70 X9\nM99\n",
+        points(302, 303),
+    ),
+    "GOTO behind the end, not taken": (
+        "#1=2\nIF [#1 GT 3] GOTO 70\nG1 X302 F100\nM30\nN70 G1 X1 F100\nM30\n",
+        points(302),
+    ),
     "IF THEN": ("#1=2\nIF [#1 EQ 2] THEN #3=304\nIF [#1 EQ 3] THEN #3=305\nG1 X#3 F100\n", points(304)),
     "a loop in a subprogram": (
         "M98 P100\nM98 P100\nM30\nO100\n#1=1\nWHILE [#1 LE 2] DO1\nG91 G1 X#1 F100\n#1=#1+1\nEND1\nG90\nM99\n",
@@ -229,12 +237,6 @@ REFUSED = [
     ("main.ngc", "o1 if [1]\nX1\no2 endif\nM2\n", 4, "without its beginning"),
     ("main.ngc", "o1 break\nM2\n", 2, "outside a loop"),
     ("main.ngc", "o1 sub\no1 call\no1 endsub\no1 call\nM2\n", 3, "too deeply"),
-    (
-        "main.ngc",
-        "o1 sub\n#<a>=#1\no2 if [#1 GT 0]\no1 call [#1-1]\no2 endif\nG1 X#<a>\no1 endsub\no1 call [2]\nM2\n",
-        5,
-        "calls itself",
-    ),
     ("main.ngc", "o1 sub\no2 if [#1 EQ #2]\nG1 X1\no2 endif\no1 endsub\no1 call [0]\nM2\n", 3, "is unknown"),
     ("main.mpf", "FOR R1=1 TO 2\nG1 X=R1\nENDFOR\nG1 Y=R1\n", 5, "the value of R1 is unknown"),
     ("main.mpf", "GOTOB NOWHERE\nNOWHERE: G1 X1\n", 2, "no label NOWHERE"),

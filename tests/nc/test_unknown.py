@@ -35,7 +35,7 @@ G_CODES = [
     if not {f"G{number}"} & TCP and number not in iso.GROUP_OF and number not in iso.REFUSED_CODES
 ]
 REFUSED_OR_KNOWN_M = iso.HARMLESS_M | iso.REFUSED_M | iso.RESTORING_M | TCP
-SWITCHING = (21, 22, 23, 24, 61, 91, 92, 128, 129, 428, 429, 430)
+SWITCHING = (21, 22, 23, 24, 91, 92, 128, 129, 428, 429, 430)
 M_CODES = [f"M{number}" for number in SWITCHING if f"M{number}" not in TCP]
 AUXILIARY_M = [f"M{i}" for i in range(1000) if f"M{i}" not in REFUSED_OR_KNOWN_M and i not in SWITCHING]
 NAMES = [

@@ -36,7 +36,10 @@ def dialect_for(path: Path, data: bytes | None = None, language: str | None = No
     if language is not None:
         return _named(language)
     found = [] if data is None else [one for one in DIALECTS if one.evidence.search(data[:HEAD_BYTES])]
-    hinted = _by_suffix(path)
+    opened = [
+        one for one in found if one.opening is not None and data is not None and one.opening.search(data[:HEAD_BYTES])
+    ]
+    found, hinted = opened or found, _by_suffix(path)
     possible = [one for one in found if one in hinted] if len(found) > 1 else found or hinted
     if len(possible) == 1:
         return possible[0]

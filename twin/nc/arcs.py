@@ -63,7 +63,8 @@ def arc_by_centre(
     if _misses(abs(first - last), max(first, last)):
         return ArcMisfit(
             f"the end point of the arc is {abs(first - last):.4f} mm off its circle of radius {first:.4f} mm",
-            f"equal distances of start and end from the centre, within {SLACK_MM} mm or {100 * SLACK_RATIO:g} %",
+            f"equal distances of start and end from the centre, within {SLACK_MM} mm or {100 * SLACK_RATIO:g} %"
+            + _other_meaning(start, end, centre),
         )
     if math.hypot(bx - ax, by - ay) < 1e-9:
         sweep = 2 * math.pi
@@ -73,6 +74,20 @@ def arc_by_centre(
             sweep = 2 * math.pi - sweep
     sweep += 2 * math.pi * turns
     return Arc(plane, centre, -sweep if clockwise else sweep)
+
+
+def _other_meaning(start: tuple[float, float], end: tuple[float, float], centre: tuple[float, float]) -> str:
+    """Return which other meaning of a centre, of some postprocessors, would make the arc fit; empty if none does."""
+    offset = centre[0] - start[0], centre[1] - start[1]
+    meanings = {
+        "the way from the centre to the start": (start[0] - offset[0], start[1] - offset[1]),
+        "the place of the centre": offset,
+    }
+    for meaning, about in meanings.items():
+        first, last = math.dist(start, about), math.dist(end, about)
+        if first > 10 * SLACK_MM and not _misses(abs(first - last), max(first, last)):
+            return f" (it would fit if I, J, K were {meaning})"
+    return ""
 
 
 def moved_centre(

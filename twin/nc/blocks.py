@@ -47,6 +47,7 @@ class Plane:
             negative; 0: the nearer one.
         stays: whether the linear axes stay where they are while the rotary axes turn.
         at_deg: words of the rotary axes, where the program positions them itself; None: the control positions them.
+        read_deg: words of the rotary axes, as which a control may read the angles of the plane as well: it must be the same plane.
     """
 
     origin_mm: tuple[float, float, float]
@@ -54,6 +55,7 @@ class Plane:
     choice: int = 0
     stays: bool = True
     at_deg: tuple[float, ...] | None = None
+    read_deg: tuple[float, ...] | None = None
 
 
 def rotation_about(axes: str, angles_deg: Sequence[float]) -> Rows:
@@ -363,6 +365,7 @@ class WordFrame:
         shift: what is added to the words of each axis, before the plane and the work offset; empty for nothing.
         turn: axes of the words x, y, z as columns of a rotation matrix (rows of three numbers), None if they are not turned. The words
             are turned first, then shifted.
+        inclined: whether the rotary axes may turn within the plane, by tool centre point control.
     """
 
     offset: str = ""
@@ -373,6 +376,7 @@ class WordFrame:
     stated: tuple[float | None, ...] = ()
     shift: tuple[float, ...] = ()
     turn: Rows | None = None
+    inclined: bool = False
 
     def converted(self, words: Sequence[float], into: WordFrame) -> list[float]:
         """Return the words of the same axis positions in another frame of the same work offset and plane; NaN where unknown."""

@@ -160,6 +160,7 @@ class Dialect(ABC):
         name: its name in messages and reports.
         suffixes: file name suffixes in small letters, with the dot; several languages may have one.
         evidence: pattern of a line that programs of this language have and those of the others do not (`twin.nc.text.line_pattern`).
+        opening: pattern of a line that no program of another language has; it decides where there is evidence of several.
         vector_decimals: decimals of a tool vector (7: 0.1 µrad).
         linear_increment_mm: least increment of the linear words, None for that of the machine's axes.
         cutter_locations: whether its programs are cutter locations, which can be posted to a language with axis words.
@@ -170,6 +171,7 @@ class Dialect(ABC):
     name: str
     suffixes: tuple[str, ...]
     evidence: re.Pattern[bytes]
+    opening: re.Pattern[bytes] | None = None
     vector_decimals: int = 7
     linear_increment_mm: float | None = None
     cutter_locations: bool = False

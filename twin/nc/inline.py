@@ -242,6 +242,10 @@ class Inliner(ABC):
     def main(self) -> list[Line]:
         """Return the lines that the control executes, in order, where calls stand for their subprograms."""
 
+    def ends(self, line: Line) -> bool:
+        """Return whether a line ends the program where it is executed, whatever stands behind it."""
+        return False
+
     @abstractmethod
     def comment(self, text: str) -> str:
         """Return a text as a comment."""
@@ -279,6 +283,9 @@ class Inliner(ABC):
             at += 1
             if run is None or here not in flows:
                 yield from ((one, line.number) for one in self._written(self.plain(line, scope), depth, scope))
+                if run is not None and not depth and self.ends(line):
+                    yield from ((last, last.number) for last in lines[-1:] if last.text.strip() == "%")
+                    return
                 continue
             at = run.after(here)
             for one in run.added:

@@ -85,8 +85,6 @@ class Block:
     declared: list[tuple[AxisWord, float]] = field(default_factory=list)
 
 
-# --- Modal state shared by the interpreters of ISO and Heidenhain blocks: positions, variables, notices, errors with their li
-
 UNKNOWN_AFTER: Final = (
     "is not known: positions, frame, offsets and modes are unknown until machine coordinates of every axis"
 )
@@ -94,7 +92,6 @@ UNKNOWN_AFTER: Final = (
 SWITCHING_M: Final = frozenset(
     (
         *range(21, 25),  # mirror images on some controls of Fanuc
-        61,  # number of the tool in the spindle (LinuxCNC)
         *(91, 92),  # machine coordinates (HEIDENHAIN)
         *(128, 129),  # tool centre point control on and off (HEIDENHAIN and others)
         *(428, 429, 430),  # kinematics switched (LinuxCNC's configurations)
@@ -164,6 +161,7 @@ class Interpreter(ABC):
     offset: str | None = None
     used_offset: str | None = None
     _offset_line = 0
+    _inclined = False
 
     def __init__(
         self, source: str, axes: AxisWords, *, tcp: bool, tcp_on: Iterable[str], tcp_off: Iterable[str]
@@ -422,6 +420,10 @@ class Interpreter(ABC):
     def parking_move(self, block: Block) -> Move:
         """Return the rapid of a block that `parks`; it passes through unchanged."""
         position = self.machine_position(block, elsewhere=True)
+        if self._offset_known:  # what is doubtful does not shift rotary axes
+            for word in block.words:
+                if word.axis >= self.linear and not word.incremental:
+                    self.position[word.axis] = word.value
         unknown = self.doubtful or f"the value of work offset {self.offset} is not known"
         return Move(
             self._line, Kind.RAPID, self.tcp, position, self.named(block.axis_bits), machine=True, unknown=unknown
@@ -499,12 +501,26 @@ class Interpreter(ABC):
             and (self.offset == self.used_offset or self._offset_known)
         )
 
-    def check_plane(self, rotary: bool) -> None:
-        """Raise `InputError` for a move that the tilted plane does not allow; ``rotary``: whether it names rotary axes."""
-        if self.frame.plane is not None and (rotary or self.tcp):
+    def check_plane(self, rotary: bool, *, machine: bool = False) -> None:
+        """Raise `InputError` for a move that the plane does not allow; ``rotary``: it names rotary axes, ``machine``: coordinates."""
+        if (rotary or not machine) and not self.plane_allows(rotary):
             what = "rotary axes or tool centre point control in a tilted plane"
             cancel = "PLANE RESET" if self.heidenhain else "G69 or CYCLE800()"
             raise self.error(what, f"positions of the linear axes; {cancel} before")
+
+    def plane_allows(self, rotary: bool) -> bool:
+        """Return whether the tilted plane in force, if any, allows a move, and take it into account; ``rotary``: as `check_plane`.
+
+        HEIDENHAIN (TNC 640, user's manual, "Inclined-tool machining in the tilted plane"): with tool centre point control, positions of
+        the tool tip stay in the tilted coordinates, and words of rotary axes are those of the axes. Without it again, coordinates where
+        the tool is inclined to the plane are not followed.
+        """
+        if self.frame.plane is None:
+            return True
+        if self.heidenhain and self.tcp:
+            self._inclined = self._inclined or rotary
+            return True
+        return not (rotary or self.tcp or self._inclined)
 
     def stands(self, what: str) -> tuple[float, ...]:
         """Return the present positions of the rotary axes, at their least increments.
@@ -520,9 +536,11 @@ class Interpreter(ABC):
     def select(self, block: Block, **changes: Any) -> None:
         """Change the frame from this block on; positions in the new coordinates are unknown until the program gives them."""
         frame = replace(self.frame, **changes)
+        frame = replace(frame, inclined=frame.inclined and frame.plane is not None)
         if frame == self.frame:
             return
         everything = self.tcp or (frame.offset, frame.plane) != (self.frame.offset, self.frame.plane)
+        self._inclined = self._inclined and frame.plane == self.frame.plane
         if everything:
             self.check_beside()
         self.frame = frame
@@ -565,9 +583,9 @@ class Interpreter(ABC):
 
     def _check_tcp(self, tcp: bool, frame: WordFrame) -> None:
         """Raise `InputError` for a frame that is not followed under tool centre point control."""
-        if tcp and (frame.turn or frame.stated or any(frame.shift[self.linear :])):
-            what = "tool centre point control where the program turns its coordinates, shifts a rotary axis or sets a work offset"
-            raise self.error(what, "shifts of the linear axes only")
+        if tcp and (frame.stated or any(frame.shift[self.linear :])):
+            what = "tool centre point control where the program shifts a rotary axis or sets a work offset"
+            raise self.error(what, "shifts of the linear axes and rotations only")
 
     def switch(self, block: Block, on: bool, word: str) -> None:
         """Switch tool centre point control, unless it has that state already.
@@ -583,6 +601,9 @@ class Interpreter(ABC):
                 self.note(f"{word} switches tool centre point control off")
             self.vector = None
         self.tcp = on
+        if self.frame.plane is not None:
+            self.frame = replace(self.frame, inclined=on)
+            self.frames.append(FrameChange(self._line, self.frame))
         self.tcp_word = word if on else "off"
         block.tcp_switched = True
         self.mark_unknown(block, range(self.linear), moved=None)
@@ -632,10 +653,12 @@ class Interpreter(ABC):
         """Set the tool vector from a block that names some axes (bits); the control then determines the rotary axes.
 
         Raises:
-            InputError: the block names rotary axes too.
+            InputError: the block names rotary axes too, or the coordinates are turned: controls differ in which vectors they turn.
         """
         if axis_bits >> self.linear:
             raise self.error("tool vector and rotary axes in one block", "only one of them")
+        if self.frame.turn is not None or self.frame.plane is not None:
+            raise self.error("tool vector in turned or tilted coordinates", "words of the rotary axes")
         self.vector = vector
         for i in range(self.linear, len(self.position)):
             self.position[i] = math.nan

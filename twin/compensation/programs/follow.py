@@ -216,7 +216,7 @@ class Follower:
             self._change_space(self._later.pop()[1])
         if move.tcp != self._tcp:
             if self._tcp is not None:
-                self._words = self._switched(move.tcp)
+                self._words = self._space.switched_if_known(self._words, tcp=move.tcp)
             self._tcp = move.tcp
         if move.unknown and not move.machine:
             self._lose(move)
@@ -302,21 +302,12 @@ class Follower:
             self._words[3:], self._lost[3:] = space.start, False
         self._space = space
 
-    def _switched(self, tcp: bool) -> np.ndarray:
-        """Return the axis positions in the words of the other mode."""
-        if not np.isfinite(self._words).all():
-            return np.concatenate([np.full(3, np.nan), self._words[3:]])
-        return self._space.switched(self._words[None, :], tcp=tcp)[0]
-
     def _assume(self, line: int, rotary: np.ndarray) -> np.ndarray:
         """Return rotary words, with the set-up's values for unknown ones; a notice is recorded the first time."""
         space, unknown = self._space, np.isnan(rotary)
         if not self._assumed:
-            assumed = {
-                name: value
-                for name, value, missing in zip(space.axes.rotary, space.start, unknown, strict=True)
-                if missing
-            }
+            rows = zip(space.axes.rotary, space.start, unknown, strict=True)
+            assumed = {name: value for name, value, missing in rows if missing}
             at = ", ".join(f"{name} = {value:g}°" for name, value in assumed.items())
             self.notices.append(
                 Notice(
@@ -347,13 +338,14 @@ class Follower:
                 line=move.line + 1,
                 value=text_of(move.line).strip(),
             )
-        if move.kind is not Kind.RAPID:
-            self.unknown.append(LostBlock(move.line, True, reason + self._cure(missing)))
+        turns = missing[:3].any() and not (move.tcp or move.named & {*space.axes.linear})
+        if turns or move.kind is Kind.RAPID:
+            text = f"position of {names} not yet known: {'turn' if turns else 'rapid'} passed through unchanged"
+            self.notices.append(Notice(move.line, text))
         else:
-            self.notices.append(Notice(move.line, f"position of {names} not yet known: rapid passed through unchanged"))
+            self.unknown.append(LostBlock(move.line, True, reason + self._cure(missing)))
         commands = space.positions(end)
-        if move.tcp or space.tilt is not None:
-            commands[:3] = np.nan
+        commands[:3] = np.nan if move.tcp or space.tilt is not None else commands[:3]
         self._pass(commands, self._named(move))
 
     def _cure(self, missing: np.ndarray) -> str:
@@ -445,7 +437,7 @@ class FrameSpaces:
         if frame.plane is None:
             return space
         rotary = self._rotary(space, frame.plane, standing_deg, source, line)
-        key = (*key, frame.plane, frame.shift, frame.turn, tuple(rotary.tolist()))
+        key = (*key, frame.plane, frame.shift, frame.turn, frame.inclined, tuple(rotary.tolist()))
         if key not in self._made:
             self._made[key] = WordSpace(
                 base.machine, space.setup, length, self._tilt(space, frame.plane, frame, rotary)
@@ -474,7 +466,7 @@ class FrameSpaces:
         else:
             origin = space.origin
         if plane.rotation is None:
-            standing, zero = (self._tool_axes(space, deg) for deg in (rotary_deg, np.zeros(len(rotary_deg))))
+            standing, zero = (space.tool_axes(deg) for deg in (rotary_deg, np.zeros(len(rotary_deg))))
             rotation = standing @ zero.T
         else:
             rotation = np.array(plane.rotation)
@@ -489,10 +481,16 @@ class FrameSpaces:
         Raises:
             InputError: the machine does not reach it, or does not stand at it.
         """
+        if plane.read_deg is not None:
+            other = space.tool_axes(np.array(plane.read_deg)) @ space.tool_axes(np.zeros(len(plane.read_deg))).T
+            if np.abs(other - np.array(plane.rotation)).max() > np.radians(STANDS_DEG):
+                what = "the angles of the plane are another plane as positions of the rotary axes"
+                expected = "PLANE SPATIAL, or angles that are the same as both"
+                raise InputError(what, expected=expected, file=source, line=line, value=plane.read_deg)
         if plane.at_deg is not None:
             at = np.array(plane.at_deg) + space.offset[3:]
-            wanted = self._tool_axes(space, at) if plane.rotation is None else np.array(plane.rotation)
-            off = np.degrees(np.linalg.norm(self._tool_axes(space, at)[:, 2] - wanted[:, 2]))
+            wanted = space.tool_axes(at) if plane.rotation is None else np.array(plane.rotation)
+            off = np.degrees(np.linalg.norm(space.tool_axes(at)[:, 2] - wanted[:, 2]))
             if not off <= STANDS_DEG:
                 words = " ".join(f"{name}{word:g}" for name, word in zip(space.axes.rotary, plane.at_deg, strict=True))
                 expected = "positions of the rotary axes for it, or its positioning by the control"
@@ -515,13 +513,6 @@ class FrameSpaces:
             )
         increment = np.array([space.axes.increment[name] for name in space.axes.rotary])
         return np.asarray(np.round(nearest / increment) * increment)
-
-    @staticmethod
-    def _tool_axes(space: WordSpace, rotary_deg: np.ndarray) -> np.ndarray:
-        """Return (3, 3) axes of the tool in the work frame, as columns, at commands of the rotary axes."""
-        commands = np.zeros((1, len(space.order)))
-        commands[:, space.order[3:]] = rotary_deg
-        return np.asarray(space.nominal.forward(commands).rotation[0])
 
     def _origin(self, shift: dict[str, float]) -> tuple[float, float, float]:
         commands = np.array([[shift[axis.name] if axis.linear else 0.0 for axis in self._base.machine.axes]])

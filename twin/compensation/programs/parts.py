@@ -632,7 +632,7 @@ class ProgramRun:
             pieces = Pieces(
                 within,
                 section.path if len(ends) == 1 else section.path.part(begin, end),
-                within.aim(turns=part.turns and section.space.tilt is None),
+                within.aim(turns=part.turns and (section.space.tilt is None or bool(columns.tcp[context:].all()))),
                 self._source.dialect,
                 source=self._source.name,
                 number_of=self._source.numbers,

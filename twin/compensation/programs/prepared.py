@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -76,6 +77,7 @@ class PreparedMachine:
     Args:
         calibration: its errors.
         space: conversion between words and commands; that of the options if None.
+        like: the same prepared for another space with the same tool length, whose machine models are shared.
 
     Attributes:
         by_block: names of the channels that differ from block to block.
@@ -95,7 +97,12 @@ class PreparedMachine:
     """
 
     def __init__(
-        self, machine: Machine, calibration: Calibration, options: Options, space: WordSpace | None = None
+        self,
+        machine: Machine,
+        calibration: Calibration,
+        options: Options,
+        space: WordSpace | None = None,
+        like: PreparedMachine | None = None,
     ) -> None:
         self.machine = machine
         self.options = options
@@ -107,12 +114,17 @@ class PreparedMachine:
         options.conditions.require(calibration)
         self.by_block = channels_by_block(calibration, options.conditions)
         self.space = WordSpace(machine, options.setup, options.tool_length_mm) if space is None else space
-        self.real = Kinematics(
-            machine,
-            calibration,
-            tool_length_mm=options.tool_length_mm,
-            conditions=options.conditions,
-            by_pose=self.by_block,
+        self._like = like
+        self.real: Kinematics = (
+            Kinematics(
+                machine,
+                calibration,
+                tool_length_mm=options.tool_length_mm,
+                conditions=options.conditions,
+                by_pose=self.by_block,
+            )
+            if like is None
+            else like.real
         )
         self.backlash = Backlash(calibration)
         self.comparison = self.compared(self.real)
@@ -138,7 +150,9 @@ class PreparedMachine:
             return self
         if space not in self._within:
             options = replace(self.options, setup=space.setup, tool_length_mm=space.tool_length_mm)
-            self._within[space] = PreparedMachine(self.machine, self._given, options, space)
+            others = (self, *self._within.values())
+            like = next((one for one in others if one.options.tool_length_mm == space.tool_length_mm), None)
+            self._within[space] = PreparedMachine(self.machine, self._given, options, space, like)
         return self._within[space]
 
     @cached_property
@@ -227,6 +241,9 @@ class PreparedMachine:
 
     @cached_property
     def _aims(self) -> tuple[CorrectionAim, CorrectionAim]:
+        if self._like is not None:
+            first, second = self._like.aim(turns=False), self._like.aim(turns=True)
+            return first.within(self), second.within(self)
         return CorrectionAim(self, False), CorrectionAim(self, True)
 
 
@@ -256,6 +273,14 @@ class CorrectionAim:
             self._table_at_point,
         )
         self.backlash = Backlash((prepared.space.nominal if prepared.thesis is not None else corrected).calibration)
+
+    def within(self, prepared: PreparedMachine) -> CorrectionAim:
+        """Return the same aim for the words of another frame, with the same tool length: the machine models are shared."""
+        _ = self.point, self.point_inverse, self.orientation_inverse, self.at_point, self.at_axis, self.by_class
+        found = copy(self)  # with these
+        found.prepared = prepared
+        vars(found).pop("comparison", None)
+        return found
 
     def _table_at_point(self, table: ControlCorrection) -> bool:
         return self.scope.covers(_classes_of(table))

@@ -200,10 +200,10 @@ def frame_uses(sections: Sequence[Section], number_of: Callable[[int], int]) -> 
             section.space.setup.work_offset,
             section.space.setup.work_origin_mm,
             {}
-            if section.space.tilt is None
+            if section.space.tilt is None or section.frame.inclined
             else dict(zip(section.space.axes.rotary, section.space.tilt.rotary_deg.tolist(), strict=True)),
             dict(zip(section.space.axes.names, section.frame.shift, strict=False)),
-            section.frame.turn is not None,
+            section.frame.turn is not None or section.frame.inclined,
         )
         for section in sections
     )

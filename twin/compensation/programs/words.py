@@ -29,6 +29,10 @@ from twin.nc.blocks import AxisWords, Move
 from twin.tool.forward import Kinematics, Poses
 from twin.tool.inverse import Branches, Inverse
 
+PROBE_MM = 100.0
+"""By which an unknown word is changed to see which words of the other mode depend on it."""
+SAME_MM = 1e-6
+
 
 @final
 @dataclass(frozen=True)
@@ -200,8 +204,7 @@ class WordSpace:
         shifted = self.positions(words)
         if tips:
             rows = self._tip_rows(words, tcp)
-            points = words[rows, :3]
-            points = points if self.tilt is None else points @ self.tilt.rotation.T
+            points = words[rows, :3] if self._tip_turn is None else words[rows, :3] @ self._tip_turn.T
             rotary, scale = shifted[rows, 3:], self.machine.scale[self.order[3:]]
             (linear,) = linear_axes(points + self.origin, rotary)
             # To radians and back, as the solver does: no difference in rounding between ends and points between them.
@@ -218,7 +221,8 @@ class WordSpace:
     def commands_at(self, words: Any) -> Any:
         """Return `simulated_commands` as an expression of (axes,) words of the tool tip outside a tilted plane."""
         rotary = words[3:] + ca.DM(self.offset[3:])
-        linear = self._linear_axes(words[:3] + ca.DM(self.origin), rotary)
+        tip = words[:3] if self._tip_turn is None else ca.DM(self._tip_turn) @ words[:3]
+        linear = self._linear_axes(tip + ca.DM(self.origin), rotary)
         return ca.vertcat(linear, rotary)[np.argsort(self.order).tolist()]
 
     @cached_property
@@ -241,6 +245,17 @@ class WordSpace:
         others = [ca.cross(a, b) for a, b in ((y, z), (z, x), (x, y))]
         solved = ca.vertcat(*(ca.dot(left, other) for other in others)) / ca.dot(x, others[0])
         return ca.Function("linear_axes", [wanted, rotary], [ca.cse(ca.densify(solved))])
+
+    @property
+    def _tip_turn(self) -> np.ndarray | None:
+        """(3, 3) axes, as columns, of the words that are places of the tool tip, in the work frame; None if they are parallel."""
+        return self.turn if self.tilt is None else self.tilt.rotation
+
+    def tool_axes(self, rotary_deg: np.ndarray) -> np.ndarray:
+        """Return (3, 3) axes of the tool in the work frame, as columns, at commands of the rotary axes."""
+        commands = np.zeros((1, len(self.order)))
+        commands[:, self.order[3:]] = rotary_deg
+        return np.asarray(self.nominal.forward(commands).rotation[0])
 
     @property
     def parallel(self) -> bool:
@@ -274,6 +289,15 @@ class WordSpace:
         into = np.full(len(words), tcp)
         return self.words(self.commands(words, ~into), into)
 
+    def switched_if_known(self, words: np.ndarray, *, tcp: bool) -> np.ndarray:
+        """Return (axes,) words converted likewise; NaN where they depend on a word that is unknown (NaN)."""
+        unknown = np.flatnonzero(np.isnan(words))
+        if (unknown >= 3).any():
+            return np.where(np.arange(len(words)) < 3, np.nan, words)
+        base = np.nan_to_num(words)
+        trials = self.switched(np.array([base, *(base + np.eye(len(words))[i] * PROBE_MM for i in unknown)]), tcp=tcp)
+        return np.where((np.abs(trials - trials[0]) < SAME_MM).all(axis=0), trials[0], np.nan)
+
     def words(self, commands: np.ndarray, tcp: np.ndarray) -> np.ndarray:
         """Return the (n, axes) words from which the control derives (n, axes) commands; ``tcp``: (n,) mode of each."""
         tips = self.tilt is not None or bool(np.any(tcp))
@@ -283,7 +307,7 @@ class WordSpace:
         if tips:
             rows = self._tip_rows(commands, tcp)
             points = self.nominal.forward(commands[rows]).point_mm - self.origin
-            words[rows, :3] = points if self.tilt is None else points @ self.tilt.rotation
+            words[rows, :3] = points if self._tip_turn is None else points @ self._tip_turn
         return words
 
     def _tip_rows(self, known: np.ndarray, tcp: np.ndarray) -> np.ndarray | slice:

@@ -345,6 +345,7 @@ class Heidenhain(Dialect):
     name = "heidenhain"
     suffixes = PROGRAM_SUFFIXES["heidenhain"]
     evidence = vocabulary.EVIDENCE
+    opening = vocabulary.OPENING
     numbers_lines = True
 
     def chunk(self, data: bytes, first: int, names: tuple[str, ...], code: LineCode) -> Chunk:

@@ -128,6 +128,16 @@ class HeidenhainFrame(HeidenhainPaths):
         choice = _CHOICE.search(upper)
         sign = 0 if choice is None else 1 if choice.group(1) == "+" else -1
         stays = way == "STAY" or ("TURN" in words and not any(word.startswith("MB") for word in words))
+        self.pending = Plane(self._zero_of_plane(), turned, sign, stays)
+        if way != "STAY":
+            self._enter_plane(block, self.pending)
+
+    def _zero_of_plane(self) -> tuple[float, float, float]:
+        """Return the zero of a tilted plane: the datum shift before the first one.
+
+        Raises:
+            InputError: it is shifted or turned in a way that is not followed.
+        """
         if self.frame.plane is None:
             self._shift_below = self.frame.shift
         elif self.frame.shift or self.frame.turn:
@@ -138,9 +148,32 @@ class HeidenhainFrame(HeidenhainPaths):
                 "tilted plane in turned coordinates, or after a shift of a rotary axis", "these cancelled before"
             )
         x, y, z = shift[:3] or (0.0, 0.0, 0.0)
-        self.pending = Plane((x, y, z), turned, sign, stays)
-        if way != "STAY":
-            self._enter_plane(block, self.pending)
+        return x, y, z
+
+    def working_plane(self, block: PathBlock, rest: str) -> None:
+        """Apply ``CYCL DEF 19.1 A+30 B+0 C+15``, without angles its end; the program positions the rotary axes.
+
+        The builder of the machine decides whether its angles are spatial angles or positions of the rotary axes (HEIDENHAIN, user's
+        manuals of TNC 320 and iTNC 530, "Working plane, cycle 19"). Both must be the same plane.
+
+        Raises:
+            InputError: other words, or a plane where it cannot be followed.
+        """
+        found = vocabulary.TILT.findall(rest)
+        if not vocabulary.TILT_REST.fullmatch(vocabulary.TILT.sub("", rest)):
+            raise self.error("CYCL DEF 19 with other words", "angles such as A+30 B+0 C+15", rest)
+        values = {name.upper(): self.known(name, text) for name, text in found}
+        if not any(values.values()):
+            if self.pending is not None or self.frame.plane is not None:
+                self._end_plane(block, ())
+            return
+        if self.tcp:
+            raise self.error("CYCL DEF 19 under tool centre point control", "M129 before it")
+        turned = rotation_about("ZYX", [values.get(name, 0.0) for name in "CBA"])
+        rotary = self.names[self.linear :]
+        of_axes = {name for name, value in values.items() if value} <= {*rotary}
+        read = tuple(values.get(name, 0.0) for name in rotary) if of_axes else None
+        self.pending = Plane(self._zero_of_plane(), turned, read_deg=read)
 
     def _end_plane(self, block: PathBlock, words: Sequence[str]) -> None:
         """Apply ``PLANE RESET``; ``words``: those of the block."""
@@ -150,7 +183,7 @@ class HeidenhainFrame(HeidenhainPaths):
                 raise self.error("end of a tilted plane while it is shifted or turned", "the shift cancelled before")
             self.select(block, plane=None, shift=self._shift_below)
         if "STAY" not in words:
-            self.note("PLANE RESET may move the rotary axes; their positions are unknown afterwards")
+            self.note("the end of the plane may move the rotary axes; their positions are unknown afterwards")
             self.mark_unknown(block, range(self.linear, len(self.names)), moved=bool(self.frames))
 
     def _enter_plane(self, block: PathBlock, plane: Plane) -> None:

@@ -217,7 +217,7 @@ class HeidenhainInterpreter(HeidenhainFrame):
             raise self.error(
                 "block skip: whether the block is executed depends on a switch of the control", expected, body
             )
-        if vocabulary.PARAXIAL.match(body) or (keyword[:1] == "M" and len(keyword) <= 2):
+        if vocabulary.PARAXIAL.match(body) or vocabulary.TECHNOLOGY.match(body):
             self._path(block, "", block.head_end)
         elif match is None:
             raise self.error("unknown block", "a plain-language block such as L X+10 FMAX", body)
@@ -313,6 +313,8 @@ class HeidenhainInterpreter(HeidenhainFrame):
             self.begin_preset()
         elif cycle in (7, 10) and part is not None and part != "0":
             (self.shift if cycle == 7 else self.turn)(block, rest, f"CYCL DEF {cycle}")
+        elif cycle == 19 and part not in (None, "0"):
+            self.working_plane(block, rest)
         elif cycle not in vocabulary.HARMLESS_CYCLES and cycle not in vocabulary.TRANSFORM_CYCLES:
             self.lose(block, body)
         elif cycle in vocabulary.TRANSFORM_CYCLES and (
@@ -352,6 +354,9 @@ class HeidenhainInterpreter(HeidenhainFrame):
         if upper.startswith("FUNCTION RESET TCPM"):
             self.switch(block, False, "FUNCTION RESET TCPM")
         elif upper.startswith("FUNCTION TCPM"):
+            other = vocabulary.OTHER_TCPM.search(upper)
+            if other is not None:
+                raise self.error(f"FUNCTION TCPM with {other[0]}", "AXIS POS and REFPNT TIP-TIP, or neither")
             self.switch(block, True, "FUNCTION TCPM")
         elif upper.startswith(("FUNCTION TURNDATA", "FUNCTION MODE TURN", "FUNCTION CORRDATA", "FUNCTION PARAXMODE")):
             raise self.error("function that changes the meaning of axis words", vocabulary.NO_TRANSFORMATION)
@@ -545,12 +550,18 @@ class HeidenhainInterpreter(HeidenhainFrame):
         else:
             self.centre = dict(enumerate(self.position[: self.linear]))
 
+    def _only_places(self, block: PathBlock) -> bool:
+        """Return whether a block is a rapid, or turns rotary axes alone without tool centre point control."""
+        turns_only = not block.axis_bits & (1 << self.linear) - 1 and not self.tcp
+        straight = block.keyword in ("L", "") and not (block.arc_words or self.vector)
+        return straight and (turns_only or bool(block.rapid_text))
+
     def _move(self, block: PathBlock) -> None:
         kind = Kind.RAPID if block.rapid_text else Kind.LINEAR
         names = self.named(block.axis_bits)
         if not (block.machine or self.unknown) and self.stand_at_plane(block):
             return
-        self.check_plane(block.axis_bits >> self.linear != 0 and self.pending is None)
+        self.check_plane(block.axis_bits >> self.linear != 0 and self.pending is None, machine=block.machine)
         if block.machine:
             if block.keyword not in ("", "L"):
                 raise self.error("machine coordinates in an arc", "an L block")
@@ -563,7 +574,7 @@ class HeidenhainInterpreter(HeidenhainFrame):
             block.moves += (self.unknown_move(kind, block.axis_bits),)
             block.unknown_axes = tuple(range(len(self.names)))
             return
-        if self.parks and kind is Kind.RAPID and block.keyword in ("L", "") and not (block.arc_words or self.vector):
+        if self.parks and self._only_places(block):
             block.moves += (self.parking_move(block),)
             return
         start, rotary = self.position[: self.linear], self.position[self.linear :]

@@ -21,6 +21,10 @@ SKIPPED_END = re.compile(
     r"[ \t]*+/[ \t]*+(?:\d++[ \t]*+)?+(?:STOP[ \t]++)?+M0*(?:2|30)(?!\d)[ \t]*+(?:;.*)?", re.ASCII | re.IGNORECASE
 )
 """The end of the program in a block that may be skipped."""
+TECHNOLOGY = re.compile(
+    r"(?:M\d|S[ \t]*[+\d.]|F[ \t]*(?:MAX|AUTO|[+\d.])|R[0LR](?![A-Z\d.,]))", re.ASCII | re.IGNORECASE
+)
+"""The beginning of a block without a path function: M, S, F or the side of the tool."""
 PARAXIAL = re.compile(rf"I?[XYZABCUVW][ \t]*+{_VALUE}", re.ASCII | re.IGNORECASE)
 
 TOKEN = re.compile(
@@ -57,6 +61,7 @@ EVIDENCE = line_pattern(
     r"(?:LP|CP)[ \t]++I?P[RA][ \t]*+[-+\dQ]",
 )
 """A line of a plain-language program: one of its statements, or a path function with an axis word."""
+OPENING = line_pattern(r"BEGIN[ \t]++PGM(?!\w)")
 UNIT = re.compile(r"BEGIN[ \t]+PGM[ \t]+(?:.*[ \t])?([^ \t;]+)[ \t]*(?:;.*)?$", re.ASCII | re.IGNORECASE)
 TOOL_AXIS = re.compile(
     r"TOOL[ \t]+CALL[ \t]+(?:(?:\"[^\"]*\"|[^ \t\"]+)[ \t]+)?([XYZ])(?![A-Z\d])", re.ASCII | re.IGNORECASE
@@ -67,6 +72,9 @@ TOOL = re.compile(
 TOOL_LENGTH = re.compile(rf"(?<![A-Z\d])DL[ \t]*=?[ \t]*({_VALUE})", re.ASCII | re.IGNORECASE)
 CYCLE = re.compile(r"CYCL[ \t]+DEF[ \t]+(\d{1,9})(?!\d)(?:\.(\d++))?+(.*)", re.ASCII | re.IGNORECASE)
 SHIFT = re.compile(rf"(?<![A-Z])(I?)([XYZABCUVW])[ \t]*({_VALUE})", re.ASCII | re.IGNORECASE)
+TILT = re.compile(rf"(?<![A-Z])([ABC])[ \t]*({_VALUE})", re.ASCII | re.IGNORECASE)
+TILT_REST = re.compile(rf"(?:F[ \t]*{_VALUE}|(?:SETUP|ABST)[ \t]*{_VALUE}|[ \t])*", re.ASCII | re.IGNORECASE)
+"""Words of cycle 19: its angles, and with which feed and at which distance the axes are positioned."""
 ROTATION = re.compile(rf"(I?)ROT[ \t]*({_VALUE})", re.ASCII | re.IGNORECASE)
 FN = re.compile(r"FN[ \t]*+(\d{1,9})(?!\d)[ \t]*+:?(.*)", re.ASCII | re.IGNORECASE)
 INCHES = frozenset({"INCH", "IN"})
@@ -108,6 +116,8 @@ HARMLESS_FUNCTIONS = tuple(
     )
 )
 """Beginnings of functions that act on feed, spindle, files and messages only."""
+OTHER_TCPM = re.compile(r"(?<!PATHCTRL )AXIS SPAT|REFPNT (?!TIP-TIP)\S+")
+"""Words with which rotary axis words are spatial angles, and positions not those of the tool tip."""
 HARMLESS_FN = frozenset({*range(9), 13, 14, 15, 16, 18, 20, 23, 24, 26, 27, 28, 37, 38})
 """Parameter functions that compute, read, wait or write free tables; 17, 19, 25 and 29 write data of the control, a datum, the PLC."""
 HARMLESS_CYCLES = frozenset(
@@ -193,7 +203,7 @@ def cancels(cycle: int, rest: str) -> bool:
     values = [number(text) for text in NUMBERS.findall(rest)]
     if cycle in (11, 26):
         return bool(values) and all(value == 1.0 for value in values)
-    if cycle in (8, 19) and not rest:
+    if cycle == 8 and not rest:
         return True
     return cycle != 8 and bool(values) and "Q" not in rest.upper() and all(value == 0.0 for value in values)
 

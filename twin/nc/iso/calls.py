@@ -6,6 +6,7 @@ Programming Manual Job Planning ("Subprograms", "EXTCALL").
 
 from __future__ import annotations
 
+import itertools
 import math
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -17,7 +18,7 @@ import numpy as np
 from twin.nc.arithmetic import evaluate, key_of
 from twin.nc.blocks import Program
 from twin.nc.dialect import as_comment
-from twin.nc.inline import DEEPEST, RETURN, Call, Flow, Inliner, Line, Scope, refused, with_ending
+from twin.nc.inline import RETURN, Call, Flow, Inliner, Line, Scope, refused, with_ending
 from twin.nc.iso import vocabulary
 from twin.nc.iso.cycles import SINUMERIK
 
@@ -263,16 +264,28 @@ class IsoInliner(Inliner):
                 lines.append(line)
                 if _END.search(_bare(line)):
                     tail = self.lines[-1]
-                    return [*lines, tail] if tail.text.strip() == "%" and tail != line else lines
+                    lines += self._behind(lines)
+                    return [*lines, tail] if tail.text.strip() == "%" and tail != lines[-1] else lines
         return lines
+
+    def _behind(self, lines: Sequence[Line]) -> list[Line]:
+        """Return the lines behind the first end of the program, up to a subprogram, if a jump among those before leads there."""
+        flows = [self.flow(line) for line in lines if self.likely(line.text)]
+        targets = {flow.name for flow in flows if flow is not None and flow.kind == "goto"}
+        if targets <= {name for line in lines for name in self.labels(line)}:
+            return []
+        behind = itertools.takewhile(lambda line: not _O_NUMBER.match(_bare(line)), self.lines[lines[-1].number :])
+        return [line for line in behind if line.text.strip() != "%"]
+
+    def ends(self, line: Line) -> bool:
+        """See `Inliner.ends`."""
+        return _END.search(_bare(line)) is not None
 
     def body(self, call: Call, line: Line) -> list[Line] | None:
         """See `Inliner.body`."""
         lines = self._body_of(call)
         if lines is None:
             return None
-        if call.name in self._called and any(_NAMED_PARAMETER.search(one.text) for one in lines):
-            raise refused("a subprogram with named parameters that calls itself", "numbered parameters", line)
         return self._with_values(call, lines, changes=self._changes(call, lines))
 
     def scope(self, call: Call, line: Line) -> Scope:
@@ -293,7 +306,7 @@ class IsoInliner(Inliner):
             return call.own
         own = {key_of(name) for name in _local_values(call, lines, None)}
         given = {key_of(name) for value in call.values for name in _GIVEN.findall(value)}
-        return bool(self._assigned(lines, 0) & (own | given))
+        return bool(self._assigned(lines, {call.name}) & (own | given))
 
     def _body_of(self, call: Call) -> list[Line] | None:
         """Return `_body`, searched once."""
@@ -302,13 +315,13 @@ class IsoInliner(Inliner):
             self._bodies[key] = self._body(call)
         return self._bodies[key]
 
-    def _assigned(self, lines: Sequence[Line], depth: int) -> set[str]:
-        """Return the ``#`` variables that lines, or the subprograms that they call, assign."""
+    def _assigned(self, lines: Sequence[Line], seen: set[str]) -> set[str]:
+        """Return the ``#`` variables that lines assign, or the subprograms that they call, unless ``seen`` has their names."""
         assigned = {key_of(name) for line in lines if "=" in line.text for name, _, _ in _assignments(line.text)}
-        for line in lines if depth < DEEPEST else ():
-            call = self.call(line)
-            if call is not None:
-                assigned |= self._assigned(self._body_of(call) or (), depth + 1)
+        for call in filter(None, map(self.call, lines)):
+            if call.name not in seen:
+                seen.add(call.name)
+                assigned |= self._assigned(self._body_of(call) or (), seen)
         return assigned
 
     def _body(self, call: Call) -> list[Line] | None:
@@ -346,7 +359,8 @@ class IsoInliner(Inliner):
         """Return a body with its parameters replaced by the values of the call, unless it ``changes`` them."""
         found = [line for line in lines if _proc(line) is None]
         if not call.outside:
-            found = [_with_names_of(call.name, line) for line in found]
+            within = self._called.count(call.name)
+            found = [_with_names_of(f"{call.name}{f'_{within}' if within else ''}", line) for line in found]
         values = {} if changes else _local_values(call, lines, None)
         return [_replaced(line, values) for line in found]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import Any, Final, NamedTuple, final
 
-from twin.nc.blocks import Plane, rotation_about
+from twin.nc.blocks import Plane, Rows, rotation_about
 from twin.nc.iso import vocabulary
 from twin.nc.iso.cycles import Drilling
 from twin.nc.modal import Block, Interpreter, Span
@@ -73,6 +73,11 @@ class IsoBlock(Block):
     repeats: int = 1
     pattern: list[dict[int, float]] = field(default_factory=list)
 
+    def own_of(self, word: str) -> str:
+        """Return the letters of the words here that belong to an M word; an angle to M19 only without axis words (``G2 X5 R7 M19``)."""
+        own = "" if word == "M19" and self.items else vocabulary.OWN_OF_M.get(word, "")
+        return "".join(item.name for item in self.others if item.name in own)
+
 
 # --- Effects of ISO blocks on the frame: work offset, tool in the spindle, and the length that the control adds
 
@@ -123,20 +128,31 @@ class IsoFrame(Interpreter):
             self.doubtful = "the length of the tool behind G170 is not stated (G56 H, or G53)" if "170" in codes else ""
         changes: dict[str, Any] = {}
         tool = self.frame.tool if self.tools_known else self._held_tool
-        if "T" in said:
-            self._next_tool, self._by_name = self._name_of(said["T"]), '"' in said["T"].value
+        tools = [item for item in block.others if item.name == "T"]
+        if tools:
+            self._next_tool, self._by_name = self._name_of(tools[0]), '"' in tools[0].value
         if TOOL_CHANGE in words:
             if not self._next_tool and self.tools_known:
                 raise self.error("tool change without a tool", "T with a number or a name before M6")
             tool = changes["tool"] = self._next_tool or f"of line {self._line + 1}"
             if self._by_name:
                 changes["length"] = tool
+            self._next_tool = self._name_of(tools[-1]) if len(tools) > 1 else self._next_tool  # Mazak: T1 T2 M6
+        elif "M61" in words:
+            tool = changes["tool"] = self._in_spindle(block, tool)
         changes |= self._length(said, codes, tool)
         if changes and self.tools_known:
             self.select(block, **changes)
         elif changes:
             length = changes.get("length", self._held_length)
             self.hold_tool(block, "" if tool == "0" else tool, "" if length == "0" else length)
+
+    def _in_spindle(self, block: IsoBlock, tool: str) -> str:
+        """Return the tool in the spindle by ``M61 Q`` of LinuxCNC; ``tool``: that before, which M61 of a builder leaves there."""
+        item = next((item for item in block.others if item.name == "Q"), None)
+        if item is None:
+            self.take_auxiliary("M61")
+        return tool if item is None else self._name_of(item)
 
     def _length(self, said: dict[str, Item], codes: set[str], tool: str) -> dict[str, str]:
         """Return the change of the length in force, empty if there is none."""
@@ -179,7 +195,7 @@ class IsoFrame(Interpreter):
 # --- Tilted planes of ISO programs: ``G68.2`` with ``G53.1`` (Fanuc), ``CYCLE800`` (SINUMERIK) ----
 
 _ORDER: Final = {1: "X", 2: "Y", 3: "Z"}
-_PLANE_WORDS: Final = tuple("XYZIJKPSTDHF")
+_PLANE_WORDS: Final = tuple("XYZIJKPQSTDHF")
 _POSITIONING_WORDS: Final = tuple("PSTDHF")
 """Words of a block with G68.2, and with G53.1: those of the plane, and of spindle, tool and feed."""
 TILTS: Final = frozenset(vocabulary.GROUPS["plane tilt"])
@@ -216,14 +232,11 @@ class IsoTilt(IsoFrame):
         if "68.2" in codes:
             self._check_allowed(block)
             values = {
-                item.name: self._plane_value(item) for item in (*block.items, *block.others) if item.name in "XYZIJKP"
+                item.name: self._plane_value(item) for item in (*block.items, *block.others) if item.name in "XYZIJKPQ"
             }
-            if values.pop("P", 0.0):
-                raise self.error("G68.2 with P", "Euler angles I, J, K (without P)")
             unit = MM_PER_INCH if self.inch else 1.0
             x, y, z = (values.get(letter, 0.0) * unit for letter in "XYZ")
-            turned = rotation_about("ZXZ", [values.get(letter, 0.0) for letter in "IJK"])
-            self.pending = Plane((x, y, z), turned)
+            self.pending = Plane((x, y, z), self._turned_plane(values))
         elif "254" in codes:
             self._check_allowed(block)
             at = self.stands("G254")
@@ -238,6 +251,21 @@ class IsoTilt(IsoFrame):
                 raise self.error(f"{word} with an unknown P", "P0, P1 or P2", choice)
             self._tilt(block, replace(self.pending, choice=_CHOICES[choice], stays=word == "G53.1"))
         block.items, block.others = [], []
+
+    def _turned_plane(self, values: dict[str, float]) -> Rows:
+        """Return the axes of a plane by ``G68.2``: Euler angles, or with P1 an angle about X, Y or Z.
+
+        Raises:
+            InputError: another P, or several angles with P1: public descriptions differ in whether the axes turn with each other.
+        """
+        angles = [values.get(letter, 0.0) for letter in "IJK"]
+        if not values.get("P"):
+            if "Q" in values:
+                raise self.error("G68.2 with Q", "Euler angles I, J, K (without P and Q)")
+            return rotation_about("ZXZ", angles)
+        if values["P"] != 1.0 or sum(map(bool, angles)) > 1:
+            raise self.error(f"G68.2 with P{values['P']:g}", "Euler angles I, J, K (without P), or P1 with one angle")
+        return rotation_about("XYZ", angles)
 
     def stand_at_plane(self, block: IsoBlock) -> bool:
         """Apply a pending plane where the program itself positions the rotary axes; return whether a block does nothing else.

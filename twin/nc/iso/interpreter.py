@@ -89,8 +89,7 @@ class IsoInterpreter(IsoMotion):
         if stripped[0] == "$" and vocabulary.OKUMA_HEADER.fullmatch(stripped):
             self._okuma = True
             return None
-        if stripped[0] == "<" and vocabulary.PROGRAM_NAME.fullmatch(stripped):
-            self.control = "Fanuc"
+        if stripped[0] in "<Oo" and self._is_name(stripped):
             return None
         self._block_text = stripped
         block = IsoBlock(text, begin)
@@ -108,6 +107,17 @@ class IsoInterpreter(IsoMotion):
             self.assign(name, value)
         self._assignments.clear()
         return applied
+
+    def _is_name(self, text: str) -> bool:
+        """Return whether a line is the name of the program: ``<NAME>``, or behind ``%`` a name after O in place of a number."""
+        if vocabulary.PROGRAM_NAME.fullmatch(text):
+            self.control = "Fanuc"
+            return True
+        found = self._marked and not self._any and vocabulary.NAME_BEHIND_O.fullmatch(text) is not None
+        if found:
+            self.note("the O word behind % has no number: taken as the name of the program")
+            self._any = True
+        return found
 
     def checked(self, moves: MoveColumns, text_of: Callable[[int], str]) -> MoveColumns:
         """See `Interpreter.checked`; note that a program does not state its unit before it moves."""
@@ -174,7 +184,7 @@ class IsoInterpreter(IsoMotion):
         drills = not groups & _WITHOUT_CYCLE and self.take_cycle_words(block)
         machine = self._names(block) if block.names else False
         own = "".join(vocabulary.OWN_WORDS.get(span.name, "") for span in block.codes)
-        own += "R" if "M19" in block.m_words and not block.items else ""  # the angle of the spindle
+        own += "".join(map(block.own_of, block.m_words))
         centre = [item for item in block.others if item.name not in own and self._is_of_motion(block, item)]
         self._state_to(block)
         self.choose_tool(block, frozenset(block.m_words))

@@ -94,8 +94,8 @@ class IsoDrilling(IsoShift):
             if level_stated and self.cycle is not None:
                 self.cycle = self._cycle()
             return False
-        if "M19" in block.m_words and not block.items:
-            raise self._refused("R beside M19", "the angle of the spindle before the cycle, or after G80")
+        for word in filter(block.own_of, block.m_words):
+            raise self._refused(f"a word of {word} beside it", f"{word} in a block of its own, or after G80")
         if not self._height:
             self._initial, self._stated_incremental = self.position[self.drilling], self.incremental
         stated |= self._take_values(block)
@@ -370,9 +370,9 @@ class IsoDrilling(IsoShift):
             for name, value in zip(self.names[self.linear :], self.position[self.linear :], strict=True)
             if name[0] != "C" and not abs(value) <= CORRECTION_DEG
         ]
-        if self.tcp and turned:
+        if self.tcp and turned and self.frame.turn is None:
             what = f"canned cycle under tool centre point control with {turned[0]} turned"
-            raise self.error(what, f"{turned[0]}0 (the cycle drills along the program's axis), or a tilted plane")
+            raise self.error(what, f"{turned[0]}0 (the cycle drills along the program's axis), or coordinates turned")
         if (block.pattern or self._repeats > 1) and any(value != value for value in self.position[: self.linear]):
             raise self.error("several holes from an unknown position", "a position of every linear axis before them")
         self.use_set_up(Kind.LINEAR)

@@ -112,6 +112,8 @@ FLAGS: frozenset[str] = frozenset({"5.1", "8", "50", "50.1", "103", "187"})
 
 OWN_WORDS: Mapping[str, str] = {"5.1": "QR", "187": "PE"}
 """Words that belong to a G code of smoothing in its block: mode and level, smoothness and tolerance."""
+OWN_OF_M: Mapping[str, str] = {"M19": "R", "M61": "Q", "M66": "PLEQ", "M67": "EQ", "M68": "EQ"}
+"""Words of an M word: angle of the spindle; of LinuxCNC the tool in the spindle, inputs, and analogue outputs."""
 ENDED_BY_P0: frozenset[str] = frozenset({"54.2", "54.4"})
 """G codes of Fanuc and Mazak that shift coordinates by a table, and end that with P0."""
 SMOOTHING_BY_P: frozenset[str] = frozenset({"5.3"})
@@ -185,7 +187,7 @@ HARMLESS_M: frozenset[str] = frozenset(
             53,
             60,
         ),  # overrides, adaptive feed, feed hold, stop for a pallet (LinuxCNC); coolant elsewhere
-        *(62, 63, 64, 65, 66, 67, 68),  # digital and analogue inputs and outputs (LinuxCNC)
+        *range(61, 69),  # tool in the spindle, digital and analogue inputs and outputs (LinuxCNC)
         *(70, 83, 84, 88, 89),  # a SINUMERIK spindle as an axis; air jet and coolant through the spindle (Haas)
         99,  # return, or repetition from the start
     )
@@ -193,6 +195,8 @@ HARMLESS_M: frozenset[str] = frozenset(
 """M codes that leave positions, frames, offsets and modes alone. Others: `twin.nc.modal.SWITCHING_M`."""
 END_M: frozenset[str] = frozenset({"M2", "M30", "M17", "M99"})
 """M words behind which nothing of a program is executed: its end, or its return if it is called (M99 otherwise begins again)."""
+NAME_BEHIND_O = re.compile(r"O[ \t]*[A-Z_][^<;]*+", re.ASCII | re.IGNORECASE)
+"""A name in place of a program number, or a number that was never entered."""
 PROGRAM_BEGIN = re.compile(r"(?:[O:][ \t]*\d|<[^<>]*>|PROC\b)", re.IGNORECASE)
 """Beginning of a program or subprogram, beside a line with ``%``."""
 LAST_M: frozenset[str] = frozenset(

@@ -214,7 +214,7 @@ class BlockReader(ChunkReader):
             position = np.full(shape, np.nan)
             position[np.repeat(np.arange(len(lines)), each), axis] = value
         said = ~np.isnan(position)
-        if state.frame.plane is not None and (state.tcp or said[:, state.linear :].any()):
+        if not state.plane_allows(bool(said[:, state.linear :].any())):
             return False  # the interpreter refuses one of these lines
         bits = 1 << np.arange(len(state.names))
         named = np.full(len(said), bits.sum()) if said.all() else said @ bits
