@@ -1,0 +1,310 @@
+"""Tables in other arrangements as one row for each reading and one column for each quantity.
+
+Each arrangement is recognised by its content alone: names and headings that hold positions (``X100_Y250_Z-200_A0_C30_K1``), and the
+matrix of ISO 230-2 (targets against runs, either way round). What they hold becomes columns of the file, so that a mapping refers to it
+as to any other column.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import Final, NamedTuple, final
+
+from twin.measurement.importing.cells import Layout, RawTable, Row, layout_of
+from twin.measurement.importing.headers import (
+    DOWN_WORDS,
+    NAMES,
+    ROLES,
+    UP_WORDS,
+    direction_of,
+    plain_words,
+    without_unit,
+)
+from twin.measurement.importing.quantities import (
+    COMMA,
+    MINUS,
+    POINT,
+    is_no_value,
+    looks_like_number,
+    quantity_in,
+    unit_named,
+)
+
+FEWEST: Final = 2
+"""Number of axes that a name must give, of runs that a matrix must have, and of headings that a table must have."""
+SHARE: Final = 0.8
+"""Share of rows whose names must give positions."""
+NEAR: Final = 0.01
+"""Distance of a reading from its target, as a share of the largest target, up to which it is a position and not a deviation."""
+HEADING: Final = "heading"
+"""Name of the column with the heading above each row."""
+RUN: Final = "run"
+DIRECTION: Final = "direction"
+NAME: Final = "name"
+"""Names of the columns that a matrix gives, and of parts of names of points."""
+_POSITION: Final = re.compile(
+    r"(?<![A-Za-z])([XYZABCUVW])\s*[=:]?\s*([-+]?\d+(?:[.,]\d+)?)(?:\s*(?:mm|deg|°))?(?![A-Za-z0-9.,])",
+    re.IGNORECASE | re.ASCII,
+)
+_ROUND: Final = re.compile(r"(?:r|run|round|runde|lauf|durchgang|wdh|rep|essai|serie|cycle)\s*\d+", re.IGNORECASE)
+
+
+def table_layout(raw: RawTable, names: Sequence[str] = ()) -> Layout:
+    """Return the parts of a table in any arrangement; arguments and errors as `layout_of`."""
+    matrix = None if names else _matrix(raw)
+    if matrix is not None:
+        return replace(layout_of(replace(raw, rows=matrix.rows)), left_out=matrix.left_out)
+    layout = _with_headings(layout_of(raw, names))
+    for name in layout.names:
+        layout = _with_name_parts(layout, name)
+    return layout
+
+
+# --- Names and headings that hold positions ---------------------------------------------------------
+
+
+def positions_in(text: str) -> tuple[dict[str, str], str]:
+    """Return the positions that a name holds, as text by the letter of the axis, and the rest of the name.
+
+    A name that gives an axis twice gives no positions.
+    """
+    found: dict[str, str] = {}
+    plain = text.translate(MINUS)
+    for match in _POSITION.finditer(plain.replace("_", " ")):
+        letter = match[1].upper()
+        if letter in found:
+            return {}, text
+        found[letter] = match[2].replace(COMMA, POINT)
+    return found, _POSITION.sub(" ", plain.replace("_", " ")) if found else text
+
+
+def _with_name_parts(layout: Layout, name: str) -> Layout:
+    """Return a layout with a column for each part of the names in a column, if these hold positions."""
+    cells = layout.column(name)
+    parts = [positions_in(cell) for cell in cells]
+    given = [found for found, _ in parts if len(found) >= FEWEST]
+    if len(given) < SHARE * len(cells) or any(looks_like_number(cell) for cell in cells):
+        return layout
+    letters = [letter for letter in "XYZABCUVW" if any(letter in found for found in given)]
+    columns = {f"{name}: {letter}": [found.get(letter, "") for found, _ in parts] for letter in letters}
+    rest = [re.split(r"[\s,;:/|]+", text.strip(" _-,;:/|")) for _, text in parts]
+    count = max(map(len, rest))
+    padded = [[*words, *[""] * (count - len(words))] for words in rest]
+    kept: list[int] = []
+    for i in range(count):
+        words = [row[i] for row in padded]
+        distinct = {word for word in words if word}
+        if distinct and all(_ROUND.fullmatch(word) for word in distinct):
+            columns[f"{name}: {RUN}"] = words
+        elif distinct and 2 * len(distinct) <= len(words):  # others are numbers of points
+            kept.append(i)
+    if kept:
+        columns[f"{name}: {NAME}"] = [" ".join(filter(None, (row[i] for i in kept))) for row in padded]
+    return layout.with_columns(columns)
+
+
+def _with_headings(layout: Layout) -> Layout:
+    """Return a layout with the heading above each row as a column, if rows without numbers in between give positions."""
+    headings = {line: text for line, text in layout.left_out if len(positions_in(text)[0]) >= FEWEST}
+    above = [(line, " ".join(filter(None, cells))) for line, cells in layout.raw.rows if line < layout.rows[0][0]]
+    first = next((text for _, text in reversed(above) if len(positions_in(text)[0]) >= FEWEST), "")
+    if len(headings) + bool(first) < FEWEST:
+        return layout
+    cells, current = [], first
+    waiting = sorted(headings)
+    for line, _ in layout.rows:
+        while waiting and waiting[0] < line:
+            current = headings[waiting.pop(0)]
+        cells.append(current)
+    left_out = tuple((line, text) for line, text in layout.left_out if line not in headings)
+    return replace(layout.with_columns({HEADING: cells}), left_out=left_out)
+
+
+# --- The matrix of ISO 230-2 ------------------------------------------------------------------------
+
+
+@final
+class _Matrix(NamedTuple):
+    """Rows of a table with one row for each reading, and the rows of the file that are no readings (means, standard deviations)."""
+
+    rows: tuple[Row, ...]
+    left_out: tuple[tuple[int, str], ...]
+
+
+_RUN_WORDS: Final = (
+    NAMES["round"] | ROLES["approach"] | {"n", "nr", "no", "j", "x", "xij", "dev", "abw"} | ROLES["deviation"]
+)
+
+
+def run_in(text: str) -> tuple[str, int] | None:
+    """Return the number and direction of a run from its title (``Lauf 2 ↑``, ``3-``, ``Run 1 forward``); None if it is no run."""
+    words = re.findall(r"[^\W\d_]+|\d+|[-+−–↑↓→←]", plain_words(text))
+    numbers = [word for word in words if word.isdecimal()]
+    directions = {direction_of(word) for word in words if not word.isdecimal() and (direction_of(word) or 0)}
+    known = all(
+        word.isdecimal() or word in _RUN_WORDS or word in UP_WORDS or word in DOWN_WORDS or not word[0].isalpha()
+        for word in words
+    )
+    is_run = any(word in NAMES["round"] for word in words)
+    if not known or len(numbers) > 1 or len(directions) > 1 or not (directions or (is_run and numbers)):
+        return None
+    return (numbers[0] if numbers else "1"), next(iter(directions), 0) or 0
+
+
+def _matrix(raw: RawTable) -> _Matrix | None:
+    for at, (_, cells) in enumerate(raw.rows[:100]):
+        matrix = _runs_in_columns(raw, at) or (_runs_in_rows(raw, at) if not run_in(cells[0]) else None)
+        if matrix is not None:
+            return matrix
+    return None
+
+
+def _runs_in_columns(raw: RawTable, at: int) -> _Matrix | None:
+    """Return the matrix whose header is a row, with one column for each run; None if it is no such header."""
+    line, header = raw.rows[at]
+    upper = raw.rows[at - 1][1] if at else ()
+    runs: dict[int, tuple[str, int]] = {}
+    unit, group = "", ""
+    for i, cell in enumerate(header):
+        group = upper[i] if i < len(upper) and upper[i] else group if cell else ""
+        alone, own = without_unit(cell)
+        run = run_in(alone) if cell else None
+        if cell and (run is None or not re.search(r"\d", alone)):
+            run = run_in(f"{without_unit(group)[0]} {alone}") or run
+        if run is not None and not looks_like_number(cell):
+            runs[i] = run
+            unit = unit or own
+    if len(runs) < FEWEST or len(set(runs.values())) < len(runs):
+        return None
+    body = raw.rows[at + 1 :]
+    below = ""
+    if body and all(unit_named(cell) or not cell for cell in (_bare(cell) for cell in body[0][1])):
+        below, units = body[0][1][min(runs)] if min(runs) < len(body[0][1]) else "", body[0][1]
+        body = body[1:]
+    else:
+        units = ()
+    others = [i for i in range(len(header)) if i not in runs]
+    place = _target_column(others, header, upper, body)
+    if place is None:
+        return None
+    title = header[place] or (upper[place] if place < len(upper) else "") or "position"
+    title += f" [{_bare(units[place])}]" if place < len(units) and units[place] else ""
+    rows, left_out = [], []
+    for number, cells in body:
+        target = cells[place] if place < len(cells) else ""
+        values = {i: cells[i] for i in runs if i < len(cells) and cells[i]}
+        if looks_like_number(target) and any(looks_like_number(value) for value in values.values()):
+            rows.append((number, target, values))
+        else:
+            left_out.append((number, " ".join(filter(None, cells))))
+    return _in_rows(
+        raw, at - bool(_is_group_row(upper, header)), line, title, _bare(below) or unit, runs, rows, left_out
+    )
+
+
+def _is_group_row(upper: Sequence[str], header: Sequence[str]) -> bool:
+    return any(run_in(f"{cell} 1") for cell in upper if cell) and len(upper) <= len(header) + 1
+
+
+def _bare(unit: str) -> str:
+    return unit.strip("[]() ")
+
+
+def _is_position_title(title: str) -> bool:
+    words = re.findall(r"[a-z]+", plain_words(title))
+    return all(
+        word in NAMES["position"] | ROLES["command"] | {*"xyzabcuvwip", "axis", "achse", "axe", "pi"} for word in words
+    )
+
+
+def _target_column(
+    others: Sequence[int], header: Sequence[str], upper: Sequence[str], body: Sequence[Row]
+) -> int | None:
+    """Return the column of targets: that named as a position, else the first of numbers that is not an index."""
+    numbers = [i for i in others if sum(i < len(cells) and looks_like_number(cells[i]) for _, cells in body) >= FEWEST]
+    titles = {i: plain_words(without_unit(header[i] or (upper[i] if i < len(upper) else ""))[0]) for i in numbers}
+    named = [i for i in numbers if titles[i] and _is_position_title(titles[i])]
+    plain = [i for i in numbers if titles[i].strip(". ") not in NAMES["index"] - {""}]
+    return next(iter([*named, *plain]), None)
+
+
+def _runs_in_rows(raw: RawTable, at: int) -> _Matrix | None:
+    """Return the matrix whose header is a row of targets, with one row for each run; None if it is no such header."""
+    line, header = raw.rows[at]
+    label, unit = without_unit(header[0])
+    targets = [i for i, cell in enumerate(header) if i and looks_like_number(cell)]
+    if len(targets) < FEWEST or not _is_position_title(label):
+        return None
+    first, body, readings, left_out = targets[0], raw.rows[at + 1 :], [], []
+    runs: dict[int, tuple[str, int]] = {}
+    group = ""
+    for number, cells in body:
+        group = cells[0] or group
+        run = run_in(" ".join(filter(None, [group, *cells[1:first]])))
+        values = [(i, cells[i]) for i in targets if i < len(cells) and cells[i]]
+        if run is None or not any(looks_like_number(value) for _, value in values):
+            left_out.append((number, " ".join(filter(None, cells))))
+            continue
+        if run in runs.values():
+            return None
+        runs[number] = run
+        readings += [(number, header[i], {number: value}) for i, value in values]
+    if len(runs) < FEWEST:
+        return None
+    title = f"{label or 'position'}" + (f" [{unit}]" if unit else "")
+    return _in_rows(raw, at, line, title, "", runs, readings, left_out)
+
+
+def _in_rows(
+    raw: RawTable,
+    titles: int,
+    line: int,
+    title: str,
+    unit: str,
+    runs: dict[int, tuple[str, int]],
+    readings: Sequence[tuple[int, str, dict[int, str]]],
+    left_out: Sequence[tuple[int, str]],
+) -> _Matrix | None:
+    """Return one row for each reading, run by run, below the title rows of the file.
+
+    Args:
+        titles: number of rows above the header.
+        line: line of the header.
+        title: title of the targets.
+        unit: unit of the readings; empty if the matrix gives none.
+        runs: number and direction of each run, by its key in the readings.
+        readings: line, target, and the cells of the runs.
+    """
+    if len(readings) < FEWEST:
+        return None
+    above = raw.rows[:titles]
+    text = " ".join(cell for _, cells in above for cell in cells)
+    stated = re.search(r"(?:[\[(]|\bin\s+)\s*([µμ]m|um|micron\w*|\"|arcsec|µrad)\s*(?:[\])]|\b|$)", text, re.IGNORECASE)
+    unit = unit or (stated[1] if stated else "")
+    small = _are_deviations(readings)
+    name = ("deviation" if small else "measured") + (f" [{unit}]" if unit else "")
+
+    def rows() -> Iterator[Row]:
+        yield line, (title, RUN, DIRECTION, name)
+        for key, (number, direction) in runs.items():
+            for at, target, values in readings:
+                if key in values:
+                    value = "" if is_no_value(values[key]) else values[key]
+                    yield at, (target, number, "+" if direction > 0 else "-" if direction < 0 else "0", value)
+
+    return _Matrix((*above, *rows()), tuple(left_out))
+
+
+def _are_deviations(readings: Sequence[tuple[int, str, dict[int, str]]]) -> bool:
+    """Return whether the readings do not follow the targets: some are farther from them than a hundredth of the largest."""
+    pairs = [(_size(target), _size(value)) for _, target, values in readings for value in values.values()]
+    most = max(abs(target) for target, _ in pairs)
+    return any(abs(value - target) > NEAR * most for target, value in pairs)
+
+
+def _size(cell: str) -> float:
+    """Return a number with whatever decimal sign, to see how large it is; zero for other cells."""
+    numbers = [quantity_in(cell, sign) for sign in (COMMA if "," in cell else POINT, POINT)]
+    return next((float(number.value) for number in numbers if number is not None), 0.0)
