@@ -14,10 +14,10 @@ import pytest
 from scipy import constants as si
 
 from twin.machine.machine import Machine
-from twin.measurement.importing.cells import layout_of, read_cells
-from twin.measurement.importing.quantities import UNITS, table_unit, unit_named, units_of
-from twin.measurement.importing.mapping import ColumnMapping
 from twin.measurement.importing.apply import Applied
+from twin.measurement.importing.cells import layout_of, read_cells
+from twin.measurement.importing.mapping import ColumnMapping
+from twin.measurement.importing.quantities import UNITS, table_unit, unit_named, units_of
 
 DEG = 1.0 / si.degree
 """Degrees per radian."""

@@ -45,7 +45,7 @@ DIRECTION: Final = "direction"
 NAME: Final = "name"
 """Names of the columns that a matrix gives, and of parts of names of points."""
 _POSITION: Final = re.compile(
-    r"(?<![A-Za-z])([XYZABCUVW])\s*[=:]?\s*([-+]?\d+(?:[.,]\d+)?)(?:\s*(?:mm|deg|°))?(?![A-Za-z0-9.,])",
+    r"(?<![A-Za-z])([XYZABCUVW])\s*[=:]?\s*([-+]?\d+(?:[.,]\d+)?)(?:\s*(?:mm|deg|°))?(?![0-9.,]|[A-Za-z](?![-+]?\d))",
     re.IGNORECASE | re.ASCII,
 )
 _ROUND: Final = re.compile(r"(?:r|run|round|runde|lauf|durchgang|wdh|rep|essai|serie|cycle)\s*\d+", re.IGNORECASE)
@@ -100,6 +100,8 @@ def _with_name_parts(layout: Layout, name: str) -> Layout:
             columns[f"{name}: {RUN}"] = words
         elif distinct and 2 * len(distinct) <= len(words):  # others are numbers of points
             kept.append(i)
+    several = [i for i in kept if len({row[i] for row in padded}) > 1]
+    kept = several or kept
     if kept:
         columns[f"{name}: {NAME}"] = [" ".join(filter(None, (row[i] for i in kept))) for row in padded]
     return layout.with_columns(columns)
@@ -154,10 +156,12 @@ def run_in(text: str) -> tuple[str, int] | None:
 
 
 def _matrix(raw: RawTable) -> _Matrix | None:
-    for at, (_, cells) in enumerate(raw.rows[:100]):
-        matrix = _runs_in_columns(raw, at) or (_runs_in_rows(raw, at) if not run_in(cells[0]) else None)
+    for at in range(min(len(raw.rows), 100)):
+        matrix = _runs_in_columns(raw, at) or _runs_in_rows(raw, at)
+        # Of two rows of titles, the lower one shows more runs.
+        lower = _runs_in_columns(raw, at + 1) if matrix is not None and at + 1 < len(raw.rows) else None
         if matrix is not None:
-            return matrix
+            return max([matrix, *([lower] if lower is not None else [])], key=lambda one: len(one.rows))
     return None
 
 
@@ -189,7 +193,8 @@ def _runs_in_columns(raw: RawTable, at: int) -> _Matrix | None:
     place = _target_column(others, header, upper, body)
     if place is None:
         return None
-    title = header[place] or (upper[place] if place < len(upper) else "") or "position"
+    over = upper[place] if place < len(upper) else ""
+    title = f"{over} {header[place]}" if unit_named(_bare(header[place])) else header[place] or over or "position"
     title += f" [{_bare(units[place])}]" if place < len(units) and units[place] else ""
     rows, left_out = [], []
     for number, cells in body:
@@ -225,8 +230,8 @@ def _target_column(
     """Return the column of targets: that named as a position, else the first of numbers that is not an index."""
     numbers = [i for i in others if sum(i < len(cells) and looks_like_number(cells[i]) for _, cells in body) >= FEWEST]
     titles = {i: plain_words(without_unit(header[i] or (upper[i] if i < len(upper) else ""))[0]) for i in numbers}
-    named = [i for i in numbers if titles[i] and _is_position_title(titles[i])]
     plain = [i for i in numbers if titles[i].strip(". ") not in NAMES["index"] - {""}]
+    named = [i for i in plain if titles[i] and _is_position_title(titles[i])]
     return next(iter([*named, *plain]), None)
 
 

@@ -7,7 +7,7 @@ import io
 import re
 import zipfile
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import date, datetime, time
 from hashlib import sha256
@@ -157,11 +157,8 @@ def _decoded(data: bytes, path: Path, encoding: str) -> tuple[str, str]:
         if not encoding and coding == "cp1252":
             coding, text = "latin-1", data.decode("latin-1")
         else:
-            line = "encoding: latin-1"
-            expected = f"{coding} text"
-            raise InputError(
-                "not text of this encoding", expected=expected, file=path, value=error, cure=line
-            ) from error
+            what, other = "not text of this encoding", "encoding: latin-1"
+            raise InputError(what, expected=f"{coding} text", file=path, value=error, cure=other) from error
     odd = re.search("[\0-\x08\x0e-\x1f]", text)
     if odd is not None:
         line = text.count("\n", 0, odd.start()) + 1
@@ -248,7 +245,13 @@ def _without_comments(
         if not cells:
             continue
         mark = re.match(r"(#+|//+|%+|!+)\s*(?=\S)", next(filter(None, cells)))
-        if mark and not cells[0][mark.end() :].isdecimal() and not (mark[1] == "#" and len(mark[0]) == len(cells[0])):
+        is_error = re.fullmatch(r"#(?:n/a|nv|[a-z/0ä]+[!?])", cells[0].lower()) is not None
+        if (
+            mark
+            and not is_error
+            and not cells[0][mark.end() :].isdecimal()
+            and not (mark[1] == "#" and len(mark[0]) == len(cells[0]))
+        ):
             comments.append(joiner.join(filter(None, cells))[mark.end() :].strip())
         else:
             kept.append((line, tuple(cells)))
@@ -285,7 +288,7 @@ def _sheet_rows(data: bytes, path: Path, wanted: str | None) -> tuple[str, list[
         raise InputError(size, expected=f"at most {MAX_UNPACKED_BYTES // 2**20} MB", file=path)
     if name is None:
         what = "several sheets" if filled else "no sheet with cells"
-        line = f"sheet: {quoted(filled[-1])}" if filled else None
+        line = f"sheet: {quoted(max(filled, key=_count_numbers(sheets)))}" if filled else None
         raise InputError(what, expected=f"one of {', '.join(filled or sheets)}", file=path, setting="sheet", cure=line)
     if name not in sheets:
         raise InputError(
@@ -295,7 +298,7 @@ def _sheet_rows(data: bytes, path: Path, wanted: str | None) -> tuple[str, list[
             value=name,
             nearest=closest_name(name, sheets),
             setting="sheet",
-            cure=f"sheet: {quoted(filled[-1])}" if filled else None,
+            cure=f"sheet: {quoted(max(filled, key=_count_numbers(sheets)))}" if filled else None,
         )
     return name, rows
 
@@ -352,6 +355,16 @@ def _check_formulas(data: bytes, name: str | None, rows: Sequence[tuple[int, Seq
 
 def _is_filled(sheet: Any) -> bool:
     return any(value is not None for row in islice(sheet.iter_rows(values_only=True), 200) for value in row)
+
+
+def _count_numbers(sheets: Mapping[str, Any]) -> Callable[[str], int]:
+    """Return the function that counts the numbers in the first rows of a sheet, by its name."""
+
+    def count(name: str) -> int:
+        rows = islice(sheets[name].iter_rows(values_only=True), 200)
+        return sum(isinstance(value, int | float) for row in rows for value in row)
+
+    return count
 
 
 def _cells_of(sheet: Any, path: Path) -> list[tuple[int, list[str]]]:

@@ -153,6 +153,8 @@ SERIAL: Final = ("datetime", "date", "time")
 def add_names(found: Proposal, meanings: Mapping[str, Meaning]) -> None:
     """Add target, carrier, station, round and instrument."""
     for name, meaning in meanings.items():
+        if name in found.used or (name in found.layout.derived and meaning.kind in found.entries):
+            continue
         if meaning.kind == "exact" and name in WORD_COLUMNS:
             found.add(name, entry_of(name))
         elif meaning.kind in ("target", "station", "round"):
@@ -197,7 +199,7 @@ def add_directions(found: Proposal, meanings: Mapping[str, Meaning]) -> None:
     machine = found.machine
     for name, meaning in meanings.items():
         exact = meaning.kind == "exact" and name.startswith("approach_")
-        if meaning.kind != "approach" and not exact:
+        if name in found.used or (meaning.kind != "approach" and not exact):
             continue
         if any(direction_of(cell) is None for cell in found.layout.column(name)):
             wrong = next(cell for cell in found.layout.column(name) if direction_of(cell) is None)

@@ -50,6 +50,8 @@ NOISE: Final = frozenset(
 )
 """Words without a meaning of their own in the name of a column."""
 
+NUMBERING: Final = frozenset("name nom nr no n id nummer number numero index".split())
+"""Words that say that a column holds names or numbers of what the other words name."""
 NAMES: Final[Mapping[str, frozenset[str]]] = MappingProxyType(
     {
         "target": frozenset(
@@ -235,8 +237,10 @@ def meaning_of(header: str, machine: Machine) -> Meaning:
     text, unit = without_unit(header)
     words = _words(text, machine)
     joined = " ".join(words)
+    short = " ".join(word for word in words if word not in NUMBERING) or joined
     for kind, phrases in NAMES.items():
-        if joined in phrases and not (joined in ("", "t") and unit.casefold() in ("°c", "degc", "k", "c")):
+        is_named = joined in phrases or (kind in ("target", "station", "round") and short in phrases)
+        if is_named and not (joined in ("", "t") and unit.casefold() in ("°c", "degc", "k", "c")):
             return Meaning(kind, kind, unit)
     axes = {axis.casefold(): axis for axis in machine.names}
     meant = [word for word in words if word in axes or word in ("x", "y", "z")]

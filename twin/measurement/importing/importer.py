@@ -242,8 +242,8 @@ def import_table(
     given = None if columns is None else ColumnMapping.load(Path(columns), machine)
     try:
         return _imported(path, machine, given, sheet=sheet, plan=None if plan is None else Path(plan))
-    except InputError:
-        if given is not None:
+    except InputError as error:
+        if given is not None or error.cure is not None:
             raise
         kind = other_format(path, most_bytes=MAX_BYTES)
         other = None if kind else other_kind(read_bytes(path).decode("latin-1"), *TABLES)

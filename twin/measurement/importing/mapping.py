@@ -383,11 +383,11 @@ class PlanPoints:
             rows.append(int(later[0]))
         if len(rows) == count:
             return np.array(rows)
-        if count == wanted:
-            return np.arange(wanted)  # the first row that differs is named
         every = [fits(row, 0) for row in range(count)]
         if all(len(found) == 1 for found in every) and len({int(found[0]) for found in every}) == count:
             return np.concatenate(every)
+        if count == wanted:
+            return np.arange(wanted)  # the first row that differs is named
         line, own_cells = layout.rows[len(rows)]
         raise InputError(
             "a position or target that is not one of the next rows of the plan",

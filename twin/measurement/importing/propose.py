@@ -30,9 +30,9 @@ from twin.measurement.importing.columns import (
     quoted,
     without_header,
 )
-from twin.measurement.importing.headers import ROLES, Meaning, plain_words
+from twin.measurement.importing.headers import ROLES, Meaning, direction_of, plain_words
 from twin.measurement.importing.mapping import ColumnsFile, PlanEntry, PlanPoints, column_line, entry_of
-from twin.measurement.importing.quantities import table_unit, unit_named
+from twin.measurement.importing.quantities import SEXAGESIMAL, table_unit, unit_named
 from twin.measurement.importing.readings import ANGLE, LENGTH, DeviationEntry, SphericalEntry, unchecked
 from twin.measurement.importing.units import stated_units
 
@@ -95,7 +95,7 @@ def _unit_of(found: Proposal, name: str, meaning: Meaning, column: str) -> str |
     """Return the unit of a column of the file that its header, the row of units, its cells or the titles state; None if none does."""
     below = found.layout.units[found.layout.names.index(name)]
     for text in (meaning.unit, below, *found.layout.cell_units(name)):
-        unit = unit_named(text, column) if text else None
+        unit = unit_named("deg" if text == SEXAGESIMAL else text, column) if text else None
         if unit is not None:
             return unit.name
     return stated_units(found).get(table_unit(column))
@@ -289,6 +289,9 @@ def _add_one_axis(found: Proposal, meanings: Mapping[str, Meaning]) -> bool:
             found.entries.setdefault(name, entry_of(value=""))
     if stated is None:
         found.assume(f"no unit is given for '{reading}': {unit}", "deviations" if found.deviations else "x_mm", "unit")
+    for name in series:
+        if meanings[name].kind == "approach" and all(direction_of(cell) is not None for cell in layout.column(name)):
+            found.add(f"approach_{axis.name}", entry_of(name))
     fixed = {
         "target": "reflector",
         "carrier": axis.side,
