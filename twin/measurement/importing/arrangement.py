@@ -83,13 +83,20 @@ def positions_in(text: str) -> tuple[dict[str, str], str]:
 def _with_name_parts(layout: Layout, name: str) -> Layout:
     """Return a layout with a column for each part of the names in a column, if these hold positions."""
     cells = layout.column(name)
+    if any(looks_like_number(cell) for cell in cells):
+        return layout
     parts = [positions_in(cell) for cell in cells]
     given = [found for found, _ in parts if len(found) >= FEWEST]
-    if len(given) < SHARE * len(cells) or any(looks_like_number(cell) for cell in cells):
-        return layout
+    if len(given) < SHARE * len(cells):
+        if 2 * len(set(cells)) <= len(cells):
+            return layout
+        parts, given = (
+            [({}, cell.replace("_", " ")) for cell in cells],
+            [],
+        )  # with a number for each point, such as K1_017
     letters = [letter for letter in "XYZABCUVW" if any(letter in found for found in given)]
     columns = {f"{name}: {letter}": [found.get(letter, "") for found, _ in parts] for letter in letters}
-    rest = [re.split(r"[\s,;:/|]+", text.strip(" _-,;:/|")) for _, text in parts]
+    rest = [re.split(r"[\s,;:/|-]+", text.strip(" -,;:/|")) for _, text in parts]
     count = max(map(len, rest))
     padded = [[*words, *[""] * (count - len(words))] for words in rest]
     kept: list[int] = []
@@ -102,9 +109,9 @@ def _with_name_parts(layout: Layout, name: str) -> Layout:
             kept.append(i)
     several = [i for i in kept if len({row[i] for row in padded}) > 1]
     kept = several or kept
-    if kept:
+    if kept and (letters or several):
         columns[f"{name}: {NAME}"] = [" ".join(filter(None, (row[i] for i in kept))) for row in padded]
-    return layout.with_columns(columns)
+    return layout.with_columns(columns) if columns else layout
 
 
 def _with_headings(layout: Layout) -> Layout:
@@ -135,9 +142,8 @@ class _Matrix(NamedTuple):
     left_out: tuple[tuple[int, str], ...]
 
 
-_RUN_WORDS: Final = (
-    NAMES["round"] | ROLES["approach"] | {"n", "nr", "no", "j", "x", "xij", "dev", "abw"} | ROLES["deviation"]
-)
+_RUNS: Final = NAMES["round"] | {"messung", "measurement", "mesure"}
+_RUN_WORDS: Final = _RUNS | ROLES["approach"] | {"n", "nr", "no", "j", "x", "xij", "dev", "abw"} | ROLES["deviation"]
 
 
 def run_in(text: str) -> tuple[str, int] | None:
@@ -149,7 +155,7 @@ def run_in(text: str) -> tuple[str, int] | None:
         word.isdecimal() or word in _RUN_WORDS or word in UP_WORDS or word in DOWN_WORDS or not word[0].isalpha()
         for word in words
     )
-    is_run = any(word in NAMES["round"] for word in words)
+    is_run = any(word in _RUNS for word in words)
     if not known or len(numbers) > 1 or len(directions) > 1 or not (directions or (is_run and numbers)):
         return None
     return (numbers[0] if numbers else "1"), next(iter(directions), 0) or 0

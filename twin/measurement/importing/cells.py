@@ -471,10 +471,13 @@ def layout_of(raw: RawTable, given: Sequence[str] = ()) -> Layout:
     width = max(len(row) for (_, row), used in zip(raw.rows, is_data, strict=True) if used)
     header, units, titles = _header(raw.rows[:first], len(columns), width)
     header = list(given) or header
+    last = max((i for i, used in enumerate(is_data) if used), default=len(is_data)) - first
     rows, left_out = [], []
-    for line, row in raw.rows[first:]:
-        if any(looks_like_number(cell) for cell in row[:1000]) and not (
-            header and list(row) == list(header)[: len(row)]
+    for place, (line, row) in enumerate(raw.rows[first:]):
+        if (
+            place <= last
+            and any(looks_like_number(cell) for cell in row[:1000])
+            and not (header and list(row) == list(header)[: len(row)])
         ):
             rows.append((line, row))
         else:

@@ -167,7 +167,10 @@ def add_names(found: Proposal, meanings: Mapping[str, Meaning]) -> None:
                 found.add("carrier", entry_of(name))
     if found.plan is not None:
         return
-    points = [name for name, one in meanings.items() if one.kind == "point"]
+    points = sorted(
+        (name for name, one in meanings.items() if one.kind == "point"),
+        key=lambda name: name not in found.layout.derived,
+    )
     if "target" not in found.entries:
         _add_target(found, points)
 
@@ -255,7 +258,11 @@ def meanings_of(layout: Layout, machine: Machine) -> dict[str, Meaning]:
     for name in layout.derived:
         part = name.rpartition(": ")[2]
         axis = machine.by_name.get(part)
-        kinds = {RUN: Meaning("round", "round"), NAME: Meaning("target", "target")}
+        given = any(other.startswith(name.removesuffix(NAME)) and other[-3:-1] == ": " for other in layout.derived)
+        kinds = {
+            RUN: Meaning("round", "round"),
+            NAME: Meaning("target", "target") if given else Meaning("point", "point"),
+        }
         meanings[name] = Meaning("command", axis.name, axis.unit) if axis is not None else kinds.get(part, Meaning())
     return meanings
 

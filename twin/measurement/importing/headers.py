@@ -18,11 +18,11 @@ ROLES: Final[Mapping[str, frozenset[str]]] = MappingProxyType(
         "command": frozenset(
             "soll sollwert sollwerte sollposition nominal nom nominals nominalwert nenn nennwert nennmass command commanded cmd set "
             "setpoint programmed prog target ref reference theo theoretical theor vorgabe vorgegeben angefahren "
-            "anfahrposition consigne theorique nominale nominales programme programmee commande commandee cible visee".split()
+            "anfahrposition mks mcs consigne theorique nominale nominales programme programmee commande commandee cible visee".split()
         ),
         "measured": frozenset(
             "ist istwert istwerte actual act actuals meas measured measurement measure gemessen messwert messwerte mess istmass mp "
-            "aktuell reading mesure mesuree mesures mesurees reel reelle lu lue releve relevee".split()
+            "aktuell reading tracker lasertracker mesure mesuree mesures mesurees reel reelle lu lue releve relevee".split()
         ),
         "readback": frozenset(
             "readback encoder control reported display anzeige steuerung rueckmeldung geber massstab nc".split()

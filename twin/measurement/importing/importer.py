@@ -243,10 +243,10 @@ def import_table(
     try:
         return _imported(path, machine, given, sheet=sheet, plan=None if plan is None else Path(plan))
     except InputError as error:
-        if given is not None or error.cure is not None:
+        if given is not None:
             raise
         kind = other_format(path, most_bytes=MAX_BYTES)
-        other = None if kind else other_kind(read_bytes(path).decode("latin-1"), *TABLES)
+        other = None if kind or error.cure is not None else other_kind(read_bytes(path).decode("latin-1"), *TABLES)
         if kind is None and other is None:
             raise
     if kind is None:

@@ -248,7 +248,7 @@ def _add_one_axis(found: Proposal, meanings: Mapping[str, Meaning]) -> bool:
         for name, one in meanings.items()
         if one.kind in ("position", "command", "bare", "target") and is_number_column(found, name)
     ]
-    positions.sort(key=lambda name: meanings[name].kind in ("target", "position"))
+    positions.sort(key=lambda name: (meanings[name].kind == "target", not meanings[name].unit))
     readings = [
         name
         for name, one in meanings.items()
@@ -292,6 +292,7 @@ def _add_one_axis(found: Proposal, meanings: Mapping[str, Meaning]) -> bool:
     for name in series:
         if meanings[name].kind == "approach" and all(direction_of(cell) is not None for cell in layout.column(name)):
             found.add(f"approach_{axis.name}", entry_of(name))
+    found.used |= {name for name in positions if meanings[name].kind == "target"}
     fixed = {
         "target": "reflector",
         "carrier": axis.side,
@@ -347,7 +348,10 @@ def _choose_sides(found: Proposal) -> None:
     if len(set(chosen.values())) == 1:
         side = chosen[names[0]]
         found.entries["carrier"] = entry_of(value=side)
-        proof = "" if len(shown) < len(names) else ": on the other side the readings do not follow the commands"
+        proof = (
+            "the readings do not show it" if not shown else "on the other side the readings do not follow the commands"
+        )
+        proof = "" if 0 < len(shown) < len(names) else f": {proof}"
         text = f"the targets sit on the {side} side of the machine (carrier: {side}){proof}"
         found.assume(text, "carrier", "tool or work")
         return
