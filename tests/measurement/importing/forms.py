@@ -88,7 +88,7 @@ class Table:
 
 
 def table(rounds: int = 1) -> Table:
-    """Return 44 points a round: two reflectors in the spindle, two on the table."""
+    """Return 42 points a round: two reflectors in the spindle, two on the table."""
     rng, q, names, which = np.random.default_rng(3), [], [], []
     tool = [(x, 250, z, 0, 0) for x in (0, 150.5, 300, 450, 600) for z in (-400, -200)]
     work = [

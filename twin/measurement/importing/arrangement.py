@@ -36,6 +36,8 @@ FEWEST: Final = 2
 """Number of axes that a name must give, of runs that a matrix must have, and of headings that a table must have."""
 SHARE: Final = 0.8
 """Share of rows whose names must give positions."""
+MOST_BEFORE: Final = 20
+"""Number of rows between the targets and the first run of a matrix."""
 NEAR: Final = 0.01
 """Distance of a reading from its target, as a share of the largest target, up to which it is a position and not a deviation."""
 HEADING: Final = "heading"
@@ -246,7 +248,7 @@ def _runs_in_rows(raw: RawTable, at: int) -> _Matrix | None:
     line, header = raw.rows[at]
     label, unit = without_unit(header[0])
     targets = [i for i, cell in enumerate(header) if i and looks_like_number(cell)]
-    if len(targets) < FEWEST or not _is_position_title(label):
+    if len(targets) < FEWEST or looks_like_number(header[0]) or not _is_position_title(label):
         return None
     first, body, readings, left_out = targets[0], raw.rows[at + 1 :], [], []
     runs: dict[int, tuple[str, int]] = {}
@@ -257,6 +259,8 @@ def _runs_in_rows(raw: RawTable, at: int) -> _Matrix | None:
         values = [(i, cells[i]) for i in targets if i < len(cells) and cells[i]]
         if run is None or not any(looks_like_number(value) for _, value in values):
             left_out.append((number, " ".join(filter(None, cells))))
+            if not runs and len(left_out) > MOST_BEFORE:
+                return None
             continue
         if run in runs.values():
             return None

@@ -6,6 +6,7 @@ import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from decimal import Decimal
+from functools import lru_cache
 from types import MappingProxyType
 from typing import Final, NamedTuple, final
 
@@ -88,6 +89,7 @@ def _by_word() -> dict[str, tuple[Unit, ...]]:
 _BY_WORD: Final[Mapping[str, tuple[Unit, ...]]] = MappingProxyType(_by_word())
 
 
+@lru_cache(maxsize=4096)
 def unit_named(text: str, column: str = "") -> Unit | None:
     """Return the unit of that spelling, in any case; None if there is none.
 
@@ -98,6 +100,7 @@ def unit_named(text: str, column: str = "") -> Unit | None:
     return next((unit for unit in units if not column or unit.table_unit == table_unit(column)), None)
 
 
+@lru_cache(maxsize=4096)
 def table_unit(column: str) -> str:
     """Return the unit of a column of a measurement table: the end of its name; empty for words and directions."""
     ends = sorted({unit.table_unit for unit in UNITS}, key=len, reverse=True)
@@ -134,9 +137,11 @@ _WITH_UNIT: Final = re.compile(
 _SEXAGESIMAL: Final = re.compile(
     r"([-+]?)(\d{1,3})\s*[°ºd]\s*(\d{1,2})\s*['′m]\s*(?:(\d{1,2}(?:[.,]\d*)?)\s*(?:\"|''|″|s)?)?", re.ASCII
 )
+_DEGREES: Final = re.compile("[°ºd]")
 SEXAGESIMAL: Final = "dms"
 """Unit of a cell in degrees, minutes and seconds."""
 SIXTY: Final = 60
+_SIGNS_ALONE: Final = re.compile(r"[-–—_*?.#/]+|#[\w/]+[!?]?")
 NO_VALUE: Final = frozenset(
     "nan n/a na null none nil n.a. n.a k.a. n/v n.v. inf -inf missing invalid lost error fehler fehlt ungültig".split()
 ) | {
@@ -181,6 +186,8 @@ def split_unit(cell: str) -> tuple[str, str]:
 
     The unit of degrees, minutes and seconds is `SEXAGESIMAL`. A unit of one letter needs a blank before it: ``2K`` is a name.
     """
+    if cell[-1:].isdigit() and not _DEGREES.search(cell):  # most cells
+        return cell, ""
     text = cell.translate(MINUS)
     if len(text) >= 60:
         return cell, ""
@@ -196,8 +203,10 @@ def split_unit(cell: str) -> tuple[str, str]:
 
 def is_no_value(cell: str, words: Iterable[str] = ()) -> bool:
     """Return whether a cell states that there is no value: empty, signs alone, an error of a spreadsheet, or one of some words."""
+    if not words and cell[-1:].isdigit() and cell[:1].isdigit():  # most cells
+        return False
     text = " ".join(cell.casefold().split())
-    return not text or text in NO_VALUE or text in words or bool(re.fullmatch(r"[-–—_*?.#/]+|#[\w/]+[!?]?", text))
+    return not text or text in NO_VALUE or text in words or bool(_SIGNS_ALONE.fullmatch(text))
 
 
 class Quantity(NamedTuple):
