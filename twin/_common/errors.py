@@ -71,7 +71,7 @@ class InputError(ValueError):
         return self.text()
 
     def text(self, options: str = "") -> str:
-        """Return the sentence, with the names of options behind what was expected, and the line that cures the error at its end."""
+        """Return the sentence, with the names of options behind what was expected, and at the end the line that cures the error."""
         place = ""
         if self.file is not None:
             place = self.file if self.line is None else f"{self.file}:{self.line}"

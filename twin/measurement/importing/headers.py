@@ -51,7 +51,7 @@ NOISE: Final = frozenset(
 """Words without a meaning of their own in the name of a column."""
 
 NUMBERING: Final = frozenset("name nom nr no n id nummer number numero index".split())
-"""Words that say that a column holds names or numbers of what the other words name."""
+"""Words beside the name of a thing that do not change it: its name or number."""
 NAMES: Final[Mapping[str, frozenset[str]]] = MappingProxyType(
     {
         "target": frozenset(

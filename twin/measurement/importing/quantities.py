@@ -209,7 +209,7 @@ def is_no_value(cell: str, words: Iterable[str] = ()) -> bool:
     return not text or text in NO_VALUE or text in words or bool(_SIGNS_ALONE.fullmatch(text))
 
 
-class Quantity(NamedTuple):
+class CellNumber(NamedTuple):
     """Number of a cell.
 
     Attributes:
@@ -234,16 +234,16 @@ class Quantity(NamedTuple):
         return self.value if used is None else used.to_table(self.value)
 
 
-def quantity_in(cell: str, sign: str) -> Quantity | None:
+def quantity_in(cell: str, sign: str) -> CellNumber | None:
     """Return the number of a cell and its unit; None if it has none with this decimal sign."""
     text, unit = split_unit(cell)
     if unit == SEXAGESIMAL:
         return _sexagesimal(text, sign)
     value = decimal_value(text, sign)
-    return None if value is None else Quantity(value, unit)
+    return None if value is None else CellNumber(value, unit)
 
 
-def _sexagesimal(text: str, sign: str) -> Quantity | None:
+def _sexagesimal(text: str, sign: str) -> CellNumber | None:
     match = _SEXAGESIMAL.fullmatch(text)
     parts = [] if match is None else [decimal_value(part or "0", sign) for part in match.group(2, 3, 4)]
     if match is None or None in parts:
@@ -252,7 +252,7 @@ def _sexagesimal(text: str, sign: str) -> Quantity | None:
     if minutes >= SIXTY or seconds >= SIXTY:
         return None
     size = degrees + minutes / SIXTY + seconds / SIXTY**2
-    return Quantity(Decimal(f"{-size if match[1] == '-' else size:.15g}"), SEXAGESIMAL)
+    return CellNumber(Decimal(f"{-size if match[1] == '-' else size:.15g}"), SEXAGESIMAL)
 
 
 def decimal_value(cell: str, sign: str) -> Decimal | None:
