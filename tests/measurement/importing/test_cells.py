@@ -28,6 +28,7 @@ from twin.measurement.importing.quantities import decimal_sign, decimal_value, u
         ("12:30", None, None),
         ("24.11.2026", None, None),
         ("-", None, None),
+        ("e99", None, None),
         ("٣", None, None),
     ],
 )

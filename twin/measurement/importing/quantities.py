@@ -261,7 +261,7 @@ def decimal_value(cell: str, sign: str) -> Decimal | None:
     Thousands may be separated by the other sign, an apostrophe or a blank.
     """
     text = cell.translate(MINUS)
-    if len(text) > 60 or not re.search("[0-9]", text) or not _NUMBER[sign].fullmatch(text):
+    if len(text) > 60 or not re.match(r"[-+]?[.,]?[0-9]", text) or not _NUMBER[sign].fullmatch(text):
         return None
     other = COMMA if sign == POINT else POINT
     value = Decimal(text.replace(other, "").replace("'", "").replace(" ", "").replace(sign, POINT))
