@@ -444,3 +444,42 @@ def test_a_positioning_test_of_an_unknown_axis_is_confirmed(trunnion: Machine, t
 def test_a_positioning_test_of_a_rotary_axis_is_refused(trunnion: Machine, tmp_path: Path) -> None:
     text = forms.runs(head="Axis: C").replace("[mm]", "[°]")
     assert "a positioning test of C, a rotary axis" in str(refusal(put(tmp_path, text), trunnion))
+
+
+# --- Words of titles and names ---------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "head", ["Units in mm", "All dimensions in mm, angles in degrees", "Einheiten: mm / Grad", "Unités : mm"]
+)
+def test_titles_that_state_units(trunnion: Machine, own: forms.Table, tmp_path: Path, head: str) -> None:
+    found = import_table(put(tmp_path, forms.titled(own, "English", [head])), trunnion)
+    assert not any("no unit is given for 'X" in text for text in found.assumptions), found.assumptions
+
+
+def test_footers_are_left_out_and_listed(trunnion: Machine, own: forms.Table, tmp_path: Path) -> None:
+    text = forms.titled(own, "German", ["Messprotokoll", "Einheit: mm, Grad"])
+    found = read(
+        put(tmp_path, text + "Mittelwert;;;;;;1,5;2,5;3,5\r\nStdabw;;;;;;0,001;0,002;0,003\r\nEnde\r\n"), trunnion
+    )
+    check(found, own)
+    last = len(text.splitlines()) + 1
+    assert any(
+        f"line {last} (Mittelwert 1,5 2,5 3,5)" in note for note in import_table(tmp_path / "shop.csv", trunnion).notes
+    )
+
+
+def test_names_with_a_number_for_each_point(trunnion: Machine, own: forms.Table, tmp_path: Path) -> None:
+    rows: list[list[object]] = [
+        ["Punkt", *(f"{a} soll [mm]" for a in "XYZ"), "A soll [°]", "C soll [°]", *(f"{a} ist [mm]" for a in "XYZ")]
+    ]
+    rows += [[f"{own.target[i]}_{i + 1:03d}", *own.q[i], *own.xyz[i]] for i in range(len(own.q))]
+    path = put(tmp_path, forms.csv_text(rows))
+    assert "each name of 'Punkt: name' is a target: K1, K2, T1, T2" in import_table(path, trunnion).assumptions
+    check(read(path, trunnion), own)
+
+
+def test_a_table_of_another_machine(dmu50: Machine, own: forms.Table, tmp_path: Path) -> None:
+    """A forgotten choice of the machine is named, not filled up with an axis that stood still."""
+    for text in (forms.named_points(own), forms.titled(own, "German"), forms.cells_with_units(own)):
+        assert "positions of A, an axis that DMU 50 eVolution does not have" in str(refusal(put(tmp_path, text), dmu50))

@@ -51,7 +51,7 @@ EXPECTED: dict[str, tuple[str, float, float]] = {
 """Table unit, size of one of it in table units, and its zero there."""
 WORDS = {
     "mm": "mm MM millimeter millimetre millimeters millimetres millimètre millimètres",
-    "m": "m M meter metre meters metres mètre mètres",
+    "m": "m M meter metre meters metres Metern mètre mètres",
     "cm": "cm centimeter centimetre centimeters centimetres Zentimeter",
     "um": "um µm μm micron microns Mikrometer my micrometer micrometre",
     "nm": "nm",

@@ -269,6 +269,14 @@ def meaning_of(header: str, machine: Machine) -> Meaning:
     return Meaning(role, axis, unit, certain=len(roles) == 1 and all(word in ROLES[role] for word in rest))
 
 
+def other_axis(header: str, machine: Machine) -> str:
+    """Return the letter of a rotary axis A, B or C that a header names as a position and the machine does not have; empty if none."""
+    text = header.removesuffix("_deg") if re.fullmatch("[A-C]_deg", header) else without_unit(header)[0]
+    words = [word for word in _words(text, machine) if word not in NOISE and word not in ROLES["command"]]
+    letter = words[0].upper() if len(words) == 1 else ""
+    return letter if letter in ("A", "B", "C") and letter not in machine.by_name else ""
+
+
 def without_unit(header: str) -> tuple[str, str]:
     """Return a header without its unit, and the unit; empty if it gives none."""
     for pattern in (_BRACKETS, _SUFFIX):

@@ -15,7 +15,7 @@ from twin.measurement.agreement import sides_of_targets
 from twin.measurement.columns import PLACE_COLUMNS, POINT_COLUMNS
 from twin.measurement.importing.apply import Applied
 from twin.measurement.importing.arrangement import DIRECTION, HEADING, RUN
-from twin.measurement.importing.cells import Layout
+from twin.measurement.importing.cells import Layout, listed
 from twin.measurement.importing.columns import (
     Proposal,
     add_directions,
@@ -30,7 +30,7 @@ from twin.measurement.importing.columns import (
     quoted,
     without_header,
 )
-from twin.measurement.importing.headers import ROLES, Meaning, direction_of, plain_words
+from twin.measurement.importing.headers import ROLES, Meaning, direction_of, other_axis, plain_words
 from twin.measurement.importing.mapping import ColumnsFile, PlanEntry, PlanPoints, column_line, entry_of
 from twin.measurement.importing.quantities import SEXAGESIMAL, table_unit, unit_named
 from twin.measurement.importing.readings import ANGLE, LENGTH, DeviationEntry, SphericalEntry, unchecked
@@ -56,6 +56,7 @@ def proposed(layout: Layout, machine: Machine, plan: PlanPoints | None, given: C
     choose_sign(found, exact=any(meaning.kind == "exact" for meaning in meanings.values()))
     if not layout.header_line:
         meanings = without_header(found)
+    _check_axes(found)
     if plan is not None or not _add_one_axis(found, meanings):
         _add_deviations(found, meanings)
         add_numbers(found, meanings)
@@ -86,6 +87,26 @@ def proposed(layout: Layout, machine: Machine, plan: PlanPoints | None, given: C
         more = f" and {len(layout.left_out) - 3} more" if len(layout.left_out) > 3 else ""
         found.notes.append(f"rows without a reading are left out: line {lines}{more}")
     return found
+
+
+def _check_axes(found: Proposal) -> None:
+    """Raise `InputError` if the file gives positions of a rotary axis that the machine does not have: it is of another machine."""
+    layout, machine = found.layout, found.machine
+    for i, name in enumerate(layout.names):
+        letter = other_axis(name.rpartition(": ")[2] if name in layout.derived else name, machine)
+        values = found.values(name) if letter else np.zeros(0)
+        if letter and np.isfinite(values).any() and np.nanmax(values) - np.nanmin(values) > 1e-6:
+            own = [one for one in layout.names if one not in layout.derived]
+            renamed = [f"not {one}" if k == i else one for k, one in enumerate(own)]
+            raise InputError(
+                f"positions of {letter}, an axis that {machine.name} does not have",
+                expected=f"a table of a machine with the axes {', '.join(machine.names)}",
+                file=layout.raw.path,
+                line=layout.header_line or layout.rows[0][0],
+                value=name,
+                setting="machine",
+                cure=f"names: {listed(renamed)}" if name not in layout.derived else None,
+            )
 
 
 # --- Readings that are computed: angles and distances, deviations, lengths along one axis ------------

@@ -48,7 +48,7 @@ UNITS: Final = (
     Unit(
         "mm", "mm", Decimal(1), ("millimeter", "millimetre", "millimeters", "millimetres", "millimètre", "millimètres")
     ),
-    Unit("m", "mm", Decimal(1000), ("meter", "metre", "meters", "metres", "mètre", "mètres")),
+    Unit("m", "mm", Decimal(1000), ("meter", "metre", "meters", "metres", "metern", "mètre", "mètres")),
     Unit("cm", "mm", Decimal(10), ("centimeter", "centimetre", "centimeters", "centimetres", "zentimeter")),
     Unit(
         "um", "mm", Decimal("0.001"), ("µm", "μm", "micron", "microns", "mikrometer", "my", "micrometer", "micrometre")

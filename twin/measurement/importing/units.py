@@ -96,10 +96,16 @@ def stated_units(found: Columns) -> dict[str, str]:
     stated: dict[str, tuple[str, str]] = {}
     for text in (*found.layout.titles, *found.layout.raw.comments):
         match = _STATEMENT.search(text)
-        for word in re.split(r"[\s,;/|&]+", next(filter(None, match.groups())))[:8] if match else ():
-            unit = unit_named(word.strip("()[].:"))
-            if unit is None or unit.table_unit not in ("mm", "deg"):
-                continue
+        words = (
+            [word.strip("()[].:") for word in re.split(r"[\s,;/|&]+", next(filter(None, match.groups())))[:8]]
+            if match
+            else []
+        )
+        for k, word in enumerate(words):
+            unit = unit_named(word)
+            is_preposition = word.casefold() == "in" and unit_named("".join(words[k + 1 : k + 2])) is not None
+            if unit is None or is_preposition or unit.table_unit not in ("mm", "deg") or unit.name in ("um", "nm"):
+                continue  # positions are not in micrometres
             other, where = stated.setdefault(unit.table_unit, (unit.name, text))
             given = found.given is not None and (found.given.length if unit.table_unit == "mm" else found.given.angle)
             if other != unit.name and not given:
