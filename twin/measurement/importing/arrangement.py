@@ -102,13 +102,18 @@ def _with_name_parts(layout: Layout, name: str) -> Layout:
     count = max(map(len, rest))
     padded = [[*words, *[""] * (count - len(words))] for words in rest]
     kept: list[int] = []
+    rounds: list[int] = []
     for i in range(count):
         words = [row[i] for row in padded]
         distinct = {word for word in words if word}
         if distinct and all(_ROUND.fullmatch(word) for word in distinct):
-            columns[f"{name}: {RUN}"] = words
+            rounds.append(i)
         elif distinct and 2 * len(distinct) <= len(words):  # others are numbers of points
             kept.append(i)
+    if rounds and not kept and letters:  # R1, R2 and R3 may be the reflectors
+        kept = rounds
+    elif rounds:
+        columns[f"{name}: {RUN}"] = [row[rounds[0]] for row in padded]
     several = [i for i in kept if len({row[i] for row in padded}) > 1]
     kept = several or kept
     if kept and (letters or several):
@@ -146,6 +151,13 @@ class _Matrix(NamedTuple):
 
 _RUNS: Final = NAMES["round"] | {"messung", "measurement", "mesure"}
 _RUN_WORDS: Final = _RUNS | ROLES["approach"] | {"n", "nr", "no", "j", "x", "xij", "dev", "abw"} | ROLES["deviation"]
+
+
+_DEVIATION_UNIT: Final = re.compile(
+    r"(?:abweich|deviat|error|fehler|ecart|écart)\w*[^;,\[(]{0,16}(?:[\[(]|\bin\s)\s*([µμ]m|um|mm|inch)\b|(?:[\[(]|\bin\s)\s*([µμ]m|um|microns?)\b",
+    re.IGNORECASE,
+)
+"""Title that states the unit of the deviations of a matrix."""
 
 
 def run_in(text: str) -> tuple[str, int] | None:
@@ -296,8 +308,8 @@ def _in_rows(
         return None
     above = raw.rows[:titles]
     text = " ".join(cell for _, cells in above for cell in cells)
-    stated = re.search(r"(?:[\[(]|\bin\s+)\s*([µμ]m|um|micron\w*|\"|arcsec|µrad)\s*(?:[\])]|\b|$)", text, re.IGNORECASE)
-    unit = unit or (stated[1] if stated else "")
+    stated = _DEVIATION_UNIT.search(text)
+    unit = unit or (next(filter(None, stated.groups())) if stated else "")
     small = _are_deviations(readings)
     name = ("deviation" if small else "measured") + (f" [{unit}]" if unit else "")
 

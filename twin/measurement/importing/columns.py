@@ -431,4 +431,5 @@ def _column_of(name: str, meaning: Meaning, found: Proposal, roles: set[tuple[st
 def is_number_column(found: Proposal, name: str) -> bool:
     """Return whether all cells of a column that have a value are numbers."""
     cells = [cell for cell in found.layout.column(name) if not is_no_value(cell, found.missing)]
-    return bool(cells) and all(quantity_in(cell, found.sign) is not None for cell in cells)
+    sign = POINT if name in found.layout.derived else found.sign
+    return bool(cells) and all(quantity_in(cell, sign) is not None for cell in cells)

@@ -38,6 +38,8 @@ from twin.measurement.importing.units import stated_units
 
 CLEAR: Final = 5.0
 """Ratio of misfits from which the readings prove a convention."""
+FOLLOWS_MM: Final = 1.0
+"""Mean misfit up to which readings follow the commands."""
 UNCERTAIN_ANGLE: Final = "grad"
 """Word for degrees in German, and for gon in English."""
 
@@ -162,7 +164,7 @@ def _choose_conventions(found: Proposal) -> None:
         f"'{own.horizontal}' grows {sense} seen from above, '{own.vertical}' counts from the {found.spherical.vertical_from}; "
         f"angles in {found.spherical.angle}, distances in {found.spherical.length}"
     )
-    if CLEAR * misfits[0][0] < misfits[1][0]:
+    if misfits[0][0] < FOLLOWS_MM and CLEAR * misfits[0][0] < misfits[1][0]:
         found.notes.append(f"{text}: only so do the readings follow the commands, within {misfits[0][0]:.2g} mm")
     else:
         found.assume(f"{text}: the readings do not show it", "spherical", "sense, zero and units of the angles")
