@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -368,6 +369,15 @@ def test_names_are_compared_with_the_plan(trunnion: Machine, tmp_path: Path) -> 
     text = forms.named_points(own.take(kept)).replace("X150.5_", "X155_", 1)
     error = refusal(put(tmp_path, text), trunnion, plan=plan)
     assert error.line == 8 and "X155" in str(error)
+
+
+def test_points_measured_twice_in_a_row(trunnion: Machine, own: forms.Table, tmp_path: Path) -> None:
+    """Each of two equal rows is the next one of the plan: rounds alternate."""
+    rows = np.repeat(np.arange(len(own.q)), 2).tolist()
+    twice = replace(own.take(rows), round=tuple("12" * len(own.q)))
+    plan = plan_of(twice, tmp_path / "plan.csv")
+    data = check(read(put(tmp_path, forms.named_points(twice)), trunnion, plan=plan), twice)
+    assert data.round.tolist() == list(twice.round)
 
 
 def test_rounded_names_take_the_position_of_the_plan(trunnion: Machine, own: forms.Table, tmp_path: Path) -> None:
