@@ -342,6 +342,32 @@ def test_unknown_sides_and_directions(trunnion: Machine, own: forms.Table, tmp_p
     assert error.cure is not None and yaml.safe_load(error.cure)["columns"]["approach_X"]["words"] == {"K1": 0}
 
 
+@pytest.mark.parametrize(
+    ("lines", "what"),
+    [
+        ({"length": "mn"}, "map.yaml:2: no such unit: 'mn' (did you mean m?)"),
+        ({"angle": "mm"}, "map.yaml:2: no such unit: 'mm'"),
+        (
+            {"spherical": {"horizontal": "H", "vertical": "V", "distance": "D", "angle": "gom"}},
+            "no such unit: 'gom' (did you mean gon?)",
+        ),
+        ({"spherical": {"horizontal": "H", "vertical": "V", "distance": "D"}}, "has no such column: 'H'"),
+        ({"deviations": {"x": "X actual", "unit": "deg"}}, "no such unit: 'deg'"),
+        ({"deviations": {"x": "X actual", "along": "Q_mm"}}, "no such axis: 'Q_mm'"),
+        ({"deviations": {"x": "X aktual", "along": "X_mm"}}, "has no such column: 'X aktual'"),
+        ({"plan": {"match": "positions"}}, "the mapping takes positions from a plan"),
+    ],
+)
+def test_a_line_that_is_wrong_is_refused(
+    trunnion: Machine, own: forms.Table, tmp_path: Path, lines: dict[str, Any], what: str
+) -> None:
+    path, mapping = put(tmp_path, forms.titled(own, "English", ["Units: mm / deg"])), tmp_path / "map.yaml"
+    mapping.write_text(yaml.safe_dump({"schema": "twin.columns/1", **lines}, sort_keys=False))
+    with pytest.raises(InputError) as caught:
+        import_table(path, trunnion, columns=mapping)
+    assert what in str(caught.value)
+
+
 # --- Plans --------------------------------------------------------------------------------------------
 
 

@@ -268,13 +268,15 @@ def _imported(
     )
     layout = table_layout(raw, () if entries is None else entries.names)
     rows = None if plan is None else PlanPoints.load(plan, machine)
-    if given is None or not given.entries.is_complete(machine):
-        proposal = proposed(layout, machine, rows, entries)
-        return _finished(Applied(layout, proposal.mapping(), machine), rows, proposal)
-    if (given.entries.plan is None) != (rows is None):
+    complete = given is not None and given.entries.is_complete(machine)
+    if given is not None and (given.entries.plan is None) != (rows is None) and (complete or rows is None):
         what = "the mapping takes positions from a plan" if rows is None else "the mapping does not use a plan"
         expected = "the plan" if rows is None else "an entry `plan: {match: order}`"
-        raise InputError(what, expected=expected, file=given.path, setting="plan")
+        line = None if rows is None else "plan: {match: order}"
+        raise InputError(what, expected=expected, file=given.path, setting="plan", cure=line)
+    if given is None or not complete:
+        proposal = proposed(layout, machine, rows, entries)
+        return _finished(Applied(layout, proposal.mapping(), machine), rows, proposal)
     return _finished(Applied(layout, given, machine), rows, None)
 
 

@@ -22,7 +22,7 @@ from twin.measurement.columns import ANGLE_COLUMNS, POINT_COLUMNS, table_columns
 from twin.measurement.importing.cells import DELIMITERS, Layout, listed
 from twin.measurement.importing.headers import is_table_column, meaning_of, table_names
 from twin.measurement.importing.quantities import SIGNS, UNITS, unit_named, units_of
-from twin.measurement.importing.readings import DeviationEntry, SphericalEntry
+from twin.measurement.importing.readings import ANGLE, LENGTH, DeviationEntry, SphericalEntry
 from twin.measurement.table import Measurements
 
 SCHEMA: Final = "twin.columns/1"
@@ -141,7 +141,33 @@ class ColumnMapping:
         mapping = cls(entries, path, MappingProxyType(dict(lines)))
         for name, entry in entries.columns.items():
             mapping.check_entry(name, entry, machine)
+        mapping._check_units(machine)
         return mapping
+
+    def _check_units(self, machine: Machine) -> None:
+        """Raise `InputError` for a unit or an axis outside the columns that does not exist."""
+        own, spherical, deviations = self.entries, self.entries.spherical, self.entries.deviations
+        stated: list[tuple[tuple[str, ...], str | None, str]] = [
+            (("length",), own.length, LENGTH),
+            (("angle",), own.angle, ANGLE),
+        ]
+        if spherical is not None:
+            stated += [
+                (("spherical", "angle"), spherical.angle, ANGLE),
+                (("spherical", "length"), spherical.length, LENGTH),
+            ]
+        if deviations is not None:
+            stated.append((("deviations", "unit"), deviations.unit, LENGTH))
+            axes = [f"{axis.name}_{axis.unit}" for axis in machine.axes if axis.linear]
+            if deviations.along is not None and deviations.along not in axes:
+                expected = f"one of {', '.join(axes)}"
+                raise self.error(
+                    "no such axis", ("deviations", "along"), expected=expected, value=deviations.along, known=axes
+                )
+        for place, text, column in stated:
+            known = [unit.name for unit in units_of(column)]
+            if text and unit_named(text, column) is None:
+                raise self.error("no such unit", place, expected=f"one of {', '.join(known)}", value=text, known=known)
 
     def check_copy(self, path: Path) -> None:
         """Raise `InputError` unless a file written from this mapping reads back as the same entries."""
