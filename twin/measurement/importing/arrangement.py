@@ -47,7 +47,7 @@ DIRECTION: Final = "direction"
 NAME: Final = "name"
 """Names of the columns that a matrix gives, and of parts of names of points."""
 _POSITION: Final = re.compile(
-    r"(?<![A-Za-z])([XYZABCUVW])\s*[=:]?\s*([-+]?\d+(?:[.,]\d+)?)(?:\s*(?:mm|deg|°))?(?![0-9.,]|[A-Za-z](?![-+]?\d))",
+    r"(?<![A-Za-z])([XYZABCUVW])\s*[=:]?\s*([-+]?\d+(?:[.,]\d+)?)(?:\s*(?:mm|deg|°))?(?![0-9]|[.,][0-9]|[A-Za-z](?![-+]?\d))",
     re.IGNORECASE | re.ASCII,
 )
 _ROUND: Final = re.compile(r"(?:r|run|round|runde|lauf|durchgang|wdh|rep|essai|serie|cycle)\s*\d+", re.IGNORECASE)

@@ -194,6 +194,8 @@ def _delimiter_name(text: str) -> str:
         # Empty cells at the end of title rows do not count for a delimiter.
         same = widths.most_common(1)[0][1] if widths else 0
         share = same / max(len(rows), 1)
+        if not any(sum(map(looks_like_number, map(str.strip, row))) >= 2 for row in rows[:200]):
+            share /= 2.0  # names such as X=1;Y=2 have delimiters, and no numbers between them
         if share > 1.2 * best:
             best, delimiter_name = share, name
     return delimiter_name

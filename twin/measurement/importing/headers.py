@@ -18,14 +18,16 @@ ROLES: Final[Mapping[str, frozenset[str]]] = MappingProxyType(
         "command": frozenset(
             "soll sollwert sollwerte sollposition nominal nom nominals nominalwert nenn nennwert nennmass command commanded cmd set "
             "setpoint programmed prog target ref reference theo theoretical theor vorgabe vorgegeben angefahren "
-            "anfahrposition mks mcs consigne theorique nominale nominales programme programmee commande commandee cible visee".split()
+            "anfahrposition mks mcs sollpos consigne theorique nominale nominales programme programmee commande commandee "
+            "cible visee".split()
         ),
         "measured": frozenset(
             "ist istwert istwerte actual act actuals meas measured measurement measure gemessen messwert messwerte mess istmass mp "
-            "aktuell reading tracker lasertracker mesure mesuree mesures mesurees reel reelle lu lue releve relevee".split()
+            "aktuell reading tracker lasertracker laser misurato medido mesure mesuree mesures mesurees reel reelle lu lue "
+            "releve relevee".split()
         ),
         "readback": frozenset(
-            "readback encoder control reported display anzeige steuerung rueckmeldung geber massstab nc".split()
+            "readback istpos istposition encoder control reported display anzeige steuerung rueckmeldung geber massstab nc".split()
         ),
         "deviation": frozenset(
             "dev deviation deviations abw abweichung abweichungen delta diff difference differenz error err fehler residual tol "
@@ -50,6 +52,10 @@ NOISE: Final = frozenset(
 )
 """Words without a meaning of their own in the name of a column."""
 
+GEODETIC: Final[Mapping[str, str]] = MappingProxyType(
+    {"easting": "x", "rechtswert": "x", "northing": "y", "hochwert": "y", "height": "z", "hoehe": "z"}
+)
+"""Coordinates of geodetic instruments: east, north and up are a right-handed frame."""
 NUMBERING: Final = frozenset("name nom nr no n id nummer number numero index".split())
 """Words beside the name of a thing that do not change it: its name or number."""
 NAMES: Final[Mapping[str, frozenset[str]]] = MappingProxyType(
@@ -57,7 +63,8 @@ NAMES: Final[Mapping[str, frozenset[str]]] = MappingProxyType(
         "target": frozenset(
             {
                 "target", "target name", "reflector", "reflektor", "smr", "ball", "kugel", "sphere", "prism", "nest", "reflector name",
-                "reflecteur", "prisme", "prisma", "bille", "mire", "nom reflecteur", "reflektor name", "zielmarke", "zielmarke nr",
+                "reflecteur", "riflettore", "prisme", "prisma", "bille", "mire", "nom reflecteur", "reflektor name",
+                "zielmarke", "zielmarke nr",
             }
         ),
         "position": frozenset(
@@ -296,7 +303,7 @@ def _words(text: str, machine: Machine) -> list[str]:
     axes = {"x", "y", "z", *(axis.casefold() for axis in machine.names)}
     roles = frozenset().union(*ROLES.values())
     found = []
-    for word in words:
+    for word in (GEODETIC.get(word, word) for word in words):
         axis = next((axis for axis in axes if word.startswith(axis) and word[len(axis) :] in roles - {"t", "u"}), None)
         last = next((axis for axis in axes if word.endswith(axis) and word[: -len(axis)] in roles - {"t"}), None)
         if word in roles or word in axes or (axis is None and last is None):
