@@ -328,7 +328,7 @@ def matrix(style: str, sign: str = ",", statistics: bool = True) -> str:
     mean = [text(v, 2, sign) for v in e.mean(axis=0)]
     if style == "columns":
         titles = [f"Lauf {run} {'↑' if way > 0 else '↓'}" for run, way in RUNS]
-        rows = [["i", "Sollposition [mm]", *titles, *(["Mittelwert"] if statistics else [])]]
+        rows = [["Pos.", "Sollposition [mm]", *titles, *(["Mittelwert"] if statistics else [])]]
         rows += [
             [i + 1, number[i], *(row[i] for row in values), *([mean[i]] if statistics else [])]
             for i in range(len(TARGETS))

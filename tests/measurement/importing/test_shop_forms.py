@@ -231,6 +231,25 @@ def test_workbooks(trunnion: Machine, own: forms.Table, tmp_path: Path, last: bo
     forms.with_formulas(path, stored=False)
 
 
+def test_cells_merged_over_several_rows(trunnion: Machine, own: forms.Table, tmp_path: Path) -> None:
+    """The name of a reflector above a block of points, and the titles above two rows."""
+    from openpyxl import load_workbook
+
+    path = tmp_path / "book.xlsx"
+    forms.workbook(path, own)
+    book = load_workbook(path)
+    sheet = book.active
+    first = 4
+    for name in forms.PLACES:
+        count = own.target.count(name)
+        sheet.merge_cells(start_row=first, end_row=first + count - 1, start_column=8, end_column=8)
+        first += count
+    for column in ("A", "B", "H"):
+        sheet.merge_cells(f"{column}1:{column}2")
+    book.save(path)
+    check(read(path, trunnion), own)
+
+
 def test_a_formula_without_a_stored_value(trunnion: Machine, own: forms.Table, tmp_path: Path) -> None:
     path = tmp_path / "book.xlsx"
     forms.workbook(path, own)

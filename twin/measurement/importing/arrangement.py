@@ -57,7 +57,7 @@ def table_layout(raw: RawTable, names: Sequence[str] = ()) -> Layout:
     """Return the parts of a table in any arrangement; arguments and errors as `layout_of`."""
     matrix = None if names else _matrix(raw)
     if matrix is not None:
-        return replace(layout_of(replace(raw, rows=matrix.rows)), left_out=matrix.left_out)
+        return replace(layout_of(replace(raw, rows=matrix.rows, merged=())), left_out=matrix.left_out)
     layout = _with_headings(layout_of(raw, names))
     for name in layout.names:
         layout = _with_name_parts(layout, name)
@@ -194,8 +194,9 @@ def _runs_in_columns(raw: RawTable, at: int) -> _Matrix | None:
     for i, cell in enumerate(header):
         group = upper[i] if i < len(upper) and upper[i] else group if cell else ""
         alone, own = without_unit(cell)
-        run = run_in(alone) if cell else None
-        if cell and (run is None or not re.search(r"\d", alone)):
+        is_title = bool(cell) and plain_words(alone).strip(". ") not in NAMES["position"]  # "Pos." is no direction
+        run = run_in(alone) if is_title else None
+        if is_title and (run is None or not re.search(r"\d", alone)):
             run = run_in(f"{without_unit(group)[0]} {alone}") or run
         if run is not None and not looks_like_number(cell):
             runs[i] = run
@@ -213,8 +214,7 @@ def _runs_in_columns(raw: RawTable, at: int) -> _Matrix | None:
     place = _target_column(others, header, upper, body)
     if place is None:
         return None
-    over = upper[place] if place < len(upper) else ""
-    title = f"{over} {header[place]}" if unit_named(_bare(header[place])) else header[place] or over or "position"
+    title = _title_at(place, header, upper) or "position"
     title += f" [{_bare(units[place])}]" if place < len(units) and units[place] else ""
     rows, left_out = [], []
     for number, cells in body:
@@ -237,6 +237,12 @@ def _bare(unit: str) -> str:
     return unit.strip("[]() ")
 
 
+def _title_at(i: int, header: Sequence[str], upper: Sequence[str]) -> str:
+    """Return the title of a column: that of the header, or of the row above where the header has none or a unit alone."""
+    over = upper[i] if i < len(upper) else ""
+    return f"{over} {header[i]}".strip() if unit_named(_bare(header[i])) else header[i] or over
+
+
 def _is_position_title(title: str) -> bool:
     words = re.findall(r"[a-z]+", plain_words(title))
     return all(
@@ -249,8 +255,10 @@ def _target_column(
 ) -> int | None:
     """Return the column of targets: that named as a position, else the first of numbers that is not an index."""
     numbers = [i for i in others if sum(i < len(cells) and looks_like_number(cells[i]) for _, cells in body) >= FEWEST]
-    titles = {i: plain_words(without_unit(header[i] or (upper[i] if i < len(upper) else ""))[0]) for i in numbers}
+    titles = {i: plain_words(without_unit(_title_at(i, header, upper))[0]) for i in numbers}
     plain = [i for i in numbers if titles[i].strip(". ") not in NAMES["index"] - {""}]
+    counted = [i for i in plain if [_size(cells[i]) for _, cells in body if i < len(cells)][:3] == [1.0, 2.0, 3.0]]
+    plain = [*(i for i in plain if i not in counted), *counted]  # a number of the position comes last
     named = [i for i in plain if titles[i] and _is_position_title(titles[i])]
     return next(iter([*named, *plain]), None)
 

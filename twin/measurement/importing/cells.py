@@ -6,6 +6,7 @@ import csv
 import io
 import re
 import zipfile
+import zlib
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -32,6 +33,8 @@ MAX_CELLS: Final = 3_000_000
 """Largest number of cells, empty ones included: a measurement of a machine has less than a tenth of it."""
 CELL_MARKS: Final = (b"<c ", b":c ", b"<c>")
 """Beginnings of a cell in the XML of a sheet, with or without attributes or a prefix."""
+_SHEET_PART: Final = re.compile(r"xl/worksheets/[^/]+\.xml")
+_TAG_MERGED: Final = b"mergeCell "
 SAMPLE_ROWS: Final = 2000
 """Number of rows that show the delimiter."""
 DELIMITERS: Final = {"\t": "tab", ";": "semicolon", "|": "bar", ",": "comma", " ": "space"}
@@ -39,6 +42,7 @@ DELIMITERS: Final = {"\t": "tab", ";": "semicolon", "|": "bar", ",": "comma", " 
 _UTF16: Final = {b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}
 _WORKBOOK_ERRORS: Final = (
     zipfile.BadZipFile,
+    zlib.error,
     ParseError,
     KeyError,
     ValueError,
@@ -56,6 +60,10 @@ def listed(names: Iterable[str]) -> str:
     return f"[{', '.join(map(quoted, names))}]"
 
 
+Merged = tuple[tuple[int, int, int], ...]
+"""Merged cells of several rows: first and last line, and index of the first column."""
+
+
 @final
 @dataclass(frozen=True)
 class RawTable:
@@ -69,6 +77,7 @@ class RawTable:
         encoding: encoding of a text file; empty for a workbook.
         delimiter: name of the delimiter (`DELIMITERS`); empty for a workbook.
         sheet: name of the sheet; empty for a text file.
+        merged: merged cells of several rows, as first and last line and index of the column.
     """
 
     path: Path
@@ -79,6 +88,7 @@ class RawTable:
     encoding: str = ""
     delimiter: str = ""
     sheet: str = ""
+    merged: Merged = ()
 
     @property
     def origin(self) -> str:
@@ -104,9 +114,9 @@ def read_cells(path: Path, *, sheet: str | None = None, encoding: str = "", deli
     if data.startswith(b"\xd0\xcf\x11\xe0"):
         raise InputError("an old Excel workbook (.xls)", expected="a workbook saved as .xlsx, or as CSV", file=path)
     if data.startswith(b"PK"):
-        name, rows = _sheet_rows(data, path, sheet)
+        name, rows, merged = _sheet_rows(data, path, sheet)
         kept, comments = _without_comments(rows, " ")
-        raw = RawTable(path, digest, len(data), kept, comments, sheet=name)
+        raw = RawTable(path, digest, len(data), kept, comments, sheet=name, merged=merged)
     else:
         if sheet is not None:
             raise InputError(
@@ -260,8 +270,8 @@ def _without_comments(
     return tuple(kept), tuple(comments)
 
 
-def _sheet_rows(data: bytes, path: Path, wanted: str | None) -> tuple[str, list[tuple[int, list[str]]]]:
-    """Return the name of a workbook's sheet and its rows.
+def _sheet_rows(data: bytes, path: Path, wanted: str | None) -> tuple[str, list[tuple[int, list[str]]], Merged]:
+    """Return the name of a workbook's sheet, its rows, and its merged cells of several rows.
 
     Raises:
         InputError: the workbook is damaged or too large, or the sheet is not known.
@@ -280,6 +290,7 @@ def _sheet_rows(data: bytes, path: Path, wanted: str | None) -> tuple[str, list[
             name = wanted if wanted is not None else filled[0] if len(filled) == 1 else None
             rows = [] if name not in sheets else _cells_of(sheets[name], path)
             _check_formulas(data, name, rows, path)
+            merged = () if name is None or name not in sheets else _merged_cells(data, name)
     except InputError:
         raise
     except _WORKBOOK_ERRORS as error:
@@ -302,7 +313,7 @@ def _sheet_rows(data: bytes, path: Path, wanted: str | None) -> tuple[str, list[
             setting="sheet",
             cure=f"sheet: {quoted(max(filled, key=_count_numbers(sheets)))}" if filled else None,
         )
-    return name, rows
+    return name, rows, merged
 
 
 def _check_cells(parts: zipfile.ZipFile, path: Path) -> None:
@@ -312,7 +323,7 @@ def _check_cells(parts: zipfile.ZipFile, path: Path) -> None:
         InputError: it has one.
     """
     for part in parts.infolist():
-        if not re.fullmatch(r"xl/worksheets/[^/]+\.xml", part.filename):
+        if not _SHEET_PART.fullmatch(part.filename):
             continue
         cells, end = 0, b""
         with parts.open(part) as stream:
@@ -353,6 +364,20 @@ def _check_formulas(data: bytes, name: str | None, rows: Sequence[tuple[int, Seq
                     line=number,
                     value=cell,
                 )
+
+
+def _merged_cells(data: bytes, name: str) -> Merged:
+    """Return the merged cells of several rows of a sheet: first and last line, and index of the first column."""
+    from openpyxl.utils import range_boundaries
+
+    with zipfile.ZipFile(io.BytesIO(data)) as parts:
+        if not any(_TAG_MERGED in parts.read(part) for part in parts.namelist() if _SHEET_PART.fullmatch(part)):
+            return ()
+    from openpyxl import load_workbook
+
+    sheet = load_workbook(io.BytesIO(data))[name]
+    bounds = [range_boundaries(str(one)) for one in sheet.merged_cells.ranges]
+    return tuple((top, bottom, left - 1) for left, top, _, bottom in bounds if bottom > top)
 
 
 def _is_filled(sheet: Any) -> bool:
@@ -484,6 +509,7 @@ def layout_of(raw: RawTable, given: Sequence[str] = ()) -> Layout:
             rows.append((line, row))
         else:
             left_out.append((line, " ".join(filter(None, row))))
+    rows = _with_merged(rows, raw.merged)
     if header and len(header) < width:
         line, row = next((line, row) for line, row in rows if len(row) > len(header))
         extra = [f"column {i + 1}" for i in range(len(header), width)]
@@ -505,6 +531,19 @@ def layout_of(raw: RawTable, given: Sequence[str] = ()) -> Layout:
         titles=tuple(" ".join(filter(None, row)) for _, row in titles),
         left_out=tuple(left_out),
     )
+
+
+def _with_merged(rows: Sequence[Row], merged: Sequence[tuple[int, int, int]]) -> list[Row]:
+    """Return rows of measured points in which every row of a merged cell has its value."""
+    if not merged:
+        return list(rows)
+    own = {line: list(cells) for line, cells in rows}
+    for top, bottom, column in merged:
+        value = own[top][column] if top in own and column < len(own[top]) else ""
+        for line in range(top + 1, bottom + 1):
+            if line in own and column < len(own[line]) and not own[line][column]:
+                own[line][column] = value
+    return [(line, tuple(own[line])) for line, _ in rows]
 
 
 def _header(above: Sequence[Row], numbers: int, width: int) -> tuple[list[str], list[str], Sequence[Row]]:

@@ -271,7 +271,9 @@ def _add_one_axis(found: Proposal, meanings: Mapping[str, Meaning]) -> bool:
         for name, one in meanings.items()
         if one.kind in ("position", "command", "bare", "target") and is_number_column(found, name)
     ]
-    positions.sort(key=lambda name: (meanings[name].kind == "target", not meanings[name].unit))
+    positions.sort(
+        key=lambda name: (meanings[name].kind == "target", _counts(found.values(name)), not meanings[name].unit)
+    )
     readings = [
         name
         for name, one in meanings.items()
@@ -330,6 +332,12 @@ def _add_one_axis(found: Proposal, meanings: Mapping[str, Meaning]) -> bool:
         "axis and direction",
     )
     return True
+
+
+def _counts(values: np.ndarray) -> bool:
+    """Return whether a column numbers its rows or targets: its values are 1, 2, 3 and so on."""
+    distinct = np.unique(values[np.isfinite(values)])
+    return len(distinct) > 1 and bool(np.array_equal(distinct, np.arange(1, len(distinct) + 1)))
 
 
 def _axis_of(found: Proposal, lettered: set[str], targets: np.ndarray) -> Axis:
