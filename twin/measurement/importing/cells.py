@@ -34,7 +34,6 @@ MAX_CELLS: Final = 3_000_000
 CELL_MARKS: Final = (b"<c ", b":c ", b"<c>")
 """Beginnings of a cell in the XML of a sheet, with or without attributes or a prefix."""
 _SHEET_PART: Final = re.compile(r"xl/worksheets/[^/]+\.xml")
-_TAG_MERGED: Final = b"mergeCell "
 SAMPLE_ROWS: Final = 2000
 """Number of rows that show the delimiter."""
 DELIMITERS: Final = {"\t": "tab", ";": "semicolon", "|": "bar", ",": "comma", " ": "space"}
@@ -349,7 +348,7 @@ def _check_formulas(data: bytes, name: str | None, rows: Sequence[tuple[int, Seq
     from openpyxl import load_workbook
     from openpyxl.utils import get_column_letter
 
-    if name is None or not rows:
+    if name is None or not rows or not _has_tag(data, b"<f>", b"<f ", b":f>", b":f "):
         return
     sheet = load_workbook(io.BytesIO(data), read_only=True).worksheets
     formulas = next(one for one in sheet if one.title == name)
@@ -366,13 +365,19 @@ def _check_formulas(data: bytes, name: str | None, rows: Sequence[tuple[int, Seq
                 )
 
 
+def _has_tag(data: bytes, *tags: bytes) -> bool:
+    """Return whether a sheet of a workbook has one of some elements."""
+    with zipfile.ZipFile(io.BytesIO(data)) as parts:
+        sheets = (parts.read(name) for name in parts.namelist() if _SHEET_PART.fullmatch(name))
+        return any(tag in sheet for sheet in sheets for tag in tags)
+
+
 def _merged_cells(data: bytes, name: str) -> Merged:
     """Return the merged cells of several rows of a sheet: first and last line, and index of the first column."""
     from openpyxl.utils import range_boundaries
 
-    with zipfile.ZipFile(io.BytesIO(data)) as parts:
-        if not any(_TAG_MERGED in parts.read(part) for part in parts.namelist() if _SHEET_PART.fullmatch(part)):
-            return ()
+    if not _has_tag(data, b"mergeCell "):
+        return ()
     from openpyxl import load_workbook
 
     sheet = load_workbook(io.BytesIO(data))[name]
