@@ -28,6 +28,7 @@ class InputError(ValueError):
         nearest: the known name that was probably meant (function `closest_name`), or None.
         setting: names of settings that may be missing (``work offset``; ``temperature, time``), or None; the command line adds
             their options.
+        cure: line of a mapping file (`twin.import_table`) with which this error does not occur, or None.
 
     Examples:
         >>> try:
@@ -47,6 +48,7 @@ class InputError(ValueError):
         value: object = None,
         nearest: str | None = None,
         setting: str | None = None,
+        cure: str | None = None,
     ) -> None:
         self.what = what
         self.expected = expected
@@ -55,21 +57,29 @@ class InputError(ValueError):
         self.value = value
         self.nearest = nearest
         self.setting = setting
+        self.cure = cure
         super().__init__(str(self))
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle the error with its value as text, so that errors of worker processes can be raised here (`twin.compute.parallel`)."""
         value = None if self.value is None else str(self.value)
         keywords: dict[str, Any] = {"expected": self.expected, "file": self.file, "line": self.line, "value": value}
-        return partial(InputError, **keywords, nearest=self.nearest, setting=self.setting), (self.what,)
+        keywords |= {"nearest": self.nearest, "setting": self.setting, "cure": self.cure}
+        return partial(InputError, **keywords), (self.what,)
 
     def __str__(self) -> str:
+        return self.text()
+
+    def text(self, options: str = "") -> str:
+        """Return the sentence, with the names of options behind what was expected, and at the end the line that cures the error."""
         place = ""
         if self.file is not None:
             place = self.file if self.line is None else f"{self.file}:{self.line}"
             place += ": "
         shown = "" if self.value is None else f": {_one_line(self.value)!r}"
-        return printable(f"{place}{self.what}{shown}{_is_it(self.nearest)}; expected {self.expected}", one_line=True)
+        cure = f"; in a mapping file: {self.cure}" if self.cure else ""
+        sentence = f"{place}{self.what}{shown}{_is_it(self.nearest)}; expected {self.expected}{options}{cure}"
+        return printable(sentence, one_line=True)
 
 
 def require_type(name: str, value: object, kind: type) -> None:

@@ -129,7 +129,7 @@ def run(arguments: list[str]) -> None:
             sys.exit(BAD_INPUT)
         except InputError as error:
             options = [f"--{name.replace(' ', '-')}" for name in (error.setting or "").split(", ") if name]
-            print_error(f"twin: {error}" + (f" ({', '.join(options)})" if options else ""))
+            print_error("twin: " + error.text(f" ({', '.join(options)})" if options else ""))
             sys.exit(BAD_INPUT)
         except OutputError as error:
             print_error(f"twin: defect, nothing written: {error}")

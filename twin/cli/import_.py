@@ -73,7 +73,9 @@ def import_(
     if imported.confirmed:
         imported.save(output)
         return CommandResult(imported.to_text(), imported.to_dict)
-    proposal = columns if columns is not None else output.with_name(f"{output.name}.columns.yaml")
+    proposal = columns if columns is not None and given is None else output.with_name(f"{output.name}.columns.yaml")
+    if given is not None and proposal.exists():  # the lines given were completed
+        proposal = output.with_name(f"{output.name}.columns.completed.yaml")
     return _proposed(imported, proposal, output, [sheet, plan, machine])
 
 

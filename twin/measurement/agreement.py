@@ -8,9 +8,10 @@ axes.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import combinations
+from types import MappingProxyType
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -47,6 +48,10 @@ IMPROVEMENT: Final = 5.0
 """Factor by which a change must reduce the misfit, or the number of wrong rows, to be reported."""
 TRIAL_ROWS: Final = 200
 """Number of rows on which changes of columns are tried."""
+SHOWN_MM: Final = 0.5
+"""Mean misfit on a side, mm, above which a target does not sit there."""
+STILL_MM: Final = 0.05
+"""Mean misfit, mm, up to which a target stands still."""
 FEWEST_ROWS: Final = 8
 """Number of rows of a station below which its columns are not judged."""
 MOST_FINDINGS: Final = 3
@@ -69,6 +74,7 @@ class ColumnChange(NamedTuple):
         columns: names of the columns that change.
         text: what seems to be wrong with them.
         advice: comment for the entries of these columns in a mapping file.
+        sides: side of the machine for targets that sit on another.
     """
 
     field: str
@@ -77,9 +83,13 @@ class ColumnChange(NamedTuple):
     columns: tuple[str, ...]
     text: str
     advice: str
+    sides: Mapping[str, str] = MappingProxyType({})
 
     def of(self, data: Measurements) -> Measurements:
         """Return the changed data."""
+        if self.sides:
+            carrier = [self.sides.get(name, own) for name, own in zip(data.target, data.carrier, strict=True)]
+            data = replace(data, carrier=read_only(np.array(carrier, dtype=object)))
         changed: dict[str, Any] = {self.field: read_only(getattr(data, self.field)[:, self.order] * self.factor)}
         return replace(data, **changed)
 
@@ -259,6 +269,95 @@ def wrong_columns(machine: Machine, data: Measurements) -> list[ColumnChange]:
     return wrong
 
 
+class TargetSide(NamedTuple):
+    """Side of the machine on which a target follows the commands.
+
+    Attributes:
+        carrier: the side; empty if the readings do not show it.
+        misfit_mm: mean misfit on this side; the smaller one if they do not.
+        other_misfit_mm: mean misfit on the other side.
+    """
+
+    carrier: str
+    misfit_mm: float
+    other_misfit_mm: float
+
+
+def sides_of_targets(machine: Machine, data: Measurements) -> dict[str, TargetSide]:
+    """Return the side on which each target follows the commands: of both, each tried alone and then with the targets that are clear.
+
+    Args:
+        data: a table before it is checked: NaN and unknown sides are allowed. Stations ride on the base.
+    """
+    data = data.select(np.isfinite(data.positions).all(axis=1) & np.isfinite(data.point_mm).all(axis=1))
+    rows = {name: np.flatnonzero(data.target == name) for name in dict.fromkeys(data.target)}
+    alone = {
+        name: _side(machine, data.select(_spread(own)), np.ones(min(len(own), TRIAL_ROWS), dtype=bool))
+        for name, own in rows.items()
+    }
+    clear = {name: one for name, one in alone.items() if one.carrier}
+    found = dict(alone)
+    for name in (name for name in rows if name not in clear and clear):
+        stations = {*data.station[rows[name]]}
+        others = [
+            _spread(rows[other])[:: max(1, len(clear) // 3)]
+            for other in clear
+            if {*data.station[rows[other]]} & stations
+        ]
+        own = _spread(rows[name])
+        if others:
+            some = np.concatenate([own, *others])
+            carrier = np.array([clear[one].carrier if one in clear else "" for one in data.target[some]], dtype=object)
+            found[name] = _side(machine, replace(data.select(some), carrier=carrier), np.arange(len(some)) < len(own))
+    return found
+
+
+def _spread(rows: np.ndarray) -> np.ndarray:
+    return rows[np.linspace(0, len(rows) - 1, min(len(rows), TRIAL_ROWS)).astype(int)]
+
+
+def _side(machine: Machine, data: Measurements, own: np.ndarray) -> TargetSide:
+    """Return the side of some rows: that on which their mean misfit is several times smaller, and smaller than a wrong row's."""
+    instruments = StationInstruments.same(default_instrument("point"), data.station)
+    misfits, follows = {}, {}
+    for side in CARRIERS:
+        carrier = np.array(data.carrier)
+        carrier[own] = side
+        try:
+            fit = fit_of(machine, replace(data, carrier=read_only(carrier)), instruments, mirrored=True)
+        except InputError:
+            return TargetSide("", np.inf, np.inf)
+        misfits[side] = float(np.mean(fit.miss[own])) / MM
+        # A target that stands still must be read so: readings in metres stand still as well, nearly.
+        follows[side] = fit.ratio < GOOD_RATIO if fit.motion > CLEAR_MOTION_M else misfits[side] < STILL_MM
+    best, other = sorted(CARRIERS, key=lambda side: misfits[side])
+    shown = follows[best] and misfits[best] * IMPROVEMENT < misfits[other] and misfits[other] > SHOWN_MM
+    return TargetSide(best if shown else "", misfits[best], misfits[other])
+
+
+def _other_sides(machine: Machine, data: Measurements) -> Iterator[ColumnChange]:
+    """Yield the change that puts targets on the side on which they follow the commands."""
+    if not (data.station_carrier == SIDES[0]).all():
+        return
+    given = dict(zip(data.target, data.carrier, strict=True))
+    sides = {
+        name: one.carrier
+        for name, one in sides_of_targets(machine, data).items()
+        if one.carrier and one.carrier != given[name]
+    }
+    texts = []
+    for side, other in (CARRIERS, CARRIERS[::-1]):
+        names = [str(name) for name, own in sides.items() if own == side]
+        if names:
+            texts.append(
+                f"{', '.join(names)} {'sit' if len(names) > 1 else 'sits'} on the {side} side, not on the {other} side"
+            )
+    if texts:
+        width = data.positions.shape[1]
+        order, factor = list(range(width)), [1.0] * width
+        yield ColumnChange("positions", order, factor, ("carrier",), "; ".join(texts), "which side?", sides)
+
+
 def _mirrored_by_range(axis: Axis, q: np.ndarray) -> str:
     """Return a sentence if the positions of an axis are within its range with the opposite sign only; empty otherwise."""
     q = q[np.isfinite(q)]
@@ -283,7 +382,7 @@ def _wrong_columns_of_station(machine: Machine, data: Measurements) -> list[Colu
         if not before.is_suspect:
             break
         mirror = _scaled(data, "point_mm", [0], -1.0)
-        tried = [mirror], _swapped_or_mirrored(machine, data), _two_mirrored(machine, data)
+        tried = _other_sides(machine, data), [mirror], _swapped_or_mirrored(machine, data), _two_mirrored(machine, data)
         changes = _one_change(machine, data, before.share, before.ratio, instruments, tried)
         negated = not changes
         if negated:  # mirrored readings agree in no unit: the unit is sought with one column negated, and the mirror is found next
@@ -347,7 +446,7 @@ def _one_change(
             return fit.share < share / IMPROVEMENT
         return fit.ratio < min(GOOD_RATIO, ratio / IMPROVEMENT)
 
-    for changes in families or (_swapped_or_mirrored(machine, data),):
+    for changes in families or (_other_sides(machine, data), _swapped_or_mirrored(machine, data)):
         explaining = _explaining(machine, data, changes, explains, instruments)
         if explaining:
             return [change for _, change in sorted(explaining, key=lambda one: one[0])]

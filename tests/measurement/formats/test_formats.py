@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 import os
+import re
 from pathlib import Path
 
 import numpy as np
@@ -182,6 +183,18 @@ def test_the_readings_of_a_ball_bar_can_be_named(tmp_path: Path) -> None:
     raw = convert(path, machine, replace(case.GIVEN, trace="RAW"))
     np.testing.assert_allclose(raw.measurements.point_mm[:9, 0], case.ROWS["point_mm"][:9, 0], atol=1e-9)
     assert "assumed: the readings are the length itself" in raw.notes
+
+
+def test_a_laser_file_with_decimal_commas(tmp_path: Path) -> None:
+    """All numbers have commas, as in a country that writes them; a file with both signs is refused (`BAD` of the case)."""
+    form, case = format_named("renishaw-laser"), CASES["renishaw-laser"]
+    commas = "\n".join(
+        re.sub(r"(\d)\.(\d+)", r"\1,\2", line) for line in case.GOOD.split("\n") if "Version" not in line
+    )
+    assert commas.count(",") > 20
+    found = convert(put(tmp_path, form, commas), Machine.load("dmu50"), case.GIVEN).measurements
+    np.testing.assert_allclose(found.point_mm, case.ROWS["point_mm"], atol=1e-9)
+    np.testing.assert_allclose(found.temperature_degC["air"], case.ROWS["T_air_degC"])
 
 
 def test_positions_outside_the_machine_are_refused(tmp_path: Path) -> None:

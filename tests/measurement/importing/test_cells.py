@@ -8,8 +8,9 @@ from pathlib import Path
 import pytest
 
 import twin
-from twin.measurement.importing.cells import decimal_sign, decimal_value, layout_of, read_cells
-from twin.measurement.importing.headers import direction_of, meaning_of, unit_named
+from twin.measurement.importing.cells import layout_of, read_cells
+from twin.measurement.importing.headers import direction_of, meaning_of
+from twin.measurement.importing.quantities import decimal_sign, decimal_value, unit_named
 
 
 @pytest.mark.parametrize(
@@ -27,6 +28,7 @@ from twin.measurement.importing.headers import direction_of, meaning_of, unit_na
         ("12:30", None, None),
         ("24.11.2026", None, None),
         ("-", None, None),
+        ("e99", None, None),
         ("٣", None, None),
     ],
 )

@@ -14,10 +14,10 @@ import pytest
 from scipy import constants as si
 
 from twin.machine.machine import Machine
+from twin.measurement.importing.apply import Applied
 from twin.measurement.importing.cells import layout_of, read_cells
-from twin.measurement.importing.headers import UNITS, table_unit, unit_named, units_of
 from twin.measurement.importing.mapping import ColumnMapping
-from twin.measurement.importing.propose import Applied
+from twin.measurement.importing.quantities import UNITS, table_unit, unit_named, units_of
 
 DEG = 1.0 / si.degree
 """Degrees per radian."""
@@ -32,6 +32,7 @@ EXPECTED: dict[str, tuple[str, float, float]] = {
     "rad": ("deg", DEG, 0.0),
     "mrad": ("deg", si.milli * DEG, 0.0),
     "urad": ("deg", si.micro * DEG, 0.0),
+    "gon": ("deg", 360.0 / 400.0, 0.0),
     "arcmin": ("deg", si.arcmin * DEG, 0.0),
     "arcsec": ("deg", si.arcsec * DEG, 0.0),
     "degC": ("degC", 1.0, 0.0),
@@ -49,18 +50,19 @@ EXPECTED: dict[str, tuple[str, float, float]] = {
 }
 """Table unit, size of one of it in table units, and its zero there."""
 WORDS = {
-    "mm": "mm MM millimeter millimetre millimeters",
-    "m": "m M meter metre meters",
-    "cm": "cm centimeter",
-    "um": "um µm μm micron microns Mikrometer my",
+    "mm": "mm MM millimeter millimetre millimeters millimetres millimètre millimètres",
+    "m": "m M meter metre meters metres Metern mètre mètres",
+    "cm": "cm centimeter centimetre centimeters centimetres Zentimeter",
+    "um": "um µm μm micron microns Mikrometer my micrometer micrometre",
     "nm": "nm",
-    "inch": "inch in inches Zoll \"",
-    "deg": "deg ° degree degrees Grad dd",
+    "inch": "inch in inches Zoll pouce pouces \"",
+    "deg": "deg ° º degree degrees Grad degré degrés dd",
+    "gon": "gon gons gradian gradians grads Neugrad",
     "rad": "rad radian radians radiant",
     "mrad": "mrad",
     "urad": "urad µrad μrad",
-    "arcmin": "arcmin '",
-    "arcsec": "arcsec ''",
+    "arcmin": "arcmin ' ′",
+    "arcsec": "arcsec '' ″ arcsecond arcseconds Bogensekunden",
     "degC": "degC °C ºC Celsius c",
     "degF": "degF °F Fahrenheit f",
     "K": "K k Kelvin",
@@ -119,7 +121,7 @@ def applied(machine: Machine, folder: Path, column: str, options: str, cells: li
     mapping = ["schema: twin.columns/1", f"decimal: {decimal}", "columns:", f"  {column}: {{from: raw{options}}}"]
     (folder / "map.yaml").write_text("\n".join(mapping) + "\n")
     layout = layout_of(read_cells(folder / "shop.csv"))
-    (made,) = Applied(layout, ColumnMapping.load(folder / "map.yaml", machine)).columns().values()
+    (made,) = Applied(layout, ColumnMapping.load(folder / "map.yaml", machine), machine).columns().values()
     return [float(cell) if cell else np.nan for cell in made]
 
 

@@ -32,7 +32,11 @@ MASK: Final = '"CONTACT X=%+.4lf Y=%+.4lf Z=%+.4lf B=%+.4lf C=%+.4lf SPHERE=%.0l
 """Line of a mask for ``FN 16`` on a machine with the axes X, Y, Z, B, C."""
 DIRECTION: Final = ("DX", "DY", "DZ")
 SPHERE: Final = "SPHERE"
-CYCLE_LOG: Final = re.compile(r"measuring log|measurement log|messprotokoll|TCH ?PROBE\s+4\d\d|cycle\s+4\d\d", re.I)
+CYCLE_LOG: Final = re.compile(
+    r"(?:measuring log|measurement log|messprotokoll)(?=[^;\t]*(?:TNC|TCH|probe|tastsystem|cycle|zyklus|kinemati))|TCH ?PROBE\s+4\d\d"
+    r"|TCHPR4\d\d|(?:cycle|zyklus)\s+4\d\d",
+    re.I,
+)
 
 
 @final

@@ -9,6 +9,7 @@ one in JavaScript. They agree on:
 ``EOF::``;
 - targets in mm, ``Target-count`` of them; ``Run-count`` runs; one line ``run target deviation`` for each reading, deviation in µm,
   measured less target; every second run goes through the targets in reverse;
+- numbers with decimal points, or with decimal commas throughout (programs that use the language of Windows);
 - ``Air temp`` and ``Mat temp 1`` … ``3``: at the start and at the end, then a code of the unit (0 with values in °C); −10 where no
   sensor is connected.
 
@@ -18,7 +19,7 @@ A file ``.rtx`` may also be a dynamic capture (repository TanmayPani/rtx2csv): s
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
@@ -65,6 +66,9 @@ KNOWN: Final[Mapping[str, tuple[str, ...]]] = {
 TEMPERATURES: Final = {"Air temp": "air", **{f"Mat temp {k}": f"material_{k}" for k in (1, 2, 3)}}
 NO_SENSOR: Final = -10.0
 UNITS: Final = {"0": "degC"}
+LISTS: Final = ("Targets", "Run Target Data")
+"""Entries with numbers on the lines below."""
+_NUMBERS: Final = re.compile(r"[-+\d.,\s]+")
 MOST: Final = 100_000
 """Largest number of targets and of runs."""
 
@@ -127,8 +131,9 @@ class RenishawLaser(MeasuredFormat):
 
 def _parsed(path: Path) -> _File:
     """Return the entries, targets and readings of a file."""
-    parts, section, list_of = _File(), "", ""
-    for line, text in file_lines(path):
+    parts, section, list_of, lines = _File(), "", "", file_lines(path)
+    commas = _has_decimal_commas(text for _, text in lines)
+    for line, text in lines:
         parts.last = line
         heading = SECTION.fullmatch(text)
         if heading is not None:
@@ -139,15 +144,16 @@ def _parsed(path: Path) -> _File:
         label, colon, rest = text.partition(":")
         if colon and section != "" and text[0].isalpha():
             name = label.strip()
+            rest = _pointed(rest) if commas and (section == "ENVIRONMENT" or name in LISTS) else rest
             if section in KNOWN and name not in KNOWN[section]:
                 raise InputError(
                     f"unknown entry of {section}", expected=", ".join(KNOWN[section]), file=path, line=line, value=text
                 )
             parts.entries[section, name] = (line, rest.strip())
-            list_of = name if name in ("Targets", "Run Target Data") else ""
+            list_of = name if name in LISTS else ""
             words = rest.split() if list_of else []
         else:
-            words = text.split()
+            words = (_pointed(text) if commas and list_of else text).split()
         if section in ("", "EOF") and words:
             raise InputError("text outside the sections", expected="HEADER::", file=path, line=line, value=text)
         if list_of == "Targets":
@@ -157,6 +163,16 @@ def _parsed(path: Path) -> _File:
         elif section in KNOWN and not colon:
             raise InputError(f"unknown text in {section}", expected="NAME: value", file=path, line=line, value=text)
     return parts
+
+
+def _has_decimal_commas(lines: Iterable[str]) -> bool:
+    """Return whether the numbers of a file have decimal commas, as programs in such a language write them, and none has a point."""
+    numbers = [word for line in lines if _NUMBERS.fullmatch(line) for word in line.split()]
+    return any("," in word for word in numbers) and not any("." in word for word in numbers)
+
+
+def _pointed(text: str) -> str:
+    return re.sub(r"(?<=\d),(?=\d)", ".", text)
 
 
 def _reading(words: list[str], path: Path, line: int) -> tuple[int, int, int, float]:

@@ -6,21 +6,22 @@ import csv
 import io
 import re
 import zipfile
+import zlib
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from datetime import date, datetime, time
-from decimal import Decimal
 from hashlib import sha256
 from itertools import islice
 from pathlib import Path
-from typing import Any, Final, NamedTuple, final
+from typing import Any, Final, final
 from xml.etree.ElementTree import ParseError
 
 from twin._common.errors import InputError, closest_name
 from twin._common.files import read_bytes
 from twin._common.units import count_with_noun
-from twin.measurement.importing.headers import unit_named
+from twin._common.yaml_files import quoted
+from twin.measurement.importing.quantities import looks_like_number, split_unit, unit_named
 
 MAX_BYTES: Final = 2**26
 """Largest file; a measurement of a machine has less than 10 MB."""
@@ -32,6 +33,7 @@ MAX_CELLS: Final = 3_000_000
 """Largest number of cells, empty ones included: a measurement of a machine has less than a tenth of it."""
 CELL_MARKS: Final = (b"<c ", b":c ", b"<c>")
 """Beginnings of a cell in the XML of a sheet, with or without attributes or a prefix."""
+_SHEET_PART: Final = re.compile(r"xl/worksheets/[^/]+\.xml")
 SAMPLE_ROWS: Final = 2000
 """Number of rows that show the delimiter."""
 DELIMITERS: Final = {"\t": "tab", ";": "semicolon", "|": "bar", ",": "comma", " ": "space"}
@@ -39,6 +41,7 @@ DELIMITERS: Final = {"\t": "tab", ";": "semicolon", "|": "bar", ",": "comma", " 
 _UTF16: Final = {b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}
 _WORKBOOK_ERRORS: Final = (
     zipfile.BadZipFile,
+    zlib.error,
     ParseError,
     KeyError,
     ValueError,
@@ -49,6 +52,15 @@ _WORKBOOK_ERRORS: Final = (
     NotImplementedError,
 )
 """Exceptions that openpyxl and zipfile raise for damaged workbooks."""
+
+
+def listed(names: Iterable[str]) -> str:
+    """Return names as a list of YAML."""
+    return f"[{', '.join(map(quoted, names))}]"
+
+
+Merged = tuple[tuple[int, int, int], ...]
+"""Merged cells of several rows: first and last line, and index of the first column."""
 
 
 @final
@@ -64,6 +76,7 @@ class RawTable:
         encoding: encoding of a text file; empty for a workbook.
         delimiter: name of the delimiter (`DELIMITERS`); empty for a workbook.
         sheet: name of the sheet; empty for a text file.
+        merged: merged cells of several rows, as first and last line and index of the column.
     """
 
     path: Path
@@ -74,6 +87,7 @@ class RawTable:
     encoding: str = ""
     delimiter: str = ""
     sheet: str = ""
+    merged: Merged = ()
 
     @property
     def origin(self) -> str:
@@ -99,9 +113,9 @@ def read_cells(path: Path, *, sheet: str | None = None, encoding: str = "", deli
     if data.startswith(b"\xd0\xcf\x11\xe0"):
         raise InputError("an old Excel workbook (.xls)", expected="a workbook saved as .xlsx, or as CSV", file=path)
     if data.startswith(b"PK"):
-        name, rows = _sheet_rows(data, path, sheet)
+        name, rows, merged = _sheet_rows(data, path, sheet)
         kept, comments = _without_comments(rows, " ")
-        raw = RawTable(path, digest, len(data), kept, comments, sheet=name)
+        raw = RawTable(path, digest, len(data), kept, comments, sheet=name, merged=merged)
     else:
         if sheet is not None:
             raise InputError(
@@ -152,7 +166,8 @@ def _decoded(data: bytes, path: Path, encoding: str) -> tuple[str, str]:
         if not encoding and coding == "cp1252":
             coding, text = "latin-1", data.decode("latin-1")
         else:
-            raise InputError("not text of this encoding", expected=f"{coding} text", file=path, value=error) from error
+            what, other = "not text of this encoding", "encoding: latin-1"
+            raise InputError(what, expected=f"{coding} text", file=path, value=error, cure=other) from error
     odd = re.search("[\0-\x08\x0e-\x1f]", text)
     if odd is not None:
         line = text.count("\n", 0, odd.start()) + 1
@@ -188,6 +203,8 @@ def _delimiter_name(text: str) -> str:
         # Empty cells at the end of title rows do not count for a delimiter.
         same = widths.most_common(1)[0][1] if widths else 0
         share = same / max(len(rows), 1)
+        if not any(sum(map(looks_like_number, map(str.strip, row))) >= 2 for row in rows[:200]):
+            share /= 2.0  # names such as X=1;Y=2 have delimiters, and no numbers between them
         if share > 1.2 * best:
             best, delimiter_name = share, name
     return delimiter_name
@@ -239,15 +256,21 @@ def _without_comments(
         if not cells:
             continue
         mark = re.match(r"(#+|//+|%+|!+)\s*(?=\S)", next(filter(None, cells)))
-        if mark and not cells[0][mark.end() :].isdecimal() and not (mark[1] == "#" and len(mark[0]) == len(cells[0])):
+        is_error = re.fullmatch(r"#(?:n/a|nv|[a-z/0ä]+[!?])", cells[0].lower()) is not None
+        if (
+            mark
+            and not is_error
+            and not cells[0][mark.end() :].isdecimal()
+            and not (mark[1] == "#" and len(mark[0]) == len(cells[0]))
+        ):
             comments.append(joiner.join(filter(None, cells))[mark.end() :].strip())
         else:
             kept.append((line, tuple(cells)))
     return tuple(kept), tuple(comments)
 
 
-def _sheet_rows(data: bytes, path: Path, wanted: str | None) -> tuple[str, list[tuple[int, list[str]]]]:
-    """Return the name of a workbook's sheet and its rows.
+def _sheet_rows(data: bytes, path: Path, wanted: str | None) -> tuple[str, list[tuple[int, list[str]]], Merged]:
+    """Return the name of a workbook's sheet, its rows, and its merged cells of several rows.
 
     Raises:
         InputError: the workbook is damaged or too large, or the sheet is not known.
@@ -262,9 +285,11 @@ def _sheet_rows(data: bytes, path: Path, wanted: str | None) -> tuple[str, list[
         if unpacked <= MAX_UNPACKED_BYTES:
             book = load_workbook(io.BytesIO(data), read_only=True, data_only=True)
             sheets = {sheet.title: sheet for sheet in book.worksheets}
-            filled = [name for name, sheet in sheets.items() if wanted is not None or _is_filled(sheet)]
+            filled = [name for name, sheet in sheets.items() if _is_filled(sheet)]
             name = wanted if wanted is not None else filled[0] if len(filled) == 1 else None
             rows = [] if name not in sheets else _cells_of(sheets[name], path)
+            _check_formulas(data, name, rows, path)
+            merged = () if name is None or name not in sheets else _merged_cells(data, name)
     except InputError:
         raise
     except _WORKBOOK_ERRORS as error:
@@ -275,7 +300,8 @@ def _sheet_rows(data: bytes, path: Path, wanted: str | None) -> tuple[str, list[
         raise InputError(size, expected=f"at most {MAX_UNPACKED_BYTES // 2**20} MB", file=path)
     if name is None:
         what = "several sheets" if filled else "no sheet with cells"
-        raise InputError(what, expected=f"one of {', '.join(filled or sheets)}", file=path, setting="sheet")
+        line = f"sheet: {quoted(max(filled, key=_count_numbers(sheets)))}" if filled else None
+        raise InputError(what, expected=f"one of {', '.join(filled or sheets)}", file=path, setting="sheet", cure=line)
     if name not in sheets:
         raise InputError(
             "no such sheet",
@@ -284,8 +310,9 @@ def _sheet_rows(data: bytes, path: Path, wanted: str | None) -> tuple[str, list[
             value=name,
             nearest=closest_name(name, sheets),
             setting="sheet",
+            cure=f"sheet: {quoted(max(filled, key=_count_numbers(sheets)))}" if filled else None,
         )
-    return name, rows
+    return name, rows, merged
 
 
 def _check_cells(parts: zipfile.ZipFile, path: Path) -> None:
@@ -295,7 +322,7 @@ def _check_cells(parts: zipfile.ZipFile, path: Path) -> None:
         InputError: it has one.
     """
     for part in parts.infolist():
-        if not re.fullmatch(r"xl/worksheets/[^/]+\.xml", part.filename):
+        if not _SHEET_PART.fullmatch(part.filename):
             continue
         cells, end = 0, b""
         with parts.open(part) as stream:
@@ -312,8 +339,64 @@ def _check_cells(parts: zipfile.ZipFile, path: Path) -> None:
                     )
 
 
+def _check_formulas(data: bytes, name: str | None, rows: Sequence[tuple[int, Sequence[str]]], path: Path) -> None:
+    """Refuse a sheet with a formula whose value is not stored: programs that write workbooks do not compute them.
+
+    Raises:
+        InputError: it has one.
+    """
+    from openpyxl import load_workbook
+    from openpyxl.utils import get_column_letter
+
+    if name is None or not rows or not _has_tag(data, b"<f>", b"<f ", b":f>", b":f "):
+        return
+    sheet = load_workbook(io.BytesIO(data), read_only=True).worksheets
+    formulas = next(one for one in sheet if one.title == name)
+    formulas.reset_dimensions()
+    for (number, row), cells in zip(rows, formulas.iter_rows(values_only=True), strict=False):
+        for i, cell in enumerate(cells):
+            if isinstance(cell, str) and cell.startswith("=") and (i >= len(row) or not row[i]):
+                raise InputError(
+                    f"the formula in cell {get_column_letter(i + 1)}{number} has no stored value",
+                    expected="a workbook that was computed and saved by a spreadsheet program",
+                    file=path,
+                    line=number,
+                    value=cell,
+                )
+
+
+def _has_tag(data: bytes, *tags: bytes) -> bool:
+    """Return whether a sheet of a workbook has one of some elements."""
+    with zipfile.ZipFile(io.BytesIO(data)) as parts:
+        sheets = (parts.read(name) for name in parts.namelist() if _SHEET_PART.fullmatch(name))
+        return any(tag in sheet for sheet in sheets for tag in tags)
+
+
+def _merged_cells(data: bytes, name: str) -> Merged:
+    """Return the merged cells of several rows of a sheet: first and last line, and index of the first column."""
+    from openpyxl.utils import range_boundaries
+
+    if not _has_tag(data, b"mergeCell "):
+        return ()
+    from openpyxl import load_workbook
+
+    sheet = load_workbook(io.BytesIO(data))[name]
+    bounds = [range_boundaries(str(one)) for one in sheet.merged_cells.ranges]
+    return tuple((top, bottom, left - 1) for left, top, _, bottom in bounds if bottom > top)
+
+
 def _is_filled(sheet: Any) -> bool:
     return any(value is not None for row in islice(sheet.iter_rows(values_only=True), 200) for value in row)
+
+
+def _count_numbers(sheets: Mapping[str, Any]) -> Callable[[str], int]:
+    """Return the function that counts the numbers in the first rows of a sheet, by its name."""
+
+    def count(name: str) -> int:
+        rows = islice(sheets[name].iter_rows(values_only=True), 200)
+        return sum(isinstance(value, int | float) for row in rows for value in row)
+
+    return count
 
 
 def _cells_of(sheet: Any, path: Path) -> list[tuple[int, list[str]]]:
@@ -337,96 +420,6 @@ def _cell_text(value: Any) -> str:
     return str(value)
 
 
-# --- Numbers of table cells: the decimal sign from the content, and exact decimal values ----------
-
-POINT: Final = "."
-COMMA: Final = ","
-SIGNS: Final = {POINT: "point", COMMA: "comma"}
-"""Decimal signs with their names in a mapping file."""
-MINUS: Final = str.maketrans({"−": "-", "–": "-", "\u00a0": " ", "\u202f": " ", "’": "'"})
-_EXPONENT: Final = r"(?:[eE][-+]?\d{1,2})?"
-_NUMBER: Final = {
-    sign: re.compile(
-        rf"[-+]?(?:\d+|\d{{1,3}}(?:['{other} ]\d{{3}})+)?(?:{re.escape(sign)}\d*)?{_EXPONENT}(?<=[\d{re.escape(sign)}])",
-        re.ASCII,
-    )
-    for sign, other in ((POINT, COMMA), (COMMA, POINT))
-}
-_EITHER: Final = re.compile(r"[-+]?[\d.,' ]*\d[\d.,' ]*(?:[eE][-+]?\d+)?", re.ASCII)
-_GROUPED: Final = re.compile(r"[-+]?[1-9]\d{0,2}[.,]\d{3}", re.ASCII)
-"""A number whose only sign may be a decimal sign or a sign of thousands."""
-
-
-class DecimalSign(NamedTuple):
-    """Decimal sign of a file.
-
-    Attributes:
-        ambiguous: a cell with a sign that could be a decimal sign or a sign of thousands; empty if there is none.
-        contrary: a cell that is clear and has the other sign; empty otherwise.
-    """
-
-    sign: str
-    ambiguous: str = ""
-    contrary: str = ""
-
-
-def looks_like_number(cell: str) -> bool:
-    """Return whether a cell is a number with whatever decimal sign."""
-    text = cell.translate(MINUS)
-    return len(text) < 60 and bool(_EITHER.fullmatch(text)) and any(p.fullmatch(text) for p in _NUMBER.values())
-
-
-def decimal_value(cell: str, sign: str) -> Decimal | None:
-    """Return the exact number in a cell; None if it is not a number with this decimal sign.
-
-    Thousands may be separated by the other sign, an apostrophe or a blank.
-    """
-    text = cell.translate(MINUS)
-    if len(text) > 60 or not re.search("[0-9]", text) or not _NUMBER[sign].fullmatch(text):
-        return None
-    other = COMMA if sign == POINT else POINT
-    value = Decimal(text.replace(other, "").replace("'", "").replace(" ", "").replace(sign, POINT))
-    return value if abs(value.adjusted()) < 40 else None
-
-
-def decimal_text(value: Decimal) -> str:
-    """Return a number as a cell of a measurement table, in full and without digits lost."""
-    return format(value, "f") if value else "0"
-
-
-def decimal_sign(cells: Iterable[str]) -> DecimalSign:
-    """Return the decimal sign of cells: the one that a clear cell has; a sign followed by three digits alone is ambiguous.
-
-    Args:
-        cells: cells of the rows that hold measured points.
-    """
-    clear: dict[str, str] = {}
-    unclear: dict[str, str] = {}
-    for cell in cells:
-        text = cell.translate(MINUS)
-        if not _EITHER.fullmatch(text) or len(text) > 60:
-            continue
-        signs = [sign for sign in text if sign in SIGNS]
-        if not signs:
-            continue
-        last = signs[-1]
-        if not _NUMBER[last].fullmatch(text):
-            continue
-        if _GROUPED.fullmatch(text):
-            unclear.setdefault(last, cell)
-        else:
-            clear.setdefault(last, cell)
-    if len(clear) == 1:
-        (sign,) = clear
-        return DecimalSign(sign, ambiguous=unclear.get(COMMA if sign == POINT else POINT, ""))
-    if clear:
-        return DecimalSign(COMMA, contrary=clear[POINT])
-    if len(unclear) == 1:
-        sign, cell = next(iter(unclear.items()))
-        return DecimalSign(sign, ambiguous=cell)
-    return DecimalSign(POINT, ambiguous=unclear.get(COMMA, ""))
-
-
 # --- Parts of a raw table: title rows, header, row of units, rows of measured points --------------
 
 SHARE: Final = 0.6
@@ -448,6 +441,7 @@ class Layout:
         rows: rows of measured points with their lines, each with as many cells as there are names.
         titles: rows above the header, as text.
         left_out: rows below the header that hold no number, with their text.
+        derived: names of the columns that were made from others (positions in names); their numbers have decimal points.
     """
 
     raw: RawTable
@@ -457,6 +451,27 @@ class Layout:
     rows: tuple[Row, ...]
     titles: tuple[str, ...]
     left_out: tuple[tuple[int, str], ...]
+    derived: tuple[str, ...] = ()
+
+    def with_columns(self, columns: Mapping[str, Sequence[str]]) -> Layout:
+        """Return the layout with further columns, made from others."""
+        added = zip(*columns.values(), strict=True)
+        return replace(
+            self,
+            names=(*self.names, *columns),
+            units=(*self.units, *[""] * len(columns)),
+            rows=tuple((line, (*cells, *more)) for (line, cells), more in zip(self.rows, added, strict=True)),
+            derived=(*self.derived, *columns),
+        )
+
+    def cell_units(self, name: str) -> dict[str, int]:
+        """Return the units behind the numbers of a column, as spelt, each with its first line."""
+        found: dict[str, int] = {}
+        for (line, _), cell in zip(self.rows, self.column(name), strict=True):
+            unit = split_unit(cell)[1]
+            if unit:
+                found.setdefault(unit, line)
+        return found
 
     def column(self, name: str) -> list[str]:
         """Return the cells of a column."""
@@ -464,8 +479,11 @@ class Layout:
         return [cells[place] for _, cells in self.rows]
 
 
-def layout_of(raw: RawTable) -> Layout:
+def layout_of(raw: RawTable, given: Sequence[str] = ()) -> Layout:
     """Return the parts of a raw table.
+
+    Args:
+        given: names of the columns, in place of the header.
 
     Raises:
         InputError: no row with two numbers or more; a row with more cells than the header.
@@ -482,29 +500,36 @@ def layout_of(raw: RawTable) -> Layout:
     # A row of data has numbers in at least half of the columns of numbers.
     is_data = [2 * sum(i < len(mask) and mask[i] for i in columns) >= len(columns) for mask in numeric]
     first = is_data.index(True) if any(is_data) else numeric.index(candidates[0])
-    header, units, titles = _header(raw.rows[:first], len(columns))
     width = max(len(row) for (_, row), used in zip(raw.rows, is_data, strict=True) if used)
+    header, units, titles = _header(raw.rows[:first], len(columns), width)
+    header = list(given) or header
+    last = max((i for i, used in enumerate(is_data) if used), default=len(is_data)) - first
     rows, left_out = [], []
-    for line, row in raw.rows[first:]:
-        if any(looks_like_number(cell) for cell in row[:1000]) and not (
-            header and list(row) == list(header)[: len(row)]
+    for place, (line, row) in enumerate(raw.rows[first:]):
+        if (
+            place <= last
+            and any(looks_like_number(cell) for cell in row[:1000])
+            and not (header and list(row) == list(header)[: len(row)])
         ):
             rows.append((line, row))
         else:
             left_out.append((line, " ".join(filter(None, row))))
+    rows = _with_merged(rows, raw.merged)
     if header and len(header) < width:
         line, row = next((line, row) for line, row in rows if len(row) > len(header))
+        extra = [f"column {i + 1}" for i in range(len(header), width)]
         raise InputError(
             f"{len(row)} cells, more than the {len(header)} of the header",
             expected="one cell for each column",
             file=raw.path,
             line=line,
             value=" | ".join(row),
+            cure=f"names: {listed([*header, *extra])}",
         )
     names = _unique([header[i] if i < len(header) and header[i] else f"column {i + 1}" for i in range(width)])
     return Layout(
         raw=raw,
-        header_line=raw.rows[first - 1 - bool(any(units))][0] if header else 0,
+        header_line=raw.rows[max(first - 1 - bool(any(units)), 0)][0] if header else 0,
         names=tuple(names),
         units=tuple(units[i] if i < len(units) else "" for i in range(width)),
         rows=tuple((line, (*row, *[""] * (width - len(row)))[:width]) for line, row in rows),
@@ -513,22 +538,54 @@ def layout_of(raw: RawTable) -> Layout:
     )
 
 
-def _header(above: Sequence[Row], numbers: int) -> tuple[list[str], list[str], Sequence[Row]]:
-    """Return the names of columns, their units, and the rows above, from the rows before the first measured point."""
+def _with_merged(rows: Sequence[Row], merged: Sequence[tuple[int, int, int]]) -> list[Row]:
+    """Return rows of measured points in which every row of a merged cell has its value."""
+    if not merged:
+        return list(rows)
+    own = {line: list(cells) for line, cells in rows}
+    for top, bottom, column in merged:
+        value = own[top][column] if top in own and column < len(own[top]) else ""
+        for line in range(top + 1, bottom + 1):
+            if line in own and column < len(own[line]) and not own[line][column]:
+                own[line][column] = value
+    return [(line, tuple(own[line])) for line, _ in rows]
+
+
+def _header(above: Sequence[Row], numbers: int, width: int) -> tuple[list[str], list[str], Sequence[Row]]:
+    """Return the names of columns, their units, and the rows above, from the rows before the first measured point.
+
+    Args:
+        numbers: number of columns of numbers.
+        width: number of columns.
+    """
     units: list[str] = []
     rest = list(above)
     if rest and _is_units(rest[-1][1]):
         units = [cell.strip("[]() ") if cell else "" for cell in rest.pop()[1]]
     if not rest or sum(bool(cell) for cell in rest[-1][1]) < max(2, numbers / 2):
         return [], units, rest
-    header = list(rest.pop()[1])
-    if rest and len(set(filter(None, header))) < sum(map(bool, header)) and sum(map(bool, rest[-1][1])) >= 2:
-        # Two rows of headers: "nominal" above X, Y, Z and "actual" above X, Y, Z.
-        upper, last = list(rest.pop()[1]), ""
-        for i, cell in enumerate(header):
-            last = upper[i] if i < len(upper) and upper[i] else last
-            header[i] = f"{last} {cell}".strip() if cell else last
+    header = [*rest.pop()[1], *[""] * width][: max(width, len(above[-1][1]))]
+    while header and not header[-1]:
+        header.pop()
+    upper = [*rest[-1][1], *[""] * width][:width] if rest else []
+    if _is_upper_header(upper, [*header, *[""] * width][:width]):
+        # Two rows of headers: "nominal" above X, Y, Z and "actual" above X, Y, Z; a title above an empty cell stands for itself.
+        rest.pop()
+        header, lower, group = [], [*header, *[""] * width][:width], ""
+        for over, under in zip(upper, lower, strict=True):
+            group = over or (group if under else "")
+            header.append(f"{group} {under}".strip())
+        while header and not header[-1]:
+            header.pop()
     return header, units, rest
+
+
+def _is_upper_header(upper: Sequence[str], lower: Sequence[str]) -> bool:
+    """Return whether a row is the upper one of two rows of headers: equal names are below it, or columns without a name."""
+    if sum(map(bool, upper)) < 2 or any(map(looks_like_number, upper)):
+        return False
+    named = [name for name in lower if name]
+    return len(set(named)) < len(named) or any(over and not under for over, under in zip(upper, lower, strict=True))
 
 
 def _is_units(row: Sequence[str]) -> bool:

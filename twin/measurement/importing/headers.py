@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import re
+import unicodedata
 from collections.abc import Mapping
-from dataclasses import dataclass
-from decimal import Decimal
 from types import MappingProxyType
-from typing import Final, NamedTuple, final
+from typing import Final, NamedTuple
 
 from twin.machine.machine import Machine
 from twin.measurement.columns import ANGLE_COLUMNS, PLACE_COLUMNS, STATION_COLUMNS, table_columns
+from twin.measurement.importing.quantities import unit_named
 from twin.measurement.table import CHANNEL
 
 ROLES: Final[Mapping[str, frozenset[str]]] = MappingProxyType(
@@ -18,25 +18,27 @@ ROLES: Final[Mapping[str, frozenset[str]]] = MappingProxyType(
         "command": frozenset(
             "soll sollwert sollwerte sollposition nominal nom nominals nominalwert nenn nennwert nennmass command commanded cmd set "
             "setpoint programmed prog target ref reference theo theoretical theor vorgabe vorgegeben angefahren "
-            "anfahrposition".split()
+            "anfahrposition mks mcs sollpos consigne theorique nominale nominales programme programmee commande commandee "
+            "cible visee".split()
         ),
         "measured": frozenset(
             "ist istwert istwerte actual act actuals meas measured measurement measure gemessen messwert messwerte mess istmass mp "
-            "aktuell reading".split()
+            "aktuell reading tracker lasertracker laser misurato medido mesure mesuree mesures mesurees reel reelle lu lue "
+            "releve relevee".split()
         ),
         "readback": frozenset(
-            "readback encoder control reported display anzeige steuerung rueckmeldung geber massstab nc".split()
+            "readback istpos istposition encoder control reported display anzeige steuerung rueckmeldung geber massstab nc".split()
         ),
         "deviation": frozenset(
             "dev deviation deviations abw abweichung abweichungen delta diff difference differenz error err fehler residual tol "
-            "toleranz tolerance d utol ltol otol utl ltl out outtol dx dy dz dmag mag dist distance".split()
+            "toleranz tolerance d utol ltol otol utl ltl out outtol dx dy dz dmag mag dist distance ecart ecarts erreur erreurs".split()
         ),
         "uncertainty": frozenset(
             "u uncertainty unc uncert unsicherheit messunsicherheit standardunsicherheit sigma std stdabw stdev stddev stabw "
-            "standardabweichung".split()
+            "standardabweichung incertitude incertitudes".split()
         ),
         "approach": frozenset(
-            "approach anfahrrichtung anfahrt direction dir richtung fahrtrichtung verfahrrichtung".split()
+            "approach anfahrrichtung anfahrt direction dir richtung fahrtrichtung verfahrrichtung messrichtung sens approche".split()
         ),
         "temperature": frozenset("t temp temperature temperatur temps".split()),
     }
@@ -46,46 +48,82 @@ ROLES: Final[Mapping[str, frozenset[str]]] = MappingProxyType(
 NOISE: Final = frozenset(
     "pos position positions achse axis axes koordinate koordinaten coordinate coordinates coord wert value values der die das the of "
     "des in for von und and linear rotary machine maschine maschinen tool tip drehtisch "
-    "tisch table rundtisch schwenkachse drehachse linearachse".split()
+    "tisch table rundtisch schwenkachse drehachse linearachse de du la le les axe coordonnee coordonnees valeur".split()
 )
 """Words without a meaning of their own in the name of a column."""
 
+GEODETIC: Final[Mapping[str, str]] = MappingProxyType(
+    {"easting": "x", "rechtswert": "x", "northing": "y", "hochwert": "y", "height": "z", "hoehe": "z"}
+)
+"""Coordinates of geodetic instruments: east, north and up are a right-handed frame."""
+NUMBERING: Final = frozenset("name nom nr no n id nummer number numero index".split())
+"""Words beside the name of a thing that do not change it: its name or number."""
 NAMES: Final[Mapping[str, frozenset[str]]] = MappingProxyType(
     {
         "target": frozenset(
-            {"target", "target name", "reflector", "reflektor", "smr", "ball", "kugel", "sphere", "prism", "nest", "reflector name"}
+            {
+                "target", "target name", "reflector", "reflektor", "smr", "ball", "kugel", "sphere", "prism", "nest", "reflector name",
+                "reflecteur", "riflettore", "prisme", "prisma", "bille", "mire", "nom reflecteur", "reflektor name",
+                "zielmarke", "zielmarke nr",
+            }
+        ),
+        "position": frozenset(
+            {"position", "pos", "target position", "zielposition", "nominal position", "soll position", "axis position",
+             "position cible", "position nominale", "position soll", "position target", "position nominal", "achsposition",
+             "target pos", "nominal", "soll", "sollposition", "sollwert", "cible", "nominale", "consigne"}
+        ),
+        "horizontal": frozenset(
+            {"hz", "horizontal", "horizontal angle", "horizontalwinkel", "hz winkel", "hz angle", "azimuth", "azimut", "ha", "theta",
+             "hor angle", "angle horizontal", "horizontalrichtung", "azimuth angle", "az"}
+        ),
+        "vertical": frozenset(
+            {"v", "vertical", "vertical angle", "vertikalwinkel", "v winkel", "v angle", "zenith", "zenith angle", "zenit",
+            "zenitwinkel",
+             "zenitdistanz", "zenith distance", "elevation", "elevation angle", "hoehenwinkel", "va", "phi", "angle vertical",
+             "vert angle",
+             "angle zenithal", "el"}
+        ),
+        "distance": frozenset(
+            {"distance", "distanz", "strecke", "slope distance", "schraegdistanz", "schraegstrecke", "range", "dist", "sd",
+             "entfernung", "distance inclinee", "d", "raumstrecke", "radius", "r"}
         ),
         "point": frozenset(
             {
                 "point", "point name", "point id", "pt", "punkt", "punktname", "punkt name", "punkt nr", "punktnummer", "messpunkt",
                 "messpunkt nr", "name", "id", "label", "bezeichnung", "feature", "feature name", "feature id", "merkmal", "element",
                 "object", "objekt", "messstelle", "measuring point", "punkt id", "point no", "point number", "target id", "p",
+                "nom", "nom point", "nom du point", "repere", "designation", "libelle", "point de mesure",
             }
         ),
         "index": frozenset(
             {"nr", "no", "lfd nr", "lfd", "nummer", "number", "index", "row", "zeile", "line", "i", "n",
-             "messung nr", "seq", "satz", ""}
+             "messung nr", "seq", "satz", "numero", "ligne", ""}
         ),
-        "carrier": frozenset({"carrier", "traeger", "seite", "side", "mounted on", "montiert an", "befestigt an", "sits on"}),
+        "carrier": frozenset({"carrier", "traeger", "seite", "side", "mounted on", "montiert an", "befestigt an", "sits on", "cote",
+                              "porteur", "support"}),
         "station": frozenset(
-            {"station", "standpunkt", "aufstellung", "instrument station", "station name", "geraetestandpunkt", "setup"}
+            {"station", "standpunkt", "aufstellung", "instrument station", "station name", "geraetestandpunkt", "setup", "standort"}
         ),
         "round": frozenset(
             {
                 "round", "runde", "durchgang", "lauf", "run", "serie", "series", "cycle", "zyklus", "wiederholung", "repeat",
-                "repetition", "messreihe", "pass",
+                "repetition", "messreihe", "pass", "essai", "passe", "run no", "run nr", "lauf nr", "run number", "messlauf",
+                "laufnummer",
             }
         ),
         "datetime": frozenset(
-            {"timestamp", "zeitstempel", "date time", "datetime", "datum zeit", "datum uhrzeit", "date and time", "time stamp"}
+            {"timestamp", "zeitstempel", "date time", "datetime", "datum zeit", "datum uhrzeit", "date and time", "time stamp",
+            "date heure", "date et heure", "horodatage"}
         ),
-        "date": frozenset({"date", "datum", "tag", "day"}),
-        "time": frozenset({"time", "zeit", "uhrzeit", "clock", "t", "messzeit", "elapsed", "elapsed time", "time of day"}),
-        "spindle_rpm": frozenset({"spindle speed", "spindle", "speed", "drehzahl", "spindeldrehzahl", "rpm", "spindle rpm"}),
-        "feed_mm_min": frozenset({"feed", "feed rate", "feedrate", "vorschub", "f", "bahnvorschub"}),
-        "load_kg": frozenset({"load", "last", "beladung", "zuladung", "gewicht", "mass", "masse", "payload"}),
+        "date": frozenset({"date", "datum", "tag", "day", "jour"}),
+        "time": frozenset({"time", "zeit", "uhrzeit", "clock", "t", "messzeit", "elapsed", "elapsed time", "time of day",
+        "heure", "temps"}),
+        "spindle_rpm": frozenset({"spindle speed", "spindle", "speed", "drehzahl", "spindeldrehzahl", "rpm", "spindle rpm",
+        "vitesse broche", "vitesse de broche"}),
+        "feed_mm_min": frozenset({"feed", "feed rate", "feedrate", "vorschub", "f", "bahnvorschub", "avance"}),
+        "load_kg": frozenset({"load", "last", "beladung", "zuladung", "gewicht", "mass", "masse", "payload", "charge"}),
         "ignored": frozenset({"remark", "bemerkung", "bemerkungen", "comment", "kommentar", "note",
-             "notiz", "operator", "pruefer", "bediener"}),
+             "notiz", "operator", "pruefer", "bediener", "remarque", "commentaire", "operateur"}),
     }
 )  # fmt: skip
 """Meaning of a column without the name of an axis, by its words."""
@@ -93,7 +131,20 @@ NAMES: Final[Mapping[str, frozenset[str]]] = MappingProxyType(
 CARRIER_WORDS: Final[Mapping[str, str]] = MappingProxyType(
     {
         **dict.fromkeys(
-            ("tool", "werkzeug", "spindel", "spindle", "head", "kopf", "werkzeugseite", "tool side"), "tool"
+            (
+                "tool",
+                "werkzeug",
+                "spindel",
+                "spindle",
+                "head",
+                "kopf",
+                "werkzeugseite",
+                "tool side",
+                "outil",
+                "broche",
+                "tete",
+            ),
+            "tool",
         ),
         **dict.fromkeys(
             (
@@ -106,6 +157,8 @@ CARRIER_WORDS: Final[Mapping[str, str]] = MappingProxyType(
                 "rotary table",
                 "werkstueckseite",
                 "work side",
+                "piece",
+                "plateau",
             ),
             "work",
         ),
@@ -114,113 +167,34 @@ CARRIER_WORDS: Final[Mapping[str, str]] = MappingProxyType(
 """Sides of the machine, by the words of a cell."""
 
 UP_WORDS: Final = frozenset(
-    "+ 1 +1 up pos positive positiv vor vorwaerts forward forwards fwd hin aufwaerts auf > plus".split()
+    "+ 1 +1 up pos positive positiv vor vorwaerts forward forwards fwd hin aufwaerts auf > plus aller avant montant steigend".split()
 )
 DOWN_WORDS: Final = frozenset(
-    "- -1 down neg negative negativ zurueck rueckwaerts backward backwards bwd back rueck abwaerts ab < minus reverse".split()
+    "- -1 down neg negative negativ zurueck rueckwaerts backward backwards bwd back rueck abwaerts ab < minus reverse retour "
+    "arriere descendant fallend".split()
 )
 UNKNOWN_WORDS: Final = frozenset("0 none unknown unbekannt ? n/a".split())
 """Words of a cell that give the direction of approach: towards larger positions, towards smaller ones, unknown."""
 
-_LETTERS: Final = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "ß": "ss", "é": "e"})
+_LETTERS: Final = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "ß": "ss"})
+_ARROWS: Final = str.maketrans({"−": "-", "–": "-", "↑": "+", "→": "+", "↓": "-", "←": "-"})
 
 
 def plain_words(text: str) -> str:
-    """Return a text in lower case with German letters written as two."""
-    return text.casefold().translate(_LETTERS).strip()
+    """Return a text in lower case with German letters written as two, and other letters without accents."""
+    plain = text.casefold().translate(_LETTERS).strip()
+    return "".join(sign for sign in unicodedata.normalize("NFD", plain) if not unicodedata.combining(sign))
 
 
 def direction_of(cell: str) -> int | None:
     """Return +1, −1 or 0 (unknown) for a cell that gives a direction of approach; None if it gives none."""
-    word = plain_words(cell).replace("−", "-").replace("↑", "+").replace("↓", "-")
+    word = plain_words(cell).translate(_ARROWS).strip("() ") if cell.strip("() ") else ""
+    word = word.rstrip(".") or word
     if word in UP_WORDS:
         return 1
     if word in DOWN_WORDS:
         return -1
     return 0 if not word or word in UNKNOWN_WORDS else None
-
-
-# --- Units of imported columns, and their conversion into the units of a measurement table --------
-
-MOST_DIGITS: Final = 12
-"""Number of digits from which a factor counts as rounded."""
-_DEG_PER_RAD: Final = Decimal("57.29577951308232087679815481410517")
-
-
-@final
-@dataclass(frozen=True)
-class Unit:
-    """A unit.
-
-    Attributes:
-        name: its name in a mapping file.
-        table_unit: unit of a measurement table into which it converts: the end of a column's name.
-        factor: number of table units in one of it.
-        zero: its zero in table units.
-        words: further spellings, in lower case.
-    """
-
-    name: str
-    table_unit: str
-    factor: Decimal
-    words: tuple[str, ...] = ()
-    zero: Decimal = Decimal(0)
-
-    def to_table(self, value: Decimal) -> Decimal:
-        """Return a value in table units: exact where the factor is a finite decimal, else to 15 digits."""
-        if self.factor == 1 and not self.zero:
-            return value
-        converted = value * self.factor + self.zero
-        return converted if len(self.factor.as_tuple().digits) < MOST_DIGITS else Decimal(f"{converted:.15g}")
-
-
-UNITS: Final = (
-    Unit("mm", "mm", Decimal(1), ("millimeter", "millimetre", "millimeters")),
-    Unit("m", "mm", Decimal(1000), ("meter", "metre", "meters")),
-    Unit("cm", "mm", Decimal(10), ("centimeter",)),
-    Unit("um", "mm", Decimal("0.001"), ("µm", "μm", "micron", "microns", "mikrometer", "my")),
-    Unit("nm", "mm", Decimal("0.000001")),
-    Unit("inch", "mm", Decimal("25.4"), ("in", "inches", "zoll", '"')),
-    Unit("deg", "deg", Decimal(1), ("°", "degree", "degrees", "grad", "dd")),
-    Unit("rad", "deg", _DEG_PER_RAD, ("radian", "radians", "radiant")),
-    Unit("mrad", "deg", _DEG_PER_RAD / 1000),
-    Unit("urad", "deg", _DEG_PER_RAD / 1_000_000, ("µrad", "μrad")),
-    Unit("arcmin", "deg", 1 / Decimal(60), ("'",)),
-    Unit("arcsec", "deg", 1 / Decimal(3600), ("''",)),
-    Unit("degC", "degC", Decimal(1), ("°c", "celsius", "ºc", "c")),
-    Unit("degF", "degC", Decimal(5) / 9, ("°f", "fahrenheit", "f"), Decimal(-160) / 9),
-    Unit("K", "degC", Decimal(1), ("kelvin",), Decimal("-273.15")),
-    Unit("s", "s", Decimal(1), ("sec", "sek", "seconds", "sekunden")),
-    Unit("ms", "s", Decimal("0.001")),
-    Unit("min", "s", Decimal(60), ("minutes", "minuten")),
-    Unit("h", "s", Decimal(3600), ("hours", "stunden", "std")),
-    Unit("rpm", "rpm", Decimal(1), ("1/min", "u/min", "min-1", "rev/min", "min^-1")),
-    Unit("mm/min", "mm_min", Decimal(1), ("mm_min",)),
-    Unit("m/min", "mm_min", Decimal(1000)),
-    Unit("kg", "kg", Decimal(1)),
-    Unit("g", "kg", Decimal("0.001")),
-)
-"""All units; an equal factor appears once for each quantity."""
-_BY_WORD: Final[Mapping[str, Unit]] = MappingProxyType(
-    {word: unit for unit in UNITS for word in (unit.name.casefold(), *unit.words)}
-)
-
-
-def unit_named(text: str) -> Unit | None:
-    """Return the unit of that spelling, in any case; None if there is none."""
-    return _BY_WORD.get(text.strip().casefold())
-
-
-def table_unit(column: str) -> str:
-    """Return the unit of a column of a measurement table: the end of its name; empty for words and directions."""
-    ends = sorted({unit.table_unit for unit in UNITS}, key=len, reverse=True)
-    return next((end for end in ends if column.endswith(f"_{end}")), "")
-
-
-def units_of(column: str) -> tuple[Unit, ...]:
-    """Return the units that can be converted into that of a column."""
-    wanted = table_unit(column)
-    return tuple(unit for unit in UNITS if unit.table_unit == wanted)
 
 
 # --- Meaning of a column's header: which quantity of a measurement table it gives, and in which unit
@@ -267,11 +241,13 @@ def meaning_of(header: str, machine: Machine) -> Meaning:
     """Return the meaning of a header."""
     if is_table_column(header, machine):
         return Meaning("exact", header)
-    text, unit = _without_unit(header)
+    text, unit = without_unit(header)
     words = _words(text, machine)
     joined = " ".join(words)
+    short = " ".join(word for word in words if word not in NUMBERING) or joined
     for kind, phrases in NAMES.items():
-        if joined in phrases and not (joined in ("", "t") and unit.casefold() in ("°c", "degc", "k", "c")):
+        is_named = joined in phrases or (kind in ("target", "station", "round") and short in phrases)
+        if is_named and not (joined in ("", "t") and unit.casefold() in ("°c", "degc", "k", "c")):
             return Meaning(kind, kind, unit)
     axes = {axis.casefold(): axis for axis in machine.names}
     meant = [word for word in words if word in axes or word in ("x", "y", "z")]
@@ -282,10 +258,8 @@ def meaning_of(header: str, machine: Machine) -> Meaning:
         name = "_".join(word for word in [*meant, *rest] if word not in ROLES["temperature"]) or "air"
         return Meaning("temperature", axes.get(name, name), unit)
     if len(meant) != 1:
-        role = next(
-            (role for role, known in ROLES.items() if {*rest} & known and role in ("approach", "deviation")), ""
-        )
-        return Meaning(role, "", unit)
+        order = ("approach", "deviation", "measured", "command") if not meant else ("approach", "deviation")
+        return Meaning(next((role for role in order if {*rest} & ROLES[role]), ""), "", unit)
     axis = axes.get(meant[0], meant[0])
     if not rest:
         return Meaning("bare", axis, unit)
@@ -302,7 +276,15 @@ def meaning_of(header: str, machine: Machine) -> Meaning:
     return Meaning(role, axis, unit, certain=len(roles) == 1 and all(word in ROLES[role] for word in rest))
 
 
-def _without_unit(header: str) -> tuple[str, str]:
+def other_axis(header: str, machine: Machine) -> str:
+    """Return the letter of a rotary axis A, B or C that a header names as a position and the machine does not have; empty if none."""
+    text = header.removesuffix("_deg") if re.fullmatch("[A-C]_deg", header) else without_unit(header)[0]
+    words = [word for word in _words(text, machine) if word not in NOISE and word not in ROLES["command"]]
+    letter = words[0].upper() if len(words) == 1 else ""
+    return letter if letter in ("A", "B", "C") and letter not in machine.by_name else ""
+
+
+def without_unit(header: str) -> tuple[str, str]:
     """Return a header without its unit, and the unit; empty if it gives none."""
     for pattern in (_BRACKETS, _SUFFIX):
         match = pattern.search(header)
@@ -321,7 +303,7 @@ def _words(text: str, machine: Machine) -> list[str]:
     axes = {"x", "y", "z", *(axis.casefold() for axis in machine.names)}
     roles = frozenset().union(*ROLES.values())
     found = []
-    for word in words:
+    for word in (GEODETIC.get(word, word) for word in words):
         axis = next((axis for axis in axes if word.startswith(axis) and word[len(axis) :] in roles - {"t", "u"}), None)
         last = next((axis for axis in axes if word.endswith(axis) and word[: -len(axis)] in roles - {"t"}), None)
         if word in roles or word in axes or (axis is None and last is None):

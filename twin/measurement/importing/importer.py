@@ -18,12 +18,17 @@ from twin._common.units import count_with_noun
 from twin.display.results import Result
 from twin.machine.machine import Machine
 from twin.measurement.agreement import ColumnChange, wrong_columns
+from twin.measurement.checks import RowNote, grouped_notes
+from twin.measurement.columns import POINT_COLUMNS, comment_lines, csv_text, table_columns
 from twin.measurement.columns import SIMULATED as SIMULATED_WORD
-from twin.measurement.columns import comment_lines, csv_text, table_columns
 from twin.measurement.formats import other_format
-from twin.measurement.importing.cells import MAX_BYTES, Layout, layout_of, read_cells
+from twin.measurement.importing.apply import TIME, Applied, moment_in
+from twin.measurement.importing.arrangement import table_layout
+from twin.measurement.importing.cells import MAX_BYTES, Layout, read_cells
+from twin.measurement.importing.columns import Proposal, quoted
 from twin.measurement.importing.mapping import ColumnMapping, OriginEntry, PlanPoints
-from twin.measurement.importing.propose import TIME, Applied, Proposal, moment_in, proposed
+from twin.measurement.importing.propose import proposed
+from twin.measurement.importing.readings import unchecked
 from twin.measurement.instruments import default_instrument, others_alike
 from twin.measurement.observation import FEWEST_REPEATS, repeats_dof
 from twin.measurement.table import Measurements
@@ -123,8 +128,8 @@ class ImportedTable(Result):
     def to_text(self) -> str:
         """Return origin, columns, first rows, assumptions and findings as text."""
         count = count_with_noun(len(next(iter(self.columns.values()), ())), "row")
-        entries, longest = self.mapping.entries.columns, max(map(len, self.columns), default=0)
-        origins = [f"  {name.ljust(longest)}  {origin_text(entries.get(name))}" for name in self.columns]
+        longest = max(map(len, self.columns), default=0)
+        origins = [f"  {name.ljust(longest)}  {origin_of(self.mapping, name)}" for name in self.columns]
         lines = [f"{self.source}: {count}; {self.layout}", "", *origins, ""]
         names, rows = self.preview()
         shown = [names, *rows]
@@ -163,6 +168,16 @@ class ImportedTable(Result):
         return f"{self.source}: {rows}, {count_with_noun(len(self.to_confirm), 'item')} to confirm"
 
 
+def origin_of(mapping: ColumnMapping, name: str) -> str:
+    """Return the origin of a column in words."""
+    entries = mapping.entries
+    if name in POINT_COLUMNS and entries.spherical is not None:
+        return "from angles and distance: " + quoted(entries.spherical.sources)
+    if name in POINT_COLUMNS and entries.deviations is not None:
+        return f"from deviations in {entries.deviations.unit or 'mm'}: " + quoted(entries.deviations.sources)
+    return origin_text(entries.columns.get(name))
+
+
 def origin_text(entry: OriginEntry | None) -> str:
     """Return the origin of a column in words."""
     if entry is None:
@@ -173,6 +188,7 @@ def origin_text(entry: OriginEntry | None) -> str:
     text += f" in {entry.unit}" if entry.unit else ""
     text += ", opposite sign" if entry.sign < 0 else ""
     text += f", {entry.offset:+g}" if entry.offset else ""
+    text += ", by its words" if entry.words else ""
     return text + (f", form {entry.format}" if entry.format else "")
 
 
@@ -226,11 +242,11 @@ def import_table(
     given = None if columns is None else ColumnMapping.load(Path(columns), machine)
     try:
         return _imported(path, machine, given, sheet=sheet, plan=None if plan is None else Path(plan))
-    except InputError:
+    except InputError as error:
         if given is not None:
             raise
         kind = other_format(path, most_bytes=MAX_BYTES)
-        other = None if kind else other_kind(read_bytes(path).decode("latin-1"), *TABLES)
+        other = None if kind or error.cure is not None else other_kind(read_bytes(path).decode("latin-1"), *TABLES)
         if kind is None and other is None:
             raise
     if kind is None:
@@ -250,30 +266,39 @@ def _imported(
         encoding="" if entries is None else entries.encoding,
         delimiter="" if entries is None else entries.delimiter,
     )
-    layout = layout_of(raw)
+    layout = table_layout(raw, () if entries is None else entries.names)
     rows = None if plan is None else PlanPoints.load(plan, machine)
-    if given is None:
-        proposal = proposed(layout, machine, rows)
-        return _finished(Applied(layout, proposal.mapping()), machine, rows, proposal)
-    if (given.entries.plan is None) != (rows is None):
+    complete = given is not None and given.entries.is_complete(machine)
+    if given is not None and (given.entries.plan is None) != (rows is None) and (complete or rows is None):
         what = "the mapping takes positions from a plan" if rows is None else "the mapping does not use a plan"
         expected = "the plan" if rows is None else "an entry `plan: {match: order}`"
-        raise InputError(what, expected=expected, file=given.path, setting="plan")
-    return _finished(Applied(layout, given), machine, rows, None)
+        line = None if rows is None else "plan: {match: order}"
+        raise InputError(what, expected=expected, file=given.path, setting="plan", cure=line)
+    if given is None or not complete:
+        proposal = proposed(layout, machine, rows, entries)
+        return _finished(Applied(layout, proposal.mapping(), machine), rows, proposal)
+    return _finished(Applied(layout, given, machine), rows, None)
 
 
-def _finished(applied: Applied, machine: Machine, plan: PlanPoints | None, proposal: Proposal | None) -> ImportedTable:
-    layout, mapping = applied.layout, applied.mapping
-    cells = applied.columns()
-    if plan is not None and mapping.entries.plan is not None:
-        from_plan = plan.columns(plan.rows_for(layout, mapping.entries.plan), machine)
-        PlanPoints.check_commands(cells, from_plan, layout, machine)
-        cells = from_plan | cells
-    cells = _in_order(cells, machine)
-    notices = wrong_columns(machine, _unchecked(cells, machine))
+def _finished(applied: Applied, plan: PlanPoints | None, proposal: Proposal | None) -> ImportedTable:
+    mapping, machine = applied.mapping, applied.machine
+    cells, unusable = applied.table(plan), applied.set_aside()
+    kept = [row for row in range(len(applied.layout.rows)) if row not in unusable]
+    if not kept:
+        line, why = applied.layout.rows[0][0], unusable[0]
+        raise InputError(
+            f"no usable row: {why}", expected="a row with all of its values", file=applied.layout.raw.path, line=line
+        )
+    layout = replace(applied.layout, rows=tuple(applied.layout.rows[row] for row in kept))
+    cells = _in_order({name: [column[row] for row in kept] for name, column in cells.items()}, machine)
+    notices = wrong_columns(machine, unchecked(cells, machine))
     comments = _comments(layout, mapping, cells)
     assumptions = () if proposal is None else tuple(proposal.assumptions)
     notes = [] if proposal is None else list(proposal.notes)
+    notes += grouped_notes(
+        RowNote(applied.layout.rows[row][0], f"set aside, {why}", "set aside, a value is missing")
+        for row, why in unusable.items()
+    )
     measurements: Measurements | None = None
     try:
         measurements = _read_back(cells, comments, layout, machine)
@@ -324,43 +349,12 @@ def _in_order(cells: dict[str, list[str]], machine: Machine) -> dict[str, list[s
     return {name: cells[name] for name in (*order, *sorted(cells.keys() - {*order})) if name in cells}
 
 
-def _unchecked(cells: Mapping[str, Sequence[str]], machine: Machine) -> Measurements:
-    """Return commands and readings of a table before it is checked, NaN where a cell holds no number."""
-    count = len(next(iter(cells.values())))
-
-    def numbers(names: Sequence[str]) -> np.ndarray:
-        empty = [""] * count
-        return np.array([[_number(cell) for cell in cells.get(name, empty)] for name in names], dtype=float).T
-
-    def words(name: str, default: str) -> np.ndarray:
-        return np.array([cell or default for cell in cells.get(name, [""] * count)], dtype=object)
-
-    return Measurements(
-        source="",
-        lines=np.arange(count),
-        positions=numbers([f"{axis.name}_{axis.unit}" for axis in machine.axes]),
-        point_mm=numbers(("x_mm", "y_mm", "z_mm")),
-        carrier=words("carrier", ""),
-        station_carrier=words("station_carrier", "base"),
-        station=words("station", "1"),
-        target=words("target", ""),
-    )
-
-
-def _number(cell: str) -> float:
-    try:
-        value = float(cell)
-    except ValueError:
-        return np.nan
-    return value if abs(value) < 1e9 else np.nan
-
-
 def _comments(layout: Layout, mapping: ColumnMapping, cells: Mapping[str, Sequence[str]]) -> list[str]:
     """Return the comments of the measurement table: origin, mapping, and comments and titles of the file."""
     says = [_stated(text, text) for text in layout.raw.comments[:MAX_COMMENTS]]
     says += [_stated(text, f"the file says: {text}") for text in layout.titles[:MAX_COMMENTS]]
     by = "a proposed mapping without assumptions" if mapping.path is None else f"the mapping {mapping.path.name}"
-    origins = [f"{name}: {origin_text(mapping.entries.columns.get(name))}" for name in cells]
+    origins = [f"{name}: {origin_of(mapping, name)}" for name in cells]
     lines = [f"imported from {layout.raw.origin}, with {by}", *_date(layout, mapping), *origins, *says]
     return [printable(line, one_line=True) for line in lines]
 

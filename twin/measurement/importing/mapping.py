@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
@@ -18,9 +18,11 @@ from twin._common.errors import InputError, closest_name
 from twin._common.units import count_with_noun
 from twin._common.yaml_files import EntryPath, line_of, load_yaml, quoted, yaml_text
 from twin.machine.machine import Machine
-from twin.measurement.columns import table_columns
-from twin.measurement.importing.cells import DELIMITERS, SIGNS, Layout
-from twin.measurement.importing.headers import UNITS, is_table_column, meaning_of, table_names, unit_named, units_of
+from twin.measurement.columns import ANGLE_COLUMNS, POINT_COLUMNS, table_columns
+from twin.measurement.importing.cells import DELIMITERS, Layout, listed
+from twin.measurement.importing.headers import is_table_column, meaning_of, table_names
+from twin.measurement.importing.quantities import SIGNS, UNITS, unit_named, units_of
+from twin.measurement.importing.readings import ANGLE, LENGTH, DeviationEntry, SphericalEntry
 from twin.measurement.table import Measurements
 
 SCHEMA: Final = "twin.columns/1"
@@ -37,7 +39,7 @@ class OriginEntry(BaseModel):
     unit: str | None = None
     sign: Literal[1, -1] = 1
     offset: _Number = 0.0
-    words: dict[str, str | int] | None = None
+    words: dict[str, str | int | float] | None = None
     format: str | None = None
 
     @property
@@ -62,7 +64,7 @@ class PlanEntry(BaseModel):
     """Rule that matches the rows of a file with those of a plan."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
-    match: Literal["order", "point"]
+    match: Literal["order", "point", "positions"]
     point: str | None = None
 
 
@@ -77,13 +79,31 @@ class ColumnsFile(BaseModel):
     delimiter: Literal["", "tab", "semicolon", "bar", "comma", "space"] = ""
     decimal: Literal["point", "comma"] = "point"
     sheet: str = ""
-    columns: Annotated[dict[str, OriginEntry], Field(min_length=1)]
+    names: tuple[str, ...] = ()
+    missing: tuple[str, ...] = ()
+    length: str = ""
+    angle: str = ""
+    columns: dict[str, OriginEntry] = Field(default_factory=dict)
+    spherical: SphericalEntry | None = None
+    deviations: DeviationEntry | None = None
     plan: PlanEntry | None = None
 
     @property
     def sign(self) -> str:
         """The decimal sign."""
         return next(sign for sign, name in SIGNS.items() if name == self.decimal)
+
+    @property
+    def gives_readings(self) -> bool:
+        """Whether the mapping gives a measured quantity."""
+        return any(name in self.columns for name in (*POINT_COLUMNS, *ANGLE_COLUMNS)) or bool(
+            self.spherical or self.deviations
+        )
+
+    def is_complete(self, machine: Machine) -> bool:
+        """Return whether the mapping gives all that a measurement table needs, and is applied exactly; others are completed."""
+        needed = {"target", "carrier", *(f"{axis.name}_{axis.unit}" for axis in machine.axes)}
+        return self.gives_readings and (self.plan is not None or needed <= {*self.columns})
 
 
 @final
@@ -121,7 +141,33 @@ class ColumnMapping:
         mapping = cls(entries, path, MappingProxyType(dict(lines)))
         for name, entry in entries.columns.items():
             mapping.check_entry(name, entry, machine)
+        mapping._check_units(machine)
         return mapping
+
+    def _check_units(self, machine: Machine) -> None:
+        """Raise `InputError` for a unit or an axis outside the columns that does not exist."""
+        own, spherical, deviations = self.entries, self.entries.spherical, self.entries.deviations
+        stated: list[tuple[tuple[str, ...], str | None, str]] = [
+            (("length",), own.length, LENGTH),
+            (("angle",), own.angle, ANGLE),
+        ]
+        if spherical is not None:
+            stated += [
+                (("spherical", "angle"), spherical.angle, ANGLE),
+                (("spherical", "length"), spherical.length, LENGTH),
+            ]
+        if deviations is not None:
+            stated.append((("deviations", "unit"), deviations.unit, LENGTH))
+            axes = [f"{axis.name}_{axis.unit}" for axis in machine.axes if axis.linear]
+            if deviations.along is not None and deviations.along not in axes:
+                expected = f"one of {', '.join(axes)}"
+                raise self.error(
+                    "no such axis", ("deviations", "along"), expected=expected, value=deviations.along, known=axes
+                )
+        for place, text, column in stated:
+            known = [unit.name for unit in units_of(column)]
+            if text and unit_named(text, column) is None:
+                raise self.error("no such unit", place, expected=f"one of {', '.join(known)}", value=text, known=known)
 
     def check_copy(self, path: Path) -> None:
         """Raise `InputError` unless a file written from this mapping reads back as the same entries."""
@@ -176,6 +222,10 @@ class ColumnMapping:
             lines.append(f"delimiter: {own.delimiter}    # {', '.join(DELIMITERS.values())}")
         lines.append(f"decimal: {own.decimal}    # {' or '.join(SIGNS.values())}{_remark(remarks, 'decimal', '; ')}")
         lines += [
+            f"{name}: {listed(words)}" for name, words in (("names", own.names), ("missing", own.missing)) if words
+        ]
+        lines += [f"{name}: {unit}" for name, unit in (("length", own.length), ("angle", own.angle)) if unit]
+        lines += [
             "# Each entry: a column of the measurement table, and the column of the file that gives it (from), its unit, and",
             "# sign: -1 to mirror it; or one value for all rows. Further keys: offset (in the table's unit), words, format.",
             f"# Units: {', '.join(unit.name for unit in UNITS)}.",
@@ -185,6 +235,9 @@ class ColumnMapping:
             f"  {_quoted_name(name)}: {{{_entry(entry)}}}{_remark(remarks, name, '    # ')}"
             for name, entry in own.columns.items()
         ]
+        for name, computed in (("spherical", own.spherical), ("deviations", own.deviations)):
+            if computed is not None:
+                lines.append(f"{name}: {{{_entry(computed)}}}{_remark(remarks, name, '    # ')}")
         if own.plan is not None:
             point = f", point: {_quoted(own.plan.point)}" if own.plan.point else ""
             lines.append(f"plan: {{match: {own.plan.match}{point}}}{_remark(remarks, 'plan', '    # ')}")
@@ -208,10 +261,20 @@ def _quoted_name(name: str) -> str:
     return name if yaml_text({name: 0}) == f"{{{name}: 0}}\n" else quoted(name)
 
 
-def _entry(entry: OriginEntry) -> str:
+def column_line(entries: Mapping[str, OriginEntry]) -> str:
+    """Return the line of a mapping file with some entries of columns."""
+    columns = ", ".join(f"{_quoted_name(name)}: {{{_entry(entry)}}}" for name, entry in entries.items())
+    return f"columns: {{{columns}}}"
+
+
+def _entry(entry: OriginEntry | SphericalEntry | DeviationEntry) -> str:
     """Return an entry in YAML's flow style, without the keys that have their default value."""
     data = entry.model_dump(by_alias=True, exclude_defaults=True)
-    if "unit" in data:  # the keys that a user is most likely to change are always written
+    if isinstance(entry, SphericalEntry):  # conventions are always written
+        data |= {"clockwise": entry.clockwise, "vertical_from": entry.vertical_from}
+    elif "unit" in data and isinstance(
+        entry, OriginEntry
+    ):  # the keys that a user is most likely to change are always written
         data.setdefault("sign", 1)
     parts = []
     for key, value in data.items():
@@ -220,13 +283,15 @@ def _entry(entry: OriginEntry) -> str:
         elif isinstance(value, tuple):
             text = "[" + ", ".join(map(_quoted, value)) + "]"
         else:
-            text = value if key == "unit" else _quoted(value)
+            text = value if key in ("unit", "angle", "length", "along", "vertical_from") else _quoted(value)
         parts.append(f"{key}: {text}")
     return ", ".join(parts)
 
 
 # --- Rows of a plan for the rows of a file: matched by the names of points, or by their order -----
 
+SLACK: Final = 0.002
+"""Difference of a position from that of the plan up to which they are the same; mm or degrees."""
 FIELDS: Final = ("positions", "target", "carrier", "station", "station_carrier", "instrument", "round", "approach")
 """Fields of a measurement table that a plan gives."""
 
@@ -265,14 +330,21 @@ class PlanPoints:
         """Return whether every name is a point of the plan, and these are unique."""
         return bool(self.points) and len(set(self.points)) == len(self.points) and {*names} <= {*self.points}
 
-    def rows_for(self, layout: Layout, entry: PlanEntry) -> np.ndarray:
+    def rows_for(
+        self, layout: Layout, entry: PlanEntry, cells: Mapping[str, Sequence[str]], machine: Machine
+    ) -> np.ndarray:
         """Return (n,) the row of the plan for each row of a file.
+
+        Args:
+            cells: the columns of the measurement table that the file gives.
 
         Raises:
             InputError: the number of rows differs, or a row has a name that the plan does not have at its place.
         """
         if entry.match == "order":
             return self._by_order(layout)
+        if entry.match == "positions":
+            return self._by_positions(layout, cells, machine)
         names = layout.column(entry.point) if entry.point in layout.names else []
         if not names or not self.points:
             whose = layout.raw.path if not names else self.table.source
@@ -308,6 +380,49 @@ class PlanPoints:
             )
         return np.arange(wanted)
 
+    def _by_positions(self, layout: Layout, cells: Mapping[str, Sequence[str]], machine: Machine) -> np.ndarray:
+        """Return the rows with the positions and targets of the file: in the order of the plan, some of which may be missing.
+
+        A file in another order is matched where no position occurs twice.
+        """
+        count, wanted = len(layout.rows), len(self.table)
+        given = [
+            (i, cells[f"{axis.name}_{axis.unit}"])
+            for i, axis in enumerate(machine.axes)
+            if f"{axis.name}_{axis.unit}" in cells
+        ]
+
+        def fits(row: int, start: int) -> np.ndarray:
+            fitting = np.ones(wanted - start, dtype=bool)
+            if "target" in cells:
+                fitting &= self.table.target[start:] == cells["target"][row]
+            for i, own in given:
+                if own[row]:  # a row without a number fits, and is set aside
+                    fitting &= np.abs(self.table.positions[start:, i] - float(own[row])) <= slack_of(own[row])
+            return np.flatnonzero(fitting) + start
+
+        rows: list[int] = []
+        for row in range(count):
+            later = fits(row, rows[-1] + 1 if rows else 0)
+            if not len(later):
+                break
+            rows.append(int(later[0]))
+        if len(rows) == count:
+            return np.array(rows)
+        every = [fits(row, 0) for row in range(count)]
+        if all(len(found) == 1 for found in every) and len({int(found[0]) for found in every}) == count:
+            return np.concatenate(every)
+        if count == wanted:
+            return np.arange(wanted)  # the first row that differs is named
+        line, own_cells = layout.rows[len(rows)]
+        raise InputError(
+            "a position or target that is not one of the next rows of the plan",
+            expected=f"the positions and targets of {self.table.source}, in its order",
+            file=layout.raw.path,
+            line=line,
+            value=" | ".join(own_cells),
+        )
+
     def columns(self, rows: np.ndarray, machine: Machine) -> dict[str, list[str]]:
         """Return the cells of the columns that the plan gives, for some of its rows."""
         columns: dict[str, list[str]] = {}
@@ -319,14 +434,22 @@ class PlanPoints:
 
     @staticmethod
     def check_commands(
-        own: dict[str, list[str]], given: dict[str, list[str]], layout: Layout, machine: Machine
+        own: Mapping[str, Sequence[str]],
+        given: Mapping[str, Sequence[str]],
+        layout: Layout,
+        machine: Machine,
+        rounded: Collection[str] = (),
     ) -> None:
-        """Raise `InputError` for the first row whose commanded position or target differs from the plan's."""
+        """Raise `InputError` for the first row whose commanded position or target differs from the plan's.
+
+        Args:
+            rounded: columns whose positions are rounded to the digits written, as in names.
+        """
         compared = given.keys() & {"target", *(f"{axis.name}_{axis.unit}" for axis in machine.axes)}
         for row, (line, _) in enumerate(layout.rows):
             for name in (name for name in own if name in compared):
                 mine, planned = own[name][row], given[name][row]
-                if mine and mine != planned and (name == "target" or _differ(mine, planned)):
+                if mine and mine != planned and (name == "target" or _differ(mine, planned, name in rounded)):
                     raise InputError(
                         f"{name} is not that of the plan",
                         expected=f"{planned}, as in the plan",
@@ -336,9 +459,14 @@ class PlanPoints:
                     )
 
 
-def _differ(own: str, planned: str) -> bool:
+def slack_of(cell: str) -> float:
+    """Return the largest difference of a position from that of the plan if it is rounded to its last digit; mm or degrees."""
+    return SLACK + 0.5 * 10.0 ** -len(cell.partition(".")[2])
+
+
+def _differ(own: str, planned: str, rounded: bool) -> bool:
     """Return whether two cells are numbers that differ by more than a rounded digit."""
     try:
-        return abs(float(own) - float(planned)) > 0.002
+        return abs(float(own) - float(planned)) > (slack_of(own) if rounded else SLACK)
     except ValueError:
         return False

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from typing import Final, Protocol
 
 import numpy as np
 
+from twin._common.errors import InputError
 from twin.machine.machine import Axis, Machine
 from twin.measurement.checks import RANGE_SLACK
+from twin.measurement.columns import POINT_COLUMNS
 from twin.measurement.importing.cells import Layout
-from twin.measurement.importing.headers import Unit, table_unit, unit_named, units_of
+from twin.measurement.importing.mapping import ColumnsFile, column_line, entry_of
+from twin.measurement.importing.quantities import table_unit, unit_named, units_of
 
 LEAST_SHARE: Final = 0.02
 """Share of an axis's range that positions must span in a unit for that unit to be likely."""
@@ -18,6 +22,12 @@ LARGEST_U_MM: Final = 0.2
 """Uncertainty beyond which a number without a unit is taken as micrometres."""
 LENGTHS: Final = ("mm", "m", "inch", "um")
 ANGLES: Final = ("deg", "rad", "mrad")
+_STATEMENT: Final = re.compile(
+    r"\b(?:length|angle|angular|linear|längen?|winkel|unité de)?\s*-?(?:units?|einheit(?:en)?|unités?)\b[^:=]{0,24}?[\s:=]+(.+)"
+    r"|\b(?:dimensions|coordinates|values|lengths|maße|angaben|koordinaten|werte|cotes|valeurs|coordonnées)\b.{0,24}?\b(?:in|en)\s+(.+)",
+    re.IGNORECASE,
+)
+"""Title or comment that states units: ``Units: Millimeters``, ``Einheit: mm; Grad``, ``All dimensions in inches``."""
 
 
 class Columns(Protocol):
@@ -25,6 +35,7 @@ class Columns(Protocol):
 
     layout: Layout
     machine: Machine
+    given: ColumnsFile | None
 
     def values(self, name: str) -> np.ndarray:
         """Return the numbers of a column of the file."""
@@ -42,19 +53,30 @@ def unit_by_size(found: Columns, sources: Mapping[str, tuple[str, str]]) -> dict
     """
     units: dict[str, str] = {}
     missing: dict[str, str] = {}
+    by_title = stated_units(found)
     for column, (name, stated) in sources.items():
-        below = found.layout.units[found.layout.names.index(name)]
-        fitting = [unit for text in (stated, below) if (unit := _fitting(text, column)) is not None]
-        if fitting:
-            units[column] = fitting[0].name
-            if len({unit.name for unit in fitting}) > 1:
-                found.assume(
-                    f"'{name}' is in {fitting[0].name}: its header and the row of units differ", column, "unit"
-                )
+        place = found.layout.names.index(name)
+        in_cells = found.layout.cell_units(name)
+        header = [
+            unit.name for text in (stated, found.layout.units[place]) if text and (unit := unit_named(text, column))
+        ]
+        cells = list(dict.fromkeys(unit.name for text in in_cells if (unit := unit_named(text, column))))
+        title = by_title.get(table_unit(column)) if _is_coordinate(column, found.machine) else None
+        header = header or ([table_unit(column)] if name == column and table_unit(column) and not cells else [])
+        _check_contradiction(found, column, name, header, title, in_cells, cells)
+        if len(cells) > 1:
+            continue  # each cell states its own
+        if [*header, *cells]:
+            units[column] = [*header, *cells][0]
+            if len(set(header)) > 1:
+                found.assume(f"'{name}' is in {header[0]}: its header and the row of units differ", column, "unit")
+        elif title is not None:
+            units[column] = title
         elif table_unit(column) and name != column:
             missing[column] = name
-            if stated or below:
-                found.assume(f"the unit '{stated or below}' of '{name}' does not fit {column}", column, "unit")
+            if stated or found.layout.units[place]:
+                text = stated or found.layout.units[place]
+                found.assume(f"the unit '{text}' of '{name}' does not fit {column}", column, "unit")
     for columns in _families(missing, found.machine):
         name, why = _likely(found, columns, missing, units)
         units |= dict.fromkeys(columns, name)
@@ -65,10 +87,83 @@ def unit_by_size(found: Columns, sources: Mapping[str, tuple[str, str]]) -> dict
     return units
 
 
-def _fitting(text: str, column: str) -> Unit | None:
-    """Return a unit by its spelling if a column can have it."""
-    unit = unit_named(text) if text else None
-    return unit if unit is not None and unit in units_of(column) else None
+def stated_units(found: Columns) -> dict[str, str]:
+    """Return the units of lengths and angles that titles and comments state, by the unit of a measurement table (mm, deg).
+
+    Raises:
+        InputError: they state two units of lengths, or of angles.
+    """
+    stated: dict[str, tuple[str, str]] = {}
+    for text in (*found.layout.titles, *found.layout.raw.comments):
+        match = _STATEMENT.search(text)
+        words = (
+            [word.strip("()[].:") for word in re.split(r"[\s,;/|&]+", next(filter(None, match.groups())))[:8]]
+            if match
+            else []
+        )
+        for k, word in enumerate(words):
+            unit = unit_named(word)
+            is_preposition = word.casefold() == "in" and unit_named("".join(words[k + 1 : k + 2])) is not None
+            if unit is None or is_preposition or unit.table_unit not in ("mm", "deg") or unit.name in ("um", "nm"):
+                continue  # positions are not in micrometres
+            other, where = stated.setdefault(unit.table_unit, (unit.name, text))
+            given = found.given is not None and (found.given.length if unit.table_unit == "mm" else found.given.angle)
+            if other != unit.name and not given:
+                raise InputError(
+                    f"two units in the titles: '{where}' and '{text}'",
+                    expected="one unit",
+                    file=found.layout.raw.path,
+                    cure=f"{'length' if unit.table_unit == 'mm' else 'angle'}: {other}",
+                )
+    units = {kind: unit for kind, (unit, _) in stated.items()}
+    if found.given is not None:
+        units |= {kind: unit for kind, unit in (("mm", found.given.length), ("deg", found.given.angle)) if unit}
+    return units
+
+
+def _is_coordinate(column: str, machine: Machine) -> bool:
+    """Return whether a column is a position or a coordinate, for which the unit of the titles holds."""
+    return column in POINT_COLUMNS or _kind(column, machine) == "command"
+
+
+def _check_contradiction(
+    found: Columns,
+    column: str,
+    name: str,
+    header: Sequence[str],
+    title: str | None,
+    in_cells: Mapping[str, int],
+    cells: Sequence[str],
+) -> None:
+    """Raise `InputError` if header, titles and cells of a column state different units.
+
+    Args:
+        header: units that the header and the row of units state.
+        title: unit of the titles.
+        in_cells: units in the cells, as spelt, with their first lines.
+        cells: names of these units.
+    """
+    given = found.given is not None and bool(found.given.length if table_unit(column) == "mm" else found.given.angle)
+    if header and title is not None and header[0] != title and not given:
+        raise InputError(
+            f"'{name}' is in {header[0]}, and the titles of the file state {title}",
+            expected="one unit",
+            file=found.layout.raw.path,
+            line=found.layout.header_line,
+            cure=f"{'length' if table_unit(column) == 'mm' else 'angle'}: {header[0]}",
+        )
+    stated = header[0] if header else title
+    odd = next((unit for unit in cells if stated is not None and unit != stated), None)
+    if odd is not None:
+        spelt = next(text for text in in_cells if (unit := unit_named(text, column)) and unit.name == odd)
+        raise InputError(
+            f"'{name}' is in {stated} by its header, and a cell in {odd}",
+            expected="one unit",
+            file=found.layout.raw.path,
+            line=in_cells[spelt],
+            value=spelt,
+            cure=column_line({column: entry_of(name)}),
+        )
 
 
 def _families(missing: Mapping[str, str], machine: Machine) -> list[list[str]]:

@@ -1,0 +1,435 @@
+"""Proposal of the columns of a mapping by the headers of a file, with every assumption in words."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Final, final
+
+import numpy as np
+
+from twin._common.errors import InputError
+from twin.machine.machine import Axis, Machine
+from twin.measurement.importing.apply import WORD_COLUMNS, moment_in
+from twin.measurement.importing.arrangement import NAME, RUN
+from twin.measurement.importing.cells import Layout, listed
+from twin.measurement.importing.headers import CARRIER_WORDS, Meaning, direction_of, meaning_of, plain_words
+from twin.measurement.importing.mapping import (
+    ColumnMapping,
+    ColumnsFile,
+    OriginEntry,
+    PlanEntry,
+    PlanPoints,
+    entry_of,
+    slack_of,
+)
+from twin.measurement.importing.quantities import (
+    COMMA,
+    POINT,
+    SIGNS,
+    decimal_sign,
+    is_no_value,
+    looks_like_number,
+    quantity_in,
+    units_of,
+)
+from twin.measurement.importing.readings import DeviationEntry, SphericalEntry
+from twin.measurement.importing.units import unit_by_size
+
+
+@final
+@dataclass
+class Proposal:
+    """A mapping in the making.
+
+    Attributes:
+        layout: the file.
+        plan: the plan that gives positions, or None.
+        entries: origin of each column of the measurement table.
+        assumptions: what was assumed, one sentence each.
+        remarks: comment for an entry of the mapping file, by its column.
+        notes: facts that need no confirmation.
+        given: lines of a mapping file that hold already; None for none.
+    """
+
+    layout: Layout
+    machine: Machine
+    plan: PlanPoints | None = None
+    given: ColumnsFile | None = None
+    entries: dict[str, OriginEntry] = field(default_factory=dict)
+    assumptions: list[str] = field(default_factory=list)
+    remarks: dict[str, str] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
+    sign: str = POINT
+    matched: PlanEntry | None = None
+    used: set[str] = field(default_factory=set)
+    spherical: SphericalEntry | None = None
+    deviations: DeviationEntry | None = None
+
+    def __post_init__(self) -> None:
+        """Take over what holds already."""
+        if self.given is not None:
+            self.entries |= self.given.columns
+            self.spherical, self.deviations = self.given.spherical, self.given.deviations
+            computed = [one for one in (self.spherical, self.deviations) if one is not None]
+            self.used |= {source for one in (*self.given.columns.values(), *computed) for source in one.sources}
+
+    @property
+    def missing(self) -> tuple[str, ...]:
+        """Words for no value, in lower case."""
+        return () if self.given is None else tuple(plain_words(word) for word in self.given.missing)
+
+    @property
+    def has_readings(self) -> bool:
+        """Whether the readings of the file are known."""
+        return self.mapping().entries.gives_readings
+
+    def mapping(self) -> ColumnMapping:
+        """Return the mapping."""
+        raw = self.layout.raw
+        content: dict[str, Any] = {
+            "file": raw.path.name,
+            "encoding": raw.encoding,
+            "delimiter": raw.delimiter,
+            "decimal": SIGNS[self.sign],
+            "sheet": raw.sheet,
+            "columns": self.entries,
+            "spherical": self.spherical,
+            "deviations": self.deviations,
+            "plan": self.matched,
+        }
+        if self.given is not None:
+            content |= {name: getattr(self.given, name) for name in ("names", "missing", "length", "angle")}
+        return ColumnMapping(ColumnsFile(**content))
+
+    def assume(self, text: str, column: str, remark: str = "check") -> None:
+        """Add an assumption, and a remark at the entry that it concerns."""
+        self.assumptions.append(text)
+        self.remarks[column] = f"{self.remarks[column]}; {remark}" if column in self.remarks else remark
+
+    def add(self, column: str, entry: OriginEntry) -> bool:
+        """Add an entry; return False, with a note, if the column has one already."""
+        if self.given is not None and column in self.given.columns:
+            return False
+        if column in self.entries:
+            taken, other = self.entries[column].sources, entry.sources
+            text = f"{column} is taken from {quoted(taken)}, not from {quoted(other)}"
+            self.assume(text, column, f"or {', '.join(other)}")
+            return False
+        self.entries[column] = entry
+        self.used |= {*entry.sources}
+        return True
+
+    def values(self, name: str) -> np.ndarray:
+        """Return the numbers of a column of the file, NaN where a cell holds none."""
+        sign = POINT if name in self.layout.derived else self.sign
+        numbers = [
+            None if is_no_value(cell, self.missing) else quantity_in(cell, sign) for cell in self.layout.column(name)
+        ]
+        return np.array([np.nan if number is None else float(number.value) for number in numbers])
+
+
+def quoted(names: Sequence[str]) -> str:
+    """Return names in quotes, separated by commas."""
+    return ", ".join(f"'{name}'" for name in names)
+
+
+def axis_columns(machine: Machine) -> dict[str, Axis]:
+    """Return the columns of commanded positions, each with its axis."""
+    return {f"{axis.name}_{axis.unit}": axis for axis in machine.axes}
+
+
+# --- Proposal of the columns that are not numbers: names, sides, directions of approach, dates and times
+
+DATE_FORMS: Final = tuple(
+    f"{day}{clock}"
+    for day in ("%d.%m.%Y", "%d.%m.%y", "%d/%m/%Y", "%m/%d/%Y", "%Y/%m/%d", "%d-%m-%Y", "%m-%d-%Y", "")
+    for clock in (" %H:%M:%S", " %H:%M:%S.%f", " %H:%M:%S,%f", " %H:%M", " %I:%M:%S %p", " %I:%M %p")
+)
+"""Forms of dates and times that are tried after ISO 8601; those without a date only where the file has none."""
+SERIAL: Final = ("datetime", "date", "time")
+
+
+def add_names(found: Proposal, meanings: Mapping[str, Meaning]) -> None:
+    """Add target, carrier, station, round and instrument."""
+    for name, meaning in meanings.items():
+        if name in found.used or (name in found.layout.derived and meaning.kind in found.entries):
+            continue
+        if meaning.kind == "exact" and name in WORD_COLUMNS:
+            found.add(name, entry_of(name))
+        elif meaning.kind in ("target", "station", "round"):
+            found.add(meaning.kind, entry_of(name))
+        elif meaning.kind == "carrier":
+            wrong = [cell for cell in found.layout.column(name) if plain_words(cell) not in CARRIER_WORDS]
+            if wrong:
+                found.notes.append(f"'{name}' is not used: '{wrong[0]}' is not a side of the machine")
+            else:
+                found.add("carrier", entry_of(name))
+    if found.plan is not None:
+        return
+    points = sorted(
+        (name for name, one in meanings.items() if one.kind == "point"),
+        key=lambda name: name not in found.layout.derived,
+    )
+    if "target" not in found.entries:
+        _add_target(found, points)
+
+
+def commands_of(found: Proposal) -> np.ndarray:
+    """Return (n, axes) the commanded positions in the file's units; zero for an axis that the file does not give."""
+    columns = [found.entries.get(name) for name in axis_columns(found.machine)]
+    zero = np.zeros(len(found.layout.rows))
+    return np.stack(
+        [np.nan_to_num(found.values(column.sources[0])) if column and column.sources else zero for column in columns],
+        axis=1,
+    )
+
+
+def _add_target(found: Proposal, points: Sequence[str]) -> None:
+    for name in points:
+        names = dict.fromkeys(found.layout.column(name))
+        if 2 * len(names) <= len(found.layout.rows):
+            found.add("target", entry_of(name))
+            shown = ", ".join(list(names)[:5]) + (", …" if len(names) > 5 else "")
+            found.assume(f"each name of '{name}' is a target: {shown}", "target", f"{len(names)} targets")
+            return
+    found.entries["target"] = entry_of(value="1")
+    found.assume("all rows are of one target, named 1", "target", "name of the target")
+
+
+def add_directions(found: Proposal, meanings: Mapping[str, Meaning]) -> None:
+    """Add directions of approach."""
+    machine = found.machine
+    for name, meaning in meanings.items():
+        exact = meaning.kind == "exact" and name.startswith("approach_")
+        if name in found.used or (meaning.kind != "approach" and not exact):
+            continue
+        if any(direction_of(cell) is None for cell in found.layout.column(name)):
+            wrong = next(cell for cell in found.layout.column(name) if direction_of(cell) is None)
+            found.notes.append(f"'{name}' is not used: '{wrong}' is not a direction")
+            continue
+        axis = machine.by_name.get(meaning.name)
+        if exact:
+            found.add(name, entry_of(name))
+        elif axis is not None:
+            found.add(f"approach_{axis.name}", entry_of(name))
+        else:
+            spans = np.ptp(commands_of(found), axis=0)
+            if np.count_nonzero(spans > 1e-3) == 1:
+                column = f"approach_{machine.names[int(np.argmax(spans))]}"
+                if found.add(column, entry_of(name)):
+                    found.assume(f"'{name}' is the direction of {column[9:]}, the only axis that moves", column)
+
+
+def add_times(found: Proposal, meanings: Mapping[str, Meaning]) -> None:
+    """Add the time of each row from columns of dates and times."""
+    kinds = {kind: [name for name, one in meanings.items() if one.kind == kind] for kind in SERIAL}
+    if "time_s" in found.entries or not any(kinds.values()):
+        return
+    candidates = [*([one] for one in kinds["datetime"]), *([d, t] for d in kinds["date"] for t in kinds["time"])]
+    candidates += [*([one] for one in kinds["time"]), *([one] for one in kinds["date"])]
+    for sources in candidates:
+        texts = [" ".join(parts).strip() for parts in zip(*map(found.layout.column, sources), strict=True)]
+        texts = [text for text in texts if text]
+        forms = [form.strip() for form in ("iso", *DATE_FORMS)]
+        fitting = [form for form in forms if texts and all(moment_in(text, form) is not None for text in texts)]
+        if not fitting or (fitting[0] == "iso" and len(texts[0]) <= 10):
+            continue
+        if any(form.endswith("%p") for form in fitting):  # clocks of twelve hours come with the month first
+            fitting.sort(key=lambda form: not form.startswith("%m"))
+        source = sources[0] if len(sources) == 1 else tuple(sources)
+        if found.add("time_s", entry_of(source, form=fitting[0])):
+            found.notes.append(f"time_s counts from the first row, {texts[0]}")
+            if {form[:2] for form in fitting} >= {"%d", "%m"}:
+                order = "month" if fitting[0].startswith("%m") else "day"
+                found.assume(f"dates have the {order} first: {texts[0]}", "time_s", "order of day and month")
+        return
+    found.notes.append(
+        f"no time: {quoted([name for names in kinds.values() for name in names])} cannot be read as dates"
+    )
+
+
+# --- Proposal of the columns of numbers ---------------------------------------------------------------
+
+
+def meanings_of(layout: Layout, machine: Machine) -> dict[str, Meaning]:
+    """Return the meaning of every column of a file, those that were made from others included."""
+    meanings = {name: meaning_of(name, machine) for name in layout.names if name not in layout.derived}
+    for name in layout.derived:
+        part = name.rpartition(": ")[2]
+        axis = machine.by_name.get(part)
+        given = any(other.startswith(name.removesuffix(NAME)) and other[-3:-1] == ": " for other in layout.derived)
+        kinds = {
+            RUN: Meaning("round", "round"),
+            NAME: Meaning("target", "target") if given else Meaning("point", "point"),
+        }
+        meanings[name] = Meaning("command", axis.name, axis.unit) if axis is not None else kinds.get(part, Meaning())
+    return meanings
+
+
+def choose_sign(found: Proposal, *, exact: bool) -> None:
+    """Choose the decimal sign: the one given, else that of the cells.
+
+    Raises:
+        InputError: the cells have both.
+    """
+    layout = found.layout
+    is_sheet, own = bool(layout.raw.sheet), len(layout.names) - len(layout.derived)
+    cells = [cell for _, row in layout.rows for cell in row[:own] if not is_sheet or COMMA in cell]
+    sign = decimal_sign(cells)
+    if found.given is not None and "decimal" in found.given.model_fields_set:
+        found.sign = found.given.sign
+        return
+    if sign.contrary and not is_sheet:
+        line = next(line for line, row in layout.rows if sign.contrary in row)
+        most = (
+            COMMA
+            if 2 * sum(COMMA in cell for cell in cells) > sum(COMMA in cell or POINT in cell for cell in cells)
+            else POINT
+        )
+        raise InputError(
+            "decimal commas and decimal points in one file",
+            expected="one decimal sign",
+            file=layout.raw.path,
+            line=line,
+            value=sign.contrary,
+            cure=f"decimal: {SIGNS[most]}",
+        )
+    found.sign = sign.sign
+    ordinary = sign.sign == POINT and COMMA not in sign.ambiguous and (exact or layout.raw.delimiter == "comma")
+    if sign.ambiguous and not ordinary:
+        number = quantity_in(sign.ambiguous, sign.sign)
+        value, name = "no number" if number is None else number.value, SIGNS[sign.sign]
+        found.assume(f"the decimal sign is the {name}: '{sign.ambiguous}' is read as {value}", "decimal", "check")
+
+
+def without_header(found: Proposal) -> dict[str, Meaning]:
+    """Return meanings of the columns of a file without header: a name and three coordinates.
+
+    Raises:
+        InputError: other columns, or no plan.
+    """
+    layout = found.layout
+    own = [name for name in layout.names if name not in layout.derived]
+    numbers = [
+        name for name in own if all(looks_like_number(cell) for cell in layout.column(name) if not is_no_value(cell))
+    ]
+    words = [name for name in own if name not in numbers and any(layout.column(name))]
+    if len(numbers) == 4 and not words:  # numbered points
+        words, numbers = numbers[:1], numbers[1:]
+    known = found.plan is not None or layout.derived
+    if len(numbers) != 3 or not words or not known:
+        names = iter("xyz" if len(numbers) == 3 else "XYZxyz" if len(numbers) == 6 else ())
+        titles = [next(names, name) if name in numbers else "Name" if [name] == words[:1] else name for name in own]
+        raise InputError(
+            "no header row" + ("" if known else " and no plan"),
+            expected="a row with the names of the columns; or lines of a name and x, y, z, with a plan for the positions",
+            file=layout.raw.path,
+            line=layout.rows[0][0],
+            value=" | ".join(layout.rows[0][1]),
+            setting=None if known else "plan",
+            cure=f"names: {listed(titles)}",
+        )
+    found.assume(f"the file has no header; {quoted(numbers)} are x, y, z", "x_mm", "no header")
+    return {
+        **dict.fromkeys(own, Meaning()),
+        **{name: meaning for name, meaning in meanings_of(layout, found.machine).items() if name in layout.derived},
+        words[-1]: Meaning("point", "point"),
+        **{name: Meaning("measured", axis) for name, axis in zip(numbers, "xyz", strict=True)},
+    }
+
+
+def _role(meaning: Meaning, name: str, found: Proposal, roles: set[tuple[str, str]]) -> str:
+    """Return the role of a column that names an axis: that of its words, else from the other columns."""
+    machine = found.machine
+    linear = meaning.name.casefold() in ("x", "y", "z")
+    if meaning.kind == "measured":
+        return "measured" if linear else "readback"
+    if meaning.kind != "bare":
+        return meaning.kind
+    if not linear or meaning.name not in machine.by_name:
+        return "command" if meaning.name in machine.by_name else "measured" if linear else ""
+    letter = meaning.name.casefold()
+    if any(kind == "bare" and other == "x" for kind, other in roles) and _has_both_cases(found.layout.names, machine):
+        return "measured" if name.lstrip()[:1].islower() else "command"
+    if ("measured", letter) in roles:
+        return "command"
+    if ("command", letter) in roles or found.plan is not None:
+        return "measured"
+    return "bare"
+
+
+def _has_both_cases(names: Sequence[str], machine: Machine) -> bool:
+    first = [name.lstrip()[:1] for name in names if meaning_of(name, machine).kind == "bare"]
+    return "x" in first and "X" in first
+
+
+def add_numbers(found: Proposal, meanings: dict[str, Meaning]) -> None:
+    """Add commanded positions, read-back values, coordinates, uncertainties, temperatures and channels."""
+    machine = found.machine
+    roles = {(one.kind, one.name.casefold()) for one in meanings.values()}
+    roles |= {
+        ("measured", one.name[0])
+        for name, one in meanings.items()
+        if one.kind == "exact" and name in ("x_mm", "y_mm", "z_mm")
+    }
+    roles |= {
+        ("command", one.name[0].casefold())
+        for one in meanings.values()
+        if one.kind == "exact" and one.name in axis_columns(machine)
+    }
+    chosen: dict[str, tuple[str, Meaning]] = {}
+    for name, meaning in meanings.items():
+        column = None if name in found.used else _column_of(name, meaning, found, roles)
+        if column is None or (found.given is not None and column in found.given.columns):
+            continue
+        if column in chosen:
+            if name in found.layout.derived and _are_equal(found, chosen[column][0], name):
+                found.used.add(name)
+                continue
+            found.assume(f"{column} is taken from '{chosen[column][0]}', not from '{name}'", column, f"or {name}")
+            continue
+        chosen[column] = (name, meaning)
+        if not meaning.certain:
+            found.assume(f"'{name}' is {column}", column, "meaning of the name")
+    units = unit_by_size(found, {column: (name, meaning.unit) for column, (name, meaning) in chosen.items()})
+    for column, (name, meaning) in chosen.items():
+        if meaning.kind == "exact":
+            unit = next((one.name for one in units_of(column)), None)
+            found.add(column, entry_of(name, unit=unit))
+        else:
+            found.add(column, entry_of(name, unit=units.get(column)))
+
+
+def _are_equal(found: Proposal, one: str, other: str) -> bool:
+    """Return whether two columns hold the same numbers, the second rounded to its digits."""
+    slack = np.array([slack_of(cell) for cell in found.layout.column(other)])
+    return bool(np.all(~(np.abs(found.values(one) - found.values(other)) > slack)))
+
+
+def _column_of(name: str, meaning: Meaning, found: Proposal, roles: set[tuple[str, str]]) -> str | None:
+    """Return the column of the measurement table that a column of numbers gives; None if it gives none."""
+    if meaning.kind == "exact":
+        return None if name in WORD_COLUMNS or name.startswith("approach_") else name
+    if meaning.kind in ("spindle_rpm", "feed_mm_min", "load_kg"):
+        return meaning.kind
+    if meaning.kind == "temperature":
+        return f"T_{meaning.name}_degC"
+    if meaning.kind == "time" and is_number_column(found, name):
+        return "time_s"
+    if not meaning.name:
+        return None
+    role, axis = _role(meaning, name, found, roles), found.machine.by_name.get(meaning.name)
+    letter = meaning.name.casefold()
+    if role in ("command", "readback") and axis is not None:
+        return f"{'readback_' if role == 'readback' else ''}{axis.name}_{axis.unit}"
+    if role == "measured" and letter in ("x", "y", "z"):
+        return f"{letter}_mm"
+    return f"u_{letter}_mm" if role == "uncertainty" and letter in ("x", "y", "z") else None
+
+
+def is_number_column(found: Proposal, name: str) -> bool:
+    """Return whether all cells of a column that have a value are numbers."""
+    cells = [cell for cell in found.layout.column(name) if not is_no_value(cell, found.missing)]
+    sign = POINT if name in found.layout.derived else found.sign
+    return bool(cells) and all(quantity_in(cell, sign) is not None for cell in cells)

@@ -1,0 +1,310 @@
+"""Numbers and units of cells: decimal signs, units behind a number, angles in degrees, minutes and seconds, words for no value."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from decimal import Decimal
+from functools import lru_cache
+from types import MappingProxyType
+from typing import Final, NamedTuple, final
+
+# --- Units of imported columns, and their conversion into the units of a measurement table --------
+
+MOST_DIGITS: Final = 12
+"""Number of digits from which a factor counts as rounded."""
+_DEG_PER_RAD: Final = Decimal("57.29577951308232087679815481410517")
+
+
+@final
+@dataclass(frozen=True)
+class Unit:
+    """A unit.
+
+    Attributes:
+        name: its name in a mapping file.
+        table_unit: unit of a measurement table into which it converts: the end of a column's name.
+        factor: number of table units in one of it.
+        zero: its zero in table units.
+        words: further spellings, in lower case.
+    """
+
+    name: str
+    table_unit: str
+    factor: Decimal
+    words: tuple[str, ...] = ()
+    zero: Decimal = Decimal(0)
+
+    def to_table(self, value: Decimal) -> Decimal:
+        """Return a value in table units: exact where the factor is a finite decimal, else to 15 digits."""
+        if self.factor == 1 and not self.zero:
+            return value
+        converted = value * self.factor + self.zero
+        return converted if len(self.factor.as_tuple().digits) < MOST_DIGITS else Decimal(f"{converted:.15g}")
+
+
+UNITS: Final = (
+    Unit(
+        "mm", "mm", Decimal(1), ("millimeter", "millimetre", "millimeters", "millimetres", "millimètre", "millimètres")
+    ),
+    Unit("m", "mm", Decimal(1000), ("meter", "metre", "meters", "metres", "metern", "mètre", "mètres")),
+    Unit("cm", "mm", Decimal(10), ("centimeter", "centimetre", "centimeters", "centimetres", "zentimeter")),
+    Unit(
+        "um", "mm", Decimal("0.001"), ("µm", "μm", "micron", "microns", "mikrometer", "my", "micrometer", "micrometre")
+    ),
+    Unit("nm", "mm", Decimal("0.000001")),
+    Unit("inch", "mm", Decimal("25.4"), ("in", "inches", "zoll", "pouce", "pouces", '"')),
+    Unit("deg", "deg", Decimal(1), ("°", "º", "degree", "degrees", "grad", "degré", "degrés", "dd")),
+    Unit("gon", "deg", Decimal("0.9"), ("gons", "gradian", "gradians", "grads", "neugrad")),
+    Unit("rad", "deg", _DEG_PER_RAD, ("radian", "radians", "radiant")),
+    Unit("mrad", "deg", _DEG_PER_RAD / 1000),
+    Unit("urad", "deg", _DEG_PER_RAD / 1_000_000, ("µrad", "μrad")),
+    Unit("arcmin", "deg", 1 / Decimal(60), ("'", "′")),
+    Unit("arcsec", "deg", 1 / Decimal(3600), ("''", "″", '"', "arcsecond", "arcseconds", "bogensekunden")),
+    Unit("degC", "degC", Decimal(1), ("°c", "celsius", "ºc", "c")),
+    Unit("degF", "degC", Decimal(5) / 9, ("°f", "fahrenheit", "f"), Decimal(-160) / 9),
+    Unit("K", "degC", Decimal(1), ("kelvin",), Decimal("-273.15")),
+    Unit("s", "s", Decimal(1), ("sec", "sek", "seconds", "sekunden")),
+    Unit("ms", "s", Decimal("0.001")),
+    Unit("min", "s", Decimal(60), ("minutes", "minuten")),
+    Unit("h", "s", Decimal(3600), ("hours", "stunden", "std")),
+    Unit("rpm", "rpm", Decimal(1), ("1/min", "u/min", "min-1", "rev/min", "min^-1")),
+    Unit("mm/min", "mm_min", Decimal(1), ("mm_min",)),
+    Unit("m/min", "mm_min", Decimal(1000)),
+    Unit("kg", "kg", Decimal(1)),
+    Unit("g", "kg", Decimal("0.001")),
+)
+"""All units; an equal factor appears once for each quantity."""
+
+
+def _by_word() -> dict[str, tuple[Unit, ...]]:
+    by_word: dict[str, tuple[Unit, ...]] = {}
+    for unit in UNITS:
+        for word in (unit.name.casefold(), *unit.words):
+            by_word[word] = (*by_word.get(word, ()), unit)
+    return by_word
+
+
+_BY_WORD: Final[Mapping[str, tuple[Unit, ...]]] = MappingProxyType(_by_word())
+
+
+@lru_cache(maxsize=4096)
+def unit_named(text: str, column: str = "") -> Unit | None:
+    """Return the unit of that spelling, in any case; None if there is none.
+
+    Args:
+        column: column of a measurement table into whose unit it must convert: ``"`` is an inch or an arc second. Empty for any.
+    """
+    units = _BY_WORD.get(text.strip().casefold(), ())
+    return next((unit for unit in units if not column or unit.table_unit == table_unit(column)), None)
+
+
+@lru_cache(maxsize=4096)
+def table_unit(column: str) -> str:
+    """Return the unit of a column of a measurement table: the end of its name; empty for words and directions."""
+    ends = sorted({unit.table_unit for unit in UNITS}, key=len, reverse=True)
+    return next((end for end in ends if column.endswith(f"_{end}")), "")
+
+
+def units_of(column: str) -> tuple[Unit, ...]:
+    """Return the units that can be converted into that of a column."""
+    wanted = table_unit(column)
+    return tuple(unit for unit in UNITS if unit.table_unit == wanted)
+
+
+# --- Numbers of table cells: the decimal sign from the content, and exact decimal values ----------
+
+POINT: Final = "."
+COMMA: Final = ","
+SIGNS: Final = {POINT: "point", COMMA: "comma"}
+"""Decimal signs with their names in a mapping file."""
+MINUS: Final = str.maketrans({"−": "-", "–": "-", "\u00a0": " ", "\u202f": " ", "’": "'"})
+_EXPONENT: Final = r"(?:[eE][-+]?\d{1,2})?"
+_NUMBER: Final = {
+    sign: re.compile(
+        rf"[-+]?(?:\d+|\d{{1,3}}(?:['{other} ]\d{{3}})+)?(?:{re.escape(sign)}\d*)?{_EXPONENT}(?<=[\d{re.escape(sign)}])",
+        re.ASCII,
+    )
+    for sign, other in ((POINT, COMMA), (COMMA, POINT))
+}
+_EITHER: Final = re.compile(r"[-+]?[\d.,' ]*\d[\d.,' ]*(?:[eE][-+]?\d+)?", re.ASCII)
+_GROUPED: Final = re.compile(r"[-+]?[1-9]\d{0,2}[.,]\d{3}", re.ASCII)
+"""A number whose only sign may be a decimal sign or a sign of thousands."""
+_WITH_UNIT: Final = re.compile(
+    r"([-+]?[\d.,' ]*\d[.,]?(?:[eE][-+]?\d{1,2})?)(\s*)([^\d\s.,+-][^\d]{0,11}|1/min)", re.ASCII
+)
+_SEXAGESIMAL: Final = re.compile(
+    r"([-+]?)(\d{1,3})\s*[°ºd]\s*(\d{1,2})\s*['′m]\s*(?:(\d{1,2}(?:[.,]\d*)?)\s*(?:\"|''|″|s)?)?", re.ASCII
+)
+_DEGREES: Final = re.compile("[°ºd]")
+SEXAGESIMAL: Final = "dms"
+"""Unit of a cell in degrees, minutes and seconds."""
+SIXTY: Final = 60
+_SIGNS_ALONE: Final = re.compile(r"[-–—_*?.#/]+|#[\w/]+[!?]?")
+NO_VALUE: Final = frozenset(
+    "nan n/a na null none nil n.a. n.a k.a. n/v n.v. inf -inf missing invalid lost error fehler fehlt ungültig".split()
+) | {
+    "no value",
+    "not measured",
+    "nicht gemessen",
+    "kein wert",
+    "non mesuré",
+    "keine messung",
+    "out of range",
+    "over range",
+}
+"""Words of a cell without a value, beside signs alone (``-``, ``***``) and errors of a spreadsheet (``#N/A``, ``#WERT!``)."""
+
+
+class DecimalSign(NamedTuple):
+    """Decimal sign of a file.
+
+    Attributes:
+        ambiguous: a cell with a sign that could be a decimal sign or a sign of thousands; empty if there is none.
+        contrary: a cell that is clear and has the other sign; empty otherwise.
+    """
+
+    sign: str
+    ambiguous: str = ""
+    contrary: str = ""
+
+
+def looks_like_number(cell: str) -> bool:
+    """Return whether a cell is a number with whatever decimal sign, alone or with a unit behind it."""
+    if len(cell) >= 60 or not any(sign.isdigit() for sign in cell):
+        return False
+    return _looks_plain(cell.translate(MINUS)) or bool(split_unit(cell)[1])
+
+
+def _looks_plain(text: str) -> bool:
+    return bool(_EITHER.fullmatch(text)) and any(p.fullmatch(text) for p in _NUMBER.values())
+
+
+def split_unit(cell: str) -> tuple[str, str]:
+    """Return the number and the unit of a cell such as ``250 mm``, ``-90°`` or ``27°56'39.8"``; the cell and no unit otherwise.
+
+    The unit of degrees, minutes and seconds is `SEXAGESIMAL`. A unit of one letter needs a blank before it: ``2K`` is a name.
+    """
+    if cell[-1:].isdigit() and not _DEGREES.search(cell):  # most cells
+        return cell, ""
+    text = cell.translate(MINUS)
+    if len(text) >= 60:
+        return cell, ""
+    if _SEXAGESIMAL.fullmatch(text):
+        return text, SEXAGESIMAL
+    match = _WITH_UNIT.fullmatch(text)
+    if match is None:
+        return cell, ""
+    number, blank, unit = match[1], match[2], match[3].strip("[]() ")
+    is_name = len(unit) == 1 and unit.isascii() and unit.isalpha() and not blank
+    return (number, unit) if unit_named(unit) is not None and not is_name and _looks_plain(number) else (cell, "")
+
+
+def is_no_value(cell: str, words: Iterable[str] = ()) -> bool:
+    """Return whether a cell states that there is no value: empty, signs alone, an error of a spreadsheet, or one of some words."""
+    if not words and cell[-1:].isdigit() and cell[:1].isdigit():  # most cells
+        return False
+    text = " ".join(cell.casefold().split())
+    return not text or text in NO_VALUE or text in words or bool(_SIGNS_ALONE.fullmatch(text))
+
+
+class CellNumber(NamedTuple):
+    """Number of a cell.
+
+    Attributes:
+        unit: unit behind the number, as spelt; empty if there is none.
+    """
+
+    value: Decimal
+    unit: str
+
+    def to_table(self, column: str, unit: str | None) -> Decimal | None:
+        """Return the number in the unit of a column of the measurement table; None if the cell's unit is not the one given.
+
+        Args:
+            unit: unit of the whole column; None for that of each cell, and of the table where a cell has none.
+        """
+        stated = "deg" if self.unit == SEXAGESIMAL else self.unit
+        own = unit_named(stated, column) if stated else None
+        given = unit_named(unit, column) if unit else None
+        if stated and (own is None or (given is not None and given is not own)):
+            return None
+        used = given or own or next(iter(units_of(column)), None)
+        return self.value if used is None else used.to_table(self.value)
+
+
+def quantity_in(cell: str, sign: str) -> CellNumber | None:
+    """Return the number of a cell and its unit; None if it has none with this decimal sign."""
+    text, unit = split_unit(cell)
+    if unit == SEXAGESIMAL:
+        return _sexagesimal(text, sign)
+    value = decimal_value(text, sign)
+    return None if value is None else CellNumber(value, unit)
+
+
+def _sexagesimal(text: str, sign: str) -> CellNumber | None:
+    match = _SEXAGESIMAL.fullmatch(text)
+    parts = [] if match is None else [decimal_value(part or "0", sign) for part in match.group(2, 3, 4)]
+    if match is None or None in parts:
+        return None
+    degrees, minutes, seconds = (part for part in parts if part is not None)
+    if minutes >= SIXTY or seconds >= SIXTY:
+        return None
+    size = degrees + minutes / SIXTY + seconds / SIXTY**2
+    return CellNumber(Decimal(f"{-size if match[1] == '-' else size:.15g}"), SEXAGESIMAL)
+
+
+def decimal_value(cell: str, sign: str) -> Decimal | None:
+    """Return the exact number in a cell; None if it is not a number with this decimal sign.
+
+    Thousands may be separated by the other sign, an apostrophe or a blank.
+    """
+    text = cell.translate(MINUS)
+    if len(text) > 60 or not re.match(r"[-+]?[.,]?[0-9]", text) or not _NUMBER[sign].fullmatch(text):
+        return None
+    other = COMMA if sign == POINT else POINT
+    value = Decimal(text.replace(other, "").replace("'", "").replace(" ", "").replace(sign, POINT))
+    return value if abs(value.adjusted()) < 40 else None
+
+
+def decimal_text(value: Decimal) -> str:
+    """Return a number as a cell of a measurement table, in full and without digits lost."""
+    return format(value, "f") if value else "0"
+
+
+def decimal_sign(cells: Iterable[str]) -> DecimalSign:
+    """Return the decimal sign of cells: the one that a clear cell has; a sign followed by three digits alone is ambiguous.
+
+    Args:
+        cells: cells of the rows that hold measured points.
+    """
+    clear: dict[str, str] = {}
+    unclear: dict[str, str] = {}
+    for cell in cells:
+        text, unit = split_unit(cell)
+        if unit == SEXAGESIMAL:  # of degrees, minutes and seconds, the seconds have the decimal sign
+            match = _SEXAGESIMAL.fullmatch(text)
+            text = "" if match is None else match[4] or ""
+        text = text.translate(MINUS)
+        if not _EITHER.fullmatch(text) or len(text) > 60:
+            continue
+        signs = [sign for sign in text if sign in SIGNS]
+        if not signs:
+            continue
+        last = signs[-1]
+        if not _NUMBER[last].fullmatch(text):
+            continue
+        if _GROUPED.fullmatch(text):
+            unclear.setdefault(last, cell)
+        else:
+            clear.setdefault(last, cell)
+    if len(clear) == 1:
+        (sign,) = clear
+        return DecimalSign(sign, ambiguous=unclear.get(COMMA if sign == POINT else POINT, ""))
+    if clear:
+        return DecimalSign(COMMA, contrary=clear[POINT])
+    if len(unclear) == 1:
+        sign, cell = next(iter(unclear.items()))
+        return DecimalSign(sign, ambiguous=cell)
+    return DecimalSign(POINT, ambiguous=unclear.get(COMMA, ""))
