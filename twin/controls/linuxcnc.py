@@ -235,6 +235,8 @@ def _run(folder: Path, user: str, seconds: float) -> str:
         words = ["setpriv", f"--reuid={user}", f"--regid={user}", "--init-groups", *words]
     mark = uuid4().hex
     environment = {"PATH": "/usr/bin:/bin:/usr/sbin:/sbin", "HOME": str(folder), "USER": user, "LANG": "C.UTF-8"}
+    # The control makes this socket in HOME, and does not start if the path is longer than a hundred characters.
+    environment["RTAPI_FIFO_PATH"] = str(_socket(mark))
     with _cleaned(mark, user), (folder / "log.txt").open("w+") as log:
         process = subprocess.Popen(
             words,
@@ -280,6 +282,11 @@ def _cleaned(mark: str, user: str) -> Iterator[None]:
         for memory in _memory(user) - before:
             subprocess.run(["ipcrm", "-m", memory], check=False, capture_output=True)
         LOCK.unlink(missing_ok=True)
+        _socket(mark).unlink(missing_ok=True)
+
+
+def _socket(mark: str) -> Path:
+    return LOCK.with_name(f"twin-{mark}.fifo")
 
 
 def _marked(mark: str) -> list[int]:
