@@ -131,12 +131,22 @@ def growing_scale(of: Plan, rng: np.random.Generator) -> Wrong:
 
 
 def knocked_target(of: Plan, rng: np.random.Generator) -> Wrong:
-    late = (of.target == "T2") & (of.round == "2") & (of.time_s > np.median(of.time_s)) | (of.target == "T2") & (
-        of.round == "3"
-    )
+    late = (of.target == "T2") & (of.clock > rng.uniform(0.45, 0.55))
     shift = rng.uniform(8.0, 16.0, 3) * rng.choice([-1.0, 1.0], 3)
     numbers = {f"shift_{x}": float(value) for x, value in zip("xyz", shift, strict=True)}
     return Errors(place=np.outer(late, UM * shift)), {("target_shift", "T2 within round 2"): numbers}
+
+
+def knocked_targets(of: Plan, rng: np.random.Generator) -> Wrong:
+    """All targets of the tool, one after the other: the tool side did not jump."""
+    place, truth = np.zeros((len(of.q), 3)), {}
+    for k, share in enumerate((0.2, 0.5, 0.8), 1):
+        shift = rng.uniform(6.0, 16.0, 3) * rng.choice([-1.0, 1.0], 3)
+        place += np.outer((of.target == f"K{k}") & (of.clock > share), UM * shift)
+        truth["target_shift", f"K{k} within round {k}"] = {
+            f"shift_{x}": float(value) for x, value in zip("xyz", shift, strict=True)
+        }
+    return Errors(place=place), truth
 
 
 def knocked_station(of: Plan, rng: np.random.Generator) -> Wrong:
@@ -242,6 +252,7 @@ KINDS = {
     "expansion": Kind(expansion),
     "growing scale": Kind(growing_scale, temperatures=False),
     "knocked target": Kind(knocked_target),
+    "knocked targets": Kind(knocked_targets),
     "knocked station": Kind(knocked_station),
     "one round": Kind(one_round, alone=False),
     "moving station": Kind(moving_station),

@@ -372,7 +372,7 @@ def _unexplained(sized: SizedCauses) -> Unexplained | None:
         size = min(rms(np.nan_to_num(patterns_um), read), residual_um)
         text = (
             f"a pattern that depends on {' and '.join(columns)} on the {carrier} side, {size:.2g} µm RMS per coordinate, "
-            f"{100 * share:.2g} % of the excess, matches no known effect"
+            f"{percent(share)} of the excess, matches no known effect"
         )
         # Beside the patterns, what counts as discrepancy is unexplained as well.
         share = max(share, chi2_share) if findings.task.discrepancy.parts else share

@@ -221,7 +221,7 @@ def held_out_words(of: str) -> str:
 
 def likelihood_words(probability: float, alone: bool) -> str:
     """Return the Bayesian probability of a cause, or of a cause and its equivalents together, in words."""
-    size = "more than 99 %" if probability > 0.99 else f"{100.0 * probability:.0f} %"
+    size = "more than 99 %" if probability > 0.99 else percent(probability)
     what = "this cause is present" if alone else "this cause or one of its alternatives is present"
     return f"probability that {what}: {size} (second, Bayesian method)"
 

@@ -30,6 +30,8 @@ FEWEST_READINGS: Final = 2
 """Least number of readings of a target before and after it was displaced; a single one is an outlier."""
 MOST_LINES: Final = 32
 """Largest number of lines of one round, evenly spaced, from which on something is tried as displaced."""
+AT_ONCE: Final = 0.05
+"""Share of the readings within which targets count as displaced at one time: the line is uncertain, and a target is not always read."""
 PLACE: Final[tuple[Freedom, ...]] = tuple(("place", i) for i in range(3))
 SHIFTS: Final = tuple((f"shift_{a}", "um") for a in "xyz")
 TURNS: Final = tuple((f"turn_{a}", "urad") for a in "xyz")
@@ -146,22 +148,29 @@ def alignments(inputs: CandidateInputs) -> Catalogue:
 
 
 def of_a_jumped_side(data: Measurements, chosen: Sequence[tuple[Candidate, Variant]]) -> set[tuple[str, str]]:
-    """Return effect and place of displaced targets that are all targets of a side: then the side jumped, and no target.
+    """Return effect and place of displaced targets that are all targets of a side, at one time: then the side jumped, and no target.
 
     Args:
         data: the readings.
         chosen: causes with their forms.
     """
-    shifted = [
-        (candidate.key, set(data.target[variant.columns[0].terms[0].functions.values(slice(None))[:, 0] != 0.0]))
-        for candidate, variant in chosen
-        if candidate.specification is TARGET_SHIFT
-    ]
+    rank = np.empty(len(data), dtype=int)
+    rank[order_in_time(data)] = np.arange(len(data))
+    shifted = []
+    for candidate, variant in chosen:
+        if candidate.specification is TARGET_SHIFT:
+            moved = variant.columns[0].terms[0].functions.values(slice(None))[:, 0] != 0.0
+            shifted.append((candidate.key, set(data.target[moved]), int(rank[moved].min())))
     for side in dict.fromkeys(data.carrier.tolist()):
         targets = set(data.target[data.carrier == side])
-        own = [(key, moved) for key, moved in shifted if moved <= targets]
-        if len(targets) > 1 and set().union(*(moved for _, moved in own)) == targets:
-            return {key for key, _ in own}
+        for _, _, first in shifted:
+            own = [
+                (key, moved)
+                for key, moved, at in shifted
+                if moved <= targets and 0 <= at - first <= AT_ONCE * len(data)
+            ]
+            if len(targets) > 1 and set().union(*(moved for _, moved in own)) == targets:
+                return {key for key, _ in own}
     return set()
 
 
