@@ -214,6 +214,13 @@ def washboard(of: Plan, rng: np.random.Generator) -> Wrong:
     return Errors(tool=np.outer(waves, UM * rng.uniform(9.0, 14.0) * np.array([0.4, 0.3, 0.8]))), {}
 
 
+def scale_beside_waves(of: Plan, rng: np.random.Generator) -> Wrong:
+    """A straight line over the whole travel, which the pattern takes up as well as any other smooth function."""
+    size = URAD * sized(rng, 25.0, 40.0)
+    waves, _ = washboard(of, rng)
+    return Errors(motion("X", x=size * (of.at("X") - 300.0)).motion, waves.tool), {("positioning", "E_XX"): {}}
+
+
 def stick(of: Plan, rng: np.random.Generator) -> Wrong:
     lost = of.approach[:, 1] * (of.at("Z") + 225.0) / 225.0
     return Errors(tool=np.outer(lost, [0.0, UM * rng.uniform(6.0, 10.0), 0.0])), {}
@@ -265,6 +272,7 @@ KINDS = {
     "saturating": Kind(saturating, WARMTH | {"Z_mm"}),
     "jump": Kind(jump, frozenset({"time_s"})),
     "washboard": Kind(washboard, frozenset({"X_mm", "Y_mm"})),
+    "scale beside waves": Kind(scale_beside_waves, frozenset({"X_mm", "Y_mm"})),
     "stick": Kind(stick, frozenset({"approach_Y", "Z_mm"})),
     "wobble": Kind(wobble, frozenset({"A_deg", "C_deg"})),
     "chirp": Kind(chirp, frozenset({"X_mm"})),
@@ -293,6 +301,8 @@ def wrong(name: str, result: Diagnosis, truth: dict[Key, Numbers]) -> str:
         if result.verdict != "unexplained" or result.unexplained is None:
             return f"called {result.verdict}"
         columns = set(result.unexplained.depends_on).union(*result.unexplained.or_on)
+        if lacking := set(truth) - {(cause.effect, cause.where) for cause in causes}:
+            return f"not named: {sorted(lacking)}"
         return "" if columns & kind.columns else f"depends on {sorted(columns)}"
     if not truth:
         return "" if result.verdict == "consistent" else "false alarm"

@@ -384,10 +384,12 @@ def moves(cause: Cause) -> str:
 
 
 def noisier_than_stated(diagnosis: DiagnosisResult) -> bool:
-    """Return whether the noise is larger than stated even with all causes in the model."""
-    if diagnosis.gain is None or diagnosis.unexplained is None or _written(diagnosis):
+    """Return whether the noise is larger than stated even with all causes, and a pattern without a cause, in the model."""
+    unexplained = diagnosis.unexplained
+    if diagnosis.gain is None or unexplained is None or _written(diagnosis):
         return False
-    ratio = diagnosis.gain.rms_after_um / diagnosis.expected_rms_um
+    pattern_um = unexplained.size_um if unexplained.depends_on else 0.0
+    ratio = np.sqrt(max(diagnosis.gain.rms_after_um**2 - pattern_um**2, 0.0)) / diagnosis.expected_rms_um
     # Significant: five standard deviations of a mean square. Relevant: above `DOUBTED_NOISE_RATIO`.
     return bool(ratio > DOUBTED_NOISE_RATIO and ratio**2 - 1.0 > 5.0 * np.sqrt(2.0 / max(diagnosis.dof, 1)))
 
