@@ -385,7 +385,7 @@ GROUPS = [
     (
         one("thermal_growth", "Z by bed"),
         55.0,
-        ("thermal_growth Z by Z", "thermal_drift Z"),
+        ("thermal_growth Z by Z", "thermal_drift Z", "scale_drift Z"),
         "thermal_growth Z by Y",
     ),
 ]

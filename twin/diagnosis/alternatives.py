@@ -79,7 +79,11 @@ def _in_place(candidates: Candidates, form: Form, others: Sequence[Form]) -> tup
     """Return the causes that explain as much in place of a cause, corrected for multiple testing."""
     least = _margin(candidates, form, others) - DEVIANCE_RULED_OUT
     used = {other.key for other in others} | {form.key}
-    tried = [other for other in candidates.forms if other.key not in used]
+    tried = [
+        other
+        for other in candidates.forms
+        if other.key not in used and not other.candidate.is_same_event(form.candidate)
+    ]
     scores = candidates.scores(others, [other.index for other in tried])
     dof_of_form = candidates.scores(others, [form.index])[0, 1]
     best: dict[tuple[str, str], float] = {}

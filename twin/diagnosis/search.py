@@ -320,7 +320,9 @@ def candidates_of(task: DiagnosisTask) -> Candidates:
     network, tested = task.problem.network, task.catalogue.candidates
     log_tests = prices(tested)
     forms = [
-        (candidate, variant, log_tests[candidate.effect]) for candidate in tested for variant in candidate.variants
+        (candidate, variant, log_tests[candidate.effect] + float(np.log(candidate.moments)))
+        for candidate in tested
+        for variant in candidate.variants
     ]
     folds = choose_folds(network.data, network.machine, ())
     return Candidates(task.problem, forms, task.noise.dof, None if folds is None else folds.fold)

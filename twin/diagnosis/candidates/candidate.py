@@ -450,6 +450,8 @@ class Candidate:
         space: functions of the columns, if the candidate is a curve.
         drift: columns at any time constant, if it is a drift.
         reported: linear parameters → the parameters reported, if they are others; ``names`` are those of the latter.
+        event: what happened at the moment of this candidate: at another moment it is the same event, and no alternative. Each of its
+            variants is one of many moments, and so many times less likely.
     """
 
     specification: Specification
@@ -462,6 +464,16 @@ class Candidate:
     space: CurveSpace | None = None
     drift: Drift | None = None
     reported: Callable[[np.ndarray], np.ndarray] | None = None
+    event: str = ""
+
+    @property
+    def moments(self) -> int:
+        """Number of moments of its event."""
+        return len(self.variants) if self.event else 1
+
+    def is_same_event(self, other: Candidate) -> bool:
+        """Return whether another is the same event at another moment."""
+        return self.effect == other.effect and self.event == other.event and max(self.moments, other.moments) > 1
 
     @property
     def effect(self) -> str:

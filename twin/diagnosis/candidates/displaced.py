@@ -39,6 +39,8 @@ TURNS: Final = tuple((f"turn_{a}", "urad") for a in "xyz")
 
 ONE_ROUND: Final = " only"
 """End of the place of an alignment of one round: ``round 2 only``."""
+FRAME_ALONE: Final = "frame"
+"""Event of the frame where there is one station."""
 WITHIN: Final = "within round "
 """Beginning of the place of a change in the middle of a round; the line from which on is its parameter ``line``."""
 
@@ -125,7 +127,8 @@ def alignments(inputs: CandidateInputs) -> Catalogue:
         for at, mask in [("", aligned)] if single else _changed(aligned, station):
             where = f"round {name}" if single else f"station {at} {preposition} round {name}"
             variant = Variant(masked_columns(FRAME, mask, UM))
-            frame_shifts.append(Candidate(FRAME_SHIFT, where, (*SHIFTS, *TURNS), (variant,), 1.0))
+            event = f"station {at}" if at else FRAME_ALONE
+            frame_shifts.append(Candidate(FRAME_SHIFT, where, (*SHIFTS, *TURNS), (variant,), 1.0, event=event))
 
     for k, name in enumerate(rounds[1:], 1):
         later = number >= k
@@ -134,7 +137,8 @@ def alignments(inputs: CandidateInputs) -> Catalogue:
             add_frame_shifts(number == k, f"{name}{ONE_ROUND}", "in")
         for target, mask in _changed(later, inputs.data.target):
             variant = Variant(masked_columns(PLACE, mask, UM))
-            target_shifts.append(Candidate(TARGET_SHIFT, f"{target} from round {name}", SHIFTS, (variant,), 1.0))
+            where = f"{target} from round {name}"
+            target_shifts.append(Candidate(TARGET_SHIFT, where, SHIFTS, (variant,), 1.0, event=target))
     if len(rounds) <= MOST_ROUNDS:
         sides = {str(side): set(inputs.data.target[inputs.data.carrier == side]) for side in inputs.data.carrier}
         # With one side only, or one target on a side, a jump of the machine is the same.
@@ -198,9 +202,8 @@ def _within_rounds(
             variants.append(Variant(masked_columns(freedoms, later, UM), {"line": float(data.lines[read[first]])}))
         if variants:
             names = SHIFTS if freedoms is PLACE else (*SHIFTS, *TURNS)
-            # Neighbouring lines differ by few readings: halves, quarters and so on of the round are independent.
-            tests = 1.0 + float(np.log2(len(variants)))
-            candidates.append(Candidate(of, f"{where}{WITHIN}{name}", names, tuple(variants), tests))
+            place = f"{where}{WITHIN}{name}"
+            candidates.append(Candidate(of, place, names, tuple(variants), 1.0, event=where.strip() or FRAME_ALONE))
     return candidates
 
 
