@@ -254,9 +254,9 @@ KINDS = {
     "lean of X": Kind(lean),
     "location": Kind(location),
     "droop": Kind(droop),
-    "step": Kind(step),
-    "two steps": Kind(two_steps),
-    "expansion": Kind(expansion),
+    "step": Kind(step, alone=False),
+    "two steps": Kind(two_steps, alone=False),
+    "expansion": Kind(expansion, alone=False),
     "growing scale": Kind(growing_scale, temperatures=False),
     "knocked target": Kind(knocked_target),
     "knocked targets": Kind(knocked_targets),
@@ -330,7 +330,7 @@ def wrong(name: str, result: Diagnosis, truth: dict[Key, Numbers]) -> str:
     "name", ["pitch", "two steps", "knocked target", "lean of X", "jump", "saturating", "nothing", *KINDS]
 )
 def test_each_kind(name: str, tmp_path: Path) -> None:
-    result, truth = found(name, 4, tmp_path)
+    result, truth = found(name, 22, tmp_path)
     assert not wrong(name, result, truth)
 
 

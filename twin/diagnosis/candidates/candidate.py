@@ -451,7 +451,7 @@ class Candidate:
         drift: columns at any time constant, if it is a drift.
         reported: linear parameters → the parameters reported, if they are others; ``names`` are those of the latter.
         event: what happened at the moment of this candidate: at another moment it is the same event, and no alternative. Each of its
-            variants is one of many moments, and so many times less likely.
+            n variants is one of n moments, and n times less likely.
     """
 
     specification: Specification
