@@ -349,7 +349,7 @@ def _jump(sized: SizedCauses) -> Unexplained | None:
         f"all targets on the {side} side jumped {moment}, {size:.2g} µm RMS per coordinate, {percent(share)} of the excess; no known "
         f"effect does so: the {side} side was displaced (a collision, a lost reference), or what holds all its targets"
     )
-    return Unexplained(share, ("time_s",) if has_times(data) else ("round",), side, text, size)
+    return Unexplained(share, ("time_s",) if has_times(data) else ("round",), side, text, size, jump=moment)
 
 
 def _unexplained(sized: SizedCauses) -> Unexplained | None:

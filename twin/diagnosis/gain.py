@@ -171,6 +171,8 @@ def extend(sized: SizedCauses, calibration: Calibration) -> EmpiricalExtension:
     """Fit an empirical effect to each pattern, and test on held-out readings whether the effects reduce the residuals."""
     findings, forms, problem = sized.findings, sized.forms, sized.findings.problem
     likelihood, machine = findings.structure.likelihood, problem.network.machine
+    if sized.jumped:
+        return _not_extended(Extension((), 0.0, None, False, "it is a jump, of which a later program knows nothing"))
     if likelihood is None or not likelihood.pattern_tests:
         return _not_extended(Extension((), 0.0, None, False, "it depends on no column of the table"))
     model = likelihood.fit(forms, findings.structure.model)

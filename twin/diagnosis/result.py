@@ -251,6 +251,7 @@ class Unexplained:
         size_um: RMS per coordinate.
         or_on: other sets of columns that it may depend on instead: the readings do not rule them out.
         extension: empirical effects fitted to it; None if not requested.
+        jump: where in the table the whole side jumped, in words; empty for another pattern.
     """
 
     share: float
@@ -260,6 +261,7 @@ class Unexplained:
     size_um: float
     or_on: tuple[tuple[str, ...], ...] = ()
     extension: Extension | None = None
+    jump: str = ""
 
     def to_dict(self) -> dict[str, Any]:
         """Return the entry of the JSON."""

@@ -385,7 +385,10 @@ def second_opinion(candidates: Candidates, start: Sequence[Form] = ()) -> tuple[
 
 
 def _sum_of(effect: Fit, candidates: Candidates, named: Sequence[Form]) -> tuple[Key, ...]:
-    """Return the named causes that together make the same readings as an effect and not without one of them; empty if none do."""
+    """Return the named causes that together make the same readings as an effect and not without one of them; empty if none do.
+
+    A single one does only in place of an effect that the search excludes as impossible: another cause of like readings is a rival.
+    """
     size = float(effect.coefficients @ effect.slope)
     most_left = min(SUM_REMAINDER * size, DEVIANCE_RULED_OUT)
 
@@ -400,7 +403,8 @@ def _sum_of(effect: Fit, candidates: Candidates, named: Sequence[Form]) -> tuple
         others = [other for other in needed if other is not form]
         if others and spanned(others):
             needed = others
-    return tuple(form.key for form in needed)
+    excluded = np.isinf(candidates.critical_table[int(np.argmax(effect.posterior))]).all()
+    return tuple(form.key for form in needed) if len(needed) > 1 or excluded else ()
 
 
 def compare_with_search(effects: Sequence[SingleEffect], groups: Sequence[Collection[Key]]) -> Comparison:

@@ -465,6 +465,16 @@ def _when_unexplained(diagnosis: DiagnosisResult) -> list[tuple[str, str]]:
         )
     elif diagnosis.causes:
         caution = "Compensating for the causes found is not enough: the rest remains and may have biased their sizes."
+    if unexplained.jump:
+        moment = f"All {side(unexplained.carrier)} jumped {unexplained.jump}"
+        return [
+            ("Residual", f"{moment}: {share}."),
+            (
+                "What to do",
+                "Look for what happened then: a collision, a lost reference, a holder that slipped. Measure again.",
+            ),
+            ("Caution", caution),
+        ]
     return [
         ("Residual", f"{share} depends on {names} ({side(unexplained.carrier)}).{instead(unexplained)}"),
         ("What to do", f"Look for what depends on {names}, and measure more densely over it."),
