@@ -9,7 +9,7 @@ correlated, so that this correction is too strict; a simulation of the search on
 
 from __future__ import annotations
 
-from collections.abc import Collection, Hashable, Iterable, Sequence
+from collections.abc import Collection, Hashable, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -255,7 +255,7 @@ class Candidates:
         allowed = {form.key for form in self.forms if np.isfinite(self._critical[form.index, 1])}
         return {key: why for key, why in self._reasons.items() if key not in allowed}
 
-    def exclude_forms(self, forms: Iterable[Form]) -> None:
+    def exclude_forms(self, forms: Sequence[Form]) -> None:
         """Exclude these forms until `set_problem` is called."""
         self._critical = np.array(self._critical)
         self._critical[[form.index for form in forms]] = np.inf

@@ -28,7 +28,7 @@ import numpy as np
 import scipy
 
 from twin._common.arrays import first_largest, largest_first
-from twin.diagnosis.forms import DEVIANCE_RULED_OUT, LEAST_NONCENTRALITY, Candidates, Form, columns_of, pseudo_inverse
+from twin.diagnosis.forms import DEVIANCE_RULED_OUT, LEAST_NONCENTRALITY, Candidates, Form
 from twin.diagnosis.search import ALL_OR_NOTHING_TOLERANCE
 
 FOUND_ODDS: Final = 20.0
@@ -393,8 +393,9 @@ def _sum_of(effect: Fit, candidates: Candidates, named: Sequence[Form]) -> tuple
     most_left = min(SUM_REMAINDER * size, DEVIANCE_RULED_OUT)
 
     def spanned(forms: Sequence[Form]) -> bool:
-        slope = effect.slope[columns_of(forms)]
-        return size - float(slope @ pseudo_inverse(candidates.gram(forms)) @ slope) <= most_left
+        columns, _, inverse = candidates.fitted(forms)
+        slope = effect.slope[columns]
+        return size - float(slope @ inverse @ slope) <= most_left
 
     if not effect.found or not named or not spanned(named):
         return ()
