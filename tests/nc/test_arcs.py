@@ -6,10 +6,11 @@ import math
 from pathlib import Path
 
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from tests.nc.nc_support import read_moves
+from twin._common.errors import InputError
 from twin.nc import dialect_for
 from twin.nc.blocks import Kind
 
@@ -116,3 +117,57 @@ def test_absolute_centres_and_inches():
     for move in moves[1:]:
         assert move.arc.centre_mm == pytest.approx((0.0, 0.0), abs=1e-12)
         assert move.arc.angle_rad == pytest.approx(math.pi / 2)
+
+
+OTHER_WAYS = {
+    "the way from the centre to the start": lambda start, centre: start - centre,
+    "the place of the centre": lambda start, centre: centre,
+}
+
+
+@given(
+    st.sampled_from(list(OTHER_WAYS)),
+    st.lists(st.tuples(st.integers(5, 350), st.integers(10, 60), st.booleans()), min_size=1, max_size=6),
+    angles,
+)
+def test_the_first_arc_shows_how_centres_are_written(way, arcs, heading):
+    """Some postprocessors write I, J from the centre to the start, or the centre's place: the arcs are the same, and it is said."""
+    at, lines, misfits, wanted = complex(3.0, -7.0), {True: [], False: []}, [], []
+    for sweep, radius, clockwise in arcs:
+        centre = at + radius * complex(math.cos(math.radians(heading)), math.sin(math.radians(heading)))
+        turn = math.radians(-sweep if clockwise else sweep)
+        end = centre + (at - centre) * complex(math.cos(turn), math.sin(turn))
+        word = [OTHER_WAYS[way](s, c) for s, c in ((at.real, centre.real), (at.imag, centre.imag))]
+        sense = 2 if clockwise else 3
+        lines[True].append(f"G{sense} X{end.real:.6f} Y{end.imag:.6f} I{word[0]:.6f} J{word[1]:.6f}\n")
+        lines[False].append(
+            f"G{sense} X{end.real:.6f} Y{end.imag:.6f} I{centre.real - at.real:.6f} J{centre.imag - at.imag:.6f}\n"
+        )
+        third = complex(*word) if "start" in way else at - complex(*word)
+        misfits.append([abs(abs(c - end) - abs(c - at)) for c in (at + complex(*word), third)])
+        wanted.append((centre.real, centre.imag, turn))
+        at, heading = end, heading + 77
+    assume(min(misfits[0]) > 0.6)  # beyond the tolerance of an arc
+    start = "G0 X3 Y-7 Z0 B0 C0\n"
+    other, plain = (read_moves(ISO, start + "".join(lines[kind])) for kind in (True, False))
+    for reading in (other, plain):
+        found = [value for move in reading.moves[1:] for value in (*move.arc.centre_mm, move.arc.angle_rad)]
+        assert found == pytest.approx([value for arc in wanted for value in arc], abs=1e-4)
+    assert [note.text for note in plain.notices if "I, J, K" in note.text] == []
+    said = [note for note in other.notices if way in note.text]
+    assert len(said) == 1 and said[0].line == 1  # counted from 0
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("G91.1 G3 X0 Y10 I10 J0", "it would fit if I, J, K were the way from the centre to the start"),
+        ("G3 X10 Y0 I-10 J0\nG3 X0 Y10 I10 J0", "it would fit if"),  # a full circle would meet its ends in any way
+        ("G3 X0 Y10 I-10 J0\nG3 X-10 Y0 I0 J10", "it would fit if"),
+        ("G3 X0 Y10 I10 J0\nG3 X-10 Y0 I0 J-10", "off its circle"),
+        ("G3 X0 Y10 I=IC(10) J=IC(0)", "off its circle"),
+    ],
+)
+def test_centres_that_are_not_all_written_alike_are_refused(text, message):
+    with pytest.raises(InputError, match=message):
+        read_moves(ISO, f"G0 X10 Y0 Z0 B0 C0\n{text}\n")

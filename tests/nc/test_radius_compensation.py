@@ -152,3 +152,19 @@ def test_roundings_and_chamfers_stay_with_the_contour(dmu50: Machine, errors: Ca
     assert "RND is left to the control" in result.report.to_text()
     with pytest.raises(InputError, match="curve or rounding RND"):
         compensated(START + "G1 X260. RND=2.\nY160.\n", dmu50, errors)
+
+
+def test_centres_are_written_as_the_program_writes_them(dmu50: Machine, errors: Calibration) -> None:
+    """I, J from the centre to the start: the output is the usual program's, with these words turned."""
+    turned = re.compile(r"([IJ])(-?)(?=\d)")
+    usual = (
+        "G41 D1\nG1 X260. Y160.\nY200.\nG2 X270. Y210. I10. J0.\nG1 X300.\nG2 X310. Y200. J-10.\nG40 G1 X250. Y150.\n"
+    )
+
+    def turn(text: str) -> str:
+        return turned.sub(lambda match: match[1] + ("" if match[2] else "-"), text)
+
+    before = compensated(START + usual, dmu50, errors).text
+    after = compensated(START + turn(usual), dmu50, errors).text
+    assert "I" in before and after.splitlines()[-8:] == turn(before).splitlines()[-8:]
+    assert arcs_of(before)[0][2] != pytest.approx(arcs_of(START + usual)[0][2], abs=0.005)

@@ -24,6 +24,30 @@ HALF_CIRCLE_MM = 2e-11
 """Difference of a radius and half the chord that rounding may leave of half a circle."""
 
 
+class CentreWords(NamedTuple):
+    """What I, J and K of an arc give: the centre is ``of_start`` times its start plus ``sign`` times the words.
+
+    Some postprocessors write the way from the centre to the start, others the place of the centre.
+    """
+
+    of_start: float
+    sign: float
+    meaning: str
+
+    def centre(self, start: float, word: float) -> float:
+        """Return a coordinate of the centre, mm."""
+        return self.of_start * start + self.sign * word
+
+    def word(self, start: float, centre: float) -> float:
+        """Return the word of a coordinate of the centre, mm."""
+        return (centre - self.of_start * start) / self.sign
+
+
+FROM_START = CentreWords(1.0, 1.0, "the way from the start to the centre")
+TO_START = CentreWords(1.0, -1.0, "the way from the centre to the start")
+ABSOLUTE = CentreWords(0.0, 1.0, "the place of the centre")
+
+
 class ArcMisfit(NamedTuple):
     """Why a circular block has no valid arc: what is wrong, and what was expected."""
 
@@ -63,8 +87,7 @@ def arc_by_centre(
     if _misses(abs(first - last), max(first, last)):
         return ArcMisfit(
             f"the end point of the arc is {abs(first - last):.4f} mm off its circle of radius {first:.4f} mm",
-            f"equal distances of start and end from the centre, within {SLACK_MM} mm or {100 * SLACK_RATIO:g} %"
-            + _other_meaning(start, end, centre),
+            f"equal distances of start and end from the centre, within {SLACK_MM} mm or {100 * SLACK_RATIO:g} %",
         )
     if math.hypot(bx - ax, by - ay) < 1e-9:
         sweep = 2 * math.pi
@@ -76,18 +99,22 @@ def arc_by_centre(
     return Arc(plane, centre, -sweep if clockwise else sweep)
 
 
-def _other_meaning(start: tuple[float, float], end: tuple[float, float], centre: tuple[float, float]) -> str:
-    """Return which other meaning of a centre, of some postprocessors, would make the arc fit; empty if none does."""
-    offset = centre[0] - start[0], centre[1] - start[1]
-    meanings = {
-        "the way from the centre to the start": (start[0] - offset[0], start[1] - offset[1]),
-        "the place of the centre": offset,
-    }
-    for meaning, about in meanings.items():
-        first, last = math.dist(start, about), math.dist(end, about)
-        if first > 10 * SLACK_MM and not _misses(abs(first - last), max(first, last)):
-            return f" (it would fit if I, J, K were {meaning})"
-    return ""
+def meets(start: tuple[float, float], end: tuple[float, float], centre: tuple[float, float]) -> bool:
+    """Return whether both ends of an arc are equally far from its centre."""
+    first, last = math.dist(start, centre), math.dist(end, centre)
+    return not _misses(abs(first - last), max(first, last))
+
+
+def centres_that_fit(
+    start: tuple[float, float], end: tuple[float, float], words: tuple[float | None, float | None]
+) -> list[CentreWords]:
+    """Return the meanings of I, J, K under which an arc meets both of its ends, of the two which are not the usual one."""
+    fitting = []
+    for meaning in (TO_START, ABSOLUTE):
+        about = [at if word is None else meaning.centre(at, word) for at, word in zip(start, words, strict=True)]
+        if math.dist(start, about) > 10 * SLACK_MM and meets(start, end, (about[0], about[1])):
+            fitting.append(meaning)
+    return fitting
 
 
 def moved_centre(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import Any, Final, NamedTuple, final
 
+from twin.nc.arcs import FROM_START, CentreWords
 from twin.nc.blocks import Plane, Rows, rotation_about
 from twin.nc.iso import vocabulary
 from twin.nc.iso.cycles import Drilling
@@ -38,7 +39,7 @@ class IsoBlock(Block):
         feed: the value of the F word.
         motion: motion code in force (0 to 3), None before the first.
         inverse_time: whether the feed is an inverse time.
-        absolute_centre: whether the centre of an arc is absolute.
+        centres: what I, J, K of an arc give.
         vector_names: names of the tool vector's words here, with their ``=``, or None if there is no vector.
         cycle_word: the range of a call or the end of a drilling cycle of SINUMERIK.
         cycle_words: words of a drilling cycle of Fanuc, which are not needed once it is expanded.
@@ -61,7 +62,7 @@ class IsoBlock(Block):
     feed: Span | None = None
     motion: int | None = None
     inverse_time: bool = False
-    absolute_centre: bool = False
+    centres: CentreWords = FROM_START
     vector_names: tuple[str, str, str] | None = None
     cycle_word: Span | None = None
     cycle_words: list[Span] = field(default_factory=list)

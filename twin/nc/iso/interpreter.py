@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 from typing import Any, Final, final
 
 from twin._common.errors import InputError
+from twin.nc.arcs import ABSOLUTE, FROM_START
 from twin.nc.blocks import AxisWords, Kind, Move, MoveColumns, Notice
 from twin.nc.iso import vocabulary
 from twin.nc.iso.cycles import PATTERNS, SINUMERIK
@@ -35,7 +36,7 @@ _MODES: Final[Mapping[str, tuple[str, Callable[[str], Any]]]] = {
     "plane": ("plane", int),
     "radius": ("side", int),
     "units": ("inch", INCH_CODES.__contains__),
-    "arc centre": ("absolute_centre", lambda code: code == "90.1"),
+    "arc centre": ("centres", lambda code: ABSOLUTE if code == "90.1" else FROM_START),
     "length": ("length_vector", lambda code: code == "43.5"),
 }
 """For each group of G codes: the attribute of the interpreter that holds its state, and the conversion of a code to that state."""
@@ -171,7 +172,7 @@ class IsoInterpreter(IsoMotion):
 
     def _state_to(self, block: IsoBlock) -> None:
         block.motion, block.inch, block.incremental = self.motion, self.inch, self.incremental
-        block.inverse_time, block.absolute_centre = self.feed_mode == "93", self.absolute_centre
+        block.inverse_time = self.feed_mode == "93"
 
     def _apply(self, block: IsoBlock) -> IsoBlock:
         if block.skip and not _changes_nothing(block):

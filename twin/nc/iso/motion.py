@@ -7,7 +7,18 @@ from collections.abc import Mapping
 from typing import Final
 
 from twin._common.errors import InputError
-from twin.nc.arcs import MOST_TURNS, PLANES, ArcMisfit, arc_by_centre, arc_by_radius
+from twin.nc.arcs import (
+    ABSOLUTE,
+    FROM_START,
+    MOST_TURNS,
+    PLANES,
+    ArcMisfit,
+    CentreWords,
+    arc_by_centre,
+    arc_by_radius,
+    centres_that_fit,
+    meets,
+)
 from twin.nc.blocks import Arc, AxisWords, Kind, Move
 from twin.nc.iso import cycles, vocabulary
 from twin.nc.iso.cycles import Drilling, Stroke
@@ -422,6 +433,10 @@ MACHINE_INCREMENTS: Final = (
 )
 
 
+_FORMS: Final = {"AC": ABSOLUTE}
+"""Forms of a centre of SINUMERIK, ``I=AC(…)``; all others count from the start."""
+
+
 class IsoMotion(IsoDrilling):
     """The modal state that determines the meaning of axis words, and its changes by blocks."""
 
@@ -429,7 +444,8 @@ class IsoMotion(IsoDrilling):
         on = vocabulary.TCP_ON | {vocabulary.canonical(word) for word in axes.tcp_on}
         off = vocabulary.TCP_OFF | {vocabulary.canonical(word) for word in axes.tcp_off}
         super().__init__(source, axes, tcp=tcp, tcp_on=on, tcp_off=off)
-        self.absolute_centre = False
+        self.centres: CentreWords | None = None
+        """What I, J, K are: as a G word says, or as the first arc by them shows; None before."""
         self.side = 40
         self._on_contour = False
         self.feed_mode = "94"
@@ -575,7 +591,7 @@ class IsoMotion(IsoDrilling):
     def _arc(self, block: IsoBlock, items: list[Item], start: list[float]) -> Arc:
         a, b, _ = plane = PLANES[self.plane]
         scale = MM_PER_INCH if self.inch else 1.0
-        centre: dict[int, float] = {}
+        words: dict[int, tuple[float, CentreWords | None]] = {}
         radius: float | None = None
         turns = 0
         for name, begin, end, _, _, text in items:
@@ -587,22 +603,56 @@ class IsoMotion(IsoDrilling):
             if name in ("R", "CR"):
                 radius = value * scale
             elif name not in CENTRE:
-                if value != int(value) or not 0 <= value <= MOST_TURNS:
-                    raise self.error(f"{name} is not a number of turns", f"a whole number up to {MOST_TURNS}", text)
-                turns = int(value) if name == "TURN" else max(0, int(value) - 1)
-            elif CENTRE[name] in centre:
+                turns = self._full_turns(name, value, text)
+            elif CENTRE[name] in words:
                 raise self.error(f"{name} twice in one block", "each word once")
+            elif CENTRE[name] not in (a, b):
+                raise self.error(f"{name} outside the plane G{self.plane}", "a centre in the plane")
             else:
-                axis = CENTRE[name]
-                absolute = wrapped.group(1).upper() == "AC" if wrapped else self.absolute_centre
-                centre[axis] = value * scale + (0.0 if absolute else start[axis])
-                if axis not in (a, b):
-                    raise self.error(f"{name} outside the plane G{self.plane}", "a centre in the plane")
+                words[CENTRE[name]] = (
+                    value * scale,
+                    _FORMS.get(wrapped.group(1).upper(), FROM_START) if wrapped else None,
+                )
         clockwise = self.motion == 2
         from_, to = (start[a], start[b]), (self.position[a], self.position[b])
-        if radius is not None and not centre:
+        if radius is not None and not words:
             return self.valid_arc(arc_by_radius(plane, from_, to, radius, clockwise, turns))
-        if centre and radius is None:
-            middle = (centre.get(a, start[a]), centre.get(b, start[b]))
-            return self.valid_arc(arc_by_centre(plane, from_, to, middle, clockwise, turns))
-        return self.valid_arc(ArcMisfit("arc without centre or radius, or with both", "either I, J, K or R (CR=)"))
+        if not words or radius is not None:
+            return self.valid_arc(ArcMisfit("arc without centre or radius, or with both", "either I, J, K or R (CR=)"))
+        plain = {axis: value for axis, (value, form) in words.items() if form is None}
+        block.centres, hint = self._centre_words(from_, to, (plain.get(a), plain.get(b))) if plain else (FROM_START, "")
+        middle = list(start)
+        for axis, (value, form) in words.items():
+            middle[axis] = (form or block.centres).centre(start[axis], value)
+        arc = arc_by_centre(plane, from_, to, (middle[a], middle[b]), clockwise, turns)
+        return self.valid_arc(arc._replace(expected=arc.expected + hint) if isinstance(arc, ArcMisfit) else arc)
+
+    def _full_turns(self, name: str, value: float, text: str) -> int:
+        """Return the full turns beyond the arc: ``TURN=`` counts these, P of Fanuc the last one too."""
+        if value != int(value) or not 0 <= value <= MOST_TURNS:
+            raise self.error(f"{name} is not a number of turns", f"a whole number up to {MOST_TURNS}", text)
+        return int(value) if name == "TURN" else max(0, int(value) - 1)
+
+    def _centre_words(
+        self, start: tuple[float, float], end: tuple[float, float], words: tuple[float | None, float | None]
+    ) -> tuple[CentreWords, str]:
+        """Return what I, J, K of an arc give, and which other meaning would make it fit.
+
+        Unless a G word says it, the first arc by I, J, K shows it: if it meets its ends in one way only, all arcs are read in this way.
+        A full circle would meet them in any way: it is read as controls do.
+        """
+        usual = self.centres or FROM_START
+        about = [at if word is None else usual.centre(at, word) for at, word in zip(start, words, strict=True)]
+        if meets(start, end, (about[0], about[1])):
+            self.centres = usual
+            return usual, ""
+        others = centres_that_fit(start, end, words)
+        if self.centres is None and len(others) == 1:
+            self.centres = others[0]
+            self.note(
+                f"I, J, K are read as {others[0].meaning}: only so does the first arc meet its ends; "
+                f"a control that reads them as {usual.meaning} stops at this block",
+                once=True,
+            )
+            return others[0], ""
+        return usual, "".join(f" (it would fit if I, J, K were {other.meaning})" for other in others[:1])

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from typing import Final, final
 
 from twin._common.errors import InputError
+from twin.nc.arcs import ABSOLUTE, FROM_START
 from twin.nc.blocks import AxisWords, Kind, Move, Rewrite
 from twin.nc.dialect import as_comment
 from twin.nc.iso.cycles import Drilling, Kept
@@ -298,18 +299,17 @@ class IsoWriter(WordWriter[IsoBlock]):
             else:
                 axis = "IJK".index(span.name)
                 written.add(axis)
-                absolute = head["form"].upper() == "AC" if head["form"] else block.absolute_centre
-                value = centre[axis] - (0.0 if absolute else start[axis])
+                wrapped = ABSOLUTE if (head["form"] or "").upper() == "AC" else FROM_START
+                value = (wrapped if head["form"] else block.centres).word(start[axis], centre[axis])
             number = self._length(value, block, a, up=by_radius)
             edits.append((span.start, span.end, f"{head[0]}{number}{')' if head['form'] else ''}"))
         if by_radius:
             return []
         missing = [axis for axis in (a, b) if axis not in written]
-        words = [(axis, centre[axis] - (0.0 if block.absolute_centre else start[axis])) for axis in missing]
+        words = [(axis, block.centres.word(start[axis], centre[axis])) for axis in missing]
         texts = [("ijk" if self.lower else "IJK")[axis] + self._length(value, block, a) for axis, value in words]
-        return [
-            text for text, (_, value) in zip(texts, words, strict=True) if block.absolute_centre or abs(value) > 1e-9
-        ]
+        absolute = block.centres is ABSOLUTE
+        return [text for text, (_, value) in zip(texts, words, strict=True) if absolute or abs(value) > 1e-9]
 
     def _sign(self, move: Move) -> float:
         """Return the sign of a radius as written: negative for more than half a circle."""
