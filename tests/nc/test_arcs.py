@@ -131,7 +131,7 @@ OTHER_WAYS = {
     angles,
 )
 def test_the_first_arc_shows_how_centres_are_written(way, arcs, heading):
-    """Some postprocessors write I, J from the centre to the start, or the centre's place: the arcs are the same, and it is said."""
+    """Some postprocessors write I, J from the centre to the start, or the centre's place: the arcs are the same, and it is stated."""
     at, lines, misfits, wanted = complex(3.0, -7.0), {True: [], False: []}, [], []
     for sweep, radius, clockwise in arcs:
         centre = at + radius * complex(math.cos(math.radians(heading)), math.sin(math.radians(heading)))

@@ -25,7 +25,7 @@ HALF_CIRCLE_MM = 2e-11
 
 
 class CentreWords(NamedTuple):
-    """What I, J and K of an arc give: the centre is ``of_start`` times its start plus ``sign`` times the words.
+    """Meaning of I, J and K of an arc: the centre is ``of_start`` times its start plus ``sign`` times the words.
 
     Some postprocessors write the way from the centre to the start, others the place of the centre.
     """

@@ -445,7 +445,7 @@ class IsoMotion(IsoDrilling):
         off = vocabulary.TCP_OFF | {vocabulary.canonical(word) for word in axes.tcp_off}
         super().__init__(source, axes, tcp=tcp, tcp_on=on, tcp_off=off)
         self.centres: CentreWords | None = None
-        """What I, J, K are: as a G word says, or as the first arc by them shows; None before."""
+        """Meaning of I, J, K: as a G word says, or as the first arc by them shows; None before."""
         self.side = 40
         self._on_contour = False
         self.feed_mode = "94"
