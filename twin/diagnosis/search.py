@@ -5,7 +5,7 @@ Sets of causes are compared by the χ² they explain less the χ² that each mus
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final, final
 
@@ -87,8 +87,8 @@ def select(candidates: Candidates, begun: Sequence[Form] = ()) -> Selection:
             first.setdefault(int(candidates.key_of[i]), candidates.forms[i])
     candidates.prepare(list(first.values())[:FORMS_AT_ONCE])
     best = Selection((), 0.0)
-    for start in list(first.values())[:MAX_FIRST_CAUSES]:
-        selection = _selection(candidates, forward_selection(candidates, [start]))
+    for start in [[form] for form in list(first.values())[:MAX_FIRST_CAUSES]] + _pairs(candidates, first):
+        selection = _selection(candidates, forward_selection(candidates, start))
         if selection.worth > best.worth + 1e-6:
             best = selection
         if len(selection.forms) > MAX_EXCHANGED_CAUSES:
@@ -100,6 +100,19 @@ def select(candidates: Candidates, begun: Sequence[Form] = ()) -> Selection:
         if selection.worth > (1.0 - EQUAL_CHI2) * best.worth:
             best = selection
     return _selection(candidates, _split(candidates, list(best.forms)))
+
+
+def _pairs(candidates: Candidates, first: Mapping[int, Form]) -> list[list[Form]]:
+    """Return the best two causes of each kind and place that may have several, such as two steps of a scale: each explains little."""
+    pairs = []
+    for key, form in first.items():
+        own = candidates.key_of == key
+        margin = (
+            np.where(own, _free(candidates, [form]), -np.inf) if form.candidate.specification.most > 1 else np.zeros(0)
+        )
+        if margin.size and margin.max() > 0.0:
+            pairs.append(_exchanged(candidates, [form, candidates.forms[first_largest(margin)]], own))
+    return pairs
 
 
 def _selection(candidates: Candidates, forms: Sequence[Form]) -> Selection:

@@ -282,7 +282,7 @@ SHORTEST_PERIOD: Final = 2.0
 """mm: pitch errors of shorter periods are not considered."""
 WAVES_PER_POSITION: Final = 4
 """Largest number of waves for each measured position: uneven positions resolve more than one, but many waves imitate any error."""
-ALIASED: Final = 0.5
+ALIASED: Final = 0.8
 """Value of the spectral window (1 for even spacing) above which two frequencies are aliases."""
 SAMPLED_POSITIONS: Final = 500
 """Positions sampled for the spectral window: its sampling error is one over their square root, a tenth of the threshold."""
