@@ -45,27 +45,18 @@ AXIS_HEADERS = ("axis", "kind", "range", "least increment", "carries", "joint in
 @final
 @dataclass(frozen=True)
 class Axis:
-    """One axis of a machine.
+    """One axis of a machine."""
 
-    Attributes:
-        name: its name in programs and data (``X``, ``B``, ``J1``).
-        joint: its joint in the URDF.
-        linear: whether it translates (mm); a rotary axis turns (degrees).
-        lower, upper: range in mm or degrees; None, None for an unlimited rotary axis.
-        increment: least increment in mm or degrees.
-        direction: unit vector of the motion, in the axis's error frame.
-        machine_axes: unit vectors of the machine frame's x, y and z in the axis's error frame, all joints at zero.
-        side: the side that it moves: ``tool`` or ``work``; ``both`` for a joint that carries both, without relative motion.
-    """
-
-    name: str
-    joint: str
-    linear: bool
-    lower: float | None
+    name: str  # its name in programs and data (``X``, ``B``, ``J1``)
+    joint: str  # its joint in the URDF
+    linear: bool  # whether it translates (mm); a rotary axis turns (degrees)
+    lower: float | None  # lower, upper: range in mm or degrees; None, None for an unlimited rotary axis
     upper: float | None
-    increment: float
-    direction: Vector
+    increment: float  # least increment in mm or degrees
+    direction: Vector  # unit vector of the motion, in the axis's error frame
+    # unit vectors of the machine frame's x, y and z in the axis's error frame, all joints at zero
     machine_axes: tuple[Vector, Vector, Vector]
+    # the side that it moves: ``tool`` or ``work``; ``both`` for a joint that carries both, without relative motion
     side: Literal["tool", "work", "both"]
 
     @property
@@ -98,17 +89,12 @@ class Axis:
 @final
 @dataclass(frozen=True)
 class ErrorFrame:
-    """One six-component frame of a machine's chain.
+    """One six-component frame of a machine's chain."""
 
-    Attributes:
-        axis: the axis it belongs to.
-        role: ``motion`` for the error motions E_XX … of an axis, ``location`` for E_X0C … of a rotary axis.
-        joint: index of its free-flyer joint in the Pinocchio model.
-    """
-
-    axis: str
+    axis: str  # the axis it belongs to
+    # ``motion`` for the error motions E_XX … of an axis, ``location`` for E_X0C … of a rotary axis
     role: Literal["motion", "location"]
-    joint: int
+    joint: int  # index of its free-flyer joint in the Pinocchio model
 
 
 @final

@@ -60,18 +60,12 @@ Along = Literal["base", "tool", "work"]
 @final
 @dataclass(frozen=True)
 class ColumnSpec:
-    """One column of an entry.
+    """One column of an entry."""
 
-    Attributes:
-        column: name of the column in the table.
-        order: highest order; None for a direction.
-        range: range of the measured values; None if the functions need none.
-    """
-
-    column: str
+    column: str  # name of the column in the table
     functions: Kind
-    order: int | None
-    range: tuple[float, float] | None
+    order: int | None  # highest order; None for a direction
+    range: tuple[float, float] | None  # range of the measured values; None if the functions need none
 
 
 def empirical_named(
@@ -334,40 +328,28 @@ class ControlEntry(BaseModel):
 
 
 class UnidentifiedEntry(BaseModel):
-    """An error that the readings did not determine.
-
-    Attributes:
-        name: ISO 230-1 name.
-        why: the reason, and what would change it; one sentence.
-    """
+    """An error that the readings did not determine."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, defer_build=True)
-    name: str
-    why: Annotated[str, Field(min_length=1)]
+    name: str  # ISO 230-1 name
+    why: Annotated[str, Field(min_length=1)]  # the reason, and what would change it; one sentence
 
 
 class MisfitEntry(BaseModel):
-    """Residuals of the identification, compared with the noise stated for the readings.
-
-    Attributes:
-        verdict: ``consistent``; ``systematic`` (a repeatable part is left); ``larger`` than stated; ``untested`` (too few readings).
-        says: the verdict as a sentence.
-        rms_um: RMS of the residuals of a coordinate, µm.
-        reduced_chi2: chi² per degree of freedom.
-        dof: degrees of freedom.
-        p_value: probability of a chi² at least as large if the stated noise holds.
-        lack_of_fit_p_value: p-value of the residuals compared with repeats.
-        held_out_rms_um: RMS of the residuals at positions that were not used, µm.
-    """
+    """Residuals of the identification, compared with the noise stated for the readings."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, defer_build=True)
+    # ``consistent``; ``systematic`` (a repeatable part is left); ``larger`` than stated; ``untested`` (too few readings)
     verdict: Literal["consistent", "systematic", "larger", "untested"]
-    says: str = ""
-    rms_um: Annotated[float, Field(ge=0.0)] | None = None
-    reduced_chi2: Annotated[float, Field(ge=0.0)] | None = None
-    dof: Annotated[float, Field(ge=0.0)] | None = None
+    says: str = ""  # the verdict as a sentence
+    rms_um: Annotated[float, Field(ge=0.0)] | None = None  # RMS of the residuals of a coordinate, µm
+    reduced_chi2: Annotated[float, Field(ge=0.0)] | None = None  # chi² per degree of freedom
+    dof: Annotated[float, Field(ge=0.0)] | None = None  # degrees of freedom
+    # probability of a chi² at least as large if the stated noise holds
     p_value: Annotated[float, Field(ge=0.0, le=1.0)] | None = None
+    # p-value of the residuals compared with repeats
     lack_of_fit_p_value: Annotated[float, Field(ge=0.0, le=1.0)] | None = None
+    # RMS of the residuals at positions that were not used, µm
     held_out_rms_um: Annotated[float, Field(ge=0.0)] | None = None
 
     @property
@@ -385,19 +367,14 @@ MISFIT_WARNINGS: Final[dict[str, SourceWarning | None]] = {
 
 
 class MeasuredWith(BaseModel):
-    """Set-up of the measurement.
-
-    Attributes:
-        stations: number of stations.
-        targets_on_tool, targets_on_work: number of reflectors, balls or spheres on either side.
-        points: number of points used.
-    """
+    """Set-up of the measurement."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, defer_build=True)
-    stations: Annotated[int, Field(ge=0)]
+    stations: Annotated[int, Field(ge=0)]  # number of stations
+    # targets_on_tool, targets_on_work: number of reflectors, balls or spheres on either side
     targets_on_tool: Annotated[int, Field(ge=0)]
     targets_on_work: Annotated[int, Field(ge=0)]
-    points: Annotated[int, Field(ge=0)]
+    points: Annotated[int, Field(ge=0)]  # number of points used
 
 
 class CalibrationFile(BaseModel):

@@ -32,15 +32,10 @@ def symmetric_root(covariance: np.ndarray) -> np.ndarray:
 @final
 @dataclass(frozen=True)
 class Covariance:
-    """Names of parameters and their covariance matrix.
+    """Names of parameters and their covariance matrix."""
 
-    Attributes:
-        names: names of the parameters, each once.
-        matrix: (p, p), in the products of the parameters' units; read-only.
-    """
-
-    names: tuple[str, ...]
-    matrix: np.ndarray
+    names: tuple[str, ...]  # names of the parameters, each once
+    matrix: np.ndarray  # (p, p), in the products of the parameters' units; read-only
 
     @classmethod
     def none(cls) -> Covariance:

@@ -26,15 +26,10 @@ Rows = np.ndarray | slice
 @final
 @dataclass(frozen=True)
 class Interpolation:
-    """Functions as sums of a few functions of narrow support, for sums over very many points.
+    """Functions as sums of a few functions of narrow support, for sums over very many points."""
 
-    Attributes:
-        weights: (points, nodes) sparse matrix.
-        table: (nodes, count) coefficients; the values are ``weights @ table``.
-    """
-
-    weights: scipy.sparse.csr_matrix
-    table: np.ndarray
+    weights: scipy.sparse.csr_matrix  # (points, nodes) sparse matrix
+    table: np.ndarray  # (nodes, count) coefficients; the values are ``weights @ table``
 
 
 @final

@@ -42,19 +42,13 @@ LARGE_PROBLEM: Final = 20_000
 @final
 @dataclass(frozen=True)
 class Spectrum:
-    """Singular values of whitened derivatives, with the observable directions and the null space, in plausible units.
+    """Singular values of whitened derivatives, with the observable directions and the null space, in plausible units."""
 
-    Attributes:
-        scale: (p,) plausible sizes, in the units of the derivatives.
-        values: (f,) singular values of all f allowed directions, descending; zero where there are fewer readings.
-        directions: (p, d) orthonormal directions with singular values above the tolerance.
-        null_space: (p, f − d) the other directions, orthonormal.
-    """
-
-    scale: np.ndarray
+    scale: np.ndarray  # (p,) plausible sizes, in the units of the derivatives
+    # (f,) singular values of all f allowed directions, descending; zero where there are fewer readings
     values: np.ndarray
-    directions: np.ndarray
-    null_space: np.ndarray
+    directions: np.ndarray  # (p, d) orthonormal directions with singular values above the tolerance
+    null_space: np.ndarray  # (p, f − d) the other directions, orthonormal
 
     @property
     def singular_values(self) -> np.ndarray:
@@ -134,19 +128,12 @@ def decompose(
 @final
 @dataclass(frozen=True)
 class Unknown:
-    """One unknown parameter.
+    """One unknown parameter."""
 
-    Attributes:
-        name: name, for use in a sentence.
-        unit: unit it is stated in.
-        plausible: prior standard deviation, in that unit.
-        factor: one such unit in the units of the derivatives (1e-3 for mm where these are per metre).
-    """
-
-    name: str
-    unit: str
-    plausible: float
-    factor: float = 1.0
+    name: str  # name, for use in a sentence
+    unit: str  # unit it is stated in
+    plausible: float  # prior standard deviation, in that unit
+    factor: float = 1.0  # one such unit in the units of the derivatives (1e-3 for mm where these are per metre)
 
 
 @final
@@ -168,17 +155,12 @@ class UnknownMove:
 @final
 @dataclass(frozen=True)
 class NullDirection:
-    """A combination of changes of unknowns that does not change the readings noticeably.
+    """A combination of changes of unknowns that does not change the readings noticeably."""
 
-    Attributes:
-        moves: the changes, in descending order of the change of the readings due to each alone; a requested unknown comes first.
-        change: change of the readings due to all of them, root of the sum of squares in standard uncertainties.
-        left_out: number of further unknowns that are not in ``moves``.
-    """
-
+    # the changes, in descending order of the change of the readings due to each alone; a requested unknown comes first
     moves: tuple[UnknownMove, ...]
-    change: float
-    left_out: int
+    change: float  # change of the readings due to all of them, root of the sum of squares in standard uncertainties
+    left_out: int  # number of further unknowns that are not in ``moves``
 
     def __str__(self) -> str:
         first, *others = (str(move) for move in self.moves)
@@ -194,21 +176,13 @@ class NullDirection:
 @final
 @dataclass(frozen=True)
 class Observability:
-    """Observability indices of robot calibration, larger is better (Sun and Hollerbach 2008, eq. 4 to 8); zero without full rank.
+    """Observability indices of robot calibration, larger is better (Sun and Hollerbach 2008, eq. 4 to 8); zero without full rank."""
 
-    Attributes:
-        o1: (s₁ s₂ … s_L)^(1/L) / √m, the geometric mean over all directions (Borm and Menq 1989).
-        o2: s_L / s₁, inverse condition number (Driels and Pathre 1990).
-        o3: s_L, the worst direction (Nahvi, Hollerbach and Hayward 1994).
-        o4: s_L² / s₁, noise amplification index (Nahvi and Hollerbach 1996).
-        o5: 1 / (1/s₁ + … + 1/s_L) (Sun and Hollerbach 2008).
-    """
-
-    o1: float
-    o2: float
-    o3: float
-    o4: float
-    o5: float
+    o1: float  # (s₁ s₂ … s_L)^(1/L) / √m, the geometric mean over all directions (Borm and Menq 1989)
+    o2: float  # s_L / s₁, inverse condition number (Driels and Pathre 1990)
+    o3: float  # s_L, the worst direction (Nahvi, Hollerbach and Hayward 1994)
+    o4: float  # s_L² / s₁, noise amplification index (Nahvi and Hollerbach 1996)
+    o5: float  # 1 / (1/s₁ + … + 1/s_L) (Sun and Hollerbach 2008)
 
 
 def observability(values: np.ndarray, measurements: int) -> Observability:
@@ -242,19 +216,12 @@ def observability(values: np.ndarray, measurements: int) -> Observability:
 @final
 @dataclass(frozen=True)
 class Determinability:
-    """Whether and how well the data determine each unknown.
+    """Whether and how well the data determine each unknown."""
 
-    Attributes:
-        unknowns: the p unknowns.
-        spectrum: spectrum in plausible units.
-        tolerance: singular values at or below it count as zero.
-        measurements: number of measurements for the observability indices.
-    """
-
-    unknowns: tuple[Unknown, ...]
-    spectrum: Spectrum
-    tolerance: float
-    measurements: int
+    unknowns: tuple[Unknown, ...]  # the p unknowns
+    spectrum: Spectrum  # spectrum in plausible units
+    tolerance: float  # singular values at or below it count as zero
+    measurements: int  # number of measurements for the observability indices
 
     @property
     def names(self) -> tuple[str, ...]:

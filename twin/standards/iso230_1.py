@@ -87,27 +87,20 @@ FEWEST_POSITIONS: Final = 5
 @final
 @dataclass(frozen=True)
 class AngularError:
-    """Angular error of a linear axis about one direction; m positions, angles in µrad from the first deviation.
+    """Angular error of a linear axis about one direction; m positions, angles in µrad from the first deviation."""
 
-    Attributes:
-        name: ISO 230-1 name of the error motion: ``E_AX``.
-        position_mm: (m,) positions, ascending.
-        forward_urad, backward_urad: (m,) mean angular deviation of each direction of approach; NaN where it was not read.
-        value_urad: range of all deviations: the angular error.
-        forward_value_urad, backward_value_urad: range in one direction; None if it was not read at two positions.
-        reversal_urad: largest difference of the two directions at a position, forward minus backward; None if there is none.
-        shortfalls: what a full test has and this one lacks.
-    """
-
-    name: str
-    position_mm: np.ndarray
+    name: str  # ISO 230-1 name of the error motion: ``E_AX``
+    position_mm: np.ndarray  # (m,) positions, ascending
+    # forward_urad, backward_urad: (m,) mean angular deviation of each direction of approach; NaN where it was not read
     forward_urad: np.ndarray
     backward_urad: np.ndarray
-    value_urad: float
+    value_urad: float  # range of all deviations: the angular error
+    # forward_value_urad, backward_value_urad: range in one direction; None if it was not read at two positions
     forward_value_urad: float | None
     backward_value_urad: float | None
+    # largest difference of the two directions at a position, forward minus backward; None if there is none
     reversal_urad: float | None
-    shortfalls: tuple[str, ...]
+    shortfalls: tuple[str, ...]  # what a full test has and this one lacks
 
 
 def angular_error(position_mm: ArrayLike, angle_urad: ArrayLike, approach: ArrayLike, *, name: str) -> AngularError:
@@ -168,25 +161,16 @@ SLOPE: Final = 1e-3
 @final
 @dataclass(frozen=True)
 class ReferenceLine:
-    """A reference straight line (ISO 230-1:2012, 3.4.12) and the deviations from it.
+    """A reference straight line (ISO 230-1:2012, 3.4.12) and the deviations from it."""
 
-    Attributes:
-        kind: ``least squares``, ``end point`` or ``minimum zone``.
-        offset_um: its height at position 0.
-        slope_urad: its slope; positive if the deviation increases with the position.
-        residual_um: (n,) deviations from it.
-        value_um: the straightness error: the largest positive plus the absolute largest negative deviation.
-        contacts: indices of the points that define it: none, the two end points, or the points on the zone's two borders.
-        covariance: (2, 2) of (offset_um, slope_urad), or None if the deviations have no uncertainties.
-    """
-
-    kind: str
-    offset_um: float
-    slope_urad: float
-    residual_um: np.ndarray
-    value_um: float
+    kind: str  # ``least squares``, ``end point`` or ``minimum zone``
+    offset_um: float  # its height at position 0
+    slope_urad: float  # its slope; positive if the deviation increases with the position
+    residual_um: np.ndarray  # (n,) deviations from it
+    value_um: float  # the straightness error: the largest positive plus the absolute largest negative deviation
+    # indices of the points that define it: none, the two end points, or the points on the zone's two borders
     contacts: tuple[int, ...]
-    covariance: np.ndarray | None
+    covariance: np.ndarray | None  # (2, 2) of (offset_um, slope_urad), or None if the deviations have no uncertainties
 
     @property
     def u_slope_urad(self) -> float | None:
@@ -201,19 +185,13 @@ class ReferenceLine:
 @final
 @dataclass(frozen=True)
 class Straightness:
-    """Straightness of one motion in one plane.
+    """Straightness of one motion in one plane."""
 
-    Attributes:
-        name: ISO 230-1 name of the error motion, such as ``E_YX``: deviation along Y of the motion of X.
-        position_mm: (n,) positions of the axis, ascending.
-        deviation_um: (n,) measured deviations; positive in the positive direction of the axis along which they are (ISO 841).
-        least_squares, end_point, minimum_zone: the three lines.
-    """
-
-    name: str
-    position_mm: np.ndarray
+    name: str  # ISO 230-1 name of the error motion, such as ``E_YX``: deviation along Y of the motion of X
+    position_mm: np.ndarray  # (n,) positions of the axis, ascending
+    # (n,) measured deviations; positive in the positive direction of the axis along which they are (ISO 841)
     deviation_um: np.ndarray
-    least_squares: ReferenceLine
+    least_squares: ReferenceLine  # least_squares, end_point, minimum_zone: the three lines
     end_point: ReferenceLine
     minimum_zone: ReferenceLine
 
@@ -370,21 +348,13 @@ PAIRS: Final = {
 @final
 @dataclass(frozen=True)
 class SquarenessError:
-    """Squareness of an axis relative to another.
+    """Squareness of an axis relative to another."""
 
-    Attributes:
-        name: ``E_C0Y``, ``E_B0Z`` or ``E_A0Z``.
-        value_urad: the error; right-handed, see the module.
-        u_urad: its standard uncertainty, or None if the lines have none.
-        line: kind of the reference lines.
-        datum_slope_urad, slope_urad: slopes of the lines of the datum axis and of the other axis.
-    """
-
-    name: str
-    value_urad: float
-    u_urad: float | None
-    line: LineKind
-    datum_slope_urad: float
+    name: str  # ``E_C0Y``, ``E_B0Z`` or ``E_A0Z``
+    value_urad: float  # the error; right-handed, see the module
+    u_urad: float | None  # its standard uncertainty, or None if the lines have none
+    line: LineKind  # kind of the reference lines
+    datum_slope_urad: float  # datum_slope_urad, slope_urad: slopes of the lines of the datum axis and of the other axis
     slope_urad: float
 
 

@@ -42,15 +42,10 @@ HARMONICS: Final = 12
 @final
 @dataclass(frozen=True)
 class MotionHarmonic:
-    """One harmonic of the synchronous error motion: cos·cos(kθ) + sin·sin(kθ).
+    """One harmonic of the synchronous error motion: cos·cos(kθ) + sin·sin(kθ)."""
 
-    Attributes:
-        order: k, periods per turn.
-        cos, sin: coefficients in the motion's unit.
-    """
-
-    order: int
-    cos: float
+    order: int  # k, periods per turn
+    cos: float  # cos, sin: coefficients in the motion's unit
     sin: float
 
     @property
@@ -65,42 +60,26 @@ class RotaryMotion:
     """An error motion over a turn and its values. Arrays are read-only, angles ascend.
 
     Values are in `unit`; each is the radial width of the ring about the polar plot's centre that just contains the curve.
-
-    Attributes:
-        name: ISO 230-1 name, such as ``E_XC``; empty if none was given.
-        kind: ``radial``, ``axial`` or ``tilt``.
-        unit: ``um`` or ``urad``.
-        angle_deg: (k,) angles of the axis within a turn.
-        readings: (turns, k) as measured.
-        constant: mean of the synchronous motion (the radius of the least-squares circle).
-        once_per_turn: its first harmonic; for ``radial`` and ``tilt`` the centre of the least-squares circle.
-        harmonics: orders 1 up to `HARMONICS`, fitted together.
-        total: (turns, k) total error motion: the readings about their centre.
-        synchronous: (k,) synchronous (average) error motion: mean over the turns.
-        residual: (k,) residual synchronous error motion: without the first harmonic, also for an axial motion.
-        total_value: range of `total`.
-        synchronous_value: range of `synchronous`.
-        fundamental_value: range of the first harmonic; an error for an axial motion, otherwise due to the mounting of the artefact.
-        residual_value: range of `residual`.
-        asynchronous_value: the largest range over the turns at any one angle; None for a single turn.
     """
 
-    name: str
-    kind: Kind
-    unit: Literal["um", "urad"]
-    angle_deg: np.ndarray
-    readings: np.ndarray
-    constant: float
+    name: str  # ISO 230-1 name, such as ``E_XC``; empty if none was given
+    kind: Kind  # ``radial``, ``axial`` or ``tilt``
+    unit: Literal["um", "urad"]  # ``um`` or ``urad``
+    angle_deg: np.ndarray  # (k,) angles of the axis within a turn
+    readings: np.ndarray  # (turns, k) as measured
+    constant: float  # mean of the synchronous motion (the radius of the least-squares circle)
+    # its first harmonic; for ``radial`` and ``tilt`` the centre of the least-squares circle
     once_per_turn: MotionHarmonic
-    harmonics: tuple[MotionHarmonic, ...]
-    total: np.ndarray
-    synchronous: np.ndarray
-    residual: np.ndarray
-    total_value: float
-    synchronous_value: float
+    harmonics: tuple[MotionHarmonic, ...]  # orders 1 up to `HARMONICS`, fitted together
+    total: np.ndarray  # (turns, k) total error motion: the readings about their centre
+    synchronous: np.ndarray  # (k,) synchronous (average) error motion: mean over the turns
+    residual: np.ndarray  # (k,) residual synchronous error motion: without the first harmonic, also for an axial motion
+    total_value: float  # range of `total`
+    synchronous_value: float  # range of `synchronous`
+    # range of the first harmonic; an error for an axial motion, otherwise due to the mounting of the artefact
     fundamental_value: float
-    residual_value: float
-    asynchronous_value: float | None
+    residual_value: float  # range of `residual`
+    asynchronous_value: float | None  # the largest range over the turns at any one angle; None for a single turn
 
 
 def error_motion(angle_deg: ArrayLike, readings: ArrayLike, kind: Kind, *, name: str = "") -> RotaryMotion:
@@ -190,24 +169,16 @@ MOST_ZONE_POINTS: Final = 720
 @final
 @dataclass(frozen=True)
 class CircularPath:
-    """One direction of travel of a circular test. Arrays are read-only, angles ascend within 0 … 360°.
+    """One direction of travel of a circular test. Arrays are read-only, angles ascend within 0 … 360°."""
 
-    Attributes:
-        angle_deg: (n,) angles.
-        radius_um: (n,) measured radius minus nominal radius.
-        G_um: circular deviation: least radial separation of two concentric circles that contain the path (minimum zone).
-        G_least_squares_um: range of the radii about the centre of the least-squares circle.
-        centre_um: (2,) centre of the least-squares circle.
-        mean_um: radius of the least-squares circle minus nominal radius.
-        F_max_um, F_min_um: largest and smallest radial deviation from the nominal radius, about the centre of the least-squares circle.
-    """
-
-    angle_deg: np.ndarray
-    radius_um: np.ndarray
+    angle_deg: np.ndarray  # (n,) angles
+    radius_um: np.ndarray  # (n,) measured radius minus nominal radius
+    # circular deviation: least radial separation of two concentric circles that contain the path (minimum zone)
     G_um: float
-    G_least_squares_um: float
-    centre_um: np.ndarray
-    mean_um: float
+    G_least_squares_um: float  # range of the radii about the centre of the least-squares circle
+    centre_um: np.ndarray  # (2,) centre of the least-squares circle
+    mean_um: float  # radius of the least-squares circle minus nominal radius
+    # F_max_um, F_min_um: largest and smallest radial deviation from the nominal radius, about the centre of the least-squares circle
     F_max_um: float
     F_min_um: float
 
@@ -215,32 +186,23 @@ class CircularPath:
 @final
 @dataclass(frozen=True)
 class CircularTest:
-    """Result of a circular test.
+    """Result of a circular test."""
 
-    Attributes:
-        name: the two axes, such as ``XY``; empty if not given.
-        radius_mm: nominal radius.
-        forward: path with rising angle, from the first axis to the second (counter-clockwise); None if it was not measured.
-        backward: path with falling angle (clockwise); None if it was not measured.
-        G_b_um: bi-directional circular deviation G(b): minimum zone of both paths together; None with one direction.
-        D_um: mean bi-directional radial deviation: radius of the least-squares circle of both paths minus nominal radius; None with
-            one direction.
-        H_um: circular hysteresis (1996): largest difference of the radii of the two paths at one angle; None with one direction.
-        H_angle_deg: angle at which it occurs; None with one direction.
-        centre_um: (2,) centre of the least-squares circle of all points.
-        shortfalls: what the test lacks of a full one, in words; empty if nothing.
-    """
-
-    name: str
-    radius_mm: float
+    name: str  # the two axes, such as ``XY``; empty if not given
+    radius_mm: float  # nominal radius
+    # path with rising angle, from the first axis to the second (counter-clockwise); None if it was not measured
     forward: CircularPath | None
-    backward: CircularPath | None
+    backward: CircularPath | None  # path with falling angle (clockwise); None if it was not measured
+    # bi-directional circular deviation G(b): minimum zone of both paths together; None with one direction
     G_b_um: float | None
+    # mean bi-directional radial deviation: radius of the least-squares circle of both paths minus nominal radius; None with one
+    # direction
     D_um: float | None
+    # circular hysteresis (1996): largest difference of the radii of the two paths at one angle; None with one direction
     H_um: float | None
-    H_angle_deg: float | None
-    centre_um: np.ndarray
-    shortfalls: tuple[str, ...]
+    H_angle_deg: float | None  # angle at which it occurs; None with one direction
+    centre_um: np.ndarray  # (2,) centre of the least-squares circle of all points
+    shortfalls: tuple[str, ...]  # what the test lacks of a full one, in words; empty if nothing
 
     @property
     def paths(self) -> tuple[tuple[str, CircularPath], ...]:

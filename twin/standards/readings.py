@@ -47,19 +47,12 @@ CIRCLE_MM: Final = 0.02
 @final
 @dataclass(frozen=True)
 class MeasuredRun:
-    """Rows in which only some axes move.
+    """Rows in which only some axes move."""
 
-    Attributes:
-        data: the rows, in the order of the run; parts at the same place are joined.
-        axes: indices of the axes that move.
-        part: (n,) number of the consecutive part to which each row belongs.
-        where: positions of the other axes, by name.
-    """
-
-    data: Measurements
-    axes: tuple[int, ...]
-    part: np.ndarray
-    where: Mapping[str, float]
+    data: Measurements  # the rows, in the order of the run; parts at the same place are joined
+    axes: tuple[int, ...]  # indices of the axes that move
+    part: np.ndarray  # (n,) number of the consecutive part to which each row belongs
+    where: Mapping[str, float]  # positions of the other axes, by name
 
     @property
     def station(self) -> str:
@@ -85,19 +78,12 @@ class MeasuredRun:
 @final
 @dataclass(frozen=True)
 class TableRuns:
-    """All runs of a table, by kind.
+    """All runs of a table, by kind."""
 
-    Attributes:
-        single: runs of one axis.
-        circles: runs of two linear axes on a circle.
-        mixed: runs in which linear and rotary axes move together.
-        ordered_by_time: whether ``time_s`` gives the order.
-    """
-
-    single: tuple[MeasuredRun, ...]
-    circles: tuple[MeasuredRun, ...]
-    mixed: tuple[MeasuredRun, ...]
-    ordered_by_time: bool
+    single: tuple[MeasuredRun, ...]  # runs of one axis
+    circles: tuple[MeasuredRun, ...]  # runs of two linear axes on a circle
+    mixed: tuple[MeasuredRun, ...]  # runs in which linear and rotary axes move together
+    ordered_by_time: bool  # whether ``time_s`` gives the order
 
 
 def find_runs(data: Measurements, machine: Machine) -> TableRuns:
@@ -334,15 +320,10 @@ def rms_um(u_mm: np.ndarray) -> float:
 @final
 @dataclass(frozen=True)
 class StationFrame:
-    """Orientation of a station's frame in the machine frame.
+    """Orientation of a station's frame in the machine frame."""
 
-    Attributes:
-        rotation: (3, 3) turns readings into directions parallel to the machine's axes.
-        known: how it is known, in words; empty if it is unknown.
-    """
-
-    rotation: np.ndarray
-    known: str
+    rotation: np.ndarray  # (3, 3) turns readings into directions parallel to the machine's axes
+    known: str  # how it is known, in words; empty if it is unknown
 
 
 def station_rotation(pose: np.ndarray) -> np.ndarray:

@@ -117,18 +117,13 @@ LEAST_ARC_DEG: Final = 90.0
 @final
 @dataclass(frozen=True)
 class Circle:
-    """Circle of a target about a rotary axis.
-
-    Attributes:
-        radial_mm: (n,) distance from the axis.
-        axial_mm: (n,) distance from the plane of the circle, positive on the side from which the angle rises anticlockwise.
-        angle_deg: (n,) angle about the axis, rising with the commanded angle.
-    """
+    """Circle of a target about a rotary axis."""
 
     radius_mm: float
-    radial_mm: np.ndarray
+    radial_mm: np.ndarray  # (n,) distance from the axis
+    # (n,) distance from the plane of the circle, positive on the side from which the angle rises anticlockwise
     axial_mm: np.ndarray
-    angle_deg: np.ndarray
+    angle_deg: np.ndarray  # (n,) angle about the axis, rising with the commanded angle
 
 
 def rotary_tests(run: MeasuredRun, machine: Machine, u_mm: np.ndarray) -> Iterator[StandardTest]:

@@ -33,14 +33,10 @@ from twin.numerics.spatial import tilt
 @final
 @dataclass(frozen=True, repr=False)
 class Poses(Result):
-    """Poses of the tool in the work frame.
+    """Poses of the tool in the work frame."""
 
-    Attributes:
-        point_mm: (n, 3) the functional point: the tool tip.
-        rotation: (n, 3, 3) tool frame in the work frame; its third column is the tool axis, from tip to spindle.
-    """
-
-    point_mm: np.ndarray
+    point_mm: np.ndarray  # (n, 3) the functional point: the tool tip
+    # (n, 3, 3) tool frame in the work frame; its third column is the tool axis, from tip to spindle
     rotation: np.ndarray
 
     @property
@@ -86,16 +82,12 @@ class Poses(Result):
 @final
 @dataclass(frozen=True, repr=False)
 class Sensitivities(Result):
-    """First derivatives of the tool pose in the work frame, in metres and radians per metre or radian.
+    """First derivatives of the tool pose in the work frame, in metres and radians per metre or radian."""
 
-    Attributes:
-        command: (n, 6, axes) derivatives of point (3) and rotation (3, as a rotation vector in the work frame) by the commands, errors
-            following the axes.
-        error: (n, 6, 6·frames) derivatives by every component of every error frame.
-    """
-
+    # (n, 6, axes) derivatives of point (3) and rotation (3, as a rotation vector in the work frame) by the commands, errors following
+    # the axes
     command: np.ndarray
-    error: np.ndarray
+    error: np.ndarray  # (n, 6, 6·frames) derivatives by every component of every error frame
 
     @property
     def brief(self) -> str:

@@ -527,21 +527,13 @@ _STATUS: Final = np.array(sorted(_CODE, key=lambda status: _CODE[status]), dtype
 @final
 @dataclass(frozen=True, repr=False)
 class Solution(Result):
-    """Commands for a batch of poses.
+    """Commands for a batch of poses."""
 
-    Attributes:
-        positions: (n, axes) commands, mm and degrees; for ``out of range`` the solution beyond the limits.
-        code: (n,) status codes of `twin.compute.native`.
-        point_residual_mm: (n,) residual distance of the point.
-        orientation_residual_rad: (n,) residual angle between tool axis and target.
-        iterations: largest number of Newton steps over all poses.
-    """
-
-    positions: np.ndarray
-    code: np.ndarray
-    point_residual_mm: np.ndarray
-    orientation_residual_rad: np.ndarray
-    iterations: int
+    positions: np.ndarray  # (n, axes) commands, mm and degrees; for ``out of range`` the solution beyond the limits
+    code: np.ndarray  # (n,) status codes of `twin.compute.native`
+    point_residual_mm: np.ndarray  # (n,) residual distance of the point
+    orientation_residual_rad: np.ndarray  # (n,) residual angle between tool axis and target
+    iterations: int  # largest number of Newton steps over all poses
 
     @property
     def status(self) -> np.ndarray:

@@ -47,16 +47,11 @@ MEASURES: Final = ("as_it_is.rms", "as_it_is.max", "compensated.rms", "compensat
 @final
 @dataclass(frozen=True)
 class Counts:
-    """Distributions of several quantities, as counts over equal bins.
+    """Distributions of several quantities, as counts over equal bins."""
 
-    Attributes:
-        lower, upper: limits of the range of the bins, any shape.
-        counts: (…, bins + 2), the first below all bins, the last above all bins.
-    """
-
-    lower: np.ndarray
+    lower: np.ndarray  # lower, upper: limits of the range of the bins, any shape
     upper: np.ndarray
-    counts: np.ndarray
+    counts: np.ndarray  # (…, bins + 2), the first below all bins, the last above all bins
 
     def quantile(self, share: float) -> np.ndarray:
         """Return the quantiles, interpolated linearly within a bin; NaN outside the bins."""
@@ -75,25 +70,15 @@ class Counts:
 @final
 @dataclass(frozen=True)
 class Tally:
-    """Sums and counts over a number of machines.
+    """Sums and counts over a number of machines."""
 
-    Attributes:
-        machines: number of machines.
-        point: (4, poses, bins + 2) counts of the deviation of the point along x, y, z, and of its length.
-        sums: (poses, 3) sums of the point's deviation, µm.
-        squares: (poses, 3, 3) sums of its products, µm².
-        measures: (4, bins + 2) counts of `MEASURES`.
-        totals: (4,) sums of `MEASURES`, µm.
-        largest: (4,) maxima of `MEASURES`, µm.
-    """
-
-    machines: int
-    point: np.ndarray
-    sums: np.ndarray
-    squares: np.ndarray
-    measures: np.ndarray
-    totals: np.ndarray
-    largest: np.ndarray
+    machines: int  # number of machines
+    point: np.ndarray  # (4, poses, bins + 2) counts of the deviation of the point along x, y, z, and of its length
+    sums: np.ndarray  # (poses, 3) sums of the point's deviation, µm
+    squares: np.ndarray  # (poses, 3, 3) sums of its products, µm²
+    measures: np.ndarray  # (4, bins + 2) counts of `MEASURES`
+    totals: np.ndarray  # (4,) sums of `MEASURES`, µm
+    largest: np.ndarray  # (4,) maxima of `MEASURES`, µm
 
     def plus(self, other: Tally) -> Tally:
         """Return the sum of both."""
@@ -133,23 +118,16 @@ See = Callable[[slice, np.ndarray], None]
 @final
 @dataclass(frozen=True)
 class Draws:
-    """Settings of a simulation, as sent to the workers.
+    """Settings of a simulation, as sent to the workers."""
 
-    Attributes:
-        machine, calibration, tool_length_mm, conditions: see `Kinematics`.
-        positions: (n, axes) commands, mm and degrees.
-        sides: (n, axes) directions of approach.
-        seed: random seed.
-        bins: lower and upper limits of the bins for the quantities per pose (4, n) and per machine (4); None before the pilot run.
-    """
-
-    machine: Machine
+    machine: Machine  # machine, calibration, tool_length_mm, conditions: see `Kinematics`
     calibration: Calibration
     tool_length_mm: float | None
     conditions: Conditions
-    positions: np.ndarray
-    sides: np.ndarray
-    seed: int
+    positions: np.ndarray  # (n, axes) commands, mm and degrees
+    sides: np.ndarray  # (n, axes) directions of approach
+    seed: int  # random seed
+    # lower and upper limits of the bins for the quantities per pose (4, n) and per machine (4); None before the pilot run
     bins: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray] | None = None
 
     def __getstate__(self) -> dict[str, Any]:
@@ -335,18 +313,12 @@ LEADING_KEYS: Final = (
 @final
 @dataclass(frozen=True)
 class Spread:
-    """Distribution of one quantity over the drawn machines, µm.
+    """Distribution of one quantity over the drawn machines, µm."""
 
-    Attributes:
-        mean: mean over the machines.
-        low, high: limits of the probabilistically symmetric 95 % interval.
-        largest: maximum over all machines drawn.
-    """
-
-    mean: float
-    low: float
+    mean: float  # mean over the machines
+    low: float  # low, high: limits of the probabilistically symmetric 95 % interval
     high: float
-    largest: float
+    largest: float  # maximum over all machines drawn
 
     def to_dict(self) -> dict[str, float]:
         """Return the JSON object."""
@@ -356,46 +328,33 @@ class Spread:
 @final
 @dataclass(frozen=True, repr=False)
 class Population(Result):
-    """Result of a Monte Carlo simulation of machines.
+    """Result of a Monte Carlo simulation of machines."""
 
-    Attributes:
-        axes: names, in the order of the columns of ``positions``.
-        positions: (n, axes) commands, mm and degrees.
-        machines: number of machines drawn.
-        seed: random seed.
-        first_order_um: (n,) U by first-order propagation; see `twin.tool.uncertainty.DEFINITION`.
-        by_draws_um: (n,) radius about the estimated point that contains 95 % of the drawn points.
-        standard_um: (n, 3) standard deviation of the drawn points along x, y, z of the work frame.
-        bias_um: (n, 3) deviation of the mean of the drawn points from the estimated point; zero to first order.
-        interval_um: (n, 3, 2) 95 % interval of the drawn points along x, y, z.
-        difference_um: (n, 3) largest difference between the limits of the first-order interval and ``interval_um``.
-        tolerance_um: (n, 3) numerical tolerance of the first-order u (JCGM 101, 7.9.2).
-        validated: (n,) whether first order is sufficient (JCGM 101, 8.1); None if the draws are too few to decide.
-        as_it_is: error of the uncompensated machines relative to the nominal machine: of its RMS and of its maximum over the poses.
-        compensated: the same for the error that remains when the estimated errors are compensated exactly.
-        without_uncertainty: errors with a value but no uncertainty, which are therefore the same for all machines.
-        warnings: warnings about the origin of the calibration.
-        not_identified: errors that could not be determined; each machine has its own, drawn from their plausible size.
-        identified_um: (n,) U by first-order propagation without these errors.
-    """
-
-    axes: tuple[str, ...]
-    positions: np.ndarray
-    machines: int
-    seed: int
-    first_order_um: np.ndarray
-    by_draws_um: np.ndarray
-    standard_um: np.ndarray
+    axes: tuple[str, ...]  # names, in the order of the columns of ``positions``
+    positions: np.ndarray  # (n, axes) commands, mm and degrees
+    machines: int  # number of machines drawn
+    seed: int  # random seed
+    first_order_um: np.ndarray  # (n,) U by first-order propagation; see `twin.tool.uncertainty.DEFINITION`
+    by_draws_um: np.ndarray  # (n,) radius about the estimated point that contains 95 % of the drawn points
+    standard_um: np.ndarray  # (n, 3) standard deviation of the drawn points along x, y, z of the work frame
+    # (n, 3) deviation of the mean of the drawn points from the estimated point; zero to first order
     bias_um: np.ndarray
-    interval_um: np.ndarray
+    interval_um: np.ndarray  # (n, 3, 2) 95 % interval of the drawn points along x, y, z
+    # (n, 3) largest difference between the limits of the first-order interval and ``interval_um``
     difference_um: np.ndarray
-    tolerance_um: np.ndarray
+    tolerance_um: np.ndarray  # (n, 3) numerical tolerance of the first-order u (JCGM 101, 7.9.2)
+    # (n,) whether first order is sufficient (JCGM 101, 8.1); None if the draws are too few to decide
     validated: tuple[bool | None, ...]
+    # error of the uncompensated machines relative to the nominal machine: of its RMS and of its maximum over the poses
     as_it_is: tuple[Spread, Spread]
+    # the same for the error that remains when the estimated errors are compensated exactly
     compensated: tuple[Spread, Spread]
+    # errors with a value but no uncertainty, which are therefore the same for all machines
     without_uncertainty: tuple[str, ...]
-    warnings: tuple[SourceWarning, ...] = ()
+    warnings: tuple[SourceWarning, ...] = ()  # warnings about the origin of the calibration
+    # errors that could not be determined; each machine has its own, drawn from their plausible size
     not_identified: tuple[str, ...] = ()
+    # (n,) U by first-order propagation without these errors
     identified_um: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
     @property

@@ -52,29 +52,20 @@ ROWS: Final = 16_384
 @final
 @dataclass(frozen=True)
 class BudgetRow:
-    """Row of the error budget: one error motion, squareness or location error, or one class of them.
+    """Row of the error budget: one error motion, squareness or location error, or one class of them."""
 
-    Attributes:
-        name: ISO 230-1 name, or ISO/TR 16907 class.
-        unit: ``um`` or ``urad``; empty for a class.
-        peak: largest absolute value over its domain; NaN for a class.
-        peak_u: largest standard uncertainty (k = 1) over its domain, in ``unit``; NaN for a class, and if unknown.
-        tool_rms_um, tool_max_um: displacement of the tool point due to it alone, over the volume.
-        tilt_rms_urad, tilt_max_urad: tilt of the tool axis due to it alone, about x and about y of the tool frame
-            (`twin.tool.forward.Poses.tilt_urad`); the maximum by absolute value.
-        illustrative: whether its values are illustrative and not measured.
-    """
-
-    name: str
+    name: str  # ISO 230-1 name, or ISO/TR 16907 class
     iso_class: str
-    unit: str
-    peak: float
-    peak_u: float
-    tool_rms_um: float
+    unit: str  # ``um`` or ``urad``; empty for a class
+    peak: float  # largest absolute value over its domain; NaN for a class
+    peak_u: float  # largest standard uncertainty (k = 1) over its domain, in ``unit``; NaN for a class, and if unknown
+    tool_rms_um: float  # tool_rms_um, tool_max_um: displacement of the tool point due to it alone, over the volume
     tool_max_um: float
+    # tilt_rms_urad, tilt_max_urad: tilt of the tool axis due to it alone, about x and about y of the tool frame
+    # (`twin.tool.forward.Poses.tilt_urad`); the maximum by absolute value
     tilt_rms_urad: tuple[float, float]
     tilt_max_urad: tuple[float, float]
-    illustrative: bool
+    illustrative: bool  # whether its values are illustrative and not measured
 
 
 def volume(machine: Machine, poses: int = POSES, seed: int = BUDGET_SEED) -> np.ndarray:
@@ -292,19 +283,13 @@ def radius_95(covariance: np.ndarray) -> np.ndarray:
 @final
 @dataclass(frozen=True, repr=False)
 class PoseUncertainty(Result):
-    """Uncertainty of poses of the tool in the work frame.
+    """Uncertainty of poses of the tool in the work frame."""
 
-    Attributes:
-        covariance: (n, 6, 6) of the point (µm) and of the rotation as a rotation vector (µrad), along the axes of the work frame;
-            NaN if unknown.
-        axis: (n, 3) tool axis.
-        parameters: number of the calibration's parameters that contribute; 0: unknown.
-        without_uncertainty: names of errors with a value but no uncertainty, which are therefore not included.
-    """
-
+    # (n, 6, 6) of the point (µm) and of the rotation as a rotation vector (µrad), along the axes of the work frame; NaN if unknown
     covariance: np.ndarray
-    axis: np.ndarray
-    parameters: int
+    axis: np.ndarray  # (n, 3) tool axis
+    parameters: int  # number of the calibration's parameters that contribute; 0: unknown
+    # names of errors with a value but no uncertainty, which are therefore not included
     without_uncertainty: tuple[str, ...]
 
     @property
@@ -363,17 +348,11 @@ class PoseUncertainty(Result):
 @final
 @dataclass(frozen=True, repr=False)
 class UncertaintyMap(Result):
-    """U of the tool point over many poses.
+    """U of the tool point over many poses."""
 
-    Attributes:
-        axes: names, in the order of the columns of ``positions``.
-        positions: (n, axes) commands, mm and degrees.
-        uncertainty: uncertainty of the n poses.
-    """
-
-    axes: tuple[str, ...]
-    positions: np.ndarray
-    uncertainty: PoseUncertainty
+    axes: tuple[str, ...]  # names, in the order of the columns of ``positions``
+    positions: np.ndarray  # (n, axes) commands, mm and degrees
+    uncertainty: PoseUncertainty  # uncertainty of the n poses
 
     @property
     def rms_um(self) -> float:

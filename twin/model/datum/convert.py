@@ -118,19 +118,12 @@ RANK_TOLERANCE: Final = 1e-9
 @final
 @dataclass(frozen=True)
 class Converted:
-    """Result of a conversion to a datum.
+    """Result of a conversion to a datum."""
 
-    Attributes:
-        numbers: curves without covariance, squareness, locations.
-        names: names of the new parameters.
-        matrix: (new, old) first derivatives of the new parameters by the old ones.
-        old: names of the old parameters.
-    """
-
-    numbers: Numbers
-    names: tuple[str, ...]
-    matrix: np.ndarray
-    old: tuple[str, ...]
+    numbers: Numbers  # curves without covariance, squareness, locations
+    names: tuple[str, ...]  # names of the new parameters
+    matrix: np.ndarray  # (new, old) first derivatives of the new parameters by the old ones
+    old: tuple[str, ...]  # names of the old parameters
 
     def covariance(self, known: Covariance) -> Covariance:
         """Return the covariance of the new parameters.

@@ -38,17 +38,11 @@ class Frame:
 @final
 @dataclass(frozen=True)
 class Parameter:
-    """One parameter of the model.
+    """One parameter of the model."""
 
-    Attributes:
-        name: ``E_XX[2]`` for a curve's coefficient, ``E_C0Y`` for a squareness or location.
-        unit: ``um``, ``urad``, or the unit that the effect defines.
-        value: in that unit.
-    """
-
-    name: str
-    unit: str
-    value: float
+    name: str  # ``E_XX[2]`` for a curve's coefficient, ``E_C0Y`` for a squareness or location
+    unit: str  # ``um``, ``urad``, or the unit that the effect defines
+    value: float  # in that unit
 
 
 class Effect(ABC):
@@ -289,19 +283,12 @@ CENTRE_RANGE_MM: Final = 500.0
 @final
 @dataclass(frozen=True)
 class Payload:
-    """A mass that is missing from the URDF, fixed to the tool frame (spindle nose, flange) or to the work frame.
+    """A mass that is missing from the URDF, fixed to the tool frame (spindle nose, flange) or to the work frame."""
 
-    Attributes:
-        side: ``tool`` or ``work``.
-        mass_kg: mass; of a carried load the mass that acts per kg of the channel ``load_kg``.
-        centre_mm: centre of gravity in that frame.
-        carried: whether it is a carried load.
-    """
-
-    side: Side
-    mass_kg: float
-    centre_mm: tuple[float, float, float]
-    carried: bool = False
+    side: Side  # ``tool`` or ``work``
+    mass_kg: float  # mass; of a carried load the mass that acts per kg of the channel ``load_kg``
+    centre_mm: tuple[float, float, float]  # centre of gravity in that frame
+    carried: bool = False  # whether it is a carried load
 
     @classmethod
     def of(cls, side: Side, numbers: Mapping[str, float], *, carried: bool = False) -> Payload:
@@ -396,17 +383,11 @@ def max_payload_kg(machine: Machine) -> float:
 
 
 class ToolSide(NamedTuple):
-    """The tool side and one direction of the base frame.
+    """The tool side and one direction of the base frame."""
 
-    Attributes:
-        frame: the error frame on the tool side that is nearest the base.
-        direction: ``X``, ``Y`` or ``Z`` of the base frame.
-        vector: that direction in the frame.
-    """
-
-    frame: Frame
-    direction: str
-    vector: Vector
+    frame: Frame  # the error frame on the tool side that is nearest the base
+    direction: str  # ``X``, ``Y`` or ``Z`` of the base frame
+    vector: Vector  # that direction in the frame
 
 
 class ToolSideShift(Effect):

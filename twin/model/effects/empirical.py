@@ -23,17 +23,11 @@ ROTATION_ROUNDING: Final = 1e-12
 @final
 @dataclass(frozen=True, eq=False)
 class FrameRotation:
-    """Rotation from the axes along which a shift is given to those of the error frame: constant + cosine·cos θ + sine·sin θ.
+    """Rotation from the axes along which a shift is given to those of the error frame: constant + cosine·cos θ + sine·sin θ."""
 
-    Attributes:
-        constant: (3, 3) constant part.
-        axis: name of the rotary axis whose angle is θ; None if the rotation is constant.
-        cosine, sine: (3, 3) parts that vary with θ; zero if the rotation is constant.
-    """
-
-    constant: np.ndarray
-    axis: str | None
-    cosine: np.ndarray
+    constant: np.ndarray  # (3, 3) constant part
+    axis: str | None  # name of the rotary axis whose angle is θ; None if the rotation is constant
+    cosine: np.ndarray  # cosine, sine: (3, 3) parts that vary with θ; zero if the rotation is constant
     sine: np.ndarray
 
     def column(self, positions: Mapping[str, Any], direction: int) -> dict[int, Any]:

@@ -173,20 +173,14 @@ Kind = Literal["half_waves", "whole_turns", "direction"]
 @final
 @dataclass(frozen=True)
 class Waves:
-    """Functions of one column, without the constant.
+    """Functions of one column, without the constant."""
 
-    Attributes:
-        column: its name in the table (``X_mm``, ``T_bed_degC``, ``approach_X``).
-        kind: kind of functions (see the module).
-        order: highest k; one for a direction.
-        range: lowest and highest value measured, mm, degrees or °C; None where the functions need none.
-        wrapped: whether the axis has unlimited rotation, so that whole turns are first subtracted from its position.
-    """
-
-    column: str
-    kind: Kind
-    order: int
+    column: str  # its name in the table (``X_mm``, ``T_bed_degC``, ``approach_X``)
+    kind: Kind  # kind of functions (see the module)
+    order: int  # highest k; one for a direction
+    # lowest and highest value measured, mm, degrees or °C; None where the functions need none
     range: tuple[float, float] | None = None
+    # whether the axis has unlimited rotation, so that whole turns are first subtracted from its position
     wrapped: bool = False
 
     @property

@@ -26,21 +26,13 @@ Exact = list[list[Fraction]]
 
 @dataclass(frozen=True)
 class Basis(ABC):
-    """A family of functions on a domain; two bases are equal if they have the same functions.
+    """A family of functions on a domain; two bases are equal if they have the same functions."""
 
-    Attributes:
-        name: value of ``basis:`` in a calibration file.
-        formula: formula of its functions, for the documentation.
-        order_noun: noun for what `order` counts.
-        takes_knots: whether its curves have knots.
-        knots: the knots, mm or degrees; empty if it takes none.
-    """
-
-    name: ClassVar[str]
-    formula: ClassVar[str]
-    order_noun: ClassVar[str] = Message("degree")
-    takes_knots: ClassVar[bool] = False
-    knots: tuple[float, ...] = ()
+    name: ClassVar[str]  # value of ``basis:`` in a calibration file
+    formula: ClassVar[str]  # formula of its functions, for the documentation
+    order_noun: ClassVar[str] = Message("degree")  # noun for what `order` counts
+    takes_knots: ClassVar[bool] = False  # whether its curves have knots
+    knots: tuple[float, ...] = ()  # the knots, mm or degrees; empty if it takes none
 
     def __post_init__(self) -> None:
         if self.knots and not self.takes_knots:
@@ -188,20 +180,13 @@ NODES: Final = 400
 @final
 @dataclass(frozen=True)
 class CurveSpace:
-    """The space of functions in which one error motion is fitted.
+    """The space of functions in which one error motion is fitted."""
 
-    Attributes:
-        name: ISO 230-1 name.
-        domain: (lo, hi) mm or degrees.
-        first: index of the first orthonormal function that is not fixed by the datum.
-        count: number of functions, those before ``first`` included.
-    """
-
-    name: str
+    name: str  # ISO 230-1 name
     basis: Basis
-    domain: tuple[float, float]
-    first: int
-    count: int
+    domain: tuple[float, float]  # (lo, hi) mm or degrees
+    first: int  # index of the first orthonormal function that is not fixed by the datum
+    count: int  # number of functions, those before ``first`` included
 
     @cached_property
     def transform(self) -> np.ndarray:

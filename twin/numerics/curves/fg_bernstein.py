@@ -36,17 +36,11 @@ PAPER_HALF_ANGLE_RAD: Final = 1.57
 @final
 @dataclass(frozen=True)
 class _Bidiagonal:
-    """The factors of a collocation matrix: A = F_{m−1} … F_1 D G_1 … G_n (eq. 3 and 9; m rows, n + 1 columns, rows before columns).
+    """The factors of a collocation matrix: A = F_{m−1} … F_1 D G_1 … G_n (eq. 3 and 9; m rows, n + 1 columns, rows before columns)."""
 
-    Attributes:
-        lower: (m, n+1) multipliers of the Neville elimination of A below the diagonal, zero elsewhere.
-        pivots: (n+1,) its diagonal pivots.
-        upper: (n+1, n+1) multipliers of the elimination of Aᵀ, below the diagonal, zero elsewhere.
-    """
-
-    lower: np.ndarray
-    pivots: np.ndarray
-    upper: np.ndarray
+    lower: np.ndarray  # (m, n+1) multipliers of the Neville elimination of A below the diagonal, zero elsewhere
+    pivots: np.ndarray  # (n+1,) its diagonal pivots
+    upper: np.ndarray  # (n+1, n+1) multipliers of the elimination of Aᵀ, below the diagonal, zero elsewhere
 
     def solve(self, values: np.ndarray) -> np.ndarray:
         """Solve A c = values for c, A square, in O(n²).
@@ -72,20 +66,14 @@ class _Bidiagonal:
 class FGBernstein:
     """An fg-Bernstein basis.
 
-    Attributes:
-        degree: n; there are n + 1 functions.
-        domain: (a, b) of the parameter, in its own unit.
-        kind: ``polynomial`` or ``trigonometric``.
-        half_angle_rad: Δ of the trigonometric kind, more than 0, at most 3: the parameter spans an angle of 2Δ. Not used for
-            polynomials.
-
     Raises:
         InputError: an empty domain; a degree below 0 or above MOST_DEGREE; an angle out of range.
     """
 
-    degree: int
-    domain: tuple[float, float] = (0.0, 1.0)
-    kind: Literal["polynomial", "trigonometric"] = "polynomial"
+    degree: int  # n; there are n + 1 functions
+    domain: tuple[float, float] = (0.0, 1.0)  # (a, b) of the parameter, in its own unit
+    kind: Literal["polynomial", "trigonometric"] = "polynomial"  # ``polynomial`` or ``trigonometric``
+    # Δ of the trigonometric kind, more than 0, at most 3: the parameter spans an angle of 2Δ. Not used for polynomials.
     half_angle_rad: float = PAPER_HALF_ANGLE_RAD
 
     def __post_init__(self) -> None:

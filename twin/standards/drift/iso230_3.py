@@ -36,27 +36,17 @@ DriftKind = Literal["environment", "spindle", "axes", "rotary axis"]
 @final
 @dataclass(frozen=True)
 class DriftSeries:
-    """Displacements of one test over time; n readings.
+    """Displacements of one test over time; n readings."""
 
-    Attributes:
-        kind: ``environment``, ``spindle``, ``axes`` or ``rotary axis``.
-        time_s: (n,) increasing.
-        displacement: (n,) by name, µm or µrad, from the reference reading; NaN where it was not read.
-        units: ``um`` or ``urad`` by name.
-        temperature_degC: (n,) by sensor; NaN where it was not read.
-        speed_rpm: (n,) spindle speed; None if unknown.
-        target: (n,) number of the target position, from 1.
-        running_s: start and end of the period in which the spindle ran; None for other tests.
-    """
-
-    kind: DriftKind
-    time_s: np.ndarray
+    kind: DriftKind  # ``environment``, ``spindle``, ``axes`` or ``rotary axis``
+    time_s: np.ndarray  # (n,) increasing
+    # (n,) by name, µm or µrad, from the reference reading; NaN where it was not read
     displacement: Mapping[str, np.ndarray]
-    units: Mapping[str, str]
-    temperature_degC: Mapping[str, np.ndarray]
-    speed_rpm: np.ndarray | None
-    target: np.ndarray
-    running_s: tuple[float, float] | None
+    units: Mapping[str, str]  # ``um`` or ``urad`` by name
+    temperature_degC: Mapping[str, np.ndarray]  # (n,) by sensor; NaN where it was not read
+    speed_rpm: np.ndarray | None  # (n,) spindle speed; None if unknown
+    target: np.ndarray  # (n,) number of the target position, from 1
+    running_s: tuple[float, float] | None  # start and end of the period in which the spindle ran; None for other tests
 
     @property
     def targets(self) -> tuple[int, ...]:
@@ -190,21 +180,14 @@ STEP_DEG: Final = 1e-3
 @final
 @dataclass(frozen=True)
 class AxisDesign:
-    """Displacements of the tool relative to the work per unit of each quantity of a rotary axis.
+    """Displacements of the tool relative to the work per unit of each quantity of a rotary axis."""
 
-    Attributes:
-        axis: name of the axis.
-        names: of the quantities: two locations, the shift along the axis, two orientations, the zero, the radial expansion.
-        units: ``um`` or ``urad`` by name, in that order.
-        matrix: (n, 3, 7) µm in X, Y, Z of the machine per unit, for every row of the record.
-        radius_mm: mean distance of the spheres from the axis.
-    """
-
-    axis: str
+    axis: str  # name of the axis
+    # of the quantities: two locations, the shift along the axis, two orientations, the zero, the radial expansion
     names: tuple[str, ...]
-    units: tuple[str, ...]
-    matrix: np.ndarray
-    radius_mm: float
+    units: tuple[str, ...]  # ``um`` or ``urad`` by name, in that order
+    matrix: np.ndarray  # (n, 3, 7) µm in X, Y, Z of the machine per unit, for every row of the record
+    radius_mm: float  # mean distance of the spheres from the axis
 
     def select(self, rows: np.ndarray) -> AxisDesign:
         """Return the design of some rows."""

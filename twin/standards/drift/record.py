@@ -38,19 +38,12 @@ EXPECTED: Final = (
 @final
 @dataclass(frozen=True)
 class SensorMap:
-    """Directions of displacement sensors, distances between parallel ones, and the sensor of the ambient temperature.
+    """Directions of displacement sensors, distances between parallel ones, and the sensor of the ambient temperature."""
 
-    Attributes:
-        sensor: name of the sensor by direction (``X1``).
-        sign: +1.0 or −1.0 by direction.
-        distance_mm: by pair: ``X1-X2``, ``Y1-Y2``.
-        ambient: sensor of the ambient temperature; empty if not given.
-    """
-
-    sensor: Mapping[str, str]
-    sign: Mapping[str, float]
-    distance_mm: Mapping[str, float]
-    ambient: str = ""
+    sensor: Mapping[str, str]  # name of the sensor by direction (``X1``)
+    sign: Mapping[str, float]  # +1.0 or −1.0 by direction
+    distance_mm: Mapping[str, float]  # by pair: ``X1-X2``, ``Y1-Y2``
+    ambient: str = ""  # sensor of the ambient temperature; empty if not given
 
     @classmethod
     def parse(cls, entries: Sequence[str]) -> SensorMap:
@@ -163,42 +156,24 @@ Readings = Mapping[str, np.ndarray]
 @final
 @dataclass(frozen=True)
 class DriftRecord:
-    """Displacements over time; n rows in the order of time.
+    """Displacements over time; n rows in the order of time."""
 
-    Attributes:
-        source: the file.
-        time_s: (n,) strictly increasing.
-        part: (n,) name of the part of the record (round): tests of different axes are different parts.
-        spot: (n,) what was read: target and station, in words; empty for displacement sensors.
-        positions: (n, axes) mm and degrees, command order.
-        displacement: (n,) by direction or sensor, µm or µrad; NaN where it was not read.
-        units: ``um`` or ``urad`` by name.
-        temperature_degC: (n,) by sensor.
-        ambient: the sensor of the ambient temperature; empty if unknown.
-        speed_rpm: (n,); None if the record has no speeds.
-        u_um: standard uncertainty of a displacement; NaN if unknown.
-        remarks: assumptions on directions.
-        notices: what was read but not used.
-        set_aside: rows that are not used.
-        simulated: whether the readings were simulated.
-        design: how the errors of the rotary axis that moves act on the displacements; None if there is none.
-    """
-
-    source: str
-    time_s: np.ndarray
-    part: np.ndarray
-    spot: np.ndarray
-    positions: np.ndarray
-    displacement: Readings
-    units: Mapping[str, str]
-    temperature_degC: Readings
-    ambient: str
-    speed_rpm: np.ndarray | None
-    u_um: float = float("nan")
-    remarks: tuple[str, ...] = ()
-    notices: tuple[str, ...] = ()
-    set_aside: tuple[RowNote, ...] = ()
-    simulated: bool = False
+    source: str  # the file
+    time_s: np.ndarray  # (n,) strictly increasing
+    part: np.ndarray  # (n,) name of the part of the record (round): tests of different axes are different parts
+    spot: np.ndarray  # (n,) what was read: target and station, in words; empty for displacement sensors
+    positions: np.ndarray  # (n, axes) mm and degrees, command order
+    displacement: Readings  # (n,) by direction or sensor, µm or µrad; NaN where it was not read
+    units: Mapping[str, str]  # ``um`` or ``urad`` by name
+    temperature_degC: Readings  # (n,) by sensor
+    ambient: str  # the sensor of the ambient temperature; empty if unknown
+    speed_rpm: np.ndarray | None  # (n,); None if the record has no speeds
+    u_um: float = float("nan")  # standard uncertainty of a displacement; NaN if unknown
+    remarks: tuple[str, ...] = ()  # assumptions on directions
+    notices: tuple[str, ...] = ()  # what was read but not used
+    set_aside: tuple[RowNote, ...] = ()  # rows that are not used
+    simulated: bool = False  # whether the readings were simulated
+    # how the errors of the rotary axis that moves act on the displacements; None if there is none
     design: AxisDesign | None = None
 
     def __len__(self) -> int:
