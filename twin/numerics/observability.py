@@ -101,16 +101,11 @@ def decompose(
     free: np.ndarray | None = None,
     tolerance: float = SINGULAR_VALUE_TOLERANCE,
 ) -> tuple[np.ndarray, Spectrum]:
-    """Decompose whitened derivatives into observable directions and null space.
+    """Decompose derivatives (n, p) of whitened readings by unknowns in plausible units into observable directions and null space.
 
-    Args:
-        matrix: (n, p) derivatives of the whitened readings by the unknowns in plausible units.
-        scale: (p,) the plausible sizes.
-        free: (p, f) orthonormal directions, in plausible units, in which the unknowns may vary; all if None.
-        tolerance: singular values at or below it count as zero.
-
-    Returns:
-        (n, d) left singular vectors of the observable directions, and the spectrum.
+    ``scale`` (p,) are the plausible sizes, ``free`` (p, f) the orthonormal directions in which the unknowns may vary; all if None.
+    Singular values at or below the tolerance count as zero. Returns (n, d) left singular vectors of the observable directions, and the
+    spectrum.
     """
     allowed = np.eye(matrix.shape[1]) if free is None else free
     left, values, right = np.linalg.svd(matrix @ allowed, full_matrices=True)
@@ -186,11 +181,7 @@ class Observability:
 
 
 def observability(values: np.ndarray, measurements: int) -> Observability:
-    """Return the observability indices of L singular values from m measurements.
-
-    Args:
-        values: (L,) singular values.
-        measurements: m, number of measurements (of poses, where one measurement is a pose).
+    """Return the observability indices of (L,) singular values from m measurements (of poses, where one measurement is a pose).
 
     Raises:
         InputError: no values, or no measurement.
@@ -338,16 +329,12 @@ def determinability(
     free: np.ndarray | None = None,
     measurements: int | None = None,
 ) -> Determinability:
-    """Return what data with these derivatives determine.
+    """Return what data with these derivatives (n, p) by the unknowns, in their own units, determine.
 
-    Args:
-        jacobian: (n, p) derivatives of the readings, each divided by its standard uncertainty (or multiplied by the inverse root of
-            the readings' covariance), by the unknowns in their own units; or a triangular factor of it.
-        unknowns: the p unknowns, in the order of the columns.
-        tolerance: singular values at or below it, in plausible units, count as zero. At one, the data and the prior have the same
-            information; to obtain the rank of the equations themselves, use a value above rounding, n·eps·s₁.
-        free: (p, f) orthonormal directions in plausible units in which the unknowns may vary; all if None.
-        measurements: number of measurements for the observability indices; the rows of the Jacobian if None.
+    The derivatives of the readings are divided by their standard uncertainties (or multiplied by the inverse root of the readings'
+    covariance), or are a triangular factor of these. Singular values at or below the tolerance, in plausible units, count as zero: at
+    one, the data and the prior have the same information; for the rank of the equations themselves, use a value above rounding,
+    n·eps·s₁. ``free`` is as for `decompose`; ``measurements`` is that of the observability indices, the rows of the Jacobian if None.
 
     Raises:
         InputError: columns that do not match, a derivative that is not finite, a plausible size or tolerance that is not positive, a

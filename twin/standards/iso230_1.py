@@ -38,11 +38,7 @@ from twin._common.units import count_with_noun
 
 
 def finite_array(name: str, values: ArrayLike, *dimensions: int) -> np.ndarray:
-    """Return a read-only copy as floats.
-
-    Args:
-        name: name of the values, for the message.
-        dimensions: numbers of dimensions that are allowed.
+    """Return a read-only copy as floats, of one of the given numbers of dimensions.
 
     Raises:
         InputError: values that are not numbers, another shape, or a missing (NaN) or infinite value; the standards allow no gaps.
@@ -104,13 +100,9 @@ class AngularError:
 
 
 def angular_error(position_mm: ArrayLike, angle_urad: ArrayLike, approach: ArrayLike, *, name: str) -> AngularError:
-    """Evaluate the angular error of a linear axis.
+    """Evaluate the angular error of a linear axis, with the ISO 230-1 ``name`` of its error motion.
 
-    Args:
-        position_mm: (n,) commanded positions; equal ones are repeats.
-        angle_urad: (n,) readings.
-        approach: (n,) direction of approach, +1 or −1.
-        name: ISO 230-1 name of the error motion.
+    Commanded positions (n,), of which equal ones are repeats, readings (n,) and directions of approach (n,), +1 or −1.
 
     Raises:
         InputError: values that are missing or not finite, a direction that is neither +1 nor −1, or fewer than two positions.
@@ -210,11 +202,8 @@ def straightness(
 ) -> Straightness:
     """Evaluate the straightness of a motion from deviations measured along it (ISO 230-1:2012, 3.4 and 8.2).
 
-    Args:
-        position_mm: (n,) positions of the axis, each once, in any order; use means for positions visited repeatedly.
-        deviation_um: (n,) deviations.
-        name: ISO 230-1 name of the error motion; `squareness` needs it.
-        u_um: standard uncertainty of each deviation, independent of each other; None if unknown.
+    Each of the positions (n,) stands once, in any order; use means for positions visited repeatedly. `squareness` needs the ISO 230-1
+    ``name`` of the error motion. ``u_um`` is the standard uncertainty of each deviation, independent of each other; None if unknown.
 
     Raises:
         InputError: arrays that do not match, a missing value, a position given twice, fewer than three points, or an
@@ -364,12 +353,9 @@ def squareness(
     *,
     line: LineKind = "least squares",
 ) -> SquarenessError:
-    """Evaluate the squareness of an axis relative to its datum axis. The two measurements are taken as independent.
+    """Evaluate the squareness of an axis relative to its datum axis, from two straightnesses that are a pair of `PAIRS`.
 
-    Args:
-        datum: straightness of the datum axis: ``E_YX`` or ``E_ZX`` of X, ``E_ZY`` of Y.
-        other: straightness of the other axis: ``E_XY``, ``E_XZ`` or ``E_YZ``.
-        line: kind of the reference lines.
+    The two measurements are taken as independent.
 
     Raises:
         InputError: names that are not a pair.

@@ -95,14 +95,9 @@ class UnidirectionalPositioning:
 def unidirectional(
     target: ArrayLike, deviations: ArrayLike, target_unit: Literal["mm", "deg"], direction: int, *, axis: str = ""
 ) -> UnidirectionalPositioning:
-    """Evaluate the approaches of one direction according to ISO 230-2:2014.
+    """Evaluate the approaches of one direction, +1 or −1, according to ISO 230-2:2014.
 
-    Args:
-        target: (m,) target positions, mm or degrees, each once.
-        deviations: (m, n) deviations, µm or µrad.
-        target_unit: ``mm`` or ``deg``.
-        direction: +1 or −1.
-        axis: its name.
+    Target positions (m,), mm or degrees, each once; deviations (m, n), µm or µrad.
 
     Raises:
         InputError: shapes that do not match, a missing value, a target given twice, fewer than two targets.
@@ -137,13 +132,8 @@ def bidirectional(
 ) -> Positioning:
     """Evaluate a linear or rotary axis according to ISO 230-2:2014.
 
-    Args:
-        target: (m,) target positions, each once.
-        forward: (m, n) deviations, approached in the positive direction, µm or µrad.
-        backward: (m, n) deviations, approached in the negative direction.
-        target_unit: ``mm`` or ``deg``.
-        axis: its name.
-        fewest_cycles: 1 to evaluate a single cycle too; its s, R and A are then NaN.
+    Target positions (m,), each once; deviations (m, n) approached in the positive (forward) and negative direction, µm or µrad. With
+    ``fewest_cycles`` 1 a single cycle is evaluated too; its s, R and A are then NaN.
 
     Raises:
         InputError: shapes that do not match, a missing value, a target given twice, fewer than two targets, or too few cycles.

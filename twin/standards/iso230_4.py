@@ -85,11 +85,8 @@ class RotaryMotion:
 def error_motion(angle_deg: ArrayLike, readings: ArrayLike, kind: Kind, *, name: str = "") -> RotaryMotion:
     """Evaluate an error motion of a rotary axis in a fixed sensitive direction from readings over whole turns.
 
-    Args:
-        angle_deg: (k,) angles of one turn, in any order, spread over all of it; 0° and 360° are the same angle.
-        readings: (k,) or (turns, k): radial and axial in µm, tilt in µrad.
-        kind: ``radial``, ``axial`` or ``tilt``.
-        name: ISO 230-1 name, for tables and plots.
+    The angles (k,) of one turn are in any order and spread over all of it; 0° and 360° are the same angle. The readings are (k,) or
+    (turns, k), radial and axial in µm, tilt in µrad.
 
     Raises:
         InputError: arrays that do not match, a missing value, an angle given twice, less than a turn, an unknown kind.
@@ -139,14 +136,9 @@ def error_motion(angle_deg: ArrayLike, readings: ArrayLike, kind: Kind, *, name:
 
 
 def fit_harmonics(angle: np.ndarray, values: np.ndarray, highest: int) -> tuple[float, tuple[MotionHarmonic, ...]]:
-    """Fit a constant and harmonics by least squares, also to uneven angles; for even ones it is the discrete Fourier transform.
+    """Fit a constant and harmonics to (n,) values at (n,) degrees by least squares; at even angles the discrete Fourier transform.
 
     Of a radius over the angle, the constant and the first harmonic are the radius and the centre of the least-squares circle.
-
-    Args:
-        angle: (n,) degrees.
-        values: (n,) in any unit.
-        highest: highest order.
     """
     phases = np.outer(angle * DEG, np.arange(1, highest + 1))
     columns = np.column_stack([np.ones(len(angle)), np.cos(phases), np.sin(phases)])
@@ -220,11 +212,8 @@ def circular_test(
 ) -> CircularTest:
     """Evaluate a circular test of two linear axes.
 
-    Args:
-        radius_mm: nominal radius of the path of the measured point.
-        forward: angles (n,) in degrees and measured radii (n,) in mm of the path with rising angle, in any order; None if not measured.
-        backward: the same of the path with falling angle.
-        name: the two axes, for tables and plots.
+    The paths with rising (forward) and falling angle are angles (n,) in degrees and measured radii (n,) in mm, in any order; None if
+    not measured.
 
     Raises:
         InputError: no path, arrays that do not match, a missing value, fewer than eight points, less than half a turn, or a radius
@@ -266,12 +255,7 @@ def circular_test(
 
 
 def minimum_zone_um(angle_deg: np.ndarray, radius_um: np.ndarray) -> float:
-    """Return the least radial separation of two concentric circles that contain all points, by linear programming.
-
-    Args:
-        angle_deg: (n,) degrees.
-        radius_um: (n,) radii minus any constant.
-    """
+    """Return the least radial separation of two concentric circles that contain all points (n,), by linear programming."""
     keep = _extremes(angle_deg, radius_um) if len(angle_deg) > MOST_ZONE_POINTS else slice(None)
     angle, radius = angle_deg[keep] * DEG, radius_um[keep] - radius_um.mean()
     rows = np.column_stack([np.cos(angle), np.sin(angle)])

@@ -37,12 +37,7 @@ BESIDE: Final[dict[str, Any]] = {"loc": "upper left", "frameon": False, "bordera
 
 
 def plot_positioning(result: Positioning, *, title: str = "") -> Figure:
-    """Plot an ISO 230-2 evaluation: deviations of all runs, means, bands of ±2s, and the values of the standard.
-
-    Args:
-        result: the evaluation.
-        title: a heading; the axis and the standard if empty.
-    """
+    """Plot an ISO 230-2 evaluation: deviations of all runs, means, bands of ±2s, and the values of the standard."""
     figure = new_figure(11.0, 6.2, layout=None)
     plot = figure.add_axes((0.07, 0.11, 0.60, 0.81))
     style_axes(plot)
@@ -74,12 +69,7 @@ def plot_positioning(result: Positioning, *, title: str = "") -> Figure:
 
 
 def plot_unidirectional(result: UnidirectionalPositioning, *, title: str = "") -> Figure:
-    """Plot an ISO 230-2 evaluation of one direction of approach: deviations of all runs, mean, and band of ±2s.
-
-    Args:
-        result: the evaluation.
-        title: a heading; the axis and the standard if empty.
-    """
+    """Plot an ISO 230-2 evaluation of one direction of approach: deviations of all runs, mean, and band of ±2s."""
     figure = new_figure(9.0, 5.0)
     plot = figure.subplots()
     style_axes(plot)
@@ -151,12 +141,7 @@ def _mark_values(plot: Axes, result: Positioning) -> None:
 
 
 def plot_straightness(result: Straightness, *, title: str = "") -> Figure:
-    """Plot a straightness: the measured deviations with their three reference lines, and below the deviations from each line.
-
-    Args:
-        result: the evaluation.
-        title: a heading; the error motion's name if empty.
-    """
+    """Plot a straightness: the measured deviations with their three reference lines, and below the deviations from each line."""
     figure = new_figure(10.0, 7.2)
     above, below = figure.subplots(2, 1, sharex=True)
     style_axes(above)
@@ -191,12 +176,7 @@ def plot_straightness(result: Straightness, *, title: str = "") -> Figure:
 
 
 def plot_angular_error(result: AngularError, *, title: str = "") -> Figure:
-    """Plot an angular error: the mean angular deviation of each direction over the travel, and their range.
-
-    Args:
-        result: the evaluation.
-        title: a heading; the error motion's name if empty.
-    """
+    """Plot an angular error: the mean angular deviation of each direction over the travel, and their range."""
     figure = new_figure(9.0, 4.5)
     plot = figure.subplots()
     style_axes(plot)
@@ -224,12 +204,7 @@ def plot_angular_error(result: AngularError, *, title: str = "") -> Figure:
 
 
 def plot_error_motion(result: ErrorMotion, *, title: str = "") -> Figure:
-    """Plot a rotary axis's error motion in polar coordinates: every turn, their mean, and the two circles that contain the mean.
-
-    Args:
-        result: the evaluation.
-        title: a heading; the error motion's name if empty.
-    """
+    """Plot a rotary axis's error motion in polar coordinates: every turn, their mean, and the two circles that contain the mean."""
     unit, turns, axial = readable(result.unit), len(result.total), result.kind == "axial"
     kind = f"{result.kind} error motion"
     heading = f"{result.name}: {kind}" if result.name else kind.capitalize()
@@ -300,12 +275,7 @@ def _radial_scale(polar: PolarAxes, extent: float) -> None:
 
 
 def plot_circular(result: CircularTest, *, title: str = "") -> Figure:
-    """Plot a circular test in polar coordinates: the paths of both directions about their common centre, and the nominal circle.
-
-    Args:
-        result: the evaluation.
-        title: a heading; the axes and the standard if empty.
-    """
+    """Plot a circular test in polar coordinates: the paths of both directions about their common centre, and the nominal circle."""
     about = f"radius {result.radius_mm:g} mm, about the centre of the least-squares circle; radial scale [µm]"
     figure, polar = _polar(title or f"{result.name}: circular test by ISO 230-4", about)
     centre = result.centre_um
@@ -356,12 +326,7 @@ LEGEND_ROWS: Final = 8
 
 
 def plot_drift(result: DriftSeries, *, title: str = "") -> Figure:
-    """Plot displacements and tilts over time, with temperatures and spindle speed below.
-
-    Args:
-        result: the test; further target positions have dashed lines.
-        title: heading.
-    """
+    """Plot displacements and tilts over time, further target positions dashed, with temperatures and spindle speed below."""
     hours = (result.time_s - result.time_s[0]) / HOUR
     units = [unit for unit in ("um", "urad") if unit in result.units.values()]
     temperatures = {name: values for name, values in result.temperature_degC.items() if np.isfinite(values).any()}

@@ -87,12 +87,7 @@ class TableRuns:
 
 
 def find_runs(data: Measurements, machine: Machine) -> TableRuns:
-    """Return the runs of a table.
-
-    Args:
-        data: the measured points.
-        machine: the machine that was measured.
-    """
+    """Return the runs of a table."""
     by_time = bool(np.isfinite(data.time_s).all())
     single: list[MeasuredRun] = []
     circles: list[MeasuredRun] = []
@@ -251,9 +246,6 @@ def directions(run: MeasuredRun) -> tuple[np.ndarray, bool]:
     The column of the table is used where it has a value in any row; rows without one are 0, unknown. Else the direction is that of the
     last move of the axis. The first rows of a part, approached from outside the run, have the direction of the first move. At a turning
     point with twice as many readings as elsewhere, the second half has the direction of the next move.
-
-    Args:
-        run: a run of one axis.
     """
     (axis,) = run.axes
     given = run.data.approach[:, axis]
@@ -295,12 +287,7 @@ class NotPossible(Exception):
 
 
 def reading_uncertainty_mm(data: Measurements, instrument: Instrument | None) -> np.ndarray:
-    """Return (n, 3) standard uncertainties of the readings, mm; NaN if unknown.
-
-    Args:
-        data: the table.
-        instrument: the instrument whose noise model gives them where the table does not; None for unknown.
-    """
+    """Return (n, 3) standard uncertainties of the readings, mm: the table's, else the instrument's noise model; NaN if unknown."""
     if instrument is None:
         return np.asarray(data.u_mm)
     points = np.nan_to_num(np.asarray(data.point_mm)) * MM
@@ -332,11 +319,7 @@ def station_rotation(pose: np.ndarray) -> np.ndarray:
 
 
 def relative_direction(run: MeasuredRun, machine: Machine) -> np.ndarray:
-    """Return (3,) the nominal direction, in the machine frame, in which the readings move with a linear axis; zero if they do not.
-
-    Args:
-        run: a run of one linear axis.
-    """
+    """Return (3,) the nominal direction, in the machine frame, in which the readings move with a linear axis; zero if they do not."""
     axis = machine.axes[run.axes[0]]
     target, station = carried_sides(run, axis)
     return (float(target) - float(station)) * axis.machine_direction
@@ -348,11 +331,7 @@ def carried_sides(run: MeasuredRun, axis: Axis) -> tuple[bool, bool]:
 
 
 def station_frame(runs: Sequence[MeasuredRun], machine: Machine) -> StationFrame:
-    """Return the orientation of one station.
-
-    Args:
-        runs: its runs of one linear axis, of which those with three coordinates are used.
-    """
+    """Return the orientation of a station from its runs of one linear axis, of which those with three coordinates are used."""
     pairs = [
         (measured_direction(run), relative_direction(run, machine))
         for run in runs
@@ -383,14 +362,7 @@ def along_axis_mm(run: MeasuredRun, axis: Axis, u_mm: np.ndarray) -> tuple[np.nd
     """Return the measured position along a linear axis, mm, its standard uncertainty (n,), and whether its zero is the axis's own.
 
     A length counts as along the axis if it changes by 1 mm per mm, with either sign. From three coordinates it is the component along
-    the least-squares line of the points.
-
-    Args:
-        run: a run of one linear axis.
-        u_mm: (n, 3) standard uncertainties of the readings.
-
-    Raises:
-        NotPossible: the readings do not follow the axis.
+    the least-squares line of the points. The standard uncertainties ``u_mm`` of the readings are (n, 3).
     """
     slope = measured_direction(run)
     read = np.flatnonzero(run.read)
@@ -414,15 +386,7 @@ def along_axis_mm(run: MeasuredRun, axis: Axis, u_mm: np.ndarray) -> tuple[np.nd
 
 
 def across_axis_um(run: MeasuredRun, frame: StationFrame, machine: Machine) -> dict[str, np.ndarray]:
-    """Return the readings across a linear axis, µm, by the ISO 230-1 name of the error motion (``E_YX``).
-
-    Args:
-        run: a run of one linear axis.
-        frame: orientation of its station.
-
-    Raises:
-        NotPossible: the frame's orientation is unknown, or the axis is not parallel to an axis of the machine frame.
-    """
+    """Return the readings across a linear axis, µm, by the ISO 230-1 name of the error motion (``E_YX``)."""
     axis, direction = machine.axes[run.axes[0]], relative_direction(run, machine)
     along = int(np.argmax(np.abs(direction)))
     if abs(direction[along]) < 1.0 - SLOPE_TOLERANCE:

@@ -298,9 +298,7 @@ def check_limits(tolerances: Mapping[str, float]) -> None:
 def check_tolerances(tolerances: Mapping[str, float], tests: Sequence[StandardTest]) -> tuple[ToleranceCheck, ...]:
     """Compare values with tolerances, by ISO 14253-1 where the uncertainty of the readings is known.
 
-    Args:
-        tolerances: by key of the value (``A``), for every test that has it, or by name of the test and key (``X:A``); µm and µrad.
-        tests: the tests that were evaluated.
+    Tolerances are by key of the value (``A``), for every test that has it, or by name of the test and key (``X:A``); µm and µrad.
     """
     checks: list[ToleranceCheck] = []
     for asked, limit in tolerances.items():

@@ -32,15 +32,7 @@ LEAST_TURN_DEG: Final = 5.0
 
 
 def kinematic_test(run: MeasuredRun, machine: Machine, u_mm: np.ndarray) -> StandardTest | None:
-    """Evaluate an interpolated motion of linear and rotary axes; None if the nominal point does not stand still.
-
-    Args:
-        run: a run in which linear and rotary axes move.
-        u_mm: (n, 3) standard uncertainties of its readings.
-
-    Raises:
-        NotPossible: no coordinate was read in every row.
-    """
+    """Evaluate an interpolated motion of linear and rotary axes; None if the nominal point does not stand still."""
     data = run.data
     turning = [i for i in run.axes if not machine.axes[i].linear]
     if max(float(np.ptp(data.positions[:, i])) for i in turning) < LEAST_TURN_DEG:
@@ -127,15 +119,7 @@ class Circle:
 
 
 def rotary_tests(run: MeasuredRun, machine: Machine, u_mm: np.ndarray) -> Iterator[StandardTest]:
-    """Yield positioning and error motions of a rotary axis.
-
-    Args:
-        run: a run of the axis.
-        u_mm: (n, 3) standard uncertainties of its readings.
-
-    Raises:
-        NotPossible: not all coordinates were read, or they cover too short an arc.
-    """
+    """Yield positioning and error motions of a rotary axis."""
     axis = machine.axes[run.axes[0]]
     theta = run.positions[:, 0]
     if not turns_readings(run, axis):
@@ -240,15 +224,7 @@ NOT_VERIFIED: Final = "definitions from public abstracts and publications, not c
 
 
 def circle_test(run: MeasuredRun, machine: Machine, u_mm: np.ndarray) -> StandardTest:
-    """Evaluate a circular test.
-
-    Args:
-        run: a run of two linear axes on a circle.
-        u_mm: (n, 3) standard uncertainties of its readings.
-
-    Raises:
-        NotPossible: too little of the circle was read.
-    """
+    """Evaluate a circular test: a run of two linear axes on a circle."""
     names = tuple(machine.axes[i].name for i in run.axes)
     centre, commanded = algebraic_sphere(run.positions)
     angle = np.arctan2(*(run.positions - centre).T[::-1]) / DEG
@@ -294,9 +270,6 @@ def _radii(run: MeasuredRun, centre: np.ndarray) -> np.ndarray:
     """Return the distances from the centre in the plane of the circle, after a rigid alignment of the commands to the points.
 
     The alignment has no scale and no shear, which would hide squareness and scale errors.
-
-    Raises:
-        NotPossible: not all coordinates were read.
     """
     if not run.read.all():
         raise NotPossible("needs three coordinates, or a length in x_mm alone")

@@ -45,17 +45,11 @@ class Poses(Result):
         return self.rotation[:, :, 2]
 
     def tilt_urad(self, nominal: Poses) -> np.ndarray:
-        """Return the tilt of the tool axis from its nominal direction, as angles independent of order (`twin.numerics.spatial.tilt`).
+        """Return the tilt (n, 2) of the tool axis from its nominal direction, µrad about x and y, free of any order (`spatial.tilt`).
 
         The angles are about x and y of the nominal tool frame, which are those of the work frame where the two are parallel, as on most
         machines at rotary zero. They are not taken about x and y of the work frame, because such angles are undefined for a tool across
         its z and ill-conditioned close to that. There are two angles because a rotation of the tool about its own axis has no effect.
-
-        Args:
-            nominal: the nominal poses, the same number.
-
-        Returns:
-            (n, 2) µrad about x and about y.
 
         Raises:
             InputError: another number of poses, or an axis that deviates by a right angle or more.

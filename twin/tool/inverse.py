@@ -62,11 +62,8 @@ class _Residual:
 class Steps:
     """Functions of the inverse kinematics of one machine with one calibration, metres and radians.
 
-    They implement `twin.compute.native.StepFunctions`.
-
-    Args:
-        kinematics: the machine.
-        rotary_limit: largest move (radians) of a rotary axis from its start to correct an orientation.
+    They implement `twin.compute.native.StepFunctions`. No rotary axis moves further than ``rotary_limit`` (radians) from its start to
+    correct an orientation.
     """
 
     def __init__(self, kinematics: Kinematics, rotary_limit: float) -> None:
@@ -316,9 +313,6 @@ PARALLEL: Final = 1e-9
 class Branches:
     """Rotary solutions of one machine without errors.
 
-    Args:
-        nominal: the machine without errors.
-
     Raises:
         InputError: the machine does not have two rotary axes, or they are parallel.
     """
@@ -353,14 +347,10 @@ class Branches:
         return self._order[1]
 
     def all(self, axis: np.ndarray) -> np.ndarray:
-        """Return all rotary solutions.
+        """Return all rotary solutions (n, 2, 2) of unit tool vectors (n, 3) in the work frame.
 
-        Args:
-            axis: (n, 3) unit tool vectors in the work frame.
-
-        Returns:
-            (n, 2, 2) degrees: two solutions for the two rotary axes in command order, in (−180, 180]. NaN where there is no solution,
-            and NaN for an axis that does not change the tool's direction (it may have any position).
+        Degrees: two solutions for the two rotary axes in command order, in (−180, 180]. NaN where there is no solution, and NaN for an
+        axis that does not change the tool's direction (it may have any position).
         """
         n1, n2, u = self._n1, self._n2, self._a0
         gamma, normal = float(n1 @ n2), np.cross(n1, n2)
@@ -381,14 +371,9 @@ class Branches:
         return found.transpose(2, 0, 1)
 
     def nearest(self, solutions: np.ndarray, previous: np.ndarray) -> np.ndarray:
-        """Return the solution for each vector nearest to the rotary positions before it, including whole turns.
+        """Return (n, 2) degrees: for each vector the solution nearest to the rotary positions (n, 2) before it, including whole turns.
 
-        Args:
-            solutions: (n, 2, 2) as returned by `all`.
-            previous: (n, 2) degrees.
-
-        Returns:
-            (n, 2) degrees within the axes' ranges, NaN where there is no solution.
+        The solutions (n, 2, 2) are those of `all`; the result is within the axes' ranges, NaN where there is no solution.
         """
         before = np.ascontiguousarray(previous.T)
         best, least = np.full(before.shape, np.nan), np.full(len(previous), np.inf)
@@ -406,16 +391,10 @@ class Branches:
     def _turned(
         self, solution: np.ndarray, before: np.ndarray, shift: float
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return solutions at the nearest turn, or ``shift`` turns from it, and one turn back where that is out of range.
+        """Return solutions (2, n) at the nearest turn, or ``shift`` turns from it, and one turn back where that is out of range.
 
-        Args:
-            solution: (2, n) degrees, as by `all`.
-            before: (2, n) degrees.
-            shift: number of turns.
-
-        Returns:
-            (2, n) degrees; (n,) the larger travel of the two axes, infinite for a position out of range or without solution; and the
-            indices of those turned back.
+        Then (n,) the larger travel of the two axes, infinite for a position out of range or without solution, and the indices of those
+        turned back.
         """
         free = np.isnan(solution)
         angles = np.where(free, before, solution) if free.any() else solution
@@ -434,18 +413,11 @@ class Branches:
         return found, travel, back
 
     def along(self, solutions: np.ndarray, before: np.ndarray, offset: np.ndarray) -> np.ndarray:
-        """Return the solution for each vector nearest to that of the vector before it, up to the first without a solution.
+        """Return the words (k, 2), k ≤ n, of the solution nearest to that of the vector before it, up to the first without a solution.
 
         Whole windows are solved at once with a guess of the positions before each vector: those of the branch of the window's first
-        solution. What the solutions found this way confirm is kept; the next window begins behind.
-
-        Args:
-            solutions: (n, 2, 2) as returned by `all`.
-            before: (2,) words of the rotary axes before the first.
-            offset: (2,) added to words.
-
-        Returns:
-            (k, 2) words, k ≤ n.
+        solution. What the solutions found this way confirm is kept; the next window begins behind. The solutions (n, 2, 2) are those of
+        `all`, ``before`` (2,) the words before the first, and ``offset`` (2,) is added to words.
         """
         parts = [np.empty((0, 2))]
         at, window = 0, FIRST_WINDOW
@@ -476,12 +448,9 @@ class Branches:
 
 
 def _angle(of: tuple[np.ndarray, np.ndarray], products: tuple[Any, Any], square: float) -> np.ndarray:
-    """Return (n,) the angles between two vectors normal to an axis, given in two perpendicular vectors; NaN where one has no length.
+    """Return (n,) the angles between two vectors normal to an axis, NaN where one has no length.
 
-    Args:
-        of: components of one of them.
-        products: scalar products of the other with those two vectors.
-        square: squared length of each of the two.
+    They are given in two perpendicular vectors of squared length ``square``: one by its components, the other by scalar products.
     """
     (a, b), (c, d) = of, products
     length = np.minimum((a * a + b * b) * square, (c * c + d * d) / square)

@@ -147,11 +147,7 @@ class Draws:
         return _Steps(self)
 
     def part(self, task: tuple[int, int]) -> Tally:
-        """Evaluate one task.
-
-        Args:
-            task: number of the task and number of machines.
-        """
+        """Evaluate one task: its number and its number of machines."""
         if self.bins is None:
             raise InputError("the bins are not set", expected="settings returned by `pilot`")
         lower, upper, least, most = self.bins
@@ -214,13 +210,7 @@ class _Steps:
         self._tiles = [slice(a, b) for a, b in pairwise(ends.tolist())]
 
     def run(self, task: int, machines: int, see: See) -> np.ndarray:
-        """Return `MEASURES` (4, machines), µm.
-
-        Args:
-            task: number of the task, which together with the seed determines the machines.
-            machines: number of machines.
-            see: called for every tile.
-        """
+        """Return `MEASURES` (4, machines), µm; task and seed determine the machines, and ``see`` is called for every tile."""
         rng = np.random.default_rng(np.random.SeedSequence(self._seed, spawn_key=(task,)))
         found = []
         with equal_portions(len(self._tiles) * -(-machines // MACHINES_PER_STEP)):
@@ -558,12 +548,7 @@ def _sufficiency_text(validated: Sequence[bool | None]) -> str:
 
 
 def numerical_tolerance(standard: np.ndarray, digits: int) -> np.ndarray:
-    """Return δ of JCGM 101, 7.9.2: with u = c·10^l, where the integer c has ``digits`` digits, δ = ½·10^l.
-
-    Args:
-        standard: standard uncertainty u, any shape.
-        digits: significant digits, 1 or 2.
-    """
+    """Return δ of JCGM 101, 7.9.2: with u = c·10^l, where the integer c has ``digits`` digits, 1 or 2, δ = ½·10^l."""
     safe = np.where(standard > 0.0, standard, 1.0)
     power = np.floor(np.log10(safe)) - (digits - 1)
     power += np.round(safe / 10.0**power) >= 10.0**digits  # 0.996 is 1.0 to two digits

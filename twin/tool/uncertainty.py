@@ -125,10 +125,7 @@ def errors_in(state: Mapping[str, Any], effects: Sequence[Effect], machine: Mach
 class PartialErrors:
     """Poses of a machine with some of its errors: each error is evaluated once, and many selections at a time.
 
-    Args:
-        real: the machine with all its errors.
-        q: (n, axes) commands, mm and degrees.
-        sides: (n, axes) directions of approach, +1 or −1.
+    At commands ``q`` (n, axes), mm and degrees, with directions of approach ``sides`` (n, axes), +1 or −1.
 
     Raises:
         InputError: a position outside the domain of a curve.
@@ -172,12 +169,8 @@ def error_budget(
 ) -> tuple[tuple[BudgetRow, ...], tuple[BudgetRow, ...]]:
     """Return the budget: rows by error, and rows by class with the total last.
 
-    A reversal counts as ± half its size, as directions of approach are random.
-
-    Args:
-        calibration: its errors, without effects whose channel the conditions do not give (`without_missing_channels`).
-        tool_length_mm: tool length; None: that of the machine file.
-        conditions: temperatures and time.
+    A reversal counts as ± half its size, as directions of approach are random. The calibration is without effects whose channel the
+    conditions do not give (`without_missing_channels`).
     """
     q = volume_inside_domains(calibration)
     sides = random_approach(q)

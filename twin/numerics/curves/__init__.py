@@ -43,12 +43,7 @@ def basis_of(name: str, knots: tuple[float, ...] = ()) -> Basis:
 
 
 def bases_for(*, rotary: bool, endless: bool) -> tuple[Basis, ...]:
-    """Return the bases that `identify` tries for the curves of one kind of axis, the first choice first.
-
-    Args:
-        rotary: whether the axis is rotary.
-        endless: whether it has no limits.
-    """
+    """Return the bases that `identify` tries for the curves of one kind of axis (endless: without limits), the first choice first."""
     places = [(basis.preference(rotary=rotary, endless=endless), basis) for basis in BASES]
     tried = sorted(((place, basis) for place, basis in places if place is not None), key=lambda one: one[0])
     return tuple(basis() for _, basis in tried)

@@ -40,13 +40,7 @@ class Basis(ABC):
 
     @abstractmethod
     def functions(self, q: Any, domain: tuple[float, float], count: int) -> list[Any]:
-        """Return the values of the first ``count`` functions.
-
-        Args:
-            q: axis position, mm or degrees: an array of any shape, or a CasADi expression.
-            domain: (lo, hi) in the same unit.
-            count: number of functions.
-        """
+        """Return the values of the first ``count`` functions at positions q, mm or degrees: an array or a CasADi expression."""
 
     @abstractmethod
     def count_problem(self, count: int, *, rotary: bool) -> str | None:
@@ -73,12 +67,7 @@ class Basis(ABC):
 
     @classmethod
     def preference(cls, *, rotary: bool, endless: bool) -> int | None:
-        """Return the rank of this basis among those that `identify` tries on a kind of axis, 0 first; None if it is not tried.
-
-        Args:
-            rotary: whether the axis is rotary.
-            endless: whether it has no limits.
-        """
+        """Return the rank of this basis among those that `identify` tries on a kind of axis, 0 first; None if it is not tried."""
         return None
 
     def largest(self, count: int) -> int:
@@ -98,12 +87,9 @@ class Basis(ABC):
         return None
 
     def conversion_to(self, count: int, target: Basis, target_count: int) -> np.ndarray | None:
-        """Return the matrix that converts ``count`` coefficients to another basis, or to more functions of this one.
+        """Return the matrix (target_count, count) from coefficients of this basis to another's, or to more functions of this one.
 
-        Polynomials are converted through exact powers of u and rounded once at the end.
-
-        Returns:
-            (target_count, count); None if the target does not span the functions of this basis.
+        Polynomials are converted through exact powers of u and rounded once. None if the target does not span these functions.
         """
         if self == target and self.nested:
             return np.eye(target_count, count)
@@ -142,17 +128,7 @@ def rounded_product(left: Exact, right: Exact) -> np.ndarray:
 
 @cache
 def conversion(source: Basis, target: Basis, count: int, into: int) -> np.ndarray | None:
-    """Return the matrix that converts coefficients from one basis to another; see `Basis.conversion_to`.
-
-    Args:
-        source: basis of the curve.
-        target: the other basis.
-        count: number of coefficients of the curve.
-        into: number of coefficients in the other basis, ``count`` or more.
-
-    Returns:
-        (into, count); None if the target does not span the functions of the source.
-    """
+    """Return the matrix (into, count) that converts coefficients from one basis to another, cached; see `Basis.conversion_to`."""
     matrix = source.conversion_to(count, target, into)
     return None if matrix is None else read_only(matrix)
 

@@ -21,7 +21,7 @@ MOST_KNOTS: Final = 500
 @final
 @dataclass(frozen=True)
 class CubicSpline(Basis):
-    """``basis: cubic_spline``: cubic B-splines N_k,3 over ``knots``, which include both ends of the domain.
+    """``basis: cubic_spline``: cubic B-splines N_k,3 over two or more increasing ``knots``, which include both ends of the domain.
 
     N_k,0 is one from t_k to t_(k+1) and zero elsewhere;
     N_k,d = (q − t_k)/(t_(k+d) − t_k) N_k,d−1 + (t_(k+d+1) − q)/(t_(k+d+1) − t_(k+1)) N_k+1,d−1,
@@ -29,9 +29,6 @@ class CubicSpline(Basis):
     cubic; at knots its second derivative is continuous. The functions are not negative and sum to one: a curve stays between its
     smallest and its largest coefficient, and a constant is added to every coefficient. There are two more coefficients than knots; the
     first and the last are the values at the ends of the domain.
-
-    Attributes:
-        knots: two or more, increasing, mm or degrees.
 
     Raises:
         InputError: fewer than two knots, more than `MOST_KNOTS`, not increasing, or not finite.

@@ -43,13 +43,10 @@ class _Bidiagonal:
     upper: np.ndarray  # (n+1, n+1) multipliers of the elimination of Aᵀ, below the diagonal, zero elsewhere
 
     def solve(self, values: np.ndarray) -> np.ndarray:
-        """Solve A c = values for c, A square, in O(n²).
+        """Solve A c = values (n+1, d) for c, A square, in O(n²).
 
         The inverse of every factor has a checkerboard sign pattern, so that the only cancellation is that of the data: the error of c
         is at most about n roundings of |A⁻¹| |values|, high relative accuracy of each c_k if the values alternate in sign (Koev 2007).
-
-        Args:
-            values: (n+1, d).
         """
         solution = np.array(values, dtype=float)
         n = len(solution) - 1
@@ -102,11 +99,7 @@ class FGBernstein:
         return read_only(self._values(self._inside(t), self.degree))
 
     def derivative(self, control: np.ndarray, t: np.ndarray) -> np.ndarray:
-        """Return the first derivative (m, d) by the parameter: y' = n Σ_k (f' c_{k+1} + g' c_k) u_k^{n−1}.
-
-        Args:
-            control: (n+1, d) control points.
-            t: (m,) parameters in any order.
+        """Return the first derivative (m, d) at (m,) parameters of control points (n+1, d): y' = n Σ_k (f' c_{k+1} + g' c_k) u_k^{n−1}.
 
         Raises:
             InputError: a parameter outside the domain; a wrong number of control points.
@@ -119,17 +112,13 @@ class FGBernstein:
         return read_only(n * (forward * (lower @ points[1:]) + back * (lower @ points[:-1])))
 
     def least_squares(self, t: np.ndarray, points: np.ndarray) -> np.ndarray:
-        """Return the control points (n+1, d) of the least-squares curve through points, with high relative accuracy.
+        """Return the control points (n+1, d) of the least-squares curve through points (m, d) at (m,) increasing parameters.
 
         A = B A_τ, where τ are n + 1 of the parameters and B holds the values of their Lagrange functions; these are products and so
         accurate to rounding. With well-spaced τ, B is well-conditioned (it contains the identity, so no singular value is below one).
         An ordinary QR fits B to the points, which yields the curve's values at τ; eq. 10 converts these to control points. The error
         is some roundings of |A⁺| |points|, as with the QR factorisation (Marco and Martínez 2010) that the paper uses, in O(m n²)
         operations on whole arrays.
-
-        Args:
-            t: (m,) increasing parameters.
-            points: (m, d) points.
 
         Raises:
             InputError: parameters outside the domain, not increasing, or fewer than n + 1; wrong number of points, or not finite.

@@ -61,12 +61,8 @@ class DriftSeries:
     def range(self, name: str, *, target: int = 1, until_s: float = np.inf) -> float:
         """Return the largest minus the smallest displacement at a target; NaN for fewer than two readings.
 
-        In a spindle test only readings of the period in which the spindle ran count, and the reference reading before it.
-
-        Args:
-            name: the displacement.
-            target: number of the target position.
-            until_s: end of the part that counts, from the start of that period.
+        In a spindle test only readings of the period in which the spindle ran count, up to ``until_s`` from its start, and the
+        reference reading before it.
         """
         return spread(self.displacement[name][self._counted(target, until_s)])
 
@@ -89,13 +85,7 @@ def spread(values: np.ndarray) -> float:
 
 
 def tilt_urad(first_um: np.ndarray, second_um: np.ndarray, distance_mm: float) -> np.ndarray:
-    """Return the tilt from two parallel sensors at a distance: second minus first, divided by the distance.
-
-    Args:
-        first_um: (n,) displacement at the first sensor.
-        second_um: (n,) displacement at the second.
-        distance_mm: distance of the sensors.
-    """
+    """Return the tilt (n,) from two parallel sensors at a distance: second minus first, divided by the distance."""
     return np.asarray((second_um - first_um) / distance_mm * 1e3)
 
 
@@ -109,16 +99,10 @@ def drift_series(
     speed_rpm: ArrayLike | None = None,
     target: ArrayLike | None = None,
 ) -> DriftSeries:
-    """Return the displacements of a test from the reference reading: the first at each target; for a spindle the last before it ran.
+    """Return the displacements of a test from the reference: the first reading at each target; for a spindle the last before it ran.
 
-    Args:
-        kind: the test.
-        time_s: (n,) increasing.
-        displacement: (n,) by name; NaN where it was not read.
-        units: ``um`` or ``urad`` by name.
-        temperature_degC: (n,) by sensor.
-        speed_rpm: (n,) the speed at each reading, or between the reading before and this one if it stands still for the reading.
-        target: (n,) number of the target position, from 1; None for one position.
+    Arguments are (n,) as the fields of `DriftSeries`; a speed is that at each reading, or between the reading before and this one if
+    the spindle stands still for the reading.
 
     Raises:
         InputError: fewer than two readings, times that do not increase, or a spindle that never ran.
@@ -201,14 +185,7 @@ def turning_axis(positions: np.ndarray, machine: Machine) -> Axis | None:
 
 
 def axis_design(data: Measurements, machine: Machine) -> AxisDesign | None:
-    """Return the design of the readings of a table, whose only moving rotary axis is the one described.
-
-    Args:
-        data: the table; its stations ride on the tool or the work.
-
-    Returns:
-        None if no rotary axis moves or several do, or if stations stand on the base.
-    """
+    """Return the design of the readings of a table; None if no rotary axis moves or several do, or if stations stand on the base."""
     axis = turning_axis(data.positions, machine)
     if axis is None or str(data.station_carrier[0]) == "base":
         return None
@@ -218,14 +195,7 @@ def axis_design(data: Measurements, machine: Machine) -> AxisDesign | None:
 def design_of(
     axis: Axis, positions: np.ndarray, on_tool: Sequence[str], on_work: Sequence[str], machine: Machine
 ) -> AxisDesign:
-    """Return the design of poses at which a part of the tool is at a part on the work.
-
-    Args:
-        axis: the rotary axis.
-        positions: (n, axes) mm and degrees.
-        on_tool: (n,) names of the parts on the tool side.
-        on_work: (n,) names of the parts on the work side.
-    """
+    """Return the design of poses (n, axes), mm and degrees, at which a part of the tool is at a part on the work, by their names."""
     observation, q, side = Observation(machine), positions * machine.scale, "tool" if axis.side == "tool" else "work"
     places = _places(observation, q, on_tool, on_work)[side]
     errors = np.zeros((len(q), 6 * len(machine.frames)))

@@ -101,13 +101,10 @@ class SensorMap:
         return name if name in temperatures and np.isfinite(temperatures[name]).any() else ""
 
     def applied(self, readings: Mapping[str, np.ndarray]) -> tuple[dict[str, np.ndarray], dict[str, str], list[str]]:
-        """Return displacements by direction, with tilts, their units, and remarks.
+        """Return displacements by direction, with tilts, their units, and remarks, from readings (n,) in µm by sensor.
 
         B is the tilt about +Y from X1 and X2, A that about +X from Y1 and Y2, right-handed, where sensor 2 is above sensor 1 on a
         spindle along Z. Sensors without a direction keep their names.
-
-        Args:
-            readings: (n,) µm by sensor, of those that read anything.
         """
         read = [place for place in PLACES if self.sensor.get(place) in readings]
         values = {place: self.sign[place] * readings[self.sensor[place]] for place in read}
@@ -187,14 +184,10 @@ def is_displacement_record(path: str | Path) -> bool:
 
 
 def load_displacements(path: str | Path, machine: Machine, sensors: SensorMap) -> DriftRecord:
-    """Read a record of displacement sensors.
+    """Read a record of displacement sensors; ``sensors`` is empty for the directions of the comment.
 
     Columns: ``time_s``, ``<name>_um``, ``<name>_urad`` of levels and autocollimators, which keep their names; optionally
     ``spindle_rpm``, ``T_<sensor>_degC``, ``round`` and the axes' positions. A comment ``# sensors: d1=X1 …`` gives the directions.
-
-    Args:
-        machine: the machine, for the names of its axes.
-        sensors: the sensors' directions; empty for those of the comment.
 
     Raises:
         InputError: no times, fewer than two rows, a cell that is not a number, times that do not increase, a sensor that is not there.
