@@ -73,12 +73,6 @@ def empirical_named(
 ) -> Empirical:
     """Create an empirical effect from its entry in a calibration file.
 
-    Args:
-        where: its place: ``tool by X_mm, Y_mm``.
-        along: frame whose axes the directions are.
-        columns: one or two columns.
-        numbers: coefficients, µm.
-
     Raises:
         InputError: the entry is inconsistent or does not fit the machine.
     """
@@ -116,9 +110,7 @@ def empirical_named(
 def acting_frame(side: str, along: Along, machine: Machine) -> tuple[Frame, FrameRotation]:
     """Return the error frame in which a shift of one side acts, and the rotation to it from the axes along which the shift is given.
 
-    Args:
-        side: ``tool`` or ``work``.
-        along: ``base`` for the error frame nearest the base, which does not turn; else the last one before the targets of that side.
+    With ``along`` base it is the error frame nearest the base, which does not turn; else the last one before the targets of that side.
 
     Raises:
         InputError: no axis moves that side, or an axis nearer to the base turns both sides.
@@ -149,13 +141,7 @@ def acting_frame(side: str, along: Along, machine: Machine) -> tuple[Frame, Fram
 
 
 def unused_place(side: str, columns: Sequence[Waves], taken: Sequence[str]) -> str:
-    """Return the place of a new effect, with a number if the place is already in use.
-
-    Args:
-        side: ``tool`` or ``work``.
-        columns: one or two columns.
-        taken: names of existing effects.
-    """
+    """Return the place of a new effect, with a number if the place is in use by one of the ``taken`` names."""
     where = f"{side} by {', '.join(column.column for column in columns)}"
     number, found = 1, where
     while f"{NAME}:{found}" in taken:
@@ -403,13 +389,9 @@ class CalibrationFile(BaseModel):
 def effects_of(entries: Sequence[EffectEntry], machine: Machine, fail: Callable[..., InputError]) -> tuple[Effect, ...]:
     """Return the effects of a calibration file.
 
-    Args:
-        entries: entries of the file.
-        fail: place in the file, what is wrong, what was expected, value and nearest valid name → the error.
-
-    Raises:
-        InputError: the machine cannot have an effect, a payload or carried load acts on no compliant joint, a side has more than one
-            payload, or there is more than one carried load.
+    ``fail`` makes the error from place in the file, what is wrong, what was expected, value and nearest valid name. An error is raised
+    if the machine cannot have an effect, a payload or carried load acts on no compliant joint, a side has more than one payload, or
+    there is more than one carried load.
     """
     masses = {one.name: one for one in (PAYLOAD, CARRIED_LOAD)}
     payloads: dict[int, Payload] = {}
@@ -485,11 +467,7 @@ def covariance_text(covariance: Covariance) -> str:
 
 
 def covariance_of(entry: CovarianceEntry) -> Covariance:
-    """Return the joint covariance of an entry.
-
-    Raises:
-        ValueError: neither or both forms, or numbers that are not a covariance.
-    """
+    """Return the joint covariance of an entry; raise `ValueError` for neither or both forms, or numbers that are not a covariance."""
     if (entry.lower is None) == (entry.compressed is None):
         raise ValueError("needs one of lower and compressed")
     if entry.lower is not None:

@@ -125,16 +125,10 @@ class DatumLink:
         return rates
 
     def moved(self, values: np.ndarray, before: np.ndarray, after: np.ndarray, inserted: np.ndarray) -> np.ndarray:
-        """Return the error frame with motions inserted at the gaps, without approximation.
+        """Return the errors (6, n) in the motion frame at the nodes with motions inserted at the gaps, without approximation.
 
-        Args:
-            values: (6, n) errors in the motion frame at the nodes, µm and µrad.
-            before: (6,) the old location, µm and µrad; zero for a linear axis.
-            after: (6,) the new location.
-            inserted: (6·gaps,) the motions: µm, and a rotation vector in µrad.
-
-        Returns:
-            (6, n) new errors in the motion frame.
+        All in µm and µrad: ``before`` and ``after`` (6,) are the old and the new location, zero for a linear axis; ``inserted``
+        (6·gaps,) are the motions, each a translation and a rotation vector.
         """
         turns, travel = self.motion()
         frames = _frames(values.T)

@@ -71,11 +71,7 @@ def with_values(
 
 
 def _over(curve: Curve, link: DatumLink) -> Curve:
-    """Return the same curve over the range that all curves of its axis cover.
-
-    Raises:
-        InputError: the basis cannot represent it.
-    """
+    """Return the same curve over the range that all curves of its axis cover; raise `InputError` if the basis cannot represent it."""
     values = functions(curve.family, curve.domain, link, len(curve.coefficients)) @ curve.coefficients
     basis, count = curve.family.restricted(link.domain, len(curve.coefficients))
     found = fit(basis, link.domain, link, count) @ values
@@ -172,11 +168,8 @@ def violation(numbers: Numbers, datum: Datum) -> tuple[str, str, float] | None:
 def convert(numbers: Numbers, datum: Datum, names: Collection[str] | None = None) -> Converted:
     """Convert the numbers of a calibration to a datum.
 
-    Args:
-        numbers: numbers of the calibration.
-        datum: the new datum.
-        names: errors that may change; all of the machine if None. With a restriction, conditions that these errors cannot absorb remain
-            violated, and poses agree to first order: up to the product of two errors, some nanometres.
+    With a restriction to errors that may change (``names``), conditions that these errors cannot absorb remain violated, and poses
+    agree to first order: up to the product of two errors, some nanometres.
 
     Raises:
         InputError: the datum is ``as given``, or the basis of a curve cannot represent it in the other datum.
@@ -294,12 +287,7 @@ def _coefficient_map(old: Numbers, new: Numbers, name: str, link: DatumLink | No
 
 @final
 class _Gauge:
-    """Gauge freedom of a calibration: the changes that leave every pose unchanged, and the step to a datum.
-
-    Args:
-        numbers: numbers of the calibration.
-        names: errors that may change; all if None.
-    """
+    """Gauge freedom of a calibration: the changes of ``names`` (all if None) that keep every pose, and the step to a datum."""
 
     def __init__(self, numbers: Numbers, datum: Datum, names: Collection[str] | None = None) -> None:
         self._allowed = names

@@ -61,10 +61,15 @@ class Effect(ABC):
     repeats: ClassVar[bool] = False
     """Whether one place may have several, which are not one with the sum of their parameters (`numbered`)."""
 
+    units: tuple[tuple[str, str], ...] = ()
+    """Names and units of the attributes that are its parameters, in the order of `derivatives`."""
+    linear: ClassVar[int] = 1
+    """Number of its first parameters to whose sum `components` is proportional, with the other parameters held."""
+
     @property
-    @abstractmethod
     def parameters(self) -> tuple[Parameter, ...]:
         """Parameters, in the order of `derivatives`."""
+        return tuple(self._number(name, unit, getattr(self, name)) for name, unit in self.units)
 
     @abstractmethod
     def derivatives(self, positions: Mapping[str, Any]) -> tuple[Mapping[int, Any], ...]:
@@ -73,17 +78,19 @@ class Effect(ABC):
     def components(self, positions: Mapping[str, Any]) -> Mapping[int, Any]:
         """Return the contribution to the frame, by component index in ``XYZABC``: µm for the first three, µrad for the others.
 
-        This default applies to effects that are proportional to their first parameter; other effects override it.
-
-        Args:
-            positions: position of every axis, mm or degrees: arrays or CasADi expressions, all of one shape; also, where
-                known, ``approach_<axis>`` (+1, −1, 0), ``time_s`` and ``T_<axis or sensor>_degC``.
+        This default applies to effects that are linear in their first parameters (`linear`). Positions of every axis are mm or
+        degrees: arrays or CasADi expressions, all of one shape; also, where known, ``approach_<axis>`` (+1, −1, 0), ``time_s`` and
+        ``T_<axis or sensor>_degC``.
 
         Raises:
             InputError: a channel that the effect needs is missing.
         """
-        size = self.parameters[0].value
-        return {i: size * shape for i, shape in self.derivatives(positions)[0].items()}
+        first, *others = zip(self.parameters[: self.linear], self.derivatives(positions), strict=False)
+        total = {i: first[0].value * shape for i, shape in first[1].items()}
+        for parameter, shapes in others:
+            for i, shape in shapes.items():
+                total[i] = total[i] + parameter.value * shape if i in total else parameter.value * shape
+        return total
 
     @property
     def numbers(self) -> dict[str, float]:
@@ -105,11 +112,7 @@ class Effect(ABC):
 
 
 class AlongAxis(Effect):
-    """An effect in the motion frame of an axis, in the direction of the axis's own motion.
-
-    Args:
-        effect: name of the effect (contract §5).
-    """
+    """An effect in the motion frame of an axis, in the direction of the axis's own motion."""
 
     def __init__(self, effect: str, axis: Axis) -> None:
         self.name = f"{effect}:{axis.name}"
@@ -144,11 +147,7 @@ def along(axis: Axis, value: Any) -> dict[int, Any]:
 
 @final
 class RecordingState(dict[str, Any]):
-    """State of one pose inside the ranges that answers any request for a channel and records its name.
-
-    Attributes:
-        asked: names of the requested channels, in the order of the requests.
-    """
+    """State of one pose inside the ranges that answers any request for a channel and records its name in ``asked``."""
 
     def __init__(self, machine: Machine) -> None:
         # An arbitrary pose: no effect is zero at 0.37 of a range.
@@ -391,21 +390,16 @@ class ToolSide(NamedTuple):
 
 
 class ToolSideShift(Effect):
-    """Shift of the tool side along a direction of the base frame, proportional to the first parameter.
-
-    Args:
-        name: name of the effect.
-        side: tool side and direction.
-    """
+    """Shift of the tool side along a direction of the base frame, proportional to the first parameter."""
 
     def __init__(self, name: str, side: ToolSide) -> None:
         self.name = name
         self.frame = side.frame
-        self._side = side
+        self.side = side
 
     def _shifted(self, shape: Any) -> dict[int, Any]:
         """Return a shift of ``shape`` along the direction, by component."""
-        return {i: part * shape for i, part in enumerate(self._side.vector) if part != 0.0}
+        return {i: part * shape for i, part in enumerate(self.side.vector) if part != 0.0}
 
 
 class HistoryShift(ToolSideShift):
@@ -423,11 +417,7 @@ class HistoryShift(ToolSideShift):
 
     @abstractmethod
     def driven(self, positions: Mapping[str, Any]) -> Any:
-        """Return the input of the lag whose output is the derivative by the first parameter.
-
-        Raises:
-            InputError: a channel that the effect needs is missing.
-        """
+        """Return the input of the lag whose output is the derivative by the first parameter."""
 
     @property
     def factor_channels(self) -> tuple[str, ...]:
@@ -438,11 +428,7 @@ class HistoryShift(ToolSideShift):
     def factors(self, state: Mapping[str, Any]) -> Sequence[np.ndarray]:
         """Return the derivative of the shift by each parameter at readings, in any order of time: µm per unit of the parameter.
 
-        Args:
-            state: the channels of the readings, (n,) or single values.
-
-        Raises:
-            InputError: a channel that the effect needs is missing.
+        The channels of the readings are (n,) or single values.
         """
 
     def derivatives(self, positions: Mapping[str, Any]) -> tuple[Mapping[int, Any], ...]:

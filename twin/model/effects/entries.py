@@ -68,12 +68,7 @@ def effect_named(
 
 
 def payload_named(specification: Specification, where: str, numbers: Mapping[str, float], machine: Machine) -> Payload:
-    """Create a payload or a carried load from its parameters.
-
-    Args:
-        specification: `PAYLOAD` or `CARRIED_LOAD`.
-        where: ``tool`` or ``work``.
-        numbers: its parameters by name.
+    """Create a payload or a carried load, whose specification is given, from its parameters.
 
     Raises:
         InputError: the place or a parameter is unknown; a parameter is missing or outside its limits.

@@ -14,14 +14,9 @@ from twin.numerics.functions import floor
 
 @final
 class ErrorMotion(Effect):
-    """``E_XX`` … ``E_CC`` as Σ c_k f_k(q).
+    """``E_XX`` … ``E_CC`` as Σ c_k f_k(q), µm or µrad, over a domain in mm or degrees.
 
-    Args:
-        name: ISO 230-1 name.
-        basis: family of basis functions.
-        domain: (lo, hi) in mm or degrees.
-        coefficients: µm or µrad.
-        wrapped: whether the axis has unlimited rotation, so that its position is wrapped into the domain.
+    The position of an axis of unlimited rotation is ``wrapped`` into the domain.
     """
 
     def __init__(

@@ -68,10 +68,8 @@ UNLOADED: Final = 1e-6
 class GravityCompliance(AlongAxis):
     """The axis deflects by its compliance times the force or torque of gravity along it.
 
-    Args:
-        load: positions → load along the axis by own weight, payloads and carried load, N or N·m (`twin.machine.chain.gravity_load`).
-        compliance: µm/N or µrad/(N·m).
-        payloads: loads that the URDF does not contain; not estimated.
+    ``load`` gives the load along the axis by own weight, payloads and carried load at positions, N or N·m (`gravity_load`); the
+    payloads, loads that the URDF does not contain, are not estimated.
     """
 
     def __init__(
@@ -85,11 +83,7 @@ class GravityCompliance(AlongAxis):
         self.compliance = compliance
         self.payloads = payloads
         self._load = load
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """The compliance."""
-        return (self._number("compliance", _unit(self.axis), self.compliance),)
+        self.units = (("compliance", _unit(axis)),)
 
     def derivatives(self, positions: Mapping[str, Any]) -> tuple[Mapping[int, Any], ...]:
         """See `Effect.derivatives`."""
@@ -167,10 +161,8 @@ class AddedLoad(AlongAxis):
 def carrying(machine: Machine, extra: Sequence[Effect], known: int, added: AddedLoad) -> list[Effect]:
     """Return effects whose compliances on the side of an added load carry it.
 
-    Args:
-        extra: the effects of a calibration.
-        known: number of those whose load does not contain it yet; a payload that they already carry is combined with it. The
-            compliances after them were found together with the load.
+    The first ``known`` do not contain it yet; a payload that they already carry is combined with it. The compliances after them were
+    found together with the load.
     """
     carrying: list[Effect] = list(extra)
     whole = added.payload

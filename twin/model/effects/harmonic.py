@@ -22,7 +22,16 @@ from twin._common.messages import Message
 from twin.machine.error_names import DIRECTIONS
 from twin.machine.machine import Machine
 from twin.model.effects.base import Effect, Frame, Parameter, Payload, direction_of, split_name, unit_of
-from twin.model.effects.specification import EXTENDED, Advice, Drawing, Forms, SharedColumns, Specification, State
+from twin.model.effects.specification import (
+    EXTENDED,
+    Advice,
+    Drawing,
+    Forms,
+    SharedColumns,
+    Specification,
+    State,
+    linear_forms,
+)
 from twin.numerics.functions import Functions, cached_in_state, cos, floor, highest_order, sin, waves
 
 MAX_ORDER: Final = 30
@@ -35,14 +44,9 @@ MIN_ANGLES: Final = 4
 
 @final
 class Harmonic(Effect):
-    """One harmonic of an error motion of a rotary axis: a·cos(nθ) + b·sin(nθ).
+    """One harmonic of an error motion of a rotary axis, such as ``E_XB``: a·cos(nθ) + b·sin(nθ), µm or µrad."""
 
-    Args:
-        name: the error motion, ``E_XB``.
-        order: n.
-        cosine: a, µm or µrad.
-        sine: b, µm or µrad.
-    """
+    linear = 2
 
     def __init__(self, name: str, order: int, cosine: float, sine: float) -> None:
         self.name = f"harmonic:{name}[{order}]"
@@ -62,11 +66,6 @@ class Harmonic(Effect):
     def numbers(self) -> dict[str, float]:
         """Order and coefficients."""
         return {"order": self.order, **super().numbers}
-
-    def components(self, positions: Mapping[str, Any]) -> Mapping[int, Any]:
-        """See `Effect.components`."""
-        angle = positions[self._axis] * (self.order * pi / 180.0)
-        return {self._component: self.cosine * cos(angle) + self.sine * sin(angle)}
 
     def derivatives(self, positions: Mapping[str, Any]) -> tuple[Mapping[int, Any], ...]:
         """See `Effect.derivatives`."""
@@ -105,19 +104,11 @@ def _forms(machine: Machine, where: str, state: State, payloads: Sequence[Payloa
     most, teeth, functions = cached_in_state(state, ("turns", name), lambda: _turns(state, name))
     tried = range(1, (teeth if component == 3 + int(np.argmax(np.abs(axis.direction))) else most) + 1)
 
-    def build(values: np.ndarray, fixed: Mapping[str, float]) -> tuple[Harmonic, ...]:
-        return (Harmonic(where, round(fixed["order"]), float(values[0]), float(values[1])),)
-
-    def units(fixed: Mapping[str, float]) -> tuple[Harmonic, ...]:
-        order = round(fixed["order"])
-        return Harmonic(where, order, 1.0, 0.0), Harmonic(where, order, 0.0, 1.0)
-
     unit = unit_of(where)
     columns = [(teeth + n - 1, n - 1) for n in tried]
-    return Forms(
+    return linear_forms(
         (("cos", unit), ("sin", unit)),
-        build,
-        units,
+        lambda values, fixed: Harmonic(where, round(fixed["order"]), *values),
         tuple({"order": float(n)} for n in tried),
         together=SharedColumns(functions, columns, Frame(name, "motion"), ((component, 1.0),)),
     )

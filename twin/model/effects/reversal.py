@@ -31,18 +31,13 @@ from twin.numerics.functions import Functions, Rows
 class Reversal(AlongAxis):
     """Backlash: E_aa += ± size/2, by the direction of approach.
 
-    Args:
-        size: actual position approached in the + direction minus that approached in the − direction, µm or µrad, along the command.
+    The size is the actual position approached in the + direction minus that approached in the − direction, along the command.
     """
 
     def __init__(self, axis: Axis, size: float) -> None:
         super().__init__("reversal", axis)
         self.size = size
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """The size."""
-        return (self._number("size", self.unit, self.size),)
+        self.units = (("size", self.unit),)
 
     @property
     def reversal_value(self) -> float:
@@ -87,11 +82,7 @@ SAMPLES: Final = 201
 class ReversalCurve(AlongAxis):
     """Backlash that varies along the travel: the curve measured in the + direction minus that in the − direction, Σ c_k u^k.
 
-    u = (2q − lo − hi)/(hi − lo) over the axis's range.
-
-    Args:
-        axis: the axis; its range must be limited.
-        coefficients: c_0, c_1, … µm or µrad, along the command.
+    u = (2q − lo − hi)/(hi − lo) over the range of the axis, which must be limited; c_k in µm or µrad, along the command.
     """
 
     def __init__(self, axis: Axis, coefficients: tuple[float, ...]) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 
 from twin._common.messages import Message
 from twin.machine.machine import Axis, Machine
-from twin.model.effects.base import AlongAxis, Parameter, Payload, along, channel
+from twin.model.effects.base import AlongAxis, Payload, along, channel
 from twin.model.effects.specification import (
     EXTENDING,
     Advice,
@@ -19,14 +19,9 @@ from twin.model.effects.specification import (
     Specification,
     State,
     linear_axes,
+    linear_forms,
 )
-from twin.model.effects.thermal_drift import (
-    LARGEST_DRIFT_UM,
-    LONGEST_S,
-    SHORTEST_S,
-    drift_time_constants,
-    one_step,
-)
+from twin.model.effects.thermal_drift import LARGEST_DRIFT_UM, LONGEST_S, SHORTEST_S, drift_time_constants, one_step
 from twin.numerics.functions import exp
 
 STEADY_PARAMETERS: Final = ("rate", "offset_rate")
@@ -40,28 +35,15 @@ REVISITED: Final = 0.75
 
 @final
 class ScaleDrift(AlongAxis):
-    """The scale of a linear axis grows as it warms up: E_aa += (A·q + g)·(1 − exp(−t/τ)), fixed at q = −g/A.
+    """The scale of a linear axis grows as it warms up: E_aa += (A·q + g)·(1 − exp(−t/τ)), fixed at q = −g/A."""
 
-    Args:
-        amplitude: A, µm/m.
-        offset: g, µm at q = 0.
-        time_constant: τ, s.
-    """
+    units = (("amplitude", "um/m"), ("offset", "um"), ("time_constant", "s"))
 
     def __init__(self, axis: Axis, amplitude: float, offset: float, time_constant: float) -> None:
         super().__init__("scale_drift", axis)
         self.amplitude = amplitude
         self.offset = offset
         self.time_constant = time_constant
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """Amplitude, offset and time constant."""
-        return (
-            self._number("amplitude", "um/m", self.amplitude),
-            self._number("offset", "um", self.offset),
-            self._number("time_constant", "s", self.time_constant),
-        )
 
     def components(self, positions: Mapping[str, Any]) -> Mapping[int, Any]:
         """See `Effect.components`."""
@@ -85,27 +67,15 @@ class ScaleDrift(AlongAxis):
 
 @final
 class SteadyScaleDrift(AlongAxis):
-    """The scale of a linear axis grows at a constant rate: E_aa += (r·q + s)·t, the limit of `ScaleDrift` for t ≪ τ.
+    """The scale of a linear axis grows at a constant rate: E_aa += (r·q + s)·t, the limit of `ScaleDrift` for t ≪ τ."""
 
-    Args:
-        rate: r, µm/(m·h).
-        offset_rate: s, µm/h at q = 0.
-    """
+    units = (("rate", "um/(m.h)"), ("offset_rate", "um/h"))
+    linear = 2
 
     def __init__(self, axis: Axis, rate: float, offset_rate: float) -> None:
         super().__init__("scale_drift", axis)
         self.rate = rate
         self.offset_rate = offset_rate
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """The rates."""
-        return self._number("rate", "um/(m.h)", self.rate), self._number("offset_rate", "um/h", self.offset_rate)
-
-    def components(self, positions: Mapping[str, Any]) -> Mapping[int, Any]:
-        """See `Effect.components`."""
-        by_rate, by_offset = self.derivatives(positions)
-        return {i: self.rate * by_rate[i] + self.offset_rate * by_offset[i] for i in by_rate}
 
     def derivatives(self, positions: Mapping[str, Any]) -> tuple[Mapping[int, Any], ...]:
         """See `Effect.derivatives`; needs ``time_s``."""
@@ -142,16 +112,9 @@ def _candidates(machine: Machine, state: State) -> tuple[list[str], list[tuple[s
 
 def _forms(machine: Machine, where: str, state: State, payloads: Sequence[Payload] | None) -> Forms:
     axis = machine.by_name[where]
-
-    def effect(amplitude: float, offset: float, fixed: Mapping[str, float]) -> ScaleDrift | SteadyScaleDrift:
-        if "time_constant" in fixed:
-            return ScaleDrift(axis, amplitude, offset, fixed["time_constant"])
-        return SteadyScaleDrift(axis, amplitude, offset)
-
-    return Forms(
-        (("amplitude", "um/m"), ("offset", "um")),
-        lambda values, fixed: (effect(float(values[0]), float(values[1]), fixed),),
-        lambda fixed: (effect(1.0, 0.0, fixed), effect(0.0, 1.0, fixed)),
+    return linear_forms(
+        ScaleDrift.units[:2],
+        lambda values, fixed: ScaleDrift(axis, *values, **fixed) if fixed else SteadyScaleDrift(axis, *values),
         ({}, *({"time_constant": constant} for constant in drift_time_constants(state["time_s"]))),
         tests=3.0,
         is_drift=True,

@@ -18,7 +18,7 @@ import numpy as np
 from twin._common.errors import InputError, closest_name
 from twin.display.numbers import capital
 from twin.machine.machine import Machine
-from twin.model.effects.base import Effect, Frame, Payload
+from twin.model.effects.base import Effect, Frame, Payload, ToolSide, tool_side
 from twin.numerics.curves import CurveSpace
 from twin.numerics.functions import Functions
 
@@ -182,11 +182,7 @@ class Specification:
         return self.family or self.name.replace("_", " ")
 
     def bound(self, units: Sequence[str]) -> float:
-        """Return the largest plausible magnitude of the linear parameters; infinite if unknown.
-
-        Args:
-            units: units of the parameters; only effects with one unit have a limit.
-        """
+        """Return the largest plausible magnitude of the linear parameters, all of one unit; infinite if unknown."""
         return min((self.limits.get(unit, inf) for unit in units[:1]), default=inf)
 
     def is_plausible(self, value: float, unit: str) -> bool:
@@ -194,11 +190,7 @@ class Specification:
         return self.least.get(unit, 0.0) <= abs(value) <= self.limits.get(unit, inf)
 
     def numbers_of(self, where: str, numbers: Mapping[str, float]) -> dict[str, float]:
-        """Return the parameters of an entry in a file, in order.
-
-        Raises:
-            InputError: a parameter is missing or unknown.
-        """
+        """Return the parameters of an entry in a file, in order; raise `InputError` if one is missing or unknown."""
         required = self.parameters if self.required is None else self.required(tuple(numbers))
         if set(numbers) != set(required):
             raise InputError(
@@ -218,6 +210,13 @@ class Specification:
         return InputError(
             f"no such place for {self.name}", expected=expected, value=where, nearest=closest_name(where, places)
         )
+
+    def tool_side(self, machine: Machine, where: str, direction: str) -> ToolSide:
+        """Return the tool side with a direction of the base frame; raise `InputError` if the machine has no such place."""
+        side = tool_side(machine, direction)
+        if side is None:
+            raise self.no_place(machine, where)
+        return side
 
     def candidate_places(self, machine: Machine, state: State) -> tuple[list[str], list[tuple[str, str]]]:
         """Return the places where these data can show it, and (place, missing column) of the others."""
@@ -261,11 +260,23 @@ def approach_column(where: str) -> tuple[str, ...]:
     return (f"approach_{where}",)
 
 
-def single_parameter_form(names: tuple[str, str], make: Callable[[float], Effect]) -> Forms:
-    """Return the single form of an effect that is proportional to its one parameter.
+def linear_forms(
+    names: tuple[tuple[str, str], ...],
+    make: Callable[[Sequence[float], Mapping[str, float]], Effect],
+    trials: tuple[Mapping[str, float], ...] = (MappingProxyType({}),),
+    **more: Any,
+) -> Forms:
+    """Return the forms of an effect that is linear in parameters (name, unit); ``make``: these and the fixed ones → the effect."""
+    units = np.eye(len(names)).tolist()
+    return Forms(
+        names,
+        lambda values, fixed: (make([float(value) for value in values], fixed),),
+        lambda fixed: tuple(make(unit, fixed) for unit in units),
+        trials,
+        **more,
+    )
 
-    Args:
-        names: name and unit of the parameter.
-        make: value of the parameter → the effect.
-    """
-    return Forms((names,), lambda values, fixed: (make(float(values[0])),), lambda fixed: (make(1.0),))
+
+def single_parameter_form(names: tuple[str, str], make: Callable[[float], Effect]) -> Forms:
+    """Return the single form of an effect that is proportional to one parameter (name, unit), which ``make`` takes."""
+    return linear_forms((names,), lambda values, fixed: make(values[0]))

@@ -9,8 +9,17 @@ import numpy as np
 
 from twin._common.messages import Message
 from twin.machine.machine import Machine
-from twin.model.effects.base import Parameter, Payload, ToolSide, ToolSideShift, channel, directions, tool_side
-from twin.model.effects.specification import EXTENDING, Advice, Drawing, FittedCause, Forms, Specification, State
+from twin.model.effects.base import Payload, ToolSide, ToolSideShift, channel, directions
+from twin.model.effects.specification import (
+    EXTENDING,
+    Advice,
+    Drawing,
+    FittedCause,
+    Forms,
+    Specification,
+    State,
+    linear_forms,
+)
 from twin.numerics.functions import exp
 
 STEADY_PARAMETERS: Final = ("rate",)
@@ -31,30 +40,14 @@ STEP_FACTORS: Final = (0.3, 3.0)
 
 @final
 class ThermalDrift(ToolSideShift):
-    """The tool side drifts along a direction of the base frame as the machine warms up: A·(1 − exp(−t/τ)).
+    """The tool side drifts along a direction of the base frame as the machine warms up: A·(1 − exp(−t/τ))."""
 
-    Args:
-        side: tool side and direction.
-        amplitude: A, µm.
-        time_constant: τ, s.
-    """
+    units = (("amplitude", "um"), ("time_constant", "s"))
 
     def __init__(self, side: ToolSide, amplitude: float, time_constant: float) -> None:
         super().__init__(f"thermal_drift:{side.direction}", side)
         self.amplitude = amplitude
         self.time_constant = time_constant
-
-    def changed(self, amplitude: float, time_constant: float) -> ThermalDrift:
-        """Return the same effect with other parameters."""
-        return ThermalDrift(self._side, amplitude, time_constant)
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """Amplitude and time constant."""
-        return (
-            self._number("amplitude", "um", self.amplitude),
-            self._number("time_constant", "s", self.time_constant),
-        )
 
     def derivatives(self, positions: Mapping[str, Any]) -> tuple[Mapping[int, Any], ...]:
         """See `Effect.derivatives`; needs ``time_s``."""
@@ -66,21 +59,16 @@ class ThermalDrift(ToolSideShift):
 
 @final
 class SteadyDrift(ToolSideShift):
-    """The tool side drifts along a direction of the base frame at a constant rate: r·t, the limit of `ThermalDrift` for t ≪ τ, r = A/τ.
+    """The tool side drifts along a direction of the base frame at a constant rate: r·t.
 
-    Args:
-        side: tool side and direction.
-        rate: r, µm/h.
+    It is the limit of `ThermalDrift` for t ≪ τ, r = A/τ.
     """
+
+    units = (("rate", "um/h"),)
 
     def __init__(self, side: ToolSide, rate: float) -> None:
         super().__init__(f"thermal_drift:{side.direction}", side)
         self.rate = rate
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """The rate."""
-        return (self._number("rate", "um/h", self.rate),)
 
     def derivatives(self, positions: Mapping[str, Any]) -> tuple[Mapping[int, Any], ...]:
         """See `Effect.derivatives`; needs ``time_s``."""
@@ -109,32 +97,18 @@ def drift_course(fit: FittedCause) -> str:
     return ", at a constant rate"
 
 
-def _side(machine: Machine, where: str) -> ToolSide:
-    side = tool_side(machine, where)
-    if side is None:
-        raise THERMAL_DRIFT.no_place(machine, where)
-    return side
-
-
 def _make(
     machine: Machine, where: str, numbers: Mapping[str, float], payloads: Sequence[Payload]
 ) -> ThermalDrift | SteadyDrift:
-    side, values = _side(machine, where), numbers.values()
+    side, values = THERMAL_DRIFT.tool_side(machine, where, where), numbers.values()
     return SteadyDrift(side, *values) if set(numbers) == set(STEADY_PARAMETERS) else ThermalDrift(side, *values)
 
 
 def _forms(machine: Machine, where: str, state: State, payloads: Sequence[Payload] | None) -> Forms:
-    side = _side(machine, where)
-
-    def effects(value: float, fixed: Mapping[str, float]) -> tuple[ThermalDrift | SteadyDrift, ...]:
-        if "time_constant" in fixed:
-            return (ThermalDrift(side, value, fixed["time_constant"]),)
-        return (SteadyDrift(side, value),)
-
-    return Forms(
-        (("amplitude", "um"),),
-        lambda values, fixed: effects(float(values[0]), fixed),
-        lambda fixed: effects(1.0, fixed),
+    side = THERMAL_DRIFT.tool_side(machine, where, where)
+    return linear_forms(
+        ThermalDrift.units[:1],
+        lambda values, fixed: ThermalDrift(side, *values, **fixed) if fixed else SteadyDrift(side, *values),
         ({}, *({"time_constant": constant} for constant in drift_time_constants(state["time_s"]))),
         tests=3.0,
         is_drift=True,
@@ -142,7 +116,7 @@ def _forms(machine: Machine, where: str, state: State, payloads: Sequence[Payloa
 
 
 def _constrain(effect: ThermalDrift, values: Sequence[float], longest: float) -> ThermalDrift:
-    return effect.changed(values[0], one_step(effect.time_constant, values[1], longest))
+    return ThermalDrift(effect.side, values[0], one_step(effect.time_constant, values[1], longest))
 
 
 THERMAL_DRIFT: Final = Specification(

@@ -7,7 +7,7 @@ from typing import Any, Final, final
 
 from twin._common.messages import Message
 from twin.machine.machine import Axis, Machine
-from twin.model.effects.base import AlongAxis, Parameter, Payload, along, channel
+from twin.model.effects.base import AlongAxis, Payload, along, channel
 from twin.model.effects.specification import (
     EXTENDED,
     NOT_TWICE,
@@ -18,6 +18,7 @@ from twin.model.effects.specification import (
     Specification,
     State,
     linear_axes,
+    linear_forms,
 )
 
 REFERENCE_DEGC: Final = 20.0
@@ -26,20 +27,13 @@ REFERENCE_DEGC: Final = 20.0
 
 @final
 class ThermalExpansion(AlongAxis):
-    """Thermal expansion of the scale of a linear axis: E_aa += c·(T_a − 20 °C)·q.
+    """Thermal expansion of the scale of a linear axis: E_aa += c·(T_a − 20 °C)·q."""
 
-    Args:
-        coefficient: c, µm/(m·K).
-    """
+    units = (("coefficient", "um/(m.K)"),)
 
     def __init__(self, axis: Axis, coefficient: float) -> None:
         super().__init__("thermal_expansion", axis)
         self.coefficient = coefficient
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """The coefficient."""
-        return (self._number("coefficient", "um/(m.K)", self.coefficient),)
 
     def derivatives(self, positions: Mapping[str, Any]) -> tuple[Mapping[int, Any], ...]:
         """See `Effect.derivatives`; needs ``T_<axis>_degC``."""
@@ -72,30 +66,15 @@ THERMAL_EXPANSION: Final = Specification(
 
 @final
 class ScaleGrowth(AlongAxis):
-    """Thermal expansion of a scale about its fixed point: E_aa += (c·q + g)·(T_a − 20 °C), fixed at q = −g/c.
+    """Thermal expansion of a scale about its fixed point: E_aa += (c·q + g)·(T_a − 20 °C), fixed at q = −g/c."""
 
-    Args:
-        coefficient: c, µm/(m·K).
-        offset: g, µm/K at q = 0.
-    """
+    units = (("coefficient", "um/(m.K)"), ("offset", "um/K"))
+    linear = 2
 
     def __init__(self, axis: Axis, coefficient: float, offset: float) -> None:
         super().__init__("scale_growth", axis)
         self.coefficient = coefficient
         self.offset = offset
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """Coefficient and offset."""
-        return (
-            self._number("coefficient", "um/(m.K)", self.coefficient),
-            self._number("offset", "um/K", self.offset),
-        )
-
-    def components(self, positions: Mapping[str, Any]) -> Mapping[int, Any]:
-        """See `Effect.components`."""
-        by_coefficient, by_offset = self.derivatives(positions)
-        return {i: self.coefficient * by_coefficient[i] + self.offset * by_offset[i] for i in by_coefficient}
 
     def derivatives(self, positions: Mapping[str, Any]) -> tuple[Mapping[int, Any], ...]:
         """See `Effect.derivatives`; needs ``T_<axis>_degC``."""
@@ -105,11 +84,7 @@ class ScaleGrowth(AlongAxis):
 
 def _forms(machine: Machine, where: str, state: State, payloads: Sequence[Payload] | None) -> Forms:
     axis = machine.by_name[where]
-    return Forms(
-        (("coefficient", "um/(m.K)"), ("offset", "um/K")),
-        lambda values, fixed: (ScaleGrowth(axis, float(values[0]), float(values[1])),),
-        lambda fixed: (ScaleGrowth(axis, 1.0, 0.0), ScaleGrowth(axis, 0.0, 1.0)),
-    )
+    return linear_forms(ScaleGrowth.units, lambda values, fixed: ScaleGrowth(axis, *values))
 
 
 def _evidence(fit: FittedCause) -> str:

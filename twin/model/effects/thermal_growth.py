@@ -10,25 +10,8 @@ import numpy as np
 from twin._common.messages import Message
 from twin._common.records import TIME, is_temperature, sensor_of
 from twin.machine.machine import Machine
-from twin.model.effects.base import (
-    HistoryShift,
-    Parameter,
-    Payload,
-    ToolSide,
-    ToolSideShift,
-    channel,
-    directions,
-    tool_side,
-)
-from twin.model.effects.specification import (
-    EXTENDING,
-    Advice,
-    Drawing,
-    Forms,
-    Specification,
-    State,
-    single_parameter_form,
-)
+from twin.model.effects.base import HistoryShift, Payload, ToolSide, ToolSideShift, channel, directions
+from twin.model.effects.specification import EXTENDING, Advice, Drawing, Forms, Specification, State, linear_forms
 from twin.model.effects.thermal_drift import LONGEST_S, SHORTEST_S, drift_time_constants, one_step
 from twin.model.effects.thermal_expansion import REFERENCE_DEGC
 from twin.numerics.functions import lagged
@@ -36,23 +19,14 @@ from twin.numerics.functions import lagged
 
 @final
 class ThermalGrowth(ToolSideShift):
-    """The tool side moves along a direction of the base frame with the temperature of a sensor: c·(T − 20 °C).
+    """The tool side moves along a direction of the base frame with the temperature of a sensor: c·(T − 20 °C)."""
 
-    Args:
-        side: tool side and direction.
-        sensor: name of the sensor, from column ``T_<sensor>_degC``.
-        coefficient: c, µm/K.
-    """
+    units = (("coefficient", "um/K"),)
 
     def __init__(self, side: ToolSide, sensor: str, coefficient: float) -> None:
         super().__init__(f"thermal_growth:{side.direction} by {sensor}", side)
         self.sensor = sensor
         self.coefficient = coefficient
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """The coefficient."""
-        return (self._number("coefficient", "um/K", self.coefficient),)
 
     def derivatives(self, positions: Mapping[str, Any]) -> tuple[Mapping[int, Any], ...]:
         """See `Effect.derivatives`; needs ``T_<sensor>_degC``."""
@@ -61,16 +35,9 @@ class ThermalGrowth(ToolSideShift):
 
 
 def direction_and_sensor(machine: Machine, where: str, specification: Specification) -> tuple[ToolSide, str]:
-    """Return the tool side with the direction, and the sensor, of a place such as ``Z by bed``.
-
-    Raises:
-        InputError: the machine has no such place.
-    """
+    """Return the tool side with the direction, and the sensor, of a place such as ``Z by bed``; raise `InputError` if there is none."""
     direction, _, sensor = where.partition(" by ")
-    side = tool_side(machine, direction)
-    if side is None or not sensor:
-        raise specification.no_place(machine, where)
-    return side, sensor
+    return specification.tool_side(machine, where, direction if sensor else ""), sensor
 
 
 def sensors_of(state: State) -> list[str]:
@@ -95,12 +62,6 @@ def _candidates(machine: Machine, state: State) -> tuple[list[str], list[tuple[s
     return [f"{way} by {sensor}" for way in ways for sensor in sensors], []
 
 
-def _forms(machine: Machine, where: str, state: State, payloads: Sequence[Payload] | None) -> Forms:
-    return single_parameter_form(
-        ("coefficient", "um/K"), lambda value: _make(machine, where, {"coefficient": value}, ())
-    )
-
-
 THERMAL_GROWTH: Final = Specification(
     name="thermal_growth",
     kind="machine",
@@ -123,7 +84,6 @@ THERMAL_GROWTH: Final = Specification(
     channels=lambda where: (f"T_{where.partition(' by ')[2]}_degC",),
     expected=lambda machine: "X, Y or Z of the base frame and a sensor, such as Z by bed",
     make=_make,
-    forms=_forms,
     candidates=_candidates,
     varies="with time",
     drawing=Drawing(columns=lambda where: (f"T_{where.split(' by ')[1]}_degC",), of_base=True),
@@ -140,13 +100,9 @@ class ThermalLag(HistoryShift):
     """The tool side moves along a direction of the base frame by c·L, L the first-order lag of T − 20 °C with time constant τ.
 
     L is equal to T − 20 °C at the first reading. A single temperature given for a program is taken to have been constant.
-
-    Args:
-        side: tool side and direction.
-        sensor: name of the sensor, from column ``T_<sensor>_degC``.
-        coefficient: c, µm/K.
-        time_constant: τ, s.
     """
+
+    units = (("coefficient", "um/K"), ("time_constant", "s"))
 
     starts_settled = True
 
@@ -155,18 +111,6 @@ class ThermalLag(HistoryShift):
         self.sensor = sensor
         self.coefficient = coefficient
         self.time_constant = time_constant
-
-    def changed(self, coefficient: float, time_constant: float) -> ThermalLag:
-        """Return the same effect with other parameters."""
-        return ThermalLag(self._side, self.sensor, coefficient, time_constant)
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """Coefficient and time constant."""
-        return (
-            self._number("coefficient", "um/K", self.coefficient),
-            self._number("time_constant", "s", self.time_constant),
-        )
 
     def driven(self, positions: Mapping[str, Any]) -> Any:
         """See `HistoryShift.driven`; needs ``T_<sensor>_degC``."""
@@ -194,21 +138,17 @@ def _lag_candidates(machine: Machine, state: State) -> tuple[list[str], list[tup
 
 
 def _lag_forms(machine: Machine, where: str, state: State, payloads: Sequence[Payload] | None) -> Forms:
-    def effects(value: float, fixed: Mapping[str, float]) -> tuple[ThermalLag, ...]:
-        return (_make_lag(machine, where, {"coefficient": value, **fixed}, ()),)
-
-    constants = drift_time_constants(state[TIME])[::TIME_CONSTANT_STRIDE]
-    return Forms(
-        (("coefficient", "um/K"),),
-        lambda values, fixed: effects(float(values[0]), fixed),
-        lambda fixed: effects(1.0, fixed),
-        tuple({"time_constant": constant} for constant in constants),
+    return linear_forms(
+        ThermalLag.units[:1],
+        lambda values, fixed: _make_lag(machine, where, {"coefficient": values[0], **fixed}, ()),
+        tuple({"time_constant": constant} for constant in drift_time_constants(state[TIME])[::TIME_CONSTANT_STRIDE]),
         tests=3.0,
     )
 
 
 def _constrain(effect: ThermalLag, values: Sequence[float], longest: float) -> ThermalLag:
-    return effect.changed(values[0], one_step(effect.time_constant, values[1], longest))
+    constant = one_step(effect.time_constant, values[1], longest)
+    return ThermalLag(effect.side, effect.sensor, values[0], constant)
 
 
 THERMAL_LAG: Final = Specification(

@@ -7,16 +7,8 @@ from typing import Any, Final, final
 
 from twin._common.messages import Message
 from twin.machine.machine import Machine
-from twin.model.effects.base import Effect, Frame, Parameter, Payload, channel, direction_of, split_name
-from twin.model.effects.specification import (
-    EXTENDING,
-    Advice,
-    Drawing,
-    Forms,
-    Specification,
-    State,
-    single_parameter_form,
-)
+from twin.model.effects.base import Effect, Frame, Payload, channel, direction_of, split_name
+from twin.model.effects.specification import EXTENDING, Advice, Drawing, Specification, State
 from twin.model.effects.thermal_expansion import REFERENCE_DEGC
 from twin.model.effects.thermal_growth import varying_sensors
 
@@ -27,13 +19,11 @@ FIRST_ANGLE: Final = 3
 class ThermalTilt(Effect):
     """One angular error motion or orientation of an axis changes with a sensor: E_AZ += c·(T − 20 °C), at every position of the axis.
 
-    For a linear axis it is its error motion (column, head, saddle), for a rotary axis the orientation of its average line (ISO 230-1).
-
-    Args:
-        name: ``E_AZ``, or ``E_A0C`` for a rotary axis.
-        sensor: name of the sensor, from column ``T_<sensor>_degC``.
-        coefficient: c, µrad/K.
+    For a linear axis it is its error motion (column, head, saddle), for a rotary axis the orientation of its average line (ISO 230-1),
+    ``E_A0C``.
     """
+
+    units = (("coefficient", "urad/K"),)
 
     def __init__(self, name: str, sensor: str, coefficient: float) -> None:
         self._component, constant, axis = split_name(name)
@@ -41,11 +31,6 @@ class ThermalTilt(Effect):
         self.frame = Frame(axis, "location" if constant else "motion")
         self.sensor = sensor
         self.coefficient = coefficient
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """The coefficient."""
-        return (self._number("coefficient", "urad/K", self.coefficient),)
 
     def derivatives(self, positions: Mapping[str, Any]) -> tuple[Mapping[int, Any], ...]:
         """See `Effect.derivatives`; needs ``T_<sensor>_degC``."""
@@ -68,12 +53,6 @@ def _make(machine: Machine, where: str, numbers: Mapping[str, float], payloads: 
 
 def _candidates(machine: Machine, state: State) -> tuple[list[str], list[tuple[str, str]]]:
     return [f"{name} by {sensor}" for name in _angles(machine) for sensor in varying_sensors(state)], []
-
-
-def _forms(machine: Machine, where: str, state: State, payloads: Sequence[Payload] | None) -> Forms:
-    return single_parameter_form(
-        ("coefficient", "urad/K"), lambda value: _make(machine, where, {"coefficient": value}, ())
-    )
 
 
 def _title(where: str) -> str:
@@ -106,7 +85,6 @@ THERMAL_TILT: Final = Specification(
         "an angular error motion of a linear axis, or an orientation of a rotary one, and a sensor: E_AZ by bed"
     ),
     make=_make,
-    forms=_forms,
     candidates=_candidates,
     varies="with time",
     rare=True,
