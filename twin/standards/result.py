@@ -18,9 +18,9 @@ from twin.display import figure, note, readable, table
 from twin.display.numbers import COVERAGE_FACTOR, with_joined_units
 from twin.display.results import Display, DisplayedResult
 from twin.measurement.checks import RowNote, grouped_notes
-from twin.standards.drift.iso230_3 import DriftSeries
 from twin.standards.iso230_1 import AngularError, SquarenessError, Straightness
 from twin.standards.iso230_2 import Positioning, UnidirectionalPositioning
+from twin.standards.iso230_3 import DriftSeries
 from twin.standards.iso230_4 import CircularTest, RotaryMotion
 
 SCHEMA: Final = "twin.evaluation/1"

@@ -9,9 +9,8 @@ from functools import cache
 from typing import Final
 
 from twin._common.errors import InputError, closest_name
-from twin.numerics.curves.bases import Bernstein, Fourier, Power
+from twin.numerics.curves.bases import Bernstein, CubicSpline, Fourier, Power
 from twin.numerics.curves.basis import Basis, CurveSpace, conversion, legendre_in_basis
-from twin.numerics.curves.cubic_spline import CubicSpline
 from twin.numerics.curves.fg_bernstein import FGBernstein
 
 BASES: Final[tuple[type[Basis], ...]] = (Power, Fourier, Bernstein, CubicSpline)

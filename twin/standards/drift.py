@@ -27,16 +27,19 @@ from twin.measurement.instruments import Instrument
 from twin.measurement.observation import of_angles
 from twin.measurement.set_up import nominal_carriers
 from twin.measurement.table import Measurements
-from twin.standards.drift.iso230_3 import (
+from twin.standards.iso230_3 import (
     FIRST_S,
     AxisDesign,
+    DriftRecord,
     DriftSeries,
+    SensorMap,
     axis_design,
     drift_series,
+    is_displacement_record,
+    load_displacements,
     spread,
     turning_axis,
 )
-from twin.standards.drift.record import DriftRecord, SensorMap, is_displacement_record, load_displacements
 from twin.standards.readings import SAME_AS_MACHINE, NotPossible, reading_uncertainty_mm, rms_um
 from twin.standards.result import (
     EvaluationResult,
