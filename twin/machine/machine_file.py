@@ -191,11 +191,7 @@ def _check_tree(robot: Element, path: Path) -> None:
         parent, child = (_end(joint, kind, known, path) for kind in ("parent", "child"))
         if child in carried:
             raise InputError(
-                "a link carried by two joints",
-                expected="one joint per link",
-                file=path,
-                line=joint.line,
-                value=child,
+                "a link carried by two joints", expected="one joint per link", file=path, line=joint.line, value=child
             )
         carried[child] = joint
         below[parent].append(child)
@@ -301,11 +297,16 @@ LONGEST_TOOL_MM: Final = 5_000.0
 _Position = Annotated[float, Field(ge=-MAX_POSITION, le=MAX_POSITION)]
 
 
-@final
-class AxisEntry(BaseModel):
-    """One axis."""
+class FileEntry(BaseModel):
+    """Entry of a YAML file: all names known, all numbers finite, immutable."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, defer_build=True)
+
+
+@final
+class AxisEntry(FileEntry):
+    """One axis."""
+
     name: Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9]*$")]
     joint: str
     kind: Literal["linear", "rotary"]
@@ -315,20 +316,18 @@ class AxisEntry(BaseModel):
 
 
 @final
-class Frames(BaseModel):
+class Frames(FileEntry):
     """Links that are the tool and work frames, and axis coordinates of the URDF's zero position."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, defer_build=True)
     tool: str
     work: str
     origin: dict[str, _Position] = {}
 
 
 @final
-class Programs(BaseModel):
+class Programs(FileEntry):
     """Defaults for programs on this machine."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, defer_build=True)
     tool_length: Annotated[float, Field(ge=0, le=LONGEST_TOOL_MM)] = 0.0
     tcp_on: tuple[str, ...] = ()
     tcp_off: tuple[str, ...] = ()
@@ -337,26 +336,23 @@ class Programs(BaseModel):
 
 
 @final
-class Magnitudes(BaseModel):
+class Magnitudes(FileEntry):
     """Prior standard deviations of errors of one kind, µm and µrad."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, defer_build=True)
     um: Annotated[float, Field(gt=0.0, le=1e5)] = 1000.0
     urad: Annotated[float, Field(gt=0.0, le=1e5)] = 1000.0
 
 
-class Plausible(BaseModel):
+class Plausible(FileEntry):
     """Prior standard deviations by kind: error motions; squareness and locations of rotary axes."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, defer_build=True)
     motion: Magnitudes = Magnitudes()
     location: Magnitudes = Magnitudes()
 
 
-class MachineFile(BaseModel):
+class MachineFile(FileEntry):
     """A machine file."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, defer_build=True)
     schema_: Literal["twin.machine/1"] = Field(alias="schema")
     name: str
     urdf: str

@@ -22,19 +22,20 @@ from __future__ import annotations
 import re
 import textwrap
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from math import pi
-from typing import Annotated, Any, Final, Literal, final
+from typing import Annotated, Any, Final, Literal
 
 import numpy as np
 import pinocchio as pin
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from twin._common.errors import InputError, closest_name
 from twin._common.families import BasicClass
 from twin._common.provenance import MODEL_NOT_TESTED, NOISE_CONTRADICTED, SYSTEMATIC_RESIDUALS, SourceWarning
+from twin._common.records import is_temperature
 from twin._common.yaml_files import yaml_text
 from twin.machine.machine import ErrorFrame, Machine
+from twin.machine.machine_file import FileEntry
 from twin.model.effects import Effect, Empirical, Frame, GravityCompliance, Payload
 from twin.model.effects.base import numbered, rest_orientation
 from twin.model.effects.empirical import FrameRotation, channel_name
@@ -57,19 +58,8 @@ MAX_ORDER: Final = 64
 Along = Literal["base", "tool", "work"]
 
 
-@final
-@dataclass(frozen=True)
-class ColumnSpec:
-    """One column of an entry."""
-
-    column: str  # name of the column in the table
-    functions: Kind
-    order: int | None  # highest order; None for a direction
-    range: tuple[float, float] | None  # range of the measured values; None if the functions need none
-
-
 def empirical_named(
-    where: str, along: Along, columns: Sequence[ColumnSpec], numbers: Mapping[str, float], machine: Machine
+    where: str, along: Along, columns: Sequence[ColumnEntry], numbers: Mapping[str, float], machine: Machine
 ) -> Empirical:
     """Create an empirical effect from its entry in a calibration file.
 
@@ -93,10 +83,7 @@ def empirical_named(
         if name not in known:
             expected = f"{known[0]} … {known[-1]}"
             raise InputError(
-                f"no such parameter of {NAME} {where}",
-                expected=expected,
-                value=name,
-                nearest=closest_name(name, known),
+                f"no such parameter of {NAME} {where}", expected=expected, value=name, nearest=closest_name(name, known)
             )
         if abs(value) > MAX_COEFFICIENT_UM:
             expected = f"at most {MAX_COEFFICIENT_UM:g} µm"
@@ -174,14 +161,10 @@ def entry_of_empirical(effect: Empirical) -> dict[str, Any]:
 def available_in_programs(column: str, machine: Machine) -> bool:
     """Return whether a column is available when a program is compensated: positions, directions of approach, temperatures; not time."""
     axes = [f"{axis.name}_{axis.unit}" for axis in machine.axes]
-    return column in axes or column.removeprefix(APPROACH) in machine.names or _temperature(column)
+    return column in axes or column.removeprefix(APPROACH) in machine.names or is_temperature(column)
 
 
-def _temperature(column: str) -> bool:
-    return re.fullmatch(r"T_.+_degC", column) is not None
-
-
-def _waves(where: str, given: ColumnSpec, machine: Machine) -> Waves:  # noqa: C901, PLR0912
+def _waves(where: str, given: ColumnEntry, machine: Machine) -> Waves:  # noqa: C901, PLR0912
     """Return one column after checking it."""
     name, what = given.column, f"{given.column} of {NAME} {where}"
     axis = machine.by_name.get(channel_name(name))
@@ -240,10 +223,9 @@ READABLE: Final = 20
 """Largest number of parameters whose joint covariance is written as readable rows."""
 
 
-class CurveEntry(BaseModel):
+class CurveEntry(FileEntry):
     """One error motion."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, defer_build=True)
     unit: str
     domain: tuple[float, float]
     basis: str
@@ -254,53 +236,48 @@ class CurveEntry(BaseModel):
     source: str = ""
 
 
-class ColumnEntry(BaseModel):
+class ColumnEntry(FileEntry):
     """One column of an empirical effect."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, defer_build=True)
     column: str
-    functions: Literal["half_waves", "whole_turns", "direction"]
+    functions: Kind
     order: int | None = None
     range: tuple[float, float] | None = None
 
 
-class EffectEntry(BaseModel):
+class EffectEntry(FileEntry):
     """One effect; the last four fields apply only to an empirical effect."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, defer_build=True)
     effect: str
     where: str
     parameters: dict[str, float]
     cause: Literal["unknown"] | None = None
     note: str = ""
-    along: Literal["base", "tool", "work"] | None = None
+    along: Along | None = None
     columns: tuple[ColumnEntry, ...] = ()
 
 
-class CovarianceEntry(BaseModel):
+class CovarianceEntry(FileEntry):
     """Joint covariance of all parameters: its lower triangle in rows, or compressed with its SHA-256 (`Covariance.to_compressed`)."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, defer_build=True)
     parameters: tuple[str, ...]
     lower: str | None = None
     compressed: str | None = None
     sha256: str = ""
 
 
-class TableFileEntry(BaseModel):
+class TableFileEntry(FileEntry):
     """One table of the control."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, defer_build=True)
     file: str
     format: str
     classes: tuple[BasicClass, ...]
     sha256: str
 
 
-class ControlEntry(BaseModel):
+class ControlEntry(FileEntry):
     """Correction tables and kinematics active in the control."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, defer_build=True)
     errors_are: Literal["uncorrected", "remaining"]
     tables: tuple[TableFileEntry, ...] = ()
     kinematics: Annotated[tuple[TableFileEntry, ...], Field(max_length=1)] = ()
@@ -313,18 +290,16 @@ class ControlEntry(BaseModel):
         return self
 
 
-class UnidentifiedEntry(BaseModel):
+class UnidentifiedEntry(FileEntry):
     """An error that the readings did not determine."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, defer_build=True)
     name: str  # ISO 230-1 name
     why: Annotated[str, Field(min_length=1)]  # the reason, and what would change it; one sentence
 
 
-class MisfitEntry(BaseModel):
+class MisfitEntry(FileEntry):
     """Residuals of the identification, compared with the noise stated for the readings."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, defer_build=True)
     # ``consistent``; ``systematic`` (a repeatable part is left); ``larger`` than stated; ``untested`` (too few readings)
     verdict: Literal["consistent", "systematic", "larger", "untested"]
     says: str = ""  # the verdict as a sentence
@@ -352,10 +327,9 @@ MISFIT_WARNINGS: Final[dict[str, SourceWarning | None]] = {
 }
 
 
-class MeasuredWith(BaseModel):
+class MeasuredWith(FileEntry):
     """Set-up of the measurement."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, defer_build=True)
     stations: Annotated[int, Field(ge=0)]  # number of stations
     # targets_on_tool, targets_on_work: number of reflectors, balls or spheres on either side
     targets_on_tool: Annotated[int, Field(ge=0)]
@@ -363,10 +337,9 @@ class MeasuredWith(BaseModel):
     points: Annotated[int, Field(ge=0)]  # number of points used
 
 
-class CalibrationFile(BaseModel):
+class CalibrationFile(FileEntry):
     """A calibration file."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, defer_build=True)
     schema_: Literal["twin.calibration/1"] = Field(alias="schema")
     machine: str
     source: str
@@ -378,9 +351,9 @@ class CalibrationFile(BaseModel):
     misfit: MisfitEntry | None = None
     not_identifiable: tuple[UnidentifiedEntry, ...] = ()
     not_estimated: tuple[str, ...] = ()
-    curves: dict[str, CurveEntry] = {}
-    squareness: dict[str, float] = {}
-    location: dict[str, float] = {}
+    curves: dict[str, CurveEntry] = Field(default_factory=dict)
+    squareness: dict[str, float] = Field(default_factory=dict)
+    location: dict[str, float] = Field(default_factory=dict)
     covariance: CovarianceEntry | None = None
     effects: tuple[EffectEntry, ...] = ()
     control: ControlEntry | None = None
@@ -428,11 +401,9 @@ def _effect(entry: EffectEntry, machine: Machine, payloads: Sequence[Payload]) -
         return effect_named(entry.effect, entry.where, entry.parameters, machine, payloads)
     if entry.cause is None or entry.along is None:
         raise InputError(
-            f"{NAME} {entry.where} without cause or along",
-            expected="cause: unknown, and along: base, tool or work",
+            f"{NAME} {entry.where} without cause or along", expected="cause: unknown, and along: base, tool or work"
         )
-    columns = [ColumnSpec(column.column, column.functions, column.order, column.range) for column in entry.columns]
-    return empirical_named(entry.where, entry.along, columns, entry.parameters, machine)
+    return empirical_named(entry.where, entry.along, entry.columns, entry.parameters, machine)
 
 
 def measurement_entries(

@@ -175,14 +175,11 @@ def _numbers(effects: Sequence[Effect], covariance: Covariance, title: str, draw
 
 
 def _others(effects: Sequence[Effect], covariance: Covariance) -> Html:
-    rows = [(effect.name, effect.frame.axis, _parameters_html(effect, covariance)) for effect in effects]
+    rows: list[tuple[Cell, ...]] = []
+    for effect in effects:
+        numbers = chips(
+            f"{p.name.removeprefix(effect.name).strip(':[] .')} {measured(p.value, uncertainty_of(p.name, covariance), p.unit)}"
+            for p in effect.parameters
+        )
+        rows.append((effect.name, effect.frame.axis, numbers if effect.parameters else "according to its tables"))
     return table(["other effect", "acts in the frame of", "parameters (± 95 %)"], rows)
-
-
-def _parameters_html(effect: Effect, covariance: Covariance) -> Cell:
-    if not effect.parameters:
-        return "according to its tables"
-    return chips(
-        f"{p.name.removeprefix(effect.name).strip(':[] .')} {measured(p.value, uncertainty_of(p.name, covariance), p.unit)}"
-        for p in effect.parameters
-    )

@@ -21,7 +21,7 @@ from typing import Final, final
 import numpy as np
 import scipy
 
-from twin._common.arrays import first_largest, read_only
+from twin._common.arrays import read_only
 from twin._common.errors import InputError
 
 SINGULAR_VALUE_TOLERANCE: Final = 1.0
@@ -220,48 +220,9 @@ class Determinability:
         return tuple(unknown.name for unknown in self.unknowns)
 
     @property
-    def rank(self) -> int:
-        """Number of observable directions."""
-        return self.spectrum.rank
-
-    @property
-    def leverage(self) -> np.ndarray:
-        """(p,) share of each unknown in the null space, 0 to 1 (`Spectrum.leverage`)."""
-        return self.spectrum.leverage
-
-    @property
-    def reach(self) -> np.ndarray:
-        """(p,) prior standard deviation of each unknown within the null space, in its stated unit."""
-        return np.asarray(self.spectrum.reach / np.array([unknown.factor for unknown in self.unknowns]))
-
-    @property
     def remaining_variance(self) -> np.ndarray:
         """(p,) share of each unknown's prior variance that remains (`Spectrum.remaining_variance`)."""
         return self.spectrum.remaining_variance
-
-    @property
-    def determined(self) -> np.ndarray:
-        """(p,) whether at most a share `NOT_DETERMINED` of the prior variance remains."""
-        return np.asarray(self.remaining_variance <= NOT_DETERMINED)
-
-    @property
-    def u(self) -> np.ndarray:
-        """(p,) standard uncertainties in the stated units, from the data alone; NaN where an unknown is not determined."""
-        own = np.sqrt(np.diag(self.spectrum.covariance(null_space=False)))
-        return np.where(self.determined, own / np.array([unknown.factor for unknown in self.unknowns]), np.nan)
-
-    @property
-    def observability(self) -> Observability:
-        """Indices over all allowed directions, in plausible units and standard uncertainties; zero without full rank."""
-        return observability(self.spectrum.values, self.measurements)
-
-    @property
-    def null_directions(self) -> tuple[NullDirection, ...]:
-        """A readable basis of the null space: each vector has one unknown that no other vector contains.
-
-        Computed by elimination; not orthogonal. The largest change in each is one plausible size.
-        """
-        return tuple(self._direction(column) for column in _reduced_basis(self.spectrum.null_space).T)
 
     def null_direction_of(self, name: str) -> NullDirection | None:
         """Return the null direction that contains an unknown and the fewest others; None if the unknown is hardly in the null space.
@@ -317,7 +278,7 @@ class Determinability:
             one = self.unknowns[i]
             moves.append(UnknownMove(one.name, float(vector[i]) * one.plausible, one.unit))
         along = self.spectrum.null_space.T @ vector
-        change = float(np.linalg.norm(self.spectrum.values[self.rank :] * along))
+        change = float(np.linalg.norm(self.spectrum.values[self.spectrum.rank :] * along))
         return NullDirection(tuple(moves), change, max(len(order) - MOST_NAMED, 0))
 
 
@@ -370,19 +331,3 @@ def determinability(
         scaled = np.linalg.qr(scaled, mode="r")
     _, spectrum = decompose(scaled, scale, free=free, tolerance=tolerance)
     return Determinability(tuple(unknowns), spectrum, tolerance, measurements or len(matrix))
-
-
-def _reduced_basis(basis: np.ndarray) -> np.ndarray:
-    """Return another basis (p, s) of the same space: each vector is one in a row where all others are zero.
-
-    Each row is the one with the largest remainder off those chosen before, the first among equals: a pivoted Cholesky factorisation of
-    the projector, which unlike the orthonormal basis does not depend on rounding.
-    """
-    remainder, rows = np.array(basis), list[int]()
-    for _ in range(basis.shape[1]):
-        rows.append(first_largest(np.linalg.norm(remainder, axis=1)))
-        along = remainder[rows[-1]] / np.linalg.norm(remainder[rows[-1]])
-        remainder = remainder - np.outer(remainder @ along, along)
-    reduced_basis = np.linalg.solve(basis[rows].T, basis.T).T
-    reduced_basis[rows] = np.eye(len(rows))
-    return np.asarray(reduced_basis)

@@ -196,9 +196,7 @@ def _matrix(matrix: Any) -> np.ndarray:
     off = np.abs(np.swapaxes(array, -1, -2) @ array - np.eye(3)).max(initial=0.0)
     if not off <= ORTHONORMAL:  # NaN as well
         raise InputError(
-            "a matrix is not a rotation",
-            expected=f"orthonormal columns, to {ORTHONORMAL:g}",
-            value=f"off by {off:.2g}",
+            "a matrix is not a rotation", expected=f"orthonormal columns, to {ORTHONORMAL:g}", value=f"off by {off:.2g}"
         )
     if np.any(np.linalg.det(array) < 0.0):
         raise InputError("a matrix is not a rotation", expected="a right-handed one", value="a mirror image")

@@ -11,7 +11,7 @@ machines: distributions are stored as counts over fine bins.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cached_property
 from itertools import pairwise
@@ -286,16 +286,8 @@ UNDECIDED: Final = 3.5
 their standard errors are estimates: with two, one pose in four was called insufficient where first order is exact."""
 
 LEADING_KEYS: Final = (
-    *(
-        "machines",
-        "seed",
-        "as_it_is",
-        "compensated",
-        "without_uncertainty",
-        "warnings",
-        "not_identified",
-        "identified_um",
-    ),
+    *("machines", "seed", "as_it_is", "compensated"),
+    *("without_uncertainty", "warnings", "not_identified", "identified_um"),
 )
 """Attributes that come before the poses in JSON."""
 
@@ -430,9 +422,7 @@ def draw_machines(
     """
     if not FEWEST_TRIALS <= trials <= MOST_TRIALS:
         raise InputError(
-            "number of machines outside its limits",
-            expected=f"{FEWEST_TRIALS} … {MOST_TRIALS}",
-            value=trials,
+            "number of machines outside its limits", expected=f"{FEWEST_TRIALS} … {MOST_TRIALS}", value=trials
         )
     if not 1 <= poses <= MOST_POSES:
         raise InputError("number of poses outside its limits", expected=f"1 … {MOST_POSES}", value=poses)
@@ -444,13 +434,7 @@ def draw_machines(
 
 
 def _drawn(
-    kinematics: Kinematics,
-    trials: int,
-    poses: int,
-    seed: int,
-    digits: int,
-    workers: Workers | None,
-    progress: Progress,
+    kinematics: Kinematics, trials: int, poses: int, seed: int, digits: int, workers: Workers | None, progress: Progress
 ) -> Population:
     calibration = kinematics.calibration
     tool = ToolUncertainty(kinematics)
@@ -535,16 +519,6 @@ def _identified_u(draws: Draws, tool: ToolUncertainty, first: PoseUncertainty) -
     if not alone.parameters:
         return read_only(np.zeros(len(draws.positions)))
     return alone.at(draws.positions, draws.sides).expanded_um
-
-
-def _sufficiency_text(validated: Sequence[bool | None]) -> str:
-    """Return as text at how many poses first order is sufficient."""
-    counts = {
-        "yes": validated.count(True),
-        "no": validated.count(False),
-        "too few draws to decide": validated.count(None),
-    }
-    return ", ".join(f"{words} at {count_with_noun(count, 'pose')}" for words, count in counts.items() if count)
 
 
 def numerical_tolerance(standard: np.ndarray, digits: int) -> np.ndarray:

@@ -33,7 +33,7 @@ from twin.display.results import Result
 from twin.machine.machine import Machine
 from twin.model.calibration import Calibration
 from twin.model.conditions import APPROACH, Conditions
-from twin.model.display import standard_uncertainty
+from twin.model.display import combined_uncertainty, standard_uncertainty, uncertainty_of
 from twin.model.effects import Effect, assemble, unit_of
 from twin.model.iso16907 import error_motion_of, iso_class
 from twin.model.unknown_errors import prior_covariance, unknown_effects
@@ -222,24 +222,20 @@ def _entries(calibration: Calibration, state: Mapping[str, Any]) -> Iterator[tup
     covariance = calibration.covariance
     constants = {**calibration.squareness, **calibration.location}
     for effect in calibration.effects:
-        name, numbers = effect.name, [parameter.name for parameter in effect.parameters]
+        name = effect.name
         curve = calibration.curves.get(name)
-        known = set(numbers) <= set(covariance.names)
         if curve is not None:
             q = np.linspace(*curve.domain, CURVE_POINTS)
             u = float(standard_uncertainty(effect, covariance, q).max())
             yield effect, float(np.abs(curve(q)).max()), u, curve.unit, curve.illustrative
         elif name in constants:
-            u = float(np.sqrt(covariance.of(numbers).matrix[0, 0])) if known else np.nan
-            yield effect, abs(constants[name]), u, unit_of(name), False
+            yield effect, abs(constants[name]), uncertainty_of(name, covariance), unit_of(name), False
         else:
             component, values = max(effect.components(state).items(), key=lambda one: float(np.max(np.abs(one[1]))))
-            u = np.nan if numbers else 0.0
-            if numbers and known:
+            u = 0.0
+            if effect.parameters:
                 shape = np.shape(state[calibration.machine.names[0]])
-                rates = [np.broadcast_to(rate.get(component, 0.0), shape) for rate in effect.derivatives(state)]
-                variance = np.einsum("kn,kl,ln->n", rates, covariance.of(numbers).matrix, rates)
-                u = float(np.sqrt(max(variance.max(), 0.0)))
+                u = float(combined_uncertainty([effect], covariance, state, component, shape).max())
             yield effect, float(np.max(np.abs(values))), u, "um" if component < 3 else "urad", False
 
 

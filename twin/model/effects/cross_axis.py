@@ -8,7 +8,7 @@ from typing import Any, Final, final
 from twin._common.messages import Message
 from twin.machine.error_names import DIRECTIONS
 from twin.machine.machine import Machine
-from twin.model.effects.base import Effect, Frame, Payload, direction_of, split_name
+from twin.model.effects.base import Effect, Frame, Payload, axis_of, direction_of, split_name
 from twin.model.effects.specification import EXTENDED, Advice, Drawing, Specification, State, linear_axes
 
 
@@ -64,12 +64,6 @@ def _is_translation(where: str) -> bool:
     return split_name(where.split(" ")[0])[0] < 3
 
 
-def _drawn_against(where: str) -> tuple[str, ...]:
-    """Return the axis to plot against: for a translation its own (at three positions of the other), for a rotation the other."""
-    name, _, by = where.partition(" by ")
-    return (split_name(name)[2] if _is_translation(where) else by,)
-
-
 CROSS_AXIS: Final = Specification(
     name="cross_axis",
     kind="machine",
@@ -90,7 +84,8 @@ CROSS_AXIS: Final = Specification(
     make=_make,
     candidates=_candidates,
     drawing=Drawing(
-        columns=_drawn_against,
+        # A translation is plotted against its own axis (at three positions of the other), a rotation against the other.
+        columns=lambda where: (axis_of(where) if _is_translation(where) else where.partition(" by ")[2],),
         split=lambda where: where.split(" by ")[1] if _is_translation(where) else "",
         spread=True,
     ),

@@ -56,10 +56,7 @@ def effect_named(
     if specification is None or specification.make is None:
         known = list(specifications)
         raise InputError(
-            "no such effect",
-            expected=f"one of {', '.join(known)}",
-            value=effect,
-            nearest=closest_name(effect, known),
+            "no such effect", expected=f"one of {', '.join(known)}", value=effect, nearest=closest_name(effect, known)
         )
     values = specification.numbers_of(where, numbers)
     if not specification.open_places and where not in specification.places(machine):

@@ -97,18 +97,11 @@ class AddedLoad(AlongAxis):
     In a calibration it is no effect of its own: the mass joins the load of the compliance (`carrying`), without an uncertainty.
 
     Args:
-        compliant: the deflection that is known.
         load: positions → the (4,) loads along the axis by 1 kg and by a first moment of 1 kg·m in x, y, z (`gravity_load`); for a
             carried load those by the mass of each reading and by that mass 1 m away.
-        side: ``tool`` or ``work``.
         weights: (4,) mass, kg, and first moments, kg·m; both per kg of a carried load.
-        carried: whether it is a carried load.
-        u: standard uncertainty of the compliance.
+        u: standard uncertainty of the compliance; ``relative_u`` is the fraction of it.
         beside: the deflections of joints that carry the load too and whose compliance is not known; they are part of the doubt only.
-
-    Attributes:
-        relative_u: standard uncertainty as a fraction of the compliance.
-        beside: as given.
     """
 
     def __init__(
@@ -341,9 +334,9 @@ PAYLOAD: Final = Specification(
     candidates=lambda machine, state: ([], []),
 )
 
-CARRIED_LOAD: Final = Specification(
+CARRIED_LOAD: Final = replace(
+    PAYLOAD,
     name="carried_load",
-    kind="machine",
     title=lambda where: Message("deflection under the load that the {where} side carries", where=_SIDE[where]),
     family="deflection under the carried load",
     advice=Advice(
@@ -355,10 +348,6 @@ CARRIED_LOAD: Final = Specification(
     parameters=LOAD_NUMBERS,
     required=lambda names: LOAD_NUMBERS if LOAD_NUMBERS[0] in names else NUMBERS[1:],
     limits={"1": LARGEST_RATIO, "mm": FARTHEST_MM},
-    non_negative=True,
-    places=lambda machine: SIDES,
-    expected=lambda machine: "tool or work",
     channels=lambda where: (LOAD,),
-    candidates=lambda machine, state: ([], []),
     drawing=Drawing(columns=lambda where: (LOAD,), spread=True),
 )

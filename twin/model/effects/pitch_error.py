@@ -103,10 +103,7 @@ def _forms(machine: Machine, where: str, state: State, payloads: Sequence[Payloa
         ),
         tuple({"period": float(1.0 / f)} for f in frequencies),
         together=SharedColumns(
-            functions,
-            [(k, count + k) for k in range(count)],
-            Frame(where, "motion"),
-            tuple(along(axis, 1.0).items()),
+            functions, [(k, count + k) for k in range(count)], Frame(where, "motion"), tuple(along(axis, 1.0).items())
         ),
     )
 

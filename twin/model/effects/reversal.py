@@ -121,11 +121,6 @@ def _limited(machine: Machine) -> tuple[str, ...]:
     return tuple(axis.name for axis in machine.axes if axis.lower is not None and axis.upper is not None)
 
 
-def _wanted(names: Sequence[str]) -> tuple[str, ...]:
-    """Return the names of as many coefficients as there are names, at least two."""
-    return tuple(f"c{k}" for k in range(len(names) or 2))
-
-
 def _candidates(machine: Machine, state: State) -> tuple[list[str], list[tuple[str, str]]]:
     return [where for where in _limited(machine) if _degrees(state, where) >= 1], []
 
@@ -179,7 +174,7 @@ REVERSAL_CURVE: Final = Specification(
     ),
     evidence=_evidence,
     parameters=("c0", "c1"),
-    required=_wanted,
+    required=lambda names: tuple(f"c{k}" for k in range(len(names) or 2)),
     limits={"um": 1000.0, "urad": 5000.0},
     places=_limited,
     expected=lambda machine: "an axis with a limited range",

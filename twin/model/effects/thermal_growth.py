@@ -239,10 +239,6 @@ def _make_tilt(machine: Machine, where: str, numbers: Mapping[str, float], paylo
     return ThermalTilt(name, sensor, numbers["coefficient"])
 
 
-def _tilt_candidates(machine: Machine, state: State) -> tuple[list[str], list[tuple[str, str]]]:
-    return [f"{name} by {sensor}" for name in _angles(machine) for sensor in varying_sensors(state)], []
-
-
 def _tilt_title(where: str) -> str:
     name, _, sensor = where.partition(" by ")
     return Message(
@@ -273,7 +269,10 @@ THERMAL_TILT: Final = Specification(
         "an angular error motion of a linear axis, or an orientation of a rotary one, and a sensor: E_AZ by bed"
     ),
     make=_make_tilt,
-    candidates=_tilt_candidates,
+    candidates=lambda machine, state: (
+        [f"{name} by {sensor}" for name in _angles(machine) for sensor in varying_sensors(state)],
+        [],
+    ),
     varies="with time",
     rare=True,
     drawing=Drawing(columns=lambda where: (f"T_{where.split(' by ')[1]}_degC",), spread=True),

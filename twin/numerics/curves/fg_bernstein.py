@@ -228,9 +228,7 @@ class FGBernstein:
         if len(wrong):
             i = int(wrong[0])
             raise InputError(
-                "parameters must increase",
-                expected=f"more than {nodes[i]:g} after it",
-                value=float(nodes[i + 1]),
+                "parameters must increase", expected=f"more than {nodes[i]:g} after it", value=float(nodes[i + 1])
             )
         if len(nodes) < self.degree + 1:
             raise InputError(
