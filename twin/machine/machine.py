@@ -106,6 +106,7 @@ class Machine(DisplayedResult):
         path: the machine file.
         urdf: the URDF file.
         axes: its axes in command order.
+        axis_joints: joint index in the Pinocchio model of every axis, in command order.
         model: the Pinocchio model, metres and radians, with a free-flyer joint for every error frame.
         frames: the error frames in the order in which errors are passed as arrays.
         tool_frame, work_frame: indices of the tool and work frames in ``model.frames``.
@@ -152,7 +153,7 @@ class Machine(DisplayedResult):
         self.work_frame = int(self.model.getFrameId(entries.frames.work, pin.FrameType.BODY))
         self.origin_mm: Mapping[str, float] = MappingProxyType(dict(entries.frames.origin))
         self._error_frames = {entry.name: error_frame(entry) for entry in entries.axes}
-        self._axis_joints = tuple(joint_of[entry.name] for entry in entries.axes)
+        self.axis_joints = tuple(joint_of[entry.name] for entry in entries.axes)
         turns = turns_in_machine_frame(entries, source, path, lines)
         self.axes = tuple(self._axis(entry, source, turns[entry.name]) for entry in entries.axes)
         self._check_paths(path, lines)
@@ -170,11 +171,6 @@ class Machine(DisplayedResult):
     def error_frame(self, axis: str) -> pin.SE3:
         """Return the placement of an axis's error frame in its joint's frame."""
         return pin.SE3(self._error_frames[axis])
-
-    @property
-    def axis_joints(self) -> tuple[int, ...]:
-        """Joint index in the Pinocchio model of every axis, in command order."""
-        return self._axis_joints
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -275,7 +271,7 @@ class Machine(DisplayedResult):
             Configuration (model.nq,).
         """
         configuration = pin.neutral(self.model)
-        for joint, value in zip(self._axis_joints, q, strict=True):
+        for joint, value in zip(self.axis_joints, q, strict=True):
             configuration[self.model.joints[joint].idx_q] = value
         if errors is not None:
             for frame, error in zip(self.frames, errors, strict=True):
@@ -291,7 +287,7 @@ class Machine(DisplayedResult):
 
     def display(self) -> Display:
         """Return kinematic chain, axes and files."""
-        ordered = [axis for _, axis in sorted(zip(self._axis_joints, self.axes, strict=True), key=lambda pair: pair[0])]
+        ordered = [axis for _, axis in sorted(zip(self.axis_joints, self.axes, strict=True), key=lambda pair: pair[0])]
         tool = [(axis.name, "axis") for axis in ordered if axis.side == "tool"]
         work = [(axis.name, "axis") for axis in reversed(ordered) if axis.side == "work"]
         links = chain([("workpiece", "end"), *work, ("base", "fixed"), *tool, ("tool", "end")])
@@ -310,6 +306,7 @@ class Machine(DisplayedResult):
         motion = np.array(_direction(joint))
         lower, upper = (None, None) if entry.range == "unlimited" else entry.range
         x, y, z = (_unit(row) for row in orientation)
+        tool, work = (self._carries(entry.name, frame) for frame in (self.tool_frame, self.work_frame))
         return Axis(
             name=entry.name,
             joint=entry.joint,
@@ -319,12 +316,8 @@ class Machine(DisplayedResult):
             increment=entry.increment,
             direction=_unit(turn.rotation.T @ motion),
             machine_axes=(x, y, z),
-            side=self._side(entry.name),
+            side="both" if tool and work else "tool" if tool else "work",
         )
-
-    def _side(self, name: str) -> Literal["tool", "work", "both"]:
-        tool, work = (self._carries(name, frame) for frame in (self.tool_frame, self.work_frame))
-        return "both" if tool and work else "tool" if tool else "work"
 
     def _carries(self, name: str, frame: int) -> bool:
         joint = next(candidate.joint for candidate in self.frames if candidate.axis == name)
@@ -362,9 +355,8 @@ def _with_error_frames(
     model = pin.Model()
     model.name = source.name
     model.gravity = source.gravity
-    end_of = {
-        0: (0, pin.SE3.Identity())
-    }  # old joint -> new joint that carries its body, and the body's placement on it
+    # old joint -> new joint that carries its body, and the body's placement on it
+    end_of = {0: (0, pin.SE3.Identity())}
     joint_of: dict[str, int] = {}
     free_flyers: dict[tuple[str, str], int] = {}
     for old in range(1, source.njoints):

@@ -420,35 +420,22 @@ def check_entries(entries: MachineFile, source: pin.Model, path: Path, lines: Ma
 
 
 def _check_frames(entries: MachineFile, source: pin.Model, path: Path, lines: Mapping[EntryPath, int]) -> None:
+    def fail(place: EntryPath, what: str, expected: str, value: str) -> InputError:
+        return InputError(what, expected=expected, file=path, line=line_of(place, lines), value=value)
+
     bodies = [frame.name for frame in source.frames if frame.type == pin.FrameType.BODY]
-    for key in ("tool", "work"):
-        if getattr(entries.frames, key) not in bodies:
-            raise InputError(
-                f"{entries.urdf} has no such link",
-                expected=f"one of {', '.join(bodies)}",
-                file=path,
-                line=line_of(("frames", key), lines),
-                value=getattr(entries.frames, key),
-            )
+    for key, link in (("tool", entries.frames.tool), ("work", entries.frames.work)):
+        if link not in bodies:
+            raise fail(("frames", key), f"{entries.urdf} has no such link", f"one of {', '.join(bodies)}", link)
     for word, places in entries.programs.references.items():
         for name in places:
             if not any(entry.name == name for entry in entries.axes):
-                raise InputError(
-                    "reference position of something that is not an axis",
-                    expected="names of axes",
-                    file=path,
-                    line=line_of(("programs", "references", word, name), lines),
-                    value=name,
-                )
+                what = "reference position of something that is not an axis"
+                raise fail(("programs", "references", word, name), what, "names of axes", name)
     for name in entries.frames.origin:
         if not any(entry.name == name and entry.kind == "linear" for entry in entries.axes):
-            raise InputError(
-                "origin of something that is not a linear axis",
-                expected="names of linear axes",
-                file=path,
-                line=line_of(("frames", "origin", name), lines),
-                value=name,
-            )
+            what = "origin of something that is not a linear axis"
+            raise fail(("frames", "origin", name), what, "names of linear axes", name)
 
 
 def turns_in_machine_frame(

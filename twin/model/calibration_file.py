@@ -1,12 +1,11 @@
 """Entries of a calibration file as pydantic models, and their conversion to effects.
 
-Conversion between `Empirical` and its `effects:` entry in a calibration file.
+An empirical effect:
 
     effects:
     - effect: empirical
       where: tool by X_mm, Y_mm
       cause: unknown
-      note: …
       along: base
       columns:
       - {column: X_mm, functions: half_waves, order: 8, range: [0.0, 500.0]}

@@ -160,16 +160,13 @@ class Conditions:
                 raise InputError(
                     f"implausible temperature of {name}", expected=f"°C from {low:g} to {high:g}", value=value
                 )
-        if self.time_s is not None and not 0.0 <= self.time_s < np.inf:
-            raise InputError(
-                "time must be zero or positive", expected="seconds since the start, 0 or more", value=self.time_s
-            )
-        if self.spindle_rpm is not None and not 0.0 <= self.spindle_rpm < np.inf:
-            raise InputError(
-                "spindle speed must be zero or positive", expected="1/min, 0 or more", value=self.spindle_rpm
-            )
-        if self.load_kg is not None and not 0.0 <= self.load_kg <= HEAVIEST_KG:
-            raise InputError("load must be zero or positive", expected=f"kg, 0 to {HEAVIEST_KG:g}", value=self.load_kg)
+        for what, given, most, expected in (
+            ("time", self.time_s, np.inf, "seconds since the start, 0 or more"),
+            ("spindle speed", self.spindle_rpm, np.inf, "1/min, 0 or more"),
+            ("load", self.load_kg, HEAVIEST_KG, f"kg, 0 to {HEAVIEST_KG:g}"),
+        ):
+            if given is not None and not (0.0 <= given <= most and given < np.inf):
+                raise InputError(f"{what} must be zero or positive", expected=expected, value=given)
 
     def missing(self, calibration: Calibration) -> dict[str, tuple[str, ...]]:
         """Return the channels, other than directions of approach, that a calibration needs and that are not given, with the effects."""

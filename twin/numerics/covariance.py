@@ -55,11 +55,7 @@ class Covariance:
         return cls(names, read_only(matrix))
 
     def of(self, names: Sequence[str]) -> Covariance:
-        """Return the covariance of some names, in the order given.
-
-        Raises:
-            KeyError: an unknown name.
-        """
+        """Return the covariance of some names, in the order given. Raises `KeyError`: an unknown name."""
         index = {name: i for i, name in enumerate(self.names)}
         rows = [index[name] for name in names]
         return Covariance(tuple(names), read_only(self.matrix[np.ix_(rows, rows)]))

@@ -1,25 +1,17 @@
 """Straightness, squareness and angular errors of linear axes (ISO 230-1:2012).
 
-The angular error is the range of the angular deviations over the travel: the largest minus the smallest. The zero of the instrument
-has no influence, and no slope is removed: an angle that changes steadily along the travel is an error motion. Deviations are the means
-of the readings at a position in one direction of approach, so that the range contains the reversal.
+The angular error is the largest minus the smallest angular deviation over the travel. The zero of the instrument has no influence, and
+no slope is removed: an angle that changes steadily along the travel is an error motion. Deviations are the means of the readings at a
+position in one direction of approach, so that the range contains the reversal.
 
-Straightness of a motion about the three reference lines of ISO 230-1:2012.
+Straightness deviations (clause 3.4, test 8.2) are taken along the direction in which they were measured, not perpendicular to the line:
+for slopes below a milliradian they differ by less than a millionth. All three reference lines are linear in the deviations (the minimum
+zone as long as the same three points define it), so the covariance of the deviations gives that of the line.
 
-Deviations (clause 3.4, test 8.2) are taken along the direction in which they were measured, not perpendicular to the line: for slopes
-below a milliradian they differ by less than a millionth. One plane; a motion has two, each evaluated by itself.
-
-All three lines are linear in the deviations (the minimum zone as long as the same three points define it), so the covariance of the
-deviations gives that of the line.
-
-Squareness of two linear axes from the reference lines of two straightness measurements, with the sign of ISO 230-1:2012.
-
-Both straightnesses are in the same plane and relative to the same reference: an artefact with two legs, or an instrument that
-was not moved in between. The sign is that of the direction of the second axis, rotated right-handed about the third::
-
-    E_XY −= y·E_C0Y        E_XZ += z·E_B0Z        E_YZ −= z·E_A0Z
-
-so a positive ``E_C0Y`` opens the angle from +X to +Y beyond 90°. A common rotation of the reference has no influence.
+Squareness is that of the reference lines of two straightnesses in the same plane and relative to the same reference: an artefact with
+two legs, or an instrument that was not moved in between. The sign is that of the direction of the second axis, rotated right-handed
+about the third: E_XY −= y·E_C0Y, E_XZ += z·E_B0Z, E_YZ −= z·E_A0Z, so a positive ``E_C0Y`` opens the angle from +X to +Y beyond 90°. A
+common rotation of the reference has no influence.
 """
 
 from __future__ import annotations

@@ -1,20 +1,17 @@
-"""Circular tests of two linear axes, with the terms of ISO 230-4:2005 and 2022, and the circular hysteresis of ISO 230-4:1996.
+"""Circular tests of two linear axes (ISO 230-4) and error motions of a rotary axis over a turn (ISO 230-7:2015, clause 3).
 
-Input are the radii of the measured path at known angles, for one or both directions of travel. The angle counts from the first axis to
-the second, so that a path with rising angles is the standard's counter-clockwise path. Deviations are small compared with the radius,
-so that the effect of a small offset of the centre is linear in it (limaçon).
+A circular test has the radii of the measured path at known angles, for one or both directions of travel. The angle counts from the
+first axis to the second, so that a path with rising angles is the standard's counter-clockwise path. Of ISO 230-4:2005 and 2022 are
+circular deviation G, bi-directional circular deviation G(b), radial deviation F and mean bi-directional radial deviation D; 2022 calls
+them errors. H is a quantity of the edition of 1996. The definitions are taken from the public abstracts and from publications that use
+them, not from the text of the standard.
 
-The editions of 2005 and 2022 define four quantities: circular deviation G, bi-directional circular deviation G(b), radial deviation F
-and mean bi-directional radial deviation D; 2022 calls them errors. H is a quantity of the edition of 1996. The definitions are taken
-from the public abstracts and from publications that use them, not from the text of the standard.
-
-Error motions of a rotary axis over a turn, with the terms of ISO 230-7:2015, clause 3.
-
-A motion is measured at the same angles in one or several turns: radially or axially in µm, as a tilt in µrad. The mean over the
-turns is the *synchronous* error motion, the deviation from turn to turn the *asynchronous* one. The once-per-turn component of a
-radial or tilt motion is due to the mounting of the artefact (its eccentricity or inclination), not to the axis. It is removed, with the
+An error motion is measured at the same angles in one or several turns: radially or axially in µm, as a tilt in µrad. The mean over the
+turns is the *synchronous* error motion, the deviation from turn to turn the *asynchronous* one. The once-per-turn component of a radial
+or tilt motion is due to the mounting of the artefact (its eccentricity or inclination), not to the axis; it is removed, with the
 constant, as the least-squares circle centre of the polar plot. For an axial motion it is real: the *fundamental* error motion.
-Polar deviations are small compared with the radius at which they are drawn, so the circle is linear in them (limaçon).
+
+Deviations are small compared with the radius, so that the effect of a small offset of the centre is linear in it (limaçon).
 """
 
 from __future__ import annotations

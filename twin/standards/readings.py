@@ -1,12 +1,11 @@
-"""Readings of a run: along and across an axis, their standard uncertainty, and the orientation of a station's frame.
+"""Runs in a measurement table, and what their readings show: along and across an axis, with standard uncertainty and orientation.
+
+A run is consecutive rows of one target, read from one station, between which the same axes move. The order is that of ``time_s`` where
+every row has it, else that of the rows. A run ends where the round changes.
 
 The orientation of a station is unknown unless the table gives its pose. It is estimated from the directions in which the readings
 move with two or more linear axes; with one, the frame is taken as parallel to the machine's if the direction fits within
 `LARGEST_ANGLE_DEG`. Squareness and straightness do not depend on it, only their names do.
-
-Runs in a measurement table: consecutive rows of one target, read from one station, between which the same axes move.
-
-The order is that of ``time_s`` where every row has it, else that of the rows. A run ends where the round changes.
 """
 
 from __future__ import annotations

@@ -1,24 +1,17 @@
-"""Inverse kinematics: the commands that reach a pose on the machine with errors.
+"""Inverse kinematics: the commands that reach a pose on the machine with errors, by Newton's method on all poses at once.
 
 The residual is the point (3) and the two components of the tool axis perpendicular to the target axis, because the spindle may turn
-freely about it. Newton's method runs on all poses at once. The linear axes are eliminated first (their 3×3 block is never singular).
-The remaining 2×2 system in the rotary axes shows by its smaller singular value how close a pose is to singular
-(`twin.tool.inverse`). `twin.compute.native` runs it.
-
-One step of the inverse kinematics as expressions: Newton for all axes, for the linear axes alone, and the limited rotary correction.
-
-The expressions have no branches and hold for any chain; the same ones are evaluated by CasADi, by NumPy and as C++
-(`twin.compute.native`).
+freely about it. The linear axes are eliminated first (their 3×3 block is never singular). The remaining 2×2 system in the rotary axes
+shows by its smaller singular value how close a pose is to singular. The expressions have no branches and hold for any chain; the same
+ones are evaluated by CasADi, by NumPy and as C++ (`twin.compute.native`).
 
 The derivatives are the chain's twists (Lynch, Park: Modern Robotics, 5.1), errors following the axes: less than half of the work of
 differentiating the whole expression. Of the Jacobian of Exp, I + [e]/2 + [e]²/6 + …, a step takes the first term only. This causes an
 error of an angular error times a slope: a millionth for a milliradian and a milliradian per radian, far below the error of Newton's
 method itself. The limited rotary correction (``repair``), which is not iterated, takes two terms. The residual is exact.
 
-Rotary positions that point the tool along a given vector: all solutions, for any two rotary axes.
-
-The nominal tool axis in the work frame is ``Rot(n₁, θ₁)·Rot(n₂, θ₂)·a₀``, with axis 1 the one nearer the workpiece. Solving it for
-θ is the second Paden-Kahan subproblem (Murray, Li, Sastry: A Mathematical Introduction to Robotic Manipulation, 3.2).
+All rotary solutions for a tool axis ``Rot(n₁, θ₁)·Rot(n₂, θ₂)·a₀`` in the work frame, axis 1 nearer the workpiece, are those of the
+second Paden-Kahan subproblem (Murray, Li, Sastry: A Mathematical Introduction to Robotic Manipulation, 3.2).
 """
 
 from __future__ import annotations
@@ -79,15 +72,10 @@ class Steps:
         size = _largest(ca.vertcat(residual.point, residual.axis))
         if not machine.rotary:
             return self._function("turn", [self._linear_step, size])
-        matrices = _matrices(machine, residual)
-        return self._function(
-            "turn",
-            [
-                self._at[0] + _newton_move(machine, matrices, residual, longest=True),
-                size,
-                ca.vertcat(*map(ca.vec, matrices)),
-            ],
-        )
+        linear, slope, coupling, system = _reduced(machine, residual)
+        matrices = _Matrices(linear, slope, coupling, _pseudo_inverse(system))
+        moved = self._at[0] + _newton_move(machine, matrices, residual, longest=True)
+        return self._function("turn", [moved, size, ca.vertcat(*map(ca.vec, matrices))])
 
     @cached_property
     def again(self) -> ca.Function:
@@ -222,11 +210,6 @@ def _reduced(machine: Machine, residual: _Residual) -> tuple[Any, Any, Any, Any]
     inverse, coupling = _inverse(residual.point_by[:, linear]), residual.axis_by[:, linear]
     slope = inverse @ residual.point_by[:, rotary]
     return inverse, slope, coupling, residual.axis_by[:, rotary] - coupling @ slope
-
-
-def _matrices(machine: Machine, residual: _Residual) -> _Matrices:
-    inverse, slope, coupling, system = _reduced(machine, residual)
-    return _Matrices(inverse, slope, coupling, _pseudo_inverse(system))
 
 
 def _newton_move(machine: Machine, by: _Matrices, residual: _Residual, *, longest: bool) -> Any:

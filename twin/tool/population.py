@@ -428,36 +428,28 @@ def draw_machines(
         raise InputError("number of poses outside its limits", expected=f"1 … {MOST_POSES}", value=poses)
     if seed < 0:
         raise InputError("seed must not be negative", expected="0 or more", value=seed)
+    calibration, machine = kinematics.calibration, kinematics.machine
+    tasks = [(i, min(TRIALS_PER_TASK, trials - start)) for i, start in enumerate(range(0, trials, TRIALS_PER_TASK))]
     # The last digits of matrix products depend on the number of threads.
     with one_blas_thread(scipy=False):
-        return _drawn(kinematics, trials, poses, seed, digits, workers, progress)
-
-
-def _drawn(
-    kinematics: Kinematics, trials: int, poses: int, seed: int, digits: int, workers: Workers | None, progress: Progress
-) -> Population:
-    calibration = kinematics.calibration
-    tool = ToolUncertainty(kinematics)
-    if not tool.parameters:
-        raise InputError(
-            "no machines can be drawn: the calibration has no uncertainties",
-            expected="a calibration with a covariance, as `twin identify` writes it",
-            file=calibration.path,
-        )
-    q = inside_domains(volume(kinematics.machine, poses), calibration)
-    sides = random_approach(q)
-    progress("preparing", 0.0)
-    draws = Draws(
-        kinematics.machine, calibration, kinematics.tool_length_mm, kinematics.conditions, q, sides, seed
-    ).pilot()
-    tasks = [(i, min(TRIALS_PER_TASK, trials - start)) for i, start in enumerate(range(0, trials, TRIALS_PER_TASK))]
-    parts = map_in_order(Draws.part, draws, tasks, workers, name=lambda task: f"machines of task {task[0]}")
-    total = next(parts)
-    for part in parts:
-        progress("drawing", total.machines / trials)
-        total = total.plus(part)
-    progress("drawing", 1.0)
-    return _population(draws, total, tool, digits)
+        tool = ToolUncertainty(kinematics)
+        if not tool.parameters:
+            raise InputError(
+                "no machines can be drawn: the calibration has no uncertainties",
+                expected="a calibration with a covariance, as `twin identify` writes it",
+                file=calibration.path,
+            )
+        q = inside_domains(volume(machine, poses), calibration)
+        progress("preparing", 0.0)
+        settings = machine, calibration, kinematics.tool_length_mm, kinematics.conditions
+        draws = Draws(*settings, q, random_approach(q), seed).pilot()
+        parts = map_in_order(Draws.part, draws, tasks, workers, name=lambda task: f"machines of task {task[0]}")
+        total = next(parts)
+        for part in parts:
+            progress("drawing", total.machines / trials)
+            total = total.plus(part)
+        progress("drawing", 1.0)
+        return _population(draws, total, tool, digits)
 
 
 def _population(draws: Draws, total: Tally, tool: ToolUncertainty, digits: int) -> Population:

@@ -1,17 +1,14 @@
 """Uncertainty of the tool's pose, propagated from the covariance of the calibration.
 
 Propagation is of first order (JCGM 100:2008 (GUM), 5.1.2 and 5.2.2, eq. 13, correlations included), in matrix form J Σ Jᵀ (JCGM
-102:2011, 6.2). `twin.tool.population` checks by Monte Carlo simulation whether first order is sufficient (JCGM 101:2008,
-clause 8).
+102:2011, 6.2); `twin.tool.population` checks whether that is sufficient.
 
 U is the radius about the estimated point within which the true point lies with 95 % probability, for a normally distributed error. It
 is not k = 2 times one standard deviation: twice the standard deviation in the largest direction covers 95.4 % of an error along one
-line, but only 73.9 % of an error equal in all three directions. The standard uncertainties u_x, u_y, u_z (k = 1) are given too.
-
-U includes the uncertainty of the calibration's parameters, and the plausible size of the errors that the calibration says it could not
-determine (`twin.model.unknown_errors`). Errors with a value but no covariance are named in every result. If none has a covariance the
-result is unknown: NaN, never zero. Other error motions missing from the calibration, repeatability, temperature and rounding are not
-included.
+line, but only 73.9 % of an error equal in all three directions. U includes the plausible size of the errors that the calibration says
+it could not determine (`twin.model.unknown_errors`). Errors with a value but no covariance are named in every result. If none has a
+covariance the result is unknown: NaN, never zero. Other error motions missing from the calibration, repeatability, temperature and
+rounding are not included.
 """
 
 from __future__ import annotations

@@ -170,11 +170,7 @@ class RecordingState(dict[str, Any]):
 
 
 def channel(positions: Mapping[str, Any], name: str, effect: str) -> Any:
-    """Return a channel that an effect needs besides the positions.
-
-    Raises:
-        InputError: the channel is missing.
-    """
+    """Return a channel that an effect needs besides the positions. Raises `InputError`: the channel is missing."""
     if name not in positions:
         raise InputError(f"{effect} needs {name}", expected=f"{name} with every position", value="none")
     return positions[name]
@@ -196,12 +192,17 @@ def summed(terms: Iterable[tuple[Frame, Mapping[int, Any]]], frames: Sequence[Er
     return total
 
 
+def rest_placement(machine: Machine, joint: int) -> pin.SE3:
+    """Return the placement of a joint in the base frame with all axes at zero."""
+    data = machine.model.createData()
+    pin.forwardKinematics(machine.model, data, pin.neutral(machine.model))
+    return pin.SE3(data.oMi[joint])
+
+
 @lru_cache(maxsize=256)  # asked for every candidate of a diagnosis; a machine is immutable
 def rest_orientation(machine: Machine, joint: int) -> np.ndarray:
     """Return the orientation (3, 3) of a joint in the base frame with all axes at zero."""
-    data = machine.model.createData()
-    pin.forwardKinematics(machine.model, data, pin.neutral(machine.model))
-    return read_only(np.array(data.oMi[joint].rotation))
+    return read_only(np.array(rest_placement(machine, joint).rotation))
 
 
 def base_vector(turn: np.ndarray, direction: str) -> Vector:

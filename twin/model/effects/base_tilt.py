@@ -7,12 +7,21 @@ from math import pi
 from typing import Any, Final, final
 
 import numpy as np
-import pinocchio as pin
 
 from twin._common.errors import InputError
 from twin._common.messages import Message
 from twin.machine.machine import Machine
-from twin.model.effects.base import LOAD, Effect, Parameter, Payload, channel, directions, is_carrying, motion_joint
+from twin.model.effects.base import (
+    LOAD,
+    Effect,
+    Parameter,
+    Payload,
+    channel,
+    directions,
+    is_carrying,
+    motion_joint,
+    rest_placement,
+)
 from twin.model.effects.specification import EXTENDED, Advice, Drawing, Forms, Specification, State, linear_forms
 from twin.numerics.functions import cos, sin
 
@@ -68,9 +77,7 @@ def _rotation_about_base(machine: Machine, axis: str, direction: np.ndarray) -> 
 
     The direction (3,) is given in that frame, of an axis.
     """
-    data = machine.model.createData()
-    pin.forwardKinematics(machine.model, data, pin.neutral(machine.model))
-    rest = data.oMi[motion_joint(machine, axis)]
+    rest = rest_placement(machine, motion_joint(machine, axis))
     origin = np.asarray(rest.rotation).T @ np.asarray(rest.translation)
     parts = np.concatenate([np.cross(direction, origin), direction])
     return {i: float(part) for i, part in enumerate(parts) if abs(part) > 1e-12}

@@ -1,13 +1,4 @@
-"""Harmonics of the error motions of a rotary axis.
-
-Smooth functions of the columns of a table, of which empirical effects and patterns of unknown cause are sums.
-
-- ``half_waves`` of a column x over a range: cos(k π (x − low)/(high − low)), k = 1 … order.
-- ``whole_turns`` of a rotary axis at the angle θ: cos(k θ) and sin(k θ), k = 1 … order.
-- ``direction``: the direction of approach of an axis, +1 or −1.
-
-Two columns have the functions of each and all their products. With a direction, each function contains the direction.
-"""
+"""Harmonics of the error motions of a rotary axis, and the functions of table columns of which empirical effects are sums (`Waves`)."""
 
 from __future__ import annotations
 
@@ -164,10 +155,15 @@ Kind = Literal["half_waves", "whole_turns", "direction"]
 @final
 @dataclass(frozen=True)
 class Waves:
-    """Functions of one column, without the constant."""
+    """Smooth functions of one column of a table, without the constant.
+
+    ``half_waves`` of a column x over a range: cos(k π (x − low)/(high − low)), k = 1 … order; ``whole_turns`` of a rotary axis at the
+    angle θ: cos(k θ) and sin(k θ); ``direction``: the direction of approach of an axis, +1 or −1. Two columns have the functions of
+    each and all their products. With a direction, each function contains the direction.
+    """
 
     column: str  # its name in the table (``X_mm``, ``T_bed_degC``, ``approach_X``)
-    kind: Kind  # kind of functions (see the module)
+    kind: Kind
     order: int  # highest k; one for a direction
     # lowest and highest value measured, mm, degrees or °C; None where the functions need none
     range: tuple[float, float] | None = None

@@ -18,11 +18,7 @@ POWER: Final = Power()
 
 
 def basis_named(name: str) -> type[Basis]:
-    """Return the basis with a name as in a calibration file.
-
-    Raises:
-        InputError: there is no such basis.
-    """
+    """Return the basis with a name as in a calibration file. Raises `InputError`: there is no such basis."""
     basis_named = next((basis for basis in BASES if basis.name == name), None)
     if basis_named is None:
         known = [basis.name for basis in BASES]
@@ -33,11 +29,7 @@ def basis_named(name: str) -> type[Basis]:
 
 @cache
 def basis_of(name: str, knots: tuple[float, ...] = ()) -> Basis:
-    """Return a basis by its name and knots; cached.
-
-    Raises:
-        InputError: there is no basis of that name, or none with these knots.
-    """
+    """Return a basis by its name and knots; cached. Raises `InputError`: there is no basis of that name, or none with these knots."""
     return basis_named(name)(knots)
 
 

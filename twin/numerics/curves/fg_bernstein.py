@@ -61,11 +61,7 @@ class _Bidiagonal:
 @final
 @dataclass(frozen=True)
 class FGBernstein:
-    """An fg-Bernstein basis.
-
-    Raises:
-        InputError: an empty domain; a degree below 0 or above MOST_DEGREE; an angle out of range.
-    """
+    """An fg-Bernstein basis. Raises `InputError`: an empty domain; a degree below 0 or above MOST_DEGREE; an angle out of range."""
 
     degree: int  # n; there are n + 1 functions
     domain: tuple[float, float] = (0.0, 1.0)  # (a, b) of the parameter, in its own unit
