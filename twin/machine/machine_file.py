@@ -445,9 +445,6 @@ def turns_in_machine_frame(
 
     The machine frame has the directions of the first linear axis's error frame, or of the base frame if other linear axes are inclined
     to the first by more than 45°.
-
-    Raises:
-        InputError: the error frame of a linear axis is turned so far that its components would be named after other directions.
     """
     data = source.createData()
     pin.forwardKinematics(source, data, pin.neutral(source))

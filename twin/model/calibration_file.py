@@ -60,11 +60,7 @@ Along = Literal["base", "tool", "work"]
 def empirical_named(
     where: str, along: Along, columns: Sequence[ColumnEntry], numbers: Mapping[str, float], machine: Machine
 ) -> Empirical:
-    """Create an empirical effect from its entry in a calibration file.
-
-    Raises:
-        InputError: the entry is inconsistent or does not fit the machine.
-    """
+    """Create an empirical effect from its entry in a calibration file."""
     match = re.fullmatch(r"(tool|work) by (.+?)( \(\d+\))?", where)
     named = ", ".join(column.column for column in columns)
     if match is None or match[2] != named:
@@ -97,9 +93,6 @@ def acting_frame(side: str, along: Along, machine: Machine) -> tuple[Frame, Fram
     """Return the error frame in which a shift of one side acts, and the rotation to it from the axes along which the shift is given.
 
     With ``along`` base it is the error frame nearest the base, which does not turn; else the last one before the targets of that side.
-
-    Raises:
-        InputError: no axis moves that side, or an axis nearer to the base turns both sides.
     """
     target = machine.tool_frame if side == "tool" else machine.work_frame
     supports = machine.model.supports[machine.model.frames[target].parentJoint].tolist()
@@ -215,8 +208,6 @@ def _seen_from(machine: Machine, frame: ErrorFrame, target: int, angle: float) -
     pin.framesForwardKinematics(machine.model, data, machine.configuration(q))
     return np.asarray(data.oMi[frame.joint].rotation.T @ data.oMf[target].rotation)
 
-
-# --- Entries of a calibration file as pydantic models, and their conversion to effects ------------
 
 READABLE: Final = 20
 """Largest number of parameters whose joint covariance is written as readable rows."""

@@ -73,8 +73,6 @@ class MachineLog(Result):
         return f"{self.path.name}: {times}, {', '.join(columns)}"
 
 
-# --- Inputs of the error model besides the positions ----------------------------------------------
-
 WORDS: Final = MappingProxyType(
     {TIME: Message("the time"), SPEED: Message("the spindle speed"), LOAD: Message("the load")}
 )

@@ -181,11 +181,7 @@ class Observability:
 
 
 def observability(values: np.ndarray, measurements: int) -> Observability:
-    """Return the observability indices of (L,) singular values from m measurements (of poses, where one measurement is a pose).
-
-    Raises:
-        InputError: no values, or no measurement.
-    """
+    """Return the observability indices of (L,) singular values from m measurements (of poses, where one measurement is a pose)."""
     if len(values) == 0 or measurements < 1:
         raise InputError(
             "observability needs singular values and measurements",

@@ -211,9 +211,6 @@ def relative_displacements(
 
     The nominal motion between the commanded positions is subtracted: for a touch probe the displacements are those of the recorded
     positions. Only changes at one pose count, so unknown places of station and target have no influence.
-
-    Raises:
-        InputError: times are missing or equal, angles or lengths instead of coordinates, stations on different sides.
     """
     _check(data)
     data = data.select(np.argsort(data.time_s, kind="stable"))
@@ -571,8 +568,6 @@ def _noise_remark(record: DriftRecord, found: DriftSeries) -> list[str]:
 def _hours(seconds: float) -> str:
     return f"{seconds / 3600.0:.1f} h" if seconds >= 7200.0 else f"{seconds / 60.0:.0f} min"
 
-
-# --- Evaluate the thermal tests of ISO 230-3 from a file ------------------------------------------
 
 TITLE: Final = "thermal tests (ISO 230-3)"
 BUDGET: Final = (

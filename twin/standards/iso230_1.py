@@ -95,9 +95,6 @@ def angular_error(position_mm: ArrayLike, angle_urad: ArrayLike, approach: Array
     """Evaluate the angular error of a linear axis, with the ISO 230-1 ``name`` of its error motion.
 
     Commanded positions (n,), of which equal ones are repeats, readings (n,) and directions of approach (n,), +1 or −1.
-
-    Raises:
-        InputError: values that are missing or not finite, a direction that is neither +1 nor −1, or fewer than two positions.
     """
     position, angle = finite_array("positions", position_mm, 1), finite_array("angles", angle_urad, 1)
     side = finite_array("directions of approach", approach, 1)
@@ -196,10 +193,6 @@ def straightness(
 
     Each of the positions (n,) stands once, in any order; use means for positions visited repeatedly. `squareness` needs the ISO 230-1
     ``name`` of the error motion. ``u_um`` is the standard uncertainty of each deviation, independent of each other; None if unknown.
-
-    Raises:
-        InputError: arrays that do not match, a missing value, a position given twice, fewer than three points, or an
-            invalid uncertainty.
     """
     position, deviation = finite_array("positions", position_mm, 1), finite_array("deviations", deviation_um, 1)
     check_same_length("deviations", deviation, "the positions", position)
@@ -348,9 +341,6 @@ def squareness(
     """Evaluate the squareness of an axis relative to its datum axis, from two straightnesses that are a pair of `PAIRS`.
 
     The two measurements are taken as independent.
-
-    Raises:
-        InputError: names that are not a pair.
     """
     name = next(
         (name for name, (first, second, _) in PAIRS.items() if (first, second) == (datum.name, other.name)), None

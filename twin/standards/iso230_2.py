@@ -98,9 +98,6 @@ def unidirectional(
     """Evaluate the approaches of one direction, +1 or −1, according to ISO 230-2:2014.
 
     Target positions (m,), mm or degrees, each once; deviations (m, n), µm or µrad.
-
-    Raises:
-        InputError: shapes that do not match, a missing value, a target given twice, fewer than two targets.
     """
     up = finite_array("deviations", deviations, 2)
     targets, _, _ = _checked(target, up, up, 1)
@@ -134,9 +131,6 @@ def bidirectional(
 
     Target positions (m,), each once; deviations (m, n) approached in the positive (forward) and negative direction, µm or µrad. With
     ``fewest_cycles`` 1 a single cycle is evaluated too; its s, R and A are then NaN.
-
-    Raises:
-        InputError: shapes that do not match, a missing value, a target given twice, fewer than two targets, or too few cycles.
     """
     target, forward, backward = _checked(target, forward, backward, fewest_cycles)
     mean_up, mean_down = forward.mean(axis=1), backward.mean(axis=1)

@@ -111,9 +111,6 @@ def drift_series(
 
     Arguments are (n,) as the fields of `DriftSeries`; a speed is that at each reading, or between the reading before and this one if
     the spindle stands still for the reading.
-
-    Raises:
-        InputError: fewer than two readings, times that do not increase, or a spindle that never ran.
     """
     time = finite_array("time_s", time_s, 1)
     for name, values in displacement.items():
@@ -294,11 +291,7 @@ class SensorMap:
 
     @classmethod
     def parse(cls, entries: Sequence[str]) -> SensorMap:
-        """Return the map from entries like ``d1=X1``, ``X1-X2=76`` and ``t5=ambient``.
-
-        Raises:
-            InputError: an entry that cannot be read, a direction or sensor given twice, a distance that is not positive.
-        """
+        """Return the map from entries like ``d1=X1``, ``X1-X2=76`` and ``t5=ambient``."""
         sensor: dict[str, str] = {}
         sign: dict[str, float] = {}
         distance: dict[str, float] = {}
@@ -435,9 +428,6 @@ def load_displacements(path: str | Path, machine: Machine, sensors: SensorMap) -
 
     Columns: ``time_s``, ``<name>_um``, ``<name>_urad`` of levels and autocollimators, which keep their names; optionally
     ``spindle_rpm``, ``T_<sensor>_degC``, ``round`` and the axes' positions. A comment ``# sensors: d1=X1 …`` gives the directions.
-
-    Raises:
-        InputError: no times, fewer than two rows, a cell that is not a number, times that do not increase, a sensor that is not there.
     """
     cells, comments = read_record(path)
     header, rows, file = list(cells.columns), cells.rows, cells.path

@@ -84,9 +84,6 @@ def error_motion(angle_deg: ArrayLike, readings: ArrayLike, kind: Kind, *, name:
 
     The angles (k,) of one turn are in any order and spread over all of it; 0° and 360° are the same angle. The readings are (k,) or
     (turns, k), radial and axial in µm, tilt in µrad.
-
-    Raises:
-        InputError: arrays that do not match, a missing value, an angle given twice, less than a turn, an unknown kind.
     """
     if kind not in UNITS:
         raise InputError("unknown kind of error motion", expected=", ".join(UNITS), value=kind)

@@ -407,9 +407,6 @@ def across_axis_um(run: MeasuredRun, frame: StationFrame, machine: Machine) -> d
     return {f"E_{'XYZ'[k]}{axis.name}": sign * (points[:, k] - points[0, k]) * (MM / UM) for k in lateral}
 
 
-# --- Words of the tests: places of runs -----------------------------------------------------------
-
-
 def place_of(run: MeasuredRun) -> str:
     """Return the positions of the axes that stand still, with target and station: ``at Y 225, Z −200; target K, station 1``."""
     rest = ", ".join(f"{name} {value:g}".replace("-", "−") for name, value in run.where.items())

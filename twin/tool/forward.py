@@ -50,9 +50,6 @@ class Poses(Result):
         The angles are about x and y of the nominal tool frame, which are those of the work frame where the two are parallel, as on most
         machines at rotary zero. They are not taken about x and y of the work frame, because such angles are undefined for a tool across
         its z and ill-conditioned close to that. There are two angles because a rotation of the tool about its own axis has no effect.
-
-        Raises:
-            InputError: another number of poses, or an axis that deviates by a right angle or more.
         """
         if len(nominal) != len(self):
             raise InputError("the number of nominal poses differs", expected=f"{len(self)} poses", value=len(nominal))

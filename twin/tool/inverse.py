@@ -294,11 +294,7 @@ PARALLEL: Final = 1e-9
 
 @final
 class Branches:
-    """Rotary solutions of one machine without errors.
-
-    Raises:
-        InputError: the machine does not have two rotary axes, or they are parallel.
-    """
+    """Rotary solutions of one machine without errors."""
 
     def __init__(self, nominal: Kinematics) -> None:
         machine = nominal.machine
@@ -439,8 +435,6 @@ def _angle(of: tuple[np.ndarray, np.ndarray], products: tuple[Any, Any], square:
     length = np.minimum((a * a + b * b) * square, (c * c + d * d) / square)
     return np.where(length < PARALLEL**2, np.nan, np.arctan2(a * d - b * c, a * c + b * d))
 
-
-# --- Inverse kinematics: the commands that reach a pose on the machine with errors ----------------
 
 POINT_TOLERANCE: Final = 1e-12
 """Convergence limit: metres (1e-9 mm), and radians for the tool axis."""

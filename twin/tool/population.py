@@ -36,7 +36,7 @@ from twin.machine.machine import Machine
 from twin.model.calibration import Calibration
 from twin.model.conditions import Conditions
 from twin.tool.forward import Kinematics
-from twin.tool.uncertainty import DEFINITION, PoseUncertainty, ToolUncertainty, inside_domains, random_approach, volume
+from twin.tool.uncertainty import DEFINITION, ToolUncertainty, inside_domains, random_approach, volume
 
 BINS: Final = 512
 """Number of bins over some seven standard deviations: an interpolated quantile is within 1e-4 of a standard deviation."""
@@ -270,8 +270,6 @@ def _widened(lower: np.ndarray, upper: np.ndarray) -> tuple[np.ndarray, np.ndarr
     return lower - more, upper + more
 
 
-# --- Monte Carlo simulation: machines drawn from a calibration's covariance, evaluated over the volume (JCGM 101:2008)
-
 SCHEMA: Final = "twin.volume/1"
 FEWEST_TRIALS: Final = 1000
 """With fewer machines less than 25 draws lie beyond each limit of a 95 % interval."""
@@ -456,6 +454,13 @@ def _population(draws: Draws, total: Tally, tool: ToolUncertainty, digits: int) 
     trials = total.machines
     lower, upper, least, most = draws.bins  # type: ignore[misc]
     first = tool.at(draws.positions, draws.sides)
+    identified_um = first.expanded_um
+    if tool.unknown:  # without the errors that could not be determined; zero without other uncertain parameters
+        alone = ToolUncertainty(tool.kinematics, "identified")
+        known = (
+            alone.at(draws.positions, draws.sides).expanded_um if alone.parameters else np.zeros(len(draws.positions))
+        )
+        identified_um = read_only(known)
     points = Counts(lower, upper, total.point)
     interval = np.stack([points.quantile(share)[:3].T for share in (TAIL, 1.0 - TAIL)], axis=2)
     # The rank of a quantile is binomially distributed: standard errors of the limits without assuming a density.
@@ -499,18 +504,8 @@ def _population(draws: Draws, total: Tally, tool: ToolUncertainty, digits: int) 
         without_uncertainty=tool.without_uncertainty,
         warnings=draws.calibration.warnings,
         not_identified=tool.unknown,
-        identified_um=_identified_u(draws, tool, first),
+        identified_um=identified_um,
     )
-
-
-def _identified_u(draws: Draws, tool: ToolUncertainty, first: PoseUncertainty) -> np.ndarray:
-    """Return (n,) U without the errors that could not be determined, to first order; zero without other uncertain parameters."""
-    if not tool.unknown:
-        return first.expanded_um
-    alone = ToolUncertainty(tool.kinematics, "identified")
-    if not alone.parameters:
-        return read_only(np.zeros(len(draws.positions)))
-    return alone.at(draws.positions, draws.sides).expanded_um
 
 
 def numerical_tolerance(standard: np.ndarray, digits: int) -> np.ndarray:

@@ -89,11 +89,7 @@ def random_approach(positions: np.ndarray) -> np.ndarray:
 
 
 def inside_domains(positions: np.ndarray, *calibrations: Calibration) -> np.ndarray:
-    """Return the positions (n, axes) that lie inside the domain of every curve of all calibrations.
-
-    Raises:
-        InputError: there are none.
-    """
+    """Return the positions (n, axes), at least one, that lie inside the domain of every curve of all calibrations."""
     outside = np.any([calibration.outside(positions).any(axis=1) for calibration in calibrations], axis=0)
     if np.all(outside):
         raise InputError("no pose of the volume lies within every curve's domain", expected="curves over the ranges")
@@ -123,9 +119,6 @@ class PartialErrors:
     """Poses of a machine with some of its errors: each error is evaluated once, and many selections at a time.
 
     At commands ``q`` (n, axes), mm and degrees, with directions of approach ``sides`` (n, axes), +1 or −1.
-
-    Raises:
-        InputError: a position outside the domain of a curve.
     """
 
     def __init__(self, real: Kinematics, q: np.ndarray, sides: np.ndarray) -> None:
@@ -235,8 +228,6 @@ def _entries(calibration: Calibration, state: Mapping[str, Any]) -> Iterator[tup
                 u = float(combined_uncertainty([effect], covariance, state, component, shape).max())
             yield effect, float(np.max(np.abs(values))), u, "um" if component < 3 else "urad", False
 
-
-# --- Uncertainty of the tool's pose, propagated from the covariance of the calibration ------------
 
 DEFINITION: Final = Message("U: radius within which the point lies with 95 % probability (normal distribution assumed)")
 RADIUS: Final = (1.73085, -0.15300, 0.04808, -0.01687, 0.00799, -0.00311)

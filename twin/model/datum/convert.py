@@ -40,11 +40,7 @@ MAX_COEFFICIENTS: Final = 60
 def with_values(
     curve: Curve | None, name: str, link: DatumLink, difference: np.ndarray, numbers: Numbers
 ) -> Curve | None:
-    """Return a curve with values at the nodes added, with as few coefficients as possible; None for a new curve that would be zero.
-
-    Raises:
-        InputError: no number of coefficients can represent them.
-    """
+    """Return a curve with values at the nodes added, with as few coefficients as possible; None for a new curve that would be zero."""
     if curve is None:
         if np.abs(difference).max() <= FIT_TOLERANCE:
             return None
@@ -99,8 +95,6 @@ def fit(basis: Basis, domain: tuple[float, float], link: DatumLink, count: int) 
     root = np.sqrt(link.weights)
     return np.asarray(np.linalg.pinv(functions(basis, domain, link, count) * root[:, None], rcond=1e-13) * root)
 
-
-# --- Conversion of a calibration to another datum: the same poses of the tool, other curves, squareness and locations
 
 DATUM_TOLERANCE: Final = 1e-3
 """Tolerance for rounded coefficients when a file's stated datum is checked, µm or µrad."""
@@ -170,9 +164,6 @@ def convert(numbers: Numbers, datum: Datum, names: Collection[str] | None = None
 
     With a restriction to errors that may change (``names``), conditions that these errors cannot absorb remain violated, and poses
     agree to first order: up to the product of two errors, some nanometres.
-
-    Raises:
-        InputError: the datum is ``as given``, or the basis of a curve cannot represent it in the other datum.
     """
     if datum not in (MEAN_LINES, END_POINTS):
         raise InputError("not a datum to convert to", expected=" or ".join(DATUMS[:2]), value=datum)

@@ -321,11 +321,7 @@ class Payload:
         return weights
 
     def checked(self) -> Payload:
-        """Return the payload itself if its values are within their limits.
-
-        Raises:
-            InputError: the mass or the centre is outside its limits.
-        """
+        """Return the payload itself; raise `InputError` if its mass or its centre is outside its limits."""
         if self.carried and not 0.0 <= self.mass_kg <= LARGEST_RATIO:
             raise InputError(
                 f"mass_ratio of the load on the {self.side} side",

@@ -65,11 +65,7 @@ class ControlCorrection(Effect):
 
 
 def tables_of(control: ControlSection, machine: Machine) -> tuple[ControlCorrection, ...]:
-    """Return the corrections by the tables of a control; none if the errors were measured with the tables active.
-
-    Raises:
-        InputError: a table cannot be read, differs from the recorded file, or moves an axis that the machine does not have.
-    """
+    """Return the corrections by the tables of a control; none if the errors were measured with the tables active."""
     corrections: list[ControlCorrection] = []
     for kind in control.formats if control.errors_are == "uncorrected" else ():
         entries = control.of(kind)
@@ -82,11 +78,7 @@ def tables_of(control: ControlSection, machine: Machine) -> tuple[ControlCorrect
 
 
 def kinematics_of(control: ControlSection, machine: Machine) -> tuple[ControlCorrection, ...]:
-    """Return the corrections by the kinematics of a control, which act in tool centre point mode only.
-
-    Raises:
-        InputError: the file cannot be read, or differs from the recorded one.
-    """
+    """Return the corrections by the kinematics of a control, which act in tool centre point mode only."""
     corrections: list[ControlCorrection] = []
     for entry in control.kinematics:
         entry.check()

@@ -72,8 +72,6 @@ AXIS_LOCATION: Final = Specification(
     drawing=Drawing(beyond=True),
 )
 
-# --- Squareness error: deviation of an axis's mean direction from square to the datum (ISO 230-1, 3.6; contract §1)
-
 
 @final
 class Squareness(Effect):
@@ -129,8 +127,6 @@ SQUARENESS: Final = Specification(
     ),
     constant=True,
 )
-
-# --- Zero offset: a constant error of an axis along its own motion --------------------------------
 
 
 @final

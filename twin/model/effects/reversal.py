@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any, Final, final
 
 import numpy as np
@@ -69,8 +70,6 @@ REVERSAL: Final = Specification(
     make=lambda machine, where, numbers, payloads: Reversal(machine.by_name[where], numbers["size"]),
     drawing=Drawing(split=lambda where: f"approach_{where}", depends_on=approach_column),
 )
-
-# --- Backlash (reversal value) that varies along the travel ---------------------------------------
 
 MAX_DEGREE: Final = 4
 """Highest degree of polynomial tried."""
@@ -162,9 +161,9 @@ def _evidence(fit: FittedCause) -> str:
     return f"the backlash of {fit.where} varies along its travel, from {low:.3g} {fit.unit} to {high:.3g} {fit.unit}"
 
 
-REVERSAL_CURVE: Final = Specification(
+REVERSAL_CURVE: Final = replace(
+    REVERSAL,
     name="reversal_curve",
-    kind="machine",
     title=lambda where: Message("backlash of {where} that varies along its travel", where=where),
     family="backlash that varies along the travel",
     advice=Advice(
@@ -175,10 +174,8 @@ REVERSAL_CURVE: Final = Specification(
     evidence=_evidence,
     parameters=("c0", "c1"),
     required=lambda names: tuple(f"c{k}" for k in range(len(names) or 2)),
-    limits={"um": 1000.0, "urad": 5000.0},
     places=_limited,
     expected=lambda machine: "an axis with a limited range",
-    channels=approach_column,
     make=lambda machine, where, numbers, payloads: ReversalCurve(machine.by_name[where], tuple(numbers.values())),
     forms=_forms,
     candidates=_candidates,

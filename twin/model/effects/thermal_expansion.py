@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any, Final, final
 
 from twin._common.messages import Message
@@ -61,8 +62,6 @@ THERMAL_EXPANSION: Final = Specification(
     drawing=Drawing(columns=lambda where: (f"T_{where}_degC",), split=lambda where: where, spread=True),
 )
 
-# --- Thermal expansion of a scale that is fixed elsewhere than at the axis's zero -----------------
-
 
 @final
 class ScaleGrowth(AlongAxis):
@@ -93,24 +92,19 @@ def _evidence(fit: FittedCause) -> str:
     return f"the scale of {fit.where} lengthens by {coefficient:.3g} µm/(m·K) when it warms{at}"
 
 
-SCALE_GROWTH: Final = Specification(
+SCALE_GROWTH: Final = replace(
+    THERMAL_EXPANSION,
     name="scale_growth",
-    kind="machine",
     title=lambda where: Message("thermal expansion of the scale of {where} about its fixed point", where=where),
     family="thermal expansion of scales about their fixed points",
-    advice=Advice(
-        "Service: where the scale of {axis} is fixed, and what the control's own temperature compensation assumes.",
-        f"{EXTENDED} and give the temperature of {{axis}}.",
-        "Do not reset zero or scale for one temperature: they would be wrong at the next. " + NOT_TWICE,
+    advice=replace(
+        THERMAL_EXPANSION.advice,
+        look="Service: where the scale of {axis} is fixed, and what the control's own temperature compensation assumes.",
     ),
     evidence=_evidence,
     parameters=("coefficient", "offset"),
     limits={"um/(m.K)": 100.0, "um/K": 500.0},
-    places=linear_axes,
-    channels=lambda where: (f"T_{where}_degC",),
     make=lambda machine, where, numbers, payloads: ScaleGrowth(machine.by_name[where], *numbers.values()),
     forms=_forms,
-    varies="with time",
     variant_of="thermal_expansion",
-    drawing=Drawing(columns=lambda where: (f"T_{where}_degC",), split=lambda where: where, spread=True),
 )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any, Final, final
 
 import numpy as np
@@ -100,8 +101,6 @@ THERMAL_GROWTH: Final = Specification(
     drawing=Drawing(columns=lambda where: (f"T_{where.split(' by ')[1]}_degC",), of_base=True),
 )
 
-# --- Thermal growth of the structure that lags behind its sensor ----------------------------------
-
 TIME_CONSTANT_STRIDE: Final = 7
 """Every n-th of the time constants of a drift is tried."""
 
@@ -162,9 +161,9 @@ def _constrain(effect: ThermalLag, values: Sequence[float], longest: float) -> T
     return ThermalLag(effect.side, effect.sensor, values[0], constant)
 
 
-THERMAL_LAG: Final = Specification(
+THERMAL_LAG: Final = replace(
+    THERMAL_GROWTH,
     name="thermal_lag",
-    kind="machine",
     title=lambda where: Message(
         "growth along {direction} that lags behind the temperature of {sensor}",
         direction=where[:1].lower(),
@@ -183,16 +182,12 @@ THERMAL_LAG: Final = Specification(
     parameters=("coefficient", "time_constant"),
     limits={"um/K": 500.0, "s": LONGEST_S},
     least={"s": SHORTEST_S},
-    places=lambda machine: tuple(f"{way} by" for way in directions(machine)),
-    open_places=True,
     channels=lambda where: (f"T_{where.partition(' by ')[2]}_degC", TIME),
-    expected=lambda machine: "X, Y or Z of the base frame and a sensor, such as Z by bed",
     make=_make_lag,
     forms=_lag_forms,
     candidates=_lag_candidates,
     nonlinear=("time_constant",),
     constrain=_constrain,
-    varies="with time",
     variant_of="thermal_growth",
     drawing=Drawing(columns=lambda where: (TIME, f"T_{where.split(' by ')[1]}_degC"), of_base=True),
 )

@@ -150,8 +150,6 @@ def _mixed(n: int, i: int, k: int) -> int:
     return sum((-1) ** (k - j) * comb(i, j) * comb(n - i, k - j) for j in range(max(0, k - n + i), min(i, k) + 1))
 
 
-# --- Cubic splines with knots ---------------------------------------------------------------------
-
 DEGREE: Final = 3
 MOST_KNOTS: Final = 500
 

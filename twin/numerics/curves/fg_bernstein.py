@@ -87,19 +87,11 @@ class FGBernstein:
             )
 
     def collocation(self, t: np.ndarray) -> np.ndarray:
-        """Return the values (m, n+1) of the functions at parameters (m,) in any order, each accurate to rounding.
-
-        Raises:
-            InputError: a parameter outside the domain.
-        """
+        """Return the values (m, n+1) of the functions at parameters (m,) in any order, each accurate to rounding."""
         return read_only(self._values(self._inside(t), self.degree))
 
     def derivative(self, control: np.ndarray, t: np.ndarray) -> np.ndarray:
-        """Return the first derivative (m, d) at (m,) parameters of control points (n+1, d): y' = n Σ_k (f' c_{k+1} + g' c_k) u_k^{n−1}.
-
-        Raises:
-            InputError: a parameter outside the domain; a wrong number of control points.
-        """
+        """Return the first derivative (m, d) at parameters (m,) of control points (n+1, d), n Σ_k (f' c_{k+1} + g' c_k) u_k^{n−1}."""
         points, inside, n = _points(control, self.degree + 1), self._inside(t), self.degree
         if n == 0:
             return read_only(np.zeros((len(inside), points.shape[1])))
