@@ -40,7 +40,7 @@ _NOTHING: Final = 1e-13
 class CalibratedUrdf(Result):
     """A URDF with constant geometric errors."""
 
-    text: str  # the file's text
+    text: str
     included: tuple[str, ...]  # names of the errors that it contains
     left_out: tuple[str, ...]  # names of the errors that a URDF cannot contain
     path: Path  # the machine's own URDF

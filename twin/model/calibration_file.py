@@ -292,10 +292,10 @@ class MisfitEntry(FileEntry):
 
     # ``consistent``; ``systematic`` (a repeatable part is left); ``larger`` than stated; ``untested`` (too few readings)
     verdict: Literal["consistent", "systematic", "larger", "untested"]
-    says: str = ""  # the verdict as a sentence
+    says: str = ""
     rms_um: Annotated[float, Field(ge=0.0)] | None = None  # RMS of the residuals of a coordinate, µm
     reduced_chi2: Annotated[float, Field(ge=0.0)] | None = None  # chi² per degree of freedom
-    dof: Annotated[float, Field(ge=0.0)] | None = None  # degrees of freedom
+    dof: Annotated[float, Field(ge=0.0)] | None = None
     # probability of a chi² at least as large if the stated noise holds
     p_value: Annotated[float, Field(ge=0.0, le=1.0)] | None = None
     # p-value of the residuals compared with repeats
@@ -320,11 +320,11 @@ MISFIT_WARNINGS: Final[dict[str, SourceWarning | None]] = {
 class MeasuredWith(FileEntry):
     """Set-up of the measurement."""
 
-    stations: Annotated[int, Field(ge=0)]  # number of stations
+    stations: Annotated[int, Field(ge=0)]
     # targets_on_tool, targets_on_work: number of reflectors, balls or spheres on either side
     targets_on_tool: Annotated[int, Field(ge=0)]
     targets_on_work: Annotated[int, Field(ge=0)]
-    points: Annotated[int, Field(ge=0)]  # number of points used
+    points: Annotated[int, Field(ge=0)]
 
 
 class CalibrationFile(FileEntry):

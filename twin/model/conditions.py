@@ -1,9 +1,7 @@
 """Inputs of the error model besides the positions, and the machine's log that gives them over time.
 
-They are temperatures, time, spindle speed, carried load, and the direction of approach of every axis. All but the last are given for a
-whole program, or temperatures and speed by a log of the machine and the program's own words for every block
-(`twin.compensation.programs.block_conditions`); the direction of approach follows from the program
-(`twin.compensation.programs.backlash`).
+They are temperatures, time, spindle speed and carried load, given for a whole program, or temperatures and speed by a log of the
+machine and the program's own words for every block, and the direction of approach of every axis, which follows from the program.
 """
 
 from __future__ import annotations

@@ -125,8 +125,8 @@ def decompose(
 class Unknown:
     """One unknown parameter."""
 
-    name: str  # name, for use in a sentence
-    unit: str  # unit it is stated in
+    name: str
+    unit: str
     plausible: float  # prior standard deviation, in that unit
     factor: float = 1.0  # one such unit in the units of the derivatives (1e-3 for mm where these are per metre)
 
@@ -205,8 +205,8 @@ def observability(values: np.ndarray, measurements: int) -> Observability:
 class Determinability:
     """Whether and how well the data determine each unknown."""
 
-    unknowns: tuple[Unknown, ...]  # the p unknowns
-    spectrum: Spectrum  # spectrum in plausible units
+    unknowns: tuple[Unknown, ...]
+    spectrum: Spectrum
     tolerance: float  # singular values at or below it count as zero
     measurements: int  # number of measurements for the observability indices
 

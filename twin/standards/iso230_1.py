@@ -327,7 +327,7 @@ class SquarenessError:
     name: str  # ``E_C0Y``, ``E_B0Z`` or ``E_A0Z``
     value_urad: float  # the error; right-handed, see the module
     u_urad: float | None  # its standard uncertainty, or None if the lines have none
-    line: LineKind  # kind of the reference lines
+    line: LineKind
     datum_slope_urad: float  # datum_slope_urad, slope_urad: slopes of the lines of the datum axis and of the other axis
     slope_urad: float
 

@@ -39,8 +39,8 @@ class Positioning:
     """
 
     axis: str  # its name, for tables and plots
-    unit: Unit  # ``um`` or ``urad``
-    target_unit: Literal["mm", "deg"]  # ``mm`` or ``deg``
+    unit: Unit
+    target_unit: Literal["mm", "deg"]
     target: np.ndarray  # (m,) target positions, in `target_unit`
     forward: np.ndarray  # forward, backward: (m, n) deviations x_ij↑ and x_ij↓
     backward: np.ndarray

@@ -171,7 +171,7 @@ STEP_DEG: Final = 1e-3
 class AxisDesign:
     """Displacements of the tool relative to the work per unit of each quantity of a rotary axis."""
 
-    axis: str  # name of the axis
+    axis: str
     # of the quantities: two locations, the shift along the axis, two orientations, the zero, the radial expansion
     names: tuple[str, ...]
     units: tuple[str, ...]  # ``um`` or ``urad`` by name, in that order
@@ -395,7 +395,7 @@ Readings = Mapping[str, np.ndarray]
 class DriftRecord:
     """Displacements over time; n rows in the order of time."""
 
-    source: str  # the file
+    source: str
     time_s: np.ndarray  # (n,) strictly increasing
     part: np.ndarray  # (n,) name of the part of the record (round): tests of different axes are different parts
     spot: np.ndarray  # (n,) what was read: target and station, in words; empty for displacement sensors
@@ -408,8 +408,8 @@ class DriftRecord:
     u_um: float = float("nan")  # standard uncertainty of a displacement; NaN if unknown
     remarks: tuple[str, ...] = ()  # assumptions on directions
     notices: tuple[str, ...] = ()  # what was read but not used
-    set_aside: tuple[RowNote, ...] = ()  # rows that are not used
-    simulated: bool = False  # whether the readings were simulated
+    set_aside: tuple[RowNote, ...] = ()
+    simulated: bool = False
     # how the errors of the rotary axis that moves act on the displacements; None if there is none
     design: AxisDesign | None = None
 

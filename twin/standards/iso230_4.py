@@ -60,8 +60,8 @@ class RotaryMotion:
     """
 
     name: str  # ISO 230-1 name, such as ``E_XC``; empty if none was given
-    kind: Kind  # ``radial``, ``axial`` or ``tilt``
-    unit: Literal["um", "urad"]  # ``um`` or ``urad``
+    kind: Kind
+    unit: Literal["um", "urad"]
     angle_deg: np.ndarray  # (k,) angles of the axis within a turn
     readings: np.ndarray  # (turns, k) as measured
     constant: float  # mean of the synchronous motion (the radius of the least-squares circle)
@@ -175,7 +175,7 @@ class CircularTest:
     """Result of a circular test."""
 
     name: str  # the two axes, such as ``XY``; empty if not given
-    radius_mm: float  # nominal radius
+    radius_mm: float
     # path with rising angle, from the first axis to the second (counter-clockwise); None if it was not measured
     forward: CircularPath | None
     backward: CircularPath | None  # path with falling angle (clockwise); None if it was not measured

@@ -108,7 +108,7 @@ class StandardTest:
     kind: str
     name: str  # axis (``X``), axes (``XY``) or error (``E_YX``); tolerances select tests by it
     standard: str  # standard and clause
-    axes: tuple[str, ...]  # names of the axes that moved
+    axes: tuple[str, ...]
     place: str  # positions of the other axes, and target and station, in words
     values: tuple[StandardValue, ...]
     remarks: tuple[str, ...]  # requirements of the standard that are not met, assumptions, and what is not verified
@@ -147,7 +147,7 @@ class NotEvaluated:
     """A test that the table does not allow."""
 
     test: str  # the test, with its axes if it is one of several
-    why: str  # the reason
+    why: str
 
 
 @final
@@ -201,11 +201,11 @@ class ToleranceCheck:
 class EvaluationResult(DisplayedResult):
     """The standard tests of a measurement table."""
 
-    data: EvaluatedData  # the table
-    machine: str  # name of the machine
-    tests: tuple[StandardTest, ...]  # the tests that were evaluated
+    data: EvaluatedData
+    machine: str
+    tests: tuple[StandardTest, ...]
     not_evaluated: tuple[NotEvaluated, ...]  # the tests that were not, with the reason
-    assumptions: tuple[str, ...]  # assumptions about the table
+    assumptions: tuple[str, ...]
     uncertainty: str  # source of the readings' uncertainty, in words; empty if unknown
     checks: tuple[ToleranceCheck, ...]  # the tolerances asked for; empty if none were
     warnings: tuple[SourceWarning, ...]  # where the readings come from

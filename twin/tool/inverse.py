@@ -109,12 +109,9 @@ class Steps:
 
         Only two vectors per side are carried along the chain; the derivatives need every frame.
         """
-        (tip, pointing), (goal, target) = (
-            branch.carried(*start)
-            for branch, start in zip(
-                self._branches, (self._kinematics.tip_and_axis, (self._point, self._axis)), strict=True
-            )
-        )
+        tool, work = self._branches
+        tip, pointing = tool.carried(*self._kinematics.tip_and_axis)
+        goal, target = work.carried(self._point, self._axis)
         gap, axis_gap, off = tip - goal, pointing - target, ca.horzcat(*_perpendicular(target)).T @ pointing
         return self._function(
             "check", [_largest(ca.vertcat(gap, off)), _largest(gap), ca.sumsqr(gap), ca.sumsqr(axis_gap), gap, off]

@@ -72,7 +72,7 @@ class Counts:
 class Tally:
     """Sums and counts over a number of machines."""
 
-    machines: int  # number of machines
+    machines: int
     point: np.ndarray  # (4, poses, bins + 2) counts of the deviation of the point along x, y, z, and of its length
     sums: np.ndarray  # (poses, 3) sums of the point's deviation, µm
     squares: np.ndarray  # (poses, 3, 3) sums of its products, µm²
@@ -126,7 +126,7 @@ class Draws:
     conditions: Conditions
     positions: np.ndarray  # (n, axes) commands, mm and degrees
     sides: np.ndarray  # (n, axes) directions of approach
-    seed: int  # random seed
+    seed: int
     # lower and upper limits of the bins for the quantities per pose (4, n) and per machine (4); None before the pilot run
     bins: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray] | None = None
 
@@ -312,8 +312,8 @@ class Population(Result):
 
     axes: tuple[str, ...]  # names, in the order of the columns of ``positions``
     positions: np.ndarray  # (n, axes) commands, mm and degrees
-    machines: int  # number of machines drawn
-    seed: int  # random seed
+    machines: int
+    seed: int
     first_order_um: np.ndarray  # (n,) U by first-order propagation; see `twin.tool.uncertainty.DEFINITION`
     by_draws_um: np.ndarray  # (n,) radius about the estimated point that contains 95 % of the drawn points
     standard_um: np.ndarray  # (n, 3) standard deviation of the drawn points along x, y, z of the work frame

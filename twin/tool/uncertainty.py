@@ -62,7 +62,7 @@ class BudgetRow:
     # (`twin.tool.forward.Poses.tilt_urad`); the maximum by absolute value
     tilt_rms_urad: tuple[float, float]
     tilt_max_urad: tuple[float, float]
-    illustrative: bool  # whether its values are illustrative and not measured
+    illustrative: bool
 
 
 def volume(machine: Machine, poses: int = POSES, seed: int = BUDGET_SEED) -> np.ndarray:
@@ -238,17 +238,11 @@ POSES_PER_CHUNK: Final = 256
 
 
 def radius_95(covariance: np.ndarray) -> np.ndarray:
-    """Return the radius within which a normally distributed error lies with 95 % probability.
+    """Return the radius (n,) within which a normally distributed error of covariance (n, 3, 3) lies with 95 % probability.
 
     The squared length is approximated by a multiple of χ² with ν = tr²(Σ)/tr(Σ²) degrees of freedom, which has the right mean and
     variance (Satterthwaite 1946; JCGM 100, G.4.1). It is exact for one, two or three equal standard deviations and otherwise between
     0.06 % too small and 0.54 % too large (coverage 94.98 … 95.15 %).
-
-    Args:
-        covariance: (n, 3, 3).
-
-    Returns:
-        (n,) radius, in the unit of the standard deviations.
     """
     mean = np.trace(covariance, axis1=1, axis2=2)
     square = np.einsum("nij,nij->n", covariance, covariance)
@@ -329,7 +323,7 @@ class UncertaintyMap(Result):
 
     axes: tuple[str, ...]  # names, in the order of the columns of ``positions``
     positions: np.ndarray  # (n, axes) commands, mm and degrees
-    uncertainty: PoseUncertainty  # uncertainty of the n poses
+    uncertainty: PoseUncertainty
 
     @property
     def rms_um(self) -> float:

@@ -111,9 +111,9 @@ class Converted:
     """Result of a conversion to a datum."""
 
     numbers: Numbers  # curves without covariance, squareness, locations
-    names: tuple[str, ...]  # names of the new parameters
+    names: tuple[str, ...]
     matrix: np.ndarray  # (new, old) first derivatives of the new parameters by the old ones
-    old: tuple[str, ...]  # names of the old parameters
+    old: tuple[str, ...]
 
     def covariance(self, known: Covariance) -> Covariance:
         """Return the covariance of the new parameters.

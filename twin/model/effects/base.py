@@ -42,7 +42,7 @@ class Parameter:
 
     name: str  # ``E_XX[2]`` for a curve's coefficient, ``E_C0Y`` for a squareness or location
     unit: str  # ``um``, ``urad``, or the unit that the effect defines
-    value: float  # in that unit
+    value: float
 
 
 class Effect(ABC):
@@ -80,10 +80,7 @@ class Effect(ABC):
 
         This default applies to effects that are linear in their first parameters (`linear`). Positions of every axis are mm or
         degrees: arrays or CasADi expressions, all of one shape; also, where known, ``approach_<axis>`` (+1, −1, 0), ``time_s`` and
-        ``T_<axis or sensor>_degC``.
-
-        Raises:
-            InputError: a channel that the effect needs is missing.
+        ``T_<axis or sensor>_degC``; raises `InputError` if one that the effect needs is missing.
         """
         first, *others = zip(self.parameters[: self.linear], self.derivatives(positions), strict=False)
         total = {i: first[0].value * shape for i, shape in first[1].items()}
@@ -285,10 +282,10 @@ CENTRE_RANGE_MM: Final = 500.0
 class Payload:
     """A mass that is missing from the URDF, fixed to the tool frame (spindle nose, flange) or to the work frame."""
 
-    side: Side  # ``tool`` or ``work``
+    side: Side
     mass_kg: float  # mass; of a carried load the mass that acts per kg of the channel ``load_kg``
     centre_mm: tuple[float, float, float]  # centre of gravity in that frame
-    carried: bool = False  # whether it is a carried load
+    carried: bool = False
 
     @classmethod
     def of(cls, side: Side, numbers: Mapping[str, float], *, carried: bool = False) -> Payload:

@@ -47,10 +47,10 @@ class Advice:
 class FittedCause:
     """Fitted values of one cause, for the evidence sentence."""
 
-    where: str  # its place
+    where: str
     size: float  # the linear parameter with the largest ratio of value to uncertainty
-    unit: str  # its unit as printed
-    numbers: Mapping[str, float]  # all parameters by name
+    unit: str
+    numbers: Mapping[str, float]
     effects: Sequence[Effect] = ()  # the effects built from the fit
 
     @property
@@ -90,7 +90,7 @@ class Drawing:
 class SharedColumns:
     """Columns of all trials, computed together."""
 
-    functions: Functions  # functions of the state
+    functions: Functions
     columns: Sequence[tuple[int, ...]]  # for each trial the indices of the functions that are its columns
     frame: Frame  # frame in which they act
     parts: tuple[tuple[int, float], ...]  # error components of the frame in which they act, each with its factor
@@ -111,7 +111,7 @@ class Forms:
     tests: float | None = None  # number of independent tests this amounts to; the number of trials if None
     # the columns of all trials at once, which is faster; None if ``units`` is fast enough
     together: SharedColumns | None = None
-    space: CurveSpace | None = None  # function space of the columns of a curve
+    space: CurveSpace | None = None
     is_drift: bool = False  # whether a trial is a time constant, with a straight line in time as its limit
 
 
@@ -120,10 +120,10 @@ class Forms:
 class Specification:
     """Specification of one effect."""
 
-    name: str  # name of the effect (contract §5)
+    name: str
     kind: Kind  # whether it belongs to the machine, to its calibration file or to the instrument
     title: Callable[[str], str]  # place → plain description without symbols, in lower case
-    advice: Advice  # what to do about it
+    advice: Advice
     evidence: Callable[[FittedCause], str]  # fitted values → what the effect does, a sentence without a full stop
     family: str = ""  # plain name of the kind of effect, in the plural where there is one; the name in words if empty
     parameters: tuple[str, ...] = ()  # their names in a calibration file
@@ -163,7 +163,7 @@ class Specification:
     curve: bool = False  # whether it is a function of one axis's position, to be validated on held-out positions
     # the simpler effect of which it is a variant with more parameters; it must predict better than that effect
     variant_of: str = ""
-    constant: bool = False  # whether it is a constant of the machine
+    constant: bool = False
     rare: bool = False  # whether it is a mistake that is rarely made, with a smaller share of the false alarms
     # whether its parameter is 1 wherever it is present (a mistake that is made completely or not at all)
     all_or_nothing: bool = False
@@ -174,7 +174,7 @@ class Specification:
     decided_by: str = "repeat the first round without touching the instrument or the targets"
     # number of its forms that are used to estimate the noise; 0: other effects have the same forms; None: the widest
     plain_forms: int | None = None
-    drawing: Drawing = field(default_factory=Drawing)  # how it is plotted
+    drawing: Drawing = field(default_factory=Drawing)
 
     @property
     def plural(self) -> str:

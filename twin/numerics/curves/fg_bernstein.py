@@ -65,7 +65,7 @@ class FGBernstein:
 
     degree: int  # n; there are n + 1 functions
     domain: tuple[float, float] = (0.0, 1.0)  # (a, b) of the parameter, in its own unit
-    kind: Literal["polynomial", "trigonometric"] = "polynomial"  # ``polynomial`` or ``trigonometric``
+    kind: Literal["polynomial", "trigonometric"] = "polynomial"
     # Δ of the trigonometric kind, more than 0, at most 3: the parameter spans an angle of 2Δ. Not used for polynomials.
     half_angle_rad: float = PAPER_HALF_ANGLE_RAD
 
