@@ -35,7 +35,6 @@ from twin.standards.iso230_1 import AngularError, Straightness
 from twin.standards.iso230_2 import Positioning, UnidirectionalPositioning
 from twin.standards.iso230_3 import DriftSeries
 from twin.standards.iso230_4 import CircularTest, RotaryMotion
-from twin.standards.iso230_4 import RotaryMotion as ErrorMotion
 from twin.standards.result import SENTENCES, EvaluationResult, StandardTest
 
 BESIDE: Final[dict[str, Any]] = {"loc": "upper left", "frameon": False, "borderaxespad": 0.0, "fontsize": 9}
@@ -209,7 +208,7 @@ def plot_angular_error(result: AngularError, *, title: str = "") -> Figure:
     return figure
 
 
-def plot_error_motion(result: ErrorMotion, *, title: str = "") -> Figure:
+def plot_error_motion(result: RotaryMotion, *, title: str = "") -> Figure:
     """Plot a rotary axis's error motion in polar coordinates: every turn, their mean, and the two circles that contain the mean."""
     unit, turns, axial = readable(result.unit), len(result.total), result.kind == "axial"
     kind = f"{result.kind} error motion"
@@ -248,7 +247,7 @@ def _list_values(figure: Figure, polar: Any, rows: list[tuple[str, float | None]
     polar.legend(**place, loc="upper left", frameon=False, fontsize=9)
 
 
-def _turns(polar: PolarAxes, result: ErrorMotion) -> None:
+def _turns(polar: PolarAxes, result: RotaryMotion) -> None:
     """Draw the curves with their circles, with an arbitrary radius in the middle to which the deviations are added."""
     angle = np.append(result.angle_deg, result.angle_deg[0] + 360.0) * DEG
     extent = max(float(np.abs(result.total).max()), 1e-12)
@@ -304,7 +303,7 @@ def plot_circular(result: CircularTest, *, title: str = "") -> Figure:
     return figure
 
 
-def _bars(plot: Axes, result: ErrorMotion, unit: str) -> None:
+def _bars(plot: Axes, result: RotaryMotion, unit: str) -> None:
     """Draw the amplitudes of the harmonics, without those that were removed with the centre."""
     shown = [h for h in result.harmonics if h.order > 1 or result.kind == "axial"]
     style_axes(plot)
