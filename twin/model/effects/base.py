@@ -64,7 +64,7 @@ class Effect(ABC):
     units: tuple[tuple[str, str], ...] = ()
     """Names and units of the attributes that are its parameters, in the order of `derivatives`."""
     linear: ClassVar[int] = 1
-    """Number of its first parameters to whose sum `components` is proportional, with the other parameters held."""
+    """Number of its first parameters in which the default `components` is linear, with the other parameters held."""
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
