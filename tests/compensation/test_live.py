@@ -28,7 +28,7 @@ from twin.compensation.live import earlier_of, make_module, write_module
 from twin.compensation.live.folder import Proof
 from twin.compensation.live.graph import Damping, LiveCorrection
 from twin.compensation.live.module import channel_of, channels_of
-from twin.model.calibration_file import ColumnSpec, UnidentifiedEntry, empirical_named
+from twin.model.calibration_file import ColumnEntry, UnidentifiedEntry, empirical_named
 from twin.monitoring.record import ControlRecord
 from twin.numerics.covariance import Covariance
 
@@ -339,7 +339,7 @@ def test_effects_of_time_and_temperature_get_pins() -> None:
 
 def pattern(where: str, size: float, machine: twin.Machine, **ranges: tuple[float, float]) -> twin.Calibration:
     """Return a machine whose tool side has moved along x by size·cos(π (value − low)/(high − low)), cause unknown."""
-    columns = [ColumnSpec(name, "half_waves", 1, span) for name, span in ranges.items()]
+    columns = [ColumnEntry(column=name, functions="half_waves", order=1, range=span) for name, span in ranges.items()]
     key = "x[1]" if len(columns) == 1 else "x[1,0]"
     extra = empirical_named(f"tool by {where}", "base", columns, {key: size}, machine)
     return replace(twin.Calibration.zero(machine), extra=(extra,))

@@ -130,14 +130,13 @@ def test_null_directions_in_any_basis() -> None:
     unknowns = [Unknown(f"p{i}", "", 1.0) for i in range(9)]
     jacobian = np.repeat(np.eye(3), 3, axis=1) * 1e6
     found = determinability(jacobian, unknowns)
-    expected = [str(one) for one in found.null_directions], [str(found.null_direction_of(f"p{i}")) for i in range(9)]
+    expected = [str(found.null_direction_of(f"p{i}")) for i in range(9)]
     for seed in range(5):
         turn = np.linalg.qr(np.random.default_rng(seed).standard_normal((6, 6)))[0]
         spectrum = replace(found.spectrum, null_space=found.spectrum.null_space @ turn)
         other = replace(found, spectrum=spectrum)
-        assert [str(one) for one in other.null_directions] == expected[0]
-        assert [str(other.null_direction_of(f"p{i}")) for i in range(9)] == expected[1]
-    assert expected[1][:3] == ["p0 +1 with p1 -1", "p1 +1 with p0 -1", "p2 +1 with p0 -1"]
+        assert [str(other.null_direction_of(f"p{i}")) for i in range(9)] == expected
+    assert expected[:3] == ["p0 +1 with p1 -1", "p1 +1 with p0 -1", "p2 +1 with p0 -1"]
 
 
 def test_the_sign_of_a_direction() -> None:
@@ -159,7 +158,7 @@ def test_the_side_of_a_face_error_motion(sense: float, seed: int) -> None:
     frame = np.linalg.qr(np.random.default_rng(seed).standard_normal((3, 3)))[0]
     frame *= np.sign(np.linalg.det(frame))
     points = np.column_stack([100.0 * np.cos(turned), 100.0 * np.sin(turned), sense * axial]) @ frame.T
-    assert _circle(points, theta).axial_mm == pytest.approx(axial, abs=1e-6)
+    assert _circle(points, theta)[2] == pytest.approx(axial, abs=1e-6)
 
 
 def test_equally_informative_readings() -> None:

@@ -24,7 +24,7 @@ from twin.model.motion_curve import Curve, sum_of_curves
 from twin.monitoring import compare
 from twin.numerics.covariance import Covariance
 from twin.numerics.curves import BASES, POWER, Basis, CurveSpace, bases_for, basis_named, conversion
-from twin.numerics.curves.cubic_spline import CubicSpline
+from twin.numerics.curves.bases import CubicSpline
 from twin.tool.forward import Kinematics
 
 DOMAIN = (0.0, 360.0)

@@ -15,7 +15,7 @@ from twin.display.figures import BACKWARD, FORWARD, save
 from twin.standards.iso230_1 import straightness
 from twin.standards.iso230_2 import bidirectional
 from twin.standards.iso230_4 import error_motion
-from twin.standards.plots import plot_error_motion, plot_positioning, plot_straightness
+from twin.standards.page import plot_error_motion, plot_positioning, plot_straightness
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -147,12 +147,12 @@ def test_only_the_plots_need_matplotlib() -> None:
     """The global state of matplotlib, which belongs to the user's notebook, does not change."""
     code = (
         "import sys; import twin.standards; assert 'matplotlib' not in sys.modules; "
-        "import twin.standards.plots; assert 'matplotlib.pyplot' not in sys.modules"
+        "import twin.standards.page; assert 'matplotlib.pyplot' not in sys.modules"
     )
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     importing = [path.name for path in (ROOT / "twin" / "standards").rglob("*.py") if "matplotlib" in imports(path)]
-    assert sorted(importing) == ["page.py", "plots.py"]
+    assert importing == ["page.py"]
 
 
 def imports(path: Path) -> str:

@@ -93,12 +93,7 @@ Twist = tuple[Any, Any]
 
 @final
 class Branch:
-    """A serial chain of joints with a frame on the last one.
-
-    Args:
-        links: the joints, from the base outwards.
-        end: placement of the frame on the last joint.
-    """
+    """A serial chain of joints, from the base outwards, with a frame placed on the last one."""
 
     def __init__(self, links: Sequence[Link], end: pin.SE3) -> None:
         self.links = tuple(links)
@@ -129,12 +124,9 @@ class Branch:
         return *(pose for link in self.links for pose in (link.placement, link.motion)), self.end
 
     def twists(self, errors: Any, by_position: Any, terms: int) -> tuple[Pose, list[Twist]]:
-        """Return the pose of the frame and its twist per unit of every axis, with errors that depend on the axes.
+        """Return the pose of the frame and its twist per unit of every axis, with errors (6·frames,) that depend on the axes.
 
-        Args:
-            errors: (6·frames,) current errors.
-            by_position: (6·frames, axes) their derivatives by the axis positions.
-            terms: number of terms of the Jacobian of Exp, I + [e]/2 + …: one or two.
+        ``by_position`` (6·frames, axes) are the errors' derivatives, ``terms`` those of the Jacobian of Exp, I + [e]/2 + …: one or two.
         """
         none = ca.SX(3, 1)
         twists: list[Twist] = [(none, none) for _ in range(by_position.shape[1])]

@@ -45,27 +45,18 @@ AXIS_HEADERS = ("axis", "kind", "range", "least increment", "carries", "joint in
 @final
 @dataclass(frozen=True)
 class Axis:
-    """One axis of a machine.
+    """One axis of a machine."""
 
-    Attributes:
-        name: its name in programs and data (``X``, ``B``, ``J1``).
-        joint: its joint in the URDF.
-        linear: whether it translates (mm); a rotary axis turns (degrees).
-        lower, upper: range in mm or degrees; None, None for an unlimited rotary axis.
-        increment: least increment in mm or degrees.
-        direction: unit vector of the motion, in the axis's error frame.
-        machine_axes: unit vectors of the machine frame's x, y and z in the axis's error frame, all joints at zero.
-        side: the side that it moves: ``tool`` or ``work``; ``both`` for a joint that carries both, without relative motion.
-    """
-
-    name: str
-    joint: str
-    linear: bool
-    lower: float | None
+    name: str  # its name in programs and data (``X``, ``B``, ``J1``)
+    joint: str  # its joint in the URDF
+    linear: bool  # whether it translates (mm); a rotary axis turns (degrees)
+    lower: float | None  # lower, upper: range in mm or degrees; None, None for an unlimited rotary axis
     upper: float | None
-    increment: float
-    direction: Vector
+    increment: float  # least increment in mm or degrees
+    direction: Vector  # unit vector of the motion, in the axis's error frame
+    # unit vectors of the machine frame's x, y and z in the axis's error frame, all joints at zero
     machine_axes: tuple[Vector, Vector, Vector]
+    # the side that it moves: ``tool`` or ``work``; ``both`` for a joint that carries both, without relative motion
     side: Literal["tool", "work", "both"]
 
     @property
@@ -98,17 +89,12 @@ class Axis:
 @final
 @dataclass(frozen=True)
 class ErrorFrame:
-    """One six-component frame of a machine's chain.
+    """One six-component frame of a machine's chain."""
 
-    Attributes:
-        axis: the axis it belongs to.
-        role: ``motion`` for the error motions E_XX … of an axis, ``location`` for E_X0C … of a rotary axis.
-        joint: index of its free-flyer joint in the Pinocchio model.
-    """
-
-    axis: str
+    axis: str  # the axis it belongs to
+    # ``motion`` for the error motions E_XX … of an axis, ``location`` for E_X0C … of a rotary axis
     role: Literal["motion", "location"]
-    joint: int
+    joint: int  # index of its free-flyer joint in the Pinocchio model
 
 
 @final
@@ -120,6 +106,7 @@ class Machine(DisplayedResult):
         path: the machine file.
         urdf: the URDF file.
         axes: its axes in command order.
+        axis_joints: joint index in the Pinocchio model of every axis, in command order.
         model: the Pinocchio model, metres and radians, with a free-flyer joint for every error frame.
         frames: the error frames in the order in which errors are passed as arrays.
         tool_frame, work_frame: indices of the tool and work frames in ``model.frames``.
@@ -166,7 +153,7 @@ class Machine(DisplayedResult):
         self.work_frame = int(self.model.getFrameId(entries.frames.work, pin.FrameType.BODY))
         self.origin_mm: Mapping[str, float] = MappingProxyType(dict(entries.frames.origin))
         self._error_frames = {entry.name: error_frame(entry) for entry in entries.axes}
-        self._axis_joints = tuple(joint_of[entry.name] for entry in entries.axes)
+        self.axis_joints = tuple(joint_of[entry.name] for entry in entries.axes)
         turns = turns_in_machine_frame(entries, source, path, lines)
         self.axes = tuple(self._axis(entry, source, turns[entry.name]) for entry in entries.axes)
         self._check_paths(path, lines)
@@ -184,11 +171,6 @@ class Machine(DisplayedResult):
     def error_frame(self, axis: str) -> pin.SE3:
         """Return the placement of an axis's error frame in its joint's frame."""
         return pin.SE3(self._error_frames[axis])
-
-    @property
-    def axis_joints(self) -> tuple[int, ...]:
-        """Joint index in the Pinocchio model of every axis, in command order."""
-        return self._axis_joints
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -289,7 +271,7 @@ class Machine(DisplayedResult):
             Configuration (model.nq,).
         """
         configuration = pin.neutral(self.model)
-        for joint, value in zip(self._axis_joints, q, strict=True):
+        for joint, value in zip(self.axis_joints, q, strict=True):
             configuration[self.model.joints[joint].idx_q] = value
         if errors is not None:
             for frame, error in zip(self.frames, errors, strict=True):
@@ -305,7 +287,7 @@ class Machine(DisplayedResult):
 
     def display(self) -> Display:
         """Return kinematic chain, axes and files."""
-        ordered = [axis for _, axis in sorted(zip(self._axis_joints, self.axes, strict=True), key=lambda pair: pair[0])]
+        ordered = [axis for _, axis in sorted(zip(self.axis_joints, self.axes, strict=True), key=lambda pair: pair[0])]
         tool = [(axis.name, "axis") for axis in ordered if axis.side == "tool"]
         work = [(axis.name, "axis") for axis in reversed(ordered) if axis.side == "work"]
         links = chain([("workpiece", "end"), *work, ("base", "fixed"), *tool, ("tool", "end")])
@@ -324,6 +306,7 @@ class Machine(DisplayedResult):
         motion = np.array(_direction(joint))
         lower, upper = (None, None) if entry.range == "unlimited" else entry.range
         x, y, z = (_unit(row) for row in orientation)
+        tool, work = (self._carries(entry.name, frame) for frame in (self.tool_frame, self.work_frame))
         return Axis(
             name=entry.name,
             joint=entry.joint,
@@ -333,12 +316,8 @@ class Machine(DisplayedResult):
             increment=entry.increment,
             direction=_unit(turn.rotation.T @ motion),
             machine_axes=(x, y, z),
-            side=self._side(entry.name),
+            side="both" if tool and work else "tool" if tool else "work",
         )
-
-    def _side(self, name: str) -> Literal["tool", "work", "both"]:
-        tool, work = (self._carries(name, frame) for frame in (self.tool_frame, self.work_frame))
-        return "both" if tool and work else "tool" if tool else "work"
 
     def _carries(self, name: str, frame: int) -> bool:
         joint = next(candidate.joint for candidate in self.frames if candidate.axis == name)
@@ -376,9 +355,8 @@ def _with_error_frames(
     model = pin.Model()
     model.name = source.name
     model.gravity = source.gravity
-    end_of = {
-        0: (0, pin.SE3.Identity())
-    }  # old joint -> new joint that carries its body, and the body's placement on it
+    # old joint -> new joint that carries its body, and the body's placement on it
+    end_of = {0: (0, pin.SE3.Identity())}
     joint_of: dict[str, int] = {}
     free_flyers: dict[tuple[str, str], int] = {}
     for old in range(1, source.njoints):

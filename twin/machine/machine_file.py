@@ -191,11 +191,7 @@ def _check_tree(robot: Element, path: Path) -> None:
         parent, child = (_end(joint, kind, known, path) for kind in ("parent", "child"))
         if child in carried:
             raise InputError(
-                "a link carried by two joints",
-                expected="one joint per link",
-                file=path,
-                line=joint.line,
-                value=child,
+                "a link carried by two joints", expected="one joint per link", file=path, line=joint.line, value=child
             )
         carried[child] = joint
         below[parent].append(child)
@@ -301,11 +297,16 @@ LONGEST_TOOL_MM: Final = 5_000.0
 _Position = Annotated[float, Field(ge=-MAX_POSITION, le=MAX_POSITION)]
 
 
-@final
-class AxisEntry(BaseModel):
-    """One axis."""
+class FileEntry(BaseModel):
+    """Entry of a YAML file: all names known, all numbers finite, immutable."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, defer_build=True)
+
+
+@final
+class AxisEntry(FileEntry):
+    """One axis."""
+
     name: Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9]*$")]
     joint: str
     kind: Literal["linear", "rotary"]
@@ -315,20 +316,18 @@ class AxisEntry(BaseModel):
 
 
 @final
-class Frames(BaseModel):
+class Frames(FileEntry):
     """Links that are the tool and work frames, and axis coordinates of the URDF's zero position."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, defer_build=True)
     tool: str
     work: str
     origin: dict[str, _Position] = {}
 
 
 @final
-class Programs(BaseModel):
+class Programs(FileEntry):
     """Defaults for programs on this machine."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, defer_build=True)
     tool_length: Annotated[float, Field(ge=0, le=LONGEST_TOOL_MM)] = 0.0
     tcp_on: tuple[str, ...] = ()
     tcp_off: tuple[str, ...] = ()
@@ -337,26 +336,23 @@ class Programs(BaseModel):
 
 
 @final
-class Magnitudes(BaseModel):
+class Magnitudes(FileEntry):
     """Prior standard deviations of errors of one kind, µm and µrad."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, defer_build=True)
     um: Annotated[float, Field(gt=0.0, le=1e5)] = 1000.0
     urad: Annotated[float, Field(gt=0.0, le=1e5)] = 1000.0
 
 
-class Plausible(BaseModel):
+class Plausible(FileEntry):
     """Prior standard deviations by kind: error motions; squareness and locations of rotary axes."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, defer_build=True)
     motion: Magnitudes = Magnitudes()
     location: Magnitudes = Magnitudes()
 
 
-class MachineFile(BaseModel):
+class MachineFile(FileEntry):
     """A machine file."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, defer_build=True)
     schema_: Literal["twin.machine/1"] = Field(alias="schema")
     name: str
     urdf: str
@@ -424,35 +420,22 @@ def check_entries(entries: MachineFile, source: pin.Model, path: Path, lines: Ma
 
 
 def _check_frames(entries: MachineFile, source: pin.Model, path: Path, lines: Mapping[EntryPath, int]) -> None:
+    def fail(place: EntryPath, what: str, expected: str, value: str) -> InputError:
+        return InputError(what, expected=expected, file=path, line=line_of(place, lines), value=value)
+
     bodies = [frame.name for frame in source.frames if frame.type == pin.FrameType.BODY]
-    for key in ("tool", "work"):
-        if getattr(entries.frames, key) not in bodies:
-            raise InputError(
-                f"{entries.urdf} has no such link",
-                expected=f"one of {', '.join(bodies)}",
-                file=path,
-                line=line_of(("frames", key), lines),
-                value=getattr(entries.frames, key),
-            )
+    for key, link in (("tool", entries.frames.tool), ("work", entries.frames.work)):
+        if link not in bodies:
+            raise fail(("frames", key), f"{entries.urdf} has no such link", f"one of {', '.join(bodies)}", link)
     for word, places in entries.programs.references.items():
         for name in places:
             if not any(entry.name == name for entry in entries.axes):
-                raise InputError(
-                    "reference position of something that is not an axis",
-                    expected="names of axes",
-                    file=path,
-                    line=line_of(("programs", "references", word, name), lines),
-                    value=name,
-                )
+                what = "reference position of something that is not an axis"
+                raise fail(("programs", "references", word, name), what, "names of axes", name)
     for name in entries.frames.origin:
         if not any(entry.name == name and entry.kind == "linear" for entry in entries.axes):
-            raise InputError(
-                "origin of something that is not a linear axis",
-                expected="names of linear axes",
-                file=path,
-                line=line_of(("frames", "origin", name), lines),
-                value=name,
-            )
+            what = "origin of something that is not a linear axis"
+            raise fail(("frames", "origin", name), what, "names of linear axes", name)
 
 
 def turns_in_machine_frame(
@@ -462,9 +445,6 @@ def turns_in_machine_frame(
 
     The machine frame has the directions of the first linear axis's error frame, or of the base frame if other linear axes are inclined
     to the first by more than 45°.
-
-    Raises:
-        InputError: the error frame of a linear axis is turned so far that its components would be named after other directions.
     """
     data = source.createData()
     pin.forwardKinematics(source, data, pin.neutral(source))

@@ -38,19 +38,12 @@ _NOTHING: Final = 1e-13
 @final
 @dataclass(frozen=True, repr=False)
 class CalibratedUrdf(Result):
-    """A URDF with constant geometric errors.
-
-    Attributes:
-        text: the file's text.
-        included: names of the errors that it contains.
-        left_out: names of the errors that a URDF cannot contain.
-        path: the machine's own URDF.
-    """
+    """A URDF with constant geometric errors."""
 
     text: str
-    included: tuple[str, ...]
-    left_out: tuple[str, ...]
-    path: Path
+    included: tuple[str, ...]  # names of the errors that it contains
+    left_out: tuple[str, ...]  # names of the errors that a URDF cannot contain
+    path: Path  # the machine's own URDF
 
     @property
     def brief(self) -> str:

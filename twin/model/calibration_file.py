@@ -1,12 +1,11 @@
 """Entries of a calibration file as pydantic models, and their conversion to effects.
 
-Conversion between `Empirical` and its `effects:` entry in a calibration file.
+An empirical effect:
 
     effects:
     - effect: empirical
       where: tool by X_mm, Y_mm
       cause: unknown
-      note: …
       along: base
       columns:
       - {column: X_mm, functions: half_waves, order: 8, range: [0.0, 500.0]}
@@ -22,19 +21,20 @@ from __future__ import annotations
 import re
 import textwrap
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from math import pi
-from typing import Annotated, Any, Final, Literal, final
+from typing import Annotated, Any, Final, Literal
 
 import numpy as np
 import pinocchio as pin
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from twin._common.errors import InputError, closest_name
 from twin._common.families import BasicClass
 from twin._common.provenance import MODEL_NOT_TESTED, NOISE_CONTRADICTED, SYSTEMATIC_RESIDUALS, SourceWarning
+from twin._common.records import is_temperature
 from twin._common.yaml_files import yaml_text
 from twin.machine.machine import ErrorFrame, Machine
+from twin.machine.machine_file import FileEntry
 from twin.model.effects import Effect, Empirical, Frame, GravityCompliance, Payload
 from twin.model.effects.base import numbered, rest_orientation
 from twin.model.effects.empirical import FrameRotation, channel_name
@@ -57,37 +57,10 @@ MAX_ORDER: Final = 64
 Along = Literal["base", "tool", "work"]
 
 
-@final
-@dataclass(frozen=True)
-class ColumnSpec:
-    """One column of an entry.
-
-    Attributes:
-        column: name of the column in the table.
-        order: highest order; None for a direction.
-        range: range of the measured values; None if the functions need none.
-    """
-
-    column: str
-    functions: Kind
-    order: int | None
-    range: tuple[float, float] | None
-
-
 def empirical_named(
-    where: str, along: Along, columns: Sequence[ColumnSpec], numbers: Mapping[str, float], machine: Machine
+    where: str, along: Along, columns: Sequence[ColumnEntry], numbers: Mapping[str, float], machine: Machine
 ) -> Empirical:
-    """Create an empirical effect from its entry in a calibration file.
-
-    Args:
-        where: its place: ``tool by X_mm, Y_mm``.
-        along: frame whose axes the directions are.
-        columns: one or two columns.
-        numbers: coefficients, µm.
-
-    Raises:
-        InputError: the entry is inconsistent or does not fit the machine.
-    """
+    """Create an empirical effect from its entry in a calibration file."""
     match = re.fullmatch(r"(tool|work) by (.+?)( \(\d+\))?", where)
     named = ", ".join(column.column for column in columns)
     if match is None or match[2] != named:
@@ -105,10 +78,7 @@ def empirical_named(
         if name not in known:
             expected = f"{known[0]} … {known[-1]}"
             raise InputError(
-                f"no such parameter of {NAME} {where}",
-                expected=expected,
-                value=name,
-                nearest=closest_name(name, known),
+                f"no such parameter of {NAME} {where}", expected=expected, value=name, nearest=closest_name(name, known)
             )
         if abs(value) > MAX_COEFFICIENT_UM:
             expected = f"at most {MAX_COEFFICIENT_UM:g} µm"
@@ -122,12 +92,7 @@ def empirical_named(
 def acting_frame(side: str, along: Along, machine: Machine) -> tuple[Frame, FrameRotation]:
     """Return the error frame in which a shift of one side acts, and the rotation to it from the axes along which the shift is given.
 
-    Args:
-        side: ``tool`` or ``work``.
-        along: ``base`` for the error frame nearest the base, which does not turn; else the last one before the targets of that side.
-
-    Raises:
-        InputError: no axis moves that side, or an axis nearer to the base turns both sides.
+    With ``along`` base it is the error frame nearest the base, which does not turn; else the last one before the targets of that side.
     """
     target = machine.tool_frame if side == "tool" else machine.work_frame
     supports = machine.model.supports[machine.model.frames[target].parentJoint].tolist()
@@ -155,13 +120,7 @@ def acting_frame(side: str, along: Along, machine: Machine) -> tuple[Frame, Fram
 
 
 def unused_place(side: str, columns: Sequence[Waves], taken: Sequence[str]) -> str:
-    """Return the place of a new effect, with a number if the place is already in use.
-
-    Args:
-        side: ``tool`` or ``work``.
-        columns: one or two columns.
-        taken: names of existing effects.
-    """
+    """Return the place of a new effect, with a number if the place is in use by one of the ``taken`` names."""
     where = f"{side} by {', '.join(column.column for column in columns)}"
     number, found = 1, where
     while f"{NAME}:{found}" in taken:
@@ -194,14 +153,10 @@ def entry_of_empirical(effect: Empirical) -> dict[str, Any]:
 def available_in_programs(column: str, machine: Machine) -> bool:
     """Return whether a column is available when a program is compensated: positions, directions of approach, temperatures; not time."""
     axes = [f"{axis.name}_{axis.unit}" for axis in machine.axes]
-    return column in axes or column.removeprefix(APPROACH) in machine.names or _temperature(column)
+    return column in axes or column.removeprefix(APPROACH) in machine.names or is_temperature(column)
 
 
-def _temperature(column: str) -> bool:
-    return re.fullmatch(r"T_.+_degC", column) is not None
-
-
-def _waves(where: str, given: ColumnSpec, machine: Machine) -> Waves:  # noqa: C901, PLR0912
+def _waves(where: str, given: ColumnEntry, machine: Machine) -> Waves:  # noqa: C901, PLR0912
     """Return one column after checking it."""
     name, what = given.column, f"{given.column} of {NAME} {where}"
     axis = machine.by_name.get(channel_name(name))
@@ -254,16 +209,13 @@ def _seen_from(machine: Machine, frame: ErrorFrame, target: int, angle: float) -
     return np.asarray(data.oMi[frame.joint].rotation.T @ data.oMf[target].rotation)
 
 
-# --- Entries of a calibration file as pydantic models, and their conversion to effects ------------
-
 READABLE: Final = 20
 """Largest number of parameters whose joint covariance is written as readable rows."""
 
 
-class CurveEntry(BaseModel):
+class CurveEntry(FileEntry):
     """One error motion."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, defer_build=True)
     unit: str
     domain: tuple[float, float]
     basis: str
@@ -274,53 +226,48 @@ class CurveEntry(BaseModel):
     source: str = ""
 
 
-class ColumnEntry(BaseModel):
+class ColumnEntry(FileEntry):
     """One column of an empirical effect."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, defer_build=True)
     column: str
-    functions: Literal["half_waves", "whole_turns", "direction"]
+    functions: Kind
     order: int | None = None
     range: tuple[float, float] | None = None
 
 
-class EffectEntry(BaseModel):
+class EffectEntry(FileEntry):
     """One effect; the last four fields apply only to an empirical effect."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, defer_build=True)
     effect: str
     where: str
     parameters: dict[str, float]
     cause: Literal["unknown"] | None = None
     note: str = ""
-    along: Literal["base", "tool", "work"] | None = None
+    along: Along | None = None
     columns: tuple[ColumnEntry, ...] = ()
 
 
-class CovarianceEntry(BaseModel):
+class CovarianceEntry(FileEntry):
     """Joint covariance of all parameters: its lower triangle in rows, or compressed with its SHA-256 (`Covariance.to_compressed`)."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, defer_build=True)
     parameters: tuple[str, ...]
     lower: str | None = None
     compressed: str | None = None
     sha256: str = ""
 
 
-class TableFileEntry(BaseModel):
+class TableFileEntry(FileEntry):
     """One table of the control."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, defer_build=True)
     file: str
     format: str
     classes: tuple[BasicClass, ...]
     sha256: str
 
 
-class ControlEntry(BaseModel):
+class ControlEntry(FileEntry):
     """Correction tables and kinematics active in the control."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, defer_build=True)
     errors_are: Literal["uncorrected", "remaining"]
     tables: tuple[TableFileEntry, ...] = ()
     kinematics: Annotated[tuple[TableFileEntry, ...], Field(max_length=1)] = ()
@@ -333,41 +280,27 @@ class ControlEntry(BaseModel):
         return self
 
 
-class UnidentifiedEntry(BaseModel):
-    """An error that the readings did not determine.
+class UnidentifiedEntry(FileEntry):
+    """An error that the readings did not determine."""
 
-    Attributes:
-        name: ISO 230-1 name.
-        why: the reason, and what would change it; one sentence.
-    """
-
-    model_config = ConfigDict(extra="forbid", frozen=True, defer_build=True)
-    name: str
-    why: Annotated[str, Field(min_length=1)]
+    name: str  # ISO 230-1 name
+    why: Annotated[str, Field(min_length=1)]  # the reason, and what would change it; one sentence
 
 
-class MisfitEntry(BaseModel):
-    """Residuals of the identification, compared with the noise stated for the readings.
+class MisfitEntry(FileEntry):
+    """Residuals of the identification, compared with the noise stated for the readings."""
 
-    Attributes:
-        verdict: ``consistent``; ``systematic`` (a repeatable part is left); ``larger`` than stated; ``untested`` (too few readings).
-        says: the verdict as a sentence.
-        rms_um: RMS of the residuals of a coordinate, µm.
-        reduced_chi2: chi² per degree of freedom.
-        dof: degrees of freedom.
-        p_value: probability of a chi² at least as large if the stated noise holds.
-        lack_of_fit_p_value: p-value of the residuals compared with repeats.
-        held_out_rms_um: RMS of the residuals at positions that were not used, µm.
-    """
-
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, defer_build=True)
+    # ``consistent``; ``systematic`` (a repeatable part is left); ``larger`` than stated; ``untested`` (too few readings)
     verdict: Literal["consistent", "systematic", "larger", "untested"]
     says: str = ""
-    rms_um: Annotated[float, Field(ge=0.0)] | None = None
-    reduced_chi2: Annotated[float, Field(ge=0.0)] | None = None
+    rms_um: Annotated[float, Field(ge=0.0)] | None = None  # RMS of the residuals of a coordinate, µm
+    reduced_chi2: Annotated[float, Field(ge=0.0)] | None = None  # chi² per degree of freedom
     dof: Annotated[float, Field(ge=0.0)] | None = None
+    # probability of a chi² at least as large if the stated noise holds
     p_value: Annotated[float, Field(ge=0.0, le=1.0)] | None = None
+    # p-value of the residuals compared with repeats
     lack_of_fit_p_value: Annotated[float, Field(ge=0.0, le=1.0)] | None = None
+    # RMS of the residuals at positions that were not used, µm
     held_out_rms_um: Annotated[float, Field(ge=0.0)] | None = None
 
     @property
@@ -384,26 +317,19 @@ MISFIT_WARNINGS: Final[dict[str, SourceWarning | None]] = {
 }
 
 
-class MeasuredWith(BaseModel):
-    """Set-up of the measurement.
+class MeasuredWith(FileEntry):
+    """Set-up of the measurement."""
 
-    Attributes:
-        stations: number of stations.
-        targets_on_tool, targets_on_work: number of reflectors, balls or spheres on either side.
-        points: number of points used.
-    """
-
-    model_config = ConfigDict(extra="forbid", frozen=True, defer_build=True)
     stations: Annotated[int, Field(ge=0)]
+    # targets_on_tool, targets_on_work: number of reflectors, balls or spheres on either side
     targets_on_tool: Annotated[int, Field(ge=0)]
     targets_on_work: Annotated[int, Field(ge=0)]
     points: Annotated[int, Field(ge=0)]
 
 
-class CalibrationFile(BaseModel):
+class CalibrationFile(FileEntry):
     """A calibration file."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, defer_build=True)
     schema_: Literal["twin.calibration/1"] = Field(alias="schema")
     machine: str
     source: str
@@ -415,9 +341,9 @@ class CalibrationFile(BaseModel):
     misfit: MisfitEntry | None = None
     not_identifiable: tuple[UnidentifiedEntry, ...] = ()
     not_estimated: tuple[str, ...] = ()
-    curves: dict[str, CurveEntry] = {}
-    squareness: dict[str, float] = {}
-    location: dict[str, float] = {}
+    curves: dict[str, CurveEntry] = Field(default_factory=dict)
+    squareness: dict[str, float] = Field(default_factory=dict)
+    location: dict[str, float] = Field(default_factory=dict)
     covariance: CovarianceEntry | None = None
     effects: tuple[EffectEntry, ...] = ()
     control: ControlEntry | None = None
@@ -426,13 +352,9 @@ class CalibrationFile(BaseModel):
 def effects_of(entries: Sequence[EffectEntry], machine: Machine, fail: Callable[..., InputError]) -> tuple[Effect, ...]:
     """Return the effects of a calibration file.
 
-    Args:
-        entries: entries of the file.
-        fail: place in the file, what is wrong, what was expected, value and nearest valid name → the error.
-
-    Raises:
-        InputError: the machine cannot have an effect, a payload or carried load acts on no compliant joint, a side has more than one
-            payload, or there is more than one carried load.
+    ``fail`` makes the error from place in the file, what is wrong, what was expected, value and nearest valid name. An error is raised
+    if the machine cannot have an effect, a payload or carried load acts on no compliant joint, a side has more than one payload, or
+    there is more than one carried load.
     """
     masses = {one.name: one for one in (PAYLOAD, CARRIED_LOAD)}
     payloads: dict[int, Payload] = {}
@@ -469,11 +391,9 @@ def _effect(entry: EffectEntry, machine: Machine, payloads: Sequence[Payload]) -
         return effect_named(entry.effect, entry.where, entry.parameters, machine, payloads)
     if entry.cause is None or entry.along is None:
         raise InputError(
-            f"{NAME} {entry.where} without cause or along",
-            expected="cause: unknown, and along: base, tool or work",
+            f"{NAME} {entry.where} without cause or along", expected="cause: unknown, and along: base, tool or work"
         )
-    columns = [ColumnSpec(column.column, column.functions, column.order, column.range) for column in entry.columns]
-    return empirical_named(entry.where, entry.along, columns, entry.parameters, machine)
+    return empirical_named(entry.where, entry.along, entry.columns, entry.parameters, machine)
 
 
 def measurement_entries(
@@ -508,11 +428,7 @@ def covariance_text(covariance: Covariance) -> str:
 
 
 def covariance_of(entry: CovarianceEntry) -> Covariance:
-    """Return the joint covariance of an entry.
-
-    Raises:
-        ValueError: neither or both forms, or numbers that are not a covariance.
-    """
+    """Return the joint covariance of an entry; raise `ValueError` for neither or both forms, or numbers that are not a covariance."""
     if (entry.lower is None) == (entry.compressed is None):
         raise ValueError("needs one of lower and compressed")
     if entry.lower is not None:

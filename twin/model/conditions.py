@@ -1,9 +1,7 @@
 """Inputs of the error model besides the positions, and the machine's log that gives them over time.
 
-They are temperatures, time, spindle speed, carried load, and the direction of approach of every axis. All but the last are given for a
-whole program, or temperatures and speed by a log of the machine and the program's own words for every block
-(`twin.compensation.programs.block_conditions`); the direction of approach follows from the program
-(`twin.compensation.programs.backlash`).
+They are temperatures, time, spindle speed and carried load, given for a whole program, or temperatures and speed by a log of the
+machine and the program's own words for every block, and the direction of approach of every axis, which follows from the program.
 """
 
 from __future__ import annotations
@@ -72,8 +70,6 @@ class MachineLog(Result):
         columns = [*self.temperature_degC, *([] if self.speed_rpm is None else ["spindle speed"])]
         return f"{self.path.name}: {times}, {', '.join(columns)}"
 
-
-# --- Inputs of the error model besides the positions ----------------------------------------------
 
 WORDS: Final = MappingProxyType(
     {TIME: Message("the time"), SPEED: Message("the spindle speed"), LOAD: Message("the load")}
@@ -160,16 +156,13 @@ class Conditions:
                 raise InputError(
                     f"implausible temperature of {name}", expected=f"°C from {low:g} to {high:g}", value=value
                 )
-        if self.time_s is not None and not 0.0 <= self.time_s < np.inf:
-            raise InputError(
-                "time must be zero or positive", expected="seconds since the start, 0 or more", value=self.time_s
-            )
-        if self.spindle_rpm is not None and not 0.0 <= self.spindle_rpm < np.inf:
-            raise InputError(
-                "spindle speed must be zero or positive", expected="1/min, 0 or more", value=self.spindle_rpm
-            )
-        if self.load_kg is not None and not 0.0 <= self.load_kg <= HEAVIEST_KG:
-            raise InputError("load must be zero or positive", expected=f"kg, 0 to {HEAVIEST_KG:g}", value=self.load_kg)
+        for what, given, most, expected in (
+            ("time", self.time_s, np.inf, "seconds since the start, 0 or more"),
+            ("spindle speed", self.spindle_rpm, np.inf, "1/min, 0 or more"),
+            ("load", self.load_kg, HEAVIEST_KG, f"kg, 0 to {HEAVIEST_KG:g}"),
+        ):
+            if given is not None and not (0.0 <= given <= most and given < np.inf):
+                raise InputError(f"{what} must be zero or positive", expected=expected, value=given)
 
     def missing(self, calibration: Calibration) -> dict[str, tuple[str, ...]]:
         """Return the channels, other than directions of approach, that a calibration needs and that are not given, with the effects."""

@@ -12,19 +12,7 @@ from typing import Any, Final
 import numpy as np
 
 from twin.controls import ControlSection
-from twin.display import (
-    UNKNOWN,
-    Cell,
-    Html,
-    chips,
-    joined,
-    measured,
-    note,
-    plain,
-    readable,
-    span,
-    table,
-)
+from twin.display import UNKNOWN, Cell, Html, chips, joined, measured, note, plain, readable, span, table
 from twin.display.markup import part
 from twin.display.numbers import COVERAGE_FACTOR, ceiling
 from twin.machine.error_names import DIRECTIONS
@@ -41,13 +29,7 @@ DRAWN: Final = "*"
 def standard_uncertainty(effect: Effect, covariance: Covariance, q: np.ndarray) -> np.ndarray:
     """Return the standard uncertainty (k = 1) of an error motion: √(fᵀ Σ f) with the functions f of its curve (JCGM 100, eq. 13).
 
-    Args:
-        effect: the error motion.
-        covariance: covariance of the calibration's parameters.
-        q: positions, mm or degrees, of any shape.
-
-    Returns:
-        µm or µrad, in the shape of ``q``; NaN if the covariance of any of its parameters is unknown.
+    At positions q, mm or degrees, of any shape; µm or µrad, NaN if the covariance of any of its parameters is unknown.
     """
     return combined_uncertainty([effect], covariance, {effect.frame.axis: q}, split_name(effect.name)[0], np.shape(q))
 
@@ -55,16 +37,9 @@ def standard_uncertainty(effect: Effect, covariance: Covariance, q: np.ndarray) 
 def combined_uncertainty(
     effects: Sequence[Effect], covariance: Covariance, state: Mapping[str, Any], component: int, shape: tuple[int, ...]
 ) -> np.ndarray:
-    """Return the standard uncertainty (k = 1) of the sum of some effects in one error component.
+    """Return the standard uncertainty (k = 1) of the sum of some effects in one error component (index 0 to 5) at states of a shape.
 
-    Args:
-        covariance: covariance of the calibration's parameters.
-        state: positions and channels by name.
-        component: index of the component, 0 to 5.
-        shape: shape of the result.
-
-    Returns:
-        µm or µrad; NaN if the covariance of any of their parameters is unknown.
+    µm or µrad; NaN if the covariance of any of their parameters is unknown.
     """
     names = [parameter.name for effect in effects for parameter in effect.parameters]
     if not set(names) <= set(covariance.names):
@@ -78,14 +53,7 @@ def combined_uncertainty(
 def about_rows(
     source: str, path: Path | None, control: ControlSection | None, drawn: Sequence[str], unknown: Sequence[str]
 ) -> list[tuple[str, Cell]]:
-    """Return the origin of a calibration, its control tables and the names of its illustrative and uncertain errors.
-
-    Args:
-        source: origin in words.
-        control: its section on the machine's control.
-        drawn: names of illustrative errors.
-        unknown: names of errors of unknown uncertainty.
-    """
+    """Return the origin of a calibration, its control tables and the names of its illustrative (drawn) and uncertain errors."""
     rows: list[tuple[str, Cell]] = [("source", source), ("file", "" if path is None else str(path))]
     if control is not None:
         tables = ", ".join(f"{table.file.name} ({table.format})" for table in control.tables)
@@ -104,13 +72,7 @@ def about_rows(
 def errors_html(
     machine: Machine, effects: Sequence[Effect], covariance: Covariance, drawn: Collection[str] = ()
 ) -> Html:
-    """Return tables of all errors of a machine.
-
-    Args:
-        effects: its errors.
-        covariance: covariance of their parameters.
-        drawn: names of illustrative errors.
-    """
+    """Return tables of all errors of a machine, of which those ``drawn`` are illustrative."""
     motions = {effect.name: effect for effect in effects if isinstance(effect, ErrorMotion)}
     known = any(np.isfinite(_curve(effect, covariance)[1]).all() for effect in motions.values())
     named = {split_name(name)[2] for name in motions}
@@ -174,13 +136,9 @@ def _curve(effect: ErrorMotion, covariance: Covariance) -> tuple[np.ndarray, np.
 
 
 def _strip(values: np.ndarray, half: np.ndarray, limit: float, says: str) -> Html:
-    """Return a curve as a narrow strip with a zero line and its 95 % band; the caller states the scale.
+    """Return a curve (n,) at equal steps as a narrow strip with a zero line and its 95 % band of half widths (n,), NaN if unknown.
 
-    Args:
-        values: (n,) at equal steps.
-        half: (n,) half widths of its 95 % interval; NaN if unknown.
-        limit: value at the upper edge; the lower edge is its negative.
-        says: alternative text.
+    The upper edge is at ``limit``, the lower at its negative; the caller states the scale.
     """
     x = np.linspace(0.0, 100.0, len(values))
 
@@ -217,14 +175,11 @@ def _numbers(effects: Sequence[Effect], covariance: Covariance, title: str, draw
 
 
 def _others(effects: Sequence[Effect], covariance: Covariance) -> Html:
-    rows = [(effect.name, effect.frame.axis, _parameters_html(effect, covariance)) for effect in effects]
+    rows: list[tuple[Cell, ...]] = []
+    for effect in effects:
+        numbers = chips(
+            f"{p.name.removeprefix(effect.name).strip(':[] .')} {measured(p.value, uncertainty_of(p.name, covariance), p.unit)}"
+            for p in effect.parameters
+        )
+        rows.append((effect.name, effect.frame.axis, numbers if effect.parameters else "according to its tables"))
     return table(["other effect", "acts in the frame of", "parameters (± 95 %)"], rows)
-
-
-def _parameters_html(effect: Effect, covariance: Covariance) -> Cell:
-    if not effect.parameters:
-        return "according to its tables"
-    return chips(
-        f"{p.name.removeprefix(effect.name).strip(':[] .')} {measured(p.value, uncertainty_of(p.name, covariance), p.unit)}"
-        for p in effect.parameters
-    )

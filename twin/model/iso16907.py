@@ -24,11 +24,7 @@ CONTROL: Final = "control"
 
 
 def iso_class(name: str, machine: Machine) -> str:
-    """Return the basic class of an error motion, squareness or location.
-
-    Args:
-        name: ISO 230-1 name, or ``control``, which is returned unchanged.
-    """
+    """Return the basic class of an error motion, squareness or location by its ISO 230-1 name; ``control`` is returned unchanged."""
     if name == CONTROL:
         return CONTROL
     component, average, axis_name = split_name(name)
@@ -48,10 +44,8 @@ def iso_class(name: str, machine: Machine) -> str:
 def error_motion_of(effect: Effect, machine: Machine) -> str:
     """Return the error motion to which an effect contributes: E_YY for backlash of Y.
 
-    The name of an error motion, squareness or location is returned unchanged; for corrections of the control it is ``control``.
-
-    Args:
-        effect: the effect; if it acts along several directions of its frame, the largest component counts.
+    The name of an error motion, squareness or location is returned unchanged; for corrections of the control it is ``control``. If an
+    effect acts along several directions of its frame, the largest component counts.
     """
     if effect.name.startswith("E_"):
         return effect.name

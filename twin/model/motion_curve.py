@@ -114,11 +114,7 @@ class Curve(Result):
 
 
 def sum_of_curves(curve: Curve | None, motion: ErrorMotion) -> Curve:
-    """Return the sum of two curves over the same domain, in the basis of the first.
-
-    Raises:
-        InputError: the domains differ, or the basis cannot represent the sum.
-    """
+    """Return the sum of two curves over the same domain, in the basis of the first."""
     family, own = motion.basis, len(motion.coefficients)
     if curve is None:
         unit = unit_of(motion.name)
@@ -136,11 +132,7 @@ def sum_of_curves(curve: Curve | None, motion: ErrorMotion) -> Curve:
 
 
 def conversion_of(name: str, source: Basis, target: Basis, count: int, into: int) -> np.ndarray:
-    """Return the matrix (into, count) from coefficients of one basis to those of another, for the curve of that name.
-
-    Raises:
-        InputError: there is no such conversion.
-    """
+    """Return the matrix (into, count) from coefficients of one basis to those of another, for the curve of that name."""
     matrix = conversion(source, target, count, into)
     if matrix is None or into < count:
         raise InputError(

@@ -36,13 +36,7 @@ def at_rest(axis: str) -> str:
 def not_measured(
     machine: Machine, measured: Collection[str], moved: Collection[str], why: str
 ) -> tuple[UnidentifiedEntry, ...]:
-    """Return all errors of a machine that a method does not measure.
-
-    Args:
-        measured: names of the errors that it measures.
-        moved: names of the axes that moved.
-        why: the reason for the other errors of these axes.
-    """
+    """Return all errors of a machine that a method does not measure; ``why`` is the reason for those of axes that moved."""
     return tuple(
         UnidentifiedEntry(name=name, why=why if (axis := split_name(name)[2]) in moved else at_rest(axis))
         for name in (*machine.motion_names, *machine.squareness_names, *machine.location_names)
@@ -112,13 +106,7 @@ def error_vector(
 class ErrorTerms:
     """Errors of the effects of a model as expressions, built once for all models that have some of these effects.
 
-    Args:
-        constant: numbers, by channel.
-        varying: names of channels that are symbols.
-
-    Attributes:
-        q: (axes,) symbols of the positions, metres and radians.
-        channels: (varying,) symbols of these channels.
+    Symbols are the positions ``q`` (axes,) in metres and radians and the ``varying`` channels; the ``constant`` ones are numbers.
     """
 
     def __init__(

@@ -32,15 +32,10 @@ def symmetric_root(covariance: np.ndarray) -> np.ndarray:
 @final
 @dataclass(frozen=True)
 class Covariance:
-    """Names of parameters and their covariance matrix.
+    """Names of parameters and their covariance matrix."""
 
-    Attributes:
-        names: names of the parameters, each once.
-        matrix: (p, p), in the products of the parameters' units; read-only.
-    """
-
-    names: tuple[str, ...]
-    matrix: np.ndarray
+    names: tuple[str, ...]  # names of the parameters, each once
+    matrix: np.ndarray  # (p, p), in the products of the parameters' units; read-only
 
     @classmethod
     def none(cls) -> Covariance:
@@ -60,11 +55,7 @@ class Covariance:
         return cls(names, read_only(matrix))
 
     def of(self, names: Sequence[str]) -> Covariance:
-        """Return the covariance of some names, in the order given.
-
-        Raises:
-            KeyError: an unknown name.
-        """
+        """Return the covariance of some names, in the order given. Raises `KeyError`: an unknown name."""
         index = {name: i for i, name in enumerate(self.names)}
         rows = [index[name] for name in names]
         return Covariance(tuple(names), read_only(self.matrix[np.ix_(rows, rows)]))

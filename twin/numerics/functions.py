@@ -26,15 +26,10 @@ Rows = np.ndarray | slice
 @final
 @dataclass(frozen=True)
 class Interpolation:
-    """Functions as sums of a few functions of narrow support, for sums over very many points.
+    """Functions as sums of a few functions of narrow support, for sums over very many points."""
 
-    Attributes:
-        weights: (points, nodes) sparse matrix.
-        table: (nodes, count) coefficients; the values are ``weights @ table``.
-    """
-
-    weights: scipy.sparse.csr_matrix
-    table: np.ndarray
+    weights: scipy.sparse.csr_matrix  # (points, nodes) sparse matrix
+    table: np.ndarray  # (nodes, count) coefficients; the values are ``weights @ table``
 
 
 @final
@@ -111,13 +106,7 @@ class CachingState(dict[str, Any]):
 
 
 def cached_in_state(state: Mapping[str, Any], key: Hashable, make: Callable[[], T]) -> T:
-    """Return a quantity derived from a state, cached if the state is a `CachingState`.
-
-    Args:
-        state: state of the readings.
-        key: cache key.
-        make: function that computes the quantity.
-    """
+    """Return a quantity derived from a state, made by ``make`` and cached under the key if the state is a `CachingState`."""
     if not isinstance(state, CachingState):
         return make()
     if key not in state.known:
@@ -147,15 +136,9 @@ class _StateSubset(Mapping[str, Any]):
 def functions_of_state(
     state: Mapping[str, Any], shapes: Callable[[Mapping[str, Any]], Sequence[Mapping[int, Any]]], *, whole: bool = False
 ) -> tuple[Functions, list[list[tuple[int, int]]]]:
-    """Return the functions that an effect's formula gives: one for every component of every shape.
+    """Return the functions that an effect's formula gives, and for each shape its components, each with the index of its function.
 
-    Args:
-        state: positions and channels of all points, (n,) each.
-        shapes: formula: from the state at some points to the values of each shape, by component; always the same components.
-        whole: whether the formula needs all points at once.
-
-    Returns:
-        The functions, and for each shape its components, each with the index of its function.
+    The formula takes the state at some points (at all if ``whole``) to the values of each shape by component, always the same ones.
     """
     points = len(next(iter(state.values())))
     first = shapes(state if whole else _StateSubset(state, slice(0, 1)))
@@ -217,14 +200,10 @@ class Lagged(NamedTuple):
 
 
 def lagged(time_s: np.ndarray, source: np.ndarray, constant: float, between: Between) -> Lagged:
-    """Return the first-order lag of an input at readings in any order of time.
+    """Return the first-order lag of an input (n,) with a time constant in s, at readings at times (n,) in any order.
 
-    Args:
-        time_s: (n,) time of each reading, s.
-        source: (n,) the input s at the readings.
-        constant: time constant τ, s.
-        between: ``held``: a value applies from the reading before on, the first from time zero on, and L(0) = 0 (a speed that was
-            set); ``linear``: the input changes linearly between readings, and L is equal to it at the first one (a temperature).
+    ``held``: a value applies from the reading before on, the first from time zero on, and L(0) = 0 (a speed that was set); ``linear``:
+    the input changes linearly between readings, and L is equal to it at the first one (a temperature).
     """
     order = np.argsort(time_s, kind="stable")
     end = np.asarray(source, dtype=float)[order]
@@ -245,14 +224,9 @@ def lagged(time_s: np.ndarray, source: np.ndarray, constant: float, between: Bet
 
 
 def follow(passed: np.ndarray, begin: np.ndarray, end: np.ndarray, constant: float, first: float) -> np.ndarray:
-    """Return (n,) the lag at the end of consecutive intervals, in each of which the input changes linearly.
+    """Return (n,) the lag at the end of consecutive intervals of ``passed`` s, in each of which the input changes linearly.
 
-    Args:
-        passed: (n,) lengths of the intervals, s.
-        begin: (n,) the input at the beginning of each.
-        end: (n,) the input at the end of each.
-        constant: time constant, s.
-        first: the lag before the first interval.
+    ``begin`` and ``end`` (n,) are the input at either end of each, ``first`` is the lag before the first.
     """
     decay = np.exp(-passed / constant)
     gain = np.where(passed > 0.0, (1.0 - decay) * constant / np.where(passed > 0.0, passed, 1.0), 1.0)
@@ -344,11 +318,9 @@ def _alias_free(places: np.ndarray, span: float, highest: float) -> float:
 
 
 def highest_order(distinct: np.ndarray, most: int) -> int:
-    """Return the largest harmonic of a revolution that positions in degrees distinguish from lower ones, `WAVES_PER_POSITION` at most.
+    """Return the largest harmonic of a revolution that distinct positions (n,), 0 to 360°, distinguish from lower ones.
 
-    Args:
-        distinct: (n,) the positions, each once, 0 to 360.
-        most: upper limit of the harmonic.
+    It is at most ``most``, and `WAVES_PER_POSITION` for each position.
     """
     limit = _alias_free(distinct, float(np.ptp(distinct)), min(most, WAVES_PER_POSITION * (len(distinct) - 1)) / 360.0)
     return int(360.0 * limit + 1e-9)

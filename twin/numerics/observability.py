@@ -21,7 +21,7 @@ from typing import Final, final
 import numpy as np
 import scipy
 
-from twin._common.arrays import first_largest, read_only
+from twin._common.arrays import read_only
 from twin._common.errors import InputError
 
 SINGULAR_VALUE_TOLERANCE: Final = 1.0
@@ -42,19 +42,13 @@ LARGE_PROBLEM: Final = 20_000
 @final
 @dataclass(frozen=True)
 class Spectrum:
-    """Singular values of whitened derivatives, with the observable directions and the null space, in plausible units.
+    """Singular values of whitened derivatives, with the observable directions and the null space, in plausible units."""
 
-    Attributes:
-        scale: (p,) plausible sizes, in the units of the derivatives.
-        values: (f,) singular values of all f allowed directions, descending; zero where there are fewer readings.
-        directions: (p, d) orthonormal directions with singular values above the tolerance.
-        null_space: (p, f − d) the other directions, orthonormal.
-    """
-
-    scale: np.ndarray
+    scale: np.ndarray  # (p,) plausible sizes, in the units of the derivatives
+    # (f,) singular values of all f allowed directions, descending; zero where there are fewer readings
     values: np.ndarray
-    directions: np.ndarray
-    null_space: np.ndarray
+    directions: np.ndarray  # (p, d) orthonormal directions with singular values above the tolerance
+    null_space: np.ndarray  # (p, f − d) the other directions, orthonormal
 
     @property
     def singular_values(self) -> np.ndarray:
@@ -107,16 +101,11 @@ def decompose(
     free: np.ndarray | None = None,
     tolerance: float = SINGULAR_VALUE_TOLERANCE,
 ) -> tuple[np.ndarray, Spectrum]:
-    """Decompose whitened derivatives into observable directions and null space.
+    """Decompose derivatives (n, p) of whitened readings by unknowns in plausible units into observable directions and null space.
 
-    Args:
-        matrix: (n, p) derivatives of the whitened readings by the unknowns in plausible units.
-        scale: (p,) the plausible sizes.
-        free: (p, f) orthonormal directions, in plausible units, in which the unknowns may vary; all if None.
-        tolerance: singular values at or below it count as zero.
-
-    Returns:
-        (n, d) left singular vectors of the observable directions, and the spectrum.
+    ``scale`` (p,) are the plausible sizes, ``free`` (p, f) the orthonormal directions in which the unknowns may vary; all if None.
+    Singular values at or below the tolerance count as zero. Returns (n, d) left singular vectors of the observable directions, and the
+    spectrum.
     """
     allowed = np.eye(matrix.shape[1]) if free is None else free
     left, values, right = np.linalg.svd(matrix @ allowed, full_matrices=True)
@@ -134,19 +123,12 @@ def decompose(
 @final
 @dataclass(frozen=True)
 class Unknown:
-    """One unknown parameter.
-
-    Attributes:
-        name: name, for use in a sentence.
-        unit: unit it is stated in.
-        plausible: prior standard deviation, in that unit.
-        factor: one such unit in the units of the derivatives (1e-3 for mm where these are per metre).
-    """
+    """One unknown parameter."""
 
     name: str
     unit: str
-    plausible: float
-    factor: float = 1.0
+    plausible: float  # prior standard deviation, in that unit
+    factor: float = 1.0  # one such unit in the units of the derivatives (1e-3 for mm where these are per metre)
 
 
 @final
@@ -168,17 +150,12 @@ class UnknownMove:
 @final
 @dataclass(frozen=True)
 class NullDirection:
-    """A combination of changes of unknowns that does not change the readings noticeably.
+    """A combination of changes of unknowns that does not change the readings noticeably."""
 
-    Attributes:
-        moves: the changes, in descending order of the change of the readings due to each alone; a requested unknown comes first.
-        change: change of the readings due to all of them, root of the sum of squares in standard uncertainties.
-        left_out: number of further unknowns that are not in ``moves``.
-    """
-
+    # the changes, in descending order of the change of the readings due to each alone; a requested unknown comes first
     moves: tuple[UnknownMove, ...]
-    change: float
-    left_out: int
+    change: float  # change of the readings due to all of them, root of the sum of squares in standard uncertainties
+    left_out: int  # number of further unknowns that are not in ``moves``
 
     def __str__(self) -> str:
         first, *others = (str(move) for move in self.moves)
@@ -194,33 +171,17 @@ class NullDirection:
 @final
 @dataclass(frozen=True)
 class Observability:
-    """Observability indices of robot calibration, larger is better (Sun and Hollerbach 2008, eq. 4 to 8); zero without full rank.
+    """Observability indices of robot calibration, larger is better (Sun and Hollerbach 2008, eq. 4 to 8); zero without full rank."""
 
-    Attributes:
-        o1: (s₁ s₂ … s_L)^(1/L) / √m, the geometric mean over all directions (Borm and Menq 1989).
-        o2: s_L / s₁, inverse condition number (Driels and Pathre 1990).
-        o3: s_L, the worst direction (Nahvi, Hollerbach and Hayward 1994).
-        o4: s_L² / s₁, noise amplification index (Nahvi and Hollerbach 1996).
-        o5: 1 / (1/s₁ + … + 1/s_L) (Sun and Hollerbach 2008).
-    """
-
-    o1: float
-    o2: float
-    o3: float
-    o4: float
-    o5: float
+    o1: float  # (s₁ s₂ … s_L)^(1/L) / √m, the geometric mean over all directions (Borm and Menq 1989)
+    o2: float  # s_L / s₁, inverse condition number (Driels and Pathre 1990)
+    o3: float  # s_L, the worst direction (Nahvi, Hollerbach and Hayward 1994)
+    o4: float  # s_L² / s₁, noise amplification index (Nahvi and Hollerbach 1996)
+    o5: float  # 1 / (1/s₁ + … + 1/s_L) (Sun and Hollerbach 2008)
 
 
 def observability(values: np.ndarray, measurements: int) -> Observability:
-    """Return the observability indices of L singular values from m measurements.
-
-    Args:
-        values: (L,) singular values.
-        measurements: m, number of measurements (of poses, where one measurement is a pose).
-
-    Raises:
-        InputError: no values, or no measurement.
-    """
+    """Return the observability indices of (L,) singular values from m measurements (of poses, where one measurement is a pose)."""
     if len(values) == 0 or measurements < 1:
         raise InputError(
             "observability needs singular values and measurements",
@@ -242,19 +203,12 @@ def observability(values: np.ndarray, measurements: int) -> Observability:
 @final
 @dataclass(frozen=True)
 class Determinability:
-    """Whether and how well the data determine each unknown.
-
-    Attributes:
-        unknowns: the p unknowns.
-        spectrum: spectrum in plausible units.
-        tolerance: singular values at or below it count as zero.
-        measurements: number of measurements for the observability indices.
-    """
+    """Whether and how well the data determine each unknown."""
 
     unknowns: tuple[Unknown, ...]
     spectrum: Spectrum
-    tolerance: float
-    measurements: int
+    tolerance: float  # singular values at or below it count as zero
+    measurements: int  # number of measurements for the observability indices
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -262,48 +216,9 @@ class Determinability:
         return tuple(unknown.name for unknown in self.unknowns)
 
     @property
-    def rank(self) -> int:
-        """Number of observable directions."""
-        return self.spectrum.rank
-
-    @property
-    def leverage(self) -> np.ndarray:
-        """(p,) share of each unknown in the null space, 0 to 1 (`Spectrum.leverage`)."""
-        return self.spectrum.leverage
-
-    @property
-    def reach(self) -> np.ndarray:
-        """(p,) prior standard deviation of each unknown within the null space, in its stated unit."""
-        return np.asarray(self.spectrum.reach / np.array([unknown.factor for unknown in self.unknowns]))
-
-    @property
     def remaining_variance(self) -> np.ndarray:
         """(p,) share of each unknown's prior variance that remains (`Spectrum.remaining_variance`)."""
         return self.spectrum.remaining_variance
-
-    @property
-    def determined(self) -> np.ndarray:
-        """(p,) whether at most a share `NOT_DETERMINED` of the prior variance remains."""
-        return np.asarray(self.remaining_variance <= NOT_DETERMINED)
-
-    @property
-    def u(self) -> np.ndarray:
-        """(p,) standard uncertainties in the stated units, from the data alone; NaN where an unknown is not determined."""
-        own = np.sqrt(np.diag(self.spectrum.covariance(null_space=False)))
-        return np.where(self.determined, own / np.array([unknown.factor for unknown in self.unknowns]), np.nan)
-
-    @property
-    def observability(self) -> Observability:
-        """Indices over all allowed directions, in plausible units and standard uncertainties; zero without full rank."""
-        return observability(self.spectrum.values, self.measurements)
-
-    @property
-    def null_directions(self) -> tuple[NullDirection, ...]:
-        """A readable basis of the null space: each vector has one unknown that no other vector contains.
-
-        Computed by elimination; not orthogonal. The largest change in each is one plausible size.
-        """
-        return tuple(self._direction(column) for column in _reduced_basis(self.spectrum.null_space).T)
 
     def null_direction_of(self, name: str) -> NullDirection | None:
         """Return the null direction that contains an unknown and the fewest others; None if the unknown is hardly in the null space.
@@ -359,7 +274,7 @@ class Determinability:
             one = self.unknowns[i]
             moves.append(UnknownMove(one.name, float(vector[i]) * one.plausible, one.unit))
         along = self.spectrum.null_space.T @ vector
-        change = float(np.linalg.norm(self.spectrum.values[self.rank :] * along))
+        change = float(np.linalg.norm(self.spectrum.values[self.spectrum.rank :] * along))
         return NullDirection(tuple(moves), change, max(len(order) - MOST_NAMED, 0))
 
 
@@ -371,16 +286,12 @@ def determinability(
     free: np.ndarray | None = None,
     measurements: int | None = None,
 ) -> Determinability:
-    """Return what data with these derivatives determine.
+    """Return what data with these derivatives (n, p) by the unknowns, in their own units, determine.
 
-    Args:
-        jacobian: (n, p) derivatives of the readings, each divided by its standard uncertainty (or multiplied by the inverse root of
-            the readings' covariance), by the unknowns in their own units; or a triangular factor of it.
-        unknowns: the p unknowns, in the order of the columns.
-        tolerance: singular values at or below it, in plausible units, count as zero. At one, the data and the prior have the same
-            information; to obtain the rank of the equations themselves, use a value above rounding, n·eps·s₁.
-        free: (p, f) orthonormal directions in plausible units in which the unknowns may vary; all if None.
-        measurements: number of measurements for the observability indices; the rows of the Jacobian if None.
+    The derivatives of the readings are divided by their standard uncertainties (or multiplied by the inverse root of the readings'
+    covariance), or are a triangular factor of these. Singular values at or below the tolerance, in plausible units, count as zero: at
+    one, the data and the prior have the same information; for the rank of the equations themselves, use a value above rounding,
+    n·eps·s₁. ``free`` is as for `decompose`; ``measurements`` is that of the observability indices, the rows of the Jacobian if None.
 
     Raises:
         InputError: columns that do not match, a derivative that is not finite, a plausible size or tolerance that is not positive, a
@@ -416,19 +327,3 @@ def determinability(
         scaled = np.linalg.qr(scaled, mode="r")
     _, spectrum = decompose(scaled, scale, free=free, tolerance=tolerance)
     return Determinability(tuple(unknowns), spectrum, tolerance, measurements or len(matrix))
-
-
-def _reduced_basis(basis: np.ndarray) -> np.ndarray:
-    """Return another basis (p, s) of the same space: each vector is one in a row where all others are zero.
-
-    Each row is the one with the largest remainder off those chosen before, the first among equals: a pivoted Cholesky factorisation of
-    the projector, which unlike the orthonormal basis does not depend on rounding.
-    """
-    remainder, rows = np.array(basis), list[int]()
-    for _ in range(basis.shape[1]):
-        rows.append(first_largest(np.linalg.norm(remainder, axis=1)))
-        along = remainder[rows[-1]] / np.linalg.norm(remainder[rows[-1]])
-        remainder = remainder - np.outer(remainder @ along, along)
-    reduced_basis = np.linalg.solve(basis[rows].T, basis.T).T
-    reduced_basis[rows] = np.eye(len(rows))
-    return np.asarray(reduced_basis)

@@ -37,11 +37,10 @@ ORTHONORMAL: Final = 1e-9
 
 
 def rotation_exp(vector: Any) -> Any:
-    """Return the rotation matrix of a rotation vector (exponential map, Rodrigues).
+    """Return the rotation matrix (..., 3, 3) of a rotation vector (..., 3), axis times angle in rad (exponential map, Rodrigues).
 
-    Args:
-        vector: (..., 3) axis times angle, rad, of any length; or an SX expression, of up to 0.3 rad: there the coefficients are series
-            in the squared length, smooth through zero to any derivative.
+    An SX expression may be up to 0.3 rad: there the coefficients are series in the squared length, smooth through zero to any
+    derivative.
 
     Raises:
         InputError: another shape, or a number that is not finite.
@@ -76,13 +75,7 @@ def _rodrigues(x: Any, y: Any, z: Any) -> Any:
 
 
 def rotation_log(matrix: Any) -> np.ndarray:
-    """Return the rotation vector, of length at most π, of a matrix (logarithmic map), accurate to rounding.
-
-    Args:
-        matrix: (..., 3, 3) rotations.
-
-    Returns:
-        (..., 3) rad.
+    """Return the rotation vectors (..., 3), of length at most π, of matrices (..., 3, 3) (logarithmic map), accurate to rounding.
 
     Raises:
         InputError: a matrix that is not a rotation.
@@ -94,15 +87,10 @@ def rotation_log(matrix: Any) -> np.ndarray:
 
 
 def fused_angles(matrix: Any) -> Any:
-    """Return the fused-like angles of a matrix: θ and φ of its z axis as in `tilt`, ψ of its y axis seen along z (eq. 5, 6, 8).
+    """Return the fused-like angles (..., 3) of a matrix: θ and φ of its z axis as in `tilt`, ψ of its y axis seen along z (eq. 5-8).
 
-    The rounding error grows with 1/cos θ and 1/cos φ; it is below 1e-14 up to 85°.
-
-    Args:
-        matrix: (..., 3, 3) rotations; or one as an SX expression, (3, 3), which is not checked to be one.
-
-    Returns:
-        (..., 3) θ, φ in (−π/2, π/2) and ψ in (−π, π], rad.
+    θ, φ in (−π/2, π/2), ψ in (−π, π], rad. The rounding error grows with 1/cos θ and 1/cos φ; it is below 1e-14 up to 85°. An SX
+    expression (3, 3) is not checked to be a rotation.
 
     Raises:
         InputError: a matrix that is not a rotation, or whose z axis does not point up.
@@ -118,15 +106,9 @@ def fused_angles(matrix: Any) -> Any:
 
 
 def tilt(axis: Any) -> np.ndarray:
-    """Return the fused-like angles of an axis, or of the surface normal to it: its tilt about x and about y (eq. 5, 6).
+    """Return the tilt (..., 2) of an axis (..., 3) of any length about x and about y, θ = atan2(−Z₂, Z₃), φ = atan2(Z₁, Z₃) (eq. 5, 6).
 
-    Two numbers suffice, since a rotation about the axis itself does not change it.
-
-    Args:
-        axis: (..., 3) of any length, near z: its z component positive.
-
-    Returns:
-        (..., 2) θ = atan2(−Z₂, Z₃) about x, φ = atan2(Z₁, Z₃) about y, rad.
+    The axis is near z. Two numbers suffice, since a rotation about the axis itself does not change it.
 
     Raises:
         InputError: an axis that does not point up, another shape, a number that is not finite.
@@ -214,9 +196,7 @@ def _matrix(matrix: Any) -> np.ndarray:
     off = np.abs(np.swapaxes(array, -1, -2) @ array - np.eye(3)).max(initial=0.0)
     if not off <= ORTHONORMAL:  # NaN as well
         raise InputError(
-            "a matrix is not a rotation",
-            expected=f"orthonormal columns, to {ORTHONORMAL:g}",
-            value=f"off by {off:.2g}",
+            "a matrix is not a rotation", expected=f"orthonormal columns, to {ORTHONORMAL:g}", value=f"off by {off:.2g}"
         )
     if np.any(np.linalg.det(array) < 0.0):
         raise InputError("a matrix is not a rotation", expected="a right-handed one", value="a mirror image")

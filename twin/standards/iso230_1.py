@@ -1,25 +1,17 @@
 """Straightness, squareness and angular errors of linear axes (ISO 230-1:2012).
 
-The angular error is the range of the angular deviations over the travel: the largest minus the smallest. The zero of the instrument
-has no influence, and no slope is removed: an angle that changes steadily along the travel is an error motion. Deviations are the means
-of the readings at a position in one direction of approach, so that the range contains the reversal.
+The angular error is the largest minus the smallest angular deviation over the travel. The zero of the instrument has no influence, and
+no slope is removed: an angle that changes steadily along the travel is an error motion. Deviations are the means of the readings at a
+position in one direction of approach, so that the range contains the reversal.
 
-Straightness of a motion about the three reference lines of ISO 230-1:2012.
+Straightness deviations (clause 3.4, test 8.2) are taken along the direction in which they were measured, not perpendicular to the line:
+for slopes below a milliradian they differ by less than a millionth. All three reference lines are linear in the deviations (the minimum
+zone as long as the same three points define it), so the covariance of the deviations gives that of the line.
 
-Deviations (clause 3.4, test 8.2) are taken along the direction in which they were measured, not perpendicular to the line: for slopes
-below a milliradian they differ by less than a millionth. One plane; a motion has two, each evaluated by itself.
-
-All three lines are linear in the deviations (the minimum zone as long as the same three points define it), so the covariance of the
-deviations gives that of the line.
-
-Squareness of two linear axes from the reference lines of two straightness measurements, with the sign of ISO 230-1:2012.
-
-Both straightnesses are in the same plane and relative to the same reference: an artefact with two legs, or an instrument that
-was not moved in between. The sign is that of the direction of the second axis, rotated right-handed about the third::
-
-    E_XY −= y·E_C0Y        E_XZ += z·E_B0Z        E_YZ −= z·E_A0Z
-
-so a positive ``E_C0Y`` opens the angle from +X to +Y beyond 90°. A common rotation of the reference has no influence.
+Squareness is that of the reference lines of two straightnesses in the same plane and relative to the same reference: an artefact with
+two legs, or an instrument that was not moved in between. The sign is that of the direction of the second axis, rotated right-handed
+about the third: E_XY −= y·E_C0Y, E_XZ += z·E_B0Z, E_YZ −= z·E_A0Z, so a positive ``E_C0Y`` opens the angle from +X to +Y beyond 90°. A
+common rotation of the reference has no influence.
 """
 
 from __future__ import annotations
@@ -38,11 +30,7 @@ from twin._common.units import count_with_noun
 
 
 def finite_array(name: str, values: ArrayLike, *dimensions: int) -> np.ndarray:
-    """Return a read-only copy as floats.
-
-    Args:
-        name: name of the values, for the message.
-        dimensions: numbers of dimensions that are allowed.
+    """Return a read-only copy as floats, of one of the given numbers of dimensions.
 
     Raises:
         InputError: values that are not numbers, another shape, or a missing (NaN) or infinite value; the standards allow no gaps.
@@ -87,40 +75,26 @@ FEWEST_POSITIONS: Final = 5
 @final
 @dataclass(frozen=True)
 class AngularError:
-    """Angular error of a linear axis about one direction; m positions, angles in µrad from the first deviation.
+    """Angular error of a linear axis about one direction; m positions, angles in µrad from the first deviation."""
 
-    Attributes:
-        name: ISO 230-1 name of the error motion: ``E_AX``.
-        position_mm: (m,) positions, ascending.
-        forward_urad, backward_urad: (m,) mean angular deviation of each direction of approach; NaN where it was not read.
-        value_urad: range of all deviations: the angular error.
-        forward_value_urad, backward_value_urad: range in one direction; None if it was not read at two positions.
-        reversal_urad: largest difference of the two directions at a position, forward minus backward; None if there is none.
-        shortfalls: what a full test has and this one lacks.
-    """
-
-    name: str
-    position_mm: np.ndarray
+    name: str  # ISO 230-1 name of the error motion: ``E_AX``
+    position_mm: np.ndarray  # (m,) positions, ascending
+    # forward_urad, backward_urad: (m,) mean angular deviation of each direction of approach; NaN where it was not read
     forward_urad: np.ndarray
     backward_urad: np.ndarray
-    value_urad: float
+    value_urad: float  # range of all deviations: the angular error
+    # forward_value_urad, backward_value_urad: range in one direction; None if it was not read at two positions
     forward_value_urad: float | None
     backward_value_urad: float | None
+    # largest difference of the two directions at a position, forward minus backward; None if there is none
     reversal_urad: float | None
-    shortfalls: tuple[str, ...]
+    shortfalls: tuple[str, ...]  # what a full test has and this one lacks
 
 
 def angular_error(position_mm: ArrayLike, angle_urad: ArrayLike, approach: ArrayLike, *, name: str) -> AngularError:
-    """Evaluate the angular error of a linear axis.
+    """Evaluate the angular error of a linear axis, with the ISO 230-1 ``name`` of its error motion.
 
-    Args:
-        position_mm: (n,) commanded positions; equal ones are repeats.
-        angle_urad: (n,) readings.
-        approach: (n,) direction of approach, +1 or −1.
-        name: ISO 230-1 name of the error motion.
-
-    Raises:
-        InputError: values that are missing or not finite, a direction that is neither +1 nor −1, or fewer than two positions.
+    Commanded positions (n,), of which equal ones are repeats, readings (n,) and directions of approach (n,), +1 or −1.
     """
     position, angle = finite_array("positions", position_mm, 1), finite_array("angles", angle_urad, 1)
     side = finite_array("directions of approach", approach, 1)
@@ -168,25 +142,16 @@ SLOPE: Final = 1e-3
 @final
 @dataclass(frozen=True)
 class ReferenceLine:
-    """A reference straight line (ISO 230-1:2012, 3.4.12) and the deviations from it.
+    """A reference straight line (ISO 230-1:2012, 3.4.12) and the deviations from it."""
 
-    Attributes:
-        kind: ``least squares``, ``end point`` or ``minimum zone``.
-        offset_um: its height at position 0.
-        slope_urad: its slope; positive if the deviation increases with the position.
-        residual_um: (n,) deviations from it.
-        value_um: the straightness error: the largest positive plus the absolute largest negative deviation.
-        contacts: indices of the points that define it: none, the two end points, or the points on the zone's two borders.
-        covariance: (2, 2) of (offset_um, slope_urad), or None if the deviations have no uncertainties.
-    """
-
-    kind: str
-    offset_um: float
-    slope_urad: float
-    residual_um: np.ndarray
-    value_um: float
+    kind: str  # ``least squares``, ``end point`` or ``minimum zone``
+    offset_um: float  # its height at position 0
+    slope_urad: float  # its slope; positive if the deviation increases with the position
+    residual_um: np.ndarray  # (n,) deviations from it
+    value_um: float  # the straightness error: the largest positive plus the absolute largest negative deviation
+    # indices of the points that define it: none, the two end points, or the points on the zone's two borders
     contacts: tuple[int, ...]
-    covariance: np.ndarray | None
+    covariance: np.ndarray | None  # (2, 2) of (offset_um, slope_urad), or None if the deviations have no uncertainties
 
     @property
     def u_slope_urad(self) -> float | None:
@@ -201,19 +166,13 @@ class ReferenceLine:
 @final
 @dataclass(frozen=True)
 class Straightness:
-    """Straightness of one motion in one plane.
+    """Straightness of one motion in one plane."""
 
-    Attributes:
-        name: ISO 230-1 name of the error motion, such as ``E_YX``: deviation along Y of the motion of X.
-        position_mm: (n,) positions of the axis, ascending.
-        deviation_um: (n,) measured deviations; positive in the positive direction of the axis along which they are (ISO 841).
-        least_squares, end_point, minimum_zone: the three lines.
-    """
-
-    name: str
-    position_mm: np.ndarray
+    name: str  # ISO 230-1 name of the error motion, such as ``E_YX``: deviation along Y of the motion of X
+    position_mm: np.ndarray  # (n,) positions of the axis, ascending
+    # (n,) measured deviations; positive in the positive direction of the axis along which they are (ISO 841)
     deviation_um: np.ndarray
-    least_squares: ReferenceLine
+    least_squares: ReferenceLine  # least_squares, end_point, minimum_zone: the three lines
     end_point: ReferenceLine
     minimum_zone: ReferenceLine
 
@@ -232,15 +191,8 @@ def straightness(
 ) -> Straightness:
     """Evaluate the straightness of a motion from deviations measured along it (ISO 230-1:2012, 3.4 and 8.2).
 
-    Args:
-        position_mm: (n,) positions of the axis, each once, in any order; use means for positions visited repeatedly.
-        deviation_um: (n,) deviations.
-        name: ISO 230-1 name of the error motion; `squareness` needs it.
-        u_um: standard uncertainty of each deviation, independent of each other; None if unknown.
-
-    Raises:
-        InputError: arrays that do not match, a missing value, a position given twice, fewer than three points, or an
-            invalid uncertainty.
+    Each of the positions (n,) stands once, in any order; use means for positions visited repeatedly. `squareness` needs the ISO 230-1
+    ``name`` of the error motion. ``u_um`` is the standard uncertainty of each deviation, independent of each other; None if unknown.
     """
     position, deviation = finite_array("positions", position_mm, 1), finite_array("deviations", deviation_um, 1)
     check_same_length("deviations", deviation, "the positions", position)
@@ -370,21 +322,13 @@ PAIRS: Final = {
 @final
 @dataclass(frozen=True)
 class SquarenessError:
-    """Squareness of an axis relative to another.
+    """Squareness of an axis relative to another."""
 
-    Attributes:
-        name: ``E_C0Y``, ``E_B0Z`` or ``E_A0Z``.
-        value_urad: the error; right-handed, see the module.
-        u_urad: its standard uncertainty, or None if the lines have none.
-        line: kind of the reference lines.
-        datum_slope_urad, slope_urad: slopes of the lines of the datum axis and of the other axis.
-    """
-
-    name: str
-    value_urad: float
-    u_urad: float | None
+    name: str  # ``E_C0Y``, ``E_B0Z`` or ``E_A0Z``
+    value_urad: float  # the error; right-handed, see the module
+    u_urad: float | None  # its standard uncertainty, or None if the lines have none
     line: LineKind
-    datum_slope_urad: float
+    datum_slope_urad: float  # datum_slope_urad, slope_urad: slopes of the lines of the datum axis and of the other axis
     slope_urad: float
 
 
@@ -394,15 +338,9 @@ def squareness(
     *,
     line: LineKind = "least squares",
 ) -> SquarenessError:
-    """Evaluate the squareness of an axis relative to its datum axis. The two measurements are taken as independent.
+    """Evaluate the squareness of an axis relative to its datum axis, from two straightnesses that are a pair of `PAIRS`.
 
-    Args:
-        datum: straightness of the datum axis: ``E_YX`` or ``E_ZX`` of X, ``E_ZY`` of Y.
-        other: straightness of the other axis: ``E_XY``, ``E_XZ`` or ``E_YZ``.
-        line: kind of the reference lines.
-
-    Raises:
-        InputError: names that are not a pair.
+    The two measurements are taken as independent.
     """
     name = next(
         (name for name, (first, second, _) in PAIRS.items() if (first, second) == (datum.name, other.name)), None

@@ -36,59 +36,36 @@ class Positioning:
 
     Deviations and values derived from them are in `unit`; actual minus target (3.5). Arrays are read-only, one row for each target in
     the order given.
-
-    Attributes:
-        axis: its name, for tables and plots.
-        unit: ``um`` or ``urad``.
-        target_unit: ``mm`` or ``deg``.
-        target: (m,) target positions, in `target_unit`.
-        forward, backward: (m, n) deviations x_ij↑ and x_ij↓.
-        mean_forward, mean_backward: (m,) mean unidirectional deviations x̄_i↑, x̄_i↓ (3.10).
-        mean: (m,) mean bidirectional deviation x̄_i (3.11).
-        B_i: (m,) reversal error x̄_i↑ − x̄_i↓, with its sign (3.12).
-        B: of the axis: the largest abs(B_i) (3.13).
-        B_mean: mean reversal error B̄, with its sign (3.14).
-        s_i_forward, s_i_backward: (m,) estimators, divisor n − 1 (3.15).
-        R_i_forward, R_i_backward: (m,) unidirectional repeatability 4 s_i (3.16).
-        R_i: (m,) bidirectional repeatability max(2 s_i↑ + 2 s_i↓ + abs(B_i); R_i↑; R_i↓) (3.17).
-        R_forward, R_backward: of the axis, the largest R_i↑, R_i↓ (3.18).
-        R: of the axis, the largest R_i (3.19).
-        E_forward, E_backward: unidirectional systematic deviation, range of x̄_i↑, of x̄_i↓ (3.20).
-        E: bidirectional systematic deviation, range of both together (3.21).
-        M: mean bidirectional deviation, range of x̄_i (3.22).
-        A_forward, A_backward: unidirectional accuracy, range of x̄_i ± 2 s_i of one direction (3.23).
-        A: bidirectional accuracy, range of both together (3.24).
-        shortfalls: requirements of clause 4.3 that this test does not meet; empty if it meets all.
     """
 
-    axis: str
+    axis: str  # its name, for tables and plots
     unit: Unit
     target_unit: Literal["mm", "deg"]
-    target: np.ndarray
-    forward: np.ndarray
+    target: np.ndarray  # (m,) target positions, in `target_unit`
+    forward: np.ndarray  # forward, backward: (m, n) deviations x_ij↑ and x_ij↓
     backward: np.ndarray
-    mean_forward: np.ndarray
+    mean_forward: np.ndarray  # mean_forward, mean_backward: (m,) mean unidirectional deviations x̄_i↑, x̄_i↓ (3.10)
     mean_backward: np.ndarray
-    mean: np.ndarray
-    B_i: np.ndarray
-    B: float
-    B_mean: float
-    s_i_forward: np.ndarray
+    mean: np.ndarray  # (m,) mean bidirectional deviation x̄_i (3.11)
+    B_i: np.ndarray  # (m,) reversal error x̄_i↑ − x̄_i↓, with its sign (3.12)
+    B: float  # of the axis: the largest abs(B_i) (3.13)
+    B_mean: float  # mean reversal error B̄, with its sign (3.14)
+    s_i_forward: np.ndarray  # s_i_forward, s_i_backward: (m,) estimators, divisor n − 1 (3.15)
     s_i_backward: np.ndarray
-    R_i_forward: np.ndarray
+    R_i_forward: np.ndarray  # R_i_forward, R_i_backward: (m,) unidirectional repeatability 4 s_i (3.16)
     R_i_backward: np.ndarray
-    R_i: np.ndarray
-    R_forward: float
+    R_i: np.ndarray  # (m,) bidirectional repeatability max(2 s_i↑ + 2 s_i↓ + abs(B_i); R_i↑; R_i↓) (3.17)
+    R_forward: float  # R_forward, R_backward: of the axis, the largest R_i↑, R_i↓ (3.18)
     R_backward: float
-    R: float
-    E_forward: float
+    R: float  # of the axis, the largest R_i (3.19)
+    E_forward: float  # E_forward, E_backward: unidirectional systematic deviation, range of x̄_i↑, of x̄_i↓ (3.20)
     E_backward: float
-    E: float
-    M: float
-    A_forward: float
+    E: float  # bidirectional systematic deviation, range of both together (3.21)
+    M: float  # mean bidirectional deviation, range of x̄_i (3.22)
+    A_forward: float  # A_forward, A_backward: unidirectional accuracy, range of x̄_i ± 2 s_i of one direction (3.23)
     A_backward: float
-    A: float
-    shortfalls: tuple[str, ...]
+    A: float  # bidirectional accuracy, range of both together (3.24)
+    shortfalls: tuple[str, ...]  # requirements of clause 4.3 that this test does not meet; empty if it meets all
 
     @property
     def cycles(self) -> int:
@@ -99,45 +76,28 @@ class Positioning:
 @final
 @dataclass(frozen=True)
 class UnidirectionalPositioning:
-    """Values of ISO 230-2:2014 for approaches of all targets from one direction; symbols as in `Positioning`. Arrays are read-only.
+    """Values of ISO 230-2:2014 for approaches of all targets from one direction; symbols as in `Positioning`. Arrays are read-only."""
 
-    Attributes:
-        axis, unit, target_unit, target: as in `Positioning`.
-        direction: +1 or −1.
-        deviations: (m, n).
-        mean, s_i: (m,) mean and estimator of every target.
-        R, E, A: repeatability, systematic deviation and accuracy; R and A are NaN for a single cycle.
-        shortfalls: requirements of clause 4.3 that this test does not meet.
-    """
-
-    axis: str
+    axis: str  # axis, unit, target_unit, target: as in `Positioning`
     unit: Unit
     target_unit: Literal["mm", "deg"]
-    direction: int
+    direction: int  # +1 or −1
     target: np.ndarray
-    deviations: np.ndarray
-    mean: np.ndarray
+    deviations: np.ndarray  # (m, n)
+    mean: np.ndarray  # mean, s_i: (m,) mean and estimator of every target
     s_i: np.ndarray
-    R: float
+    R: float  # R, E, A: repeatability, systematic deviation and accuracy; R and A are NaN for a single cycle
     E: float
     A: float
-    shortfalls: tuple[str, ...]
+    shortfalls: tuple[str, ...]  # requirements of clause 4.3 that this test does not meet
 
 
 def unidirectional(
     target: ArrayLike, deviations: ArrayLike, target_unit: Literal["mm", "deg"], direction: int, *, axis: str = ""
 ) -> UnidirectionalPositioning:
-    """Evaluate the approaches of one direction according to ISO 230-2:2014.
+    """Evaluate the approaches of one direction, +1 or −1, according to ISO 230-2:2014.
 
-    Args:
-        target: (m,) target positions, mm or degrees, each once.
-        deviations: (m, n) deviations, µm or µrad.
-        target_unit: ``mm`` or ``deg``.
-        direction: +1 or −1.
-        axis: its name.
-
-    Raises:
-        InputError: shapes that do not match, a missing value, a target given twice, fewer than two targets.
+    Target positions (m,), mm or degrees, each once; deviations (m, n), µm or µrad.
     """
     up = finite_array("deviations", deviations, 2)
     targets, _, _ = _checked(target, up, up, 1)
@@ -169,16 +129,8 @@ def bidirectional(
 ) -> Positioning:
     """Evaluate a linear or rotary axis according to ISO 230-2:2014.
 
-    Args:
-        target: (m,) target positions, each once.
-        forward: (m, n) deviations, approached in the positive direction, µm or µrad.
-        backward: (m, n) deviations, approached in the negative direction.
-        target_unit: ``mm`` or ``deg``.
-        axis: its name.
-        fewest_cycles: 1 to evaluate a single cycle too; its s, R and A are then NaN.
-
-    Raises:
-        InputError: shapes that do not match, a missing value, a target given twice, fewer than two targets, or too few cycles.
+    Target positions (m,), each once; deviations (m, n) approached in the positive (forward) and negative direction, µm or µrad. With
+    ``fewest_cycles`` 1 a single cycle is evaluated too; its s, R and A are then NaN.
     """
     target, forward, backward = _checked(target, forward, backward, fewest_cycles)
     mean_up, mean_down = forward.mean(axis=1), backward.mean(axis=1)

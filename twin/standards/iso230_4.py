@@ -1,20 +1,17 @@
-"""Circular tests of two linear axes, with the terms of ISO 230-4:2005 and 2022, and the circular hysteresis of ISO 230-4:1996.
+"""Circular tests of two linear axes (ISO 230-4) and error motions of a rotary axis over a turn (ISO 230-7:2015, clause 3).
 
-Input are the radii of the measured path at known angles, for one or both directions of travel. The angle counts from the first axis to
-the second, so that a path with rising angles is the standard's counter-clockwise path. Deviations are small compared with the radius,
-so that the effect of a small offset of the centre is linear in it (limaçon).
+A circular test has the radii of the measured path at known angles, for one or both directions of travel. The angle counts from the
+first axis to the second, so that a path with rising angles is the standard's counter-clockwise path. Of ISO 230-4:2005 and 2022 are
+circular deviation G, bi-directional circular deviation G(b), radial deviation F and mean bi-directional radial deviation D; 2022 calls
+them errors. H is a quantity of the edition of 1996. The definitions are taken from the public abstracts and from publications that use
+them, not from the text of the standard.
 
-The editions of 2005 and 2022 define four quantities: circular deviation G, bi-directional circular deviation G(b), radial deviation F
-and mean bi-directional radial deviation D; 2022 calls them errors. H is a quantity of the edition of 1996. The definitions are taken
-from the public abstracts and from publications that use them, not from the text of the standard.
-
-Error motions of a rotary axis over a turn, with the terms of ISO 230-7:2015, clause 3.
-
-A motion is measured at the same angles in one or several turns: radially or axially in µm, as a tilt in µrad. The mean over the
-turns is the *synchronous* error motion, the deviation from turn to turn the *asynchronous* one. The once-per-turn component of a
-radial or tilt motion is due to the mounting of the artefact (its eccentricity or inclination), not to the axis. It is removed, with the
+An error motion is measured at the same angles in one or several turns: radially or axially in µm, as a tilt in µrad. The mean over the
+turns is the *synchronous* error motion, the deviation from turn to turn the *asynchronous* one. The once-per-turn component of a radial
+or tilt motion is due to the mounting of the artefact (its eccentricity or inclination), not to the axis; it is removed, with the
 constant, as the least-squares circle centre of the polar plot. For an axial motion it is real: the *fundamental* error motion.
-Polar deviations are small compared with the radius at which they are drawn, so the circle is linear in them (limaçon).
+
+Deviations are small compared with the radius, so that the effect of a small offset of the centre is linear in it (limaçon).
 """
 
 from __future__ import annotations
@@ -42,15 +39,10 @@ HARMONICS: Final = 12
 @final
 @dataclass(frozen=True)
 class MotionHarmonic:
-    """One harmonic of the synchronous error motion: cos·cos(kθ) + sin·sin(kθ).
+    """One harmonic of the synchronous error motion: cos·cos(kθ) + sin·sin(kθ)."""
 
-    Attributes:
-        order: k, periods per turn.
-        cos, sin: coefficients in the motion's unit.
-    """
-
-    order: int
-    cos: float
+    order: int  # k, periods per turn
+    cos: float  # cos, sin: coefficients in the motion's unit
     sin: float
 
     @property
@@ -65,55 +57,33 @@ class RotaryMotion:
     """An error motion over a turn and its values. Arrays are read-only, angles ascend.
 
     Values are in `unit`; each is the radial width of the ring about the polar plot's centre that just contains the curve.
-
-    Attributes:
-        name: ISO 230-1 name, such as ``E_XC``; empty if none was given.
-        kind: ``radial``, ``axial`` or ``tilt``.
-        unit: ``um`` or ``urad``.
-        angle_deg: (k,) angles of the axis within a turn.
-        readings: (turns, k) as measured.
-        constant: mean of the synchronous motion (the radius of the least-squares circle).
-        once_per_turn: its first harmonic; for ``radial`` and ``tilt`` the centre of the least-squares circle.
-        harmonics: orders 1 up to `HARMONICS`, fitted together.
-        total: (turns, k) total error motion: the readings about their centre.
-        synchronous: (k,) synchronous (average) error motion: mean over the turns.
-        residual: (k,) residual synchronous error motion: without the first harmonic, also for an axial motion.
-        total_value: range of `total`.
-        synchronous_value: range of `synchronous`.
-        fundamental_value: range of the first harmonic; an error for an axial motion, otherwise due to the mounting of the artefact.
-        residual_value: range of `residual`.
-        asynchronous_value: the largest range over the turns at any one angle; None for a single turn.
     """
 
-    name: str
+    name: str  # ISO 230-1 name, such as ``E_XC``; empty if none was given
     kind: Kind
     unit: Literal["um", "urad"]
-    angle_deg: np.ndarray
-    readings: np.ndarray
-    constant: float
+    angle_deg: np.ndarray  # (k,) angles of the axis within a turn
+    readings: np.ndarray  # (turns, k) as measured
+    constant: float  # mean of the synchronous motion (the radius of the least-squares circle)
+    # its first harmonic; for ``radial`` and ``tilt`` the centre of the least-squares circle
     once_per_turn: MotionHarmonic
-    harmonics: tuple[MotionHarmonic, ...]
-    total: np.ndarray
-    synchronous: np.ndarray
-    residual: np.ndarray
-    total_value: float
-    synchronous_value: float
+    harmonics: tuple[MotionHarmonic, ...]  # orders 1 up to `HARMONICS`, fitted together
+    total: np.ndarray  # (turns, k) total error motion: the readings about their centre
+    synchronous: np.ndarray  # (k,) synchronous (average) error motion: mean over the turns
+    residual: np.ndarray  # (k,) residual synchronous error motion: without the first harmonic, also for an axial motion
+    total_value: float  # range of `total`
+    synchronous_value: float  # range of `synchronous`
+    # range of the first harmonic; an error for an axial motion, otherwise due to the mounting of the artefact
     fundamental_value: float
-    residual_value: float
-    asynchronous_value: float | None
+    residual_value: float  # range of `residual`
+    asynchronous_value: float | None  # the largest range over the turns at any one angle; None for a single turn
 
 
 def error_motion(angle_deg: ArrayLike, readings: ArrayLike, kind: Kind, *, name: str = "") -> RotaryMotion:
     """Evaluate an error motion of a rotary axis in a fixed sensitive direction from readings over whole turns.
 
-    Args:
-        angle_deg: (k,) angles of one turn, in any order, spread over all of it; 0° and 360° are the same angle.
-        readings: (k,) or (turns, k): radial and axial in µm, tilt in µrad.
-        kind: ``radial``, ``axial`` or ``tilt``.
-        name: ISO 230-1 name, for tables and plots.
-
-    Raises:
-        InputError: arrays that do not match, a missing value, an angle given twice, less than a turn, an unknown kind.
+    The angles (k,) of one turn are in any order and spread over all of it; 0° and 360° are the same angle. The readings are (k,) or
+    (turns, k), radial and axial in µm, tilt in µrad.
     """
     if kind not in UNITS:
         raise InputError("unknown kind of error motion", expected=", ".join(UNITS), value=kind)
@@ -160,14 +130,9 @@ def error_motion(angle_deg: ArrayLike, readings: ArrayLike, kind: Kind, *, name:
 
 
 def fit_harmonics(angle: np.ndarray, values: np.ndarray, highest: int) -> tuple[float, tuple[MotionHarmonic, ...]]:
-    """Fit a constant and harmonics by least squares, also to uneven angles; for even ones it is the discrete Fourier transform.
+    """Fit a constant and harmonics to (n,) values at (n,) degrees by least squares; at even angles the discrete Fourier transform.
 
     Of a radius over the angle, the constant and the first harmonic are the radius and the centre of the least-squares circle.
-
-    Args:
-        angle: (n,) degrees.
-        values: (n,) in any unit.
-        highest: highest order.
     """
     phases = np.outer(angle * DEG, np.arange(1, highest + 1))
     columns = np.column_stack([np.ones(len(angle)), np.cos(phases), np.sin(phases)])
@@ -190,24 +155,16 @@ MOST_ZONE_POINTS: Final = 720
 @final
 @dataclass(frozen=True)
 class CircularPath:
-    """One direction of travel of a circular test. Arrays are read-only, angles ascend within 0 … 360°.
+    """One direction of travel of a circular test. Arrays are read-only, angles ascend within 0 … 360°."""
 
-    Attributes:
-        angle_deg: (n,) angles.
-        radius_um: (n,) measured radius minus nominal radius.
-        G_um: circular deviation: least radial separation of two concentric circles that contain the path (minimum zone).
-        G_least_squares_um: range of the radii about the centre of the least-squares circle.
-        centre_um: (2,) centre of the least-squares circle.
-        mean_um: radius of the least-squares circle minus nominal radius.
-        F_max_um, F_min_um: largest and smallest radial deviation from the nominal radius, about the centre of the least-squares circle.
-    """
-
-    angle_deg: np.ndarray
-    radius_um: np.ndarray
+    angle_deg: np.ndarray  # (n,) angles
+    radius_um: np.ndarray  # (n,) measured radius minus nominal radius
+    # circular deviation: least radial separation of two concentric circles that contain the path (minimum zone)
     G_um: float
-    G_least_squares_um: float
-    centre_um: np.ndarray
-    mean_um: float
+    G_least_squares_um: float  # range of the radii about the centre of the least-squares circle
+    centre_um: np.ndarray  # (2,) centre of the least-squares circle
+    mean_um: float  # radius of the least-squares circle minus nominal radius
+    # F_max_um, F_min_um: largest and smallest radial deviation from the nominal radius, about the centre of the least-squares circle
     F_max_um: float
     F_min_um: float
 
@@ -215,32 +172,23 @@ class CircularPath:
 @final
 @dataclass(frozen=True)
 class CircularTest:
-    """Result of a circular test.
+    """Result of a circular test."""
 
-    Attributes:
-        name: the two axes, such as ``XY``; empty if not given.
-        radius_mm: nominal radius.
-        forward: path with rising angle, from the first axis to the second (counter-clockwise); None if it was not measured.
-        backward: path with falling angle (clockwise); None if it was not measured.
-        G_b_um: bi-directional circular deviation G(b): minimum zone of both paths together; None with one direction.
-        D_um: mean bi-directional radial deviation: radius of the least-squares circle of both paths minus nominal radius; None with
-            one direction.
-        H_um: circular hysteresis (1996): largest difference of the radii of the two paths at one angle; None with one direction.
-        H_angle_deg: angle at which it occurs; None with one direction.
-        centre_um: (2,) centre of the least-squares circle of all points.
-        shortfalls: what the test lacks of a full one, in words; empty if nothing.
-    """
-
-    name: str
+    name: str  # the two axes, such as ``XY``; empty if not given
     radius_mm: float
+    # path with rising angle, from the first axis to the second (counter-clockwise); None if it was not measured
     forward: CircularPath | None
-    backward: CircularPath | None
+    backward: CircularPath | None  # path with falling angle (clockwise); None if it was not measured
+    # bi-directional circular deviation G(b): minimum zone of both paths together; None with one direction
     G_b_um: float | None
+    # mean bi-directional radial deviation: radius of the least-squares circle of both paths minus nominal radius; None with one
+    # direction
     D_um: float | None
+    # circular hysteresis (1996): largest difference of the radii of the two paths at one angle; None with one direction
     H_um: float | None
-    H_angle_deg: float | None
-    centre_um: np.ndarray
-    shortfalls: tuple[str, ...]
+    H_angle_deg: float | None  # angle at which it occurs; None with one direction
+    centre_um: np.ndarray  # (2,) centre of the least-squares circle of all points
+    shortfalls: tuple[str, ...]  # what the test lacks of a full one, in words; empty if nothing
 
     @property
     def paths(self) -> tuple[tuple[str, CircularPath], ...]:
@@ -258,11 +206,8 @@ def circular_test(
 ) -> CircularTest:
     """Evaluate a circular test of two linear axes.
 
-    Args:
-        radius_mm: nominal radius of the path of the measured point.
-        forward: angles (n,) in degrees and measured radii (n,) in mm of the path with rising angle, in any order; None if not measured.
-        backward: the same of the path with falling angle.
-        name: the two axes, for tables and plots.
+    The paths with rising (forward) and falling angle are angles (n,) in degrees and measured radii (n,) in mm, in any order; None if
+    not measured.
 
     Raises:
         InputError: no path, arrays that do not match, a missing value, fewer than eight points, less than half a turn, or a radius
@@ -304,12 +249,7 @@ def circular_test(
 
 
 def minimum_zone_um(angle_deg: np.ndarray, radius_um: np.ndarray) -> float:
-    """Return the least radial separation of two concentric circles that contain all points, by linear programming.
-
-    Args:
-        angle_deg: (n,) degrees.
-        radius_um: (n,) radii minus any constant.
-    """
+    """Return the least radial separation of two concentric circles that contain all points (n,), by linear programming."""
     keep = _extremes(angle_deg, radius_um) if len(angle_deg) > MOST_ZONE_POINTS else slice(None)
     angle, radius = angle_deg[keep] * DEG, radius_um[keep] - radius_um.mean()
     rows = np.column_stack([np.cos(angle), np.sin(angle)])

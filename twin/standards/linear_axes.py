@@ -38,15 +38,7 @@ Approaches = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
 def linear_positioning(run: MeasuredRun, machine: Machine, u_mm: np.ndarray) -> StandardTest:
-    """Evaluate the positioning of a linear axis by ISO 230-2.
-
-    Args:
-        run: a run of the axis.
-        u_mm: (n, 3) standard uncertainties of its readings.
-
-    Raises:
-        NotPossible: the readings are not along the axis, or there are too few targets.
-    """
+    """Evaluate the positioning of a linear axis by ISO 230-2, from readings with standard uncertainties (n, 3) in mm."""
     axis = machine.axes[run.axes[0]]
     position, u, own_zero = along_axis_mm(run, axis, u_mm)
     deviation = (position - run.positions[:, 0]) * (MM / UM)
@@ -62,14 +54,7 @@ def positioning(
 ) -> StandardTest:
     """Evaluate the positioning of an axis by ISO 230-2, from both directions of approach or one.
 
-    Args:
-        run: a run of the axis.
-        deviation: (n,) actual minus target, µm or µrad.
-        u: standard uncertainty of one deviation; NaN if unknown.
-        remarks: to be added to those of the evaluation.
-
-    Raises:
-        NotPossible: fewer than two targets were approached from the same direction or directions.
+    The deviations (n,) are actual minus target, µm or µrad; ``u`` is the standard uncertainty of one of them, NaN if unknown.
     """
     axis = machine.axes[run.axes[0]]
     approach, _ = directions(run)
@@ -175,16 +160,7 @@ def _values_of_one_direction(found: UnidirectionalPositioning, u: float) -> tupl
 def straightness_tests(
     run: MeasuredRun, machine: Machine, frame: StationFrame, u_mm: np.ndarray
 ) -> Iterator[StandardTest]:
-    """Yield the straightness of a linear axis in each direction that was read.
-
-    Args:
-        run: a run of the axis.
-        frame: orientation of the station.
-        u_mm: (n, 3) standard uncertainties of its readings.
-
-    Raises:
-        NotPossible: no coordinate across the travel, unknown directions, or fewer than three positions.
-    """
+    """Yield the straightness of a linear axis in each direction that was read."""
     targets, which, visits = np.unique(np.round(run.positions[:, 0], DECIMALS), return_inverse=True, return_counts=True)
     across = across_axis_um(run, frame, machine)
     if len(targets) < 3:
@@ -212,11 +188,7 @@ def straightness_tests(
 
 
 def squareness_tests(found: Sequence[tuple[MeasuredRun, Straightness]], machine: Machine) -> Iterator[StandardTest]:
-    """Yield the squareness of every two linear axes measured with the same target from one station.
-
-    Args:
-        found: straightnesses with their runs.
-    """
+    """Yield the squareness of every two linear axes measured with the same target from one station."""
     for name, (first, second, _) in PAIRS.items():
         done: set[tuple[str, str]] = set()
         for run, datum in found:
@@ -255,16 +227,7 @@ BLIND: Final = 1e-6
 
 
 def angular_tests(run: MeasuredRun, machine: Machine, u_mm: np.ndarray) -> Iterator[StandardTest]:
-    """Yield the angular error of a linear axis about each direction that was read.
-
-    Args:
-        run: a run of one axis, with angles.
-        u_mm: (n, 3) standard uncertainties of its readings, mm at 1 m.
-
-    Raises:
-        NotPossible: a rotary axis, an axis that moves both target and station or neither, an angle that was not read in every row, a
-            direction of approach that is unknown, or a station of which no horizontal axis is parallel to the machine's.
-    """
+    """Yield the angular error of a linear axis about each direction that was read; ``u_mm`` (n, 3) are mm at 1 m."""
     axis = machine.axes[run.axes[0]]
     target, station = carried_sides(run, axis)
     if not axis.linear or target == station:

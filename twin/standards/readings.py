@@ -1,12 +1,11 @@
-"""Readings of a run: along and across an axis, their standard uncertainty, and the orientation of a station's frame.
+"""Runs in a measurement table, and what their readings show: along and across an axis, with standard uncertainty and orientation.
+
+A run is consecutive rows of one target, read from one station, between which the same axes move. The order is that of ``time_s`` where
+every row has it, else that of the rows. A run ends where the round changes.
 
 The orientation of a station is unknown unless the table gives its pose. It is estimated from the directions in which the readings
 move with two or more linear axes; with one, the frame is taken as parallel to the machine's if the direction fits within
 `LARGEST_ANGLE_DEG`. Squareness and straightness do not depend on it, only their names do.
-
-Runs in a measurement table: consecutive rows of one target, read from one station, between which the same axes move.
-
-The order is that of ``time_s`` where every row has it, else that of the rows. A run ends where the round changes.
 """
 
 from __future__ import annotations
@@ -47,19 +46,12 @@ CIRCLE_MM: Final = 0.02
 @final
 @dataclass(frozen=True)
 class MeasuredRun:
-    """Rows in which only some axes move.
+    """Rows in which only some axes move."""
 
-    Attributes:
-        data: the rows, in the order of the run; parts at the same place are joined.
-        axes: indices of the axes that move.
-        part: (n,) number of the consecutive part to which each row belongs.
-        where: positions of the other axes, by name.
-    """
-
-    data: Measurements
-    axes: tuple[int, ...]
-    part: np.ndarray
-    where: Mapping[str, float]
+    data: Measurements  # the rows, in the order of the run; parts at the same place are joined
+    axes: tuple[int, ...]  # indices of the axes that move
+    part: np.ndarray  # (n,) number of the consecutive part to which each row belongs
+    where: Mapping[str, float]  # positions of the other axes, by name
 
     @property
     def station(self) -> str:
@@ -85,28 +77,16 @@ class MeasuredRun:
 @final
 @dataclass(frozen=True)
 class TableRuns:
-    """All runs of a table, by kind.
+    """All runs of a table, by kind."""
 
-    Attributes:
-        single: runs of one axis.
-        circles: runs of two linear axes on a circle.
-        mixed: runs in which linear and rotary axes move together.
-        ordered_by_time: whether ``time_s`` gives the order.
-    """
-
-    single: tuple[MeasuredRun, ...]
-    circles: tuple[MeasuredRun, ...]
-    mixed: tuple[MeasuredRun, ...]
-    ordered_by_time: bool
+    single: tuple[MeasuredRun, ...]  # runs of one axis
+    circles: tuple[MeasuredRun, ...]  # runs of two linear axes on a circle
+    mixed: tuple[MeasuredRun, ...]  # runs in which linear and rotary axes move together
+    ordered_by_time: bool  # whether ``time_s`` gives the order
 
 
 def find_runs(data: Measurements, machine: Machine) -> TableRuns:
-    """Return the runs of a table.
-
-    Args:
-        data: the measured points.
-        machine: the machine that was measured.
-    """
+    """Return the runs of a table."""
     by_time = bool(np.isfinite(data.time_s).all())
     single: list[MeasuredRun] = []
     circles: list[MeasuredRun] = []
@@ -265,9 +245,6 @@ def directions(run: MeasuredRun) -> tuple[np.ndarray, bool]:
     The column of the table is used where it has a value in any row; rows without one are 0, unknown. Else the direction is that of the
     last move of the axis. The first rows of a part, approached from outside the run, have the direction of the first move. At a turning
     point with twice as many readings as elsewhere, the second half has the direction of the next move.
-
-    Args:
-        run: a run of one axis.
     """
     (axis,) = run.axes
     given = run.data.approach[:, axis]
@@ -309,12 +286,7 @@ class NotPossible(Exception):
 
 
 def reading_uncertainty_mm(data: Measurements, instrument: Instrument | None) -> np.ndarray:
-    """Return (n, 3) standard uncertainties of the readings, mm; NaN if unknown.
-
-    Args:
-        data: the table.
-        instrument: the instrument whose noise model gives them where the table does not; None for unknown.
-    """
+    """Return (n, 3) standard uncertainties of the readings, mm: the table's, else the instrument's noise model; NaN if unknown."""
     if instrument is None:
         return np.asarray(data.u_mm)
     points = np.nan_to_num(np.asarray(data.point_mm)) * MM
@@ -334,15 +306,10 @@ def rms_um(u_mm: np.ndarray) -> float:
 @final
 @dataclass(frozen=True)
 class StationFrame:
-    """Orientation of a station's frame in the machine frame.
+    """Orientation of a station's frame in the machine frame."""
 
-    Attributes:
-        rotation: (3, 3) turns readings into directions parallel to the machine's axes.
-        known: how it is known, in words; empty if it is unknown.
-    """
-
-    rotation: np.ndarray
-    known: str
+    rotation: np.ndarray  # (3, 3) turns readings into directions parallel to the machine's axes
+    known: str  # how it is known, in words; empty if it is unknown
 
 
 def station_rotation(pose: np.ndarray) -> np.ndarray:
@@ -351,11 +318,7 @@ def station_rotation(pose: np.ndarray) -> np.ndarray:
 
 
 def relative_direction(run: MeasuredRun, machine: Machine) -> np.ndarray:
-    """Return (3,) the nominal direction, in the machine frame, in which the readings move with a linear axis; zero if they do not.
-
-    Args:
-        run: a run of one linear axis.
-    """
+    """Return (3,) the nominal direction, in the machine frame, in which the readings move with a linear axis; zero if they do not."""
     axis = machine.axes[run.axes[0]]
     target, station = carried_sides(run, axis)
     return (float(target) - float(station)) * axis.machine_direction
@@ -367,11 +330,7 @@ def carried_sides(run: MeasuredRun, axis: Axis) -> tuple[bool, bool]:
 
 
 def station_frame(runs: Sequence[MeasuredRun], machine: Machine) -> StationFrame:
-    """Return the orientation of one station.
-
-    Args:
-        runs: its runs of one linear axis, of which those with three coordinates are used.
-    """
+    """Return the orientation of a station from its runs of one linear axis, of which those with three coordinates are used."""
     pairs = [
         (measured_direction(run), relative_direction(run, machine))
         for run in runs
@@ -402,14 +361,7 @@ def along_axis_mm(run: MeasuredRun, axis: Axis, u_mm: np.ndarray) -> tuple[np.nd
     """Return the measured position along a linear axis, mm, its standard uncertainty (n,), and whether its zero is the axis's own.
 
     A length counts as along the axis if it changes by 1 mm per mm, with either sign. From three coordinates it is the component along
-    the least-squares line of the points.
-
-    Args:
-        run: a run of one linear axis.
-        u_mm: (n, 3) standard uncertainties of the readings.
-
-    Raises:
-        NotPossible: the readings do not follow the axis.
+    the least-squares line of the points. The standard uncertainties ``u_mm`` of the readings are (n, 3).
     """
     slope = measured_direction(run)
     read = np.flatnonzero(run.read)
@@ -433,15 +385,7 @@ def along_axis_mm(run: MeasuredRun, axis: Axis, u_mm: np.ndarray) -> tuple[np.nd
 
 
 def across_axis_um(run: MeasuredRun, frame: StationFrame, machine: Machine) -> dict[str, np.ndarray]:
-    """Return the readings across a linear axis, µm, by the ISO 230-1 name of the error motion (``E_YX``).
-
-    Args:
-        run: a run of one linear axis.
-        frame: orientation of its station.
-
-    Raises:
-        NotPossible: the frame's orientation is unknown, or the axis is not parallel to an axis of the machine frame.
-    """
+    """Return the readings across a linear axis, µm, by the ISO 230-1 name of the error motion (``E_YX``)."""
     axis, direction = machine.axes[run.axes[0]], relative_direction(run, machine)
     along = int(np.argmax(np.abs(direction)))
     if abs(direction[along]) < 1.0 - SLOPE_TOLERANCE:
@@ -461,9 +405,6 @@ def across_axis_um(run: MeasuredRun, frame: StationFrame, machine: Machine) -> d
     if not lateral:
         raise NotPossible("no coordinate across the travel was read")
     return {f"E_{'XYZ'[k]}{axis.name}": sign * (points[:, k] - points[0, k]) * (MM / UM) for k in lateral}
-
-
-# --- Words of the tests: places of runs -----------------------------------------------------------
 
 
 def place_of(run: MeasuredRun) -> str:

@@ -18,9 +18,9 @@ from twin.display import figure, note, readable, table
 from twin.display.numbers import COVERAGE_FACTOR, with_joined_units
 from twin.display.results import Display, DisplayedResult
 from twin.measurement.checks import RowNote, grouped_notes
-from twin.standards.drift.iso230_3 import DriftSeries
 from twin.standards.iso230_1 import AngularError, SquarenessError, Straightness
 from twin.standards.iso230_2 import Positioning, UnidirectionalPositioning
+from twin.standards.iso230_3 import DriftSeries
 from twin.standards.iso230_4 import CircularTest, RotaryMotion
 
 SCHEMA: Final = "twin.evaluation/1"
@@ -47,23 +47,14 @@ SENTENCES: Final[Mapping[Conformity, str]] = {
 @final
 @dataclass(frozen=True)
 class StandardValue:
-    """One value of a test.
+    """One value of a test."""
 
-    Attributes:
-        symbol: the standard's symbol; ↑ and ↓ for the direction of approach.
-        key: the symbol in ASCII, for JSON and tolerances: ``A``, ``A_forward``, ``R``.
-        value: in ``unit``; NaN if the data do not determine it.
-        unit: ``um`` or ``urad``.
-        meaning: the standard's term.
-        u: standard uncertainty from that of the readings alone; NaN if unknown.
-    """
-
-    symbol: str
-    key: str
-    value: float
-    unit: str
-    meaning: str
-    u: float = float("nan")
+    symbol: str  # the standard's symbol; ↑ and ↓ for the direction of approach
+    key: str  # the symbol in ASCII, for JSON and tolerances: ``A``, ``A_forward``, ``R``
+    value: float  # in ``unit``; NaN if the data do not determine it
+    unit: str  # ``um`` or ``urad``
+    meaning: str  # the standard's term
+    u: float = float("nan")  # standard uncertainty from that of the readings alone; NaN if unknown
 
     @property
     def expanded(self) -> float:
@@ -110,28 +101,18 @@ class EvaluatedData(Protocol):
 @final
 @dataclass(frozen=True)
 class StandardTest:
-    """One test of a standard.
+    """One test of a standard."""
 
-    Attributes:
-        kind: ``positioning``, ``straightness``, ``squareness``, ``angular error``, ``circular``,
-            ``rotary error motion``, ``kinematic``; ``environmental temperature variation``,
-            ``rotating spindle``, ``moving linear axis`` or ``moving rotary axis``.
-        name: axis (``X``), axes (``XY``) or error (``E_YX``); tolerances select tests by it.
-        standard: standard and clause.
-        axes: names of the axes that moved.
-        place: positions of the other axes, and target and station, in words.
-        remarks: requirements of the standard that are not met, assumptions, and what is not verified.
-        detail: the complete result of the evaluation; for a kinematic test the (n, 3) deviations in µm.
-    """
-
+    # ``positioning``, ``straightness``, ``squareness``, ``angular error``, ``circular``, ``rotary error motion``, ``kinematic``;
+    # ``environmental temperature variation``, ``rotating spindle``, ``moving linear axis`` or ``moving rotary axis``
     kind: str
-    name: str
-    standard: str
+    name: str  # axis (``X``), axes (``XY``) or error (``E_YX``); tolerances select tests by it
+    standard: str  # standard and clause
     axes: tuple[str, ...]
-    place: str
+    place: str  # positions of the other axes, and target and station, in words
     values: tuple[StandardValue, ...]
-    remarks: tuple[str, ...]
-    detail: Detail
+    remarks: tuple[str, ...]  # requirements of the standard that are not met, assumptions, and what is not verified
+    detail: Detail  # the complete result of the evaluation; for a kinematic test the (n, 3) deviations in µm
 
     @property
     def main_values(self) -> tuple[StandardValue, ...]:
@@ -163,37 +144,23 @@ class StandardTest:
 @final
 @dataclass(frozen=True)
 class NotEvaluated:
-    """A test that the table does not allow.
+    """A test that the table does not allow."""
 
-    Attributes:
-        test: the test, with its axes if it is one of several.
-        why: the reason.
-    """
-
-    test: str
+    test: str  # the test, with its axes if it is one of several
     why: str
 
 
 @final
 @dataclass(frozen=True)
 class ToleranceCheck:
-    """One value compared with its tolerance.
+    """One value compared with its tolerance."""
 
-    Attributes:
-        asked: the tolerance as given: ``A``, ``X:A``.
-        limit: the tolerance, in the unit of the value.
-        test: title and place of the test; empty if no test gives the value.
-        value: the value; None if it could not be evaluated.
-        met: whether the absolute value is at most the tolerance; the exit status follows from it.
-        conformity: decision by ISO 14253-1.
-    """
-
-    asked: str
-    limit: float
-    test: str
-    value: StandardValue | None
-    met: bool
-    conformity: Conformity
+    asked: str  # the tolerance as given: ``A``, ``X:A``
+    limit: float  # the tolerance, in the unit of the value
+    test: str  # title and place of the test; empty if no test gives the value
+    value: StandardValue | None  # the value; None if it could not be evaluated
+    met: bool  # whether the absolute value is at most the tolerance; the exit status follows from it
+    conformity: Conformity  # decision by ISO 14253-1
 
     @property
     def word(self) -> str:
@@ -232,27 +199,16 @@ class ToleranceCheck:
 @final
 @dataclass(frozen=True, repr=False)
 class EvaluationResult(DisplayedResult):
-    """The standard tests of a measurement table.
-
-    Attributes:
-        data: the table.
-        machine: name of the machine.
-        tests: the tests that were evaluated.
-        not_evaluated: the tests that were not, with the reason.
-        assumptions: assumptions about the table.
-        uncertainty: source of the readings' uncertainty, in words; empty if unknown.
-        checks: the tolerances asked for; empty if none were.
-        warnings: where the readings come from.
-    """
+    """The standard tests of a measurement table."""
 
     data: EvaluatedData
     machine: str
     tests: tuple[StandardTest, ...]
-    not_evaluated: tuple[NotEvaluated, ...]
+    not_evaluated: tuple[NotEvaluated, ...]  # the tests that were not, with the reason
     assumptions: tuple[str, ...]
-    uncertainty: str
-    checks: tuple[ToleranceCheck, ...]
-    warnings: tuple[SourceWarning, ...]
+    uncertainty: str  # source of the readings' uncertainty, in words; empty if unknown
+    checks: tuple[ToleranceCheck, ...]  # the tolerances asked for; empty if none were
+    warnings: tuple[SourceWarning, ...]  # where the readings come from
 
     @property
     def met(self) -> bool:
@@ -342,9 +298,7 @@ def check_limits(tolerances: Mapping[str, float]) -> None:
 def check_tolerances(tolerances: Mapping[str, float], tests: Sequence[StandardTest]) -> tuple[ToleranceCheck, ...]:
     """Compare values with tolerances, by ISO 14253-1 where the uncertainty of the readings is known.
 
-    Args:
-        tolerances: by key of the value (``A``), for every test that has it, or by name of the test and key (``X:A``); µm and µrad.
-        tests: the tests that were evaluated.
+    Tolerances are by key of the value (``A``), for every test that has it, or by name of the test and key (``X:A``); µm and µrad.
     """
     checks: list[ToleranceCheck] = []
     for asked, limit in tolerances.items():

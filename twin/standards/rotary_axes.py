@@ -9,8 +9,8 @@ content of the standard's clauses was not available: names and quantities are no
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
-from typing import Final, Literal, final
+from dataclasses import replace
+from typing import Final, Literal
 
 import numpy as np
 import scipy
@@ -32,15 +32,7 @@ LEAST_TURN_DEG: Final = 5.0
 
 
 def kinematic_test(run: MeasuredRun, machine: Machine, u_mm: np.ndarray) -> StandardTest | None:
-    """Evaluate an interpolated motion of linear and rotary axes; None if the nominal point does not stand still.
-
-    Args:
-        run: a run in which linear and rotary axes move.
-        u_mm: (n, 3) standard uncertainties of its readings.
-
-    Raises:
-        NotPossible: no coordinate was read in every row.
-    """
+    """Evaluate an interpolated motion of linear and rotary axes; None if the nominal point does not stand still."""
     data = run.data
     turning = [i for i in run.axes if not machine.axes[i].linear]
     if max(float(np.ptp(data.positions[:, i])) for i in turning) < LEAST_TURN_DEG:
@@ -114,33 +106,8 @@ LEAST_ARC_DEG: Final = 90.0
 """Arc below which the centre of the target's circle is not determined well enough."""
 
 
-@final
-@dataclass(frozen=True)
-class Circle:
-    """Circle of a target about a rotary axis.
-
-    Attributes:
-        radial_mm: (n,) distance from the axis.
-        axial_mm: (n,) distance from the plane of the circle, positive on the side from which the angle rises anticlockwise.
-        angle_deg: (n,) angle about the axis, rising with the commanded angle.
-    """
-
-    radius_mm: float
-    radial_mm: np.ndarray
-    axial_mm: np.ndarray
-    angle_deg: np.ndarray
-
-
 def rotary_tests(run: MeasuredRun, machine: Machine, u_mm: np.ndarray) -> Iterator[StandardTest]:
-    """Yield positioning and error motions of a rotary axis.
-
-    Args:
-        run: a run of the axis.
-        u_mm: (n, 3) standard uncertainties of its readings.
-
-    Raises:
-        NotPossible: not all coordinates were read, or they cover too short an arc.
-    """
+    """Yield positioning and error motions of a rotary axis."""
     axis = machine.axes[run.axes[0]]
     theta = run.positions[:, 0]
     if not turns_readings(run, axis):
@@ -155,16 +122,16 @@ def rotary_tests(run: MeasuredRun, machine: Machine, u_mm: np.ndarray) -> Iterat
     if spread <= ON_AXIS_MM:
         yield from _on_axis(run, machine, u)
         return
-    circle = _circle(points, theta)
-    deviation = circle.angle_deg - theta
+    radius_mm, radial_mm, axial_mm, angle_deg = _circle(points, theta)
+    deviation = angle_deg - theta
     deviation = (deviation - deviation[0] + 180.0) % 360.0 - 180.0
-    remarks = [f"angles of one target at {circle.radius_mm:.1f} mm from the axis, about its least-squares circle"]
+    remarks = [f"angles of one target at {radius_mm:.1f} mm from the axis, about its least-squares circle"]
     remarks.append("deviations count from the first reading")
-    yield positioning(run, machine, deviation * (DEG / URAD), u / circle.radius_mm / URAD, remarks)
-    at = f"target at {circle.radius_mm:.1f} mm from the axis"
+    yield positioning(run, machine, deviation * (DEG / URAD), u / radius_mm / URAD, remarks)
+    at = f"target at {radius_mm:.1f} mm from the axis"
     for name, values, kind, remark in (
-        (f"{axis.name} radial", circle.radial_mm, "radial", f"rotating sensitive direction: {at}"),
-        (f"{axis.name} face", circle.axial_mm, "axial", f"face error motion (axial and tilt together): {at}"),
+        (f"{axis.name} radial", radial_mm, "radial", f"rotating sensitive direction: {at}"),
+        (f"{axis.name} face", axial_mm, "axial", f"face error motion (axial and tilt together): {at}"),
     ):
         motion = _motion(theta, values * (MM / UM), kind, name)  # type: ignore[arg-type]
         if motion is not None:
@@ -193,8 +160,12 @@ def _on_axis(run: MeasuredRun, machine: Machine, u: float) -> Iterator[StandardT
         raise NotPossible(f"angles do not cover a turn with gaps below {WIDEST_GAP_DEG:g}°")
 
 
-def _circle(points: np.ndarray, theta: np.ndarray) -> Circle:
-    """Return the circle of a target: plane by principal components, centre and radius by least squares."""
+def _circle(points: np.ndarray, theta: np.ndarray) -> tuple[float, np.ndarray, np.ndarray, np.ndarray]:
+    """Return the circle of a target about a rotary axis: plane by principal components, centre and radius by least squares.
+
+    The radius, mm; (n,) the distance from the axis, and from the plane of the circle, positive on the side from which the angle rises
+    anticlockwise, mm; (n,) the angle about the axis, rising with the commanded angle, degrees.
+    """
     centred = points - points.mean(axis=0)
     _, _, directions = np.linalg.svd(centred, full_matrices=False)
     plane = centred @ directions[:2].T
@@ -204,7 +175,7 @@ def _circle(points: np.ndarray, theta: np.ndarray) -> Circle:
     step = np.exp(1j * (angle - theta) * DEG), np.exp(1j * (-angle - theta) * DEG)
     if abs(step[1].mean()) > abs(step[0].mean()):  # the plane is seen from behind
         angle, normal = -angle, -normal
-    return Circle(radius, np.hypot(x, y), centred @ normal, angle)
+    return radius, np.hypot(x, y), centred @ normal, angle
 
 
 def _motion(theta: np.ndarray, values: np.ndarray, kind: Literal["radial", "axial"], name: str) -> RotaryMotion | None:
@@ -245,15 +216,7 @@ NOT_VERIFIED: Final = "definitions from public abstracts and publications, not c
 
 
 def circle_test(run: MeasuredRun, machine: Machine, u_mm: np.ndarray) -> StandardTest:
-    """Evaluate a circular test.
-
-    Args:
-        run: a run of two linear axes on a circle.
-        u_mm: (n, 3) standard uncertainties of its readings.
-
-    Raises:
-        NotPossible: too little of the circle was read.
-    """
+    """Evaluate a circular test: a run of two linear axes on a circle."""
     names = tuple(machine.axes[i].name for i in run.axes)
     centre, commanded = algebraic_sphere(run.positions)
     angle = np.arctan2(*(run.positions - centre).T[::-1]) / DEG
@@ -299,9 +262,6 @@ def _radii(run: MeasuredRun, centre: np.ndarray) -> np.ndarray:
     """Return the distances from the centre in the plane of the circle, after a rigid alignment of the commands to the points.
 
     The alignment has no scale and no shear, which would hide squareness and scale errors.
-
-    Raises:
-        NotPossible: not all coordinates were read.
     """
     if not run.read.all():
         raise NotPossible("needs three coordinates, or a length in x_mm alone")

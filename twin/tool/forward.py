@@ -33,14 +33,10 @@ from twin.numerics.spatial import tilt
 @final
 @dataclass(frozen=True, repr=False)
 class Poses(Result):
-    """Poses of the tool in the work frame.
+    """Poses of the tool in the work frame."""
 
-    Attributes:
-        point_mm: (n, 3) the functional point: the tool tip.
-        rotation: (n, 3, 3) tool frame in the work frame; its third column is the tool axis, from tip to spindle.
-    """
-
-    point_mm: np.ndarray
+    point_mm: np.ndarray  # (n, 3) the functional point: the tool tip
+    # (n, 3, 3) tool frame in the work frame; its third column is the tool axis, from tip to spindle
     rotation: np.ndarray
 
     @property
@@ -49,20 +45,11 @@ class Poses(Result):
         return self.rotation[:, :, 2]
 
     def tilt_urad(self, nominal: Poses) -> np.ndarray:
-        """Return the tilt of the tool axis from its nominal direction, as angles independent of order (`twin.numerics.spatial.tilt`).
+        """Return the tilt (n, 2) of the tool axis from its nominal direction, µrad about x and y, free of any order (`spatial.tilt`).
 
         The angles are about x and y of the nominal tool frame, which are those of the work frame where the two are parallel, as on most
         machines at rotary zero. They are not taken about x and y of the work frame, because such angles are undefined for a tool across
         its z and ill-conditioned close to that. There are two angles because a rotation of the tool about its own axis has no effect.
-
-        Args:
-            nominal: the nominal poses, the same number.
-
-        Returns:
-            (n, 2) µrad about x and about y.
-
-        Raises:
-            InputError: another number of poses, or an axis that deviates by a right angle or more.
         """
         if len(nominal) != len(self):
             raise InputError("the number of nominal poses differs", expected=f"{len(self)} poses", value=len(nominal))
@@ -86,16 +73,12 @@ class Poses(Result):
 @final
 @dataclass(frozen=True, repr=False)
 class Sensitivities(Result):
-    """First derivatives of the tool pose in the work frame, in metres and radians per metre or radian.
+    """First derivatives of the tool pose in the work frame, in metres and radians per metre or radian."""
 
-    Attributes:
-        command: (n, 6, axes) derivatives of point (3) and rotation (3, as a rotation vector in the work frame) by the commands, errors
-            following the axes.
-        error: (n, 6, 6·frames) derivatives by every component of every error frame.
-    """
-
+    # (n, 6, axes) derivatives of point (3) and rotation (3, as a rotation vector in the work frame) by the commands, errors following
+    # the axes
     command: np.ndarray
-    error: np.ndarray
+    error: np.ndarray  # (n, 6, 6·frames) derivatives by every component of every error frame
 
     @property
     def brief(self) -> str:

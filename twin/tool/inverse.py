@@ -1,24 +1,17 @@
-"""Inverse kinematics: the commands that reach a pose on the machine with errors.
+"""Inverse kinematics: the commands that reach a pose on the machine with errors, by Newton's method on all poses at once.
 
 The residual is the point (3) and the two components of the tool axis perpendicular to the target axis, because the spindle may turn
-freely about it. Newton's method runs on all poses at once. The linear axes are eliminated first (their 3×3 block is never singular).
-The remaining 2×2 system in the rotary axes shows by its smaller singular value how close a pose is to singular
-(`twin.tool.inverse`). `twin.compute.native` runs it.
-
-One step of the inverse kinematics as expressions: Newton for all axes, for the linear axes alone, and the limited rotary correction.
-
-The expressions have no branches and hold for any chain; the same ones are evaluated by CasADi, by NumPy and as C++
-(`twin.compute.native`).
+freely about it. The linear axes are eliminated first (their 3×3 block is never singular). The remaining 2×2 system in the rotary axes
+shows by its smaller singular value how close a pose is to singular. The expressions have no branches and hold for any chain; the same
+ones are evaluated by CasADi, by NumPy and as C++ (`twin.compute.native`).
 
 The derivatives are the chain's twists (Lynch, Park: Modern Robotics, 5.1), errors following the axes: less than half of the work of
 differentiating the whole expression. Of the Jacobian of Exp, I + [e]/2 + [e]²/6 + …, a step takes the first term only. This causes an
 error of an angular error times a slope: a millionth for a milliradian and a milliradian per radian, far below the error of Newton's
 method itself. The limited rotary correction (``repair``), which is not iterated, takes two terms. The residual is exact.
 
-Rotary positions that point the tool along a given vector: all solutions, for any two rotary axes.
-
-The nominal tool axis in the work frame is ``Rot(n₁, θ₁)·Rot(n₂, θ₂)·a₀``, with axis 1 the one nearer the workpiece. Solving it for
-θ is the second Paden-Kahan subproblem (Murray, Li, Sastry: A Mathematical Introduction to Robotic Manipulation, 3.2).
+All rotary solutions for a tool axis ``Rot(n₁, θ₁)·Rot(n₂, θ₂)·a₀`` in the work frame, axis 1 nearer the workpiece, are those of the
+second Paden-Kahan subproblem (Murray, Li, Sastry: A Mathematical Introduction to Robotic Manipulation, 3.2).
 """
 
 from __future__ import annotations
@@ -62,11 +55,8 @@ class _Residual:
 class Steps:
     """Functions of the inverse kinematics of one machine with one calibration, metres and radians.
 
-    They implement `twin.compute.native.StepFunctions`.
-
-    Args:
-        kinematics: the machine.
-        rotary_limit: largest move (radians) of a rotary axis from its start to correct an orientation.
+    They implement `twin.compute.native.StepFunctions`. No rotary axis moves further than ``rotary_limit`` (radians) from its start to
+    correct an orientation.
     """
 
     def __init__(self, kinematics: Kinematics, rotary_limit: float) -> None:
@@ -82,15 +72,10 @@ class Steps:
         size = _largest(ca.vertcat(residual.point, residual.axis))
         if not machine.rotary:
             return self._function("turn", [self._linear_step, size])
-        matrices = _matrices(machine, residual)
-        return self._function(
-            "turn",
-            [
-                self._at[0] + _newton_move(machine, matrices, residual, longest=True),
-                size,
-                ca.vertcat(*map(ca.vec, matrices)),
-            ],
-        )
+        linear, slope, coupling, system = _reduced(machine, residual)
+        matrices = _Matrices(linear, slope, coupling, _pseudo_inverse(system))
+        moved = self._at[0] + _newton_move(machine, matrices, residual, longest=True)
+        return self._function("turn", [moved, size, ca.vertcat(*map(ca.vec, matrices))])
 
     @cached_property
     def again(self) -> ca.Function:
@@ -124,12 +109,9 @@ class Steps:
 
         Only two vectors per side are carried along the chain; the derivatives need every frame.
         """
-        (tip, pointing), (goal, target) = (
-            branch.carried(*start)
-            for branch, start in zip(
-                self._branches, (self._kinematics.tip_and_axis, (self._point, self._axis)), strict=True
-            )
-        )
+        tool, work = self._branches
+        tip, pointing = tool.carried(*self._kinematics.tip_and_axis)
+        goal, target = work.carried(self._point, self._axis)
         gap, axis_gap, off = tip - goal, pointing - target, ca.horzcat(*_perpendicular(target)).T @ pointing
         return self._function(
             "check", [_largest(ca.vertcat(gap, off)), _largest(gap), ca.sumsqr(gap), ca.sumsqr(axis_gap), gap, off]
@@ -227,11 +209,6 @@ def _reduced(machine: Machine, residual: _Residual) -> tuple[Any, Any, Any, Any]
     return inverse, slope, coupling, residual.axis_by[:, rotary] - coupling @ slope
 
 
-def _matrices(machine: Machine, residual: _Residual) -> _Matrices:
-    inverse, slope, coupling, system = _reduced(machine, residual)
-    return _Matrices(inverse, slope, coupling, _pseudo_inverse(system))
-
-
 def _newton_move(machine: Machine, by: _Matrices, residual: _Residual, *, longest: bool) -> Any:
     """Return the move of one Newton step; with ``longest``, no rotary axis moves further than `LARGEST_STEP`."""
     alone = by.linear @ residual.point
@@ -314,14 +291,7 @@ PARALLEL: Final = 1e-9
 
 @final
 class Branches:
-    """Rotary solutions of one machine without errors.
-
-    Args:
-        nominal: the machine without errors.
-
-    Raises:
-        InputError: the machine does not have two rotary axes, or they are parallel.
-    """
+    """Rotary solutions of one machine without errors."""
 
     def __init__(self, nominal: Kinematics) -> None:
         machine = nominal.machine
@@ -353,14 +323,10 @@ class Branches:
         return self._order[1]
 
     def all(self, axis: np.ndarray) -> np.ndarray:
-        """Return all rotary solutions.
+        """Return all rotary solutions (n, 2, 2) of unit tool vectors (n, 3) in the work frame.
 
-        Args:
-            axis: (n, 3) unit tool vectors in the work frame.
-
-        Returns:
-            (n, 2, 2) degrees: two solutions for the two rotary axes in command order, in (−180, 180]. NaN where there is no solution,
-            and NaN for an axis that does not change the tool's direction (it may have any position).
+        Degrees: two solutions for the two rotary axes in command order, in (−180, 180]. NaN where there is no solution, and NaN for an
+        axis that does not change the tool's direction (it may have any position).
         """
         n1, n2, u = self._n1, self._n2, self._a0
         gamma, normal = float(n1 @ n2), np.cross(n1, n2)
@@ -381,14 +347,9 @@ class Branches:
         return found.transpose(2, 0, 1)
 
     def nearest(self, solutions: np.ndarray, previous: np.ndarray) -> np.ndarray:
-        """Return the solution for each vector nearest to the rotary positions before it, including whole turns.
+        """Return (n, 2) degrees: for each vector the solution nearest to the rotary positions (n, 2) before it, including whole turns.
 
-        Args:
-            solutions: (n, 2, 2) as returned by `all`.
-            previous: (n, 2) degrees.
-
-        Returns:
-            (n, 2) degrees within the axes' ranges, NaN where there is no solution.
+        The solutions (n, 2, 2) are those of `all`; the result is within the axes' ranges, NaN where there is no solution.
         """
         before = np.ascontiguousarray(previous.T)
         best, least = np.full(before.shape, np.nan), np.full(len(previous), np.inf)
@@ -406,16 +367,10 @@ class Branches:
     def _turned(
         self, solution: np.ndarray, before: np.ndarray, shift: float
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return solutions at the nearest turn, or ``shift`` turns from it, and one turn back where that is out of range.
+        """Return solutions (2, n) at the nearest turn, or ``shift`` turns from it, and one turn back where that is out of range.
 
-        Args:
-            solution: (2, n) degrees, as by `all`.
-            before: (2, n) degrees.
-            shift: number of turns.
-
-        Returns:
-            (2, n) degrees; (n,) the larger travel of the two axes, infinite for a position out of range or without solution; and the
-            indices of those turned back.
+        Then (n,) the larger travel of the two axes, infinite for a position out of range or without solution, and the indices of those
+        turned back.
         """
         free = np.isnan(solution)
         angles = np.where(free, before, solution) if free.any() else solution
@@ -434,18 +389,11 @@ class Branches:
         return found, travel, back
 
     def along(self, solutions: np.ndarray, before: np.ndarray, offset: np.ndarray) -> np.ndarray:
-        """Return the solution for each vector nearest to that of the vector before it, up to the first without a solution.
+        """Return the words (k, 2), k ≤ n, of the solution nearest to that of the vector before it, up to the first without a solution.
 
         Whole windows are solved at once with a guess of the positions before each vector: those of the branch of the window's first
-        solution. What the solutions found this way confirm is kept; the next window begins behind.
-
-        Args:
-            solutions: (n, 2, 2) as returned by `all`.
-            before: (2,) words of the rotary axes before the first.
-            offset: (2,) added to words.
-
-        Returns:
-            (k, 2) words, k ≤ n.
+        solution. What the solutions found this way confirm is kept; the next window begins behind. The solutions (n, 2, 2) are those of
+        `all`, ``before`` (2,) the words before the first, and ``offset`` (2,) is added to words.
         """
         parts = [np.empty((0, 2))]
         at, window = 0, FIRST_WINDOW
@@ -476,19 +424,14 @@ class Branches:
 
 
 def _angle(of: tuple[np.ndarray, np.ndarray], products: tuple[Any, Any], square: float) -> np.ndarray:
-    """Return (n,) the angles between two vectors normal to an axis, given in two perpendicular vectors; NaN where one has no length.
+    """Return (n,) the angles between two vectors normal to an axis, NaN where one has no length.
 
-    Args:
-        of: components of one of them.
-        products: scalar products of the other with those two vectors.
-        square: squared length of each of the two.
+    They are given in two perpendicular vectors of squared length ``square``: one by its components, the other by scalar products.
     """
     (a, b), (c, d) = of, products
     length = np.minimum((a * a + b * b) * square, (c * c + d * d) / square)
     return np.where(length < PARALLEL**2, np.nan, np.arctan2(a * d - b * c, a * c + b * d))
 
-
-# --- Inverse kinematics: the commands that reach a pose on the machine with errors ----------------
 
 POINT_TOLERANCE: Final = 1e-12
 """Convergence limit: metres (1e-9 mm), and radians for the tool axis."""
@@ -527,21 +470,13 @@ _STATUS: Final = np.array(sorted(_CODE, key=lambda status: _CODE[status]), dtype
 @final
 @dataclass(frozen=True, repr=False)
 class Solution(Result):
-    """Commands for a batch of poses.
+    """Commands for a batch of poses."""
 
-    Attributes:
-        positions: (n, axes) commands, mm and degrees; for ``out of range`` the solution beyond the limits.
-        code: (n,) status codes of `twin.compute.native`.
-        point_residual_mm: (n,) residual distance of the point.
-        orientation_residual_rad: (n,) residual angle between tool axis and target.
-        iterations: largest number of Newton steps over all poses.
-    """
-
-    positions: np.ndarray
-    code: np.ndarray
-    point_residual_mm: np.ndarray
-    orientation_residual_rad: np.ndarray
-    iterations: int
+    positions: np.ndarray  # (n, axes) commands, mm and degrees; for ``out of range`` the solution beyond the limits
+    code: np.ndarray  # (n,) status codes of `twin.compute.native`
+    point_residual_mm: np.ndarray  # (n,) residual distance of the point
+    orientation_residual_rad: np.ndarray  # (n,) residual angle between tool axis and target
+    iterations: int  # largest number of Newton steps over all poses
 
     @property
     def status(self) -> np.ndarray:

@@ -11,7 +11,7 @@ machines: distributions are stored as counts over fine bins.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cached_property
 from itertools import pairwise
@@ -36,7 +36,7 @@ from twin.machine.machine import Machine
 from twin.model.calibration import Calibration
 from twin.model.conditions import Conditions
 from twin.tool.forward import Kinematics
-from twin.tool.uncertainty import DEFINITION, PoseUncertainty, ToolUncertainty, inside_domains, random_approach, volume
+from twin.tool.uncertainty import DEFINITION, ToolUncertainty, inside_domains, random_approach, volume
 
 BINS: Final = 512
 """Number of bins over some seven standard deviations: an interpolated quantile is within 1e-4 of a standard deviation."""
@@ -47,16 +47,11 @@ MEASURES: Final = ("as_it_is.rms", "as_it_is.max", "compensated.rms", "compensat
 @final
 @dataclass(frozen=True)
 class Counts:
-    """Distributions of several quantities, as counts over equal bins.
+    """Distributions of several quantities, as counts over equal bins."""
 
-    Attributes:
-        lower, upper: limits of the range of the bins, any shape.
-        counts: (…, bins + 2), the first below all bins, the last above all bins.
-    """
-
-    lower: np.ndarray
+    lower: np.ndarray  # lower, upper: limits of the range of the bins, any shape
     upper: np.ndarray
-    counts: np.ndarray
+    counts: np.ndarray  # (…, bins + 2), the first below all bins, the last above all bins
 
     def quantile(self, share: float) -> np.ndarray:
         """Return the quantiles, interpolated linearly within a bin; NaN outside the bins."""
@@ -75,25 +70,15 @@ class Counts:
 @final
 @dataclass(frozen=True)
 class Tally:
-    """Sums and counts over a number of machines.
-
-    Attributes:
-        machines: number of machines.
-        point: (4, poses, bins + 2) counts of the deviation of the point along x, y, z, and of its length.
-        sums: (poses, 3) sums of the point's deviation, µm.
-        squares: (poses, 3, 3) sums of its products, µm².
-        measures: (4, bins + 2) counts of `MEASURES`.
-        totals: (4,) sums of `MEASURES`, µm.
-        largest: (4,) maxima of `MEASURES`, µm.
-    """
+    """Sums and counts over a number of machines."""
 
     machines: int
-    point: np.ndarray
-    sums: np.ndarray
-    squares: np.ndarray
-    measures: np.ndarray
-    totals: np.ndarray
-    largest: np.ndarray
+    point: np.ndarray  # (4, poses, bins + 2) counts of the deviation of the point along x, y, z, and of its length
+    sums: np.ndarray  # (poses, 3) sums of the point's deviation, µm
+    squares: np.ndarray  # (poses, 3, 3) sums of its products, µm²
+    measures: np.ndarray  # (4, bins + 2) counts of `MEASURES`
+    totals: np.ndarray  # (4,) sums of `MEASURES`, µm
+    largest: np.ndarray  # (4,) maxima of `MEASURES`, µm
 
     def plus(self, other: Tally) -> Tally:
         """Return the sum of both."""
@@ -133,23 +118,16 @@ See = Callable[[slice, np.ndarray], None]
 @final
 @dataclass(frozen=True)
 class Draws:
-    """Settings of a simulation, as sent to the workers.
+    """Settings of a simulation, as sent to the workers."""
 
-    Attributes:
-        machine, calibration, tool_length_mm, conditions: see `Kinematics`.
-        positions: (n, axes) commands, mm and degrees.
-        sides: (n, axes) directions of approach.
-        seed: random seed.
-        bins: lower and upper limits of the bins for the quantities per pose (4, n) and per machine (4); None before the pilot run.
-    """
-
-    machine: Machine
+    machine: Machine  # machine, calibration, tool_length_mm, conditions: see `Kinematics`
     calibration: Calibration
     tool_length_mm: float | None
     conditions: Conditions
-    positions: np.ndarray
-    sides: np.ndarray
+    positions: np.ndarray  # (n, axes) commands, mm and degrees
+    sides: np.ndarray  # (n, axes) directions of approach
     seed: int
+    # lower and upper limits of the bins for the quantities per pose (4, n) and per machine (4); None before the pilot run
     bins: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray] | None = None
 
     def __getstate__(self) -> dict[str, Any]:
@@ -169,11 +147,7 @@ class Draws:
         return _Steps(self)
 
     def part(self, task: tuple[int, int]) -> Tally:
-        """Evaluate one task.
-
-        Args:
-            task: number of the task and number of machines.
-        """
+        """Evaluate one task: its number and its number of machines."""
         if self.bins is None:
             raise InputError("the bins are not set", expected="settings returned by `pilot`")
         lower, upper, least, most = self.bins
@@ -236,13 +210,7 @@ class _Steps:
         self._tiles = [slice(a, b) for a, b in pairwise(ends.tolist())]
 
     def run(self, task: int, machines: int, see: See) -> np.ndarray:
-        """Return `MEASURES` (4, machines), µm.
-
-        Args:
-            task: number of the task, which together with the seed determines the machines.
-            machines: number of machines.
-            see: called for every tile.
-        """
+        """Return `MEASURES` (4, machines), µm; task and seed determine the machines, and ``see`` is called for every tile."""
         rng = np.random.default_rng(np.random.SeedSequence(self._seed, spawn_key=(task,)))
         found = []
         with equal_portions(len(self._tiles) * -(-machines // MACHINES_PER_STEP)):
@@ -302,8 +270,6 @@ def _widened(lower: np.ndarray, upper: np.ndarray) -> tuple[np.ndarray, np.ndarr
     return lower - more, upper + more
 
 
-# --- Monte Carlo simulation: machines drawn from a calibration's covariance, evaluated over the volume (JCGM 101:2008)
-
 SCHEMA: Final = "twin.volume/1"
 FEWEST_TRIALS: Final = 1000
 """With fewer machines less than 25 draws lie beyond each limit of a 95 % interval."""
@@ -318,16 +284,8 @@ UNDECIDED: Final = 3.5
 their standard errors are estimates: with two, one pose in four was called insufficient where first order is exact."""
 
 LEADING_KEYS: Final = (
-    *(
-        "machines",
-        "seed",
-        "as_it_is",
-        "compensated",
-        "without_uncertainty",
-        "warnings",
-        "not_identified",
-        "identified_um",
-    ),
+    *("machines", "seed", "as_it_is", "compensated"),
+    *("without_uncertainty", "warnings", "not_identified", "identified_um"),
 )
 """Attributes that come before the poses in JSON."""
 
@@ -335,18 +293,12 @@ LEADING_KEYS: Final = (
 @final
 @dataclass(frozen=True)
 class Spread:
-    """Distribution of one quantity over the drawn machines, µm.
+    """Distribution of one quantity over the drawn machines, µm."""
 
-    Attributes:
-        mean: mean over the machines.
-        low, high: limits of the probabilistically symmetric 95 % interval.
-        largest: maximum over all machines drawn.
-    """
-
-    mean: float
-    low: float
+    mean: float  # mean over the machines
+    low: float  # low, high: limits of the probabilistically symmetric 95 % interval
     high: float
-    largest: float
+    largest: float  # maximum over all machines drawn
 
     def to_dict(self) -> dict[str, float]:
         """Return the JSON object."""
@@ -356,46 +308,33 @@ class Spread:
 @final
 @dataclass(frozen=True, repr=False)
 class Population(Result):
-    """Result of a Monte Carlo simulation of machines.
+    """Result of a Monte Carlo simulation of machines."""
 
-    Attributes:
-        axes: names, in the order of the columns of ``positions``.
-        positions: (n, axes) commands, mm and degrees.
-        machines: number of machines drawn.
-        seed: random seed.
-        first_order_um: (n,) U by first-order propagation; see `twin.tool.uncertainty.DEFINITION`.
-        by_draws_um: (n,) radius about the estimated point that contains 95 % of the drawn points.
-        standard_um: (n, 3) standard deviation of the drawn points along x, y, z of the work frame.
-        bias_um: (n, 3) deviation of the mean of the drawn points from the estimated point; zero to first order.
-        interval_um: (n, 3, 2) 95 % interval of the drawn points along x, y, z.
-        difference_um: (n, 3) largest difference between the limits of the first-order interval and ``interval_um``.
-        tolerance_um: (n, 3) numerical tolerance of the first-order u (JCGM 101, 7.9.2).
-        validated: (n,) whether first order is sufficient (JCGM 101, 8.1); None if the draws are too few to decide.
-        as_it_is: error of the uncompensated machines relative to the nominal machine: of its RMS and of its maximum over the poses.
-        compensated: the same for the error that remains when the estimated errors are compensated exactly.
-        without_uncertainty: errors with a value but no uncertainty, which are therefore the same for all machines.
-        warnings: warnings about the origin of the calibration.
-        not_identified: errors that could not be determined; each machine has its own, drawn from their plausible size.
-        identified_um: (n,) U by first-order propagation without these errors.
-    """
-
-    axes: tuple[str, ...]
-    positions: np.ndarray
+    axes: tuple[str, ...]  # names, in the order of the columns of ``positions``
+    positions: np.ndarray  # (n, axes) commands, mm and degrees
     machines: int
     seed: int
-    first_order_um: np.ndarray
-    by_draws_um: np.ndarray
-    standard_um: np.ndarray
+    first_order_um: np.ndarray  # (n,) U by first-order propagation; see `twin.tool.uncertainty.DEFINITION`
+    by_draws_um: np.ndarray  # (n,) radius about the estimated point that contains 95 % of the drawn points
+    standard_um: np.ndarray  # (n, 3) standard deviation of the drawn points along x, y, z of the work frame
+    # (n, 3) deviation of the mean of the drawn points from the estimated point; zero to first order
     bias_um: np.ndarray
-    interval_um: np.ndarray
+    interval_um: np.ndarray  # (n, 3, 2) 95 % interval of the drawn points along x, y, z
+    # (n, 3) largest difference between the limits of the first-order interval and ``interval_um``
     difference_um: np.ndarray
-    tolerance_um: np.ndarray
+    tolerance_um: np.ndarray  # (n, 3) numerical tolerance of the first-order u (JCGM 101, 7.9.2)
+    # (n,) whether first order is sufficient (JCGM 101, 8.1); None if the draws are too few to decide
     validated: tuple[bool | None, ...]
+    # error of the uncompensated machines relative to the nominal machine: of its RMS and of its maximum over the poses
     as_it_is: tuple[Spread, Spread]
+    # the same for the error that remains when the estimated errors are compensated exactly
     compensated: tuple[Spread, Spread]
+    # errors with a value but no uncertainty, which are therefore the same for all machines
     without_uncertainty: tuple[str, ...]
-    warnings: tuple[SourceWarning, ...] = ()
+    warnings: tuple[SourceWarning, ...] = ()  # warnings about the origin of the calibration
+    # errors that could not be determined; each machine has its own, drawn from their plausible size
     not_identified: tuple[str, ...] = ()
+    # (n,) U by first-order propagation without these errors
     identified_um: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
     @property
@@ -481,56 +420,47 @@ def draw_machines(
     """
     if not FEWEST_TRIALS <= trials <= MOST_TRIALS:
         raise InputError(
-            "number of machines outside its limits",
-            expected=f"{FEWEST_TRIALS} … {MOST_TRIALS}",
-            value=trials,
+            "number of machines outside its limits", expected=f"{FEWEST_TRIALS} … {MOST_TRIALS}", value=trials
         )
     if not 1 <= poses <= MOST_POSES:
         raise InputError("number of poses outside its limits", expected=f"1 … {MOST_POSES}", value=poses)
     if seed < 0:
         raise InputError("seed must not be negative", expected="0 or more", value=seed)
+    calibration, machine = kinematics.calibration, kinematics.machine
+    tasks = [(i, min(TRIALS_PER_TASK, trials - start)) for i, start in enumerate(range(0, trials, TRIALS_PER_TASK))]
     # The last digits of matrix products depend on the number of threads.
     with one_blas_thread(scipy=False):
-        return _drawn(kinematics, trials, poses, seed, digits, workers, progress)
-
-
-def _drawn(
-    kinematics: Kinematics,
-    trials: int,
-    poses: int,
-    seed: int,
-    digits: int,
-    workers: Workers | None,
-    progress: Progress,
-) -> Population:
-    calibration = kinematics.calibration
-    tool = ToolUncertainty(kinematics)
-    if not tool.parameters:
-        raise InputError(
-            "no machines can be drawn: the calibration has no uncertainties",
-            expected="a calibration with a covariance, as `twin identify` writes it",
-            file=calibration.path,
-        )
-    q = inside_domains(volume(kinematics.machine, poses), calibration)
-    sides = random_approach(q)
-    progress("preparing", 0.0)
-    draws = Draws(
-        kinematics.machine, calibration, kinematics.tool_length_mm, kinematics.conditions, q, sides, seed
-    ).pilot()
-    tasks = [(i, min(TRIALS_PER_TASK, trials - start)) for i, start in enumerate(range(0, trials, TRIALS_PER_TASK))]
-    parts = map_in_order(Draws.part, draws, tasks, workers, name=lambda task: f"machines of task {task[0]}")
-    total = next(parts)
-    for part in parts:
-        progress("drawing", total.machines / trials)
-        total = total.plus(part)
-    progress("drawing", 1.0)
-    return _population(draws, total, tool, digits)
+        tool = ToolUncertainty(kinematics)
+        if not tool.parameters:
+            raise InputError(
+                "no machines can be drawn: the calibration has no uncertainties",
+                expected="a calibration with a covariance, as `twin identify` writes it",
+                file=calibration.path,
+            )
+        q = inside_domains(volume(machine, poses), calibration)
+        progress("preparing", 0.0)
+        settings = machine, calibration, kinematics.tool_length_mm, kinematics.conditions
+        draws = Draws(*settings, q, random_approach(q), seed).pilot()
+        parts = map_in_order(Draws.part, draws, tasks, workers, name=lambda task: f"machines of task {task[0]}")
+        total = next(parts)
+        for part in parts:
+            progress("drawing", total.machines / trials)
+            total = total.plus(part)
+        progress("drawing", 1.0)
+        return _population(draws, total, tool, digits)
 
 
 def _population(draws: Draws, total: Tally, tool: ToolUncertainty, digits: int) -> Population:
     trials = total.machines
     lower, upper, least, most = draws.bins  # type: ignore[misc]
     first = tool.at(draws.positions, draws.sides)
+    identified_um = first.expanded_um
+    if tool.unknown:  # without the errors that could not be determined; zero without other uncertain parameters
+        alone = ToolUncertainty(tool.kinematics, "identified")
+        known = (
+            alone.at(draws.positions, draws.sides).expanded_um if alone.parameters else np.zeros(len(draws.positions))
+        )
+        identified_um = read_only(known)
     points = Counts(lower, upper, total.point)
     interval = np.stack([points.quantile(share)[:3].T for share in (TAIL, 1.0 - TAIL)], axis=2)
     # The rank of a quantile is binomially distributed: standard errors of the limits without assuming a density.
@@ -574,37 +504,12 @@ def _population(draws: Draws, total: Tally, tool: ToolUncertainty, digits: int) 
         without_uncertainty=tool.without_uncertainty,
         warnings=draws.calibration.warnings,
         not_identified=tool.unknown,
-        identified_um=_identified_u(draws, tool, first),
+        identified_um=identified_um,
     )
 
 
-def _identified_u(draws: Draws, tool: ToolUncertainty, first: PoseUncertainty) -> np.ndarray:
-    """Return (n,) U without the errors that could not be determined, to first order; zero without other uncertain parameters."""
-    if not tool.unknown:
-        return first.expanded_um
-    alone = ToolUncertainty(tool.kinematics, "identified")
-    if not alone.parameters:
-        return read_only(np.zeros(len(draws.positions)))
-    return alone.at(draws.positions, draws.sides).expanded_um
-
-
-def _sufficiency_text(validated: Sequence[bool | None]) -> str:
-    """Return as text at how many poses first order is sufficient."""
-    counts = {
-        "yes": validated.count(True),
-        "no": validated.count(False),
-        "too few draws to decide": validated.count(None),
-    }
-    return ", ".join(f"{words} at {count_with_noun(count, 'pose')}" for words, count in counts.items() if count)
-
-
 def numerical_tolerance(standard: np.ndarray, digits: int) -> np.ndarray:
-    """Return δ of JCGM 101, 7.9.2: with u = c·10^l, where the integer c has ``digits`` digits, δ = ½·10^l.
-
-    Args:
-        standard: standard uncertainty u, any shape.
-        digits: significant digits, 1 or 2.
-    """
+    """Return δ of JCGM 101, 7.9.2: with u = c·10^l, where the integer c has ``digits`` digits, 1 or 2, δ = ½·10^l."""
     safe = np.where(standard > 0.0, standard, 1.0)
     power = np.floor(np.log10(safe)) - (digits - 1)
     power += np.round(safe / 10.0**power) >= 10.0**digits  # 0.996 is 1.0 to two digits

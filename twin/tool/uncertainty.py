@@ -1,17 +1,14 @@
 """Uncertainty of the tool's pose, propagated from the covariance of the calibration.
 
 Propagation is of first order (JCGM 100:2008 (GUM), 5.1.2 and 5.2.2, eq. 13, correlations included), in matrix form J Σ Jᵀ (JCGM
-102:2011, 6.2). `twin.tool.population` checks by Monte Carlo simulation whether first order is sufficient (JCGM 101:2008,
-clause 8).
+102:2011, 6.2); `twin.tool.population` checks whether that is sufficient.
 
 U is the radius about the estimated point within which the true point lies with 95 % probability, for a normally distributed error. It
 is not k = 2 times one standard deviation: twice the standard deviation in the largest direction covers 95.4 % of an error along one
-line, but only 73.9 % of an error equal in all three directions. The standard uncertainties u_x, u_y, u_z (k = 1) are given too.
-
-U includes the uncertainty of the calibration's parameters, and the plausible size of the errors that the calibration says it could not
-determine (`twin.model.unknown_errors`). Errors with a value but no covariance are named in every result. If none has a covariance the
-result is unknown: NaN, never zero. Other error motions missing from the calibration, repeatability, temperature and rounding are not
-included.
+line, but only 73.9 % of an error equal in all three directions. U includes the plausible size of the errors that the calibration says
+it could not determine (`twin.model.unknown_errors`). Errors with a value but no covariance are named in every result. If none has a
+covariance the result is unknown: NaN, never zero. Other error motions missing from the calibration, repeatability, temperature and
+rounding are not included.
 """
 
 from __future__ import annotations
@@ -33,7 +30,7 @@ from twin.display.results import Result
 from twin.machine.machine import Machine
 from twin.model.calibration import Calibration
 from twin.model.conditions import APPROACH, Conditions
-from twin.model.display import standard_uncertainty
+from twin.model.display import combined_uncertainty, standard_uncertainty, uncertainty_of
 from twin.model.effects import Effect, assemble, unit_of
 from twin.model.iso16907 import error_motion_of, iso_class
 from twin.model.unknown_errors import prior_covariance, unknown_effects
@@ -52,26 +49,17 @@ ROWS: Final = 16_384
 @final
 @dataclass(frozen=True)
 class BudgetRow:
-    """Row of the error budget: one error motion, squareness or location error, or one class of them.
+    """Row of the error budget: one error motion, squareness or location error, or one class of them."""
 
-    Attributes:
-        name: ISO 230-1 name, or ISO/TR 16907 class.
-        unit: ``um`` or ``urad``; empty for a class.
-        peak: largest absolute value over its domain; NaN for a class.
-        peak_u: largest standard uncertainty (k = 1) over its domain, in ``unit``; NaN for a class, and if unknown.
-        tool_rms_um, tool_max_um: displacement of the tool point due to it alone, over the volume.
-        tilt_rms_urad, tilt_max_urad: tilt of the tool axis due to it alone, about x and about y of the tool frame
-            (`twin.tool.forward.Poses.tilt_urad`); the maximum by absolute value.
-        illustrative: whether its values are illustrative and not measured.
-    """
-
-    name: str
+    name: str  # ISO 230-1 name, or ISO/TR 16907 class
     iso_class: str
-    unit: str
-    peak: float
-    peak_u: float
-    tool_rms_um: float
+    unit: str  # ``um`` or ``urad``; empty for a class
+    peak: float  # largest absolute value over its domain; NaN for a class
+    peak_u: float  # largest standard uncertainty (k = 1) over its domain, in ``unit``; NaN for a class, and if unknown
+    tool_rms_um: float  # tool_rms_um, tool_max_um: displacement of the tool point due to it alone, over the volume
     tool_max_um: float
+    # tilt_rms_urad, tilt_max_urad: tilt of the tool axis due to it alone, about x and about y of the tool frame
+    # (`twin.tool.forward.Poses.tilt_urad`); the maximum by absolute value
     tilt_rms_urad: tuple[float, float]
     tilt_max_urad: tuple[float, float]
     illustrative: bool
@@ -101,11 +89,7 @@ def random_approach(positions: np.ndarray) -> np.ndarray:
 
 
 def inside_domains(positions: np.ndarray, *calibrations: Calibration) -> np.ndarray:
-    """Return the positions (n, axes) that lie inside the domain of every curve of all calibrations.
-
-    Raises:
-        InputError: there are none.
-    """
+    """Return the positions (n, axes), at least one, that lie inside the domain of every curve of all calibrations."""
     outside = np.any([calibration.outside(positions).any(axis=1) for calibration in calibrations], axis=0)
     if np.all(outside):
         raise InputError("no pose of the volume lies within every curve's domain", expected="curves over the ranges")
@@ -134,13 +118,7 @@ def errors_in(state: Mapping[str, Any], effects: Sequence[Effect], machine: Mach
 class PartialErrors:
     """Poses of a machine with some of its errors: each error is evaluated once, and many selections at a time.
 
-    Args:
-        real: the machine with all its errors.
-        q: (n, axes) commands, mm and degrees.
-        sides: (n, axes) directions of approach, +1 or −1.
-
-    Raises:
-        InputError: a position outside the domain of a curve.
+    At commands ``q`` (n, axes), mm and degrees, with directions of approach ``sides`` (n, axes), +1 or −1.
     """
 
     def __init__(self, real: Kinematics, q: np.ndarray, sides: np.ndarray) -> None:
@@ -181,12 +159,8 @@ def error_budget(
 ) -> tuple[tuple[BudgetRow, ...], tuple[BudgetRow, ...]]:
     """Return the budget: rows by error, and rows by class with the total last.
 
-    A reversal counts as ± half its size, as directions of approach are random.
-
-    Args:
-        calibration: its errors, without effects whose channel the conditions do not give (`without_missing_channels`).
-        tool_length_mm: tool length; None: that of the machine file.
-        conditions: temperatures and time.
+    A reversal counts as ± half its size, as directions of approach are random. The calibration is without effects whose channel the
+    conditions do not give (`without_missing_channels`).
     """
     q = volume_inside_domains(calibration)
     sides = random_approach(q)
@@ -238,28 +212,22 @@ def _entries(calibration: Calibration, state: Mapping[str, Any]) -> Iterator[tup
     covariance = calibration.covariance
     constants = {**calibration.squareness, **calibration.location}
     for effect in calibration.effects:
-        name, numbers = effect.name, [parameter.name for parameter in effect.parameters]
+        name = effect.name
         curve = calibration.curves.get(name)
-        known = set(numbers) <= set(covariance.names)
         if curve is not None:
             q = np.linspace(*curve.domain, CURVE_POINTS)
             u = float(standard_uncertainty(effect, covariance, q).max())
             yield effect, float(np.abs(curve(q)).max()), u, curve.unit, curve.illustrative
         elif name in constants:
-            u = float(np.sqrt(covariance.of(numbers).matrix[0, 0])) if known else np.nan
-            yield effect, abs(constants[name]), u, unit_of(name), False
+            yield effect, abs(constants[name]), uncertainty_of(name, covariance), unit_of(name), False
         else:
             component, values = max(effect.components(state).items(), key=lambda one: float(np.max(np.abs(one[1]))))
-            u = np.nan if numbers else 0.0
-            if numbers and known:
+            u = 0.0
+            if effect.parameters:
                 shape = np.shape(state[calibration.machine.names[0]])
-                rates = [np.broadcast_to(rate.get(component, 0.0), shape) for rate in effect.derivatives(state)]
-                variance = np.einsum("kn,kl,ln->n", rates, covariance.of(numbers).matrix, rates)
-                u = float(np.sqrt(max(variance.max(), 0.0)))
+                u = float(combined_uncertainty([effect], covariance, state, component, shape).max())
             yield effect, float(np.max(np.abs(values))), u, "um" if component < 3 else "urad", False
 
-
-# --- Uncertainty of the tool's pose, propagated from the covariance of the calibration ------------
 
 DEFINITION: Final = Message("U: radius within which the point lies with 95 % probability (normal distribution assumed)")
 RADIUS: Final = (1.73085, -0.15300, 0.04808, -0.01687, 0.00799, -0.00311)
@@ -270,17 +238,11 @@ POSES_PER_CHUNK: Final = 256
 
 
 def radius_95(covariance: np.ndarray) -> np.ndarray:
-    """Return the radius within which a normally distributed error lies with 95 % probability.
+    """Return the radius (n,) within which a normally distributed error of covariance (n, 3, 3) lies with 95 % probability.
 
     The squared length is approximated by a multiple of χ² with ν = tr²(Σ)/tr(Σ²) degrees of freedom, which has the right mean and
     variance (Satterthwaite 1946; JCGM 100, G.4.1). It is exact for one, two or three equal standard deviations and otherwise between
     0.06 % too small and 0.54 % too large (coverage 94.98 … 95.15 %).
-
-    Args:
-        covariance: (n, 3, 3).
-
-    Returns:
-        (n,) radius, in the unit of the standard deviations.
     """
     mean = np.trace(covariance, axis1=1, axis2=2)
     square = np.einsum("nij,nij->n", covariance, covariance)
@@ -292,19 +254,13 @@ def radius_95(covariance: np.ndarray) -> np.ndarray:
 @final
 @dataclass(frozen=True, repr=False)
 class PoseUncertainty(Result):
-    """Uncertainty of poses of the tool in the work frame.
+    """Uncertainty of poses of the tool in the work frame."""
 
-    Attributes:
-        covariance: (n, 6, 6) of the point (µm) and of the rotation as a rotation vector (µrad), along the axes of the work frame;
-            NaN if unknown.
-        axis: (n, 3) tool axis.
-        parameters: number of the calibration's parameters that contribute; 0: unknown.
-        without_uncertainty: names of errors with a value but no uncertainty, which are therefore not included.
-    """
-
+    # (n, 6, 6) of the point (µm) and of the rotation as a rotation vector (µrad), along the axes of the work frame; NaN if unknown
     covariance: np.ndarray
-    axis: np.ndarray
-    parameters: int
+    axis: np.ndarray  # (n, 3) tool axis
+    parameters: int  # number of the calibration's parameters that contribute; 0: unknown
+    # names of errors with a value but no uncertainty, which are therefore not included
     without_uncertainty: tuple[str, ...]
 
     @property
@@ -363,16 +319,10 @@ class PoseUncertainty(Result):
 @final
 @dataclass(frozen=True, repr=False)
 class UncertaintyMap(Result):
-    """U of the tool point over many poses.
+    """U of the tool point over many poses."""
 
-    Attributes:
-        axes: names, in the order of the columns of ``positions``.
-        positions: (n, axes) commands, mm and degrees.
-        uncertainty: uncertainty of the n poses.
-    """
-
-    axes: tuple[str, ...]
-    positions: np.ndarray
+    axes: tuple[str, ...]  # names, in the order of the columns of ``positions``
+    positions: np.ndarray  # (n, axes) commands, mm and degrees
     uncertainty: PoseUncertainty
 
     @property

@@ -46,18 +46,12 @@ SI: Final = np.array([UM, UM, UM, URAD, URAD, URAD])
 @final
 @dataclass(frozen=True)
 class Numbers:
-    """The numbers of a calibration that depend on the datum.
-
-    Attributes:
-        curves: error motions by name.
-        squareness: µrad by name.
-        location: µm and µrad by name.
-    """
+    """The numbers of a calibration that depend on the datum."""
 
     machine: Machine
-    curves: Mapping[str, Curve]
-    squareness: Mapping[str, float]
-    location: Mapping[str, float]
+    curves: Mapping[str, Curve]  # error motions by name
+    squareness: Mapping[str, float]  # µrad by name
+    location: Mapping[str, float]  # µm and µrad by name
 
     def domain(self, axis: Axis) -> tuple[float, float]:
         """Return the range of an axis that all its curves cover, mm or degrees; one turn for an unlimited axis."""
@@ -70,26 +64,18 @@ class Numbers:
 @final
 @dataclass(frozen=True)
 class DatumLink:
-    """One axis between its two gaps.
-
-    Attributes:
-        before, after: indices of the gaps; None if nothing can be inserted.
-        rotation, translation_m: nominal pose of the axis's error frame at position zero in the frame of the gap before.
-        last: whether the axis is next to the tool or to the workpiece.
-        domain: range that its curves cover, mm or degrees.
-        nodes: (n,) positions: the lower end, the points of a Gauss-Legendre rule, the upper end.
-        weights: (n,) weights of the mean over the range; zero for the ends.
-    """
+    """One axis between its two gaps."""
 
     axis: Axis
-    before: int | None
+    before: int | None  # before, after: indices of the gaps; None if nothing can be inserted
     after: int | None
+    # rotation, translation_m: nominal pose of the axis's error frame at position zero in the frame of the gap before
     rotation: np.ndarray
     translation_m: np.ndarray
-    last: bool
-    domain: tuple[float, float]
-    nodes: np.ndarray
-    weights: np.ndarray
+    last: bool  # whether the axis is next to the tool or to the workpiece
+    domain: tuple[float, float]  # range that its curves cover, mm or degrees
+    nodes: np.ndarray  # (n,) positions: the lower end, the points of a Gauss-Legendre rule, the upper end
+    weights: np.ndarray  # (n,) weights of the mean over the range; zero for the ends
 
     @property
     def u(self) -> np.ndarray:
@@ -139,16 +125,10 @@ class DatumLink:
         return rates
 
     def moved(self, values: np.ndarray, before: np.ndarray, after: np.ndarray, inserted: np.ndarray) -> np.ndarray:
-        """Return the error frame with motions inserted at the gaps, without approximation.
+        """Return the errors (6, n) in the motion frame at the nodes with motions inserted at the gaps, without approximation.
 
-        Args:
-            values: (6, n) errors in the motion frame at the nodes, µm and µrad.
-            before: (6,) the old location, µm and µrad; zero for a linear axis.
-            after: (6,) the new location.
-            inserted: (6·gaps,) the motions: µm, and a rotation vector in µrad.
-
-        Returns:
-            (6, n) new errors in the motion frame.
+        All in µm and µrad: ``before`` and ``after`` (6,) are the old and the new location, zero for a linear axis; ``inserted``
+        (6·gaps,) are the motions, each a translation and a rotation vector.
         """
         turns, travel = self.motion()
         frames = _frames(values.T)
@@ -281,19 +261,12 @@ Weights = tuple[tuple[int, int, np.ndarray], ...]
 @final
 @dataclass(frozen=True)
 class Condition:
-    """A combination of curve values that the datum requires to be zero.
+    """A combination of curve values that the datum requires to be zero."""
 
-    Attributes:
-        curve: name of its curve; for a pair of curves, of the first.
-        what: ``mean``, ``slope`` (over half the range), ``fixed shift``, ``fixed tilt``.
-        group: number in the list of this module, 1 to 6.
-        weights: weights of the curve values in the sum.
-    """
-
-    curve: str
-    what: str
-    group: int
-    weights: Weights
+    curve: str  # name of its curve; for a pair of curves, of the first
+    what: str  # ``mean``, ``slope`` (over half the range), ``fixed shift``, ``fixed tilt``
+    group: int  # number in the list of this module, 1 to 6
+    weights: Weights  # weights of the curve values in the sum
 
 
 def conditions_of(links: Sequence[DatumLink], datum: Datum) -> tuple[Condition, ...]:

@@ -40,11 +40,7 @@ MAX_COEFFICIENTS: Final = 60
 def with_values(
     curve: Curve | None, name: str, link: DatumLink, difference: np.ndarray, numbers: Numbers
 ) -> Curve | None:
-    """Return a curve with values at the nodes added, with as few coefficients as possible; None for a new curve that would be zero.
-
-    Raises:
-        InputError: no number of coefficients can represent them.
-    """
+    """Return a curve with values at the nodes added, with as few coefficients as possible; None for a new curve that would be zero."""
     if curve is None:
         if np.abs(difference).max() <= FIT_TOLERANCE:
             return None
@@ -71,11 +67,7 @@ def with_values(
 
 
 def _over(curve: Curve, link: DatumLink) -> Curve:
-    """Return the same curve over the range that all curves of its axis cover.
-
-    Raises:
-        InputError: the basis cannot represent it.
-    """
+    """Return the same curve over the range that all curves of its axis cover; raise `InputError` if the basis cannot represent it."""
     values = functions(curve.family, curve.domain, link, len(curve.coefficients)) @ curve.coefficients
     basis, count = curve.family.restricted(link.domain, len(curve.coefficients))
     found = fit(basis, link.domain, link, count) @ values
@@ -104,8 +96,6 @@ def fit(basis: Basis, domain: tuple[float, float], link: DatumLink, count: int) 
     return np.asarray(np.linalg.pinv(functions(basis, domain, link, count) * root[:, None], rcond=1e-13) * root)
 
 
-# --- Conversion of a calibration to another datum: the same poses of the tool, other curves, squareness and locations
-
 DATUM_TOLERANCE: Final = 1e-3
 """Tolerance for rounded coefficients when a file's stated datum is checked, µm or µrad."""
 STEP_TOLERANCE: Final = 1e-7
@@ -118,18 +108,11 @@ RANK_TOLERANCE: Final = 1e-9
 @final
 @dataclass(frozen=True)
 class Converted:
-    """Result of a conversion to a datum.
+    """Result of a conversion to a datum."""
 
-    Attributes:
-        numbers: curves without covariance, squareness, locations.
-        names: names of the new parameters.
-        matrix: (new, old) first derivatives of the new parameters by the old ones.
-        old: names of the old parameters.
-    """
-
-    numbers: Numbers
+    numbers: Numbers  # curves without covariance, squareness, locations
     names: tuple[str, ...]
-    matrix: np.ndarray
+    matrix: np.ndarray  # (new, old) first derivatives of the new parameters by the old ones
     old: tuple[str, ...]
 
     def covariance(self, known: Covariance) -> Covariance:
@@ -179,14 +162,8 @@ def violation(numbers: Numbers, datum: Datum) -> tuple[str, str, float] | None:
 def convert(numbers: Numbers, datum: Datum, names: Collection[str] | None = None) -> Converted:
     """Convert the numbers of a calibration to a datum.
 
-    Args:
-        numbers: numbers of the calibration.
-        datum: the new datum.
-        names: errors that may change; all of the machine if None. With a restriction, conditions that these errors cannot absorb remain
-            violated, and poses agree to first order: up to the product of two errors, some nanometres.
-
-    Raises:
-        InputError: the datum is ``as given``, or the basis of a curve cannot represent it in the other datum.
+    With a restriction to errors that may change (``names``), conditions that these errors cannot absorb remain violated, and poses
+    agree to first order: up to the product of two errors, some nanometres.
     """
     if datum not in (MEAN_LINES, END_POINTS):
         raise InputError("not a datum to convert to", expected=" or ".join(DATUMS[:2]), value=datum)
@@ -301,12 +278,7 @@ def _coefficient_map(old: Numbers, new: Numbers, name: str, link: DatumLink | No
 
 @final
 class _Gauge:
-    """Gauge freedom of a calibration: the changes that leave every pose unchanged, and the step to a datum.
-
-    Args:
-        numbers: numbers of the calibration.
-        names: errors that may change; all if None.
-    """
+    """Gauge freedom of a calibration: the changes of ``names`` (all if None) that keep every pose, and the step to a datum."""
 
     def __init__(self, numbers: Numbers, datum: Datum, names: Collection[str] | None = None) -> None:
         self._allowed = names

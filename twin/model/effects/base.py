@@ -38,16 +38,10 @@ class Frame:
 @final
 @dataclass(frozen=True)
 class Parameter:
-    """One parameter of the model.
+    """One parameter of the model."""
 
-    Attributes:
-        name: ``E_XX[2]`` for a curve's coefficient, ``E_C0Y`` for a squareness or location.
-        unit: ``um``, ``urad``, or the unit that the effect defines.
-        value: in that unit.
-    """
-
-    name: str
-    unit: str
+    name: str  # ``E_XX[2]`` for a curve's coefficient, ``E_C0Y`` for a squareness or location
+    unit: str  # ``um``, ``urad``, or the unit that the effect defines
     value: float
 
 
@@ -67,10 +61,15 @@ class Effect(ABC):
     repeats: ClassVar[bool] = False
     """Whether one place may have several, which are not one with the sum of their parameters (`numbered`)."""
 
+    units: tuple[tuple[str, str], ...] = ()
+    """Names and units of the attributes that are its parameters, in the order of `derivatives`."""
+    linear: ClassVar[int] = 1
+    """Number of its first parameters in which the default `components` is linear, with the other parameters held."""
+
     @property
-    @abstractmethod
     def parameters(self) -> tuple[Parameter, ...]:
         """Parameters, in the order of `derivatives`."""
+        return tuple(self._number(name, unit, getattr(self, name)) for name, unit in self.units)
 
     @abstractmethod
     def derivatives(self, positions: Mapping[str, Any]) -> tuple[Mapping[int, Any], ...]:
@@ -79,17 +78,16 @@ class Effect(ABC):
     def components(self, positions: Mapping[str, Any]) -> Mapping[int, Any]:
         """Return the contribution to the frame, by component index in ``XYZABC``: µm for the first three, µrad for the others.
 
-        This default applies to effects that are proportional to their first parameter; other effects override it.
-
-        Args:
-            positions: position of every axis, mm or degrees: arrays or CasADi expressions, all of one shape; also, where
-                known, ``approach_<axis>`` (+1, −1, 0), ``time_s`` and ``T_<axis or sensor>_degC``.
-
-        Raises:
-            InputError: a channel that the effect needs is missing.
+        This default applies to effects that are linear in their first parameters (`linear`). Positions of every axis are mm or
+        degrees: arrays or CasADi expressions, all of one shape; also, where known, ``approach_<axis>`` (+1, −1, 0), ``time_s`` and
+        ``T_<axis or sensor>_degC``; raises `InputError` if one that the effect needs is missing.
         """
-        size = self.parameters[0].value
-        return {i: size * shape for i, shape in self.derivatives(positions)[0].items()}
+        first, *others = zip(self.parameters[: self.linear], self.derivatives(positions), strict=False)
+        total = {i: first[0].value * shape for i, shape in first[1].items()}
+        for parameter, shapes in others:
+            for i, shape in shapes.items():
+                total[i] = total[i] + parameter.value * shape if i in total else parameter.value * shape
+        return total
 
     @property
     def numbers(self) -> dict[str, float]:
@@ -111,11 +109,7 @@ class Effect(ABC):
 
 
 class AlongAxis(Effect):
-    """An effect in the motion frame of an axis, in the direction of the axis's own motion.
-
-    Args:
-        effect: name of the effect (contract §5).
-    """
+    """An effect in the motion frame of an axis, in the direction of the axis's own motion."""
 
     def __init__(self, effect: str, axis: Axis) -> None:
         self.name = f"{effect}:{axis.name}"
@@ -150,11 +144,7 @@ def along(axis: Axis, value: Any) -> dict[int, Any]:
 
 @final
 class RecordingState(dict[str, Any]):
-    """State of one pose inside the ranges that answers any request for a channel and records its name.
-
-    Attributes:
-        asked: names of the requested channels, in the order of the requests.
-    """
+    """State of one pose inside the ranges that answers any request for a channel and records its name in ``asked``."""
 
     def __init__(self, machine: Machine) -> None:
         # An arbitrary pose: no effect is zero at 0.37 of a range.
@@ -177,11 +167,7 @@ class RecordingState(dict[str, Any]):
 
 
 def channel(positions: Mapping[str, Any], name: str, effect: str) -> Any:
-    """Return a channel that an effect needs besides the positions.
-
-    Raises:
-        InputError: the channel is missing.
-    """
+    """Return a channel that an effect needs besides the positions. Raises `InputError`: the channel is missing."""
     if name not in positions:
         raise InputError(f"{effect} needs {name}", expected=f"{name} with every position", value="none")
     return positions[name]
@@ -203,12 +189,17 @@ def summed(terms: Iterable[tuple[Frame, Mapping[int, Any]]], frames: Sequence[Er
     return total
 
 
+def rest_placement(machine: Machine, joint: int) -> pin.SE3:
+    """Return the placement of a joint in the base frame with all axes at zero."""
+    data = machine.model.createData()
+    pin.forwardKinematics(machine.model, data, pin.neutral(machine.model))
+    return pin.SE3(data.oMi[joint])
+
+
 @lru_cache(maxsize=256)  # asked for every candidate of a diagnosis; a machine is immutable
 def rest_orientation(machine: Machine, joint: int) -> np.ndarray:
     """Return the orientation (3, 3) of a joint in the base frame with all axes at zero."""
-    data = machine.model.createData()
-    pin.forwardKinematics(machine.model, data, pin.neutral(machine.model))
-    return read_only(np.array(data.oMi[joint].rotation))
+    return read_only(np.array(rest_placement(machine, joint).rotation))
 
 
 def base_vector(turn: np.ndarray, direction: str) -> Vector:
@@ -289,18 +280,11 @@ CENTRE_RANGE_MM: Final = 500.0
 @final
 @dataclass(frozen=True)
 class Payload:
-    """A mass that is missing from the URDF, fixed to the tool frame (spindle nose, flange) or to the work frame.
-
-    Attributes:
-        side: ``tool`` or ``work``.
-        mass_kg: mass; of a carried load the mass that acts per kg of the channel ``load_kg``.
-        centre_mm: centre of gravity in that frame.
-        carried: whether it is a carried load.
-    """
+    """A mass that is missing from the URDF, fixed to the tool frame (spindle nose, flange) or to the work frame."""
 
     side: Side
-    mass_kg: float
-    centre_mm: tuple[float, float, float]
+    mass_kg: float  # mass; of a carried load the mass that acts per kg of the channel ``load_kg``
+    centre_mm: tuple[float, float, float]  # centre of gravity in that frame
     carried: bool = False
 
     @classmethod
@@ -334,11 +318,7 @@ class Payload:
         return weights
 
     def checked(self) -> Payload:
-        """Return the payload itself if its values are within their limits.
-
-        Raises:
-            InputError: the mass or the centre is outside its limits.
-        """
+        """Return the payload itself; raise `InputError` if its mass or its centre is outside its limits."""
         if self.carried and not 0.0 <= self.mass_kg <= LARGEST_RATIO:
             raise InputError(
                 f"mass_ratio of the load on the {self.side} side",
@@ -396,35 +376,24 @@ def max_payload_kg(machine: Machine) -> float:
 
 
 class ToolSide(NamedTuple):
-    """The tool side and one direction of the base frame.
+    """The tool side and one direction of the base frame."""
 
-    Attributes:
-        frame: the error frame on the tool side that is nearest the base.
-        direction: ``X``, ``Y`` or ``Z`` of the base frame.
-        vector: that direction in the frame.
-    """
-
-    frame: Frame
-    direction: str
-    vector: Vector
+    frame: Frame  # the error frame on the tool side that is nearest the base
+    direction: str  # ``X``, ``Y`` or ``Z`` of the base frame
+    vector: Vector  # that direction in the frame
 
 
 class ToolSideShift(Effect):
-    """Shift of the tool side along a direction of the base frame, proportional to the first parameter.
-
-    Args:
-        name: name of the effect.
-        side: tool side and direction.
-    """
+    """Shift of the tool side along a direction of the base frame, proportional to the first parameter."""
 
     def __init__(self, name: str, side: ToolSide) -> None:
         self.name = name
         self.frame = side.frame
-        self._side = side
+        self.side = side
 
     def _shifted(self, shape: Any) -> dict[int, Any]:
         """Return a shift of ``shape`` along the direction, by component."""
-        return {i: part * shape for i, part in enumerate(self._side.vector) if part != 0.0}
+        return {i: part * shape for i, part in enumerate(self.side.vector) if part != 0.0}
 
 
 class HistoryShift(ToolSideShift):
@@ -442,11 +411,7 @@ class HistoryShift(ToolSideShift):
 
     @abstractmethod
     def driven(self, positions: Mapping[str, Any]) -> Any:
-        """Return the input of the lag whose output is the derivative by the first parameter.
-
-        Raises:
-            InputError: a channel that the effect needs is missing.
-        """
+        """Return the input of the lag whose output is the derivative by the first parameter."""
 
     @property
     def factor_channels(self) -> tuple[str, ...]:
@@ -457,11 +422,7 @@ class HistoryShift(ToolSideShift):
     def factors(self, state: Mapping[str, Any]) -> Sequence[np.ndarray]:
         """Return the derivative of the shift by each parameter at readings, in any order of time: µm per unit of the parameter.
 
-        Args:
-            state: the channels of the readings, (n,) or single values.
-
-        Raises:
-            InputError: a channel that the effect needs is missing.
+        The channels of the readings are (n,) or single values.
         """
 
     def derivatives(self, positions: Mapping[str, Any]) -> tuple[Mapping[int, Any], ...]:

@@ -7,7 +7,6 @@ from math import pi
 from typing import Any, Final, final
 
 import numpy as np
-import pinocchio as pin
 
 from twin._common.errors import InputError
 from twin._common.messages import Message
@@ -21,9 +20,9 @@ from twin.model.effects.base import (
     directions,
     is_carrying,
     motion_joint,
-    tool_side,
+    rest_placement,
 )
-from twin.model.effects.specification import EXTENDED, Advice, Drawing, Forms, Specification, State
+from twin.model.effects.specification import EXTENDED, Advice, Drawing, Forms, Specification, State, linear_forms
 from twin.numerics.functions import cos, sin
 
 TILTS: Final = ("A", "B")
@@ -40,20 +39,14 @@ LOADED: Final = ("coefficient",)
 class BaseTilt(Effect):
     """The tool side rotates about x or y of the base frame, through its origin.
 
-    By a·cos θ + b·sin θ with an axis at the angle θ, or by c·m with the carried load m.
-
-    Args:
-        where: the rotation and what it depends on, ``A by J2`` or ``B by load``.
-        values: a and b, µrad, or c, µrad/kg.
+    By a·cos θ + b·sin θ, µrad, with an axis at the angle θ (``A by J2``), or by c·m, µrad/kg, with the carried load m (``B by load``).
     """
 
     def __init__(self, machine: Machine, where: str, values: Sequence[float]) -> None:
         self.name = f"base_tilt:{where}"
         self._tilt, _, self._by = where.partition(" by ")
         self._values = tuple(values)
-        side = tool_side(machine, "XYZ"["ABC".index(self._tilt)])
-        if side is None:
-            raise BASE_TILT.no_place(machine, where)
+        side = BASE_TILT.tool_side(machine, where, "XYZ"["ABC".index(self._tilt)])
         self.frame = side.frame
         self._parts = _rotation_about_base(machine, side.frame.axis, np.array(side.vector))
 
@@ -82,13 +75,9 @@ class BaseTilt(Effect):
 def _rotation_about_base(machine: Machine, axis: str, direction: np.ndarray) -> dict[int, float]:
     """Return a unit rotation about a direction through the base's origin as components of the error frame nearest the base.
 
-    Args:
-        axis: the axis of that frame.
-        direction: (3,) in the frame.
+    The direction (3,) is given in that frame, of an axis.
     """
-    data = machine.model.createData()
-    pin.forwardKinematics(machine.model, data, pin.neutral(machine.model))
-    rest = data.oMi[motion_joint(machine, axis)]
+    rest = rest_placement(machine, motion_joint(machine, axis))
     origin = np.asarray(rest.rotation).T @ np.asarray(rest.translation)
     parts = np.concatenate([np.cross(direction, origin), direction])
     return {i: float(part) for i, part in enumerate(parts) if abs(part) > 1e-12}
@@ -122,11 +111,7 @@ def _candidates(machine: Machine, state: State) -> tuple[list[str], list[tuple[s
 
 def _forms(machine: Machine, where: str, state: State, payloads: Sequence[Payload] | None) -> Forms:
     names = (("coefficient", "urad/kg"),) if where.endswith(f" by {BY_LOAD}") else (("cos", "urad"), ("sin", "urad"))
-    return Forms(
-        names,
-        lambda values, fixed: (BaseTilt(machine, where, [float(value) for value in values]),),
-        lambda fixed: tuple(BaseTilt(machine, where, unit) for unit in np.eye(len(names)).tolist()),
-    )
+    return linear_forms(names, lambda values, fixed: BaseTilt(machine, where, values))
 
 
 def _title(where: str) -> str:

@@ -19,16 +19,10 @@ SAMPLES: Final = 401
 
 @final
 class ControlCorrection(Effect):
-    """A correction table of the control that moves one axis.
+    """A correction table of the control, of a format (``kind``), that moves one axis and corrects some ISO/TR 16907 classes.
 
     The axis is sent to q + c(q). A shift along its own travel is the same before and after the axis's motion, so it is placed in the
     error frame. Error motions are evaluated at q instead of q + c(q): 100 µm of correction times a slope of 100 µm/m makes 10 nm.
-
-    Args:
-        axis: the axis that is moved.
-        correction: the tables.
-        kind: format of the tables.
-        classes: ISO/TR 16907 classes that they correct.
     """
 
     def __init__(self, axis: Axis, correction: Correction, kind: str, classes: tuple[str, ...]) -> None:
@@ -61,8 +55,7 @@ class ControlCorrection(Effect):
     def reversal_range(self, ranges: Mapping[str, tuple[float, float]]) -> tuple[float, float]:
         """Return the smallest and largest difference over the range between the two directions of approach, + minus −, µm or µrad.
 
-        Args:
-            ranges: range of every axis, mm or degrees; the other axes are held at the middle of theirs.
+        The other axes are held at the middle of their ranges.
         """
         middle = {name: np.full(SAMPLES, 0.5 * (low + high)) for name, (low, high) in ranges.items()}
         state: dict[str, Any] = middle | {self.axis.name: np.linspace(*ranges[self.axis.name], SAMPLES)}
@@ -72,11 +65,7 @@ class ControlCorrection(Effect):
 
 
 def tables_of(control: ControlSection, machine: Machine) -> tuple[ControlCorrection, ...]:
-    """Return the corrections by the tables of a control; none if the errors were measured with the tables active.
-
-    Raises:
-        InputError: a table cannot be read, differs from the recorded file, or moves an axis that the machine does not have.
-    """
+    """Return the corrections by the tables of a control; none if the errors were measured with the tables active."""
     corrections: list[ControlCorrection] = []
     for kind in control.formats if control.errors_are == "uncorrected" else ():
         entries = control.of(kind)
@@ -89,11 +78,7 @@ def tables_of(control: ControlSection, machine: Machine) -> tuple[ControlCorrect
 
 
 def kinematics_of(control: ControlSection, machine: Machine) -> tuple[ControlCorrection, ...]:
-    """Return the corrections by the kinematics of a control, which act in tool centre point mode only.
-
-    Raises:
-        InputError: the file cannot be read, or differs from the recorded one.
-    """
+    """Return the corrections by the kinematics of a control, which act in tool centre point mode only."""
     corrections: list[ControlCorrection] = []
     for entry in control.kinematics:
         entry.check()

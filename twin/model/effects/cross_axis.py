@@ -8,19 +8,13 @@ from typing import Any, Final, final
 from twin._common.messages import Message
 from twin.machine.error_names import DIRECTIONS
 from twin.machine.machine import Machine
-from twin.model.effects.base import Effect, Frame, Parameter, Payload, direction_of, split_name
+from twin.model.effects.base import Effect, Frame, Payload, axis_of, direction_of, split_name
 from twin.model.effects.specification import EXTENDED, Advice, Drawing, Specification, State, linear_axes
 
 
 @final
 class CrossAxis(Effect):
-    """An error motion that grows with another linear axis: e = c·q_axis·q_by (translation), e = c·q_by (rotation), q in m.
-
-    Args:
-        name: the error motion, ``E_ZY``.
-        by: the other axis.
-        coefficient: c, µm/m² for a translation, µrad/m for a rotation.
-    """
+    """An error motion that grows with another linear axis: e = c·q_axis·q_by (translation), e = c·q_by (rotation), q in m."""
 
     def __init__(self, name: str, by: str, coefficient: float) -> None:
         self.name = f"cross_axis:{name} by {by}"
@@ -28,11 +22,7 @@ class CrossAxis(Effect):
         self.coefficient = coefficient
         self._component, _, self._axis = split_name(name)
         self.frame = Frame(self._axis, "motion")
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """The coefficient."""
-        return (self._number("coefficient", "um/m2" if self._component < 3 else "urad/m", self.coefficient),)
+        self.units = (("coefficient", "um/m2" if self._component < 3 else "urad/m"),)
 
     def derivatives(self, positions: Mapping[str, Any]) -> tuple[Mapping[int, Any], ...]:
         """See `Effect.derivatives`."""
@@ -74,12 +64,6 @@ def _is_translation(where: str) -> bool:
     return split_name(where.split(" ")[0])[0] < 3
 
 
-def _drawn_against(where: str) -> tuple[str, ...]:
-    """Return the axis to plot against: for a translation its own (at three positions of the other), for a rotation the other."""
-    name, _, by = where.partition(" by ")
-    return (split_name(name)[2] if _is_translation(where) else by,)
-
-
 CROSS_AXIS: Final = Specification(
     name="cross_axis",
     kind="machine",
@@ -100,7 +84,8 @@ CROSS_AXIS: Final = Specification(
     make=_make,
     candidates=_candidates,
     drawing=Drawing(
-        columns=_drawn_against,
+        # A translation is plotted against its own axis (at three positions of the other), a rotation against the other.
+        columns=lambda where: (axis_of(where) if _is_translation(where) else where.partition(" by ")[2],),
         split=lambda where: where.split(" by ")[1] if _is_translation(where) else "",
         spread=True,
     ),

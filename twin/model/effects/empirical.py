@@ -23,17 +23,11 @@ ROTATION_ROUNDING: Final = 1e-12
 @final
 @dataclass(frozen=True, eq=False)
 class FrameRotation:
-    """Rotation from the axes along which a shift is given to those of the error frame: constant + cosine·cos θ + sine·sin θ.
+    """Rotation from the axes along which a shift is given to those of the error frame: constant + cosine·cos θ + sine·sin θ."""
 
-    Attributes:
-        constant: (3, 3) constant part.
-        axis: name of the rotary axis whose angle is θ; None if the rotation is constant.
-        cosine, sine: (3, 3) parts that vary with θ; zero if the rotation is constant.
-    """
-
-    constant: np.ndarray
-    axis: str | None
-    cosine: np.ndarray
+    constant: np.ndarray  # (3, 3) constant part
+    axis: str | None  # name of the rotary axis whose angle is θ; None if the rotation is constant
+    cosine: np.ndarray  # cosine, sine: (3, 3) parts that vary with θ; zero if the rotation is constant
     sine: np.ndarray
 
     def column(self, positions: Mapping[str, Any], direction: int) -> dict[int, Any]:
@@ -56,17 +50,15 @@ class FrameRotation:
 class Empirical(Effect):
     """Shift of one side of the machine, along fixed directions of a frame, as a function of columns of the table; cause unknown.
 
-    The shift along each of x, y, z is Σ c_k f_k with the functions f_k of `twin.model.effects.harmonic`. It is smooth and finite
-    everywhere, but was measured only within `ranges`.
+    The shift along each of x, y, z is Σ c_k f_k, in µm, with the functions f_k of `Waves`. It is smooth and finite everywhere, but was
+    measured only within `ranges`.
 
     Args:
         where: the side and the columns: ``tool by X_mm, Y_mm``.
         along: frame whose axes the directions are: ``base``, or ``tool`` or ``work``, the frame to which the targets of that side are
             fixed.
-        columns: one or two columns with their functions.
-        coefficients: µm by direction and function (`twin.model.effects.harmonic.label`): ``x[3,1]``; absent ones are zero.
-        frame: the error frame it acts in.
-        turning: rotation from the axes of ``along`` to that frame.
+        coefficients: µm by direction and function (`label`): ``x[3,1]``; absent ones are zero.
+        turning: rotation from the axes of ``along`` to the error frame it acts in.
     """
 
     def __init__(
@@ -165,15 +157,9 @@ def check_ranges(
     lines: np.ndarray | None = None,
     file: str | Path | None = None,
 ) -> None:
-    """Raise `InputError` where positions or channels leave the range of an empirical effect.
+    """Raise `InputError` where positions or channels (n,) leave the range of an empirical effect; it names column, value and range.
 
-    Args:
-        state: (n,) positions by axis, and channels; missing ones are not checked, and NaN counts as within every range.
-        lines: (n,) line of each in the file.
-        file: name of the file.
-
-    Raises:
-        InputError: a value is outside its range; the error names column, value and range.
+    Missing ones are not checked, and NaN counts as within every range. ``lines`` (n,) is the line of each in the file.
     """
     for effect in effects:
         for column, outside in effect.outside(state).items():

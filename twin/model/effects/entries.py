@@ -56,10 +56,7 @@ def effect_named(
     if specification is None or specification.make is None:
         known = list(specifications)
         raise InputError(
-            "no such effect",
-            expected=f"one of {', '.join(known)}",
-            value=effect,
-            nearest=closest_name(effect, known),
+            "no such effect", expected=f"one of {', '.join(known)}", value=effect, nearest=closest_name(effect, known)
         )
     values = specification.numbers_of(where, numbers)
     if not specification.open_places and where not in specification.places(machine):
@@ -68,16 +65,7 @@ def effect_named(
 
 
 def payload_named(specification: Specification, where: str, numbers: Mapping[str, float], machine: Machine) -> Payload:
-    """Create a payload or a carried load from its parameters.
-
-    Args:
-        specification: `PAYLOAD` or `CARRIED_LOAD`.
-        where: ``tool`` or ``work``.
-        numbers: its parameters by name.
-
-    Raises:
-        InputError: the place or a parameter is unknown; a parameter is missing or outside its limits.
-    """
+    """Create a payload or a carried load, whose specification is given, from its parameters."""
     side = next((name for name in ("tool", "work") if name == where), None)
     if side is None:
         raise specification.no_place(machine, where)
@@ -121,15 +109,9 @@ def distinguished(
 
 def drawn_period(effect: Effect) -> float:
     """Return the period of an effect along the position of its axis, mm or degrees; 0 if it has none."""
-    name = effect.name.partition(":")[0]
-    return next(
-        (
-            machine_effect.drawing.period(effect.numbers)
-            for machine_effect in MACHINE_EFFECTS
-            if machine_effect.name == name
-        ),
-        0.0,
-    )
+    periods = {specification.name: specification.drawing.period for specification in MACHINE_EFFECTS}
+    period = periods.get(effect.name.partition(":")[0])
+    return 0.0 if period is None else period(effect.numbers)
 
 
 def entry_of(effect: Effect) -> dict[str, Any]:

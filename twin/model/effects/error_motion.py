@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any, Final, final
 
 from twin.machine.machine import Axis, Machine
@@ -14,14 +15,9 @@ from twin.numerics.functions import floor
 
 @final
 class ErrorMotion(Effect):
-    """``E_XX`` … ``E_CC`` as Σ c_k f_k(q).
+    """``E_XX`` … ``E_CC`` as Σ c_k f_k(q), µm or µrad, over a domain in mm or degrees.
 
-    Args:
-        name: ISO 230-1 name.
-        basis: family of basis functions.
-        domain: (lo, hi) in mm or degrees.
-        coefficients: µm or µrad.
-        wrapped: whether the axis has unlimited rotation, so that its position is wrapped into the domain.
+    The position of an axis of unlimited rotation is ``wrapped`` into the domain.
     """
 
     def __init__(
@@ -75,9 +71,6 @@ _REMEASURE: Final = Advice(
     "Do not correct it with a zero offset: the error changes along the travel, an offset does not.",
 )
 
-_LIMITS: Final = {"um": 20_000.0, "urad": 20_000.0}
-"""Largest error motions: those of a location. Beyond 20 mm or 20 mrad the machine description is wrong, not the machine."""
-
 POSITIONING: Final = Specification(
     name="positioning",
     kind="machine",
@@ -88,32 +81,28 @@ POSITIONING: Final = Specification(
         "Do not also enter it in the control's pitch-error table: it would be corrected twice.",
     ),
     evidence=lambda fit: f"{fit.where}: the positioning error of the axis differs from the model",
-    limits=_LIMITS,
+    # Those of a location: beyond 20 mm or 20 mrad the machine description is wrong, not the machine.
+    limits={"um": 20_000.0, "urad": 20_000.0},
     places=lambda machine: _places(machine, "positioning"),
     curve=True,
 )
 
-STRAIGHTNESS: Final = Specification(
+STRAIGHTNESS: Final = replace(
+    POSITIONING,
     name="straightness",
-    kind="machine",
     title=lambda where: f"straightness error of {split_name(where)[2]} in {direction_of(where)}",
     advice=_REMEASURE,
     evidence=lambda fit: f"{fit.where}: the straightness error of the axis differs from the model",
-    limits=_LIMITS,
     places=lambda machine: _places(machine, "straightness"),
-    curve=True,
 )
 
-ANGULAR_ERROR_MOTION: Final = Specification(
+ANGULAR_ERROR_MOTION: Final = replace(
+    STRAIGHTNESS,
     name="angular_error_motion",
-    kind="machine",
     title=lambda where: f"tilt of {split_name(where)[2]} about {direction_of(where)} along its travel",
     family="tilts of axes along their travel",
-    advice=_REMEASURE,
     evidence=lambda fit: f"{fit.where}: the tilt of the axis along its travel differs from the model",
-    limits=_LIMITS,
     places=lambda machine: _places(machine, "angular_error_motion"),
-    curve=True,
 )
 
 
@@ -124,16 +113,13 @@ def _rotary_title(where: str) -> str:
     return f"tilt of {axis} about {direction_of(where)} as it turns"
 
 
-ROTARY_ERROR_MOTION: Final = Specification(
+ROTARY_ERROR_MOTION: Final = replace(
+    STRAIGHTNESS,
     name="error_motion",
-    kind="machine",
     title=_rotary_title,
     family="error motions of rotary axes",
-    advice=_REMEASURE,
     evidence=lambda fit: f"{fit.where}: the error motion of the axis differs from the model",
-    limits=_LIMITS,
     places=lambda machine: _places(machine, "error_motion"),
-    curve=True,
     rare=True,
     plain_forms=0,
 )

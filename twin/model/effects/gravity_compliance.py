@@ -68,10 +68,8 @@ UNLOADED: Final = 1e-6
 class GravityCompliance(AlongAxis):
     """The axis deflects by its compliance times the force or torque of gravity along it.
 
-    Args:
-        load: positions → load along the axis by own weight, payloads and carried load, N or N·m (`twin.machine.chain.gravity_load`).
-        compliance: µm/N or µrad/(N·m).
-        payloads: loads that the URDF does not contain; not estimated.
+    ``load`` gives the load along the axis by own weight, payloads and carried load at positions, N or N·m (`gravity_load`); the
+    payloads, loads that the URDF does not contain, are not estimated.
     """
 
     def __init__(
@@ -85,11 +83,7 @@ class GravityCompliance(AlongAxis):
         self.compliance = compliance
         self.payloads = payloads
         self._load = load
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """The compliance."""
-        return (self._number("compliance", _unit(self.axis), self.compliance),)
+        self.units = (("compliance", _unit(axis)),)
 
     def derivatives(self, positions: Mapping[str, Any]) -> tuple[Mapping[int, Any], ...]:
         """See `Effect.derivatives`."""
@@ -103,18 +97,11 @@ class AddedLoad(AlongAxis):
     In a calibration it is no effect of its own: the mass joins the load of the compliance (`carrying`), without an uncertainty.
 
     Args:
-        compliant: the deflection that is known.
         load: positions → the (4,) loads along the axis by 1 kg and by a first moment of 1 kg·m in x, y, z (`gravity_load`); for a
             carried load those by the mass of each reading and by that mass 1 m away.
-        side: ``tool`` or ``work``.
         weights: (4,) mass, kg, and first moments, kg·m; both per kg of a carried load.
-        carried: whether it is a carried load.
-        u: standard uncertainty of the compliance.
+        u: standard uncertainty of the compliance; ``relative_u`` is the fraction of it.
         beside: the deflections of joints that carry the load too and whose compliance is not known; they are part of the doubt only.
-
-    Attributes:
-        relative_u: standard uncertainty as a fraction of the compliance.
-        beside: as given.
     """
 
     def __init__(
@@ -167,10 +154,8 @@ class AddedLoad(AlongAxis):
 def carrying(machine: Machine, extra: Sequence[Effect], known: int, added: AddedLoad) -> list[Effect]:
     """Return effects whose compliances on the side of an added load carry it.
 
-    Args:
-        extra: the effects of a calibration.
-        known: number of those whose load does not contain it yet; a payload that they already carry is combined with it. The
-            compliances after them were found together with the load.
+    The first ``known`` do not contain it yet; a payload that they already carry is combined with it. The compliances after them were
+    found together with the load.
     """
     carrying: list[Effect] = list(extra)
     whole = added.payload
@@ -349,9 +334,9 @@ PAYLOAD: Final = Specification(
     candidates=lambda machine, state: ([], []),
 )
 
-CARRIED_LOAD: Final = Specification(
+CARRIED_LOAD: Final = replace(
+    PAYLOAD,
     name="carried_load",
-    kind="machine",
     title=lambda where: Message("deflection under the load that the {where} side carries", where=_SIDE[where]),
     family="deflection under the carried load",
     advice=Advice(
@@ -363,10 +348,6 @@ CARRIED_LOAD: Final = Specification(
     parameters=LOAD_NUMBERS,
     required=lambda names: LOAD_NUMBERS if LOAD_NUMBERS[0] in names else NUMBERS[1:],
     limits={"1": LARGEST_RATIO, "mm": FARTHEST_MM},
-    non_negative=True,
-    places=lambda machine: SIDES,
-    expected=lambda machine: "tool or work",
     channels=lambda where: (LOAD,),
-    candidates=lambda machine, state: ([], []),
     drawing=Drawing(columns=lambda where: (LOAD,), spread=True),
 )

@@ -1,13 +1,4 @@
-"""Harmonics of the error motions of a rotary axis.
-
-Smooth functions of the columns of a table, of which empirical effects and patterns of unknown cause are sums.
-
-- ``half_waves`` of a column x over a range: cos(k π (x − low)/(high − low)), k = 1 … order.
-- ``whole_turns`` of a rotary axis at the angle θ: cos(k θ) and sin(k θ), k = 1 … order.
-- ``direction``: the direction of approach of an axis, +1 or −1.
-
-Two columns have the functions of each and all their products. With a direction, each function contains the direction.
-"""
+"""Harmonics of the error motions of a rotary axis, and the functions of table columns of which empirical effects are sums (`Waves`)."""
 
 from __future__ import annotations
 
@@ -22,7 +13,16 @@ from twin._common.messages import Message
 from twin.machine.error_names import DIRECTIONS
 from twin.machine.machine import Machine
 from twin.model.effects.base import Effect, Frame, Parameter, Payload, direction_of, split_name, unit_of
-from twin.model.effects.specification import EXTENDED, Advice, Drawing, Forms, SharedColumns, Specification, State
+from twin.model.effects.specification import (
+    EXTENDED,
+    Advice,
+    Drawing,
+    Forms,
+    SharedColumns,
+    Specification,
+    State,
+    linear_forms,
+)
 from twin.numerics.functions import Functions, cached_in_state, cos, floor, highest_order, sin, waves
 
 MAX_ORDER: Final = 30
@@ -35,14 +35,9 @@ MIN_ANGLES: Final = 4
 
 @final
 class Harmonic(Effect):
-    """One harmonic of an error motion of a rotary axis: a·cos(nθ) + b·sin(nθ).
+    """One harmonic of an error motion of a rotary axis, such as ``E_XB``: a·cos(nθ) + b·sin(nθ), µm or µrad."""
 
-    Args:
-        name: the error motion, ``E_XB``.
-        order: n.
-        cosine: a, µm or µrad.
-        sine: b, µm or µrad.
-    """
+    linear = 2
 
     def __init__(self, name: str, order: int, cosine: float, sine: float) -> None:
         self.name = f"harmonic:{name}[{order}]"
@@ -62,11 +57,6 @@ class Harmonic(Effect):
     def numbers(self) -> dict[str, float]:
         """Order and coefficients."""
         return {"order": self.order, **super().numbers}
-
-    def components(self, positions: Mapping[str, Any]) -> Mapping[int, Any]:
-        """See `Effect.components`."""
-        angle = positions[self._axis] * (self.order * pi / 180.0)
-        return {self._component: self.cosine * cos(angle) + self.sine * sin(angle)}
 
     def derivatives(self, positions: Mapping[str, Any]) -> tuple[Mapping[int, Any], ...]:
         """See `Effect.derivatives`."""
@@ -105,19 +95,11 @@ def _forms(machine: Machine, where: str, state: State, payloads: Sequence[Payloa
     most, teeth, functions = cached_in_state(state, ("turns", name), lambda: _turns(state, name))
     tried = range(1, (teeth if component == 3 + int(np.argmax(np.abs(axis.direction))) else most) + 1)
 
-    def build(values: np.ndarray, fixed: Mapping[str, float]) -> tuple[Harmonic, ...]:
-        return (Harmonic(where, round(fixed["order"]), float(values[0]), float(values[1])),)
-
-    def units(fixed: Mapping[str, float]) -> tuple[Harmonic, ...]:
-        order = round(fixed["order"])
-        return Harmonic(where, order, 1.0, 0.0), Harmonic(where, order, 0.0, 1.0)
-
     unit = unit_of(where)
     columns = [(teeth + n - 1, n - 1) for n in tried]
-    return Forms(
+    return linear_forms(
         (("cos", unit), ("sin", unit)),
-        build,
-        units,
+        lambda values, fixed: Harmonic(where, round(fixed["order"]), *values),
         tuple({"order": float(n)} for n in tried),
         together=SharedColumns(functions, columns, Frame(name, "motion"), ((component, 1.0),)),
     )
@@ -173,20 +155,19 @@ Kind = Literal["half_waves", "whole_turns", "direction"]
 @final
 @dataclass(frozen=True)
 class Waves:
-    """Functions of one column, without the constant.
+    """Smooth functions of one column of a table, without the constant.
 
-    Attributes:
-        column: its name in the table (``X_mm``, ``T_bed_degC``, ``approach_X``).
-        kind: kind of functions (see the module).
-        order: highest k; one for a direction.
-        range: lowest and highest value measured, mm, degrees or °C; None where the functions need none.
-        wrapped: whether the axis has unlimited rotation, so that whole turns are first subtracted from its position.
+    ``half_waves`` of a column x over a range: cos(k π (x − low)/(high − low)), k = 1 … order; ``whole_turns`` of a rotary axis at the
+    angle θ: cos(k θ) and sin(k θ); ``direction``: the direction of approach of an axis, +1 or −1. Two columns have the functions of
+    each and all their products. With a direction, each function contains the direction.
     """
 
-    column: str
+    column: str  # its name in the table (``X_mm``, ``T_bed_degC``, ``approach_X``)
     kind: Kind
-    order: int
+    order: int  # highest k; one for a direction
+    # lowest and highest value measured, mm, degrees or °C; None where the functions need none
     range: tuple[float, float] | None = None
+    # whether the axis has unlimited rotation, so that whole turns are first subtracted from its position
     wrapped: bool = False
 
     @property

@@ -34,12 +34,7 @@ from twin.model.effects.specification import (
 
 @final
 class AxisLocation(Effect):
-    """``E_X0C``, ``E_Y0C`` (µm), ``E_A0C``, ``E_B0C`` (µrad): constant, in the frame that precedes the axis's error motions.
-
-    Args:
-        name: ISO 230-1 name.
-        offset: µm or µrad.
-    """
+    """``E_X0C``, ``E_Y0C`` (µm), ``E_A0C``, ``E_B0C`` (µrad): constant, in the frame that precedes the axis's error motions."""
 
     def __init__(self, name: str, offset: float) -> None:
         self.name = name
@@ -77,8 +72,6 @@ AXIS_LOCATION: Final = Specification(
     drawing=Drawing(beyond=True),
 )
 
-# --- Squareness error: deviation of an axis's mean direction from square to the datum (ISO 230-1, 3.6; contract §1)
-
 
 @final
 class Squareness(Effect):
@@ -86,10 +79,6 @@ class Squareness(Effect):
 
     With n = y: E_XY −= y·E_C0Y; with n = z: E_XZ += z·E_B0Z and E_YZ −= z·E_A0Z. The angle turns about x, y or z of the machine frame,
     even if the axis's error frame is inclined to it.
-
-    Args:
-        name: ISO 230-1 name.
-        axis: the axis whose direction turns.
     """
 
     def __init__(self, name: str, angle_urad: float, axis: Axis) -> None:
@@ -139,25 +128,15 @@ SQUARENESS: Final = Specification(
     constant=True,
 )
 
-# --- Zero offset: a constant error of an axis along its own motion --------------------------------
-
 
 @final
 class ZeroOffset(AlongAxis):
-    """Zero offset of an axis: E_aa += offset.
-
-    Args:
-        offset: actual minus commanded position, µm or µrad, along the command.
-    """
+    """Zero offset of an axis: E_aa += offset, the actual minus the commanded position along the command."""
 
     def __init__(self, axis: Axis, offset: float) -> None:
         super().__init__("zero_offset", axis)
         self.offset = offset
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """The offset."""
-        return (self._number("offset", self.unit, self.offset),)
+        self.units = (("offset", self.unit),)
 
     def derivatives(self, positions: Mapping[str, Any]) -> tuple[Mapping[int, Any], ...]:
         """See `Effect.derivatives`."""

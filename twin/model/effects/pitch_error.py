@@ -10,7 +10,7 @@ import numpy as np
 
 from twin._common.messages import Message
 from twin.machine.machine import Axis, Machine
-from twin.model.effects.base import AlongAxis, Frame, Parameter, Payload, along
+from twin.model.effects.base import AlongAxis, Frame, Payload, along
 from twin.model.effects.specification import (
     EXTENDED,
     NOT_TWICE,
@@ -21,6 +21,7 @@ from twin.model.effects.specification import (
     Specification,
     State,
     linear_axes,
+    linear_forms,
 )
 from twin.numerics.functions import SHORTEST_PERIOD, cached_in_state, cos, highest_frequency, sin, waves
 
@@ -32,13 +33,9 @@ MIN_PERIOD_RATIO: Final = 0.3
 
 @final
 class PitchError(AlongAxis):
-    """Periodic positioning error of a linear axis: E_aa += A·sin(2πq/p + φ), q in mm.
+    """Periodic positioning error of a linear axis: E_aa += A·sin(2πq/p + φ), q in mm."""
 
-    Args:
-        amplitude: A, µm.
-        period: p, mm.
-        phase: φ, rad.
-    """
+    units = (("amplitude", "um"), ("period", "mm"), ("phase", "rad"))
 
     repeats = True
 
@@ -47,15 +44,6 @@ class PitchError(AlongAxis):
         self.amplitude = amplitude
         self.period = period
         self.phase = phase
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """Amplitude, period, phase."""
-        return (
-            self._number("amplitude", "um", self.amplitude),
-            self._number("period", "mm", self.period),
-            self._number("phase", "rad", self.phase),
-        )
 
     def components(self, positions: Mapping[str, Any]) -> Mapping[int, Any]:
         """See `Effect.components`."""
@@ -108,22 +96,14 @@ def _forms(machine: Machine, where: str, state: State, payloads: Sequence[Payloa
     # The functions of `PitchError` for all periods at once.
     functions = waves(q, 2.0 * np.pi / (LONGEST_PERIOD * span), np.pi / span, count)
 
-    def build(values: np.ndarray, fixed: Mapping[str, float]) -> tuple[PitchError, ...]:
-        return (PitchError(axis, float(np.hypot(*values)), fixed["period"], float(np.arctan2(values[1], values[0]))),)
-
-    def units(fixed: Mapping[str, float]) -> tuple[PitchError, ...]:
-        return tuple(PitchError(axis, 1.0, fixed["period"], phase) for phase in (0.0, np.pi / 2.0))
-
-    return Forms(
+    return linear_forms(
         (("sin", "um"), ("cos", "um")),
-        build,
-        units,
+        lambda values, fixed: PitchError(
+            axis, float(np.hypot(values[0], values[1])), fixed["period"], float(np.arctan2(values[1], values[0]))
+        ),
         tuple({"period": float(1.0 / f)} for f in frequencies),
         together=SharedColumns(
-            functions,
-            [(k, count + k) for k in range(count)],
-            Frame(where, "motion"),
-            tuple(along(axis, 1.0).items()),
+            functions, [(k, count + k) for k in range(count)], Frame(where, "motion"), tuple(along(axis, 1.0).items())
         ),
     )
 

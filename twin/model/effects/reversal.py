@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any, Final, final
 
 import numpy as np
@@ -31,18 +32,13 @@ from twin.numerics.functions import Functions, Rows
 class Reversal(AlongAxis):
     """Backlash: E_aa += ± size/2, by the direction of approach.
 
-    Args:
-        size: actual position approached in the + direction minus that approached in the − direction, µm or µrad, along the command.
+    The size is the actual position approached in the + direction minus that approached in the − direction, along the command.
     """
 
     def __init__(self, axis: Axis, size: float) -> None:
         super().__init__("reversal", axis)
         self.size = size
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """The size."""
-        return (self._number("size", self.unit, self.size),)
+        self.units = (("size", self.unit),)
 
     @property
     def reversal_value(self) -> float:
@@ -75,8 +71,6 @@ REVERSAL: Final = Specification(
     drawing=Drawing(split=lambda where: f"approach_{where}", depends_on=approach_column),
 )
 
-# --- Backlash (reversal value) that varies along the travel ---------------------------------------
-
 MAX_DEGREE: Final = 4
 """Highest degree of polynomial tried."""
 SAMPLES: Final = 201
@@ -87,11 +81,7 @@ SAMPLES: Final = 201
 class ReversalCurve(AlongAxis):
     """Backlash that varies along the travel: the curve measured in the + direction minus that in the − direction, Σ c_k u^k.
 
-    u = (2q − lo − hi)/(hi − lo) over the axis's range.
-
-    Args:
-        axis: the axis; its range must be limited.
-        coefficients: c_0, c_1, … µm or µrad, along the command.
+    u = (2q − lo − hi)/(hi − lo) over the range of the axis, which must be limited; c_k in µm or µrad, along the command.
     """
 
     def __init__(self, axis: Axis, coefficients: tuple[float, ...]) -> None:
@@ -128,11 +118,6 @@ class ReversalCurve(AlongAxis):
 
 def _limited(machine: Machine) -> tuple[str, ...]:
     return tuple(axis.name for axis in machine.axes if axis.lower is not None and axis.upper is not None)
-
-
-def _wanted(names: Sequence[str]) -> tuple[str, ...]:
-    """Return the names of as many coefficients as there are names, at least two."""
-    return tuple(f"c{k}" for k in range(len(names) or 2))
 
 
 def _candidates(machine: Machine, state: State) -> tuple[list[str], list[tuple[str, str]]]:
@@ -176,9 +161,9 @@ def _evidence(fit: FittedCause) -> str:
     return f"the backlash of {fit.where} varies along its travel, from {low:.3g} {fit.unit} to {high:.3g} {fit.unit}"
 
 
-REVERSAL_CURVE: Final = Specification(
+REVERSAL_CURVE: Final = replace(
+    REVERSAL,
     name="reversal_curve",
-    kind="machine",
     title=lambda where: Message("backlash of {where} that varies along its travel", where=where),
     family="backlash that varies along the travel",
     advice=Advice(
@@ -188,11 +173,9 @@ REVERSAL_CURVE: Final = Specification(
     ),
     evidence=_evidence,
     parameters=("c0", "c1"),
-    required=_wanted,
-    limits={"um": 1000.0, "urad": 5000.0},
+    required=lambda names: tuple(f"c{k}" for k in range(len(names) or 2)),
     places=_limited,
     expected=lambda machine: "an axis with a limited range",
-    channels=approach_column,
     make=lambda machine, where, numbers, payloads: ReversalCurve(machine.by_name[where], tuple(numbers.values())),
     forms=_forms,
     candidates=_candidates,

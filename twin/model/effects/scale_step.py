@@ -9,7 +9,7 @@ import numpy as np
 
 from twin._common.messages import Message
 from twin.machine.machine import Axis, Machine
-from twin.model.effects.base import AlongAxis, Frame, Parameter, Payload, along
+from twin.model.effects.base import AlongAxis, Frame, Payload, along
 from twin.model.effects.specification import (
     EXTENDED,
     NOT_TWICE,
@@ -20,6 +20,7 @@ from twin.model.effects.specification import (
     Specification,
     State,
     linear_axes,
+    linear_forms,
 )
 from twin.numerics.functions import Functions, Rows, cached_in_state, fmax
 
@@ -40,12 +41,9 @@ class ScaleStep(AlongAxis):
     """Step in the position of a linear axis: E_aa += A·s, where s rises from 0 to 1 over the width of an interval about the place.
 
     The interval is that between two measured positions, anywhere in which the step may be.
-
-    Args:
-        size: A, µm.
-        place: middle of the interval, mm.
-        width: its width, mm.
     """
+
+    units = (("size", "um"),)
 
     def __init__(self, axis: Axis, size: float, place: float, width: float) -> None:
         super().__init__("scale_step", axis)
@@ -53,11 +51,6 @@ class ScaleStep(AlongAxis):
         self.size = size
         self.place = place
         self.width = width
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """The size."""
-        return (self._number("size", self.unit, self.size),)
 
     @property
     def numbers(self) -> dict[str, float]:
@@ -96,16 +89,12 @@ def _forms(machine: Machine, where: str, state: State, payloads: Sequence[Payloa
     axis, q = machine.by_name[where], state[where]
     low, high = _tried(state, where).T
 
-    def effect(size: float, fixed: Mapping[str, float]) -> tuple[ScaleStep, ...]:
-        return (ScaleStep(axis, size, fixed["place"], fixed["width"]),)
-
     def steps(rows: Rows) -> np.ndarray:
         return np.clip((q[rows][:, None] - low) / (high - low), 0.0, 1.0)
 
-    return Forms(
-        (("size", "um"),),
-        lambda values, fixed: effect(float(values[0]), fixed),
-        lambda fixed: effect(1.0, fixed),
+    return linear_forms(
+        ScaleStep.units,
+        lambda values, fixed: ScaleStep(axis, values[0], fixed["place"], fixed["width"]),
         tuple({"place": float(a + b) / 2.0, "width": float(b - a)} for a, b in zip(low, high, strict=True)),
         # The functions of all places at once.
         together=SharedColumns(

@@ -18,7 +18,7 @@ import numpy as np
 from twin._common.errors import InputError, closest_name
 from twin.display.numbers import capital
 from twin.machine.machine import Machine
-from twin.model.effects.base import Effect, Frame, Payload
+from twin.model.effects.base import Effect, Frame, Payload, ToolSide, tool_side
 from twin.numerics.curves import CurveSpace
 from twin.numerics.functions import Functions
 
@@ -35,37 +35,23 @@ REST: Final = "Use the other results: this error has been removed from the data.
 @final
 @dataclass(frozen=True)
 class Advice:
-    """Advice on a cause; ``{axis}`` and ``{where}`` are replaced by its axis and its place.
+    """Advice on a cause; ``{axis}`` and ``{where}`` are replaced by its axis and its place."""
 
-    Attributes:
-        look: where to look, and who should.
-        do: what to do until it is repaired.
-        never: what to avoid because it makes things worse.
-    """
-
-    look: str
-    do: str
-    never: str
+    look: str  # where to look, and who should
+    do: str  # what to do until it is repaired
+    never: str  # what to avoid because it makes things worse
 
 
 @final
 @dataclass(frozen=True)
 class FittedCause:
-    """Fitted values of one cause, for the evidence sentence.
-
-    Attributes:
-        where: its place.
-        size: the linear parameter with the largest ratio of value to uncertainty.
-        unit: its unit as printed.
-        numbers: all parameters by name.
-        effects: the effects built from the fit.
-    """
+    """Fitted values of one cause, for the evidence sentence."""
 
     where: str
-    size: float
+    size: float  # the linear parameter with the largest ratio of value to uncertainty
     unit: str
     numbers: Mapping[str, float]
-    effects: Sequence[Effect] = ()
+    effects: Sequence[Effect] = ()  # the effects built from the fit
 
     @property
     def measure(self) -> str:
@@ -76,155 +62,117 @@ class FittedCause:
 @final
 @dataclass(frozen=True)
 class Drawing:
-    """Description of the plot of a cause.
+    """Description of the plot of a cause."""
 
-    Attributes:
-        columns: place → columns of the table, or axes, for the horizontal axis, where present; if None, the axes named in the place.
-        period: parameters of the cause → period over which the position is folded, mm or degrees; 0 for none.
-        split: place → what the readings are grouped by: ``approach_X``, or an axis (three groups); empty for no groups.
-        depends_on: place → columns of the table, or axes, on which the cause depends, if other than those of the horizontal axis.
-        size_of: quantity on the horizontal axis if it is not a column: ``distance`` from the instrument, or ``report``, the difference
-            between the position reported by the control and the command.
-        by_state: whether shifts of the targets are plotted against the quantity they depend on instead of the predicted shift.
-        spread: whether readings at one position differ with another position or temperature, so that no line joins them.
-        shared: column whose value is common to the readings that the cause changes: ``station`` or ``target``.
-        of_base: whether it shifts the tool side along a direction of the base frame.
-        beyond: whether it becomes visible when the other rotary axes turn.
-    """
-
+    # place → columns of the table, or axes, for the horizontal axis, where present; if None, the axes named in the place
     columns: Callable[[str], tuple[str, ...]] | None = None
+    # parameters of the cause → period over which the position is folded, mm or degrees; 0 for none
     period: Callable[[Mapping[str, float]], float] = lambda numbers: 0.0
+    # place → what the readings are grouped by: ``approach_X``, or an axis (three groups); empty for no groups
     split: Callable[[str], str] = lambda where: ""
+    # place → columns of the table, or axes, on which the cause depends, if other than those of the horizontal axis
     depends_on: Callable[[str], tuple[str, ...]] = lambda where: ()
+    # quantity on the horizontal axis if it is not a column: ``distance`` from the instrument, or ``report``, the difference between the
+    # position reported by the control and the command
     size_of: Literal["", "distance", "report"] = ""
+    # whether shifts of the targets are plotted against the quantity they depend on instead of the predicted shift
     by_state: bool = False
+    # whether readings at one position differ with another position or temperature, so that no line joins them
     spread: bool = False
+    # column whose value is common to the readings that the cause changes: ``station`` or ``target``
     shared: Literal["", "station", "target"] = ""
-    of_base: bool = False
-    beyond: bool = False
+    of_base: bool = False  # whether it shifts the tool side along a direction of the base frame
+    beyond: bool = False  # whether it becomes visible when the other rotary axes turn
 
 
 @final
 @dataclass(frozen=True, eq=False)
 class SharedColumns:
-    """Columns of all trials, computed together.
-
-    Attributes:
-        functions: functions of the state.
-        columns: for each trial the indices of the functions that are its columns.
-        frame: frame in which they act.
-        parts: error components of the frame in which they act, each with its factor.
-    """
+    """Columns of all trials, computed together."""
 
     functions: Functions
-    columns: Sequence[tuple[int, ...]]
-    frame: Frame
-    parts: tuple[tuple[int, float], ...]
+    columns: Sequence[tuple[int, ...]]  # for each trial the indices of the functions that are its columns
+    frame: Frame  # frame in which they act
+    parts: tuple[tuple[int, float], ...]  # error components of the frame in which they act, each with its factor
 
 
 @final
 @dataclass(frozen=True, eq=False)
 class Forms:
-    """The candidate forms of an effect at one place that the data can show.
+    """The candidate forms of an effect at one place that the data can show."""
 
-    Attributes:
-        names: (name, unit) of its linear parameters.
-        build: linear and fixed parameters → the effects that extend the model.
-        units: fixed parameters → one effect per linear parameter, with that parameter set to 1, which gives the columns; may be None if
-            ``together`` is set.
-        trials: values of the fixed parameters that are tried.
-        tests: number of independent tests this amounts to; the number of trials if None.
-        together: the columns of all trials at once, which is faster; None if ``units`` is fast enough.
-        space: function space of the columns of a curve.
-        is_drift: whether a trial is a time constant, with a straight line in time as its limit.
-    """
-
-    names: tuple[tuple[str, str], ...]
+    names: tuple[tuple[str, str], ...]  # (name, unit) of its linear parameters
+    # linear and fixed parameters → the effects that extend the model
     build: Callable[[np.ndarray, Mapping[str, float]], tuple[Effect, ...]]
+    # fixed parameters → one effect per linear parameter, with that parameter set to 1, which gives the columns; may be None if
+    # ``together`` is set
     units: Callable[[Mapping[str, float]], tuple[Effect, ...]] | None
-    trials: tuple[Mapping[str, float], ...] = (MappingProxyType({}),)
-    tests: float | None = None
+    trials: tuple[Mapping[str, float], ...] = (MappingProxyType({}),)  # values of the fixed parameters that are tried
+    tests: float | None = None  # number of independent tests this amounts to; the number of trials if None
+    # the columns of all trials at once, which is faster; None if ``units`` is fast enough
     together: SharedColumns | None = None
     space: CurveSpace | None = None
-    is_drift: bool = False
+    is_drift: bool = False  # whether a trial is a time constant, with a straight line in time as its limit
 
 
 @final
 @dataclass(frozen=True, kw_only=True)
 class Specification:
-    """Specification of one effect.
-
-    Attributes:
-        name: name of the effect (contract §5).
-        kind: whether it belongs to the machine, to its calibration file or to the instrument.
-        title: place → plain description without symbols, in lower case.
-        family: plain name of the kind of effect, in the plural where there is one; the name in words if empty.
-        advice: what to do about it.
-        evidence: fitted values → what the effect does, a sentence without a full stop.
-        parameters: their names in a calibration file.
-        required: names of the parameters in an entry → the names that it must have; ``parameters`` if None.
-        fixed: name → unit of the numbers in an entry that are stated and not estimated; every fit reports them. Effects at one place
-            that differ in them are causes of their own, such as harmonics.
-        limits: unit → largest magnitude of a parameter that is physically plausible; a fit beyond it is not an answer.
-        least: unit → smallest magnitude that is plausible, of units whose parameters cannot be zero (periods, time constants).
-        non_negative: whether its parameter cannot be negative.
-        places: machine → places where it can act; a channel that is part of the place is left out.
-        open_places: whether `places` is incomplete and `make` checks the place.
-        expected: machine → description of the places for an error; the list of them if None.
-        channels: place → columns of the table that it needs besides the positions.
-        make: machine, place, parameters and payloads → the effect; None if it cannot occur in a calibration file.
-        forms: machine, place, state, and the payloads of the calibration (None if it has no compliances) → the candidate forms; if
-            None, the single form of `make` with its one parameter.
-        candidates: machine and state → places that these data can show, and (place, what is missing) of the others; if None, `places`
-            whose `channels` exist.
-        nonlinear: names of the non-linear parameters, which are tried at a set of values and then fitted; of a drift the time constant.
-        period: the one of them that is a period along the axis of its place, mm: at the measured positions another may fit as well.
-        constrain: effect, its parameters after a step of the fit, and the largest value tried → the effect with parameters within
-            their limits.
-        varies: whether two readings of one point can differ: with time, or from one alignment of the instrument to another.
-        curve: whether it is a function of one axis's position, to be validated on held-out positions.
-        variant_of: the simpler effect of which it is a variant with more parameters; it must predict better than that effect.
-        constant: whether it is a constant of the machine.
-        rare: whether it is a mistake that is rarely made, with a smaller share of the false alarms.
-        all_or_nothing: whether its parameter is 1 wherever it is present (a mistake that is made completely or not at all).
-        most: largest number of causes of it at one place, of those that can imitate any curve together; 0: no limit.
-        flexible: whether its many parameters can absorb a part of any other effect.
-        decided_by: of an error of the instrument, the measurement that separates it from errors of the machine.
-        plain_forms: number of its forms that are used to estimate the noise; 0: other effects have the same forms; None: the widest.
-        drawing: how it is plotted.
-    """
+    """Specification of one effect."""
 
     name: str
-    kind: Kind
-    title: Callable[[str], str]
+    kind: Kind  # whether it belongs to the machine, to its calibration file or to the instrument
+    title: Callable[[str], str]  # place → plain description without symbols, in lower case
     advice: Advice
-    evidence: Callable[[FittedCause], str]
-    family: str = ""
-    parameters: tuple[str, ...] = ()
+    evidence: Callable[[FittedCause], str]  # fitted values → what the effect does, a sentence without a full stop
+    family: str = ""  # plain name of the kind of effect, in the plural where there is one; the name in words if empty
+    parameters: tuple[str, ...] = ()  # their names in a calibration file
+    # names of the parameters in an entry → the names that it must have; ``parameters`` if None
     required: Callable[[Sequence[str]], tuple[str, ...]] | None = None
+    # name → unit of the numbers in an entry that are stated and not estimated; every fit reports them. Effects at one place that differ
+    # in them are causes of their own, such as harmonics.
     fixed: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
+    # unit → largest magnitude of a parameter that is physically plausible; a fit beyond it is not an answer
     limits: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
+    # unit → smallest magnitude that is plausible, of units whose parameters cannot be zero (periods, time constants)
     least: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
-    non_negative: bool = False
+    non_negative: bool = False  # whether its parameter cannot be negative
+    # machine → places where it can act; a channel that is part of the place is left out
     places: Callable[[Machine], tuple[str, ...]] = lambda machine: ()
-    open_places: bool = False
+    open_places: bool = False  # whether `places` is incomplete and `make` checks the place
+    # machine → description of the places for an error; the list of them if None
     expected: Callable[[Machine], str] | None = None
+    # place → columns of the table that it needs besides the positions
     channels: Callable[[str], tuple[str, ...]] = lambda where: ()
+    # machine, place, parameters and payloads → the effect; None if it cannot occur in a calibration file
     make: Callable[[Machine, str, Mapping[str, float], Sequence[Payload]], Effect] | None = None
+    # machine, place, state, and the payloads of the calibration (None if it has no compliances) → the candidate forms; if None, the
+    # single form of `make` with its one parameter
     forms: Callable[[Machine, str, State, Sequence[Payload] | None], Forms] | None = None
+    # machine and state → places that these data can show, and (place, what is missing) of the others; if None, `places` whose
+    # `channels` exist
     candidates: Callable[[Machine, State], tuple[list[str], list[tuple[str, str]]]] | None = None
+    # names of the non-linear parameters, which are tried at a set of values and then fitted; of a drift the time constant
     nonlinear: tuple[str, ...] = ()
+    # the one of them that is a period along the axis of its place, mm: at the measured positions another may fit as well
     period: str = ""
+    # effect, its parameters after a step of the fit, and the largest value tried → the effect with parameters within their limits
     constrain: Callable[[Any, Sequence[float], float], Effect] | None = None
+    # whether two readings of one point can differ: with time, or from one alignment of the instrument to another
     varies: Varies = "never"
-    curve: bool = False
+    curve: bool = False  # whether it is a function of one axis's position, to be validated on held-out positions
+    # the simpler effect of which it is a variant with more parameters; it must predict better than that effect
     variant_of: str = ""
     constant: bool = False
-    rare: bool = False
+    rare: bool = False  # whether it is a mistake that is rarely made, with a smaller share of the false alarms
+    # whether its parameter is 1 wherever it is present (a mistake that is made completely or not at all)
     all_or_nothing: bool = False
+    # largest number of causes of it at one place, of those that can imitate any curve together; 0: no limit
     most: int = 0
-    flexible: bool = False
+    flexible: bool = False  # whether its many parameters can absorb a part of any other effect
+    # of an error of the instrument, the measurement that separates it from errors of the machine
     decided_by: str = "repeat the first round without touching the instrument or the targets"
+    # number of its forms that are used to estimate the noise; 0: other effects have the same forms; None: the widest
     plain_forms: int | None = None
     drawing: Drawing = field(default_factory=Drawing)
 
@@ -234,11 +182,7 @@ class Specification:
         return self.family or self.name.replace("_", " ")
 
     def bound(self, units: Sequence[str]) -> float:
-        """Return the largest plausible magnitude of the linear parameters; infinite if unknown.
-
-        Args:
-            units: units of the parameters; only effects with one unit have a limit.
-        """
+        """Return the largest plausible magnitude of the linear parameters, all of one unit; infinite if unknown."""
         return min((self.limits.get(unit, inf) for unit in units[:1]), default=inf)
 
     def is_plausible(self, value: float, unit: str) -> bool:
@@ -246,11 +190,7 @@ class Specification:
         return self.least.get(unit, 0.0) <= abs(value) <= self.limits.get(unit, inf)
 
     def numbers_of(self, where: str, numbers: Mapping[str, float]) -> dict[str, float]:
-        """Return the parameters of an entry in a file, in order.
-
-        Raises:
-            InputError: a parameter is missing or unknown.
-        """
+        """Return the parameters of an entry in a file, in order; raise `InputError` if one is missing or unknown."""
         required = self.parameters if self.required is None else self.required(tuple(numbers))
         if set(numbers) != set(required):
             raise InputError(
@@ -270,6 +210,13 @@ class Specification:
         return InputError(
             f"no such place for {self.name}", expected=expected, value=where, nearest=closest_name(where, places)
         )
+
+    def tool_side(self, machine: Machine, where: str, direction: str) -> ToolSide:
+        """Return the tool side with a direction of the base frame; raise `InputError` if the machine has no such place."""
+        side = tool_side(machine, direction)
+        if side is None:
+            raise self.no_place(machine, where)
+        return side
 
     def candidate_places(self, machine: Machine, state: State) -> tuple[list[str], list[tuple[str, str]]]:
         """Return the places where these data can show it, and (place, missing column) of the others."""
@@ -313,11 +260,23 @@ def approach_column(where: str) -> tuple[str, ...]:
     return (f"approach_{where}",)
 
 
-def single_parameter_form(names: tuple[str, str], make: Callable[[float], Effect]) -> Forms:
-    """Return the single form of an effect that is proportional to its one parameter.
+def linear_forms(
+    names: tuple[tuple[str, str], ...],
+    make: Callable[[Sequence[float], Mapping[str, float]], Effect],
+    trials: tuple[Mapping[str, float], ...] = (MappingProxyType({}),),
+    **more: Any,
+) -> Forms:
+    """Return the forms of an effect that is linear in parameters (name, unit); ``make``: these and the fixed ones → the effect."""
+    units = np.eye(len(names)).tolist()
+    return Forms(
+        names,
+        lambda values, fixed: (make([float(value) for value in values], fixed),),
+        lambda fixed: tuple(make(unit, fixed) for unit in units),
+        trials,
+        **more,
+    )
 
-    Args:
-        names: name and unit of the parameter.
-        make: value of the parameter → the effect.
-    """
-    return Forms((names,), lambda values, fixed: (make(float(values[0])),), lambda fixed: (make(1.0),))
+
+def single_parameter_form(names: tuple[str, str], make: Callable[[float], Effect]) -> Forms:
+    """Return the single form of an effect that is proportional to one parameter (name, unit), which ``make`` takes."""
+    return linear_forms((names,), lambda values, fixed: make(values[0]))

@@ -11,8 +11,8 @@ import numpy as np
 from twin._common.messages import Message
 from twin._common.records import SPEED, TIME
 from twin.machine.machine import Machine
-from twin.model.effects.base import HistoryShift, Parameter, Payload, ToolSide, channel, directions, tool_side
-from twin.model.effects.specification import EXTENDING, Advice, Drawing, Forms, Specification, State
+from twin.model.effects.base import HistoryShift, Payload, ToolSide, channel, directions
+from twin.model.effects.specification import EXTENDING, Advice, Drawing, Forms, Specification, State, linear_forms
 from twin.model.effects.thermal_drift import LONGEST_S, SHORTEST_S, drift_time_constants, one_step
 from twin.numerics.functions import lagged
 
@@ -30,15 +30,10 @@ class SpindleGrowth(HistoryShift):
 
     The lag is that of `twin.numerics.functions`. In a measured table, the speed of a reading applies from the previous
     reading in time on, that of the first from time zero on. A single speed given for a program applies from time zero on; the speeds of
-    its blocks, and of a log before it, each apply for their time.
-
-    Args:
-        side: tool side and direction.
-        amplitude: A, µm, the growth in steady state at n_max.
-        exponent: p.
-        time_constant: τ, s.
-        highest_rpm: n_max.
+    its blocks, and of a log before it, each apply for their time. The amplitude is the growth in steady state at n_max.
     """
+
+    units = (("amplitude", "um"), ("exponent", "1"), ("time_constant", "s"))
 
     starts_settled = False
 
@@ -50,19 +45,6 @@ class SpindleGrowth(HistoryShift):
         self.exponent = exponent
         self.time_constant = time_constant
         self.highest_rpm = highest_rpm
-
-    def changed(self, amplitude: float, exponent: float, time_constant: float) -> SpindleGrowth:
-        """Return the same effect with other parameters."""
-        return SpindleGrowth(self._side, amplitude, exponent, time_constant, self.highest_rpm)
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """Amplitude, exponent, time constant."""
-        return (
-            self._number("amplitude", "um", self.amplitude),
-            self._number("exponent", "1", self.exponent),
-            self._number("time_constant", "s", self.time_constant),
-        )
 
     @property
     def numbers(self) -> dict[str, float]:
@@ -93,10 +75,7 @@ class SpindleGrowth(HistoryShift):
 
 
 def _make(machine: Machine, where: str, numbers: Mapping[str, float], payloads: Sequence[Payload]) -> SpindleGrowth:
-    side = tool_side(machine, where)
-    if side is None:
-        raise SPINDLE_GROWTH.no_place(machine, where)
-    return SpindleGrowth(side, *numbers.values())
+    return SpindleGrowth(SPINDLE_GROWTH.tool_side(machine, where, where), *numbers.values())
 
 
 def _candidates(machine: Machine, state: State) -> tuple[list[str], list[tuple[str, str]]]:
@@ -111,24 +90,19 @@ def _candidates(machine: Machine, state: State) -> tuple[list[str], list[tuple[s
 def _forms(machine: Machine, where: str, state: State, payloads: Sequence[Payload] | None) -> Forms:
     highest = float(state[SPEED].max())
 
-    def effects(value: float, fixed: Mapping[str, float]) -> tuple[SpindleGrowth, ...]:
-        numbers = {"amplitude": value, **fixed, "highest_rpm": highest}
-        return (_make(machine, where, numbers, ()),)
-
     tried = product(EXPONENTS, drift_time_constants(state[TIME])[::TIME_CONSTANT_STRIDE])
-    trials = tuple({"exponent": exponent, "time_constant": constant} for exponent, constant in tried)
-    return Forms(
-        (("amplitude", "um"),),
-        lambda values, fixed: effects(float(values[0]), fixed),
-        lambda fixed: effects(1.0, fixed),
-        trials,
+    return linear_forms(
+        SpindleGrowth.units[:1],
+        lambda values, fixed: _make(machine, where, {"amplitude": values[0], **fixed, "highest_rpm": highest}, ()),
+        tuple({"exponent": exponent, "time_constant": constant} for exponent, constant in tried),
         tests=3.0,
     )
 
 
 def _constrain(effect: SpindleGrowth, values: Sequence[float], longest: float) -> SpindleGrowth:
     exponent = min(max(values[1], LEAST_EXPONENT), LARGEST_EXPONENT)
-    return effect.changed(values[0], exponent, one_step(effect.time_constant, values[2], longest))
+    constant = one_step(effect.time_constant, values[2], longest)
+    return SpindleGrowth(effect.side, values[0], exponent, constant, effect.highest_rpm)
 
 
 SPINDLE_GROWTH: Final = Specification(

@@ -15,7 +15,6 @@ from twin.model.effects.base import (
     LOAD,
     Effect,
     Frame,
-    Parameter,
     Payload,
     Vector,
     base_vector,
@@ -55,13 +54,12 @@ class TableLoad(Effect):
     The direction and the sine are a convention; they do not follow from the moment about base x.
 
     Args:
-        axis: name of the rotary axis.
-        vector: x direction of the base frame in its error frame.
-        tilt: µrad at 90°.
+        vector: x direction of the base frame in the axis's error frame.
         moment: M, N·m, negative against the axis's positive direction; None if not stated.
-        payloads: loads that the URDF does not contain.
         added: (2,) torque at +90° by the payload, N·m, and per kg of the carried load, N·m/kg.
     """
+
+    units = (("tilt", "urad"),)
 
     def __init__(
         self,
@@ -79,11 +77,6 @@ class TableLoad(Effect):
         self.frame = Frame(axis, "motion")
         self._vector = vector
         self._added = added
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """The tilt."""
-        return (self._number("tilt", "urad", self.tilt),)
 
     @property
     def numbers(self) -> dict[str, float]:

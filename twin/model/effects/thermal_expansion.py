@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any, Final, final
 
 from twin._common.messages import Message
 from twin.machine.machine import Axis, Machine
-from twin.model.effects.base import AlongAxis, Parameter, Payload, along, channel
+from twin.model.effects.base import AlongAxis, Payload, along, channel
 from twin.model.effects.specification import (
     EXTENDED,
     NOT_TWICE,
@@ -18,6 +19,7 @@ from twin.model.effects.specification import (
     Specification,
     State,
     linear_axes,
+    linear_forms,
 )
 
 REFERENCE_DEGC: Final = 20.0
@@ -26,20 +28,13 @@ REFERENCE_DEGC: Final = 20.0
 
 @final
 class ThermalExpansion(AlongAxis):
-    """Thermal expansion of the scale of a linear axis: E_aa += c·(T_a − 20 °C)·q.
+    """Thermal expansion of the scale of a linear axis: E_aa += c·(T_a − 20 °C)·q."""
 
-    Args:
-        coefficient: c, µm/(m·K).
-    """
+    units = (("coefficient", "um/(m.K)"),)
 
     def __init__(self, axis: Axis, coefficient: float) -> None:
         super().__init__("thermal_expansion", axis)
         self.coefficient = coefficient
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """The coefficient."""
-        return (self._number("coefficient", "um/(m.K)", self.coefficient),)
 
     def derivatives(self, positions: Mapping[str, Any]) -> tuple[Mapping[int, Any], ...]:
         """See `Effect.derivatives`; needs ``T_<axis>_degC``."""
@@ -67,35 +62,18 @@ THERMAL_EXPANSION: Final = Specification(
     drawing=Drawing(columns=lambda where: (f"T_{where}_degC",), split=lambda where: where, spread=True),
 )
 
-# --- Thermal expansion of a scale that is fixed elsewhere than at the axis's zero -----------------
-
 
 @final
 class ScaleGrowth(AlongAxis):
-    """Thermal expansion of a scale about its fixed point: E_aa += (c·q + g)·(T_a − 20 °C), fixed at q = −g/c.
+    """Thermal expansion of a scale about its fixed point: E_aa += (c·q + g)·(T_a − 20 °C), fixed at q = −g/c."""
 
-    Args:
-        coefficient: c, µm/(m·K).
-        offset: g, µm/K at q = 0.
-    """
+    units = (("coefficient", "um/(m.K)"), ("offset", "um/K"))
+    linear = 2
 
     def __init__(self, axis: Axis, coefficient: float, offset: float) -> None:
         super().__init__("scale_growth", axis)
         self.coefficient = coefficient
         self.offset = offset
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """Coefficient and offset."""
-        return (
-            self._number("coefficient", "um/(m.K)", self.coefficient),
-            self._number("offset", "um/K", self.offset),
-        )
-
-    def components(self, positions: Mapping[str, Any]) -> Mapping[int, Any]:
-        """See `Effect.components`."""
-        by_coefficient, by_offset = self.derivatives(positions)
-        return {i: self.coefficient * by_coefficient[i] + self.offset * by_offset[i] for i in by_coefficient}
 
     def derivatives(self, positions: Mapping[str, Any]) -> tuple[Mapping[int, Any], ...]:
         """See `Effect.derivatives`; needs ``T_<axis>_degC``."""
@@ -105,11 +83,7 @@ class ScaleGrowth(AlongAxis):
 
 def _forms(machine: Machine, where: str, state: State, payloads: Sequence[Payload] | None) -> Forms:
     axis = machine.by_name[where]
-    return Forms(
-        (("coefficient", "um/(m.K)"), ("offset", "um/K")),
-        lambda values, fixed: (ScaleGrowth(axis, float(values[0]), float(values[1])),),
-        lambda fixed: (ScaleGrowth(axis, 1.0, 0.0), ScaleGrowth(axis, 0.0, 1.0)),
-    )
+    return linear_forms(ScaleGrowth.units, lambda values, fixed: ScaleGrowth(axis, *values))
 
 
 def _evidence(fit: FittedCause) -> str:
@@ -118,24 +92,19 @@ def _evidence(fit: FittedCause) -> str:
     return f"the scale of {fit.where} lengthens by {coefficient:.3g} µm/(m·K) when it warms{at}"
 
 
-SCALE_GROWTH: Final = Specification(
+SCALE_GROWTH: Final = replace(
+    THERMAL_EXPANSION,
     name="scale_growth",
-    kind="machine",
     title=lambda where: Message("thermal expansion of the scale of {where} about its fixed point", where=where),
     family="thermal expansion of scales about their fixed points",
-    advice=Advice(
-        "Service: where the scale of {axis} is fixed, and what the control's own temperature compensation assumes.",
-        f"{EXTENDED} and give the temperature of {{axis}}.",
-        "Do not reset zero or scale for one temperature: they would be wrong at the next. " + NOT_TWICE,
+    advice=replace(
+        THERMAL_EXPANSION.advice,
+        look="Service: where the scale of {axis} is fixed, and what the control's own temperature compensation assumes.",
     ),
     evidence=_evidence,
     parameters=("coefficient", "offset"),
     limits={"um/(m.K)": 100.0, "um/K": 500.0},
-    places=linear_axes,
-    channels=lambda where: (f"T_{where}_degC",),
     make=lambda machine, where, numbers, payloads: ScaleGrowth(machine.by_name[where], *numbers.values()),
     forms=_forms,
-    varies="with time",
     variant_of="thermal_expansion",
-    drawing=Drawing(columns=lambda where: (f"T_{where}_degC",), split=lambda where: where, spread=True),
 )

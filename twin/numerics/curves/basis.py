@@ -26,21 +26,13 @@ Exact = list[list[Fraction]]
 
 @dataclass(frozen=True)
 class Basis(ABC):
-    """A family of functions on a domain; two bases are equal if they have the same functions.
+    """A family of functions on a domain; two bases are equal if they have the same functions."""
 
-    Attributes:
-        name: value of ``basis:`` in a calibration file.
-        formula: formula of its functions, for the documentation.
-        order_noun: noun for what `order` counts.
-        takes_knots: whether its curves have knots.
-        knots: the knots, mm or degrees; empty if it takes none.
-    """
-
-    name: ClassVar[str]
-    formula: ClassVar[str]
-    order_noun: ClassVar[str] = Message("degree")
-    takes_knots: ClassVar[bool] = False
-    knots: tuple[float, ...] = ()
+    name: ClassVar[str]  # value of ``basis:`` in a calibration file
+    formula: ClassVar[str]  # formula of its functions, for the documentation
+    order_noun: ClassVar[str] = Message("degree")  # noun for what `order` counts
+    takes_knots: ClassVar[bool] = False  # whether its curves have knots
+    knots: tuple[float, ...] = ()  # the knots, mm or degrees; empty if it takes none
 
     def __post_init__(self) -> None:
         if self.knots and not self.takes_knots:
@@ -48,13 +40,7 @@ class Basis(ABC):
 
     @abstractmethod
     def functions(self, q: Any, domain: tuple[float, float], count: int) -> list[Any]:
-        """Return the values of the first ``count`` functions.
-
-        Args:
-            q: axis position, mm or degrees: an array of any shape, or a CasADi expression.
-            domain: (lo, hi) in the same unit.
-            count: number of functions.
-        """
+        """Return the values of the first ``count`` functions at positions q, mm or degrees: an array or a CasADi expression."""
 
     @abstractmethod
     def count_problem(self, count: int, *, rotary: bool) -> str | None:
@@ -81,12 +67,7 @@ class Basis(ABC):
 
     @classmethod
     def preference(cls, *, rotary: bool, endless: bool) -> int | None:
-        """Return the rank of this basis among those that `identify` tries on a kind of axis, 0 first; None if it is not tried.
-
-        Args:
-            rotary: whether the axis is rotary.
-            endless: whether it has no limits.
-        """
+        """Return the rank of this basis among those that `identify` tries on a kind of axis, 0 first; None if it is not tried."""
         return None
 
     def largest(self, count: int) -> int:
@@ -106,12 +87,9 @@ class Basis(ABC):
         return None
 
     def conversion_to(self, count: int, target: Basis, target_count: int) -> np.ndarray | None:
-        """Return the matrix that converts ``count`` coefficients to another basis, or to more functions of this one.
+        """Return the matrix (target_count, count) from coefficients of this basis to another's, or to more functions of this one.
 
-        Polynomials are converted through exact powers of u and rounded once at the end.
-
-        Returns:
-            (target_count, count); None if the target does not span the functions of this basis.
+        Polynomials are converted through exact powers of u and rounded once. None if the target does not span these functions.
         """
         if self == target and self.nested:
             return np.eye(target_count, count)
@@ -150,17 +128,7 @@ def rounded_product(left: Exact, right: Exact) -> np.ndarray:
 
 @cache
 def conversion(source: Basis, target: Basis, count: int, into: int) -> np.ndarray | None:
-    """Return the matrix that converts coefficients from one basis to another; see `Basis.conversion_to`.
-
-    Args:
-        source: basis of the curve.
-        target: the other basis.
-        count: number of coefficients of the curve.
-        into: number of coefficients in the other basis, ``count`` or more.
-
-    Returns:
-        (into, count); None if the target does not span the functions of the source.
-    """
+    """Return the matrix (into, count) that converts coefficients from one basis to another, cached; see `Basis.conversion_to`."""
     matrix = source.conversion_to(count, target, into)
     return None if matrix is None else read_only(matrix)
 
@@ -188,20 +156,13 @@ NODES: Final = 400
 @final
 @dataclass(frozen=True)
 class CurveSpace:
-    """The space of functions in which one error motion is fitted.
+    """The space of functions in which one error motion is fitted."""
 
-    Attributes:
-        name: ISO 230-1 name.
-        domain: (lo, hi) mm or degrees.
-        first: index of the first orthonormal function that is not fixed by the datum.
-        count: number of functions, those before ``first`` included.
-    """
-
-    name: str
+    name: str  # ISO 230-1 name
     basis: Basis
-    domain: tuple[float, float]
-    first: int
-    count: int
+    domain: tuple[float, float]  # (lo, hi) mm or degrees
+    first: int  # index of the first orthonormal function that is not fixed by the datum
+    count: int  # number of functions, those before ``first`` included
 
     @cached_property
     def transform(self) -> np.ndarray:

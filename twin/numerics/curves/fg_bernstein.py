@@ -36,26 +36,17 @@ PAPER_HALF_ANGLE_RAD: Final = 1.57
 @final
 @dataclass(frozen=True)
 class _Bidiagonal:
-    """The factors of a collocation matrix: A = F_{m−1} … F_1 D G_1 … G_n (eq. 3 and 9; m rows, n + 1 columns, rows before columns).
+    """The factors of a collocation matrix: A = F_{m−1} … F_1 D G_1 … G_n (eq. 3 and 9; m rows, n + 1 columns, rows before columns)."""
 
-    Attributes:
-        lower: (m, n+1) multipliers of the Neville elimination of A below the diagonal, zero elsewhere.
-        pivots: (n+1,) its diagonal pivots.
-        upper: (n+1, n+1) multipliers of the elimination of Aᵀ, below the diagonal, zero elsewhere.
-    """
-
-    lower: np.ndarray
-    pivots: np.ndarray
-    upper: np.ndarray
+    lower: np.ndarray  # (m, n+1) multipliers of the Neville elimination of A below the diagonal, zero elsewhere
+    pivots: np.ndarray  # (n+1,) its diagonal pivots
+    upper: np.ndarray  # (n+1, n+1) multipliers of the elimination of Aᵀ, below the diagonal, zero elsewhere
 
     def solve(self, values: np.ndarray) -> np.ndarray:
-        """Solve A c = values for c, A square, in O(n²).
+        """Solve A c = values (n+1, d) for c, A square, in O(n²).
 
         The inverse of every factor has a checkerboard sign pattern, so that the only cancellation is that of the data: the error of c
         is at most about n roundings of |A⁻¹| |values|, high relative accuracy of each c_k if the values alternate in sign (Koev 2007).
-
-        Args:
-            values: (n+1, d).
         """
         solution = np.array(values, dtype=float)
         n = len(solution) - 1
@@ -70,22 +61,12 @@ class _Bidiagonal:
 @final
 @dataclass(frozen=True)
 class FGBernstein:
-    """An fg-Bernstein basis.
+    """An fg-Bernstein basis. Raises `InputError`: an empty domain; a degree below 0 or above MOST_DEGREE; an angle out of range."""
 
-    Attributes:
-        degree: n; there are n + 1 functions.
-        domain: (a, b) of the parameter, in its own unit.
-        kind: ``polynomial`` or ``trigonometric``.
-        half_angle_rad: Δ of the trigonometric kind, more than 0, at most 3: the parameter spans an angle of 2Δ. Not used for
-            polynomials.
-
-    Raises:
-        InputError: an empty domain; a degree below 0 or above MOST_DEGREE; an angle out of range.
-    """
-
-    degree: int
-    domain: tuple[float, float] = (0.0, 1.0)
+    degree: int  # n; there are n + 1 functions
+    domain: tuple[float, float] = (0.0, 1.0)  # (a, b) of the parameter, in its own unit
     kind: Literal["polynomial", "trigonometric"] = "polynomial"
+    # Δ of the trigonometric kind, more than 0, at most 3: the parameter spans an angle of 2Δ. Not used for polynomials.
     half_angle_rad: float = PAPER_HALF_ANGLE_RAD
 
     def __post_init__(self) -> None:
@@ -106,23 +87,11 @@ class FGBernstein:
             )
 
     def collocation(self, t: np.ndarray) -> np.ndarray:
-        """Return the values (m, n+1) of the functions at parameters (m,) in any order, each accurate to rounding.
-
-        Raises:
-            InputError: a parameter outside the domain.
-        """
+        """Return the values (m, n+1) of the functions at parameters (m,) in any order, each accurate to rounding."""
         return read_only(self._values(self._inside(t), self.degree))
 
     def derivative(self, control: np.ndarray, t: np.ndarray) -> np.ndarray:
-        """Return the first derivative (m, d) by the parameter: y' = n Σ_k (f' c_{k+1} + g' c_k) u_k^{n−1}.
-
-        Args:
-            control: (n+1, d) control points.
-            t: (m,) parameters in any order.
-
-        Raises:
-            InputError: a parameter outside the domain; a wrong number of control points.
-        """
+        """Return the first derivative (m, d) at parameters (m,) of control points (n+1, d), n Σ_k (f' c_{k+1} + g' c_k) u_k^{n−1}."""
         points, inside, n = _points(control, self.degree + 1), self._inside(t), self.degree
         if n == 0:
             return read_only(np.zeros((len(inside), points.shape[1])))
@@ -131,17 +100,13 @@ class FGBernstein:
         return read_only(n * (forward * (lower @ points[1:]) + back * (lower @ points[:-1])))
 
     def least_squares(self, t: np.ndarray, points: np.ndarray) -> np.ndarray:
-        """Return the control points (n+1, d) of the least-squares curve through points, with high relative accuracy.
+        """Return the control points (n+1, d) of the least-squares curve through points (m, d) at (m,) increasing parameters.
 
         A = B A_τ, where τ are n + 1 of the parameters and B holds the values of their Lagrange functions; these are products and so
         accurate to rounding. With well-spaced τ, B is well-conditioned (it contains the identity, so no singular value is below one).
         An ordinary QR fits B to the points, which yields the curve's values at τ; eq. 10 converts these to control points. The error
         is some roundings of |A⁺| |points|, as with the QR factorisation (Marco and Martínez 2010) that the paper uses, in O(m n²)
         operations on whole arrays.
-
-        Args:
-            t: (m,) increasing parameters.
-            points: (m, d) points.
 
         Raises:
             InputError: parameters outside the domain, not increasing, or fewer than n + 1; wrong number of points, or not finite.
@@ -251,9 +216,7 @@ class FGBernstein:
         if len(wrong):
             i = int(wrong[0])
             raise InputError(
-                "parameters must increase",
-                expected=f"more than {nodes[i]:g} after it",
-                value=float(nodes[i + 1]),
+                "parameters must increase", expected=f"more than {nodes[i]:g} after it", value=float(nodes[i + 1])
             )
         if len(nodes) < self.degree + 1:
             raise InputError(

@@ -33,7 +33,7 @@ from twin.planning.sequences import (
     reach,
     sequence_table,
 )
-from twin.standards.drift.iso230_3 import design_of
+from twin.standards.iso230_3 import design_of
 
 SCHEMA: Final = "twin.plan/1"
 MOST_MINUTES: Final = 7.0 * 24.0 * 60.0

@@ -27,16 +27,19 @@ from twin.measurement.instruments import Instrument
 from twin.measurement.observation import of_angles
 from twin.measurement.set_up import nominal_carriers
 from twin.measurement.table import Measurements
-from twin.standards.drift.iso230_3 import (
+from twin.standards.iso230_3 import (
     FIRST_S,
     AxisDesign,
+    DriftRecord,
     DriftSeries,
+    SensorMap,
     axis_design,
     drift_series,
+    is_displacement_record,
+    load_displacements,
     spread,
     turning_axis,
 )
-from twin.standards.drift.record import DriftRecord, SensorMap, is_displacement_record, load_displacements
 from twin.standards.readings import SAME_AS_MACHINE, NotPossible, reading_uncertainty_mm, rms_um
 from twin.standards.result import (
     EvaluationResult,
@@ -67,17 +70,7 @@ REMARKS: Final = (
 
 
 def rotary_test(record: DriftRecord, rows: np.ndarray, standard: str) -> StandardTest:
-    """Evaluate the test of a moving rotary axis.
-
-    Args:
-        record: the record, with the design of the axis.
-        rows: rows of the test.
-        standard: name of the standard.
-
-    Raises:
-        NotPossible: no design, a direction that was not read, fewer than three positions, positions that do not separate the
-            quantities, or no repeated cycle.
-    """
+    """Evaluate the test of a moving rotary axis."""
     if record.design is None or any(name not in record.displacement for name in DIRECTIONS):
         raise NotPossible(
             "a rotary axis moves: its test needs a measurement table of a touch probe or an R-test, with X, Y and Z at three or more "
@@ -147,7 +140,7 @@ def _fitted(
 ) -> tuple[np.ndarray, np.ndarray, float, int]:
     """Return the changes (cycles, 7), their uncertainty per that of a change of one reading (7,), and the residuals.
 
-    The last two results are the sum of squares of the residuals and the degrees of freedom.
+    The residuals are their sum of squares and the degrees of freedom.
     """
     first = np.array([values_um[np.flatnonzero(pose == number)[0]] for number in range(pose.max() + 1)])
     since = values_um - first[pose]
@@ -214,18 +207,10 @@ WORK_REMOVED: Final = "the displacement of target {} on the work, interpolated o
 def relative_displacements(
     data: Measurements, machine: Machine, instrument: Instrument | None, ambient: str
 ) -> DriftRecord:
-    """Return the displacements of the tool relative to the work.
+    """Return the displacements of the tool relative to the work, from a table whose stations are on one side.
 
     The nominal motion between the commanded positions is subtracted: for a touch probe the displacements are those of the recorded
     positions. Only changes at one pose count, so unknown places of station and target have no influence.
-
-    Args:
-        data: the table, of one side of the station.
-        instrument: instrument whose noise model gives the uncertainty where the table does not; None for unknown.
-        ambient: sensor of the ambient temperature; empty if unknown.
-
-    Raises:
-        InputError: times are missing or equal, angles or lengths instead of coordinates, stations on different sides.
     """
     _check(data)
     data = data.select(np.argsort(data.time_s, kind="stable"))
@@ -358,9 +343,6 @@ def drift_tests(record: DriftRecord, machine: Machine) -> Iterator[StandardTest]
     """Yield the tests of a record: environment, spindle, linear axes or rotary axes.
 
     Parts of the record (rounds) are separate tests if several axes move.
-
-    Raises:
-        NotPossible: several axes move in one part, or a rotary axis whose errors the record does not show.
     """
     whole = np.arange(len(record))
     try:
@@ -392,11 +374,7 @@ def _tests(record: DriftRecord, rows: np.ndarray, machine: Machine) -> list[Stan
 
 
 def _moving_axis(positions: np.ndarray, machine: Machine) -> int | None:
-    """Return the axis that moves between target positions; None if the pose stays. The linear axes may follow a rotary one.
-
-    Raises:
-        NotPossible: several axes move.
-    """
+    """Return the axis that moves between target positions; None if the pose stays. The linear axes may follow a rotary one."""
     travel = np.ptp(positions, axis=0)
     if travel.max() <= LEAST_TRAVEL:
         return None
@@ -590,8 +568,6 @@ def _noise_remark(record: DriftRecord, found: DriftSeries) -> list[str]:
 def _hours(seconds: float) -> str:
     return f"{seconds / 3600.0:.1f} h" if seconds >= 7200.0 else f"{seconds / 60.0:.0f} min"
 
-
-# --- Evaluate the thermal tests of ISO 230-3 from a file ------------------------------------------
 
 TITLE: Final = "thermal tests (ISO 230-3)"
 BUDGET: Final = (
