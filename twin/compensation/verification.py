@@ -52,16 +52,11 @@ ELSEWHERE_UM: Final = 500.0
 @final
 @dataclass(frozen=True)
 class PathDistance:
-    """Error of the tool point over a motion.
+    """Error of the tool point over a motion."""
 
-    Attributes:
-        median_um, largest_um: distance from the programmed path.
-        line, block: the line of the executed program at the largest one, and its text.
-    """
-
-    median_um: float
+    median_um: float  # median_um, largest_um: distance from the programmed path
     largest_um: float
-    line: int
+    line: int  # line, block: the line of the executed program at the largest one, and its text
     block: str
 
     def to_dict(self) -> dict[str, Any]:
@@ -146,13 +141,8 @@ def verify(
 ) -> Verification:
     """Execute a program and its compensated form on LinuxCNC.
 
-    Args:
-        user: who runs the control; the present user if empty.
-        acceleration: largest acceleration, mm/s² and °/s².
-        seconds: longest time.
-
-    Raises:
-        InputError: LinuxCNC is missing or refuses the program, or the program is none of its language or not in axis words.
+    ``user``: who runs the control; the present user if empty; ``acceleration``: largest acceleration, mm/s² and °/s². Raises
+    `InputError`: LinuxCNC is missing or refuses the program, or the program is none of its language or not in axis words.
     """
     linuxcnc.check(user)
     program, dialect = read_program(path)
@@ -251,10 +241,8 @@ def _way(program: Program, dialect: Dialect, prepared: PreparedMachine) -> tuple
 class _Course:
     """A path in the workpiece, as a polyline.
 
-    Args:
-        tips: of the machine that the path belongs to.
-        positions: (n, axes) positions along the program, between which the axes move on straight lines.
-        lengths: (n,) length of the tool with which each is reached, mm.
+    ``positions``: (n, axes) positions along the program, between which the axes move on straight lines; ``lengths``: (n,) length of the
+    tool with which each is reached, mm.
     """
 
     def __init__(self, tips: _Tips, positions: np.ndarray, lengths: np.ndarray) -> None:

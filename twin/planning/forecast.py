@@ -184,9 +184,7 @@ class Forecast(Result):
 def forecast(model: PlanModel, tool_length_mm: float | None = None) -> Forecast:
     """Predict the uncertainties that planned readings will give.
 
-    Args:
-        model: model of the readings.
-        tool_length_mm: tool length; None: that of the machine file, or 100 mm if it has none.
+    ``tool_length_mm``: tool length; None: that of the machine file, or 100 mm if it has none.
     """
     gone = {one.name for one in model.hidden}
     determined = tuple(name for name in model.unknowns.entities if name not in gone)

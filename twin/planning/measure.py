@@ -221,8 +221,7 @@ def _rival(task: SequenceTask, sequence: MeasuringSequence) -> Expectation | Non
 def judge_sequence(table: Measurements, machine: Machine) -> Expectation:
     """Return what an existing plan of a probe, R-test or ball bar determines of the constant errors.
 
-    Raises:
-        InputError: the plan has several instruments, or a station or target without a planned place.
+    Raises `InputError`: the plan has several instruments, or a station or target without a planned place.
     """
     names = dict.fromkeys(table.instrument.astype(str))
     if len(names) > 1 or not set(names) <= set(SET_UPS):
@@ -247,11 +246,7 @@ def _task(
     minutes: float,
     sizes: InstrumentSizes,
 ) -> SequenceTask:
-    """Return the task, with the defaults.
-
-    Raises:
-        InputError: an impossible number.
-    """
+    """Return the task, with the defaults. Raises `InputError`: an impossible number."""
     sizes.check()
     if len(machine.linear) != 3:
         raise InputError(

@@ -50,37 +50,24 @@ SHOWN: Final = 5
 @final
 @dataclass(frozen=True)
 class Alternative:
-    """Choice of stations for one instrument, with the criterion after a first choice of readings.
-
-    Attributes:
-        instrument: name of the instrument.
-        stations: names of the stations.
-        points: number of readings the time allows.
-        value: value of the criterion.
-        unit: unit of ``value``.
-    """
+    """Choice of stations for one instrument, with the criterion after a first choice of readings."""
 
     instrument: str
     stations: tuple[str, ...]
-    points: int
-    value: float
-    unit: str
+    points: int  # number of readings the time allows
+    value: float  # value of the criterion
+    unit: str  # unit of ``value``
 
 
 @final
 @dataclass(frozen=True)
 class Separation:
-    """Sizes at which a plan distinguishes two causes.
+    """Sizes at which a plan distinguishes two causes."""
 
-    Attributes:
-        names: names of the two causes.
-        sizes: (value, unit) smallest size of each that is distinguished from the other with odds of `ODDS`:1.
-        given_sizes: size of each as given by the user, in the same unit; NaN if none was given.
-    """
-
-    names: tuple[str, str]
+    names: tuple[str, str]  # names of the two causes
+    # (value, unit) smallest size of each that is distinguished from the other with odds of `ODDS`:1
     sizes: tuple[tuple[float, str], tuple[float, str]]
-    given_sizes: tuple[float, float]
+    given_sizes: tuple[float, float]  # size of each as given by the user, in the same unit; NaN if none was given
 
     def lines(self) -> list[str]:
         """Return the text lines: smallest distinguishable size of each cause, compared with the size given."""

@@ -43,25 +43,15 @@ FEWEST: Final = 12
 @final
 @dataclass(frozen=True)
 class Task:
-    """Task of a plan.
-
-    Attributes:
-        kit: instruments, stations, reflectors and times.
-        minutes: time budget, including set-up.
-        expected: expected size of the errors, for the prior.
-        seed: random seed.
-        progress: progress callback: stage and share done.
-        reduce: uncertainty to minimise: one of `AIMS`, or names of errors (``E_*C``).
-        first_round: number of the first round.
-    """
+    """Task of a plan."""
 
     machine: Machine
-    kit: Kit
-    minutes: float
-    expected: Calibration
-    seed: int
-    progress: Progress
-    reduce: tuple[str, ...]
+    kit: Kit  # instruments, stations, reflectors and times
+    minutes: float  # time budget, including set-up
+    expected: Calibration  # expected size of the errors, for the prior
+    seed: int  # random seed
+    progress: Progress  # progress callback: stage and share done
+    reduce: tuple[str, ...]  # uncertainty to minimise: one of `AIMS`, or names of errors (``E_*C``)
     first_round: int = 1
 
     @classmethod
@@ -77,8 +67,7 @@ class Task:
     ) -> Task:
         """Return the task; defaults are `Kit.default` and the machine file's calibration.
 
-        Raises:
-            InputError: the time budget allows too many readings, or the machine has no error of a given name.
+        Raises `InputError`: the time budget allows too many readings, or the machine has no error of a given name.
         """
         names = _names_to_minimise(machine, reduce)
         own = Kit.default(machine) if kit is None else kit
@@ -123,13 +112,7 @@ def levels_for(machine: Machine, readings: int, numbers: int, expected: Calibrat
     It is at least the number that the expected curves need: with fewer an evaluation could not represent the machine, and no
     uncertainty would include the part left out.
 
-    Args:
-        readings: number of readings.
-        numbers: coordinates per reading.
-        expected: expected errors of the machine.
-
-    Returns:
-        Number of positions, or None if no limit is needed.
+    ``readings``: number of readings. Returns: Number of positions, or None if no limit is needed.
     """
     functions = int(readings * numbers / (NUMBERS_PER_FUNCTION * len(machine.motion_names)))
     needed = max((len(curve.coefficients) for curve in expected.curves.values()), default=0)
@@ -140,8 +123,7 @@ def levels_for(machine: Machine, readings: int, numbers: int, expected: Calibrat
 def _names_to_minimise(machine: Machine, reduce: str | Sequence[str]) -> tuple[str, ...]:
     """Return the uncertainty to minimise: one of `AIMS`, or names of errors (``E_*C``).
 
-    Raises:
-        InputError: the machine has no error of a given name.
+    Raises `InputError`: the machine has no error of a given name.
     """
     patterns = (reduce,) if isinstance(reduce, str) else tuple(reduce)
     if len(patterns) == 1 and patterns[0] in AIMS:
@@ -183,10 +165,7 @@ class Aim(ABC):
 class LinearAim(Aim):
     """RMS standard uncertainty of quantities linear in the unknowns, for example of the tool point over the volume in µm.
 
-    Args:
-        derivatives: (n, k, f) with respect to the coordinates.
-        name: name of the criterion.
-        unit: unit of its value.
+    ``derivatives``: (n, k, f) with respect to the coordinates.
     """
 
     def __init__(self, derivatives: np.ndarray, name: str = "tool", unit: str = "µm") -> None:
@@ -208,8 +187,7 @@ class LinearAim(Aim):
 class DOptimality(Aim):
     """D-optimality: mean logarithm of the standard uncertainties of the machine's unknowns over all directions.
 
-    Args:
-        machine: (m, f) orthonormal rows that span the machine's unknowns in the coordinates.
+    ``machine``: (m, f) orthonormal rows that span the machine's unknowns in the coordinates.
     """
 
     name = "everything"
@@ -232,9 +210,7 @@ class DOptimality(Aim):
 class EOptimality(Aim):
     """E-optimality: largest standard uncertainty over all directions, relative to the prior.
 
-    Args:
-        machine: see `DOptimality`.
-        prior: (f, f) prior precision.
+    ``machine``: see `DOptimality`; ``prior``: (f, f) prior precision.
     """
 
     name = "weakest"
@@ -260,13 +236,8 @@ class EOptimality(Aim):
 def aim_of(model: PlanModel, names: Sequence[str], tool_length_mm: float | None) -> Aim:
     """Return the criterion, restricted to the directions that the candidate readings together determine.
 
-    Args:
-        model: model of all candidate readings.
-        names: see `Task.reduce`.
-        tool_length_mm: tool length; None: see `PlanModel.tool_length`.
-
-    Raises:
-        InputError: no reading depends on any of the named errors.
+    ``names``: see `Task.reduce`; ``tool_length_mm``: tool length; None: see `PlanModel.tool_length`. Raises `InputError`: no reading
+    depends on any of the named errors.
     """
     lost = {one.name for one in model.hidden}
     # Directions that no candidate determines keep their prior variance: project them out, or they would dominate the criterion.

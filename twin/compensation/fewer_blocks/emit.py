@@ -34,19 +34,12 @@ from twin.tool.inverse import SLACK
 @final
 @dataclass(frozen=True)
 class RunEndPoints:
-    """A run with new end points for its blocks.
+    """A run with new end points for its blocks."""
 
-    Attributes:
-        run: as found.
-        words: (m, axes) end points of the output blocks, not rounded.
-        assigned: (n,) index of the end point assigned to each block of the run, not decreasing.
-        changed: (n,) whether a block's text is rewritten.
-    """
-
-    run: Run
-    words: np.ndarray
-    assigned: np.ndarray
-    changed: np.ndarray
+    run: Run  # as found
+    words: np.ndarray  # (m, axes) end points of the output blocks, not rounded
+    assigned: np.ndarray  # (n,) index of the end point assigned to each block of the run, not decreasing
+    changed: np.ndarray  # (n,) whether a block's text is rewritten
 
     @property
     def kept(self) -> np.ndarray:
@@ -55,15 +48,10 @@ class RunEndPoints:
 
 
 class Shortened(NamedTuple):
-    """A program with fewer blocks.
+    """A program with fewer blocks."""
 
-    Attributes:
-        program: the program with rewritten runs; removed blocks are empty lines, so that line numbers are kept.
-        reading: its moves, with unrounded end points.
-    """
-
-    program: Program
-    reading: Interpretation
+    program: Program  # the program with rewritten runs; removed blocks are empty lines, so that line numbers are kept
+    reading: Interpretation  # its moves, with unrounded end points
 
 
 def shortened(
@@ -78,18 +66,9 @@ def shortened(
 ) -> Shortened:
     """Return a program with its runs of blocks replaced by fewer blocks.
 
-    Args:
-        program: as read.
-        dialect: its language.
-        reading: its moves.
-        runs: new end points of its runs.
-        prepared: machine, calibration and options.
-        posted: whether axis words are written even for tool-tip input; end points of runs are then axis positions, with straight
-            lines between them.
-        others: further moves to be rewritten rounded to their increments: index, move and words.
-
-    Raises:
-        OutputError: the number of lines changed: a defect of `twin`.
+    ``posted``: whether axis words are written even for tool-tip input; end points of runs are then axis positions, with straight lines
+    between them; ``others``: further moves to be rewritten rounded to their increments: index, move and words. Raises `OutputError`:
+    the number of lines changed: a defect of `twin`.
     """
     space, increment = prepared.space, prepared.printed_increment(dialect, posted=posted)
     by_line = {move.line: move for move in reading.moves}
@@ -187,15 +166,10 @@ LINEAR_STEP_MM: Final = 5.0
 @final
 @dataclass(frozen=True)
 class Executed:
-    """A program executed on a machine, block by block.
+    """A program executed on a machine, block by block."""
 
-    Attributes:
-        block: (n,) index of each point's move among those of the program.
-        point_mm: (n, 3) tool points in the work frame.
-    """
-
-    block: np.ndarray
-    point_mm: np.ndarray
+    block: np.ndarray  # (n,) index of each point's move among those of the program
+    point_mm: np.ndarray  # (n, 3) tool points in the work frame
 
     def without(self, blocks: np.ndarray) -> Executed:
         """Return the points without those of some moves."""
@@ -212,12 +186,7 @@ def execute_words(
 ) -> Executed:
     """Execute a program as its control would, on straight lines in words.
 
-    Args:
-        program: as read.
-        reading: its moves.
-        space: conversion between words and commands.
-        real: the machine with its errors.
-        dense: (moves,) which moves are evaluated along their whole length, not only at their end points.
+    ``dense``: (moves,) which moves are evaluated along their whole length, not only at their end points.
     """
     path = follow(program, reading, space)
     moves = path.columns.move
@@ -268,19 +237,10 @@ def points_program(
 ) -> tuple[Program, Dialect]:
     """Return a program with one straight block per point of a table, and its language.
 
-    Args:
-        path: the table: ``x_mm,y_mm,z_mm``, then nothing, dialect column ``<axis>_deg`` per rotary axis, or the tool vector ``i,j,k``;
-            ``#`` begins a comment.
-        axes: the machine's words.
-        dialects: all languages.
-        written: the language of the output.
-        feed: mm/min; None for no feed word.
-
-    Returns:
-        The program and its language: that of the output, but cutter locations for points with a tool vector.
-
-    Raises:
-        InputError: with line and value, if it is no such table; rotary axes for an output language without words for them.
+    ``path``: the table: ``x_mm,y_mm,z_mm``, then nothing, dialect column ``<axis>_deg`` per rotary axis, or the tool vector ``i,j,k``;
+    ``#`` begins a comment; ``axes``: the machine's words; ``feed``: mm/min; None for no feed word. Returns: The program and its
+    language: that of the output, but cutter locations for points with a tool vector. Raises `InputError`: with line and value, if it is
+    no such table; rotary axes for an output language without words for them.
     """
     header, lines, values = _table(path, axes)
     vectors = header[3:] == VECTOR

@@ -45,13 +45,8 @@ def distances_near(
 ) -> np.ndarray:
     """Return (n,) distances of points from a polyline, searched near each point's parameter; never too small.
 
-    Args:
-        points: (n, d).
-        at: (n,) parameter of each point, as in ``line_at``.
-        line: (m, d) vertices, m ≥ 2.
-        line_at: (m,) their parameters, not decreasing.
-        near: distance below which no closer point is searched for.
-        limit: distance with which the results are compared; if many are larger, the search ends.
+    ``points``: (n, d); ``at``: (n,) parameter of each point, as in ``line_at``; ``line``: (m, d) vertices, m ≥ 2; ``line_at``: (m,)
+    their parameters, not decreasing; ``limit``: distance with which the results are compared; if many are larger, the search ends.
     """
     here = np.clip(np.searchsorted(line_at, at, side="right") - 1, 0, len(line) - 2)
     distances_near = np.full(len(points), np.inf)
@@ -106,15 +101,10 @@ def largest_distance(
 ) -> float:
     """Return the largest distance between two polylines, from the vertices of each to the other; the caller provides dense vertices.
 
-    Args:
-        one: (n, d) vertices, n ≥ 2.
-        one_at: (n,) their parameters.
-        other: (m, d) vertices, m ≥ 2.
-        other_at: (m,) their parameters; equal at corresponding points.
-        near: as for `distances_near`.
-        limit: as for `distances_near`.
-        anywhere: whether points still beyond the limit are compared with the whole other line; otherwise the search may end at a
-            distance beyond the limit.
+    ``one``: (n, d) vertices, n ≥ 2; ``one_at``: (n,) their parameters; ``other``: (m, d) vertices, m ≥ 2; ``other_at``: (m,) their
+    parameters; equal at corresponding points; ``near``: as for `distances_near`; ``limit``: as for `distances_near`; ``anywhere``:
+    whether points still beyond the limit are compared with the whole other line; otherwise the search may end at a distance beyond the
+    limit.
     """
     worst = 0.0
     for points, at, line, line_at in ((one, one_at, other, other_at), (other, other_at, one, one_at)):
@@ -178,34 +168,22 @@ def _values(basis: FGBernstein, count: int) -> np.ndarray:
 @final
 @dataclass(frozen=True)
 class Polyline:
-    """A polyline with derived quantities that are needed repeatedly.
+    """A polyline with derived quantities that are needed repeatedly."""
 
-    Attributes:
-        words: (n, axes) its vertices.
-        at: (n,) their parameters, from 0.
-        size: (n−1,) lengths of its blocks at the tool, mm.
-        turned: (n,) sum of the bends up to and including each vertex, rad.
-        dense: ((n−1)·PARTS+1, axes) vertices and points between.
-        dense_at: their parameters.
-        dense_tool: their coordinates at the tool.
-    """
-
-    words: np.ndarray
-    at: np.ndarray
-    size: np.ndarray
-    turned: np.ndarray
-    dense: np.ndarray
-    dense_at: np.ndarray
-    dense_tool: np.ndarray
+    words: np.ndarray  # (n, axes) its vertices
+    at: np.ndarray  # (n,) their parameters, from 0
+    size: np.ndarray  # (n−1,) lengths of its blocks at the tool, mm
+    turned: np.ndarray  # (n,) sum of the bends up to and including each vertex, rad
+    dense: np.ndarray  # ((n−1)·PARTS+1, axes) vertices and points between
+    dense_at: np.ndarray  # their parameters
+    dense_tool: np.ndarray  # their coordinates at the tool
 
     @classmethod
     def of(cls, words: np.ndarray, tool: Tool, power: float = 1.0) -> Polyline:
         """Create a polyline from (n, axes) vertices, n ≥ 2, consecutive ones distinct at the tool.
 
-        Args:
-            words: the vertices.
-            tool: function from words to coordinates at the tool.
-            power: the parameter grows from vertex to vertex by the distance at the tool to this power.
+        ``tool``: function from words to coordinates at the tool; ``power``: the parameter grows from vertex to vertex by the distance
+        at the tool to this power.
         """
         share = np.arange(POINTS_PER_BLOCK) / POINTS_PER_BLOCK
         between = words[:-1, None, :] + share[:, None] * np.diff(words, axis=0)[:, None, :]
@@ -237,20 +215,13 @@ class Polyline:
 @final
 @dataclass(frozen=True)
 class CurvePiece:
-    """One fg-Bernstein curve between two vertices.
+    """One fg-Bernstein curve between two vertices."""
 
-    Attributes:
-        first, last: indices of its first and last vertex.
-        basis: its basis functions.
-        control: (degree+1, axes) control points, words.
-        fit_mm: largest distance from the polyline at the tool, in both directions.
-    """
-
-    first: int
+    first: int  # first, last: indices of its first and last vertex
     last: int
-    basis: FGBernstein
-    control: np.ndarray
-    fit_mm: float
+    basis: FGBernstein  # its basis functions
+    control: np.ndarray  # (degree+1, axes) control points, words
+    fit_mm: float  # largest distance from the polyline at the tool, in both directions
 
     @property
     def degree(self) -> int:
@@ -267,10 +238,7 @@ class CurvePiece:
 class Fitter:
     """Fits curves to one smooth stretch.
 
-    Args:
-        line: its blocks.
-        tool: function from words to coordinates at the tool.
-        allowed_mm: largest distance allowed between curve and polyline.
+    ``tool``: function from words to coordinates at the tool; ``allowed_mm``: largest distance allowed between curve and polyline.
     """
 
     def __init__(self, line: Polyline, tool: Tool, allowed_mm: float) -> None:
@@ -447,16 +415,10 @@ def few_blocks(
 ) -> tuple[np.ndarray, np.ndarray, float] | None:
     """Return the vertices, without the first, of the fewest straight blocks that stay near a polyline.
 
-    Args:
-        line: the polyline; its vertices in the words in which the blocks are straight.
-        curve: (n, axes) dense points of a curve near it in such words, with the same end points.
-        curve_at: (n,) their parameters along the line.
-        tool: function from such words to coordinates at the tool.
-        allowed_mm: largest distance allowed between blocks and polyline.
-
-    Returns:
-        (m, axes) words, the last one that of the line; (m+1,) parameters from the start; largest distance in mm. None if as many blocks
-        as the line has are needed.
+    ``curve``: (n, axes) dense points of a curve near it in such words, with the same end points; ``curve_at``: (n,) their parameters
+    along the line; ``tool``: function from such words to coordinates at the tool; ``allowed_mm``: largest distance allowed between
+    blocks and polyline. Return (m, axes) words, the last one that of the line; (m+1,) parameters from the start; largest distance in
+    mm. None if as many blocks as the line has are needed.
     """
     most = len(line.words) - 2
     sums = _demand(curve, curve_at, tool)

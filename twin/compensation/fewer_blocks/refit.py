@@ -47,40 +47,22 @@ from twin.nc.dialect import Dialect
 @final
 @dataclass(frozen=True)
 class RefitJob:
-    """The input of a refit and its results.
+    """The input of a refit and its results."""
 
-    Attributes:
-        program: as read.
-        reading: its moves.
-        path: its motions.
-        fitted: its runs.
-        shares: division of the tolerance.
-        shortened: the program with fewer blocks.
-        text: the output.
-        dialect: language of the output.
-        result: the compensation, or the posted program without one; None if there is neither.
-        compensation_requested: whether the machine's errors were to be compensated.
-    """
-
-    program: Program
-    reading: Interpretation
-    path: ToolPath
+    program: Program  # as read
+    reading: Interpretation  # its moves
+    path: ToolPath  # its motions
     fitted: tuple[RefittedRun, ...]
-    shares: ToleranceShares
-    shortened: Shortened
-    text: str
-    dialect: Dialect
-    result: Compensation | None
-    compensation_requested: bool
+    shares: ToleranceShares  # division of the tolerance
+    shortened: Shortened  # the program with fewer blocks
+    text: str  # the output
+    dialect: Dialect  # language of the output
+    result: Compensation | None  # the compensation, or the posted program without one; None if there is neither
+    compensation_requested: bool  # whether the machine's errors were to be compensated
 
 
 def account(refitter: RunRefitter, job: RefitJob) -> PathReport:
-    """Execute the output on the machine with its errors, and return the report.
-
-    Args:
-        refitter: made the fewer blocks; its prepared has the whole tolerance.
-        job: the input and the results.
-    """
+    """Execute the output on the machine with its errors, and return the report."""
     prepared, errors = refitter.prepared, refitter.prepared.calibration
     tolerance = prepared.options.tolerance_mm
     runs = tuple(_runs(refitter, job))
@@ -210,13 +192,8 @@ class Refit(Result):
 class Refitter:
     """Refits programs on one machine with one calibration.
 
-    Args:
-        calibration: its errors.
-        options: as in `twin.compensation.Options`; ``tolerance_mm`` is the whole tolerance.
-        compensated: whether the output is compensated; otherwise it is for the machine without errors.
-
-    Raises:
-        InputError: the machine cannot run programs.
+    ``options``: as in `twin.compensation.Options`; ``tolerance_mm`` is the whole tolerance; ``compensated``: whether the output is
+    compensated; otherwise it is for the machine without errors. Raises `InputError`: the machine cannot run programs.
     """
 
     def __init__(
@@ -240,16 +217,10 @@ class Refitter:
     ) -> Refit:
         """Refit one program.
 
-        Args:
-            program: as read.
-            dialect: its language.
-            progress: called with a stage and the fraction done.
-            into: the language to write; another than the program's own only for cutter locations, which are then posted.
-            printed: whether every block is written rounded to the least increments, fitted or not; used for points.
-
-        Raises:
-            InputError: the program cannot be read, or contains something that must not pass; rounding alone exceeds the tolerance.
-            OutputError: the output, read back, differs from the intended positions.
+        ``into``: the language to write; another than the program's own only for cutter locations, which are then posted; ``printed``:
+        whether every block is written rounded to the least increments, fitted or not; used for points. Raises `InputError`: the program
+        cannot be read, or contains something that must not pass; rounding alone exceeds the tolerance. Raises `OutputError`: the
+        output, read back, differs from the intended positions.
         """
         with machine_hints(self.prepared.machine, dialect, lambda line: "".join(program.texts[line - 1 : line])):
             return self._refit(program, dialect, progress, into, printed=printed)

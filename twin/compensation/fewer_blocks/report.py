@@ -30,16 +30,11 @@ PARTS: Final = ("fit", "chord", "path", "machine", "total")
 @final
 @dataclass(frozen=True)
 class UncertaintyContribution:
-    """One contribution to an uncertainty budget.
-
-    Attributes:
-        standard_um: standard uncertainty (k = 1), µm; NaN if unknown.
-        how: origin of the number.
-    """
+    """One contribution to an uncertainty budget."""
 
     name: str
-    standard_um: float
-    how: str
+    standard_um: float  # standard uncertainty (k = 1), µm; NaN if unknown
+    how: str  # origin of the number
 
     @classmethod
     def within(cls, name: str, limit_um: float, how: str) -> UncertaintyContribution:
@@ -55,55 +50,35 @@ def combined(contributions: Sequence[UncertaintyContribution]) -> float:
 @final
 @dataclass(frozen=True)
 class ToleranceShares:
-    """Division of the tolerance, µm.
+    """Division of the tolerance, µm."""
 
-    Attributes:
-        tolerance: the whole tolerance.
-        rounding: share of rounding to the least increments, of the point and of the rotary words at the lever together.
-        compensation: share of the error between block end points.
-        path: share of the path: deviation of the curve from the input and of the blocks from the curve, together.
-    """
-
-    tolerance: float
+    tolerance: float  # the whole tolerance
+    # share of rounding to the least increments, of the point and of the rotary words at the lever together
     rounding: float
-    compensation: float
-    path: float
+    compensation: float  # share of the error between block end points
+    path: float  # share of the path: deviation of the curve from the input and of the blocks from the curve, together
 
 
 @final
 @dataclass(frozen=True)
 class RunReport:
-    """Report of one run.
+    """Report of one run."""
 
-    Attributes:
-        first_line, last_line: lines of the input.
-        blocks, blocks_out: number of blocks in the input, and after refitting, before compensation.
-        corners: number of vertices kept as corners, without the end points of the run.
-        control_points: control points of all its curves; a block left unchanged counts one.
-        degrees: degrees of its curves in order, with ``t`` for a trigonometric one (an arc).
-        fit_share_um: tolerance of the curve within the share of the path.
-        fit_um: largest distance between curve and input at the tool, in both directions.
-        chord_um: largest distance between blocks and curve.
-        path_um: largest distance between blocks and input: fit and chord together.
-        machine_um: largest distance between executed path and blocks: compensation between end points and rounding together.
-        total_um: largest distance between executed path and input, in both directions; compared with the tolerance.
-        why: why it was left unchanged; empty if it was refitted.
-    """
-
-    first_line: int
+    first_line: int  # first_line, last_line: lines of the input
     last_line: int
-    blocks: int
+    blocks: int  # blocks, blocks_out: number of blocks in the input, and after refitting, before compensation
     blocks_out: int
-    corners: int
-    control_points: int
-    degrees: tuple[str, ...]
-    fit_share_um: float
-    fit_um: float
-    chord_um: float
-    path_um: float
+    corners: int  # number of vertices kept as corners, without the end points of the run
+    control_points: int  # control points of all its curves; a block left unchanged counts one
+    degrees: tuple[str, ...]  # degrees of its curves in order, with ``t`` for a trigonometric one (an arc)
+    fit_share_um: float  # tolerance of the curve within the share of the path
+    fit_um: float  # largest distance between curve and input at the tool, in both directions
+    chord_um: float  # largest distance between blocks and curve
+    path_um: float  # largest distance between blocks and input: fit and chord together
+    # largest distance between executed path and blocks: compensation between end points and rounding together
     machine_um: float
-    total_um: float
-    why: str
+    total_um: float  # largest distance between executed path and input, in both directions; compared with the tolerance
+    why: str  # why it was left unchanged; empty if it was refitted
 
 
 @final

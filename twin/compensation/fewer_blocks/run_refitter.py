@@ -43,41 +43,25 @@ POINTS_PER_BLOCK: Final = 16
 
 
 class ToleranceUse(NamedTuple):
-    """Use of the tolerance by a run's curves and blocks, the largest over its stretches.
+    """Use of the tolerance by a run's curves and blocks, the largest over its stretches."""
 
-    Attributes:
-        share_mm: tolerance of the curve.
-        fit_mm: distance between curve and input at the tool, in both directions.
-        chord_mm: distance between blocks and curve.
-        path_mm: distance between blocks and input.
-    """
-
-    share_mm: float = 0.0
-    fit_mm: float = 0.0
-    chord_mm: float = 0.0
-    path_mm: float = 0.0
+    share_mm: float = 0.0  # tolerance of the curve
+    fit_mm: float = 0.0  # distance between curve and input at the tool, in both directions
+    chord_mm: float = 0.0  # distance between blocks and curve
+    path_mm: float = 0.0  # distance between blocks and input
 
 
 @final
 @dataclass(frozen=True)
 class RefittedRun:
-    """One refitted run.
+    """One refitted run."""
 
-    Attributes:
-        end_points: new end points of its blocks.
-        shares: division of the tolerance.
-        corners: number of vertices kept as corners, without the end points of the run.
-        pieces: its curves.
-        tolerance_use: their use of the tolerance.
-        why: why it was left unchanged; empty if it was refitted.
-    """
-
-    end_points: RunEndPoints
-    shares: ToleranceShares
-    corners: int
+    end_points: RunEndPoints  # new end points of its blocks
+    shares: ToleranceShares  # division of the tolerance
+    corners: int  # number of vertices kept as corners, without the end points of the run
     pieces: tuple[CurvePiece, ...]
     tolerance_use: ToleranceUse
-    why: str
+    why: str  # why it was left unchanged; empty if it was refitted
 
     @property
     def control_points(self) -> int:
@@ -90,15 +74,9 @@ class RefittedRun:
 class RunRefitter:
     """Refits runs with fewer blocks.
 
-    Args:
-        prepared: machine, calibration and options, with the whole tolerance.
-        increment: (axes,) least increments of the output words.
-        compensated: whether a share of the tolerance is reserved for the compensation between end points.
-        posted: whether axis words are written even for tool-tip input.
-        printed: whether every block is written anew, fitted or not.
-
-    Raises:
-        InputError: rounding alone exceeds the tolerance.
+    ``increment``: (axes,) least increments of the output words; ``compensated``: whether a share of the tolerance is reserved for the
+    compensation between end points; ``posted``: whether axis words are written even for tool-tip input; ``printed``: whether every
+    block is written anew, fitted or not. Raises `InputError`: rounding alone exceeds the tolerance.
     """
 
     def __init__(
@@ -123,8 +101,7 @@ class RunRefitter:
     def shares(self, turning: bool) -> ToleranceShares:
         """Return the division of the tolerance; ``turning``: for runs that turn rotary axes.
 
-        Raises:
-            InputError: rounding alone exceeds the tolerance.
+        Raises `InputError`: rounding alone exceeds the tolerance.
         """
         half = self.increment / 2.0
         half[3:] = np.radians(half[3:]) * self.lever if turning else 0.0

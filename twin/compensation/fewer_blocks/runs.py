@@ -32,17 +32,11 @@ SAME_MM: Final = 1e-9
 @final
 @dataclass(frozen=True)
 class Run:
-    """Consecutive blocks of a run.
+    """Consecutive blocks of a run."""
 
-    Attributes:
-        motions: their indices in ``ToolPath.motions``, in order.
-        lines: index of each block's line in the program.
-        words: (n+1, axes) start of the first block, and end points of all.
-    """
-
-    motions: range
-    lines: tuple[int, ...]
-    words: np.ndarray
+    motions: range  # their indices in ``ToolPath.motions``, in order
+    lines: tuple[int, ...]  # index of each block's line in the program
+    words: np.ndarray  # (n+1, axes) start of the first block, and end points of all
 
 
 def find_runs(program: Program, dialect: Dialect, path: ToolPath, space: WordSpace) -> list[Run]:
@@ -85,9 +79,8 @@ def corners(line: Polyline, allowed_mm: float) -> list[int]:
     Third, a neighbouring block is so long that it is a line of its own. The smooth path, tangent to both blocks, misses the vertex by ¼
     of the shorter block times the sine of half the bend.
 
-    Args:
-        line: the run; bends of blocks that are not straight at the tool are measured between their end directions.
-        allowed_mm: largest distance allowed between curve and run.
+    ``line``: the run; bends of blocks that are not straight at the tool are measured between their end directions; ``allowed_mm``:
+    largest distance allowed between curve and run.
     """
     size = line.size
     way = np.diff(line.dense_tool, axis=0)

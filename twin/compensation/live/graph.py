@@ -45,15 +45,10 @@ REGION: Final = 2.0
 @final
 @dataclass(frozen=True)
 class Damping:
-    """Damping of the turn of the rotary axes near singular positions.
+    """Damping of the turn of the rotary axes near singular positions."""
 
-    Attributes:
-        factor: λ₀.
-        region: ε, the singular value from which the orientation is corrected in full.
-    """
-
-    factor: float
-    region: float
+    factor: float  # λ₀
+    region: float  # ε, the singular value from which the orientation is corrected in full
 
     @classmethod
     def for_tilt(cls, largest_rad: float) -> Damping:
@@ -69,19 +64,8 @@ class LiveCorrection:
     All positions are metres and radians, axes in command order. ``channels`` are the directions of approach (axes,), then ``plain``,
     then the outputs of the lags (``histories``).
 
-    Args:
-        calibration: its errors are corrected.
-        plain: names of the channels that the control must supply.
-        damping: damping near singular positions.
-
-    Attributes:
-        machine: the machine.
-        calibration: as given.
-        errors: CasADi function (positions, channels) → errors (6·frames,).
-        histories: effects whose value depends on what the machine did before.
-
-    Raises:
-        InputError: a machine without three linear axes, or with more than two rotary ones.
+    ``errors``: CasADi function (positions, channels) → errors (6·frames,). Raises `InputError`: a machine without three linear axes, or
+    with more than two rotary ones.
     """
 
     def __init__(self, calibration: Calibration, plain: Sequence[str], damping: Damping) -> None:

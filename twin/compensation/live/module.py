@@ -39,32 +39,19 @@ REVERSAL_MM: Final = 0.001
 @final
 @dataclass(frozen=True)
 class SuppliedChannel:
-    """A channel that the control supplies.
+    """A channel that the control supplies."""
 
-    Attributes:
-        name: as effects use it: ``T_X_degC``, ``spindle_rpm``, ``time_s``, ``load_kg``.
-        pin: name of the pin, without the prefix.
-        unit: of the pin.
-        start: value while nothing is connected.
-        low, high: of a value beyond, the last one within is used, and the pin ``out-of-range`` reports it.
-        rate: largest change per second while the correction is on: a sensor that fails must not make the axes jump.
-    """
-
-    name: str
-    pin: str
-    unit: str
-    start: float
-    low: float
+    name: str  # as effects use it: ``T_X_degC``, ``spindle_rpm``, ``time_s``, ``load_kg``
+    pin: str  # name of the pin, without the prefix
+    unit: str  # of the pin
+    start: float  # value while nothing is connected
+    low: float  # low, high: of a value beyond, the last one within is used, and the pin ``out-of-range`` reports it
     high: float
-    rate: float
+    rate: float  # largest change per second while the correction is on: a sensor that fails must not make the axes jump
 
 
 def channel_of(name: str) -> SuppliedChannel:
-    """Return the pin of a channel.
-
-    Raises:
-        InputError: a channel that has no pin.
-    """
+    """Return the pin of a channel. Raises `InputError`: a channel that has no pin."""
     if is_temperature(name):
         return SuppliedChannel(name, f"temperature-{sensor_of(name)}", "degC", 20.0, 0.0, 60.0, 0.2)
     known = {
@@ -84,8 +71,7 @@ def channel_of(name: str) -> SuppliedChannel:
 def channels_of(live: LiveCorrection) -> tuple[SuppliedChannel, ...]:
     """Return the pins that a correction needs, each with the range over which all of its errors are known.
 
-    Raises:
-        InputError: a channel that has no pin.
+    Raises `InputError`: a channel that has no pin.
     """
     found = []
     for one in map(channel_of, live.plain):
@@ -95,13 +81,7 @@ def channels_of(live: LiveCorrection) -> tuple[SuppliedChannel, ...]:
 
 
 def c_file(live: LiveCorrection, largest: np.ndarray, header: Sequence[str]) -> str:
-    """Return the C file.
-
-    Args:
-        live: the correction.
-        largest: (axes,) bound of the correction of every axis, metres and radians.
-        header: lines of the comment at the head.
-    """
+    """Return the C file; ``largest``: (axes,) bound of the correction of every axis, metres and radians."""
     own = resources.files("twin.compensation.live").joinpath("module.c").read_text(encoding="utf-8")
     comment = ["/*", *(f" * {line.replace('*/', '* /')}".rstrip() for line in header), " */"]
     return "\n".join([*comment, _numbers(live, largest), _generated(live), own])

@@ -52,9 +52,7 @@ def setup_notes(prepared: PreparedMachine, *, all_tcp: bool, any_tcp: bool) -> I
 def condition_notes(prepared: PreparedMachine, by_block: str) -> Iterator[LineNote]:
     """Yield notes on temperatures and time: values that no effect uses, and effects that still change considerably.
 
-    Args:
-        prepared: machine, calibration and options.
-        by_block: the conditions that changed during the program, in words; empty if none did.
+    ``by_block``: the conditions that changed during the program, in words; empty if none did.
     """
     conditions = prepared.options.conditions
     if by_block:
@@ -129,12 +127,7 @@ class _Sampled(NamedTuple):
 
 @final
 class CompensationAccount:
-    """Builds the report of one compensated program.
-
-    Args:
-        prepared: machine, calibration and options.
-        source: the program's name.
-    """
+    """Builds the report of one compensated program; ``source``: the program's name."""
 
     def __init__(self, prepared: PreparedMachine, source: str) -> None:
         self._prepared, self._source = prepared, source
@@ -192,13 +185,8 @@ class CompensationAccount:
     ) -> Report:
         """Return the report of everything added so far.
 
-        Args:
-            lines: number of lines of the program.
-            moves: number of its moves.
-            notices: notices of the program reader.
-            unknown: blocks that go to unknown places.
-            text_of: function that returns the text of a line by its number.
-            frames: work offsets and tools of the program, if their tables are known.
+        ``lines``: number of lines of the program; ``moves``: number of its moves; ``text_of``: function that returns the text of a line
+        by its number; ``frames``: work offsets and tools of the program, if their tables are known.
         """
         prepared, options = self._prepared, self._prepared.options
         notes = tuple(self._notes(notices))
@@ -280,10 +268,7 @@ class CompensationAccount:
     def _compare(self, points: SimulatedPoints, pieces: Pieces, lines: np.ndarray, first: int) -> None:
         """Simulate points with nominal and with written commands, and add the deviations to the tallies.
 
-        Args:
-            pieces: the stretch they belong to.
-            lines: (motions,) line number of each motion.
-            first: number of the stretch's first motion within the program.
+        ``lines``: (motions,) line number of each motion; ``first``: number of the stretch's first motion within the program.
         """
         comparison = pieces.prepared.comparison
         found = comparison.totals(points.nominal, points.written, points.nominal_sides, points.written_sides)
@@ -429,12 +414,7 @@ def _uncertainty(tool: ToolUncertainty, pieces: Pieces, rows: Rows) -> np.ndarra
 
 
 def _class_errors(name: str, samples: Sequence[_Sampled]) -> tuple[np.ndarray, np.ndarray]:
-    """Return the errors of one class at sampled poses: of the point (µm) and of the tool axis (µrad).
-
-    Args:
-        name: the class.
-        samples: the poses.
-    """
+    """Return the errors of one class at sampled poses: of the point (µm) and of the tool axis (µrad)."""
     point_um, axis_urad = [np.zeros(0)], [np.zeros(0)]
     for aim, commands, approach, nominal in samples:
         reached = aim.by_class[name].forward(commands, approach)

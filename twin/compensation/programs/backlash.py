@@ -50,16 +50,10 @@ LEAST_REVERSAL: Final = 1.5
 class Backlash:
     """The reversal values of a calibration, less those corrected by the control itself.
 
-    Args:
-        calibration: the machine's errors; only its reversals are used, and tables of the control that differ by direction.
-
-    Attributes:
-        size: (axes,) reversal value of each axis, mm and degrees; 0 if it has none or the control corrects it.
-        axes: indices of the axes that have one, or on whose direction an empirical effect depends; such an effect changes at once when
-            the axis reverses.
-
-    Raises:
-        InputError: a table of the control in which the difference between both directions varies along the axis.
+    ``calibration``: the machine's errors; only its reversals are used, and tables of the control that differ by direction. ``size``:
+    (axes,) reversal value of each axis, mm and degrees; 0 if it has none or the control corrects it; ``axes``: indices of the axes that
+    have one, or on whose direction an empirical effect depends; such an effect changes at once when the axis reverses. Raises
+    `InputError`: a table of the control in which the difference between both directions varies along the axis.
     """
 
     def __init__(self, calibration: Calibration) -> None:
@@ -88,10 +82,8 @@ class Backlash:
     def sides(self, path: ToolPath, motion: np.ndarray, commands: np.ndarray) -> np.ndarray:
         """Return the (n, axes) approach directions, from −1 to +1, that result from commands given one after the other.
 
-        Args:
-            path: the program they belong to, for lines between its motions that are passed through.
-            motion: (n,) index of the motion each belongs to, ascending.
-            commands: (n, axes) mm and degrees.
+        ``path``: the program they belong to, for lines between its motions that are passed through; ``motion``: (n,) index of the
+        motion each belongs to, ascending; ``commands``: (n, axes) mm and degrees.
         """
         return ApproachTracker(self, path).after(motion, commands)
 
@@ -102,9 +94,8 @@ class Backlash:
     def commanded_sides(self, path: ToolPath, motion: np.ndarray, intended: np.ndarray) -> np.ndarray:
         """Return the sides to command for, from the intended axis positions; arguments as for `sides`.
 
-        Returns:
-            (n, axes) +1, −1 or 0 on the way to each position. It changes directly after the extreme point of a reversal, the last one
-            of equal points.
+        Return (n, axes) +1, −1 or 0 on the way to each position. It changes directly after the extreme point of a reversal, the last
+        one of equal points.
         """
         commanded_sides = np.zeros(intended.shape)
         for axis in self.axes:
@@ -115,12 +106,7 @@ class Backlash:
 
 @final
 class ApproachTracker:
-    """Approach directions that result from commands given one after the other, in one portion or several.
-
-    Args:
-        backlash: the reversal values.
-        path: the program, for lines between its motions that are passed through.
-    """
+    """Approach directions that result from commands given one after the other, in one portion or several."""
 
     def __init__(self, backlash: Backlash, path: ToolPath) -> None:
         self._backlash, self._passages = backlash, path.passages
@@ -151,16 +137,9 @@ def _play(
     A step moves the position and stops it at the ends: x → min(high, max(low, x + shift)). Steps one after the other are again of this
     form, so those of 1, 2, 4, … steps are made of those of half as many, for all positions at once (Hillis and Steele, 1986).
 
-    Args:
-        way: (n,) positions, NaN if unknown.
-        width: width of the play, in the same unit.
-        start: position before the first, NaN if unknown.
-        begun: position within the play there.
-        reached: the end of the play last reached there.
-
-    Returns:
-        (n,) from −1 to +1, changing over a distance of ``width``; 0 until the axis moves, and again where its position is unknown. (n,)
-        +1, −1, or 0 before it has reached either end.
+    ``way``: (n,) positions, NaN if unknown; ``start``: position before the first, NaN if unknown. Return (n,) from −1 to +1, changing
+    over a distance of ``width``; 0 until the axis moves, and again where its position is unknown. (n,) +1, −1, or 0 before it has
+    reached either end.
     """
     step = np.diff(way, prepend=start)
     moves = np.flatnonzero(step != 0.0)  # gaps are NaN, and unequal to zero

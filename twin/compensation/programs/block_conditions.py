@@ -37,31 +37,20 @@ STANDING_STILL: Final = 1e-9
 @final
 @dataclass(frozen=True)
 class BlockConditions:
-    """Channels at every place of every motion, by the time at which the tool is there.
+    """Channels at every place of every motion, by the time at which the tool is there."""
 
-    Attributes:
-        names: names of the channels, as in `Kinematics.by_pose`.
-        begin_s: (motions,) when each begins.
-        duration_s: (motions,) how long each takes.
-        time_s: (moments,) increasing.
-        values: (moments, channels); linear between the moments, except a speed, which is that of the time up to its moment.
-        source: time, speeds and temperatures over the program, and where they are from, in words.
-    """
-
-    names: tuple[str, ...] = ()
-    begin_s: np.ndarray = field(default_factory=lambda: np.zeros(0))
-    duration_s: np.ndarray = field(default_factory=lambda: np.zeros(0))
-    time_s: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    names: tuple[str, ...] = ()  # names of the channels, as in `Kinematics.by_pose`
+    begin_s: np.ndarray = field(default_factory=lambda: np.zeros(0))  # (motions,) when each begins
+    duration_s: np.ndarray = field(default_factory=lambda: np.zeros(0))  # (motions,) how long each takes
+    time_s: np.ndarray = field(default_factory=lambda: np.zeros(0))  # (moments,) increasing
+    # (moments, channels); linear between the moments, except a speed, which is that of the time up to its moment
     values: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
-    source: str = ""
+    source: str = ""  # time, speeds and temperatures over the program, and where they are from, in words
 
     def at(self, sides: np.ndarray, motion: np.ndarray, fraction: np.ndarray) -> np.ndarray:
         """Return (n, axes + channels) directions of approach and channels, as `Kinematics.directed` describes.
 
-        Args:
-            sides: (n, axes) directions of approach.
-            motion: (n,) motion of each.
-            fraction: (n,) fraction of that motion.
+        ``sides``: (n, axes) directions of approach; ``motion``: (n,) motion of each; ``fraction``: (n,) fraction of that motion.
         """
         if not self.names:
             return sides
@@ -114,16 +103,9 @@ def block_conditions(
 ) -> BlockConditions:
     """Return the conditions of every motion of a program.
 
-    Args:
-        program: as read.
-        dialect: its language.
-        path: its motions.
-        spaces: conversion between its words and commands, each from a motion (its index) on.
-        calibration: the machine's errors.
-        conditions: the conditions, by block where `Conditions.by_block` says so.
-
-    Raises:
-        InputError: a feed, a speed, or a part of the log is missing; the error names the line or the times.
+    ``spaces``: conversion between its words and commands, each from a motion (its index) on; ``calibration``: the machine's errors;
+    ``conditions``: the conditions, by block where `Conditions.by_block` says so. Raises `InputError`: a feed, a speed, or a part of the
+    log is missing; the error names the line or the times.
     """
     names = channels_by_block(calibration, conditions)
     if not names:
@@ -152,8 +134,7 @@ def block_conditions(
 def durations_s(source: str, said: Technology, path: ToolPath, spaces: Sequence[tuple[int, WordSpace]]) -> np.ndarray:
     """Return (motions,) the time of every motion in seconds; that of one with an unknown start is zero.
 
-    Raises:
-        InputError: a feed motion without a feed.
+    Raises `InputError`: a feed motion without a feed.
     """
     columns = path.columns
     ends = [*(begin for begin, _ in spaces[1:]), len(columns)]
@@ -210,15 +191,7 @@ def _way(path: ToolPath) -> np.ndarray:
 class _Course:
     """Channels in the order of time: at the rows of the log, then at beginning, end and between these of every motion.
 
-    Args:
-        source: name of the program.
-        said: its feeds and speeds.
-        columns: its motions.
-        times: when they begin and end.
-        required: channels that the effects need.
-
-    Attributes:
-        time_s: (n,) the moments.
+    ``time_s``: (n,) the moments.
     """
 
     def __init__(
@@ -240,11 +213,7 @@ class _Course:
         self._check_log()
 
     def state(self) -> dict[str, np.ndarray]:
-        """Return the channels at the moments.
-
-        Raises:
-            InputError: the speed before or during the program is unknown.
-        """
+        """Return the channels at the moments. Raises `InputError`: the speed before or during the program is unknown."""
         state: dict[str, np.ndarray] = {
             name: np.full(len(self.time_s), value) for name, value in self._conditions.channels.items()
         }

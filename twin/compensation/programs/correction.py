@@ -162,19 +162,12 @@ ARC_POINTS: Final = 64
 @final
 @dataclass(frozen=True)
 class Corrected:
-    """A corrected program, or a stretch of it.
+    """A corrected program, or a stretch of it."""
 
-    Attributes:
-        pieces: the program cut into pieces.
-        path_errors: the errors between their end points.
-        rows: the commands at the end points.
-        context: number of its first motions that belong to the stretch before.
-    """
-
-    pieces: Pieces
-    path_errors: PathErrors
-    rows: Rows
-    context: int
+    pieces: Pieces  # the program cut into pieces
+    path_errors: PathErrors  # the errors between their end points
+    rows: Rows  # the commands at the end points
+    context: int  # number of its first motions that belong to the stretch before
 
     @cached_property
     def lines(self) -> np.ndarray:
@@ -221,10 +214,7 @@ def new_positions(stretches: Sequence[Corrected], moves: int, axes: int) -> NewP
 
     They have shares of the moves' time where moves are inserted that take up backlash.
 
-    Args:
-        stretches: consecutive stretches.
-        moves: number of moves.
-        axes: number of words per position.
+    ``moves``: number of moves; ``axes``: number of words per position.
     """
     first, count = np.zeros((2, moves), dtype=int)
     begin = 0
@@ -254,14 +244,9 @@ def _shares(found: Corrected) -> np.ndarray:
 def correct(pieces: Pieces, progress: Progress, *, context: int = 0, before: EndState | None = None) -> Corrected:
     """Solve all blocks, and split those whose error between end points exceeds the tolerance.
 
-    Args:
-        pieces: the program, or a stretch of it.
-        progress: called with a stage and the fraction done.
-        context: number of its first motions that belong to the stretch before.
-        before: end of that stretch, if none of its motions is among the pieces.
-
-    Raises:
-        InputError: a position that the calibration does not cover; an arc that cannot be compensated as a whole.
+    ``context``: number of its first motions that belong to the stretch before; ``before``: end of that stretch, if none of its motions
+    is among the pieces. Raises `InputError`: a position that the calibration does not cover; an arc that cannot be compensated as a
+    whole.
     """
     prepared, lines = pieces.prepared, pieces.path.columns.line + 1
     commands = pieces.space.commands(pieces.end[context:], pieces.tcp[context:])

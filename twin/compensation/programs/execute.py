@@ -171,15 +171,9 @@ def execute(
 ) -> Execution:
     """Execute a program as its control would: straight lines in words between blocks, also for rapids.
 
-    Args:
-        path: its motions (`twin.compensation.programs.follow`).
-        space: conversion from words to commands on the machine without errors.
-        real: the machine with errors, the same tool length, and the temperatures and time its effects need.
-        conditions: those of every motion.
-        context: number of first motions that belong to the section before.
-
-    Raises:
-        InputError: a position within the axis's range that its error motions do not cover.
+    ``path``: its motions (`twin.compensation.programs.follow`); ``real``: the machine with errors, the same tool length, and the
+    temperatures and time its effects need; ``context``: number of first motions that belong to the section before. Raises `InputError`:
+    a position within the axis's range that its error motions do not cover.
     """
     fractions = [_fractions(motion) for motion in path.motions]
     words, of = path.dense(fractions)
@@ -212,11 +206,7 @@ def execute(
 def _gaps(path: ToolPath, space: WordSpace, positions: np.ndarray, ends: np.ndarray) -> np.ndarray:
     """Return (n,) whether a point is the first one of a motion that does not begin where the motion before ended.
 
-    Args:
-        path: the motions.
-        space: conversion from words to commands.
-        positions: (n, axes) commands of the points.
-        ends: (n,) whether a point is the end point of its motion.
+    ``positions``: (n, axes) commands of the points; ``ends``: (n,) whether a point is the end point of its motion.
     """
     begins = space.simulated_commands(path.columns.start, path.columns.tcp)
     distance = np.abs(begins[1:] - positions[ends][:-1]).max(axis=1)

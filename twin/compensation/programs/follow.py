@@ -53,14 +53,7 @@ TextOf = Callable[[int], str]
 def follow(program: Program, reading: Interpretation, space: WordSpace, found: Sequence[Section] = ()) -> ToolPath:
     """Return a program as motions with known end points.
 
-    Args:
-        program: as read.
-        reading: its moves.
-        space: conversion from words to commands.
-        found: its sections, with conversions of their own.
-
-    Raises:
-        InputError: a feed move from or to a position the program has not given, or a tool vector the machine cannot reach.
+    Raises `InputError`: a feed move from or to a position the program has not given, or a tool vector the machine cannot reach.
     """
     follower = Follower(program.source, space)
     follower.enter(found)
@@ -82,14 +75,8 @@ def motionless(source: str, unknown: Sequence[LostBlock] = ()) -> InputError:
 class Follower:
     """Converts a program's moves to motions, in one stretch or several, tracking the position of every axis.
 
-    Args:
-        source: the program's name.
-        space: conversion from words to commands.
-
-    Attributes:
-        notices: notices on lines that move axes but are passed through unchanged, and on assumptions, so far.
-        passages: axis positions after lines between motions, so far.
-        unknown: blocks that go to unknown places, so far.
+    ``source``: the program's name. ``notices``: notices on lines that move axes but are passed through unchanged, and on assumptions,
+    so far.
     """
 
     def __init__(self, source: str, space: WordSpace) -> None:
@@ -123,12 +110,7 @@ class Follower:
     def columns(self, moves: MoveColumns, left: Sequence[LostPositions], text_of: TextOf) -> MotionColumns:
         """Return the motions of the next moves; consecutive plain ones are converted together.
 
-        Args:
-            left: lines among them that leave axes at unknown positions.
-            text_of: function that returns the text of a line.
-
-        Raises:
-            InputError: as for `follow`.
+        ``text_of``: function that returns the text of a line. Raises `InputError`: as for `follow`.
         """
         self._left = [*left[::-1], *self._left]
         if np.any(moves.by_vector):
@@ -320,11 +302,8 @@ class Follower:
     def _unknown_position(self, move: Move, end: np.ndarray, unmoved: np.ndarray, text_of: TextOf) -> None:
         """Pass a move to an unknown position through.
 
-        Args:
-            unmoved: (axes,) which axes it leaves, or names by an increment, where something has moved them.
-
-        Raises:
-            InputError: an arc: its centre, as written, would not suit a corrected start.
+        ``unmoved``: (axes,) which axes it leaves, or names by an increment, where something has moved them. Raises `InputError`: an
+        arc: its centre, as written, would not suit a corrected start.
         """
         space = self._space
         missing = unmoved | (np.isnan(end) & (np.arange(len(end)) < 3))
@@ -383,8 +362,7 @@ STANDS_DEG: Final = 0.01
 class FrameSpaces:
     """Conversions of words in the frames of one machine.
 
-    Args:
-        base: conversion with the tables of work offsets and tools; its tool length applies where they do not say one.
+    ``base``: conversion with the tables of work offsets and tools; its tool length applies where they do not say one.
     """
 
     def __init__(self, base: WordSpace) -> None:
@@ -401,13 +379,8 @@ class FrameSpaces:
     def of(self, frame: WordFrame, source: str, line: int, standing_deg: np.ndarray) -> WordSpace:
         """Return the conversion of words in a frame; the same object for equal work offsets and tool lengths.
 
-        Args:
-            source: name of the program, for messages.
-            line: line of its first move in this frame.
-            standing_deg: (rotary axes,) commands of the rotary axes before it.
-
-        Raises:
-            InputError: an unknown work offset or tool; a tilted plane that the machine cannot reach.
+        ``standing_deg``: (rotary axes,) commands of the rotary axes before it. Raises `InputError`: an unknown work offset or tool; a
+        tilted plane that the machine cannot reach.
         """
         base, setup, length = self._base, self._base.setup, self._base.tool_length_mm
         tools = setup.tools
@@ -478,8 +451,7 @@ class FrameSpaces:
     def _rotary(self, space: WordSpace, plane: Plane, standing_deg: np.ndarray, source: str, line: int) -> np.ndarray:
         """Return the commands of the rotary axes for a plane, rounded to their least increments where the control positions them.
 
-        Raises:
-            InputError: the machine does not reach it, or does not stand at it.
+        Raises `InputError`: the machine does not reach it, or does not stand at it.
         """
         if plane.read_deg is not None:
             other = space.tool_axes(np.array(plane.read_deg)) @ space.tool_axes(np.zeros(len(plane.read_deg))).T
@@ -536,17 +508,12 @@ def _carried_on(named: np.ndarray, before: np.ndarray) -> np.ndarray:
 @final
 @dataclass(frozen=True)
 class Section:
-    """Lines of a program in the same frame.
+    """Lines of a program in the same frame."""
 
-    Attributes:
-        line: 0-based index of the first line.
-        space: conversion of its words, with its work offset and tool.
-        assumed_offset: name of the work offset in force before the program selects one; empty without a table of them.
-    """
-
-    line: int
+    line: int  # 0-based index of the first line
     frame: WordFrame
-    space: WordSpace
+    space: WordSpace  # conversion of its words, with its work offset and tool
+    # name of the work offset in force before the program selects one; empty without a table of them
     assumed_offset: str = ""
 
 
@@ -554,13 +521,7 @@ class Section:
 class Sections:
     """The sections of a program, found part by part.
 
-    Args:
-        base: conversion of words, with the tables of work offsets and tools.
-        source: name of the program, for messages.
-
-    Attributes:
-        found: the sections so far; none before the first move.
-        selects: whether the program selects frames: it has a table of work offsets or tools, or a frame that changes.
+    ``selects``: whether the program selects frames: it has a table of work offsets or tools, or a frame that changes.
     """
 
     def __init__(self, base: WordSpace, source: str) -> None:
@@ -578,11 +539,7 @@ class Sections:
     def add(self, moves: MoveColumns, changes: Sequence[FrameChange]) -> list[Section]:
         """Return the sections that begin among the next moves.
 
-        Args:
-            changes: the lines among them that change the frame.
-
-        Raises:
-            InputError: a work offset or a tool that is not in its table.
+        Raises `InputError`: a work offset or a tool that is not in its table.
         """
         self.selects = self.selects or bool(changes)
         known, new = ~moves.passes, len(self.found)
@@ -618,20 +575,13 @@ def _standing(positions: np.ndarray, first: np.ndarray, base: WordSpace) -> np.n
 @final
 @dataclass(frozen=True)
 class SectionMotions:
-    """The motions of a section, or of a part of it.
+    """The motions of a section, or of a part of it."""
 
-    Attributes:
-        space: conversion of the section's words.
-        path: the motions, after ``context`` motions of the section before in the words of this one.
-        begin, end: the range of its own motions among those given.
-        context: 1, or 0 if no other section is before.
-    """
-
-    space: WordSpace
-    path: ToolPath
-    begin: int
+    space: WordSpace  # conversion of the section's words
+    path: ToolPath  # the motions, after ``context`` motions of the section before in the words of this one
+    begin: int  # begin, end: the range of its own motions among those given
     end: int
-    context: int
+    context: int  # 1, or 0 if no other section is before
 
 
 def motions_of(
@@ -639,11 +589,7 @@ def motions_of(
 ) -> list[SectionMotions]:
     """Return the motions of every section that has any.
 
-    Args:
-        space: conversion of words before the first section.
-        found: the sections that begin among these motions.
-        path: the motions of a program, or of a part of it.
-        last: of a part, the last motion of the part before, and the conversion of its words.
+    ``last``: of a part, the last motion of the part before, and the conversion of its words.
     """
     cuts = np.searchsorted(path.columns.line, [section.line for section in found]).tolist()
     parts: list[SectionMotions] = []
@@ -667,12 +613,7 @@ def motions_of(
 
 
 def replace_first(path: ToolPath, before: WordSpace, space: WordSpace) -> ToolPath:
-    """Return a path whose first motion has no length: it stays on its end point, in words of another conversion.
-
-    Args:
-        before: conversion of its first motion.
-        space: conversion of the other motions.
-    """
+    """Return a path whose first motion has no length: it stays on its end point, in words of another conversion."""
     columns = path.columns
     mode = columns.tcp[:1]
     end = space.words(before.commands(columns.end[:1], mode), mode)

@@ -83,17 +83,12 @@ class ProgramOutcome(Result):
 @final
 @dataclass(frozen=True)
 class ProgramTask:
-    """One program to compensate.
+    """One program to compensate."""
 
-    Attributes:
-        program: its path on the requesting computer.
-        output: where to write it there.
-        data: the program's content for a worker on another computer; None for a worker that reads and writes these files itself; an
-            error if the program cannot be read.
-    """
-
-    program: Path
-    output: Path
+    program: Path  # its path on the requesting computer
+    output: Path  # where to write it there
+    # the program's content for a worker on another computer; None for a worker that reads and writes these files itself; an error if
+    # the program cannot be read
     data: bytes | InputError | None
 
 
@@ -108,17 +103,12 @@ class ProgramAnswer(NamedTuple):
 @final
 @dataclass(frozen=True)
 class ProgramCompensator:
-    """Machine, calibration and options common to all programs.
+    """Machine, calibration and options common to all programs."""
 
-    Attributes:
-        machine, calibration, options: see `Compensator`.
-        programs: number of programs: many short ones are worth compiled code as one long program is.
-    """
-
-    machine: Machine
+    machine: Machine  # machine, calibration, options: see `Compensator`
     calibration: Calibration
     options: Options
-    programs: int
+    programs: int  # number of programs: many short ones are worth compiled code as one long program is
 
     def __getstate__(self) -> dict[str, Any]:
         """Return the state to pickle: the attributes without cached objects."""
@@ -163,9 +153,8 @@ class ProgramCompensator:
 def outputs(programs: Sequence[Path], folder: Path) -> dict[Path, Path]:
     """Return the output path of each program: its own name in the folder.
 
-    Raises:
-        InputError: two programs have the same name; the folder contains the programs themselves, is a file, or cannot be made or
-            written.
+    Raises `InputError`: two programs have the same name; the folder contains the programs themselves, is a file, or cannot be made or
+    written.
     """
     program_suffixes = {suffix for dialect in DIALECTS for suffix in dialect.suffixes}
     if not folder.is_dir() and (folder.exists() or folder.suffix.lower() in program_suffixes):

@@ -22,17 +22,11 @@ POSES_ON_LINES: Final = 400_000
 @final
 @dataclass(frozen=True)
 class Samples:
-    """Dense points inside the pieces of legs, at fractions (k + ½)/n of each piece.
+    """Dense points inside the pieces of legs, at fractions (k + ½)/n of each piece."""
 
-    Attributes:
-        leg: (pieces,) leg of each piece.
-        number: (pieces,) index of the piece within its leg.
-        points: (pieces,) number of points n of each piece.
-    """
-
-    leg: np.ndarray
-    number: np.ndarray
-    points: np.ndarray
+    leg: np.ndarray  # (pieces,) leg of each piece
+    number: np.ndarray  # (pieces,) index of the piece within its leg
+    points: np.ndarray  # (pieces,) number of points n of each piece
 
     @cached_property
     def piece(self) -> np.ndarray:
@@ -46,29 +40,20 @@ class Samples:
 
 
 class EndState(NamedTuple):
-    """End of a stretch of a program, at which the next one begins.
+    """End of a stretch of a program, at which the next one begins."""
 
-    Attributes:
-        words: (axes,) nominal words.
-        tcp: whether these are tool-tip coordinates.
-        exact, printed: (axes,) compensated words before and after rounding.
-        uncorrected: whether the position is left uncorrected.
-    """
-
-    words: np.ndarray
-    tcp: bool
-    exact: np.ndarray
+    words: np.ndarray  # (axes,) nominal words
+    tcp: bool  # whether these are tool-tip coordinates
+    exact: np.ndarray  # exact, printed: (axes,) compensated words before and after rounding
     printed: np.ndarray
-    uncorrected: bool
+    uncorrected: bool  # whether the position is left uncorrected
 
 
 @final
 class PathErrors:
     """Errors of a program, or of a stretch of it, between the end points of its pieces.
 
-    Args:
-        pieces: the program cut into pieces.
-        before: end of the stretch before; None if there is none, or if it is among the pieces.
+    ``before``: end of the stretch before; None if there is none, or if it is among the pieces.
     """
 
     def __init__(self, pieces: Pieces, before: EndState | None = None) -> None:
@@ -130,15 +115,8 @@ class PathErrors:
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the lines within which directions of approach and conditions are constant.
 
-        Args:
-            samples: the points.
-            rows: the end points of all pieces.
-            ways: the ways of the pieces.
-            on_lines: whether every piece is a line; otherwise every point is one.
-
-        Returns:
-            (n,) piece and (n,) fraction of each line, as by `split_lines`, and (n, axes + channels) directions of approach and
-            conditions.
+        ``on_lines``: whether every piece is a line; otherwise every point is one. Return (n,) piece and (n,) fraction of each line, as
+        by `split_lines`, and (n, axes + channels) directions of approach and conditions.
         """
         pieces, row = self._pieces, rows_of(samples, ways)
         ended = rows.approach[row]
@@ -196,10 +174,6 @@ class PathErrors:
         """Return nominal commands, which the control derives from the original program, and those of pieces that follow ``ways``.
 
         A piece is a line if all of these are straight lines of commands or of words, else each point is.
-
-        Args:
-            samples: the points.
-            ways: the ways of the pieces, as written.
         """
         row = rows_of(samples, ways)
         motion = taken(self._pieces.legs.motion, samples.leg)
@@ -281,11 +255,8 @@ class PathErrors:
     def _start_words(self, separate: np.ndarray, sides: np.ndarray, reached: np.ndarray, *, as_run: bool) -> np.ndarray:
         """Return (n, axes) words at the start of motions that do not begin where the one before ends.
 
-        Args:
-            separate: (n,) the motions.
-            sides: (n, axes) their directions of approach.
-            reached: (n, axes) words at the end of the motion before each.
-            as_run: as for `ways`.
+        ``separate``: (n,) the motions; ``sides``: (n, axes) their directions of approach; ``reached``: (n, axes) words at the end of
+        the motion before each; ``as_run``: as for `ways`.
         """
         pieces = self._pieces
         rows = pieces.solve(np.searchsorted(pieces.legs.motion, separate), np.zeros(len(separate)), sides)

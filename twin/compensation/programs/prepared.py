@@ -74,26 +74,18 @@ class Options:
 class PreparedMachine:
     """One machine with one calibration and the options of a compensation, ready for any program.
 
-    Args:
-        calibration: its errors.
-        space: conversion between words and commands; that of the options if None.
-        like: the same prepared for another space with the same tool length, whose machine models are shared.
+    ``space``: conversion between words and commands; that of the options if None; ``like``: the same prepared for another space with
+    the same tool length, whose machine models are shared.
 
     Attributes:
-        by_block: names of the channels that differ from block to block.
-        space: conversion between words and commands on the machine without errors.
-        real: the machine with all its errors.
-        backlash: its reversal values.
-        comparison: pose comparison of the machine with all its errors with the nominal pose.
         nominal_comparison: displacement of the tool between nominal and other commands, on the machine without errors.
         thesis: the baseline method, if chosen.
         machine_increment: (axes,) least increments in command order.
         increment: (axes,) the same in word order.
         limits: (axes, 2) mm and degrees within which commands stay: axis ranges, or domains of curves where these are narrower.
 
-    Raises:
-        InputError: the machine cannot run programs; the calibration did not converge; the method does not apply; a temperature or time
-            that the calibration needs is missing, or a temperature is given that it does not know.
+    Raises `InputError`: the machine cannot run programs; the calibration did not converge; the method does not apply; a temperature or
+    time that the calibration needs is missing, or a temperature is given that it does not know.
     """
 
     def __init__(
@@ -185,9 +177,8 @@ class PreparedMachine:
     def with_errors(self, keep: Keep, keep_table: KeepTable) -> Kinematics:
         """Return the machine with only some of its errors.
 
-        Args:
-            keep: whether to keep an error, by the ISO 230-1 name of the error motion it is part of.
-            keep_table: whether to keep the correction by a table of the control.
+        ``keep``: whether to keep an error, by the ISO 230-1 name of the error motion it is part of; ``keep_table``: whether to keep the
+        correction by a table of the control.
         """
         tables = {table.name: table for table in self.calibration.corrections}
         return self.real.where(lambda name: keep_table(tables[name]) if name in tables else keep(self._acts_as[name]))
@@ -207,9 +198,7 @@ class PreparedMachine:
     def printed_increment(self, dialect: Dialect, *, posted: bool) -> np.ndarray:
         """Return the (axes,) least increments of the output's words, in word order.
 
-        Args:
-            dialect: language of the program.
-            posted: whether the output is posted to another language.
+        ``posted``: whether the output is posted to another language.
         """
         increment = self.increment.copy()
         if dialect.linear_increment_mm is not None and not posted:
@@ -219,10 +208,8 @@ class PreparedMachine:
     def on_grid(self, words: np.ndarray, tips: np.ndarray, increment: np.ndarray) -> np.ndarray:
         """Return words rounded to their increments; one within its axis's limits is not rounded beyond them.
 
-        Args:
-            words: (n, axes).
-            tips: (n,) whether the linear words are coordinates of the tool tip; these, and turned ones, have no limits.
-            increment: (axes,) in word order.
+        ``words``: (n, axes); ``tips``: (n,) whether the linear words are coordinates of the tool tip; these, and turned ones, have no
+        limits; ``increment``: (axes,) in word order.
         """
         offset = self.space.offset
         rounded = np.round(words / increment) * increment
@@ -249,18 +236,7 @@ class PreparedMachine:
 
 @final
 class CorrectionAim:
-    """Errors to correct in one program, and machine models with only these errors.
-
-    Args:
-        prepared: machine, calibration and options.
-        turns: whether the program moves rotary axes.
-
-    Attributes:
-        prepared: as given.
-        turns: whether the program moves rotary axes.
-        scope: classes that are corrected.
-        backlash: reversal values that are corrected.
-    """
+    """Errors to correct in one program, and machine models with only these errors; ``turns``: whether the program moves rotary axes."""
 
     def __init__(self, prepared: PreparedMachine, turns: bool) -> None:
         self.prepared = prepared

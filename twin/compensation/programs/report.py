@@ -25,23 +25,16 @@ IN_SCOPE: Final = {True: "corrected", False: "not in scope", None: ""}
 @final
 @dataclass(frozen=True)
 class Deviation:
-    """Deviation of the tool from its nominal pose, over all end points and the dense points between them.
+    """Deviation of the tool from its nominal pose, over all end points and the dense points between them."""
 
-    Attributes:
-        rms_um, max_um: distance at the functional point.
-        rms_urad, max_urad: angle of the tool axis.
-        worst_line: program line of the largest distance.
-        points: number of poses.
-        tilt_rms_urad, tilt_max_urad: tilt about x and about y of the tool frame, RMS and largest amount
-            (`twin.tool.forward.Poses.tilt_urad`).
-    """
-
-    rms_um: float
+    rms_um: float  # rms_um, max_um: distance at the functional point
     max_um: float
-    rms_urad: float
+    rms_urad: float  # rms_urad, max_urad: angle of the tool axis
     max_urad: float
-    worst_line: int
-    points: int
+    worst_line: int  # program line of the largest distance
+    points: int  # number of poses
+    # tilt_rms_urad, tilt_max_urad: tilt about x and about y of the tool frame, RMS and largest amount
+    # (`twin.tool.forward.Poses.tilt_urad`)
     tilt_rms_urad: tuple[float, float]
     tilt_max_urad: tuple[float, float]
 
@@ -57,22 +50,15 @@ class Deviation:
 @final
 @dataclass(frozen=True)
 class ClassShare:
-    """Share of one ISO/TR 16907 class in the error.
+    """Share of one ISO/TR 16907 class in the error."""
 
-    Attributes:
-        name: the class.
-        corrected: whether the class is in scope; None if the method does not work by class. Blocks that are not corrected are listed in
-            the report.
-        before_rms_um, before_max_um: error of its error motions alone at the functional point.
-        before_max_urad: their error of the tool axis.
-        left_rms_um: residual at the functional point; None as above, and where blocks that are not corrected retain some of it.
-    """
-
-    name: str
+    name: str  # the class
+    # whether the class is in scope; None if the method does not work by class. Blocks that are not corrected are listed in the report
     corrected: bool | None
-    before_rms_um: float
+    before_rms_um: float  # before_rms_um, before_max_um: error of its error motions alone at the functional point
     before_max_um: float
-    before_max_urad: float
+    before_max_urad: float  # their error of the tool axis
+    # residual at the functional point; None as above, and where blocks that are not corrected retain some of it
     left_rms_um: float | None
 
 
@@ -96,45 +82,30 @@ def grouped(notes: Sequence[LineNote]) -> list[str]:
 @final
 @dataclass(frozen=True)
 class ReversalNote:
-    """Treatment of the reversal value (backlash) of one axis.
-
-    Attributes:
-        axis: its name.
-        unit: ``um`` or ``urad``.
-        size: the reversal value, in ``unit``.
-        corrected: whether it is in scope.
-        taken_up: number of reversals at which a move was inserted that takes it up.
-    """
+    """Treatment of the reversal value (backlash) of one axis."""
 
     axis: str
-    unit: str
-    size: float
-    corrected: bool
-    taken_up: int
+    unit: str  # ``um`` or ``urad``
+    size: float  # the reversal value, in ``unit``
+    corrected: bool  # whether it is in scope
+    taken_up: int  # number of reversals at which a move was inserted that takes it up
 
 
 @final
 @dataclass(frozen=True)
 class ControlNote:
-    """Errors that the control corrects by its own tables, so that the program must not correct them again.
+    """Errors that the control corrects by its own tables, so that the program must not correct them again."""
 
-    Attributes:
-        errors_are: ``uncorrected``: the tables reduce the calibration's errors as stated below; ``remaining``: the calibration's errors
-            were measured with the tables active.
-        tables: the files.
-        axes: axes they correct; empty if the errors are the remaining ones.
-        rms_um, max_um: displacement of the tool by the tables over the program; None if the errors are the remaining ones.
-        caution: a further condition; empty if none.
-        module: whether the files are those of a kinematics module.
-    """
-
+    # ``uncorrected``: the tables reduce the calibration's errors as stated below; ``remaining``: the calibration's errors were
+    # measured with the tables active
     errors_are: str
-    tables: tuple[str, ...]
-    axes: tuple[str, ...]
+    tables: tuple[str, ...]  # the files
+    axes: tuple[str, ...]  # axes they correct; empty if the errors are the remaining ones
+    # rms_um, max_um: displacement of the tool by the tables over the program; None if the errors are the remaining ones
     rms_um: float | None
     max_um: float | None
-    caution: str = ""
-    module: bool = False
+    caution: str = ""  # a further condition; empty if none
+    module: bool = False  # whether the files are those of a kinematics module
 
     @property
     def sentence(self) -> str:

@@ -22,14 +22,9 @@ from twin.tool.uncertainty import DEFINITION, ToolUncertainty
 class CompensationTally:
     """Running sums of squares, and the place at which each quantity is largest.
 
-    Args:
-        quantities: number of quantities.
-        squares: number of sums of squares.
-
-    Attributes:
-        count: number of places added.
-        largest: (quantities, quantities) all quantities at the place where each is largest; 0 if nothing was added.
-        lines: (quantities,) program line of that place.
+    ``quantities``: number of quantities; ``squares``: number of sums of squares. ``count``: number of places added; ``largest``:
+    (quantities, quantities) all quantities at the place where each is largest; 0 if nothing was added; ``lines``: (quantities,) program
+    line of that place.
     """
 
     def __init__(self, quantities: int, squares: int) -> None:
@@ -41,11 +36,8 @@ class CompensationTally:
     def add(self, values: np.ndarray, squares: np.ndarray, lines: np.ndarray, count: int | None = None) -> None:
         """Add places.
 
-        Args:
-            values: (quantities, n) values at each place, or only at those at which one of them is largest.
-            squares: (squares,) sums of squares over all places.
-            lines: (n,) program line of each place.
-            count: number of all places; n if None.
+        ``values``: (quantities, n) values at each place, or only at those at which one of them is largest; ``squares``: (squares,) sums
+        of squares over all places; ``lines``: (n,) program line of each place; ``count``: number of all places; n if None.
         """
         if not lines.size:
             return
@@ -72,37 +64,25 @@ NAMED = 8
 @final
 @dataclass(frozen=True)
 class ToolCorrection:
-    """Correction of the tool point or of the tool axis at block end points, with its uncertainty.
+    """Correction of the tool point or of the tool axis at block end points, with its uncertainty."""
 
-    Attributes:
-        of: ``tool point`` or ``tool axis``.
-        unit: ``um`` or ``urad``, for every number below.
-        blocks: number of blocks.
-        rms, max: RMS and largest length of the correction.
-        max_expanded, max_line: U at the largest correction, and its line.
-        expanded_rms: RMS of U over the program; NaN if unknown.
-        expanded_max, expanded_max_line: largest U, and its line.
-        standard_rms: standard uncertainties (k = 1) along or about x, y, z of the work frame, RMS over the program.
-        below: blocks whose correction is no larger than its own U: ``line``, ``correction`` and ``expanded`` of each, RMS over the end
-            points of its pieces.
-        known: whether any of the corrected errors has an uncertainty.
-        without_uncertainty: corrected errors without uncertainty; if there are any, U is a lower bound.
-    """
-
-    of: str
-    unit: str
+    of: str  # ``tool point`` or ``tool axis``
+    unit: str  # ``um`` or ``urad``, for every number below
     blocks: int
-    rms: float
+    rms: float  # rms, max: RMS and largest length of the correction
     max: float
-    max_expanded: float
+    max_expanded: float  # max_expanded, max_line: U at the largest correction, and its line
     max_line: int
-    expanded_rms: float
-    expanded_max: float
+    expanded_rms: float  # RMS of U over the program; NaN if unknown
+    expanded_max: float  # expanded_max, expanded_max_line: largest U, and its line
     expanded_max_line: int
+    # standard uncertainties (k = 1) along or about x, y, z of the work frame, RMS over the program
     standard_rms: tuple[float, float, float]
+    # blocks whose correction is no larger than its own U: ``line``, ``correction`` and ``expanded`` of each, RMS over the end points
+    # of its pieces
     below: np.recarray = field(compare=False)
-    known: bool
-    without_uncertainty: tuple[str, ...]
+    known: bool  # whether any of the corrected errors has an uncertainty
+    without_uncertainty: tuple[str, ...]  # corrected errors without uncertainty; if there are any, U is a lower bound
 
     @property
     def label(self) -> str:
@@ -186,9 +166,7 @@ class ToolCorrection:
 class CorrectionTally:
     """Collects a `ToolCorrection`; block end points are added stretch by stretch, those of one block together.
 
-    Args:
-        of: ``tool point`` or ``tool axis``.
-        unit: ``um`` or ``urad``.
+    ``of``: ``tool point`` or ``tool axis``; ``unit``: ``um`` or ``urad``.
     """
 
     def __init__(self, of: str, unit: str) -> None:
@@ -204,12 +182,8 @@ class CorrectionTally:
     ) -> None:
         """Add end points.
 
-        Args:
-            lines: (n,) program lines.
-            blocks: (n,) block of each end point, ascending.
-            size: (n,) length of the correction, n > 0.
-            known: (n, 4) its U and three standard uncertainties; NaN if ``tool`` knows none.
-            tool: source of these uncertainties.
+        ``lines``: (n,) program lines; ``blocks``: (n,) block of each end point, ascending; ``size``: (n,) length of the correction, n >
+        0; ``known``: (n, 4) its U and three standard uncertainties; NaN if ``tool`` knows none.
         """
         expanded = known[:, 0]
         first = np.flatnonzero(np.append(True, blocks[1:] != blocks[:-1]))
@@ -253,17 +227,12 @@ class CorrectionTally:
 @final
 @dataclass(frozen=True)
 class UnknownErrors:
-    """Errors that the calibration could not determine: no program corrects them, and they limit how well the result is known.
+    """Errors that the calibration could not determine: no program corrects them, and they limit how well the result is known."""
 
-    Attributes:
-        names: ISO 230-1 names.
-        expanded_rms_um: U of the tool point from their plausible size and the corrected errors together, RMS over the program.
-        expanded_max_um, expanded_max_line: the largest such U, and its line.
-    """
-
-    names: tuple[str, ...]
+    names: tuple[str, ...]  # ISO 230-1 names
+    # U of the tool point from their plausible size and the corrected errors together, RMS over the program
     expanded_rms_um: float
-    expanded_max_um: float
+    expanded_max_um: float  # expanded_max_um, expanded_max_line: the largest such U, and its line
     expanded_max_line: int
 
     @property
@@ -281,15 +250,11 @@ class UnknownErrors:
 @final
 @dataclass(frozen=True)
 class Corrections:
-    """Corrections of tool point and tool axis; None for one that is not in scope.
+    """Corrections of tool point and tool axis; None for one that is not in scope."""
 
-    Attributes:
-        point, axis: the corrections, with the uncertainty of the corrected errors.
-        not_identified: errors that the calibration could not determine; None if there are none.
-    """
-
-    point: ToolCorrection | None
+    point: ToolCorrection | None  # point, axis: the corrections, with the uncertainty of the corrected errors
     axis: ToolCorrection | None
+    # errors that the calibration could not determine; None if there are none
     not_identified: UnknownErrors | None = None
 
     def __iter__(self) -> Iterator[ToolCorrection]:

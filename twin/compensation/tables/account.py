@@ -34,20 +34,14 @@ FROM_NOW_ON: Final = (
 @final
 @dataclass(frozen=True)
 class Account:
-    """Compensation tables, the error that remains with them, and the steps to load them.
-
-    Attributes:
-        remains: error at the tool without and with the tables.
-        carried: every error of the calibration and whether the tables correct it.
-        missing: effects not included because a temperature or the time is not given, by channel.
-        errors: the calibration the tables were made from.
-    """
+    """Compensation tables, the error that remains with them, and the steps to load them."""
 
     made: ControlTables
-    remains: RemainingErrors
-    carried: tuple[CorrectedShare, ...]
+    remains: RemainingErrors  # error at the tool without and with the tables
+    carried: tuple[CorrectedShare, ...]  # every error of the calibration and whether the tables correct it
+    # effects not included because a temperature or the time is not given, by channel
     missing: Mapping[str, tuple[str, ...]]
-    errors: Calibration
+    errors: Calibration  # the calibration the tables were made from
 
     @property
     def source(self) -> str:
@@ -261,13 +255,7 @@ def written_by(made: ControlTables) -> tuple[str, ...]:
 def account_of(
     made: ControlTables, errors: Calibration, known: Calibration, missing: Mapping[str, tuple[str, ...]]
 ) -> Account:
-    """Return the account of the tables; the remaining error is computed from the files as read back.
-
-    Args:
-        errors: the calibration they were made from.
-        known: the same without effects whose channel is not given.
-        missing: the effects left out, by channel.
-    """
+    """Return the account of the tables; the remaining error is computed from the files as read back."""
     with scratch_folder() as folder:
         section = _section(made, _write(made.increment or made.files, folder, made.request.form))
         remaining = remaining_errors(made.required, known.with_control(section))
@@ -291,14 +279,7 @@ def write_folder(
 ) -> Account:
     """Write the folder, created if necessary: the control's files first, the calibration that refers to them last.
 
-    Args:
-        errors: the calibration they were made from.
-        known: the same without effects whose channel is not given.
-        missing: the effects left out, by channel.
-        folder: the output folder.
-
-    Raises:
-        InputError: an output is also an input, or cannot be written.
+    Raises `InputError`: an output is also an input, or cannot be written.
     """
     outputs = outputs_of(folder, made.request.kind, made.required.machine)
     inputs = [errors.path] if errors.path is not None else []

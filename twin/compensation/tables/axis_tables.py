@@ -57,17 +57,11 @@ MARGIN: Final = 1.02
 @final
 @dataclass(frozen=True)
 class Nodes:
-    """Nodes of the tables over one axis.
+    """Nodes of the tables over one axis."""
 
-    Attributes:
-        at: positions in mm or degrees.
-        values: (nodes, k) values there.
-        deviation: (k,) largest deviation from linear interpolation, in the unit of the values.
-    """
-
-    at: np.ndarray
-    values: np.ndarray
-    deviation: np.ndarray
+    at: np.ndarray  # positions in mm or degrees
+    values: np.ndarray  # (nodes, k) values there
+    deviation: np.ndarray  # (k,) largest deviation from linear interpolation, in the unit of the values
 
 
 def choose_nodes(
@@ -75,16 +69,9 @@ def choose_nodes(
 ) -> Nodes:
     """Return the nodes for a range.
 
-    Args:
-        truth: the function to be interpolated.
-        low: start of the range, mm or degrees.
-        high: end of the range.
-        tolerance: (k,) tolerance of the interpolation.
-        step: distance between nodes, reduced to one that divides the range; None: as wide as the tolerance allows.
-        most: largest number of nodes in the format.
-
-    Raises:
-        InputError: the step is not positive or needs too many nodes.
+    ``truth``: the function to be interpolated; ``low``: start of the range, mm or degrees; ``tolerance``: (k,) tolerance of the
+    interpolation; ``step``: distance between nodes, reduced to one that divides the range; None: as wide as the tolerance allows;
+    ``most``: largest number of nodes in the format. Raises `InputError`: the step is not positive or needs too many nodes.
     """
     whole = round((high - low) / RESOLUTION)
     counts = [n for n in range(1, most) if whole % n == 0]
@@ -134,25 +121,19 @@ ROUND_TRIP_UM: Final = 0.1
 @final
 @dataclass(frozen=True)
 class ConstantKinematics:
-    """Kinematics of a control, as a file and as read back from it.
-
-    Attributes:
-        text: text of the file.
-        geometry: the geometry read back.
-        displaced_rms_um, displaced_max_um: displacement of the functional point by the location errors over the volume.
-        left_rms_um, left_max_um: displacement that remains with the file, because the format cannot hold it.
-        round_trip_um: largest displacement of the functional point by rounding in the file.
-    """
+    """Kinematics of a control, as a file and as read back from it."""
 
     form: KinematicsFormat
     machine: Machine
-    text: str
-    geometry: TableGeometry
+    text: str  # text of the file
+    geometry: TableGeometry  # the geometry read back
+    # displaced_rms_um, displaced_max_um: displacement of the functional point by the location errors over the volume
     displaced_rms_um: float
     displaced_max_um: float
+    # left_rms_um, left_max_um: displacement that remains with the file, because the format cannot hold it
     left_rms_um: float
     left_max_um: float
-    round_trip_um: float
+    round_trip_um: float  # largest displacement of the functional point by rounding in the file
 
     @property
     def unmet(self) -> tuple[str, ...]:
@@ -167,8 +148,7 @@ class ConstantKinematics:
 def real_geometry(calibration: Calibration) -> TableGeometry:
     """Return the geometry of the table with the location errors of a calibration.
 
-    Raises:
-        InputError: the machine does not have a table with two rotary axes.
+    Raises `InputError`: the machine does not have a table with two rotary axes.
     """
     machine = calibration.machine
     errors = np.zeros(6 * len(machine.frames))
@@ -184,14 +164,8 @@ def make_kinematics(
 ) -> ConstantKinematics:
     """Return the kinematics of a control for the location errors of a calibration, as a file and as read back.
 
-    Args:
-        calibration: the errors.
-        kind: name of a format of `twin.controls.kinematics`.
-        tool_length_mm: tool length of the functional point; None: that of the machine file.
-        notes: lines for comments.
-
-    Raises:
-        InputError: an unknown format; the transformation cannot represent the machine; there are no location errors.
+    ``kind``: name of a format of `twin.controls.kinematics`; ``tool_length_mm``: tool length of the functional point; None: that of the
+    machine file. Raises `InputError`: an unknown format; the transformation cannot represent the machine; there are no location errors.
     """
     machine, form = calibration.machine, kinematics_named(kind)
     nominal = form.nominal(machine)
@@ -228,11 +202,7 @@ def make_kinematics(
 
 
 def read_kinematics(kind: str, path: Path, machine: Machine) -> TableGeometry:
-    """Return the geometry in a control's file.
-
-    Raises:
-        InputError: there is no such format, or the file is invalid.
-    """
+    """Return the geometry in a control's file. Raises `InputError`: there is no such format, or the file is invalid."""
     return kinematics_named(kind).read(path, machine)
 
 
@@ -251,35 +221,22 @@ ALL_BEYOND: Final = 0.99
 @final
 @dataclass(frozen=True)
 class TableColumn:
-    """Column of the tables over one axis.
+    """Column of the tables over one axis."""
 
-    Attributes:
-        moved: the axis that is corrected.
-        side: the direction of approach the column is for.
-        by: axis of the lever the column is multiplied by; None without a product.
-    """
-
-    moved: str
-    side: Direction
-    by: str | None = None
+    moved: str  # the axis that is corrected
+    side: Direction  # the direction of approach the column is for
+    by: str | None = None  # axis of the lever the column is multiplied by; None without a product
 
 
 @final
 @dataclass(frozen=True)
 class Planned:
-    """One table or product to be written.
+    """One table or product to be written."""
 
-    Attributes:
-        term: the table.
-        deviation: largest deviation of the required correction from it, µm or µrad.
-        q: (n,) random positions at which the file read back is checked.
-        truth: (n,) required correction there.
-    """
-
-    term: ControlTerm
-    deviation: float
-    q: np.ndarray
-    truth: np.ndarray
+    term: ControlTerm  # the table
+    deviation: float  # largest deviation of the required correction from it, µm or µrad
+    q: np.ndarray  # (n,) random positions at which the file read back is checked
+    truth: np.ndarray  # (n,) required correction there
 
 
 @final

@@ -27,46 +27,28 @@ POSITIONS = 1001
 @final
 @dataclass(frozen=True)
 class Difference:
-    """Correction of one axis along the range of another, compared with the correction the model requires.
+    """Correction of one axis along the range of another, compared with the correction the model requires."""
 
-    Attributes:
-        moved: the axis that is corrected.
-        along: the axis that moves; all others stand still.
-        unit: ``um`` or ``urad``.
-        largest: largest correction in the tables.
-        differs: largest difference from the model's correction.
-        constant: mean of the difference.
-    """
-
-    moved: str
-    along: str
-    unit: str
-    largest: float
-    differs: float
-    constant: float
+    moved: str  # the axis that is corrected
+    along: str  # the axis that moves; all others stand still
+    unit: str  # ``um`` or ``urad``
+    largest: float  # largest correction in the tables
+    differs: float  # largest difference from the model's correction
+    constant: float  # mean of the difference
 
 
 @final
 @dataclass(frozen=True)
 class Existing:
-    """Existing tables compared with a calibration.
+    """Existing tables compared with a calibration."""
 
-    Attributes:
-        kind: name of the format.
-        files: the files that were read.
-        correction: corrections in the tables.
-        calibration: the calibration they are compared with.
-        required: corrections that the calibration requires.
-        differences: differences between the two, along every axis.
-        remains: error at the tool over the volume; None if the calibration was measured with tables on.
-    """
-
-    kind: str
-    files: tuple[Path, ...]
-    correction: Correction
-    calibration: Calibration
-    required: RequiredCorrections
-    differences: tuple[Difference, ...]
+    kind: str  # name of the format
+    files: tuple[Path, ...]  # the files that were read
+    correction: Correction  # corrections in the tables
+    calibration: Calibration  # the calibration they are compared with
+    required: RequiredCorrections  # corrections that the calibration requires
+    differences: tuple[Difference, ...]  # differences between the two, along every axis
+    # error at the tool over the volume; None if the calibration was measured with tables on
     remains: RemainingErrors | None
 
     @property
@@ -139,16 +121,8 @@ def compare_tables(
 ) -> Existing:
     """Read tables and compare them with a calibration.
 
-    Args:
-        calibration: its errors, without effects whose channel is not given.
-        kind: a format of `twin.controls`.
-        files: files of the control.
-        at: positions of the other axes while one moves, mm and degrees.
-        tool_length_mm: tool length; None: that of the machine file.
-        conditions: temperatures and time.
-
-    Raises:
-        InputError: a file cannot be read as this format.
+    ``kind``: a format of `twin.controls`; ``at``: positions of the other axes while one moves, mm and degrees; ``tool_length_mm``: tool
+    length; None: that of the machine file. Raises `InputError`: a file cannot be read as this format.
     """
     form = format_named(kind)
     correction = form.read(files, machine)

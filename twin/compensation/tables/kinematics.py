@@ -42,43 +42,26 @@ ACTIVE: Final = (
 @final
 @dataclass(frozen=True)
 class KinematicsRequest:
-    """Kinematics to be written, and the tables beside them.
+    """Kinematics to be written, and the tables beside them."""
 
-    Attributes:
-        kind: name of a format of `twin.controls.kinematics`.
-        tables: format and settings of the tables; None for kinematics alone.
-        tool_length_mm: tool length of the functional point; None: that of the machine file.
-        conditions: temperatures and time.
-        unidentified: whether kinematics are written although locations of rotary axes were not identified.
-        notes: lines for the comments of the file.
-    """
-
-    kind: str
-    tables: Request | None = None
-    tool_length_mm: float | None = None
-    conditions: Conditions = field(default_factory=Conditions)
-    unidentified: bool = False
-    notes: tuple[str, ...] = ()
+    kind: str  # name of a format of `twin.controls.kinematics`
+    tables: Request | None = None  # format and settings of the tables; None for kinematics alone
+    tool_length_mm: float | None = None  # tool length of the functional point; None: that of the machine file
+    conditions: Conditions = field(default_factory=Conditions)  # temperatures and time
+    unidentified: bool = False  # whether kinematics are written although locations of rotary axes were not identified
+    notes: tuple[str, ...] = ()  # lines for the comments of the file
 
 
 @final
 @dataclass(frozen=True)
 class KinematicsAccount:
-    """Kinematics of the control and what remains after every stage.
+    """Kinematics of the control and what remains after every stage."""
 
-    Attributes:
-        kinematics: the kinematics, as written and as read back.
-        stages: error at the tool after every stage.
-        errors: the calibration they were made from.
-        tool_length_mm: tool length of the functional point.
-        tables: account of the tables; None without tables.
-    """
-
-    kinematics: ConstantKinematics
-    stages: Stages
-    errors: Calibration
-    tool_length_mm: float
-    tables: Account | None
+    kinematics: ConstantKinematics  # the kinematics, as written and as read back
+    stages: Stages  # error at the tool after every stage
+    errors: Calibration  # the calibration they were made from
+    tool_length_mm: float  # tool length of the functional point
+    tables: Account | None  # account of the tables; None without tables
 
     @property
     def warnings(self) -> tuple[SourceWarning, ...]:
@@ -161,19 +144,13 @@ class KinematicsAccount:
 @final
 @dataclass(frozen=True)
 class ReadKinematics:
-    """Kinematics of a control compared with the location errors of a calibration.
+    """Kinematics of a control compared with the location errors of a calibration."""
 
-    Attributes:
-        kind: name of the format.
-        file: the file that was read.
-        differs_rms_um, differs_max_um: difference at the functional point over the volume.
-    """
-
-    kind: str
-    file: Path
+    kind: str  # name of the format
+    file: Path  # the file that was read
     geometry: TableGeometry
     calibration: Calibration
-    differs_rms_um: float
+    differs_rms_um: float  # differs_rms_um, differs_max_um: difference at the functional point over the volume
     differs_max_um: float
 
     def to_text(self) -> str:
@@ -208,8 +185,7 @@ class ReadKinematics:
 def compare_kinematics(calibration: Calibration, kind: str, file: Path, tool_length_mm: float | None) -> ReadKinematics:
     """Read the kinematics of a control and compare them with the location errors of a calibration (in the datum mean lines).
 
-    Raises:
-        InputError: the file cannot be read as this format.
+    Raises `InputError`: the file cannot be read as this format.
     """
     errors, machine = calibration.in_datum("mean lines"), calibration.machine
     geometry = read_kinematics(kind, file, machine)
@@ -231,14 +207,8 @@ def make_both(
 ) -> tuple[ConstantKinematics, ControlTables | None]:
     """Return the kinematics, and the tables beside them if they are requested.
 
-    Args:
-        errors: the calibration, in the datum mean lines.
-        known: the same without effects whose channel is not given.
-        request: format and settings.
-
-    Raises:
-        InputError: as for `make_kinematics` and `make`; tables that correct the location errors themselves; locations that were not
-            identified, unless the request accepts them.
+    Raises `InputError`: as for `make_kinematics` and `make`; tables that correct the location errors themselves; locations that were
+    not identified, unless the request accepts them.
     """
     errors.check_settled()
     check_no_module(errors)
@@ -270,16 +240,7 @@ def write_kinematics(
 ) -> KinematicsAccount:
     """Write the folder: the control's files first, the calibration that refers to them last.
 
-    Args:
-        made: kinematics and tables.
-        errors: the calibration, in the datum mean lines.
-        known: the same without effects whose channel is not given.
-        missing: the effects left out, by channel.
-        request: format and settings.
-        folder: the output folder, created if necessary.
-
-    Raises:
-        InputError: an output is also an input, or cannot be written.
+    ``folder``: the output folder, created if necessary. Raises `InputError`: an output is also an input, or cannot be written.
     """
     kinematics, tables = made
     for path in kinematics_outputs(folder, request, kinematics):

@@ -187,16 +187,10 @@ def make_drift_plan(
 ) -> DriftPlan:
     """Plan a drift test.
 
-    Args:
-        instrument: one of `twin._common.families.DRIFT_INSTRUMENTS`.
-        kit: usable ranges; `Kit.default` if None.
-        places_mm: parts on the table by name, in the work frame; None: near the rim of the table.
-        minutes: duration without setting up; None: that of the sequence.
-        sizes: length of the probe or mandrel, sizes of probe and sphere.
-        options: further fields of `DriftTask` by name (``highest_rpm``, ``spectrum``, ``axis`` by name, ``feed_mm_min``), ``seed``.
-
-    Raises:
-        InputError: an unknown instrument or axis, an impossible number, a pose out of reach.
+    ``instrument``: one of `twin._common.families.DRIFT_INSTRUMENTS`; ``kit``: usable ranges; `Kit.default` if None; ``places_mm``:
+    parts on the table by name, in the work frame; None: near the rim of the table; ``minutes``: duration without setting up; None: that
+    of the sequence; ``options``: further fields of `DriftTask` by name (``highest_rpm``, ``spectrum``, ``axis`` by name,
+    ``feed_mm_min``), ``seed``. Raises `InputError`: an unknown instrument or axis, an impossible number, a pose out of reach.
     """
     task = _task(
         machine, sequence, instrument, kit, places_mm, minutes, sizes or InstrumentSizes(), dict(options or {})
@@ -233,8 +227,7 @@ def _task(
 ) -> DriftTask:
     """Return the task, with the defaults.
 
-    Raises:
-        InputError: an unknown instrument or axis, an impossible number, a wrong number of parts on the table.
+    Raises `InputError`: an unknown instrument or axis, an impossible number, a wrong number of parts on the table.
     """
     require_name("instrument for a drift test", instrument, DRIFT_INSTRUMENTS)
     sizes.check()
@@ -299,8 +292,7 @@ def _poses(task: DriftTask) -> SequencePoints:
 def _angles(task: DriftTask) -> tuple[float, ...]:
     """Return the angles of the rotary axis for the readings: a turn in quarters, or spread over those within reach.
 
-    Raises:
-        InputError: fewer than three are within reach.
+    Raises `InputError`: fewer than three are within reach.
     """
     if task.moved.lower is None:
         return (0.0, 90.0, 180.0, 270.0)
@@ -328,8 +320,7 @@ def _axis(machine: Machine, name: str | None) -> int:
 def _two_places(task: DriftTask, part: str) -> dict[str, tuple[float, float, float]]:
     """Return two places in line with a linear axis; for one along the spindle at two levels, beside each other (rotary axes at rest).
 
-    Raises:
-        InputError: the upper place is out of reach at every level.
+    Raises `InputError`: the upper place is out of reach at every level.
     """
     x, y, z = next(iter(task.base.places_mm.values()))
     along = np.abs(np.round(np.asarray(task.moved.machine_direction), 3))

@@ -26,24 +26,15 @@ UNVERIFIED: Final = (
 @final
 @dataclass(frozen=True)
 class DriftTask:
-    """Input of a drift sequence.
+    """Input of a drift sequence."""
 
-    Attributes:
-        base: machine, instrument geometry, parts on the table, sizes, minutes and seed.
-        instrument: one of `twin._common.families.DRIFT_INSTRUMENTS`.
-        highest_rpm: highest spindle speed; None if not given.
-        spectrum: whether the speeds change at random instead of in steps.
-        axis: index of the axis that moves.
-        feed: feed of that axis, mm/min or degrees/min.
-        angles_deg: positions of a rotary axis at which readings are taken; empty for a linear axis.
-    """
-
-    base: SequenceTask
-    instrument: str
-    highest_rpm: float | None
-    spectrum: bool
-    axis: int
-    feed: float
+    base: SequenceTask  # machine, instrument geometry, parts on the table, sizes, minutes and seed
+    instrument: str  # one of `twin._common.families.DRIFT_INSTRUMENTS`
+    highest_rpm: float | None  # highest spindle speed; None if not given
+    spectrum: bool  # whether the speeds change at random instead of in steps
+    axis: int  # index of the axis that moves
+    feed: float  # feed of that axis, mm/min or degrees/min
+    # positions of a rotary axis at which readings are taken; empty for a linear axis
     angles_deg: tuple[float, ...] = ()
 
     @property
@@ -57,11 +48,7 @@ class DriftTask:
         return self.base.machine.axes[self.axis]
 
     def reading_times(self, every_s: float) -> np.ndarray:
-        """Return (n,) times of readings from 0 to the end.
-
-        Raises:
-            InputError: the time does not allow four readings.
-        """
+        """Return (n,) times of readings from 0 to the end. Raises `InputError`: the time does not allow four readings."""
         if self.seconds < 3.0 * every_s:
             raise InputError(
                 "too little time", expected=f"at least {3.0 * every_s / 60.0:g} minutes", value=self.base.minutes
@@ -72,42 +59,26 @@ class DriftTask:
 @final
 @dataclass(frozen=True)
 class DriftSchedule:
-    """Readings of a drift sequence in their order.
+    """Readings of a drift sequence in their order."""
 
-    Attributes:
-        time_s: (n,) increasing.
-        speed_rpm: (n,) spindle speed between the reading before and this one.
-        pose: (n,) number of the pose, from 0: a part on the table, or a position of the rotary axis.
-        exercised: (n,) whether the axis moves to and fro after this reading.
-        notices: what to do between the readings, and what the test cannot show, in words.
-    """
-
-    time_s: np.ndarray
-    speed_rpm: np.ndarray
-    pose: np.ndarray
-    exercised: np.ndarray
-    notices: tuple[str, ...]
+    time_s: np.ndarray  # (n,) increasing
+    speed_rpm: np.ndarray  # (n,) spindle speed between the reading before and this one
+    pose: np.ndarray  # (n,) number of the pose, from 0: a part on the table, or a position of the rotary axis
+    exercised: np.ndarray  # (n,) whether the axis moves to and fro after this reading
+    notices: tuple[str, ...]  # what to do between the readings, and what the test cannot show, in words
 
 
 @final
 @dataclass(frozen=True)
 class DriftSequence:
-    """A drift sequence.
+    """A drift sequence."""
 
-    Attributes:
-        name: the name that selects it.
-        title: what it is.
-        minutes: default duration.
-        targets: number of parts on the table; one if a rotary axis moves.
-        limits: what it does not show, in words.
-        make: function that returns its schedule; it raises `InputError` where that is not possible.
-    """
-
-    name: str
-    title: str
-    minutes: float
-    targets: int
-    limits: str
+    name: str  # the name that selects it
+    title: str  # what it is
+    minutes: float  # default duration
+    targets: int  # number of parts on the table; one if a rotary axis moves
+    limits: str  # what it does not show, in words
+    # function that returns its schedule; it raises `InputError` where that is not possible
     make: Callable[[DriftTask], DriftSchedule]
 
 
@@ -150,13 +121,8 @@ def _rotary(task: DriftTask) -> DriftSchedule:
 def _repeated(task: DriftTask, steps: np.ndarray, stroke: float, notices: list[str]) -> DriftSchedule:
     """Return cycles of readings, one at each pose, with motion of the axis between the cycles.
 
-    Args:
-        steps: (poses - 1,) travel of the axis from pose to pose, mm or degrees.
-        stroke: its travel to one side between the cycles.
-        notices: the notices of the axis.
-
-    Raises:
-        InputError: the readings leave less than half of the time for the motion.
+    ``steps``: (poses - 1,) travel of the axis from pose to pose, mm or degrees. Raises `InputError`: the readings leave less than half
+    of the time for the motion.
     """
     probing = task.instrument == "probe"
     every = PROBE_EVERY_S if probing else READ_S

@@ -24,11 +24,7 @@ LONGEST_NAME: Final = 24
 
 
 def format_of(path: str | Path) -> ProgramFormat:
-    """Return the format that the suffix of a file name selects.
-
-    Raises:
-        InputError: no format has this suffix.
-    """
+    """Return the format that the suffix of a file name selects. Raises `InputError`: no format has this suffix."""
     suffix = Path(path).suffix.lower()
     for program in PROGRAMS:
         if suffix in program.suffixes:
@@ -40,8 +36,7 @@ def format_of(path: str | Path) -> ProgramFormat:
 def write_program(steps: ProgramSteps, path: str | Path) -> None:
     """Write a measuring program atomically, after it was read back, in the language that the suffix of the file name selects.
 
-    Raises:
-        InputError: an unknown suffix, or axes that the control does not have.
+    Raises `InputError`: an unknown suffix, or axes that the control does not have.
     """
     chosen = format_of(path)
     name = re.sub(r"[^A-Za-z0-9]+", "_", Path(path).stem).strip("_").upper()[:LONGEST_NAME] or "TWIN"

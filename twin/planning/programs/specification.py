@@ -22,32 +22,21 @@ WIDTH: Final = 72
 @final
 @dataclass(frozen=True)
 class ProgramStep:
-    """One step of a measuring program.
+    """One step of a measuring program."""
 
-    Attributes:
-        kind: ``rapid``, ``feed``, ``probe`` (towards the sphere until contact); or without motion ``dwell``, ``spindle``, ``read`` (a
-            reading is due) and ``stop`` (until the operator continues).
-        position: (axes,) end position, mm and degrees; of a probing move the end of the search.
-        pose: number of the pose, from 1.
-        contact: number of the contact, from 1; 0 for other steps.
-        direction: (3,) unit vector of a probing move along the linear axes in command order; zero for others.
-        distance_mm: length of a probing move along it; 0 for others.
-        feed: of a feed move, mm/min or degrees/min.
-        seconds: of a dwell.
-        rpm: new spindle speed; 0 stops it.
-        text: what the operator must know at a reading or a stop.
-    """
-
+    # ``rapid``, ``feed``, ``probe`` (towards the sphere until contact); or without motion ``dwell``, ``spindle``, ``read`` (a reading
+    # is due) and ``stop`` (until the operator continues)
     kind: Literal["rapid", "feed", "probe", "dwell", "spindle", "read", "stop"]
-    position: np.ndarray
-    pose: int
-    contact: int = 0
+    position: np.ndarray  # (axes,) end position, mm and degrees; of a probing move the end of the search
+    pose: int  # number of the pose, from 1
+    contact: int = 0  # number of the contact, from 1; 0 for other steps
+    # (3,) unit vector of a probing move along the linear axes in command order; zero for others
     direction: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    distance_mm: float = 0.0
-    feed: float = APPROACH_FEED
-    seconds: float = 0.0
-    rpm: float = 0.0
-    text: str = ""
+    distance_mm: float = 0.0  # length of a probing move along it; 0 for others
+    feed: float = APPROACH_FEED  # of a feed move, mm/min or degrees/min
+    seconds: float = 0.0  # of a dwell
+    rpm: float = 0.0  # new spindle speed; 0 stops it
+    text: str = ""  # what the operator must know at a reading or a stop
 
     @property
     def moves(self) -> bool:
@@ -58,28 +47,17 @@ class ProgramStep:
 @final
 @dataclass(frozen=True)
 class ProgramSteps:
-    """Steps of a measuring program.
-
-    Attributes:
-        steps: the steps in order; the first come from an unknown position.
-        poses: number of poses that are probed.
-        skipped: numbers of the poses of the plan to which no path with clearance was found.
-        header: comments, in words.
-        spheres: names of the spheres, for the poses of the plan in order.
-        radii_mm: radius of the sphere and of the stylus ball.
-        tip_mm: (3,) the tip, from the spindle nose in the frame of the tool.
-        probing: whether there are contacts, which are logged.
-    """
+    """Steps of a measuring program."""
 
     machine: Machine
-    steps: tuple[ProgramStep, ...]
-    poses: int
-    skipped: tuple[int, ...]
-    header: tuple[str, ...]
-    spheres: tuple[str, ...]
-    radii_mm: tuple[float, float]
-    tip_mm: tuple[float, float, float]
-    probing: bool = True
+    steps: tuple[ProgramStep, ...]  # the steps in order; the first come from an unknown position
+    poses: int  # number of poses that are probed
+    skipped: tuple[int, ...]  # numbers of the poses of the plan to which no path with clearance was found
+    header: tuple[str, ...]  # comments, in words
+    spheres: tuple[str, ...]  # names of the spheres, for the poses of the plan in order
+    radii_mm: tuple[float, float]  # radius of the sphere and of the stylus ball
+    tip_mm: tuple[float, float, float]  # (3,) the tip, from the spindle nose in the frame of the tool
+    probing: bool = True  # whether there are contacts, which are logged
 
     @property
     def linear_names(self) -> tuple[str, ...]:
@@ -103,31 +81,18 @@ class ProgramSteps:
 @final
 @dataclass(frozen=True)
 class ProgramFormat:
-    """A control's language of measuring programs.
+    """A control's language of measuring programs."""
 
-    Attributes:
-        name: identifier.
-        title: name of the control.
-        suffixes: suffixes of the file name that select it.
-        source: where the statements come from.
-        unverified: what was not verified.
-        write: function that returns the program's text from its steps and its name.
-    """
-
-    name: str
-    title: str
-    suffixes: tuple[str, ...]
-    source: str
-    unverified: str
-    write: Callable[[ProgramSteps, str], str]
+    name: str  # identifier
+    title: str  # name of the control
+    suffixes: tuple[str, ...]  # suffixes of the file name that select it
+    source: str  # where the statements come from
+    unverified: str  # what was not verified
+    write: Callable[[ProgramSteps, str], str]  # function that returns the program's text from its steps and its name
 
 
 class AxisWordsWriter:
-    """Axis words of the axes whose written value changes.
-
-    Args:
-        form: function that returns a word from name and number.
-    """
+    """Axis words of the axes whose written value changes; ``form``: function that returns a word from name and number."""
 
     def __init__(self, machine: Machine, form: Callable[[str, str], str]) -> None:
         self.machine = machine

@@ -25,8 +25,7 @@ SEARCH_SHARE: Final = 0.5
 def program_steps(plan: SequencePlan) -> ProgramSteps:
     """Return the steps of the measuring program of a plan with a touch probe.
 
-    Raises:
-        InputError: the plan is not for a probe, or no pose has a path with clearance.
+    Raises `InputError`: the plan is not for a probe, or no pose has a path with clearance.
     """
     if plan.task.instrument.specification.reads != "null":
         raise InputError(
@@ -53,11 +52,7 @@ def program_steps(plan: SequencePlan) -> ProgramSteps:
 
 
 class PoseBuilder:
-    """Builds the steps pose by pose.
-
-    Args:
-        task: machine, instrument and parts on the table.
-    """
+    """Builds the steps pose by pose."""
 
     def __init__(self, task: SequenceTask) -> None:
         self.task = task
@@ -215,8 +210,7 @@ LEAST_DWELL_S: Final = 0.1
 def drift_steps(plan: DriftPlan) -> ProgramSteps:
     """Return the steps of the program of a drift test.
 
-    Raises:
-        InputError: a pose or the motion of the axis has no path with clearance inside the ranges.
+    Raises `InputError`: a pose or the motion of the axis has no path with clearance inside the ranges.
     """
     builder = _DriftBuilder(plan)
     for number in range(1, len(plan.table) + 1):
@@ -261,8 +255,7 @@ class _DriftBuilder(PoseBuilder):
     def read(self, number: int) -> None:
         """Add the steps of a reading: what comes before it, the dwell until its time, the reading, and the motion of the axis after it.
 
-        Raises:
-            InputError: no path with clearance inside the ranges.
+        Raises `InputError`: no path with clearance inside the ranges.
         """
         k = number - 1
         pose, time = self.contact_poses[k], float(self.plan.schedule.time_s[k])
@@ -321,8 +314,7 @@ class _DriftBuilder(PoseBuilder):
     def _exercised(self, number: int, until: float) -> None:
         """Move the axis to and fro as often as the time until the next reading allows.
 
-        Raises:
-            InputError: no path with clearance inside the ranges.
+        Raises `InputError`: no path with clearance inside the ranges.
         """
         self._leave(number)
         task = self.plan.task
@@ -338,11 +330,7 @@ class _DriftBuilder(PoseBuilder):
         self._count()
 
     def _ends(self, number: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return the first ends of the motion to and fro that have clearance.
-
-        Raises:
-            InputError: none of those tried has.
-        """
+        """Return the first ends of the motion to and fro that have clearance. Raises `InputError`: none of those tried has."""
         if self.ends is None:
             tried = self._linear_ends() if self.plan.task.moved.linear else self._rotary_ends()
             self.ends = next(
