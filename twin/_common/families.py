@@ -89,7 +89,7 @@ SEQUENCES: Final = {
 """Measuring sequences: `twin.planning.sequences`."""
 SEQUENCE_INSTRUMENTS: Final = ("probe", "r-test", "ball-bar")
 """Instruments that measure the tool relative to the table: measuring sequences are planned for them."""
-DRIFTS: Final = {"environment": "tests:ENVIRONMENT", "spindle": "tests:SPINDLE", "axes": "tests:AXES"}
+DRIFTS: Final = ("environment", "spindle", "axes")
 """Drift tests after ISO 230-3: `twin.planning.drift`."""
 DRIFT_INSTRUMENTS: Final = ("probe", "r-test", "displacement")
 """Touch probe and sphere, R-test, or displacement sensors around a mandrel."""

@@ -19,7 +19,7 @@ from twin._common.errors import InputError, OutputError
 from twin._common.files import read_lines
 from twin._common.units import count_with_noun
 from twin.compensation.fewer_blocks.fit import largest_distance, lengths
-from twin.compensation.fewer_blocks.runs import Run
+from twin.compensation.fewer_blocks.runs import RunEndPoints
 from twin.compensation.programs.backlash import Backlash
 from twin.compensation.programs.follow import follow
 from twin.compensation.programs.motions import PathMotion
@@ -29,22 +29,6 @@ from twin.nc.blocks import AxisWords, Interpretation, Move, NewPositions, Progra
 from twin.nc.dialect import Dialect
 from twin.tool.forward import Kinematics
 from twin.tool.inverse import SLACK
-
-
-@final
-@dataclass(frozen=True)
-class RunEndPoints:
-    """A run with new end points for its blocks."""
-
-    run: Run  # as found
-    words: np.ndarray  # (m, axes) end points of the output blocks, not rounded
-    assigned: np.ndarray  # (n,) index of the end point assigned to each block of the run, not decreasing
-    changed: np.ndarray  # (n,) whether a block's text is rewritten
-
-    @property
-    def kept(self) -> np.ndarray:
-        """(n,) whether each block remains: the first one of each end point."""
-        return np.append(True, np.diff(self.assigned) > 0)
 
 
 class Shortened(NamedTuple):

@@ -18,12 +18,13 @@ from twin._common.files import write_atomic
 from twin._common.provenance import ILLUSTRATIVE, SourceWarning, merge_warnings, warning_texts, warnings_to_json
 from twin._common.records import SPEED, TIME, json_form, sensor_of
 from twin._common.units import URAD
-from twin.compensation.live.graph import Damping, LiveCorrection
 from twin.compensation.live.module import (
     COMPONENT,
     FORMAT,
     LETTERS,
     NAME,
+    Damping,
+    LiveCorrection,
     SuppliedChannel,
     c_file,
     channel_of,

@@ -14,8 +14,18 @@ from twin.compensation.programs.correction import Corrected
 from twin.compensation.programs.motions import LostBlock
 from twin.compensation.programs.pieces import Pieces, Rows
 from twin.compensation.programs.prepared import CorrectionAim, PreparedMachine
-from twin.compensation.programs.report import ClassShare, ControlNote, Deviation, LineNote, Report, ReversalNote
-from twin.compensation.programs.uncertainty import CompensationTally, Corrections, CorrectionTally, UnknownErrors
+from twin.compensation.programs.report import (
+    ClassShare,
+    CompensationTally,
+    ControlNote,
+    Corrections,
+    CorrectionTally,
+    Deviation,
+    LineNote,
+    Report,
+    ReversalNote,
+    UnknownErrors,
+)
 from twin.compensation.programs.uncorrected import (
     FrameUse,
     Sample,

@@ -1,6 +1,6 @@
 """Programs for controls: a touch probe finds the spheres of a plan, or a drift test runs by its schedule.
 
-A new control is one file with a `ProgramFormat` and one entry in `PROGRAMS`.
+A new control is a function and a `ProgramFormat` in `controls`, listed in `PROGRAMS`.
 """
 
 from __future__ import annotations
@@ -12,10 +12,7 @@ from typing import Final
 from twin._common.errors import InputError
 from twin._common.files import write_atomic
 from twin.nc import dialect_for
-from twin.planning.programs.heidenhain import HEIDENHAIN
-from twin.planning.programs.linuxcnc import LINUXCNC
-from twin.planning.programs.siemens import SIEMENS
-from twin.planning.programs.specification import ProgramFormat, ProgramStep, ProgramSteps
+from twin.planning.programs.controls import HEIDENHAIN, LINUXCNC, SIEMENS, ProgramFormat, ProgramStep, ProgramSteps
 from twin.planning.programs.steps import drift_steps, program_steps
 
 PROGRAMS: Final = (LINUXCNC, HEIDENHAIN, SIEMENS)

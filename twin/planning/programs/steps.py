@@ -9,10 +9,9 @@ from typing import Final
 import numpy as np
 
 from twin._common.errors import InputError
-from twin.planning.drift import DriftPlan
-from twin.planning.drift.tests import ALONG, STOP_S
+from twin.planning.drift import ALONG, STOP_S, DriftPlan
 from twin.planning.measure import SequencePlan
-from twin.planning.programs.specification import APPROACH_FEED, PROBING_FEED, ProgramStep, ProgramSteps
+from twin.planning.programs.controls import APPROACH_FEED, PROBING_FEED, ProgramStep, ProgramSteps
 from twin.planning.sequences import ContactPose, SequenceTask, apart_clearance, clearance_of, contact_poses
 from twin.planning.sequences.specification import CONTACT_S, CONTACTS, POINT_S
 
