@@ -139,10 +139,9 @@ def verify(
     acceleration: float = linuxcnc.DEFAULT_ACCELERATION,
     seconds: float = LONGEST_S,
 ) -> Verification:
-    """Execute a program and its compensated form on LinuxCNC.
+    """Execute a program and its compensated form on LinuxCNC, run by ``user`` (if empty, the present one); mm/s² and °/s².
 
-    ``user``: who runs the control; the present user if empty; ``acceleration``: largest acceleration, mm/s² and °/s². Raises
-    `InputError`: LinuxCNC is missing or refuses the program, or the program is none of its language or not in axis words.
+    `InputError` if LinuxCNC is missing or refuses the program, or the program is none of its language or not in axis words.
     """
     linuxcnc.check(user)
     program, dialect = read_program(path)
@@ -239,11 +238,7 @@ def _way(program: Program, dialect: Dialect, prepared: PreparedMachine) -> tuple
 
 @final
 class _Course:
-    """A path in the workpiece, as a polyline.
-
-    ``positions``: (n, axes) positions along the program, between which the axes move on straight lines; ``lengths``: (n,) length of the
-    tool with which each is reached, mm.
-    """
+    """A path in the workpiece, as a polyline through (n, axes) positions, reached with tools of (n,) lengths in mm."""
 
     def __init__(self, tips: _Tips, positions: np.ndarray, lengths: np.ndarray) -> None:
         # Where the tool changes, the path goes on at the same position with the other tool.

@@ -44,10 +44,7 @@ class Shape:
 
 
 def machine_shapes(machine: Machine) -> list[Shape]:
-    """Return the ``collision`` shapes of the machine's URDF, or its ``visual`` shapes if it has none.
-
-    Raises `InputError`: a shape cannot be loaded.
-    """
+    """Return the ``collision`` shapes of the machine's URDF, or its ``visual`` ones; `InputError` if one cannot be loaded."""
     machine_shapes: list[Shape] = []
     for kind in (pin.GeometryType.COLLISION, pin.GeometryType.VISUAL):
         try:
@@ -370,8 +367,8 @@ class CandidateReadings:
 def candidates(machine: Machine, kit: Kit, rng: np.random.Generator, levels: int | None = None) -> CandidateReadings:
     """Return every possible reading, one row each; the direction of approach of each axis is drawn per pose.
 
-    ``levels``: number of positions of each axis, equally spaced over its range (`Task.levels`); None: any multiple of `ROUNDED_TO`.
-    Raises `InputError`: too few poses have clearance, or a reflector is visible from no station.
+    ``levels``: number of positions of each axis over its range (`Task.levels`); None: any multiple of `ROUNDED_TO`. `InputError` if too
+    few poses have clearance, or a reflector is visible from no station.
     """
     positions = _safe_poses(machine, kit, rng, levels)
     seen = Sight(machine, kit).visible(positions)
@@ -392,10 +389,7 @@ def candidates(machine: Machine, kit: Kit, rng: np.random.Generator, levels: int
 
 
 def _safe_poses(machine: Machine, kit: Kit, rng: np.random.Generator, levels: int | None) -> np.ndarray:
-    """Return commands (n, axes) in mm and degrees over the kit's ranges at which the machine has clearance.
-
-    Raises `InputError`: too few poses have clearance.
-    """
+    """Return clear commands (n, axes) in mm and degrees over the kit's ranges; `InputError` if they are too few."""
     clearance = Clearance(machine, kit)
     poses: list[np.ndarray] = []
     low, high = kit.ranges.T
@@ -434,10 +428,7 @@ def plan_table(
     *,
     source: str = "plan",
 ) -> Measurements:
-    """Return a plan as a measurement table without coordinates, with the kit's stations and target positions.
-
-    ``positions``: (n, axes) mm and degrees; ``approach``: (n, axes) direction of approach: +1, −1, 0 any.
-    """
+    """Return a plan, n readings, as a measurement table without coordinates; ``approach`` (n, axes): +1, −1, 0 any."""
     n = len(target)
     return Measurements(
         source=source,

@@ -88,10 +88,10 @@ class Exchange:
     progress: Progress = silent  # progress callback
 
     def choose(self, count: int, first: np.ndarray, least: int) -> np.ndarray:
-        """Return the indices of the chosen readings in order of choice; an index may repeat.
+        """Return the indices of ``count`` chosen readings in order of choice; an index may repeat.
 
-        ``count``: number of readings; ``first``: indices of all candidates in random order, so that its first elements are an even
-        spread: the initial plan; ``least``: smallest number of readings to begin with.
+        ``first``: all candidates in random order, so that its first elements are an even spread: the initial plan; ``least``: of them
+        at least.
         """
         spread = np.concatenate([first] * (1 + (count - 1) // max(len(first), 1)))[:count]
         best, value = list(spread), self._value(spread)
@@ -115,10 +115,7 @@ class Exchange:
         return self.aim.value(covariance_of(self.prior, self.rows[chosen]))
 
     def _add_readings(self, chosen: list[int], count: int, done: float) -> None:
-        """Add readings: each time the one of a random sample with the largest gain per second.
-
-        (Stochastic greedy; Mirzasoleiman et al. 2015.)
-        """
+        """Add readings: each time the one of a random sample with the largest gain per second (Mirzasoleiman et al. 2015)."""
         begun = len(chosen)
         taken = np.bincount(chosen, minlength=len(self.rows))
         rng = np.random.default_rng(begun)
@@ -220,10 +217,7 @@ def duration(machine: Machine, kit: Kit, plan: Measurements) -> float:
 
 
 def route(task: Task, chosen: CandidateReadings, stations: Sequence[str], *, clear: bool = True) -> Route:
-    """Order the readings by session and station, in two passes, each time continuing with the reading that is reached first.
-
-    ``clear``: whether moves are checked for clearance; not needed for an estimate of the duration.
-    """
+    """Order the readings by session and station, in two passes, each time continuing with the reading that is reached first."""
     plan, session, sessions = chosen.plan, chosen.session, chosen.sessions
     clock = _Clock(task.machine, task.kit, plan, Clearance(task.machine, task.kit) if clear else None)
     rng = np.random.default_rng(task.seed)
@@ -401,10 +395,7 @@ class _PlanFiller:
     task: Task
 
     def station_choices(self, problem: DesignProblem) -> list[StationChoice]:
-        """Return every set of stations with the criterion reached by an even spread of readings in the time budget.
-
-        Raises `InputError`: the time budget is too short.
-        """
+        """Return every set of stations with the criterion reached by an even spread of readings; `InputError` if time is too short."""
         station_choices, least = [], math.inf
         plan = problem.plan
         names = tuple(dict.fromkeys(plan.station))
@@ -449,10 +440,7 @@ class _PlanFiller:
         return sorted(best, key=lambda choice: choice.value)
 
     def fill_time(self, best: StationChoice) -> Route:
-        """Return the plan that fills the time budget; the time per reading is taken from the route through a first plan.
-
-        Raises `InputError`: the time budget is too short.
-        """
+        """Return the plan that fills the time, per reading as on the route through a first plan; `InputError` if it is too short."""
         own = best.problem.from_stations(best.stations)
         first = self.task.rng.permutation(len(own.plan))
         taken = np.resize(first, best.points)

@@ -141,10 +141,9 @@ def _rotary(task: DriftTask) -> DriftSchedule:
 
 
 def _repeated(task: DriftTask, steps: np.ndarray, stroke: float, notices: list[str]) -> DriftSchedule:
-    """Return cycles of readings, one at each pose, with motion of the axis between the cycles.
+    """Return cycles of readings, one at each pose, with motion of the axis between the cycles; `InputError` if it has too little time.
 
-    ``steps``: (poses - 1,) travel of the axis from pose to pose, mm or degrees. Raises `InputError`: the readings leave less than half
-    of the time for the motion.
+    ``steps``: (poses - 1,) travel of the axis from pose to pose, mm or degrees; ``stroke``: to one side between the cycles.
     """
     probing = task.instrument == "probe"
     every = PROBE_EVERY_S if probing else READ_S
@@ -480,10 +479,7 @@ def _task(
     sizes: InstrumentSizes,
     options: dict[str, Any],
 ) -> DriftTask:
-    """Return the task, with the defaults.
-
-    Raises `InputError`: an unknown instrument or axis, an impossible number, a wrong number of parts on the table.
-    """
+    """Return the task, with the defaults; `InputError` for unknown names, impossible numbers, a wrong number of parts."""
     require_name("instrument for a drift test", instrument, families.DRIFT_INSTRUMENTS)
     sizes.check()
     axis = _axis(machine, options.get("axis"))
@@ -545,10 +541,7 @@ def _poses(task: DriftTask) -> SequencePoints:
 
 
 def _angles(task: DriftTask) -> tuple[float, ...]:
-    """Return the angles of the rotary axis for the readings: a turn in quarters, or spread over those within reach.
-
-    Raises `InputError`: fewer than three are within reach.
-    """
+    """Return the angles for the readings, in quarters or over those within reach; `InputError` if fewer than three."""
     if task.moved.lower is None:
         return (0.0, 90.0, 180.0, 270.0)
     low, high = task.base.kit.ranges[task.axis]
@@ -573,10 +566,7 @@ def _axis(machine: Machine, name: str | None) -> int:
 
 
 def _two_places(task: DriftTask, part: str) -> dict[str, tuple[float, float, float]]:
-    """Return two places in line with a linear axis; for one along the spindle at two levels, beside each other (rotary axes at rest).
-
-    Raises `InputError`: the upper place is out of reach at every level.
-    """
+    """Return two places in line with a linear axis, for one along the spindle at two levels; `InputError` if out of reach."""
     x, y, z = next(iter(task.base.places_mm.values()))
     along = np.abs(np.round(np.asarray(task.moved.machine_direction), 3))
     if along[2] <= 0.5:

@@ -61,15 +61,13 @@ class _KitEntries(BaseModel):
 
 @final
 class Seconds(_KitEntries):
-    """Times of the operations in seconds.
+    """Times of the operations in seconds."""
 
-    ``aim``: turning a reflector towards the instrument by hand when it is outside the acceptance angle.
-    """
-
-    point: Annotated[float, Field(gt=0)] = 15.0
+    point: Annotated[float, Field(gt=0)] = 15.0  # settling and reading
+    # turning a reflector towards the instrument by hand when it is outside the acceptance angle
     aim: Annotated[float, Field(ge=0)] = 20.0
-    target: Annotated[float, Field(ge=0)] = 30.0
-    station: Annotated[float, Field(ge=0)] = 900.0
+    target: Annotated[float, Field(ge=0)] = 30.0  # changing from one reflector to another
+    station: Annotated[float, Field(ge=0)] = 900.0  # setting the instrument up in another place
 
 
 class _StationEntry(_KitEntries):
@@ -285,10 +283,7 @@ class Kit(Result):
 
 
 def bundled_kit(name: str | Path) -> Path:
-    """Return the path of a kit file, given by its path or by the bare name of one that comes with `twin`.
-
-    Raises `InputError`: there is no such file; the message lists those that come with `twin`.
-    """
+    """Return the path of a kit file, by its path or by the bare name of one that comes with `twin`; `InputError` lists those."""
     return find_bundled(name, ".kit.yaml", "a kit file (schema twin.kit/1)")
 
 
@@ -375,12 +370,10 @@ class PlanModel:
         expected: Calibration,
         known: Collection[str] = (),
     ) -> PlanModel:
-        """Return the model with the unknowns of axes, stations and targets, as in `identify`.
+        """Return the model with the unknowns of axes, stations and targets, as in `identify`; axes at rest have none.
 
-        A curve has no constant if the readings cannot separate it from a station or a location error.
-
-        ``expected``: expected size of the errors; curves it does not have get `EXPECTED_UM`; ``known``: names of the stations and
-        targets that an evaluation treats as exactly known.
+        A curve has no constant if the readings cannot separate it from a station or a location error. Curves that ``expected`` does not
+        have get `EXPECTED_UM`; ``known``: names of the stations and targets that an evaluation treats as exactly known.
         """
         offsets: list[str] | None = None
         while True:

@@ -219,10 +219,7 @@ def _rival(task: SequenceTask, sequence: MeasuringSequence) -> Expectation | Non
 
 
 def judge_sequence(table: Measurements, machine: Machine) -> Expectation:
-    """Return what an existing plan of a probe, R-test or ball bar determines of the constant errors.
-
-    Raises `InputError`: the plan has several instruments, or a station or target without a planned place.
-    """
+    """Return what a plan determines of the constant errors; `InputError` if it has several instruments or no places."""
     names = dict.fromkeys(table.instrument.astype(str))
     if len(names) > 1 or not set(names) <= set(SET_UPS):
         raise table.error(

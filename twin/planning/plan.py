@@ -194,10 +194,7 @@ class Forecast(Result):
 
 
 def forecast(model: PlanModel, tool_length_mm: float | None = None) -> Forecast:
-    """Predict the uncertainties that planned readings will give.
-
-    ``tool_length_mm``: tool length; None: that of the machine file, or 100 mm if it has none.
-    """
+    """Predict the uncertainties that planned readings will give; tool length: by default that of the machine file, else 100 mm."""
     gone = {one.name for one in model.hidden}
     determined = tuple(name for name in model.unknowns.entities if name not in gone)
     return Forecast(

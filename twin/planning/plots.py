@@ -39,7 +39,12 @@ PLAIN: Final = FuncFormatter(lambda value, _: f"{value:g}" if f"{value:e}"[0] in
 def plot_places(table: Measurements, machine: Machine, *, title: str = "") -> Figure:
     """Plot stations and reflector positions in the base frame, from above and from the front.
 
-    Raises `InputError`: poses of stations or positions of targets are missing.
+    Args:
+        table: a plan with the poses of its stations and the positions of its targets.
+        title: heading of the figure.
+
+    Raises:
+        InputError: poses of stations or positions of targets are missing.
     """
     if not (np.isfinite(table.place_mm).all() and np.isfinite(table.station_pose).all()):
         raise InputError(
@@ -78,7 +83,13 @@ def plot_uncertainties(
 ) -> Figure:
     """Plot the standard uncertainty of every error for up to three plans: open markers predicted, filled markers identified.
 
-    Raises `InputError`: no forecast, or more than three.
+    Args:
+        forecasts: forecasts by the name of the plan.
+        found: identifications from the measured plans, by the same names.
+        title: heading of the figure.
+
+    Raises:
+        InputError: no forecast, or more than three.
     """
     if not 1 <= len(forecasts) <= len(STYLES):
         raise InputError("number of plans for one figure", expected=f"1 to {len(STYLES)}", value=len(forecasts))

@@ -65,10 +65,7 @@ class NamedCause:
 
     @classmethod
     def parse(cls, text: str) -> NamedCause:
-        """Read a cause such as ``cross_axis E_AX by Z``, ``reversal:Y`` or ``pitch_error X amplitude=2 period=10``.
-
-        Raises `InputError`: the text is not a cause.
-        """
+        """Read a cause such as ``cross_axis E_AX by Z`` or ``pitch_error X amplitude=2 period=10``, or raise `InputError`."""
         words = shlex.split(text.replace(":", " ", 1))
         numbers: dict[str, float] = {}
         while words and "=" in words[-1]:
@@ -282,11 +279,9 @@ def _in_sessions(plain: Measurements, sessions: tuple[Session, ...]) -> Candidat
 
 
 def cause_form(one: NamedCause, machine: Machine, plan: Measurements, calibration: Calibration) -> CauseForm:
-    """Return the form of a cause with the given non-linear parameters; the simplest form if none are given.
+    """Return the form of a cause with the given non-linear parameters, else the simplest; `InputError` if no plan can separate it.
 
     A drift is exponential if a parameter of its entry is given (``amplitude``, ``time_constant``), else linear with a ``rate``.
-
-    Raises `InputError`: there is no such cause, or no plan can separate it.
     """
     tried = catalogue(machine, plan, calibration)
     candidate = next((c for c in tried.candidates if c.key == (one.effect, one.where)), None)

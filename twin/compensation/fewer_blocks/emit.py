@@ -48,11 +48,10 @@ def shortened(
     posted: bool = False,
     others: Sequence[tuple[int, Move, np.ndarray]] = (),
 ) -> Shortened:
-    """Return a program with its runs of blocks replaced by fewer blocks.
+    """Return a program with its runs replaced by fewer blocks; `OutputError` if the number of lines changed: a defect of `twin`.
 
-    ``posted``: whether axis words are written even for tool-tip input; end points of runs are then axis positions, with straight lines
-    between them; ``others``: further moves to be rewritten rounded to their increments: index, move and words. Raises `OutputError`:
-    the number of lines changed: a defect of `twin`.
+    With ``posted``, the end points of runs are axis positions, with straight lines between them. ``others``: further moves to be
+    rewritten, rounded to their increments: index, move and words.
     """
     space, increment = prepared.space, prepared.printed_increment(dialect, posted=posted)
     by_line = {move.line: move for move in reading.moves}
@@ -168,10 +167,7 @@ class Executed:
 def execute_words(
     program: Program, reading: Interpretation, space: WordSpace, real: Kinematics, dense: np.ndarray
 ) -> Executed:
-    """Execute a program as its control would, on straight lines in words.
-
-    ``dense``: (moves,) which moves are evaluated along their whole length, not only at their end points.
-    """
+    """Execute a program as its control would, on straight lines in words; ``dense`` (moves,): which moves along their whole length."""
     path = follow(program, reading, space)
     moves = path.columns.move
     motions = zip(path.motions, dense[moves].tolist(), strict=True)
@@ -191,10 +187,7 @@ def _fractions(motion: PathMotion) -> np.ndarray:
 
 
 def path_distance_mm(one: np.ndarray, other: np.ndarray, tolerance_mm: float) -> float:
-    """Return the largest distance between two executed paths of (n, 3) points in both directions, mm.
-
-    The nearest point is first searched at about the same share of the distance along the path.
-    """
+    """Return the largest distance between two executed paths of (n, 3) points in both directions, mm."""
     at = [_shares(points) for points in (one, other)]
     return largest_distance(one, at[0], other, at[1], SEARCHED_SHARE * tolerance_mm, tolerance_mm, anywhere=True)
 
@@ -219,12 +212,11 @@ def is_points(path: Path) -> bool:
 def points_program(
     path: Path, axes: AxisWords, dialects: Sequence[Dialect], written: Dialect, feed: float | None
 ) -> tuple[Program, Dialect]:
-    """Return a program with one straight block per point of a table, and its language.
+    """Return a program with a straight block per point of a table, and its language: ``written``, or cutter locations for vectors.
 
-    ``path``: the table: ``x_mm,y_mm,z_mm``, then nothing, dialect column ``<axis>_deg`` per rotary axis, or the tool vector ``i,j,k``;
-    ``#`` begins a comment; ``axes``: the machine's words; ``feed``: mm/min; None for no feed word. Returns: The program and its
-    language: that of the output, but cutter locations for points with a tool vector. Raises `InputError`: with line and value, if it is
-    no such table; rotary axes for an output language without words for them.
+    The columns are ``x_mm,y_mm,z_mm``, then nothing, ``<axis>_deg`` per rotary axis, or the tool vector ``i,j,k``; ``#`` begins a
+    comment. ``feed``: mm/min; None for no feed word. `InputError`, with line and value, for another table, or for rotary axes that
+    ``written`` lacks.
     """
     header, lines, values = _table(path, axes)
     vectors = header[3:] == VECTOR

@@ -43,10 +43,10 @@ def lengths(points: np.ndarray) -> np.ndarray:
 def distances_near(
     points: np.ndarray, at: np.ndarray, line: np.ndarray, line_at: np.ndarray, near: float, limit: float
 ) -> np.ndarray:
-    """Return (n,) distances of points from a polyline, searched near each point's parameter; never too small.
+    """Return (n,) distances of points (n, d) from a polyline (m, d), searched near each point's parameter; never too small.
 
-    ``points``: (n, d); ``at``: (n,) parameter of each point, as in ``line_at``; ``line``: (m, d) vertices, m ≥ 2; ``line_at``: (m,)
-    their parameters, not decreasing; ``limit``: distance with which the results are compared; if many are larger, the search ends.
+    ``at``, ``line_at``: (n,) and (m,) parameters of points and vertices. No closer point is searched for below ``near``, nor if more
+    than a few are farther than ``limit``.
     """
     here = np.clip(np.searchsorted(line_at, at, side="right") - 1, 0, len(line) - 2)
     distances_near = np.full(len(points), np.inf)
@@ -99,12 +99,10 @@ def largest_distance(
     *,
     anywhere: bool = False,
 ) -> float:
-    """Return the largest distance between two polylines, from the vertices of each to the other; the caller provides dense vertices.
+    """Return the largest distance between two polylines of dense vertices, from the vertices (n or m, d) of each to the other.
 
-    ``one``: (n, d) vertices, n ≥ 2; ``one_at``: (n,) their parameters; ``other``: (m, d) vertices, m ≥ 2; ``other_at``: (m,) their
-    parameters; equal at corresponding points; ``near``: as for `distances_near`; ``limit``: as for `distances_near`; ``anywhere``:
-    whether points still beyond the limit are compared with the whole other line; otherwise the search may end at a distance beyond the
-    limit.
+    ``one_at``, ``other_at``: (n or m,) parameters, equal at corresponding points; ``near``, ``limit``: as for `distances_near`. With
+    ``anywhere``, points still beyond the limit are compared with the whole other line; otherwise the search may end beyond the limit.
     """
     worst = 0.0
     for points, at, line, line_at in ((one, one_at, other, other_at), (other, other_at, one, one_at)):
@@ -149,10 +147,7 @@ Tool = Callable[[np.ndarray], np.ndarray]
 
 @lru_cache(maxsize=256)
 def _solver(basis: FGBernstein) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return for a basis: nodes (m,), A⁺ (degree+1, m), and G = A⁺A⁺ᵀ.
-
-    With Chebyshev nodes, least squares is close to the smallest maximum deviation.
-    """
+    """Return for a basis: Chebyshev nodes (m,), A⁺ (degree+1, m), and G = A⁺A⁺ᵀ."""
     count = NODES_A_POINT * (basis.degree + 1)
     nodes = (1.0 - np.cos(np.pi * (np.arange(count) + 0.5) / count)) / 2.0
     inverse = basis.least_squares(nodes, np.eye(count))
@@ -182,8 +177,7 @@ class Polyline:
     def of(cls, words: np.ndarray, tool: Tool, power: float = 1.0) -> Polyline:
         """Create a polyline from (n, axes) vertices, n ≥ 2, consecutive ones distinct at the tool.
 
-        ``tool``: function from words to coordinates at the tool; ``power``: the parameter grows from vertex to vertex by the distance
-        at the tool to this power.
+        The parameter grows from vertex to vertex by the distance at the tool to the power ``power``.
         """
         share = np.arange(POINTS_PER_BLOCK) / POINTS_PER_BLOCK
         between = words[:-1, None, :] + share[:, None] * np.diff(words, axis=0)[:, None, :]
@@ -236,10 +230,7 @@ class CurvePiece:
 
 @final
 class Fitter:
-    """Fits curves to one smooth stretch.
-
-    ``tool``: function from words to coordinates at the tool; ``allowed_mm``: largest distance allowed between curve and polyline.
-    """
+    """Fits curves to one smooth stretch, at most ``allowed_mm`` from it; ``tool``: function from words to coordinates at the tool."""
 
     def __init__(self, line: Polyline, tool: Tool, allowed_mm: float) -> None:
         self.line = line
@@ -413,12 +404,10 @@ GROWTH: Final = 1.15
 def few_blocks(
     line: Polyline, curve: np.ndarray, curve_at: np.ndarray, tool: Tool, allowed_mm: float
 ) -> tuple[np.ndarray, np.ndarray, float] | None:
-    """Return the vertices, without the first, of the fewest straight blocks that stay near a polyline.
+    """Return the fewest straight blocks near a polyline: (m, axes) vertices but the first, (m+1,) parameters, largest distance in mm.
 
-    ``curve``: (n, axes) dense points of a curve near it in such words, with the same end points; ``curve_at``: (n,) their parameters
-    along the line; ``tool``: function from such words to coordinates at the tool; ``allowed_mm``: largest distance allowed between
-    blocks and polyline. Return (m, axes) words, the last one that of the line; (m+1,) parameters from the start; largest distance in
-    mm. None if as many blocks as the line has are needed.
+    None if as many blocks as the line has are needed. ``curve``: (n, axes) dense points of a curve near the line, with the same end
+    points, and ``curve_at`` (n,) their parameters along the line; ``tool``: function from words to coordinates at the tool.
     """
     most = len(line.words) - 2
     sums = _demand(curve, curve_at, tool)

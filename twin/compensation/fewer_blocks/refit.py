@@ -418,10 +418,9 @@ class Refit(Result):
 
 @final
 class Refitter:
-    """Refits programs on one machine with one calibration.
+    """Refits programs on one machine; ``tolerance_mm`` of the options is the whole tolerance. `InputError` if it cannot run programs.
 
-    ``options``: as in `twin.compensation.Options`; ``tolerance_mm`` is the whole tolerance; ``compensated``: whether the output is
-    compensated; otherwise it is for the machine without errors. Raises `InputError`: the machine cannot run programs.
+    Unless ``compensated``, the output is for the machine without errors.
     """
 
     def __init__(
@@ -443,12 +442,10 @@ class Refitter:
         into: Dialect | None = None,
         printed: bool = False,
     ) -> Refit:
-        """Refit one program.
+        """Refit one program; errors as of `Compensator.compensate`, and `InputError` if rounding alone exceeds the tolerance.
 
-        ``into``: the language to write; another than the program's own only for cutter locations, which are then posted; ``printed``:
-        whether every block is written rounded to the least increments, fitted or not; used for points. Raises `InputError`: the program
-        cannot be read, or contains something that must not pass; rounding alone exceeds the tolerance. Raises `OutputError`: the
-        output, read back, differs from the intended positions.
+        ``into``: the language to write; another than the program's own only for cutter locations, which are then posted. ``printed``:
+        whether every block is written rounded to the least increments, fitted or not; used for points.
         """
         with machine_hints(self.prepared.machine, dialect, lambda line: "".join(program.texts[line - 1 : line])):
             return self._refit(program, dialect, progress, into, printed=printed)

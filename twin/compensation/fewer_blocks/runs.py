@@ -106,10 +106,7 @@ def corners(line: Polyline, allowed_mm: float) -> list[int]:
     A vertex is a corner in three cases. First, the smooth path from the middle of one block to the middle of the next would miss it by
     more than the fit allows (twice that much, because a curve may lie on both sides of its polyline). Second, its bend is isolated.
     Third, a neighbouring block is so long that it is a line of its own. The smooth path, tangent to both blocks, misses the vertex by ¼
-    of the shorter block times the sine of half the bend.
-
-    ``line``: the run; bends of blocks that are not straight at the tool are measured between their end directions; ``allowed_mm``:
-    largest distance allowed between curve and run.
+    of the shorter block times the sine of half the bend, measured between the end directions of blocks that are bent at the tool.
     """
     size = line.size
     way = np.diff(line.dense_tool, axis=0)
@@ -226,11 +223,10 @@ class RefittedRun:
 
 @final
 class RunRefitter:
-    """Refits runs with fewer blocks.
+    """Refits runs with fewer blocks; `InputError` if rounding alone exceeds the tolerance.
 
-    ``increment``: (axes,) least increments of the output words; ``compensated``: whether a share of the tolerance is reserved for the
-    compensation between end points; ``posted``: whether axis words are written even for tool-tip input; ``printed``: whether every
-    block is written anew, fitted or not. Raises `InputError`: rounding alone exceeds the tolerance.
+    ``increment``: (axes,) of the output words; ``compensated``: whether a share of the tolerance is reserved for the compensation;
+    ``posted``: whether axis words are written even for tool-tip input; ``printed``: whether every block is written anew, fitted or not.
     """
 
     def __init__(
@@ -253,10 +249,7 @@ class RunRefitter:
         self.shares(False)
 
     def shares(self, turning: bool) -> ToleranceShares:
-        """Return the division of the tolerance; ``turning``: for runs that turn rotary axes.
-
-        Raises `InputError`: rounding alone exceeds the tolerance.
-        """
+        """Return the division of the tolerance for runs that turn rotary axes or not; `InputError` if rounding alone exceeds it."""
         half = self.increment / 2.0
         half[3:] = np.radians(half[3:]) * self.lever if turning else 0.0
         rounding = float(np.linalg.norm(half))
@@ -341,10 +334,7 @@ class RunRefitter:
     def _stretch(
         self, words: np.ndarray, tool: Tool, allowed: float, *, posted: bool
     ) -> tuple[np.ndarray, list[CurvePiece], ToleranceUse] | None:
-        """Return the block end points, curve and use of the tolerance with the fewest blocks and control points.
-
-        None if no blocks are saved.
-        """
+        """Return end points, curve and use of the tolerance with the fewest blocks and control points; None if no blocks are saved."""
         best, least = None, np.inf
         for fraction in CURVE_SHARES:
             line, pieces = self._curve(words, tool, fraction * allowed)

@@ -285,14 +285,10 @@ def make_module(
     earlier: Sequence[Calibration] = (),
     force: bool = False,
 ) -> LiveKinematics:
-    """Make the module.
+    """Make the module; `InputError` for errors that it cannot hold, or that are not shown to be an improvement, unless ``force``.
 
-    ``tool_length_mm``: tool length for which the effect over the volume is computed; None: that of the machine file; ``earlier``:
-    errors that the control corrected already when ``errors`` were measured; ``force``: whether the module is made although locations of
-    rotary axes were not identified, or these errors are smaller than their uncertainty. Raises `InputError`: a location that was not
-    identified, or errors smaller than their uncertainty, without ``force``; a chain that the module does not carry; an axis that is no
-    word of LinuxCNC; a channel without a pin; an empirical effect without a range that the module can keep; an estimate that did not
-    settle; errors that the control corrects already; a correction too steep for the forward kinematics.
+    ``earlier``: errors that the control corrected already when ``errors`` were measured. ``force``: whether it is made although
+    locations of rotary axes were not identified, or the errors are smaller than their uncertainty.
     """
     machine = errors.machine
     _check(errors)
@@ -358,10 +354,7 @@ def _sum(earlier: Sequence[Calibration], errors: Calibration) -> Calibration:
 
 
 def held_by_module(path: Path, machine: Machine) -> tuple[TableEntry, ...]:
-    """Return the calibrations whose errors a module corrects, from the `calibration.yaml` of its folder.
-
-    Raises `InputError`: a file that cannot be read or has changed since the module was written, or another calibration.
-    """
+    """Return the calibrations whose errors a module corrects, from its `calibration.yaml`; `InputError` if a file has changed since."""
     errors = Calibration.load(path, machine)
     if errors.control is None or not errors.control.live:
         expected = f"{CALIBRATION} of a folder that `twin control --to {FORMAT}` wrote"
@@ -391,8 +384,7 @@ def errors_while_on(errors: Calibration) -> Calibration:
 def earlier_of(errors: Calibration, *, add: bool) -> tuple[Calibration, ...]:
     """Return the errors that a module in the control corrected already when a calibration was measured.
 
-    ``add``: whether the user wants them added. Raises `InputError`: the control corrects these very errors already; a module was
-    active, and it is not stated that its errors are to be added; or none was, and they cannot be added.
+    `InputError` if the control corrects these very errors, or if ``add`` does not say whether a module was active.
     """
     errors.check_not_live()
     section = errors.control
@@ -595,10 +587,7 @@ def outputs_of(folder: Path) -> list[Path]:
 
 
 def write_module(made: LiveKinematics, folder: Path) -> None:
-    """Write the folder, created if necessary; the calibration that refers to the other files last.
-
-    Raises `InputError`: an output is also an input, or cannot be written.
-    """
+    """Write the folder, `calibration.yaml` last; `InputError` if an output is also an input, or cannot be written."""
     errors = made.errors
     inputs = {one.path.resolve() for one in (errors, *made.earlier) if one.path is not None}
     for path in outputs_of(folder):

@@ -68,13 +68,11 @@ class Damping:
 
 @final
 class LiveCorrection:
-    """Functions of one machine with its errors.
+    """Functions of one machine with its errors, for three linear axes and at most two rotary ones, else `InputError`.
 
     All positions are metres and radians, axes in command order. ``channels`` are the directions of approach (axes,), then ``plain``,
-    then the outputs of the lags (``histories``).
-
-    ``errors``: CasADi function (positions, channels) → errors (6·frames,). Raises `InputError`: a machine without three linear axes, or
-    with more than two rotary ones.
+    those that the control must supply, then the outputs of the lags (``histories``). ``errors``: (positions, channels) → errors
+    (6·frames,).
     """
 
     def __init__(self, calibration: Calibration, plain: Sequence[str], damping: Damping) -> None:
@@ -285,10 +283,7 @@ def channel_of(name: str) -> SuppliedChannel:
 
 
 def channels_of(live: LiveCorrection) -> tuple[SuppliedChannel, ...]:
-    """Return the pins that a correction needs, each with the range over which all of its errors are known.
-
-    Raises `InputError`: a channel that has no pin.
-    """
+    """Return the pins that a correction needs, with the ranges over which all errors are known; `InputError` if a channel has none."""
     found = []
     for one in map(channel_of, live.plain):
         low, high = live.range_of(one.name, one.low, one.high)

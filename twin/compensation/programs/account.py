@@ -60,10 +60,7 @@ def setup_notes(prepared: PreparedMachine, *, all_tcp: bool, any_tcp: bool) -> I
 
 
 def condition_notes(prepared: PreparedMachine, by_block: str) -> Iterator[LineNote]:
-    """Yield notes on temperatures and time: values that no effect uses, and effects that still change considerably.
-
-    ``by_block``: the conditions that changed during the program, in words; empty if none did.
-    """
+    """Yield notes on conditions that changed (``by_block``, in words), that no effect uses, or whose effects still change."""
     conditions = prepared.options.conditions
     if by_block:
         yield LineNote(1, by_block)
@@ -193,11 +190,7 @@ class CompensationAccount:
         frames: tuple[FrameUse, ...] = (),
         text_of: Callable[[int], str],
     ) -> Report:
-        """Return the report of everything added so far.
-
-        ``lines``: number of lines of the program; ``moves``: number of its moves; ``text_of``: function that returns the text of a line
-        by its number; ``frames``: work offsets and tools of the program, if their tables are known.
-        """
+        """Return the report of everything added so far; ``text_of``: function that returns the text of a line by its number."""
         prepared, options = self._prepared, self._prepared.options
         notes = tuple(self._notes(notices))
         not_corrected = self._not_corrected(unknown, text_of)
@@ -276,10 +269,7 @@ class CompensationAccount:
         return pieces.conditions.at(np.zeros((len(motion), len(self._prepared.machine.axes))), motion, fraction)
 
     def _compare(self, points: SimulatedPoints, pieces: Pieces, lines: np.ndarray, first: int) -> None:
-        """Simulate points with nominal and with written commands, and add the deviations to the tallies.
-
-        ``lines``: (motions,) line number of each motion; ``first``: number of the stretch's first motion within the program.
-        """
+        """Simulate points with nominal and written commands, and add the deviations; ``first``: the stretch's first motion."""
         comparison = pieces.prepared.comparison
         found = comparison.totals(points.nominal, points.written, points.nominal_sides, points.written_sides)
         for tally, totals in zip((self._before, self._after), found, strict=True):

@@ -48,10 +48,7 @@ class BlockConditions:
     source: str = ""  # time, speeds and temperatures over the program, and where they are from, in words
 
     def at(self, sides: np.ndarray, motion: np.ndarray, fraction: np.ndarray) -> np.ndarray:
-        """Return (n, axes + channels) directions of approach and channels, as `Kinematics.directed` describes.
-
-        ``sides``: (n, axes) directions of approach; ``motion``: (n,) motion of each; ``fraction``: (n,) fraction of that motion.
-        """
+        """Return (n, axes + channels): (n, axes) ``sides``, and channels at fractions of motions, as of `Kinematics.directed`."""
         if not self.names:
             return sides
         moment = self.begin_s[motion] + np.asarray(fraction) * self.duration_s[motion]
@@ -101,11 +98,9 @@ def block_conditions(
     calibration: Calibration,
     conditions: Conditions,
 ) -> BlockConditions:
-    """Return the conditions of every motion of a program.
+    """Return the conditions of every motion of a program; ``spaces``: conversions of its words, each from a motion (its index) on.
 
-    ``spaces``: conversion between its words and commands, each from a motion (its index) on; ``calibration``: the machine's errors;
-    ``conditions``: the conditions, by block where `Conditions.by_block` says so. Raises `InputError`: a feed, a speed, or a part of the
-    log is missing; the error names the line or the times.
+    `InputError`, with the line or the times, if a feed, a speed, or a part of the log is missing.
     """
     names = channels_by_block(calibration, conditions)
     if not names:
@@ -132,10 +127,7 @@ def block_conditions(
 
 
 def durations_s(source: str, said: Technology, path: ToolPath, spaces: Sequence[tuple[int, WordSpace]]) -> np.ndarray:
-    """Return (motions,) the time of every motion in seconds; that of one with an unknown start is zero.
-
-    Raises `InputError`: a feed motion without a feed.
-    """
+    """Return (motions,) the time of every motion in seconds, 0 where the start is unknown; `InputError` without a feed."""
     columns = path.columns
     ends = [*(begin for begin, _ in spaces[1:]), len(columns)]
     parts = [(slice(begin, end), space) for (begin, space), end in zip(spaces, ends, strict=True)]
@@ -189,10 +181,7 @@ def _way(path: ToolPath) -> np.ndarray:
 
 @final
 class _Course:
-    """Channels in the order of time: at the rows of the log, then at beginning, end and between these of every motion.
-
-    ``time_s``: (n,) the moments.
-    """
+    """Channels at the moments ``time_s`` (n,): at the rows of the log, then at beginning, end and between these of every motion."""
 
     def __init__(
         self,

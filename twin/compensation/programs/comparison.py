@@ -88,10 +88,9 @@ class Commands:
 
 
 def split_lines(points: np.ndarray, which: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return lines in which every point of some is a line of its own.
+    """Return lines in which points of some are lines of their own: (n,) line each is from, (n,) fraction of it, NaN if whole.
 
-    ``points``: (lines,) number of points of each line; ``which``: (lines,) whether its points become lines. Return (n,) the line that
-    each of them is from, and (n,) the fraction of it at which the point lies; NaN for a whole line.
+    ``points``: (lines,) number of points of each line; ``which``: (lines,) whether its points become lines.
     """
     counts = np.where(which, points, 1)
     line = np.repeat(np.arange(len(points)), counts)
@@ -110,10 +109,7 @@ class ComparedPoses:
 
 @final
 class PoseComparison:
-    """Compares poses of a machine with errors with nominal poses; never raises.
-
-    ``of_words``: commands as an expression of words of the tool tip, for lines of such words; by default the words themselves.
-    """
+    """Compares poses of a machine with errors with nominal ones; ``of_words``: commands as an expression of words of the tip."""
 
     def __init__(
         self, real: Kinematics, nominal: Kinematics, of_words: Callable[[Any], Any] = lambda words: words
@@ -122,10 +118,7 @@ class PoseComparison:
         self._along: dict[tuple[str, bool, bool], AlongFunction] = {}
 
     def distance_mm(self, nominal: Commands, commanded: Commands, approach: np.ndarray | None = None) -> np.ndarray:
-        """Return (lines,) the largest distance between the functional points on each line; 0 on a line without points.
-
-        ``approach``: (lines, axes) approach directions, as in `Kinematics.directed`.
-        """
+        """Return (lines,) the largest distance between the functional points on each line; 0 on a line without points."""
         inputs = (*nominal.inputs, *commanded.inputs, *self._sides(approach))
         return self._function(self._distance, nominal, commanded).largest(inputs, nominal.counts)
 
@@ -143,10 +136,7 @@ class PoseComparison:
     def totals(
         self, nominal: Commands, written: Commands, before: np.ndarray | None, after: np.ndarray | None
     ) -> tuple[Totals, Totals]:
-        """Return the totals of `QUANTITIES` with nominal and with written commands, where the poses of both are known.
-
-        ``before``: (lines, axes) approach directions with nominal commands.
-        """
+        """Return the totals of `QUANTITIES` with nominal and with written commands, where the poses of both are known."""
         inputs = (*nominal.inputs, *written.inputs, *self._sides(before), *self._sides(after))
         both = self._function(self._totals, nominal, written).totals(inputs, nominal.counts, SLACK)
         parts = (slice(0, QUANTITIES), slice(QUANTITIES, None))
@@ -193,10 +183,7 @@ class PoseComparison:
         return ca.Function("totals", [*inputs, *sides, share], [*outputs, ca.fmax(*beyond)])
 
     def _symbols(self, *words: bool) -> tuple[list[Any], Any, Any, Any]:
-        """Return begin and displacement of nominal and given lines, the commands at a point, and the fraction.
-
-        ``words``: whether the nominal lines, and the given ones, are lines of words of the tool tip.
-        """
+        """Return begin and displacement of lines (whether of ``words`` of the tip), commands at a point, and the fraction."""
         axes = len(self._real.machine.axes)
         share = ca.SX.sym("share")
         lines = [[ca.SX.sym(f"{which}_{part}", axes) for part in ("begin", "way")] for which in ("meant", "given")]

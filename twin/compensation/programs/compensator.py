@@ -416,11 +416,7 @@ class ProgramCompensator:
 
 
 def outputs(programs: Sequence[Path], folder: Path) -> dict[Path, Path]:
-    """Return the output path of each program: its own name in the folder.
-
-    Raises `InputError`: two programs have the same name; the folder contains the programs themselves, is a file, or cannot be made or
-    written.
-    """
+    """Return the output path of each program; `InputError` if two names are alike, or the folder is not for outputs."""
     program_suffixes = {suffix for dialect in DIALECTS for suffix in dialect.suffixes}
     if not folder.is_dir() and (folder.exists() or folder.suffix.lower() in program_suffixes):
         raise InputError("several programs cannot be written to one file", expected="a folder", file=folder)

@@ -107,10 +107,7 @@ def _linear_axes_solved_again(pieces: Pieces, rows: Rows) -> Rows:
 
 
 def _without_steps_back(pieces: Pieces, rows: Rows, sides: np.ndarray, axes: tuple[int, ...]) -> Rows:
-    """Return the rows without small steps back caused by rounding.
-
-    Backlash would absorb such a step, or a control might see a reversal.
-    """
+    """Return the rows without small steps back caused by rounding, which backlash would absorb, or a control see as reversals."""
     commands = rows.commands.copy()
     fixed = rows.untouched | rows.clamped | (pieces.by_vector[rows.motion] & (axes == pieces.prepared.machine.rotary))
     for axis in set(pieces.aim.backlash.axes) & set(axes):
@@ -210,11 +207,9 @@ class Corrected:
 
 
 def new_positions(stretches: Sequence[Corrected], moves: int, axes: int) -> NewPositions:
-    """Return the positions that replace the moves of a program, or of a part of it, corrected in stretches.
+    """Return the positions that replace the moves of a program, or of a part of it, corrected in consecutive stretches.
 
-    They have shares of the moves' time where moves are inserted that take up backlash.
-
-    ``moves``: number of moves; ``axes``: number of words per position.
+    They have shares of the moves' time where moves are inserted that take up backlash. ``axes``: number of words per position.
     """
     first, count = np.zeros((2, moves), dtype=int)
     begin = 0
@@ -244,9 +239,8 @@ def _shares(found: Corrected) -> np.ndarray:
 def correct(pieces: Pieces, progress: Progress, *, context: int = 0, before: EndState | None = None) -> Corrected:
     """Solve all blocks, and split those whose error between end points exceeds the tolerance.
 
-    ``context``: number of its first motions that belong to the stretch before; ``before``: end of that stretch, if none of its motions
-    is among the pieces. Raises `InputError`: a position that the calibration does not cover; an arc that cannot be compensated as a
-    whole.
+    ``context``: number of first motions that belong to the stretch before, whose end is ``before`` if none of its motions is among the
+    pieces. `InputError` for a position that the calibration does not cover, or an arc that cannot be compensated as a whole.
     """
     prepared, lines = pieces.prepared, pieces.path.columns.line + 1
     commands = pieces.space.commands(pieces.end[context:], pieces.tcp[context:])

@@ -53,10 +53,7 @@ def numbers_of_increments(text: str) -> list[tuple[str, float]]:
 
 @contextmanager
 def machine_hints(machine: Machine, dialect: Dialect, text_of: Callable[[int], str]) -> Iterator[None]:
-    """Let an `InputError` at a line say if a number of that line may count increments, or which machine has the axis that it names.
-
-    ``text_of``: function that returns the text of a line by its number.
-    """
+    """Let an `InputError` at a line say if a number of that line may count increments, or which machine has the axis that it names."""
     try:
         yield
     except InputError as error:
@@ -252,10 +249,7 @@ class ToolPath:
         return ToolPath(columns, columns, (), passages)
 
     def dense(self, fractions: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-        """Return words at fractions of all motions; of a motion with unknown start, only those of the end point.
-
-        Return (n, axes) words, and (n,) the index of the motion each belongs to.
-        """
+        """Return (n, axes) words at fractions of all motions, only at the end if the start is unknown, and (n,) the motion of each."""
         words = [
             motion.along(share) if np.isfinite(motion.start).all() else motion.end[None]
             for motion, share in zip(self.motions, fractions, strict=True)

@@ -68,11 +68,7 @@ Entry = TypeVar("Entry", Notice, LostBlock)
 
 
 class ProgramSource(ABC):
-    """A program to be read in stretches.
-
-    ``lines``: approximate number of lines; ``parts``: number of parts in which it is solved; ``program``: the program, if it is in
-    memory.
-    """
+    """A program to be read in stretches and solved in ``parts``; ``program``: the program, if it is in memory."""
 
     name: str
     dialect: Dialect
@@ -205,10 +201,9 @@ _NO_PATH: Final = ToolPath((), MotionColumns.of({}, 1))
 class PartReader:
     """Reads a program part by part.
 
-    ``turns``: whether it moves rotary axes; None to decide from its first motions; ``reading``: its moves, if they are known more
-    exactly than from its text; it is one part then. ``lines``: number of lines read so far; ``turns_later``: whether rotary motion
-    appears only later, so that the program must be compensated again from its start; ``failed``: the error that ended reading; None if
-    there is none.
+    ``turns``: whether it moves rotary axes; None to decide from its first motions. ``turns_later``: whether rotary motion appears only
+    later, so that the program must be compensated again from its start. ``reading``: its moves, if they are known more exactly than
+    from its text: one part then. ``failed``: the error that ended reading.
     """
 
     def __init__(
@@ -289,11 +284,7 @@ PRINTED_MM: Final = 2e-4
 
 
 def check(source: str, lines: np.ndarray, new: NewPositions, got: np.ndarray) -> None:
-    """Compare the output with the intended positions.
-
-    ``source``: the program's name; ``lines``: (moves,) line numbers of the program's moves; ``got``: (n, axes) end positions of the
-    moves read back from the output. Raises `OutputError`: they differ.
-    """
+    """Compare (n, axes) positions read back from the output with the intended ones; `OutputError`, with the line, if they differ."""
     one_each = len(got) == len(new.count) == len(new.positions) and bool(np.all(new.count == 1))
     if one_each and np.all(np.abs(got - new.positions) <= PRINTED_MM):  # the usual case
         return
@@ -380,10 +371,7 @@ class PartWriter:
         self._put(data, last=False)
 
     def _put(self, data: bytes, *, last: bool) -> None:
-        """Write data; the first lines are held until the head is complete and then written with the comments.
-
-        All lines are held where they are numbered, because a comment or an inserted line changes every later number.
-        """
+        """Write data; the first lines are held until the head is complete, or all where a comment changes later numbers."""
         if self._head is None:
             self._out.write(data)
             return
@@ -416,10 +404,9 @@ class Solved(NamedTuple):
 
 @final
 class ProgramRun:
-    """Compensation of one program.
+    """Compensation of one program; ``last``: the last part, as read and as solved; the whole program if it is one part.
 
-    ``reading``: the program's moves, if they are known more exactly than from its text. ``last``: the last part, as read and as solved;
-    the whole program if it is one part. Raises `InputError`: the program cannot be read.
+    ``reading``: the program's moves, if they are known more exactly than from its text.
     """
 
     reader: PartReader
@@ -438,12 +425,7 @@ class ProgramRun:
         self._posted = into.name != source.dialect.name
 
     def write(self, out: BinaryIO) -> Report:
-        """Compensate the program.
-
-        Raises `InputError`: the program cannot be read, or contains something that must not pass uncompensated. If there are several
-        such errors, the one in the first part is raised. Raises `OutputError`: the output, read back, differs from the intended
-        positions.
-        """
+        """Compensate the program; of several errors in what it contains, the one in the first part is raised."""
         source, machine = self._source, self._prepared.machine
         with source.errors(), machine_hints(machine, source.dialect, lambda line: source.text_at(line - 1)):
             return self._write(out)
@@ -500,10 +482,7 @@ class ProgramRun:
         return entry._replace(line=self._number(entry.line) - 1)
 
     def _solved(self, reader: PartReader) -> Generator[tuple[ProgramPart, Solved], None, None]:
-        """Yield parts as read and as solved; ends early if reading does.
-
-        Reading and writing, solving, and reporting run through the parts in order, each on its own thread.
-        """
+        """Yield parts as read and as solved, until reading ends; writing, solving and reporting each run on their own thread."""
         waiting: deque[tuple[ProgramPart, Future[Solved], Future[None]]] = deque()
         accounted: deque[Future[None]] = deque()
         with ThreadPoolExecutor(1) as solving, ThreadPoolExecutor(1) as accounting:

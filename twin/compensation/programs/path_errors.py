@@ -51,10 +51,7 @@ class EndState(NamedTuple):
 
 @final
 class PathErrors:
-    """Errors of a program, or of a stretch of it, between the end points of its pieces.
-
-    ``before``: end of the stretch before; None if there is none, or if it is among the pieces.
-    """
+    """Errors of a stretch of a program between the end points of its pieces; ``before``: end of the stretch before, if any."""
 
     def __init__(self, pieces: Pieces, before: EndState | None = None) -> None:
         self._pieces, self._space, self._before = pieces, pieces.space, before
@@ -113,10 +110,9 @@ class PathErrors:
     def _directed(
         self, samples: Samples, rows: Rows, ways: Ways, *, on_lines: bool
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the lines within which directions of approach and conditions are constant.
+        """Return lines with constant approach and conditions: (n,) piece and fraction, as `split_lines`, and (n, axes + channels).
 
-        ``on_lines``: whether every piece is a line; otherwise every point is one. Return (n,) piece and (n,) fraction of each line, as
-        by `split_lines`, and (n, axes + channels) directions of approach and conditions.
+        ``on_lines``: whether every piece is a line; otherwise every point is one.
         """
         pieces, row = self._pieces, rows_of(samples, ways)
         ended = rows.approach[row]
@@ -171,10 +167,7 @@ class PathErrors:
         return begin, end
 
     def commands(self, samples: Samples, ways: Ways) -> tuple[Commands, Commands]:
-        """Return nominal commands, which the control derives from the original program, and those of pieces that follow ``ways``.
-
-        A piece is a line if all of these are straight lines of commands or of words, else each point is.
-        """
+        """Return nominal commands and those of pieces that follow ``ways``: as lines if all are straight, else as points."""
         row = rows_of(samples, ways)
         motion = taken(self._pieces.legs.motion, samples.leg)
         begin, way = taken(ways.begin, row), taken(ways.way, row)
@@ -202,10 +195,9 @@ class PathErrors:
         )
 
     def _on_lines(self, motions: np.ndarray) -> bool:
-        """Return whether some motions can be simulated as lines of commands or of words.
+        """Return whether motions can be simulated as lines of commands or words: straight, in one mode, outside tilted planes.
 
-        They are straight, in one mode and outside a tilted plane. Lines of tool-tip words are split into points if the machine's errors
-        depend on approach directions or conditions.
+        Lines of tool-tip words are split into points if the machine's errors depend on approach directions or conditions.
         """
         pieces = self._pieces
         if not self._space.parallel or not np.all(pieces.straight[motions]):
@@ -253,21 +245,14 @@ class PathErrors:
         return off & self._pieces.interpolated
 
     def _start_words(self, separate: np.ndarray, sides: np.ndarray, reached: np.ndarray, *, as_run: bool) -> np.ndarray:
-        """Return (n, axes) words at the start of motions that do not begin where the one before ends.
-
-        ``separate``: (n,) the motions; ``sides``: (n, axes) their directions of approach; ``reached``: (n, axes) words at the end of
-        the motion before each; ``as_run``: as for `ways`.
-        """
+        """Return (n, axes) words at the start of (n,) motions that do not begin at (n, axes) ``reached``, where the one before ends."""
         pieces = self._pieces
         rows = pieces.solve(np.searchsorted(pieces.legs.motion, separate), np.zeros(len(separate)), sides)
         commands = self._actual_start(separate, rows.nominal, reached) if as_run else rows.exact
         return self._space.words(commands, pieces.tcp_out[separate])
 
     def _actual_start(self, separate: np.ndarray, nominal: np.ndarray, reached: np.ndarray) -> np.ndarray:
-        """Return (n, axes) actual commands at the start of these motions; ``nominal``: the nominal ones.
-
-        Axes moved by a line left as written between two motions stand where that line put them.
-        """
+        """Return (n, axes) actual commands at the start of motions; axes moved by a line before stand where that line put them."""
         ended, tcp = (values[separate] for values in self._ends_before)
         expected = self._space.commands(ended, tcp)
         # As in the output, where tool-tip input that is posted has axis words.

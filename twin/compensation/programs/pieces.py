@@ -154,11 +154,7 @@ def even_cuts(sizes: np.ndarray, most: float) -> list[int]:
 
 
 def check_one_mode(calibration: Calibration, modes: np.ndarray, source: str, *, tcp: bool) -> None:
-    """Raise `InputError` if kinematics are held by the control and a program is not wholly in one mode.
-
-    ``modes``: whether the words of each motion are tool-tip coordinates; ``tcp``: whether tool-centre-point mode is on from the start;
-    the kinematics are taken into account if it is.
-    """
+    """Raise `InputError` if the control holds kinematics and a program is not wholly in one mode: ``tcp``, that from the start."""
     control = calibration.control
     if control is not None and control.kinematics and np.any(modes != tcp):
         raise InputError(
@@ -231,10 +227,9 @@ class Legs:
 def turning_points(
     prepared: PreparedMachine, path: ToolPath, which: np.ndarray, axes: Sequence[int]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the points at which axes reverse inside motions.
+    """Return (k,) motions and (k,) fractions at which axes reverse inside motions, in order.
 
-    Return (k,) motion and (k,) fraction, in order. Points closer than two least increments to another one or to an end point of the
-    motion are omitted, because rounded words cannot represent them.
+    Points closer than two least increments to another one or to an end point are omitted: rounded words cannot represent them.
     """
     columns, motions = path.columns, path.motions
     can_turn = np.array(columns.tcp)
@@ -422,11 +417,7 @@ class Pieces:
         return self.solve(*self.legs.ends(legs))
 
     def solve(self, leg: np.ndarray, fraction: np.ndarray, approach: np.ndarray | None = None) -> Rows:
-        """Solve for points at fractions of the motions of legs.
-
-        ``leg``: (n,) the legs; ``fraction``: (n,) fractions of their motions; ``approach``: (n, axes) approach directions; unknown if
-        None.
-        """
+        """Solve for points at (n,) fractions of the motions of (n,) legs; ``approach``: (n, axes); unknown if None."""
         limits = self.prepared.limits
         of = taken(self.legs.motion, leg)
         sides = np.zeros((len(of), len(limits))) if approach is None else approach
@@ -497,10 +488,7 @@ class Pieces:
         return commands, left
 
     def printed(self, rows: Rows, unsolved: np.ndarray | None = None) -> Rows:
-        """Return the rows with ``exact`` converted to words and rounded, none farther from its point than as programmed.
-
-        ``unsolved``: (n,) whether the solver did not reach the point within the limits.
-        """
+        """Return rows with ``exact`` as rounded words, none farther from its point than as programmed; ``unsolved``: (n,)."""
         rounded = self._rounded(rows)
         stopped = rounded.clamped & ~rounded.as_programmed & ~rows.overshoot.any(axis=1)
         if unsolved is not None:

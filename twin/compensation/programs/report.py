@@ -26,12 +26,7 @@ from twin.tool.uncertainty import DEFINITION, ToolUncertainty
 
 @final
 class CompensationTally:
-    """Running sums of squares, and the place at which each quantity is largest.
-
-    ``quantities``: number of quantities; ``squares``: number of sums of squares. ``count``: number of places added; ``largest``:
-    (quantities, quantities) all quantities at the place where each is largest; 0 if nothing was added; ``lines``: (quantities,) program
-    line of that place.
-    """
+    """Running sums of squares over ``count`` places, and all quantities and the line at the place where each is ``largest``."""
 
     def __init__(self, quantities: int, squares: int) -> None:
         self.count = 0
@@ -40,11 +35,7 @@ class CompensationTally:
         self._squares = np.zeros(squares)
 
     def add(self, values: np.ndarray, squares: np.ndarray, lines: np.ndarray, count: int | None = None) -> None:
-        """Add places.
-
-        ``values``: (quantities, n) values at each place, or only at those at which one of them is largest; ``squares``: (squares,) sums
-        of squares over all places; ``lines``: (n,) program line of each place; ``count``: number of all places; n if None.
-        """
+        """Add (quantities, n) values at (n,) lines, or only the largest of ``count`` places; ``squares``: sums over all."""
         if not lines.size:
             return
         at = np.argmax(values, axis=1)
@@ -170,10 +161,7 @@ class ToolCorrection:
 
 @final
 class CorrectionTally:
-    """Collects a `ToolCorrection`; block end points are added stretch by stretch, those of one block together.
-
-    ``of``: ``tool point`` or ``tool axis``; ``unit``: ``um`` or ``urad``.
-    """
+    """Collects a `ToolCorrection`; block end points are added stretch by stretch, those of one block together."""
 
     def __init__(self, of: str, unit: str) -> None:
         self._of, self._unit = of, unit
@@ -186,11 +174,7 @@ class CorrectionTally:
     def add(
         self, lines: np.ndarray, blocks: np.ndarray, size: np.ndarray, known: np.ndarray, tool: ToolUncertainty
     ) -> None:
-        """Add end points.
-
-        ``lines``: (n,) program lines; ``blocks``: (n,) block of each end point, ascending; ``size``: (n,) length of the correction, n >
-        0; ``known``: (n, 4) its U and three standard uncertainties; NaN if ``tool`` knows none.
-        """
+        """Add (n,) lengths of the correction; ``known``: (n, 4) its U and three standard uncertainties; ``blocks``: (n,) ascending."""
         expanded = known[:, 0]
         first = np.flatnonzero(np.append(True, blocks[1:] != blocks[:-1]))
         count = np.diff(np.append(first, len(blocks)))

@@ -160,10 +160,7 @@ def offset_name(section: Section) -> str:
 
 
 def frame_uses(sections: Sequence[Section], number_of: Callable[[int], int]) -> tuple[FrameUse, ...]:
-    """Return the work offsets and tools of a program's sections.
-
-    ``number_of``: function that returns the number of a line by its 0-based index.
-    """
+    """Return the work offsets and tools of a program's sections; ``number_of``: number of a line by its 0-based index."""
     return tuple(
         FrameUse(
             number_of(section.line),
@@ -196,11 +193,10 @@ a node, which reduces the remaining error to a quarter.
 
 
 def interpolated(values: Callable[[np.ndarray], np.ndarray], places: np.ndarray, straight: np.ndarray) -> np.ndarray:
-    """Return a function's values along a path, evaluated at some points and interpolated linearly between them.
+    """Return (n, groups, m) values along a path (n, axes), evaluated at some points and interpolated linearly between them.
 
-    ``values``: function of (k,) distinct indices of points that returns (k, groups, m) values; those of a group have one unit;
-    ``places``: (n, axes) points along a path, n > 0; ``straight``: (axes,) deviation from the straight line between two points up to
-    which the path counts as straight. Return (n, groups, m) values.
+    ``values``: function of (k,) distinct indices; the values of a group have one unit. ``straight``: (axes,) deviation from the
+    straight line between two points up to which the path counts as straight.
     """
     count = len(places)
     if count <= EVALUATED_POINTS:
@@ -338,10 +334,10 @@ UNSOLVED_UM: Final = 0.01
 
 
 def uncorrected(corrected: Corrected, residual_um: Mapping[str, np.ndarray]) -> Iterator[FoundShortfalls]:
-    """Yield the blocks of a program, or of a stretch of it, that could not be corrected, by reason.
+    """Yield the blocks of a stretch that could not be corrected, by reason.
 
-    ``residual_um``: by cause (``rounding``, ``solver``), (rows,) distance in µm of the tool point from its target at the end points
-    after the context.
+    ``residual_um``: by cause (``rounding``, ``solver``), (rows,) distance of the tool point from its target at the end points of its
+    own.
     """
     yield from _beyond_range(corrected, residual_um["rounding"])
     yield from _off_in_orientation(corrected)
@@ -359,10 +355,7 @@ def of_unknown(moves: Sequence[LostBlock]) -> Iterator[FoundShortfalls]:
 
 
 def hinted(shortfall: Shortfall, text_of: Callable[[int], str]) -> Shortfall:
-    """Return blocks outside the range of an axis with a hint if a number of the worst one may count increments.
-
-    ``text_of``: function that returns the text of a line by its number; empty where numbers never count increments.
-    """
+    """Return blocks outside the range of an axis with a hint if a number of the worst one may count increments."""
     if shortfall.kind != "range" or shortfall.unit not in ("mm", "deg"):
         return shortfall
     if not any(number >= shortfall.worst for _, number in numbers_of_increments(text_of(shortfall.worst_line))):
@@ -380,10 +373,7 @@ def _cutting(corrected: Corrected) -> np.ndarray:
 
 
 def _beyond_range(corrected: Corrected, off_um: np.ndarray) -> Iterator[FoundShortfalls]:
-    """Yield blocks whose commands leave the range of an axis.
-
-    ``off_um``: (rows,) distance of the tool point from its target at the end points, µm.
-    """
+    """Yield blocks whose commands leave the range of an axis; ``off_um``: (rows,) distance of the tool point from its target."""
     prepared, rows = corrected.pieces.prepared, corrected.own
     machine = prepared.machine
     ranges = machine.limits / machine.scale[:, None]
@@ -513,11 +503,7 @@ def _portion(
     inside: Both,
     row: np.ndarray,
 ) -> Iterator[SimulatedPoints]:
-    """Yield the end points and the dense points of one portion.
-
-    ``trackers``: approach directions with nominal and with written commands, up to this portion; ``row``: (pieces,) end point of each
-    piece.
-    """
+    """Yield the end points and the dense points of one portion; ``row``: (pieces,) end point of each piece."""
     pieces, line = corrected.pieces, samples.piece
     motion = pieces.legs.motion[samples.leg][line]
     before = np.zeros(len(rows.leg), dtype=int)

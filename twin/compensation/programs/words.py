@@ -76,10 +76,7 @@ class Setup:
 
 
 def axis_words(machine: Machine) -> AxisWords:
-    """Return the words of a machine's programs, with its linear axes in the order x, y, z of the work frame.
-
-    Raises `InputError`: the machine cannot run programs.
-    """
+    """Return the words of a machine's programs, linear axes in the order x, y, z of the work frame, or raise `InputError`."""
     machine.check_programs()
     data = machine.model.createData()
     pin.framesForwardKinematics(machine.model, data, pin.neutral(machine.model))
@@ -136,9 +133,9 @@ class Tilt:
 class WordSpace:
     """Conversion between words and commands, for one machine, tool length and set-up.
 
-    ``tool_length_mm``: tool length; None for the machine file's own; ``tilt``: the tilted plane of the words; None if they are parallel
-    to the linear axes; ``turn``: (3, 3) axes of the words x, y, z along the linear axes, as columns, outside a tilted plane; None if
-    they are parallel. ``order``: (axes,) column of the commands that belongs to each word.
+    ``tilt``: the tilted plane of the words; None if they are parallel to the linear axes; ``turn``: (3, 3) axes of the words x, y, z
+    along the linear axes, as columns, outside a tilted plane; None if they are parallel. ``order``: (axes,) column of the commands of
+    each word.
     """
 
     def __init__(
@@ -217,7 +214,7 @@ class WordSpace:
     def _linear_axes(self) -> ca.Function:
         """Commands of the linear axes, mm, by tool tip in the work frame (mm) and rotary axes (degrees), all in word order.
 
-        Linear axes only translate, so that the tip is linear in their commands: three equations with three unknowns.
+        The tip is linear in the commands of the linear axes: three equations with three unknowns.
         """
         scale = self.machine.scale[self.order]
         linear, rotary = ca.SX.sym("linear", 3), ca.SX.sym("rotary", len(self.order) - 3)
@@ -317,11 +314,7 @@ def outside_range(machine: Machine, commands: np.ndarray) -> np.ndarray:
 
 
 def check_domains(real: Kinematics, source: str, lines: np.ndarray, commands: np.ndarray) -> None:
-    """Raise `InputError` for a position within the axis's range that its curves or an empirical effect do not cover: no extrapolation.
-
-    ``source``: the program's name, for the message; ``lines``: (n,) program line number of each command; ``commands``: (n, axes) mm and
-    degrees; those outside an axis's range are not checked here. Raises `InputError`: with line, value and domain.
-    """
+    """Raise `InputError` for a position within an axis's range that its curves or empirical effects do not cover."""
     outside = real.calibration.outside_domains(commands)
     if not (outside.any() or real.calibration.empirical):
         return

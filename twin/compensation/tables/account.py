@@ -259,7 +259,7 @@ def written_by(made: ControlTables) -> tuple[str, ...]:
 def account_of(
     made: ControlTables, errors: Calibration, known: Calibration, missing: Mapping[str, tuple[str, ...]]
 ) -> Account:
-    """Return the account of the tables; the remaining error is computed from the files as read back."""
+    """Return the account of tables, from the files as read back; ``missing``: effects that ``known`` leaves out, by channel."""
     with scratch_folder() as folder:
         section = _section(made, _write(made.increment or made.files, folder, made.request.form))
         remaining = remaining_errors(made.required, known.with_control(section))
@@ -281,10 +281,7 @@ def account_of(
 def write_folder(
     made: ControlTables, errors: Calibration, known: Calibration, missing: Mapping[str, tuple[str, ...]], folder: Path
 ) -> Account:
-    """Write the folder, created if necessary: the control's files first, the calibration that refers to them last.
-
-    Raises `InputError`: an output is also an input, or cannot be written.
-    """
+    """Write the folder, `calibration.yaml` last; `InputError` if an output is also an input, or cannot be written."""
     outputs = outputs_of(folder, made.request.kind, made.required.machine)
     inputs = [errors.path] if errors.path is not None else []
     inputs += [entry.file for entry in errors.control.tables] if errors.control is not None and made.increment else []
@@ -422,11 +419,7 @@ def compare_tables(
     tool_length_mm: float | None,
     conditions: Conditions,
 ) -> Existing:
-    """Read tables and compare them with a calibration.
-
-    ``kind``: a format of `twin.controls`; ``at``: positions of the other axes while one moves, mm and degrees; ``tool_length_mm``: tool
-    length; None: that of the machine file. Raises `InputError`: a file cannot be read as this format.
-    """
+    """Read tables and compare them with a calibration; ``at``: positions of the other axes; `InputError` as of the format."""
     form = format_named(kind)
     correction = form.read(files, machine)
     remaining = calibration.control is not None and calibration.control.errors_are == "remaining"

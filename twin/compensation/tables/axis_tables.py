@@ -67,11 +67,9 @@ class Nodes:
 def choose_nodes(
     truth: Truth, low: float, high: float, tolerance: np.ndarray, *, step: float | None, most: int
 ) -> Nodes:
-    """Return the nodes for a range.
+    """Return the nodes for a range, mm or degrees; `InputError` if the step is not positive or needs too many nodes.
 
-    ``truth``: the function to be interpolated; ``low``: start of the range, mm or degrees; ``tolerance``: (k,) tolerance of the
-    interpolation; ``step``: distance between nodes, reduced to one that divides the range; None: as wide as the tolerance allows;
-    ``most``: largest number of nodes in the format. Raises `InputError`: the step is not positive or needs too many nodes.
+    ``tolerance``: (k,) of the interpolation; ``step``: distance, reduced to one that divides the range; None: as wide as it allows.
     """
     whole = round((high - low) / RESOLUTION)
     counts = [n for n in range(1, most) if whole % n == 0]
@@ -146,10 +144,7 @@ class ConstantKinematics:
 
 
 def real_geometry(calibration: Calibration) -> TableGeometry:
-    """Return the geometry of the table with the location errors of a calibration.
-
-    Raises `InputError`: the machine does not have a table with two rotary axes.
-    """
+    """Return the geometry of the table with the location errors of a calibration; `InputError` unless it has two rotary axes."""
     machine = calibration.machine
     errors = np.zeros(6 * len(machine.frames))
     for name, value in calibration.location.items():
@@ -164,8 +159,7 @@ def make_kinematics(
 ) -> ConstantKinematics:
     """Return the kinematics of a control for the location errors of a calibration, as a file and as read back.
 
-    ``kind``: name of a format of `twin.controls.kinematics`; ``tool_length_mm``: tool length of the functional point; None: that of the
-    machine file. Raises `InputError`: an unknown format; the transformation cannot represent the machine; there are no location errors.
+    `InputError` for an unknown format, a machine that the transformation cannot represent, or no location errors.
     """
     machine, form = calibration.machine, kinematics_named(kind)
     nominal = form.nominal(machine)

@@ -86,13 +86,11 @@ class Volume:
 
 @final
 class RequiredCorrections:
-    """Corrections that a calibration requires.
+    """Corrections that a calibration requires; corrections by the control are disregarded.
 
-    ``calibration``: its errors, without effects whose channel the conditions do not give; corrections by the control are disregarded;
-    ``at``: positions of the other axes while one moves, mm or degrees by axis; by default linear axes in the middle of their ranges,
-    rotary axes as near to zero as they can be; ``tool_length_mm``: tool length for which the point is corrected; None: that of the
-    machine file. Raises `InputError`: a position of an unknown axis or out of range; linear axes with linearly dependent directions,
-    for which the correction is not unique.
+    ``at``: positions of the other axes while one moves; by default linear axes in the middle of their ranges, rotary axes as near to
+    zero as they can be. `InputError` for a position of an unknown axis or out of range, or if directions of linear axes are linearly
+    dependent.
     """
 
     def __init__(
@@ -135,10 +133,7 @@ class RequiredCorrections:
         return Volume(q, random_approach(q), self.nominal.forward(q), back)
 
     def poses_with(self, errors: Calibration, commands: np.ndarray) -> Poses:
-        """Return the poses at commands (n, axes) for `volume` with the given errors, without building their kinematics.
-
-        Raises `InputError`: a position outside the domain of a curve; an effect needs a channel that is not given.
-        """
+        """Return the poses at commands (n, axes) for `volume` with the given errors, without building their kinematics."""
         errors.check(commands)
         state = state_at(self.machine, commands, self.volume.sides, self.conditions)
         effects = errors.with_tool(self.tool_length_mm).effects
@@ -147,8 +142,7 @@ class RequiredCorrections:
     def corrected_commands(self, reach: Callable[[np.ndarray], Poses], reached: Poses) -> tuple[np.ndarray, int]:
         """Return the commands (n, axes) of `volume` whose linear axes correct the point, and at how many an axis's range limits them.
 
-        ``reach``: commands (n, axes) for `volume` → poses of the machine that is corrected; ``reached``: poses that it reaches with the
-        commands of `volume`.
+        ``reach``: function from commands to poses of the machine that is corrected; ``reached``: poses at the commands of `volume`.
         """
         at, linear = self.volume, list(self.machine.linear)
         commands, limited = at.q.copy(), np.zeros(len(at.q), dtype=bool)
@@ -192,10 +186,7 @@ class RequiredCorrections:
         return np.asarray(rows)
 
     def linear_corrections(self, axes: tuple[str, ...], positions: np.ndarray, side: int = 0) -> np.ndarray:
-        """Return the corrections (n, linear axes) in µm, to be added to the commands, for the errors of some axes.
-
-        ``positions``: (n, axes) mm and degrees.
-        """
+        """Return the corrections (n, linear axes) in µm for errors of some axes, approached from ``side``: +1, −1, 0 unknown."""
         key = axes, side, positions.tobytes()
         if key not in self._known:
             if len(self._known) >= CORRECTIONS_REMEMBERED:
@@ -232,10 +223,7 @@ class RequiredCorrections:
         return np.asarray(frames[:, own].sum(axis=1) * 1e6)
 
     def linear_factors(self, axes: tuple[str, ...], positions: np.ndarray, side: int = 0) -> np.ndarray:
-        """Return a factor F (n, linear axes, r) of the covariance F Fᵀ of `linear_corrections`, µm, from the identified errors.
-
-        r is zero if none of these axes' errors has a covariance.
-        """
+        """Return F (n, linear axes, r) of the covariance F Fᵀ of `linear_corrections`, µm; r = 0 if no error has one."""
         tool, sides = self._uncertainty(axes), self._sides(axes, positions, side)
         components, spread = tool.frame_factors(positions, sides)
         # Metres per metre and radian equal µm per µm and µrad.
@@ -419,9 +407,7 @@ class ProofOfTables:
         values: np.ndarray,
         factor: np.ndarray,
     ) -> bool:
-        """Return whether a table is to be written; an unproven one is noted.
-
-        Without a covariance U is unknown and nothing is refused; a warning says so.
+        """Return whether a table is to be written; an unproven one is noted. Without a covariance nothing is refused.
 
         ``values``: (n,) the correction at positions of the table; ``factor``: (m, r) factor of its covariance at some of them.
         """
@@ -454,19 +440,13 @@ class Design(ABC, Generic[C]):
 
     @abstractmethod
     def plan(self, required: RequiredCorrections, request: Request, old: C | None) -> TablePlan[C]:
-        """Return the tables; on the nodes of the old ones if there are any.
-
-        Raises `InputError`: the machine cannot have such tables, the new ones cannot be added to the old ones, or the step is unusable.
-        """
+        """Return the tables, on the nodes of the old ones if there are any; `InputError` if the machine cannot have them."""
 
     @abstractmethod
     def share(
         self, required: RequiredCorrections, effect: Effect, others: Sequence[Axis], request: Request
     ) -> tuple[Share, str]:
-        """Return which share of one error the tables correct, and the reason if it is not the whole.
-
-        ``request``: the format, and whether two tables are multiplied.
-        """
+        """Return which share of one error, that depends on ``others``, the tables correct, and the reason if it is not the whole."""
 
 
 def share_depending_on(others: Sequence[Axis]) -> tuple[Share, str]:

@@ -183,10 +183,7 @@ class ReadKinematics:
 
 
 def compare_kinematics(calibration: Calibration, kind: str, file: Path, tool_length_mm: float | None) -> ReadKinematics:
-    """Read the kinematics of a control and compare them with the location errors of a calibration (in the datum mean lines).
-
-    Raises `InputError`: the file cannot be read as this format.
-    """
+    """Read the kinematics of a control and compare them with the location errors of a calibration (in the datum mean lines)."""
     errors, machine = calibration.in_datum("mean lines"), calibration.machine
     geometry = read_kinematics(kind, file, machine)
     length = machine.tool_length_mm if tool_length_mm is None else tool_length_mm
@@ -205,10 +202,10 @@ def kinematics_outputs(folder: Path, request: KinematicsRequest, made: ConstantK
 def make_both(
     errors: Calibration, known: Calibration, request: KinematicsRequest
 ) -> tuple[ConstantKinematics, ControlTables | None]:
-    """Return the kinematics, and the tables beside them if they are requested.
+    """Return the kinematics, and the tables beside them if requested; ``known``: ``errors`` without effects whose channel is not given.
 
-    Raises `InputError`: as for `make_kinematics` and `make`; tables that correct the location errors themselves; locations that were
-    not identified, unless the request accepts them.
+    `InputError` also for tables that correct the location errors themselves, or locations not identified, unless the request accepts
+    them.
     """
     errors.check_settled()
     check_no_module(errors)
@@ -238,10 +235,7 @@ def write_kinematics(
     request: KinematicsRequest,
     folder: Path,
 ) -> KinematicsAccount:
-    """Write the folder: the control's files first, the calibration that refers to them last.
-
-    ``folder``: the output folder, created if necessary. Raises `InputError`: an output is also an input, or cannot be written.
-    """
+    """Write the folder, `calibration.yaml` last; ``missing``: effects that ``known`` leaves out; errors of `write_folder`."""
     kinematics, tables = made
     for path in kinematics_outputs(folder, request, kinematics):
         if errors.path is not None and path.resolve() == errors.path.resolve():

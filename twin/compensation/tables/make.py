@@ -89,10 +89,7 @@ class Stages:
 
 
 def stages_of(required: RequiredCorrections, known: Calibration, section: ControlSection) -> Stages:
-    """Return the error after every stage, from the files in the control as read back.
-
-    ``section``: kinematics of the control, and tables if there are any.
-    """
+    """Return the error after every stage, from the files in the control as read back; ``section``: of the calibration."""
     machine = required.machine
     alone = ControlSection("uncorrected", (), section.kinematics)
     kinds = {BEFORE: None, CONSTANTS: alone, TABLES: section} if section.tables else {BEFORE: None, CONSTANTS: alone}
@@ -243,8 +240,7 @@ def _on_nodes(required: RequiredCorrections, where: tuple[np.ndarray, ...], trut
 def _largest_deviation(required: RequiredCorrections, grid: CorrectionGrid, truth: Truth) -> float:
     """Return the largest deviation in µm of the required correction from the grid's interpolation.
 
-    It is evaluated at the centres of a sample of cells and at the midpoints of cell sides along the edges of the box, where the
-    interpolation error is largest.
+    The centres of some cells and the midpoints of cell sides along the edges of the box are checked, where it is largest.
     """
     rng, where = np.random.default_rng(CELL_SEED), [np.array(nodes) for nodes in grid.at]
     inside = np.stack([rng.choice(0.5 * (nodes[1:] + nodes[:-1]), CELLS) for nodes in where], axis=1)
@@ -312,11 +308,10 @@ class ControlTables:
 def make(
     machine: Machine, calibration: Calibration, request: Request, required: RequiredCorrections | None = None
 ) -> ControlTables:
-    """Make the tables and read them back.
+    """Make the tables and read them back; ``required``: if known from another format with the same settings.
 
-    ``required``: the required corrections, if known from another format with the same settings. Raises `InputError`: an unknown format;
-    a calibration whose estimate did not converge, or that was measured with tables on while ``request.add`` is False; old tables of
-    another format; no error that the format can correct; no table that is shown to be an improvement.
+    `InputError` for a calibration that did not converge or was measured with tables on (unless ``request.add``), old tables of another
+    format, no error that the format can correct, or no table that is shown to be an improvement.
     """
     if not request.tolerance_um > 0.0:
         raise InputError("tolerance must be positive", expected="µm", value=request.tolerance_um)

@@ -99,10 +99,7 @@ class RemainingErrors:
 
     @property
     def reduction(self) -> float:
-        """Share of the RMS error that the tables correct; of the expected RMS error where the uncertainty is known.
-
-        Errors that were not identified are the same with and without tables, and are not part of it.
-        """
+        """Share of the RMS error, or of the expected one of identified errors where U is known, that the tables correct."""
         known = self.uncertainty.identified_standard_rms_um
         before, after = (
             float(np.hypot(one.rms_um, known)) if np.isfinite(known) else one.rms_um
@@ -158,11 +155,7 @@ def or_unknown(value: float) -> str:
 
 
 def remaining_errors(required: RequiredCorrections, calibration: Calibration) -> RemainingErrors:
-    """Return the error at the tool over the volume without tables, with them, and with a compensated program.
-
-    ``required``: the required corrections: the machine, its errors without the control, tool length and conditions; ``calibration``:
-    the same errors with the control's tables; without effects whose channel is not given.
-    """
+    """Return the error at the tool over the volume without tables, with those of ``calibration``, and with a compensated program."""
     reach, at = partial(required.poses_with, calibration), required.volume
     uncertainty, before = _without_tables(required)
     reached = reach(at.q)
@@ -205,10 +198,7 @@ class CorrectedShare:
 def corrected_shares(
     required: RequiredCorrections, request: Request, design: Design[Any], unproven: Sequence[Unproven] = ()
 ) -> tuple[CorrectedShare, ...]:
-    """Return every error of the calibration with the share of it that the tables correct.
-
-    ``request``: the format, classes, and whether two tables are multiplied; ``design``: the class that computes the format's tables.
-    """
+    """Return every error of the calibration with the share of it that the tables of the request correct."""
     not_written: dict[str, list[str]] = {}
     for one in () if request.unproven else unproven:
         for name in one.axes:

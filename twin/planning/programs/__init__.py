@@ -31,10 +31,7 @@ def format_of(path: str | Path) -> ProgramFormat:
 
 
 def write_program(steps: ProgramSteps, path: str | Path) -> None:
-    """Write a measuring program atomically, after it was read back, in the language that the suffix of the file name selects.
-
-    Raises `InputError`: an unknown suffix, or axes that the control does not have.
-    """
+    """Write a measuring program atomically, read back before, in the language of the file's suffix; `InputError` for an unknown one."""
     chosen = format_of(path)
     name = re.sub(r"[^A-Za-z0-9]+", "_", Path(path).stem).strip("_").upper()[:LONGEST_NAME] or "TWIN"
     text = chosen.write(steps, name if name[0].isalpha() else f"T_{name}")

@@ -22,10 +22,7 @@ SEARCH_SHARE: Final = 0.5
 
 
 def program_steps(plan: SequencePlan) -> ProgramSteps:
-    """Return the steps of the measuring program of a plan with a touch probe.
-
-    Raises `InputError`: the plan is not for a probe, or no pose has a path with clearance.
-    """
+    """Return the steps of the measuring program of a plan with a touch probe; `InputError` if no pose has a path with clearance."""
     if plan.task.instrument.specification.reads != "null":
         raise InputError(
             "a measuring program is for a touch probe", expected="a plan for a probe", value=plan.task.instrument.name
@@ -96,7 +93,7 @@ class PoseBuilder:
         return pose.at(self.machine, (self.size.around_mm + np.floor(length * 1e3) / 1e3) * pose.up)
 
     def _way(self, high: np.ndarray) -> list[np.ndarray] | None:
-        """Return the positions from the last one to a retracted one; None if none of the ways tried is clear.
+        """Return clear positions from the last one to a retracted one; None if there are none.
 
         The rotary axes turn first or last, or in between with one linear axis at an end of its range.
         """
@@ -207,10 +204,7 @@ LEAST_DWELL_S: Final = 0.1
 
 
 def drift_steps(plan: DriftPlan) -> ProgramSteps:
-    """Return the steps of the program of a drift test.
-
-    Raises `InputError`: a pose or the motion of the axis has no path with clearance inside the ranges.
-    """
+    """Return the steps of the program of a drift test; `InputError` if there is no path with clearance inside the ranges."""
     builder = _DriftBuilder(plan)
     for number in range(1, len(plan.table) + 1):
         builder.read(number)
@@ -252,10 +246,7 @@ class _DriftBuilder(PoseBuilder):
         return self.steps[-1].position
 
     def read(self, number: int) -> None:
-        """Add the steps of a reading: what comes before it, the dwell until its time, the reading, and the motion of the axis after it.
-
-        Raises `InputError`: no path with clearance inside the ranges.
-        """
+        """Add the steps of a reading: the way to it, the dwell until its time, the reading, the motion of the axis after it."""
         k = number - 1
         pose, time = self.contact_poses[k], float(self.plan.schedule.time_s[k])
         speed = float(self.plan.schedule.speed_rpm[k])
@@ -311,10 +302,7 @@ class _DriftBuilder(PoseBuilder):
         self._count()
 
     def _exercised(self, number: int, until: float) -> None:
-        """Move the axis to and fro as often as the time until the next reading allows.
-
-        Raises `InputError`: no path with clearance inside the ranges.
-        """
+        """Move the axis to and fro as often as the time until the next reading allows."""
         self._leave(number)
         task = self.plan.task
         first, last = self._ends(number)

@@ -38,10 +38,7 @@ SEQUENCES: Final[tuple[MeasuringSequence, ...]] = families.members(__name__, fam
 
 
 def sequence_named(name: str | None, instrument: str) -> MeasuringSequence:
-    """Return the sequence of a name for an instrument; the default one if None.
-
-    Raises `InputError`: no sequence for this instrument has this name, or it is a test of which there is no public description.
-    """
+    """Return the sequence of a name for an instrument, the default one if None; `InputError` if it has none of this name."""
     known = [sequence for sequence in SEQUENCES if instrument in sequence.instruments]
     names = [one.name for one in known]
     if name is None and known:

@@ -131,10 +131,7 @@ def _grid(task: SequenceTask) -> SequencePoints:
 
 
 def _problem(task: SequenceTask, candidates: SequencePoints) -> tuple[np.ndarray, np.ndarray, LinearAim]:
-    """Return the derivatives (n, 3, f), the prior precision (f, f) and the criterion, with the set-up unknown.
-
-    The criterion is the sum of the relative variances of all combinations of constant errors that the candidates determine (A-optimal).
-    """
+    """Return derivatives (n, 3, f), prior precision (f, f) and A-optimality over what the candidates determine, set-up unknown."""
     table = with_nominal_readings(task.machine, sequence_table(task, candidates), task.instrument)
     instruments = StationInstruments.same(task.instrument, table.station)
     setup = StationsAndTargets.from_table(table, instruments)
