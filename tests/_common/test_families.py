@@ -13,7 +13,8 @@ from twin.measurement.instruments import INSTRUMENTS
 from twin.model.effects import MACHINE_EFFECTS
 from twin.nc import DIALECTS
 from twin.planning.drift import DRIFTS
-from twin.planning.sequences import SEQUENCES, SET_UPS
+from twin.planning.sequences.moves import SEQUENCES
+from twin.planning.sequences.specification import SET_UPS
 
 
 @pytest.mark.parametrize(

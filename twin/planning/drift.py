@@ -23,16 +23,18 @@ from twin.measurement.columns import comment_lines, csv_text, number_cells
 from twin.measurement.instruments import instrument_named
 from twin.measurement.table import Measurements
 from twin.planning.kit import Kit
-from twin.planning.sequences import (
+from twin.planning.sequences.contacts import default_place, reach
+from twin.planning.sequences.specification import (
+    CONTACT_S,
+    CONTACTS,
+    POINT_S,
+    RETRACT_MM,
     SET_UPS,
     InstrumentSizes,
     SequencePoints,
     SequenceTask,
-    default_place,
-    reach,
     sequence_table,
 )
-from twin.planning.sequences.specification import CONTACT_S, CONTACTS, POINT_S, RETRACT_MM
 from twin.standards.drift.iso230_3 import design_of
 
 READ_S: Final = 300.0

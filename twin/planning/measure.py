@@ -18,17 +18,16 @@ from twin.machine.machine import Machine
 from twin.measurement.instruments import Instrument, instrument_named
 from twin.measurement.table import Measurements
 from twin.planning.kit import Kit
-from twin.planning.sequences import (
+from twin.planning.sequences.contacts import default_place, reach
+from twin.planning.sequences.moves import sequence_named
+from twin.planning.sequences.specification import (
     SET_UPS,
     Expectation,
     InstrumentSizes,
     MeasuringSequence,
     SequenceTask,
-    default_place,
     expectation,
     minutes_of,
-    reach,
-    sequence_named,
     sequence_table,
 )
 

@@ -1,4 +1,4 @@
-"""Languages of measuring programs, one for each control, and the steps that every program consists of.
+"""Languages of measuring programs, one for each control, and the steps that every program consists of. To add one, add it here.
 
 Siemens SINUMERIK: touches with MEAS, logged with WRITE. LinuxCNC: straight probes (G38.2), logged with LOG. Heidenhain plain language:
 touch probe cycle 4 (measuring in 3-D), logged with FN 16.
@@ -6,15 +6,19 @@ touch probe cycle 4 (measuring in 3-D), logged with FN 16.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from textwrap import wrap
 from typing import Final, Literal, final
 
 import numpy as np
 
 from twin._common.errors import InputError
+from twin._common.files import write_atomic
 from twin.machine.machine import Machine
+from twin.nc import dialect_for
 
 PROBING_FEED: Final = 200.0
 """Feed of a contact, mm/min."""
@@ -365,3 +369,32 @@ HEIDENHAIN: Final = ProgramFormat(
     ),
     write=_heidenhain_text,
 )
+
+# --- All controls ---------------------------------------------------------------------------------
+
+PROGRAMS: Final = (LINUXCNC, HEIDENHAIN, SIEMENS)
+"""All controls for which measuring programs are written."""
+LONGEST_NAME: Final = 24
+
+
+def format_of(path: str | Path) -> ProgramFormat:
+    """Return the format that the suffix of a file name selects. Raises `InputError`: no format has this suffix."""
+    suffix = Path(path).suffix.lower()
+    for program in PROGRAMS:
+        if suffix in program.suffixes:
+            return program
+    every = ", ".join(f"{suffix} ({program.title})" for program in PROGRAMS for suffix in program.suffixes)
+    raise InputError("no control has programs with this suffix", expected=every, file=Path(path), value=suffix)
+
+
+def write_program(steps: ProgramSteps, path: str | Path) -> None:
+    """Write a measuring program atomically, read back before, in the language of the file's suffix; `InputError` for an unknown one."""
+    chosen = format_of(path)
+    name = re.sub(r"[^A-Za-z0-9]+", "_", Path(path).stem).strip("_").upper()[:LONGEST_NAME] or "TWIN"
+    text = chosen.write(steps, name if name[0].isalpha() else f"T_{name}")
+
+    def check(written: Path) -> None:
+        data = written.read_bytes()
+        dialect_for(Path(path), data).read(data, str(path))
+
+    write_atomic(Path(path), text, check=check)

@@ -1,4 +1,4 @@
-"""The measuring sequences: best poses, turns, interpolated motions of ISO 10791-6, circles.
+"""The measuring sequences: best poses, turns, interpolated motions of ISO 10791-6, circles. To add one, add it here.
 
 Kinematic tests in the manner of ISO 10791-6: X, Y and Z follow one or both rotary axes.
 
@@ -20,13 +20,14 @@ from typing import Final, Literal
 
 import numpy as np
 
-from twin._common.errors import InputError
+from twin._common.errors import InputError, closest_name
 from twin.identification.unidentified import constant_rows, without_setup
 from twin.measurement.instruments import StationInstruments
 from twin.measurement.set_up import StationsAndTargets
 from twin.planning.design import Exchange
 from twin.planning.sequences.contacts import reach
 from twin.planning.sequences.specification import (
+    SET_UPS,
     MeasuringSequence,
     SequencePoints,
     SequenceTask,
@@ -325,3 +326,29 @@ TURNS: Final = MeasuringSequence(
     limits="Every axis turns in one direction only, so reversal errors do not show.",
     make=_turns_points,
 )
+
+# --- All sequences --------------------------------------------------------------------------------
+
+SEQUENCES: Final = (BEST, TURNS, *INTERPOLATION, CIRCLES)
+"""The first for an instrument is its default; their names are `twin._common.families.SEQUENCES`."""
+
+
+def sequence_named(name: str | None, instrument: str) -> MeasuringSequence:
+    """Return the sequence of a name for an instrument, the default one if None; `InputError` if it has none of this name."""
+    known = [sequence for sequence in SEQUENCES if instrument in sequence.instruments]
+    names = [one.name for one in known]
+    if name is None and known:
+        return known[0]
+    if name is not None and name.lower() in NOT_DESCRIBED:
+        raise InputError(
+            f"test {name.upper()} of ISO 10791-6 is not included: no public description says {NOT_DESCRIBED[name.lower()]}",
+            expected=f"one of {', '.join(names)}" if names else f"an instrument among {', '.join(SET_UPS)}",
+        )
+    if name not in names:
+        raise InputError(
+            f"no such sequence for instrument {instrument}",
+            expected=f"one of {', '.join(names)}" if names else f"an instrument among {', '.join(SET_UPS)}",
+            value=name,
+            nearest=closest_name(str(name), names),
+        )
+    return known[names.index(name)]
