@@ -21,6 +21,7 @@ from scipy.spatial import cKDTree
 
 from twin._common.errors import InputError
 from twin._common.provenance import warning_texts
+from twin._common.records import json_form
 from twin.compensation.programs.compensator import Compensator
 from twin.compensation.programs.execute import execute
 from twin.compensation.programs.follow import Sections, follow, motions_of
@@ -58,10 +59,6 @@ class PathDistance:
     largest_um: float
     line: int  # line, block: the line of the executed program at the largest one, and its text
     block: str
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return a representation that can be written as JSON."""
-        return {"median_um": self.median_um, "largest_um": self.largest_um, "line": self.line, "block": self.block}
 
 
 @final
@@ -121,10 +118,10 @@ class Verification(Result):
             "schema": SCHEMA,
             "program": self.program,
             "control": "linuxcnc",
-            "before": self.before.to_dict(),
-            "after": self.after.to_dict(),
-            "control_itself": self.control.to_dict(),
-            "control_exact_path": self.exact.to_dict(),
+            "before": json_form(self.before),
+            "after": json_form(self.after),
+            "control_itself": json_form(self.control),
+            "control_exact_path": json_form(self.exact),
             "samples": {"before": self.samples[0], "after": self.samples[1]},
             "acceleration_mm_s2": self.acceleration,
             "warnings": list(self.warnings),

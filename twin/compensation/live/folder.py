@@ -555,7 +555,9 @@ def _proof(live: LiveCorrection, length_mm: float) -> Proof:
     # Not zero: what rounding leaves of no correction is none that exceeds its bound.
     bound = MARGIN * np.abs(found).max(axis=(0, 1)) + LEAST_BOUND
     corrected = q + correction / machine.scale
-    after = nominal.with_errors(corrected, _errors(live, np.clip(corrected, *_bounds(live)), states))
+    after = nominal.with_errors(
+        corrected, _errors(live, np.clip(corrected, *(live.domains / machine.scale[:, None]).T), states)
+    )
     off = [1e3 * np.linalg.norm(one.point_mm - goal.point_mm, axis=1) for one in (before, after)]
     tilts = [np.linalg.norm(one.tilt_urad(goal), axis=1) for one in (before, after)]
     (smallest, slopes) = BatchFunction(live.slopes)(q * machine.scale, states, tool)
@@ -574,11 +576,6 @@ def _proof(live: LiveCorrection, length_mm: float) -> Proof:
 
 def _rms_and_largest(values: np.ndarray) -> tuple[float, float]:
     return float(np.sqrt(np.mean(values**2))), float(values.max())
-
-
-def _bounds(live: LiveCorrection) -> tuple[np.ndarray, np.ndarray]:
-    low, high = (live.domains / live.machine.scale[:, None]).T
-    return low, high
 
 
 def outputs_of(folder: Path) -> list[Path]:

@@ -154,17 +154,12 @@ class FrameUse:
         return f"from line {self.line}: {tool}; {name} with tool length: {added or 'none'}{tilted}{shifted}{turned}"
 
 
-def offset_name(section: Section) -> str:
-    """Return the name of a section's work offset; empty if there is no table of them."""
-    return section.frame.offset or section.assumed_offset
-
-
 def frame_uses(sections: Sequence[Section], number_of: Callable[[int], int]) -> tuple[FrameUse, ...]:
     """Return the work offsets and tools of a program's sections; ``number_of``: number of a line by its 0-based index."""
     return tuple(
         FrameUse(
             number_of(section.line),
-            offset_name(section),
+            section.frame.offset or section.assumed_offset,
             not section.frame.offset,
             section.frame.length or section.frame.tool,
             section.space.nominal.tool_length_mm,

@@ -19,6 +19,7 @@ from twin.compensation.tables.design import RequiredCorrections, Table
 from twin.compensation.tables.make import ControlTables, design_of
 from twin.compensation.tables.remains import CorrectedShare, RemainingErrors, corrected_shares, remaining_errors
 from twin.controls import ControlSection, Correction, TableEntry, TableFormat, TableSum, format_named
+from twin.display import readable
 from twin.machine.machine import Machine
 from twin.model.calibration import Calibration
 from twin.model.conditions import APPROACH, Conditions, values_in_words
@@ -211,15 +212,10 @@ def _trial(made: ControlTables) -> str:
     against = "dial gauge or interferometer" if best.unit == "um" else "reference encoder or polygon and autocollimator"
     return (
         f"Before cutting, check the sign with the largest correction ({best.name}, up to {best.largest:.1f} "
-        f"{displayed_unit(best.unit)}): move the axis over its range and measure the error with a {against}, first with the tables "
+        f"{readable(best.unit)}): move the axis over its range and measure the error with a {against}, first with the tables "
         "off, then with the tables on. The error must become smaller. If it doubles, the control interprets the sign the opposite "
         "way: switch the tables off."
     )
-
-
-def displayed_unit(unit: str) -> str:
-    """Return a unit as displayed: ``µm`` for ``um``."""
-    return unit.replace("u", "µ", 1)
 
 
 def _rows(tables: Sequence[Table]) -> list[str]:
@@ -233,7 +229,7 @@ def _rows(tables: Sequence[Table]) -> list[str]:
         marks = ("" if table.holds else "  READ-BACK FAILED") + ("" if table.within_tolerance else "  ABOVE TOLERANCE")
         rows.append(
             f"  {what.name:<{width}}  {span:>17}  {nodes}  {what.largest:>8.2f}  {table.deviation:>14.3f}  "
-            f"{table.read_back_deviation:>10.4f}  {table.deviation + table.rounding:>10.4f} {displayed_unit(what.unit)}{marks}"
+            f"{table.read_back_deviation:>10.4f}  {table.deviation + table.rounding:>10.4f} {readable(what.unit)}{marks}"
         )
     return rows
 
@@ -364,7 +360,7 @@ class Existing:
         lines = [f"{self.kind}: {', '.join(file.name for file in self.files)}"]
         lines += [
             f"  {content.name:<{width}}  {content.low:g} … {content.high:g}, {content.nodes} nodes, step {content.step:g}, "
-            f"largest {content.largest:.3f} {displayed_unit(content.unit)}"
+            f"largest {content.largest:.3f} {readable(content.unit)}"
             for content in contents
         ]
         lines += [
@@ -379,7 +375,7 @@ class Existing:
             )
         lines.append("  moved  along   largest correction  difference   of which constant")
         lines += [
-            f"  {difference.moved:<5}  {difference.along:<5}  {difference.largest:>12.2f} {displayed_unit(difference.unit):<6}  "
+            f"  {difference.moved:<5}  {difference.along:<5}  {difference.largest:>12.2f} {readable(difference.unit):<6}  "
             f"{difference.differs:>10.2f}  {difference.constant:>18.2f}"
             for difference in self.differences
         ]

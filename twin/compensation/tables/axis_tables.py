@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, Final, final
 
 import numpy as np
@@ -193,11 +192,6 @@ def make_kinematics(
     return ConstantKinematics(
         form, machine, text, back, rms[0], float(displaced.max()), rms[1], float(left.max()), float(rounded.max())
     )
-
-
-def read_kinematics(kind: str, path: Path, machine: Machine) -> TableGeometry:
-    """Return the geometry in a control's file. Raises `InputError`: there is no such format, or the file is invalid."""
-    return kinematics_named(kind).read(path, machine)
 
 
 # --- Tables of one axis over another: which tables a format needs, and their values ---------------

@@ -21,11 +21,11 @@ from twin._common.provenance import (
 )
 from twin._common.records import json_form
 from twin.compensation.tables.account import CALIBRATION, README, SCHEMA, Account, outputs_of, write_folder, written_by
-from twin.compensation.tables.axis_tables import ConstantKinematics, make_kinematics, read_kinematics, real_geometry
+from twin.compensation.tables.axis_tables import ConstantKinematics, make_kinematics, real_geometry
 from twin.compensation.tables.design import Request, RequiredCorrections
 from twin.compensation.tables.make import ControlTables, Stages, check_no_module, make, stages_of
 from twin.controls import ControlSection, TableEntry, format_named
-from twin.controls.kinematics import TableGeometry, linear_shift
+from twin.controls.kinematics import TableGeometry, kinematics_named, linear_shift
 from twin.model.calibration import Calibration
 from twin.model.conditions import Conditions
 from twin.model.unknown_errors import check_locations_identified, nominal_locations
@@ -185,7 +185,7 @@ class ReadKinematics:
 def compare_kinematics(calibration: Calibration, kind: str, file: Path, tool_length_mm: float | None) -> ReadKinematics:
     """Read the kinematics of a control and compare them with the location errors of a calibration (in the datum mean lines)."""
     errors, machine = calibration.in_datum("mean lines"), calibration.machine
-    geometry = read_kinematics(kind, file, machine)
+    geometry = kinematics_named(kind).read(file, machine)
     length = machine.tool_length_mm if tool_length_mm is None else tool_length_mm
     q = volume(machine)
     one, two = (linear_shift(machine, held, q, length) for held in (geometry, real_geometry(errors)))

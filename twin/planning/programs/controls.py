@@ -64,7 +64,6 @@ class ProgramSteps:
     skipped: tuple[int, ...]  # numbers of the poses of the plan to which no path with clearance was found
     header: tuple[str, ...]  # comments, in words
     spheres: tuple[str, ...]  # names of the spheres, for the poses of the plan in order
-    radii_mm: tuple[float, float]  # radius of the sphere and of the stylus ball
     tip_mm: tuple[float, float, float]  # (3,) the tip, from the spindle nose in the frame of the tool
     probing: bool = True  # whether there are contacts, which are logged
 

@@ -42,7 +42,6 @@ def program_steps(plan: SequencePlan) -> ProgramSteps:
         tuple(builder.skipped),
         tuple(_header(plan, builder)),
         tuple(str(name) for name in plan.table.target),
-        (plan.task.sizes.sphere_mm / 2.0, plan.task.sizes.ball_mm / 2.0),
         plan.task.tip_mm,
     )
 
@@ -217,7 +216,6 @@ def drift_steps(plan: DriftPlan) -> ProgramSteps:
         (),
         tuple(_drift_steps_header(plan, builder)),
         tuple(str(name) for name in (plan.table.target if builder.probing else plan.table.station)),
-        (base.sizes.sphere_mm / 2.0, base.sizes.ball_mm / 2.0),
         base.tip_mm,
         builder.probing,
     )
