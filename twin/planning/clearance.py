@@ -3,10 +3,9 @@
 Only the shapes in the URDF are known; holders, posts, clamps, cables and workpieces are not. Shapes that touch in the middle of the
 ranges touch by design (a slide on its guideway) and are ignored.
 
-Visibility of reflectors from stations: the beam must be free of the machine's shapes and within the acceptance angle.
-
-The machine's shapes are those of its URDF (``collision``, or ``visual`` if it has none): boxes, cylinders, spheres, and for a mesh its
-bounding box. The nominal machine is used, as errors are only micrometres.
+A beam from station to reflector must be free of the machine's shapes and within the acceptance angle. The machine's shapes are those of
+its URDF (``collision``, or ``visual`` if it has none): boxes, cylinders, spheres, and for a mesh its bounding box. The nominal machine
+is used, as errors are only micrometres.
 """
 
 from __future__ import annotations

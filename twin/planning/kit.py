@@ -1,11 +1,9 @@
 """Kit file: instruments, possible station positions, reflectors, and times of the operations.
 
-Linear model of planned readings: their derivatives with respect to every unknown, and the prior.
-
-The unknowns are those of `identify`: every error motion as orthonormal functions of its axis, squareness, location errors, stations,
-targets. The prior is the expected size of each: the coefficients of a curve decrease as those of the given calibration do
-(`twin.identification.fitting`); constants, stations and targets have their plausible size. The model is linearised about the expected
-errors.
+The unknowns of the linear model of planned readings are those of `identify`: every error motion as orthonormal functions of its axis,
+squareness, location errors, stations, targets. The prior is the expected size of each: the coefficients of a curve decrease as those of
+the given calibration do (`twin.identification.fitting`); constants, stations and targets have their plausible size. The model is
+linearised about the expected errors.
 """
 
 from __future__ import annotations

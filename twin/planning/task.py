@@ -1,7 +1,5 @@
 """Task of a plan: machine, kit, time budget, and the uncertainty to minimise.
 
-Optimality criteria of a plan: uncertainty of the tool point, D-optimality, E-optimality, or of a few errors by name.
-
 Each criterion gives the weight matrix M of the unknowns in `twin.planning.design`. This is that of the variance of the tool point
 over the volume (L- or I-optimality), the inverse of the covariance of the machine's unknowns (D, the determinant), the projector on
 the least certain direction (E), or that of the variance of a few errors by name.

@@ -242,7 +242,11 @@ def points_program(
                 line=lines[at],
                 value=",".join(f"{v:g}" for v in values[at, 3:]),
             )
-    text = dialect.from_points(_names(header, axes), values, feed, _shown(path), path.stem)
+    names = axes.linear if len(header) == 3 or header[3:] == VECTOR else axes.names
+    shown = "points of " + "".join(
+        c if c.isascii() and c.isprintable() and c not in "()~;$" else "_" for c in path.name
+    )
+    text = dialect.from_points(names, values, feed, shown, path.stem)
     return dialect.read(text.encode("latin-1", "replace"), str(path)), dialect
 
 
@@ -290,11 +294,3 @@ def _number(cell: str, column: str, path: Path, line: int) -> float:
             f"{column} is not a coordinate", expected="a number below 1e6", file=path, line=line, value=cell
         )
     return value
-
-
-def _names(header: tuple[str, ...], axes: AxisWords) -> tuple[str, ...]:
-    return axes.linear if len(header) == 3 or header[3:] == VECTOR else axes.names
-
-
-def _shown(path: Path) -> str:
-    return "points of " + "".join(c if c.isascii() and c.isprintable() and c not in "()~;$" else "_" for c in path.name)

@@ -5,12 +5,11 @@ accuracy (`twin.numerics.curves.fg_bernstein`; Díaz Pérez et al. 2019, eq. 13�
 tangent at a joint, are exact constraints: the least-squares curve with some control points fixed is c + G Cᵀ (C G Cᵀ)⁻¹ (b − C c),
 G = (AᵀA)⁻¹ = A⁺A⁺ᵀ (Björck 1996, ch. 5).
 
-Cut a curve into as few straight blocks as keep within a tolerance of the polyline to which the curve was fitted.
-
-The vertices are spread so that every chord needs the same tolerance. Chords with both end points on the curve lie on one side of it and
-use only half of the tolerance band. The vertices are therefore moved off the curve to the outside by half the mean height of their two
-chords, so that vertices and chord middles are equally far from it. The end points of the curve stay fixed; the chords next to them
-deviate more and are made slightly shorter.
+A curve is cut into as few straight blocks as keep within a tolerance of the polyline to which it was fitted. Their vertices are spread
+so that every chord needs the same tolerance. Chords with both end points on the curve lie on one side of it and use only half of the
+tolerance band. The vertices are therefore moved off the curve to the outside by half the mean height of their two chords, so that
+vertices and chord middles are equally far from it. The end points of the curve stay fixed; the chords next to them deviate more and are
+made slightly shorter.
 """
 
 from __future__ import annotations

@@ -269,7 +269,7 @@ class RunRefitter:
     def refit(self, run: Run, path: ToolPath) -> RefittedRun:
         """Return one run with fewer blocks where possible."""
         first = path.motions[run.motions[0]].move
-        turning = _turns(run)
+        turning = bool(np.ptp(run.words[:, 3:], axis=0).max(initial=0.0) > 0.0)
         posted = self.posted and first.tcp
         by_vector = first.vector is not None and not posted
         shares = self.shares(turning and not by_vector)
@@ -343,7 +343,7 @@ class RunRefitter:
             curve, at = Fitter(line, tool, fraction * allowed).curve(pieces, CURVE_POINTS_PER_BLOCK)
             # Blocks are straight in the output words.
             straight, out = (
-                (partial(self.space.switched, tcp=False), self._tool(True, False)) if posted else (_same, tool)
+                (partial(self.space.switched, tcp=False), self._tool(True, False)) if posted else (np.asarray, tool)
             )
             found = few_blocks(replace(line, words=straight(line.words)), straight(curve), at, out, allowed)
             cost = np.inf if found is None else len(found[0]) + _cost(pieces)
@@ -394,13 +394,5 @@ def _curvature_error_mm(line: Polyline, tool: Tool) -> float:
     return float(np.linalg.norm(middle - (line.dense_tool[1:] + line.dense_tool[:-1]) / 2.0, axis=1).max())
 
 
-def _same(words: np.ndarray) -> np.ndarray:
-    return words
-
-
 def _cost(pieces: list[CurvePiece]) -> int:
     return sum(piece.degree for piece in pieces)
-
-
-def _turns(run: Run) -> bool:
-    return bool(np.ptp(run.words[:, 3:], axis=0).max(initial=0.0) > 0.0)

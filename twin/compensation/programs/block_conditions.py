@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Final, NamedTuple, final
+from typing import Final, final
 
 import numpy as np
 
@@ -83,13 +83,6 @@ def channels_by_block(calibration: Calibration, conditions: Conditions) -> tuple
     return plain + tuple(name for effect in histories for name in effect.factor_channels)
 
 
-class _Times(NamedTuple):
-    """When motions begin and end, s on the clock of the log; (motions,) each."""
-
-    begin: np.ndarray
-    end: np.ndarray
-
-
 def block_conditions(
     program: Program,
     dialect: Dialect,
@@ -109,8 +102,7 @@ def block_conditions(
     start = conditions.time_s or 0.0
     lengths = durations_s(program.source, said, path, spaces)
     end = start + np.cumsum(said.dwell_s)[path.columns.line] + np.cumsum(lengths)
-    times = _Times(end - lengths, end)
-    course = _Course(program.source, said, path.columns, times, conditions, needed(calibration))
+    course = _Course(program.source, said, path.columns, (end - lengths, end), conditions, needed(calibration))
     state = course.state()
     for effect in calibration.effects:
         if isinstance(effect, HistoryShift):
@@ -118,7 +110,7 @@ def block_conditions(
     values = np.stack([np.asarray(state[name], dtype=float) for name in names], axis=1)
     return BlockConditions(
         names,
-        read_only(times.begin),
+        read_only(end - lengths),
         read_only(lengths),
         read_only(course.time_s),
         read_only(values),
@@ -181,23 +173,24 @@ def _way(path: ToolPath) -> np.ndarray:
 
 @final
 class _Course:
-    """Channels at the moments ``time_s`` (n,): at the rows of the log, then at beginning, end and between these of every motion."""
+    """Channels at the moments ``time_s`` (n,): at the rows of the log, at beginning, end (``times``) and between of motions."""
 
     def __init__(
         self,
         source: str,
         said: Technology,
         columns: MotionColumns,
-        times: _Times,
+        times: tuple[np.ndarray, np.ndarray],
         conditions: Conditions,
         required: Collection[str],
     ) -> None:
-        self._source, self._said, self._columns, self._times = source, said, columns, times
+        self._source, self._said, self._columns = source, said, columns
+        self._begin, self._end = times
         self._conditions, self._needs_speed = conditions, SPEED in required
         self._sensors = [sensor_of(name) for name in required if is_temperature(name)]
         self._log = conditions.log
-        before = np.zeros(0) if self._log is None else self._log.time_s[self._log.time_s < times.end[-1]]
-        between = np.arange(times.begin[0], times.end[-1], STEP_S)
+        before = np.zeros(0) if self._log is None else self._log.time_s[self._log.time_s < self._end[-1]]
+        between = np.arange(self._begin[0], self._end[-1], STEP_S)
         self.time_s = np.unique(np.concatenate([before, between, *times]))
         self._check_log()
 
@@ -217,9 +210,9 @@ class _Course:
     def _speeds(self) -> np.ndarray:
         """Return the speed of the time up to each moment."""
         middle = np.append(self.time_s[:1], 0.5 * (self.time_s[1:] + self.time_s[:-1]))
-        motion = np.minimum(np.searchsorted(self._times.end, middle), len(self._times.end) - 1)
+        motion = np.minimum(np.searchsorted(self._end, middle), len(self._end) - 1)
         speed = self._said.speed_rpm[self._columns.line[motion]]
-        log, start = self._log, self._times.begin[0]
+        log, start = self._log, self._begin[0]
         known = np.zeros(len(middle), dtype=bool)
         if log is not None and log.speed_rpm is not None:
             known = middle <= log.time_s[-1]
@@ -244,7 +237,7 @@ class _Course:
 
     def _check_log(self) -> None:
         """Raise `InputError` unless the log covers the program, if it has temperatures, or its beginning."""
-        log, (begin, end) = self._log, (self._times.begin[0], self._times.end[-1])
+        log, (begin, end) = self._log, (self._begin[0], self._end[-1])
         if log is None:
             return
         first, last = log.time_s[0], log.time_s[-1]
@@ -258,7 +251,7 @@ class _Course:
 
     def in_words(self, state: Mapping[str, np.ndarray]) -> str:
         """Return time, speeds and temperatures over the program in words."""
-        begin, end = self._times.begin[0], self._times.end[-1]
+        begin, end = self._begin[0], self._end[-1]
         inside = (self.time_s >= begin) & (self.time_s <= end)
         parts = [
             f"the program takes {(end - begin) / 60.0:.1f} min by feed and path (without accelerations and overrides), from "

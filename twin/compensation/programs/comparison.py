@@ -1,9 +1,7 @@
 """Comparison of real and nominal tool poses at many points on straight lines of commands.
 
-Compensation by the method of Ellingsdalen (2021), listings 3.1-3.4 as they run: a baseline for comparison.
-
-The method subtracts the deviation once and does not invert the kinematics. The properties of the listings are reproduced, mistakes
-included, because the published figure 3.11 was made with them:
+The baseline, the method of Ellingsdalen (2021), subtracts the deviation once and does not invert the kinematics. The properties of the
+listings 3.1 to 3.4 are reproduced, mistakes included, because the published figure 3.11 was made with them:
 
 - a fitted polynomial of degree above one loses its constant (listing 3.1);
 - curves are read at the nearest whole mm or degree; Z's table is indexed from its far end (listings 3.3, 3.4);

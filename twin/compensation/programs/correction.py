@@ -1,11 +1,7 @@
 """Correct a program, or a stretch of it: solve all end points, and split blocks where the path between them leaves the tolerance.
 
-If an axis has backlash, a block is also cut where that axis reverses inside it (`twin.compensation.programs.correction`).
-
-Backlash compensation: every axis is commanded for its approach direction, and inserted moves take up the backlash at reversals.
-
-Where an axis reverses, between blocks or inside one, the inserted move takes up the backlash before the way back begins, because that
-starting point needs the command for the new direction.
+Every axis is commanded for its approach direction. Where one with backlash reverses, between blocks or inside one, which is cut there,
+an inserted move takes up the backlash before the way back begins, because that starting point needs the command for the new direction.
 """
 
 from __future__ import annotations

@@ -1,7 +1,5 @@
 """Convert a program's moves to motions, tracking the position of every axis.
 
-Coordinates of a program that selects work offsets and tools: the set-up and the tool length of every frame.
-
 The position of an axis is its word plus the work offset. To the third linear axis the control adds the length of the tool while one
 is in force; without a table of tools, but with one of work offsets, always. In tool centre point mode the work offset moves the
 program's zero on the workpiece instead: it is the place of the spindle nose at the offset's linear values and rotary axes at zero. In a

@@ -425,7 +425,7 @@ class ProgramRun:
         self._posted = into.name != source.dialect.name
 
     def write(self, out: BinaryIO) -> Report:
-        """Compensate the program; of several errors in what it contains, the one in the first part is raised."""
+        """Compensate the program; of several errors in its text, the one in the first part is raised."""
         source, machine = self._source, self._prepared.machine
         with source.errors(), machine_hints(machine, source.dialect, lambda line: source.text_at(line - 1)):
             return self._write(out)

@@ -6,10 +6,8 @@ the rounded rotary axes → linear words rounded.
 Where a limit stops an axis, the position nearest to the point is taken: with the corrected tool axis, else with the rotary axes as
 programmed, else the programmed position itself.
 
-Legs: parts of motions within which no axis with backlash reverses; legs are then cut into pieces.
-
-A straight motion of axis words is one leg. On an arc, and in tool-tip coordinates while the tool turns, an axis can reverse inside the
-block.
+Within a leg no axis with backlash reverses; legs are then cut into pieces. A straight motion of axis words is one leg. On an arc, and
+in tool-tip coordinates while the tool turns, an axis can reverse inside the block.
 """
 
 from __future__ import annotations

@@ -1,9 +1,7 @@
 """Find the blocks that a compensation could not correct, or not within the tolerance.
 
-Interpolation of a smooth function of axis positions along a path of many short blocks.
-
-The function is evaluated at a few nodes, first far apart. Where the axes between two nodes leave the straight line, or the function is
-not linear within `ACCURACY`, the interval is halved, down to single blocks.
+A smooth function of axis positions along many short blocks is evaluated at a few nodes, first far apart. Where the axes between two
+nodes leave the straight line, or the function is not linear within `ACCURACY`, the interval is halved, down to single blocks.
 """
 
 from __future__ import annotations

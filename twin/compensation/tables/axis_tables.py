@@ -1,10 +1,9 @@
 """Tables of one axis over another: which tables a format needs, and their values.
 
-Kinematics of the control's transformation from the constant errors of a calibration: the lines of its rotary axes.
-
-The location errors (``E_X0C`` …) give the lines of the rotary axes and the place of the workpiece exactly. A format that holds only
-some of them gets the values for which the remaining displacement of the functional point, over the volume and with this tool, is least
-in the sum of squares. Squareness errors are not part of it: they also act without a transformation, and are left to tables.
+For the kinematics of the control's transformation, the location errors (``E_X0C`` …) give the lines of the rotary axes and the place of
+the workpiece exactly. A format that holds only some of them gets the values for which the remaining displacement of the functional
+point, over the volume and with this tool, is least in the sum of squares. Squareness errors are not part of it: they also act without a
+transformation, and are left to tables.
 """
 
 from __future__ import annotations

@@ -1,7 +1,5 @@
 """Computation of tables: one subclass of `Design` for each kind of correction, shared by all formats of that kind.
 
-Required corrections of the axis commands, from the kinematic model; signs follow from the model for any chain of axes.
-
 A table over an axis corrects that axis's own errors. These alone displace the tool centre point by δ(q). The linear axes correct it by
 c = −J⁺·δ, where J holds the derivatives of the point with respect to their commands on the same machine. With three linear axes the
 correction is complete; with fewer it corrects the part along them. It is a first-order correction: 100 µm times 100 µrad is 10 nm.

@@ -1,12 +1,11 @@
 """The measuring sequences: best poses, turns, interpolated motions of ISO 10791-6, circles. To add one, add it here.
 
-Kinematic tests in the manner of ISO 10791-6: X, Y and Z follow one or both rotary axes.
-
-The ball in the spindle stays at one place on the table. The text of the standard was not read. Its public scope names neither tests nor
-axes. Florussen, Houben, Spaan and Spaan-Burke (Automating Accuracy Evaluation of 5-Axis Machine Tools, 2020, abstract) use BK1 and BK2
-on machines with a trunnion or swivel table, for the average line of each rotary axis, with one ball; in BK4 all five axes move. AK1,
-AK2 and AK4 are the same motions with both rotary axes on the spindle side, by analogy. No public description was found that says which
-axes move in tests 3, or in CK (one rotary axis on each side); these are refused (`NOT_DESCRIBED`).
+In the kinematic tests in the manner of ISO 10791-6 the ball in the spindle stays at one place on the table. The text of the standard
+was not read. Its public scope names neither tests nor axes. Florussen, Houben, Spaan and Spaan-Burke (Automating Accuracy Evaluation of
+5-Axis Machine Tools, 2020, abstract) use BK1 and BK2 on machines with a trunnion or swivel table, for the average line of each rotary
+axis, with one ball; in BK4 all five axes move. AK1, AK2 and AK4 are the same motions with both rotary axes on the spindle side, by
+analogy. No public description was found that says which axes move in tests 3, or in CK (one rotary axis on each side); these are
+refused (`NOT_DESCRIBED`).
 """
 
 from __future__ import annotations
