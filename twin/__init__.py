@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from twin.compensation.fewer_blocks import refit
     from twin.compensation.programs.check import check_program
     from twin.compensation.programs.comparison import ThesisMethod
+    from twin.compensation.programs.compensator import compensate_files
     from twin.compensation.programs.execute import execute_file
-    from twin.compensation.programs.many import compensate_files
     from twin.compensation.programs.words import Setup
     from twin.compute.parallel import Workers
     from twin.controls.offsets import load_offsets, load_tools

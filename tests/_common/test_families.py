@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 import pytest
 
 from twin._common import families
@@ -11,7 +13,8 @@ from twin.measurement.instruments import INSTRUMENTS
 from twin.model.effects import MACHINE_EFFECTS
 from twin.nc import DIALECTS
 from twin.planning.drift import DRIFTS
-from twin.planning.sequences import SEQUENCES, SET_UPS
+from twin.planning.sequences.moves import SEQUENCES
+from twin.planning.sequences.specification import SET_UPS
 
 
 @pytest.mark.parametrize(
@@ -27,7 +30,7 @@ from twin.planning.sequences import SEQUENCES, SET_UPS
         (families.PROGRAM_SUFFIXES, DIALECTS),
     ],
 )
-def test_members_have_the_names_of_their_table(table: dict[str, object], found: tuple[object, ...]) -> None:
+def test_members_have_the_names_of_their_table(table: Collection[str], found: tuple[object, ...]) -> None:
     assert [getattr(one, "name") for one in found] == list(table)  # noqa: B009
 
 

@@ -26,8 +26,7 @@ from twin._common.provenance import CORRECTED_IN_CONTROL
 from twin.cli.identify import tables_on
 from twin.compensation.live import earlier_of, make_module, write_module
 from twin.compensation.live.folder import Proof
-from twin.compensation.live.graph import Damping, LiveCorrection
-from twin.compensation.live.module import channel_of, channels_of
+from twin.compensation.live.module import Damping, LiveCorrection, channel_of, channels_of
 from twin.model.calibration_file import ColumnEntry, UnidentifiedEntry, empirical_named
 from twin.monitoring.record import ControlRecord
 from twin.numerics.covariance import Covariance

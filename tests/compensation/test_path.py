@@ -635,9 +635,9 @@ def test_reversals_are_taken_up_and_the_path_kept(dmu50: Machine, tmp_path: Path
 @pytest.mark.slow
 def test_a_path_out_of_tolerance_is_reported(dmu50: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
     """The final check is independent of the fit: blocks moved by 30 µm are reported as 30 µm off, whatever the fit reports."""
-    from twin.compensation.fewer_blocks import run_refitter
+    from twin.compensation.fewer_blocks import runs
 
-    original = run_refitter.few_blocks
+    original = runs.few_blocks
 
     def shifted(*arguments: Any) -> Any:
         found = original(*arguments)
@@ -647,7 +647,7 @@ def test_a_path_out_of_tolerance_is_reported(dmu50: Machine, monkeypatch: pytest
         words[:-1, 2] += 0.03
         return words, found[1], found[2]
 
-    monkeypatch.setattr(run_refitter, "few_blocks", shifted)
+    monkeypatch.setattr(runs, "few_blocks", shifted)
     report = refitted(dmu50, program_of(circle()), 0.01).report
     assert not report.complete
     assert report.not_met[0].line == 4

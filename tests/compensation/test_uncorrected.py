@@ -21,8 +21,7 @@ from tests.truth.machine import RANGES, TruthMachine, in_datum, run_iso, written
 from twin import cli
 from twin._common.errors import InputError, OutputError
 from twin.compensation import Compensator, Options, compensate_file
-from twin.compensation.programs.report import LineNote, grouped
-from twin.compensation.programs.uncertainty import CorrectionTally
+from twin.compensation.programs.report import CorrectionTally, LineNote, grouped
 from twin.compensation.programs.uncorrected import FoundShortfalls, ShortfallTally
 from twin.compensation.programs.words import Setup
 from twin.compute.native import OUT_OF_RANGE

@@ -15,7 +15,7 @@ from twin._common.families import DRIFT_INSTRUMENTS
 from twin.machine.machine import Machine
 from twin.measurement.table import Measurements
 from twin.planning.drift import DRIFTS, DriftPlan, drift_plan
-from twin.planning.sequences import InstrumentSizes
+from twin.planning.sequences.specification import InstrumentSizes
 from twin.standards import evaluate_drift
 
 LENGTH = 120.0

@@ -16,8 +16,9 @@ from twin._common.errors import InputError
 from twin.machine.machine import Machine
 from twin.nc import read_program
 from twin.planning.drift import DriftPlan, drift_plan
-from twin.planning.programs import drift_steps, write_program
-from twin.planning.sequences import InstrumentSizes
+from twin.planning.programs.controls import write_program
+from twin.planning.programs.steps import drift_steps
+from twin.planning.sequences.specification import InstrumentSizes
 
 LENGTH = 120.0
 NAMES = "XYZBC"

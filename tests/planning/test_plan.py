@@ -32,8 +32,8 @@ from twin.numerics.observability import observability
 from twin.planning import Forecast, Kit, Plan, duration, judge, plan
 from twin.planning.clearance import candidates
 from twin.planning.design import Exchange, covariance_of, gains
-from twin.planning.forecast import forecast
 from twin.planning.kit import PlanModel
+from twin.planning.plan import forecast
 from twin.planning.task import FEWEST, Aim, DOptimality, EOptimality, LinearAim, aim_of, levels_for
 from twin.samples import thesis_plan
 from twin.tool.forward import Kinematics

@@ -20,8 +20,9 @@ from twin._common.errors import InputError
 from twin.machine.machine import Machine
 from twin.measurement.table import Measurements
 from twin.planning import SequencePlan, measuring_sequence
-from twin.planning.programs import PROGRAMS, ProgramFormat, format_of, program_steps, write_program
-from twin.planning.sequences import InstrumentSizes
+from twin.planning.programs.controls import PROGRAMS, ProgramFormat, format_of, write_program
+from twin.planning.programs.steps import program_steps
+from twin.planning.sequences.specification import InstrumentSizes
 
 LENGTH, SPHERE, BALL, CLEARANCE = 120.0, 25.0, 6.0, 10.0
 PLACE = np.array([150.0, 0.0, 60.0])

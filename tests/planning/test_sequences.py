@@ -17,7 +17,8 @@ from twin.machine.machine import Machine
 from twin.measurement.instruments import INSTRUMENTS
 from twin.measurement.table import Measurements
 from twin.planning import SequencePlan, judge_sequence, measuring_sequence
-from twin.planning.sequences import SEQUENCES, SET_UPS, InstrumentSizes, MeasuringSequence, sequence_named
+from twin.planning.sequences.moves import SEQUENCES, sequence_named
+from twin.planning.sequences.specification import SET_UPS, InstrumentSizes, MeasuringSequence
 
 LENGTH = 120.0
 PAIRS = [

@@ -80,16 +80,11 @@ EFFECTS: Final = {
 """Effects of a machine: `twin.model.effects`."""
 LIVE_FORMATS: Final = ("linuxcnc-kinematics",)
 """Kinematics modules that a control executes in every cycle: `twin.compensation.live`."""
-SEQUENCES: Final = {
-    "best": "moves:BEST",
-    "turns": "moves:TURNS",
-    **{name: "moves:INTERPOLATION" for name in ("ak1", "ak2", "ak4", "bk1", "bk2", "bk4")},
-    "circles": "moves:CIRCLES",
-}
+SEQUENCES: Final = ("best", "turns", "ak1", "ak2", "ak4", "bk1", "bk2", "bk4", "circles")
 """Measuring sequences: `twin.planning.sequences`."""
 SEQUENCE_INSTRUMENTS: Final = ("probe", "r-test", "ball-bar")
 """Instruments that measure the tool relative to the table: measuring sequences are planned for them."""
-DRIFTS: Final = {"environment": "tests:ENVIRONMENT", "spindle": "tests:SPINDLE", "axes": "tests:AXES"}
+DRIFTS: Final = ("environment", "spindle", "axes")
 """Drift tests after ISO 230-3: `twin.planning.drift`."""
 DRIFT_INSTRUMENTS: Final = ("probe", "r-test", "displacement")
 """Touch probe and sphere, R-test, or displacement sensors around a mandrel."""

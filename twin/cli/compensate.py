@@ -23,7 +23,7 @@ from twin.cli.shared.installation import BAD_INPUT, INTERRUPTED, NOT_ALL_MET
 
 if TYPE_CHECKING:
     from twin.compensation import Compensator, Options
-    from twin.compensation.programs.many import ProgramOutcome
+    from twin.compensation.programs.compensator import ProgramOutcome
     from twin.compute.parallel import Workers
     from twin.machine.machine import Machine
     from twin.model.calibration import Calibration
@@ -136,7 +136,7 @@ def _compensated(
 ) -> CommandResult:
     """Compensate one program, or several into a folder."""
     from twin.compensation import Compensator
-    from twin.compensation.programs.many import compensate_files
+    from twin.compensation.programs.compensator import compensate_files
 
     if len(programs) > 1 or (output.is_dir() and not output.suffix):
         with progress_bar() as bar:
@@ -190,7 +190,7 @@ def _summary(
     *,
     interrupted: bool,
 ) -> CommandResult:
-    from twin.compensation.programs.many import JSON_SUFFIX, TEXT_SUFFIX
+    from twin.compensation.programs.compensator import JSON_SUFFIX, TEXT_SUFFIX
 
     outcomes_done = [found[program] for program in programs if program in found]
     wide = max((len(str(program)) for program in programs), default=0)

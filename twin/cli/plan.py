@@ -180,7 +180,7 @@ def plan(
         require_name("instrument", instrument, INSTRUMENTS)
     from twin.planning import Kit
     from twin.planning.kit import bundled_kit
-    from twin.planning.sequences import InstrumentSizes
+    from twin.planning.sequences.specification import InstrumentSizes
 
     loaded = options.machine(machine)
     own = Kit.default(loaded) if kit is None else Kit.load(bundled_kit(kit), loaded)
@@ -303,8 +303,9 @@ class _SequenceRequest:
         """Plan the sequence and write it."""
         from twin.measurement.instruments import instrument_named
         from twin.planning import measuring_sequence
-        from twin.planning.programs import format_of, program_steps, write_program
-        from twin.planning.sequences import SET_UPS, InstrumentSizes
+        from twin.planning.programs.controls import format_of, write_program
+        from twin.planning.programs.steps import program_steps
+        from twin.planning.sequences.specification import SET_UPS, InstrumentSizes
 
         instrument = instrument_named(str(self.instrument))
         words = SET_UPS[instrument.name]
@@ -343,7 +344,7 @@ def _judged_sequence(plan: Path, machine: Machine, kit: Kit, table: Measurements
     """Evaluate a given measuring sequence: duration, and what it determines of the constant errors."""
     from twin.measurement.checks import grouped_notes
     from twin.planning import judge_sequence
-    from twin.planning.sequences import minutes_of
+    from twin.planning.sequences.specification import minutes_of
 
     expected = judge_sequence(table, machine)
     minutes = minutes_of(machine, kit, table)
@@ -369,7 +370,7 @@ def _judged(
     from twin.measurement.instruments import INSTRUMENTS, instrument_named
     from twin.measurement.table import Measurements
     from twin.planning import duration, judge
-    from twin.planning.sequences import SET_UPS
+    from twin.planning.sequences.specification import SET_UPS
 
     instrument = named or INSTRUMENTS[0].name
     reader = instrument_named(instrument)

@@ -3,15 +3,15 @@
 Manual: `twin doc programs`.
 """
 
-# Stages of a compensation; `Compensator.compensate` runs them on a program in memory, `stream` on one of any length.
+# Stages of a compensation; `parts.ProgramRun` runs them on a program in memory, or on a file of any length part by part.
 #
 #   program          twin.nc                      bytes                  → Program
-#   blocks           Dialect.moves                Program                → Reading
-#   tool path        toolpath.follow              Reading                → ToolPath
-#   pieces           solving.Pieces               ToolPath               → Pieces
-#   correction       solving.correct              Pieces                 → Corrected
-#   output           solving.new_positions        Corrected              → NewPositions, text
-#   check            checked.check                NewPositions, output read back
+#   blocks           Dialect.moves                Program                → Interpretation
+#   tool path        follow.follow                Interpretation         → ToolPath
+#   pieces           pieces.Pieces                ToolPath               → Pieces
+#   correction       correction.correct           Pieces                 → Corrected
+#   output           correction.new_positions     Corrected              → NewPositions, text
+#   check            parts.check                  NewPositions, output read back
 #   report           account.CompensationAccount  Corrected              → Report
 #
 # `prepared` holds what is common to all programs: the machine, its errors, and which of them are corrected.

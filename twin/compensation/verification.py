@@ -21,6 +21,7 @@ from scipy.spatial import cKDTree
 
 from twin._common.errors import InputError
 from twin._common.provenance import warning_texts
+from twin._common.records import json_form
 from twin.compensation.programs.compensator import Compensator
 from twin.compensation.programs.execute import execute
 from twin.compensation.programs.follow import Sections, follow, motions_of
@@ -52,21 +53,12 @@ ELSEWHERE_UM: Final = 500.0
 @final
 @dataclass(frozen=True)
 class PathDistance:
-    """Error of the tool point over a motion.
+    """Error of the tool point over a motion."""
 
-    Attributes:
-        median_um, largest_um: distance from the programmed path.
-        line, block: the line of the executed program at the largest one, and its text.
-    """
-
-    median_um: float
+    median_um: float  # median_um, largest_um: distance from the programmed path
     largest_um: float
-    line: int
+    line: int  # line, block: the line of the executed program at the largest one, and its text
     block: str
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return a representation that can be written as JSON."""
-        return {"median_um": self.median_um, "largest_um": self.largest_um, "line": self.line, "block": self.block}
 
 
 @final
@@ -126,10 +118,10 @@ class Verification(Result):
             "schema": SCHEMA,
             "program": self.program,
             "control": "linuxcnc",
-            "before": self.before.to_dict(),
-            "after": self.after.to_dict(),
-            "control_itself": self.control.to_dict(),
-            "control_exact_path": self.exact.to_dict(),
+            "before": json_form(self.before),
+            "after": json_form(self.after),
+            "control_itself": json_form(self.control),
+            "control_exact_path": json_form(self.exact),
             "samples": {"before": self.samples[0], "after": self.samples[1]},
             "acceleration_mm_s2": self.acceleration,
             "warnings": list(self.warnings),
@@ -144,15 +136,9 @@ def verify(
     acceleration: float = linuxcnc.DEFAULT_ACCELERATION,
     seconds: float = LONGEST_S,
 ) -> Verification:
-    """Execute a program and its compensated form on LinuxCNC.
+    """Execute a program and its compensated form on LinuxCNC, run by ``user`` (if empty, the present one); mm/s² and °/s².
 
-    Args:
-        user: who runs the control; the present user if empty.
-        acceleration: largest acceleration, mm/s² and °/s².
-        seconds: longest time.
-
-    Raises:
-        InputError: LinuxCNC is missing or refuses the program, or the program is none of its language or not in axis words.
+    `InputError` if LinuxCNC is missing or refuses the program, or the program is none of its language or not in axis words.
     """
     linuxcnc.check(user)
     program, dialect = read_program(path)
@@ -249,13 +235,7 @@ def _way(program: Program, dialect: Dialect, prepared: PreparedMachine) -> tuple
 
 @final
 class _Course:
-    """A path in the workpiece, as a polyline.
-
-    Args:
-        tips: of the machine that the path belongs to.
-        positions: (n, axes) positions along the program, between which the axes move on straight lines.
-        lengths: (n,) length of the tool with which each is reached, mm.
-    """
+    """A path in the workpiece, as a polyline through (n, axes) positions, reached with tools of (n,) lengths in mm."""
 
     def __init__(self, tips: _Tips, positions: np.ndarray, lengths: np.ndarray) -> None:
         # Where the tool changes, the path goes on at the same position with the other tool.

@@ -16,10 +16,9 @@ Manual: `twin doc plan`.
 # A thermal test: `drift` (schedules; DriftPlan).
 
 from twin.planning.design import duration
-from twin.planning.forecast import Forecast
 from twin.planning.kit import Kit
 from twin.planning.measure import SequencePlan, judge_sequence, measuring_sequence
-from twin.planning.plan import Plan, Separation, judge, plan
+from twin.planning.plan import Forecast, Plan, Separation, judge, plan
 from twin.planning.separate import separate
 from twin.planning.sequences.specification import InstrumentSizes
 

@@ -3,10 +3,9 @@
 Only the shapes in the URDF are known; holders, posts, clamps, cables and workpieces are not. Shapes that touch in the middle of the
 ranges touch by design (a slide on its guideway) and are ignored.
 
-Visibility of reflectors from stations: the beam must be free of the machine's shapes and within the acceptance angle.
-
-The machine's shapes are those of its URDF (``collision``, or ``visual`` if it has none): boxes, cylinders, spheres, and for a mesh its
-bounding box. The nominal machine is used, as errors are only micrometres.
+A beam from station to reflector must be free of the machine's shapes and within the acceptance angle. The machine's shapes are those of
+its URDF (``collision``, or ``visual`` if it has none): boxes, cylinders, spheres, and for a mesh its bounding box. The nominal machine
+is used, as errors are only micrometres.
 """
 
 from __future__ import annotations
@@ -36,25 +35,15 @@ NEST: Final = 0.03
 @final
 @dataclass(frozen=True)
 class Shape:
-    """Shape of the URDF.
+    """Shape of the URDF."""
 
-    Attributes:
-        joint: joint of the machine's model that moves it.
-        geometry: geometry object of coal.
-        placement: placement in the frame of the joint.
-    """
-
-    joint: int
-    geometry: coal.CollisionGeometry
-    placement: pin.SE3
+    joint: int  # joint of the machine's model that moves it
+    geometry: coal.CollisionGeometry  # geometry object of coal
+    placement: pin.SE3  # placement in the frame of the joint
 
 
 def machine_shapes(machine: Machine) -> list[Shape]:
-    """Return the ``collision`` shapes of the machine's URDF, or its ``visual`` shapes if it has none.
-
-    Raises:
-        InputError: a shape cannot be loaded.
-    """
+    """Return the ``collision`` shapes of the machine's URDF, or its ``visual`` ones; `InputError` if one cannot be loaded."""
     machine_shapes: list[Shape] = []
     for kind in (pin.GeometryType.COLLISION, pin.GeometryType.VISUAL):
         try:
@@ -82,14 +71,7 @@ class _Solid:
 
 @final
 class Sight:
-    """Visibility between the stations and reflectors of one machine.
-
-    Args:
-        kit: stations and targets.
-
-    Raises:
-        InputError: a shape of the URDF cannot be loaded.
-    """
+    """Visibility between the stations and reflectors of one machine. Raises `InputError`: a shape of the URDF cannot be loaded."""
 
     def __init__(self, machine: Machine, kit: Kit) -> None:
         self.machine = machine
@@ -237,30 +219,17 @@ STEP_DEG: Final = 4.0
 @final
 @dataclass(frozen=True)
 class Body:
-    """A further body on one of the sides: a reflector, a probe, a sphere.
+    """A further body on one of the sides: a reflector, a probe, a sphere."""
 
-    Attributes:
-        carrier: ``tool`` or ``work``.
-        shape: its shape, metres.
-        place_mm: centre of the shape on its carrier, mm.
-        contact: whether it may touch others that may.
-    """
-
-    carrier: str
-    shape: coal.CollisionGeometry
-    place_mm: tuple[float, float, float]
-    contact: bool = False
+    carrier: str  # ``tool`` or ``work``
+    shape: coal.CollisionGeometry  # its shape, metres
+    place_mm: tuple[float, float, float]  # centre of the shape on its carrier, mm
+    contact: bool = False  # whether it may touch others that may
 
 
 @final
 class Clearance:
-    """Clearance check for one machine.
-
-    Args:
-        kit: its reflectors belong to the sides that carry them.
-        bodies: further bodies.
-        margin_mm: minimum distance.
-    """
+    """Clearance check for one machine."""
 
     def __init__(self, machine: Machine, kit: Kit, bodies: tuple[Body, ...] = (), margin_mm: float = MARGIN_MM) -> None:
         self.machine = machine
@@ -368,16 +337,11 @@ SHARE_AT_LIMIT: Final = 0.4
 @final
 @dataclass(frozen=True)
 class Session:
-    """A state of the machine in which readings are taken.
+    """A state of the machine in which readings are taken."""
 
-    Attributes:
-        instruction: instruction for bringing the machine into this state.
-        start_s: earliest start on the clock of ``time_s``.
-        temperatures: °C of axes and sensors, by name.
-    """
-
-    instruction: str
-    start_s: float = 0.0
+    instruction: str  # instruction for bringing the machine into this state
+    start_s: float = 0.0  # earliest start on the clock of ``time_s``
+    # °C of axes and sensors, by name
     temperatures: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
 
 
@@ -388,17 +352,11 @@ ANY_STATE: Final = (Session("as it is"),)
 @final
 @dataclass(frozen=True)
 class CandidateReadings:
-    """Candidate readings in all sessions.
+    """Candidate readings in all sessions."""
 
-    Attributes:
-        plan: the readings, one row each.
-        session: (n,) index of each reading's session.
-        sessions: states of the machine, in order.
-    """
-
-    plan: Measurements
-    session: np.ndarray
-    sessions: tuple[Session, ...] = ANY_STATE
+    plan: Measurements  # the readings, one row each
+    session: np.ndarray  # (n,) index of each reading's session
+    sessions: tuple[Session, ...] = ANY_STATE  # states of the machine, in order
 
     def select(self, rows: np.ndarray) -> CandidateReadings:
         """Return the candidates with these indices; an index may repeat."""
@@ -408,13 +366,8 @@ class CandidateReadings:
 def candidates(machine: Machine, kit: Kit, rng: np.random.Generator, levels: int | None = None) -> CandidateReadings:
     """Return every possible reading, one row each; the direction of approach of each axis is drawn per pose.
 
-    Args:
-        kit: instruments, stations and targets.
-        rng: random generator for poses and directions of approach.
-        levels: number of positions of each axis, equally spaced over its range (`Task.levels`); None: any multiple of `ROUNDED_TO`.
-
-    Raises:
-        InputError: too few poses have clearance, or a reflector is visible from no station.
+    ``levels``: number of positions of each axis over its range (`Task.levels`); None: any multiple of `ROUNDED_TO`. `InputError` if too
+    few poses have clearance, or a reflector is visible from no station.
     """
     positions = _safe_poses(machine, kit, rng, levels)
     seen = Sight(machine, kit).visible(positions)
@@ -435,11 +388,7 @@ def candidates(machine: Machine, kit: Kit, rng: np.random.Generator, levels: int
 
 
 def _safe_poses(machine: Machine, kit: Kit, rng: np.random.Generator, levels: int | None) -> np.ndarray:
-    """Return commands (n, axes) in mm and degrees over the kit's ranges at which the machine has clearance.
-
-    Raises:
-        InputError: too few poses have clearance.
-    """
+    """Return clear commands (n, axes) in mm and degrees over the kit's ranges; `InputError` if they are too few."""
     clearance = Clearance(machine, kit)
     poses: list[np.ndarray] = []
     low, high = kit.ranges.T
@@ -478,16 +427,7 @@ def plan_table(
     *,
     source: str = "plan",
 ) -> Measurements:
-    """Return a plan as a measurement table without coordinates, with the kit's stations and target positions.
-
-    Args:
-        kit: instruments, stations and targets.
-        positions: (n, axes) mm and degrees.
-        target: n names.
-        station: n names.
-        approach: (n, axes) direction of approach: +1, −1, 0 any.
-        source: name of the table in messages.
-    """
+    """Return a plan, n readings, as a measurement table without coordinates; ``approach`` (n, axes): +1, −1, 0 any."""
     n = len(target)
     return Measurements(
         source=source,

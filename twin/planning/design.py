@@ -50,19 +50,13 @@ def inverse(precision: np.ndarray) -> np.ndarray:
 @final
 @dataclass(frozen=True)
 class DesignProblem:
-    """Design problem of one instrument: candidate readings and criterion.
-
-    Attributes:
-        prior: (f, f) prior precision of the unknowns' coordinates.
-        rows: (n, 3, f) derivatives of the whitened readings.
-        aim: the criterion to minimise.
-    """
+    """Design problem of one instrument: candidate readings and criterion."""
 
     instrument: Instrument
     candidates: CandidateReadings
-    prior: np.ndarray
-    rows: np.ndarray
-    aim: Aim
+    prior: np.ndarray  # (f, f) prior precision of the unknowns' coordinates
+    rows: np.ndarray  # (n, 3, f) derivatives of the whitened readings
+    aim: Aim  # the criterion to minimise
 
     @property
     def plan(self) -> Measurements:
@@ -82,35 +76,22 @@ class DesignProblem:
 @final
 @dataclass(frozen=True)
 class Exchange:
-    """Exchange algorithm that chooses readings among candidates.
+    """Exchange algorithm that chooses readings among candidates."""
 
-    Attributes:
-        prior: (f, f) prior precision of the coordinates.
-        rows: (n, 3, f) derivatives of every candidate.
-        cost: (n,) seconds for each.
-        aim: the criterion to minimise.
-        most: how often one candidate may be taken.
-        exchanged: shares of the plan exchanged in successive rounds.
-        among: number of random candidates from which each reading is chosen.
-        progress: progress callback.
-    """
-
-    prior: np.ndarray
-    rows: np.ndarray
-    cost: np.ndarray
-    aim: Aim
-    most: int = 4
-    exchanged: tuple[float, ...] = EXCHANGED_SHARES
-    among: int = SAMPLED
-    progress: Progress = silent
+    prior: np.ndarray  # (f, f) prior precision of the coordinates
+    rows: np.ndarray  # (n, 3, f) derivatives of every candidate
+    cost: np.ndarray  # (n,) seconds for each
+    aim: Aim  # the criterion to minimise
+    most: int = 4  # how often one candidate may be taken
+    exchanged: tuple[float, ...] = EXCHANGED_SHARES  # shares of the plan exchanged in successive rounds
+    among: int = SAMPLED  # number of random candidates from which each reading is chosen
+    progress: Progress = silent  # progress callback
 
     def choose(self, count: int, first: np.ndarray, least: int) -> np.ndarray:
-        """Return the indices of the chosen readings in order of choice; an index may repeat.
+        """Return the indices of ``count`` chosen readings in order of choice; an index may repeat.
 
-        Args:
-            count: number of readings.
-            first: indices of all candidates in random order, so that its first elements are an even spread: the initial plan.
-            least: smallest number of readings to begin with.
+        ``first``: all candidates in random order, so that its first elements are an even spread: the initial plan; ``least``: of them
+        at least.
         """
         spread = np.concatenate([first] * (1 + (count - 1) // max(len(first), 1)))[:count]
         best, value = list(spread), self._value(spread)
@@ -134,10 +115,7 @@ class Exchange:
         return self.aim.value(covariance_of(self.prior, self.rows[chosen]))
 
     def _add_readings(self, chosen: list[int], count: int, done: float) -> None:
-        """Add readings: each time the one of a random sample with the largest gain per second.
-
-        (Stochastic greedy; Mirzasoleiman et al. 2015.)
-        """
+        """Add readings: each time the one of a random sample with the largest gain per second (Mirzasoleiman et al. 2015)."""
         begun = len(chosen)
         taken = np.bincount(chosen, minlength=len(self.rows))
         rng = np.random.default_rng(begun)
@@ -202,19 +180,14 @@ MOST_TRIED: Final = 12
 @final
 @dataclass(frozen=True)
 class Route:
-    """Readings in the order they are taken.
+    """Readings in the order they are taken."""
 
-    Attributes:
-        plan: the readings, with rounds and the time ``time_s`` of each.
-        spent: seconds by operation: ``station``, ``target``, ``aim``, ``travel``, ``point``; without waiting for a session.
-        blocked: rows to which the straight move from the row before has too little clearance: retract first.
-        sessions: first row of each session and the instruction for it.
-    """
-
-    plan: Measurements
+    plan: Measurements  # the readings, with rounds and the time ``time_s`` of each
+    # seconds by operation: ``station``, ``target``, ``aim``, ``travel``, ``point``; without waiting for a session
     spent: Mapping[str, float]
+    # rows to which the straight move from the row before has too little clearance: retract first
     blocked: tuple[int, ...]
-    sessions: tuple[tuple[int, str], ...] = ()
+    sessions: tuple[tuple[int, str], ...] = ()  # first row of each session and the instruction for it
 
     @property
     def seconds(self) -> float:
@@ -244,14 +217,7 @@ def duration(machine: Machine, kit: Kit, plan: Measurements) -> float:
 
 
 def route(task: Task, chosen: CandidateReadings, stations: Sequence[str], *, clear: bool = True) -> Route:
-    """Order the readings by session and station, in two passes, each time continuing with the reading that is reached first.
-
-    Args:
-        task: machine, kit and time budget.
-        chosen: the readings, in any order.
-        stations: stations in order.
-        clear: whether moves are checked for clearance; not needed for an estimate of the duration.
-    """
+    """Order the readings by session and station, in two passes, each time continuing with the reading that is reached first."""
     plan, session, sessions = chosen.plan, chosen.session, chosen.sessions
     clock = _Clock(task.machine, task.kit, plan, Clearance(task.machine, task.kit) if clear else None)
     rng = np.random.default_rng(task.seed)
@@ -390,19 +356,12 @@ TRIAL_SHARES: Final = (0.9,)
 @final
 @dataclass(frozen=True)
 class StationChoice:
-    """Stations of one instrument, with the criterion reached from there.
+    """Stations of one instrument, with the criterion reached from there."""
 
-    Attributes:
-        problem: design problem of the instrument.
-        stations: names of the stations.
-        points: number of readings the time allows.
-        value: value of the criterion.
-    """
-
-    problem: DesignProblem
+    problem: DesignProblem  # design problem of the instrument
     stations: tuple[str, ...]
-    points: int
-    value: float
+    points: int  # number of readings the time allows
+    value: float  # value of the criterion
 
     @property
     def least(self) -> int:
@@ -413,27 +372,14 @@ class StationChoice:
 @final
 @dataclass(frozen=True)
 class FilledPlan:
-    """Readings of a plan in order, and the station choices that were compared.
+    """Readings of a plan in order, and the station choices that were compared."""
 
-    Attributes:
-        station_choices: the station choices, best first; the plan uses the first.
-        route: its readings.
-    """
-
-    station_choices: tuple[StationChoice, ...]
-    route: Route
+    station_choices: tuple[StationChoice, ...]  # the station choices, best first; the plan uses the first
+    route: Route  # its readings
 
 
 def fill(task: Task, problems: Sequence[DesignProblem]) -> FilledPlan:
-    """Choose stations and readings within the time budget.
-
-    Args:
-        task: machine, kit, time budget and criterion.
-        problems: design problem of each instrument.
-
-    Raises:
-        InputError: the time budget is too short.
-    """
+    """Choose stations and readings within the time budget. Raises `InputError`: the time budget is too short."""
     filler = _PlanFiller(task)
     station_choices = filler.best(
         [station_choice for problem in problems for station_choice in filler.station_choices(problem)]
@@ -449,11 +395,7 @@ class _PlanFiller:
     task: Task
 
     def station_choices(self, problem: DesignProblem) -> list[StationChoice]:
-        """Return every set of stations with the criterion reached by an even spread of readings in the time budget.
-
-        Raises:
-            InputError: the time budget is too short.
-        """
+        """Return every set of stations with the criterion reached by an even spread of readings; `InputError` if time is too short."""
         station_choices, least = [], math.inf
         plan = problem.plan
         names = tuple(dict.fromkeys(plan.station))
@@ -498,11 +440,7 @@ class _PlanFiller:
         return sorted(best, key=lambda choice: choice.value)
 
     def fill_time(self, best: StationChoice) -> Route:
-        """Return the plan that fills the time budget; the time per reading is taken from the route through a first plan.
-
-        Raises:
-            InputError: the time budget is too short.
-        """
+        """Return the plan that fills the time, per reading as on the route through a first plan; `InputError` if it is too short."""
         own = best.problem.from_stations(best.stations)
         first = self.task.rng.permutation(len(own.plan))
         taken = np.resize(first, best.points)

@@ -1,11 +1,9 @@
 """Kit file: instruments, possible station positions, reflectors, and times of the operations.
 
-Linear model of planned readings: their derivatives with respect to every unknown, and the prior.
-
-The unknowns are those of `identify`: every error motion as orthonormal functions of its axis, squareness, location errors, stations,
-targets. The prior is the expected size of each: the coefficients of a curve decrease as those of the given calibration do
-(`twin.identification.fitting`); constants, stations and targets have their plausible size. The model is linearised about the expected
-errors.
+The unknowns of the linear model of planned readings are those of `identify`: every error motion as orthonormal functions of its axis,
+squareness, location errors, stations, targets. The prior is the expected size of each: the coefficients of a curve decrease as those of
+the given calibration do (`twin.identification.fitting`); constants, stations and targets have their plausible size. The model is
+linearised about the expected errors.
 """
 
 from __future__ import annotations
@@ -61,19 +59,13 @@ class _KitEntries(BaseModel):
 
 @final
 class Seconds(_KitEntries):
-    """Times of the operations in seconds.
+    """Times of the operations in seconds."""
 
-    Attributes:
-        point: settling and reading.
-        aim: turning a reflector towards the instrument by hand when it is outside the acceptance angle.
-        target: changing from one reflector to another.
-        station: setting the instrument up in another place.
-    """
-
-    point: Annotated[float, Field(gt=0)] = 15.0
+    point: Annotated[float, Field(gt=0)] = 15.0  # settling and reading
+    # turning a reflector towards the instrument by hand when it is outside the acceptance angle
     aim: Annotated[float, Field(ge=0)] = 20.0
-    target: Annotated[float, Field(ge=0)] = 30.0
-    station: Annotated[float, Field(ge=0)] = 900.0
+    target: Annotated[float, Field(ge=0)] = 30.0  # changing from one reflector to another
+    station: Annotated[float, Field(ge=0)] = 900.0  # setting the instrument up in another place
 
 
 class _StationEntry(_KitEntries):
@@ -127,21 +119,14 @@ class _KitFile(_KitEntries):
 @final
 @dataclass(frozen=True)
 class Target:
-    """A reflector.
+    """A reflector."""
 
-    Attributes:
-        carrier: ``tool`` or ``work``.
-        place_mm: nominal position on its carrier; it need not be met to the millimetre.
-        known: whether an evaluation may treat the position as exactly known.
-        facing: (3,) unit vector of its axis on its carrier; None: it is turned towards the instrument by hand.
-        acceptance_rad: largest angle between its axis and the beam.
-    """
-
-    carrier: Literal["tool", "work"]
-    place_mm: tuple[float, float, float]
-    known: bool
+    carrier: Literal["tool", "work"]  # ``tool`` or ``work``
+    place_mm: tuple[float, float, float]  # nominal position on its carrier; it need not be met to the millimetre
+    known: bool  # whether an evaluation may treat the position as exactly known
+    # (3,) unit vector of its axis on its carrier; None: it is turned towards the instrument by hand
     facing: tuple[float, float, float] | None
-    acceptance_rad: float
+    acceptance_rad: float  # largest angle between its axis and the beam
 
 
 @final
@@ -296,11 +281,7 @@ class Kit(Result):
 
 
 def bundled_kit(name: str | Path) -> Path:
-    """Return the path of a kit file, given by its path or by the bare name of one that comes with `twin`.
-
-    Raises:
-        InputError: there is no such file; the message lists those that come with `twin`.
-    """
+    """Return the path of a kit file, by its path or by the bare name of one that comes with `twin`; `InputError` lists those."""
     return find_bundled(name, ".kit.yaml", "a kit file (schema twin.kit/1)")
 
 
@@ -353,42 +334,28 @@ VAGUE: Final = "the readings determine it no better than its plausible size"
 @final
 @dataclass(frozen=True)
 class NotIdentifiable:
-    """Error that is not identifiable from the readings of a plan.
+    """Error that is not identifiable from the readings of a plan."""
 
-    Attributes:
-        name: ISO 230-1 name.
-        reason: the combination with other unknowns that leaves all readings unchanged.
-    """
-
-    name: str
-    reason: str
+    name: str  # ISO 230-1 name
+    reason: str  # the combination with other unknowns that leaves all readings unchanged
 
 
 @final
 @dataclass(frozen=True)
 class PlanModel:
-    """Unknowns of a planned measurement and their prior.
-
-    Attributes:
-        plan: the readings.
-        unknowns: unknowns of the machine.
-        setting, setup: stations and targets as planned.
-        plausible: (p,) plausible size of every unknown; the coordinates used here are in these units.
-        free: (p, f) directions that the datum leaves free, in these units: the basis of the coordinates.
-        prior: (f, f) prior precision of the coordinates.
-        linearised_at: (columns,) expected errors, µm and µrad, about which the model is linearised. An expected angle that is not zero
-            makes target positions on their carrier observable, which no reading determines exactly.
-    """
+    """Unknowns of a planned measurement and their prior."""
 
     machine: Machine
-    plan: Measurements
+    plan: Measurements  # the readings
     instrument: Instrument
-    unknowns: Unknowns
-    setting: Placement
+    unknowns: Unknowns  # unknowns of the machine
+    setting: Placement  # setting, setup: stations and targets as planned
     setup: StationsAndTargets
-    plausible: np.ndarray
-    free: np.ndarray
-    prior: np.ndarray
+    plausible: np.ndarray  # (p,) plausible size of every unknown; the coordinates used here are in these units
+    free: np.ndarray  # (p, f) directions that the datum leaves free, in these units: the basis of the coordinates
+    prior: np.ndarray  # (f, f) prior precision of the coordinates
+    # (columns,) expected errors, µm and µrad, about which the model is linearised. An expected angle that is not zero makes target
+    # positions on their carrier observable, which no reading determines exactly
     linearised_at: np.ndarray
 
     @classmethod
@@ -401,15 +368,10 @@ class PlanModel:
         expected: Calibration,
         known: Collection[str] = (),
     ) -> PlanModel:
-        """Return the model with the unknowns of axes, stations and targets, as in `identify`.
+        """Return the model with the unknowns of axes, stations and targets, as in `identify`; axes at rest have none.
 
-        A curve has no constant if the readings cannot separate it from a station or a location error.
-
-        Args:
-            plan: all readings in question; axes it does not move have no unknowns.
-            setting: poses of stations and positions of targets.
-            expected: expected size of the errors; curves it does not have get `EXPECTED_UM`.
-            known: names of the stations and targets that an evaluation treats as exactly known.
+        A curve has no constant if the readings cannot separate it from a station or a location error. Curves that ``expected`` does not
+        have get `EXPECTED_UM`; ``known``: names of the stations and targets that an evaluation treats as exactly known.
         """
         offsets: list[str] | None = None
         while True:

@@ -18,17 +18,16 @@ from twin.machine.machine import Machine
 from twin.measurement.instruments import Instrument, instrument_named
 from twin.measurement.table import Measurements
 from twin.planning.kit import Kit
-from twin.planning.sequences import (
+from twin.planning.sequences.contacts import default_place, reach
+from twin.planning.sequences.moves import sequence_named
+from twin.planning.sequences.specification import (
     SET_UPS,
     Expectation,
     InstrumentSizes,
     MeasuringSequence,
     SequenceTask,
-    default_place,
     expectation,
     minutes_of,
-    reach,
-    sequence_named,
     sequence_table,
 )
 
@@ -219,11 +218,7 @@ def _rival(task: SequenceTask, sequence: MeasuringSequence) -> Expectation | Non
 
 
 def judge_sequence(table: Measurements, machine: Machine) -> Expectation:
-    """Return what an existing plan of a probe, R-test or ball bar determines of the constant errors.
-
-    Raises:
-        InputError: the plan has several instruments, or a station or target without a planned place.
-    """
+    """Return what a plan determines of the constant errors; `InputError` if it has several instruments or no places."""
     names = dict.fromkeys(table.instrument.astype(str))
     if len(names) > 1 or not set(names) <= set(SET_UPS):
         raise table.error(
@@ -247,11 +242,7 @@ def _task(
     minutes: float,
     sizes: InstrumentSizes,
 ) -> SequenceTask:
-    """Return the task, with the defaults.
-
-    Raises:
-        InputError: an impossible number.
-    """
+    """Return the task, with the defaults. Raises `InputError`: an impossible number."""
     sizes.check()
     if len(machine.linear) != 3:
         raise InputError(

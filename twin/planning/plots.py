@@ -25,7 +25,7 @@ from twin.measurement.observation import Observation
 from twin.measurement.table import Measurements
 from twin.model.calibration import Calibration
 from twin.model.effects import split_name
-from twin.planning.forecast import Forecast
+from twin.planning.plan import Forecast
 
 STYLES: Final = ((BACKWARD, "s"), (FORWARD, "o"), (THIRD, "^"))
 """Colour and marker of each plan, in the order given."""

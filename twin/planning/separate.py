@@ -57,24 +57,15 @@ LATER_S: Final = 4.0 * 3600.0
 @final
 @dataclass(frozen=True)
 class NamedCause:
-    """Cause as named by the user.
+    """Cause as named by the user."""
 
-    Attributes:
-        effect, where: name of the effect and where it acts, as in a diagnosis.
-        numbers: the parameter values that are given, by name.
-    """
-
-    effect: str
+    effect: str  # effect, where: name of the effect and where it acts, as in a diagnosis
     where: str
-    numbers: Mapping[str, float]
+    numbers: Mapping[str, float]  # the parameter values that are given, by name
 
     @classmethod
     def parse(cls, text: str) -> NamedCause:
-        """Read a cause such as ``cross_axis E_AX by Z``, ``reversal:Y`` or ``pitch_error X amplitude=2 period=10``.
-
-        Raises:
-            InputError: the text is not a cause.
-        """
+        """Read a cause such as ``cross_axis E_AX by Z`` or ``pitch_error X amplitude=2 period=10``, or raise `InputError`."""
         words = shlex.split(text.replace(":", " ", 1))
         numbers: dict[str, float] = {}
         while words and "=" in words[-1]:
@@ -164,17 +155,11 @@ CauseForm = tuple[Candidate, Variant]
 @final
 @dataclass(frozen=True)
 class _Question:
-    """Design problem of distinguishing two causes.
+    """Design problem of distinguishing two causes."""
 
-    Attributes:
-        task: machine, kit and the calibration whose uncertainty is included.
-        causes: both causes.
-        after: earlier readings, or None.
-    """
-
-    task: Task
-    causes: tuple[NamedCause, NamedCause]
-    after: Measurements | None
+    task: Task  # machine, kit and the calibration whose uncertainty is included
+    causes: tuple[NamedCause, NamedCause]  # both causes
+    after: Measurements | None  # earlier readings, or None
 
     def cells(self, plan: Measurements) -> tuple[CauseForm, CauseForm]:
         """Return the forms of both causes at the readings of a plan."""
@@ -294,12 +279,9 @@ def _in_sessions(plain: Measurements, sessions: tuple[Session, ...]) -> Candidat
 
 
 def cause_form(one: NamedCause, machine: Machine, plan: Measurements, calibration: Calibration) -> CauseForm:
-    """Return the form of a cause with the given non-linear parameters; the simplest form if none are given.
+    """Return the form of a cause with the given non-linear parameters, else the simplest; `InputError` if no plan can separate it.
 
     A drift is exponential if a parameter of its entry is given (``amplitude``, ``time_constant``), else linear with a ``rate``.
-
-    Raises:
-        InputError: there is no such cause, or no plan can separate it.
     """
     tried = catalogue(machine, plan, calibration)
     candidate = next((c for c in tried.candidates if c.key == (one.effect, one.where)), None)

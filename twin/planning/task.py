@@ -1,7 +1,5 @@
 """Task of a plan: machine, kit, time budget, and the uncertainty to minimise.
 
-Optimality criteria of a plan: uncertainty of the tool point, D-optimality, E-optimality, or of a few errors by name.
-
 Each criterion gives the weight matrix M of the unknowns in `twin.planning.design`. This is that of the variance of the tool point
 over the volume (L- or I-optimality), the inverse of the covariance of the machine's unknowns (D, the determinant), the projector on
 the least certain direction (E), or that of the variance of a few errors by name.
@@ -43,25 +41,15 @@ FEWEST: Final = 12
 @final
 @dataclass(frozen=True)
 class Task:
-    """Task of a plan.
-
-    Attributes:
-        kit: instruments, stations, reflectors and times.
-        minutes: time budget, including set-up.
-        expected: expected size of the errors, for the prior.
-        seed: random seed.
-        progress: progress callback: stage and share done.
-        reduce: uncertainty to minimise: one of `AIMS`, or names of errors (``E_*C``).
-        first_round: number of the first round.
-    """
+    """Task of a plan."""
 
     machine: Machine
-    kit: Kit
-    minutes: float
-    expected: Calibration
-    seed: int
-    progress: Progress
-    reduce: tuple[str, ...]
+    kit: Kit  # instruments, stations, reflectors and times
+    minutes: float  # time budget, including set-up
+    expected: Calibration  # expected size of the errors, for the prior
+    seed: int  # random seed
+    progress: Progress  # progress callback: stage and share done
+    reduce: tuple[str, ...]  # uncertainty to minimise: one of `AIMS`, or names of errors (``E_*C``)
     first_round: int = 1
 
     @classmethod
@@ -75,11 +63,7 @@ class Task:
         progress: Progress,
         reduce: str | Sequence[str] = "tool",
     ) -> Task:
-        """Return the task; defaults are `Kit.default` and the machine file's calibration.
-
-        Raises:
-            InputError: the time budget allows too many readings, or the machine has no error of a given name.
-        """
+        """Return the task, by default for `Kit.default` and the machine file's calibration, or raise `InputError`."""
         names = _names_to_minimise(machine, reduce)
         own = Kit.default(machine) if kit is None else kit
         longest = MOST_READINGS * own.seconds.point / 60.0
@@ -118,18 +102,10 @@ class Task:
 
 
 def levels_for(machine: Machine, readings: int, numbers: int, expected: Calibration) -> int | None:
-    """Return how many positions of each axis a plan can afford: each position adds a function to every curve of the axis.
+    """Return how many positions of each axis a plan can afford, as each adds a function to every curve; None if no limit is needed.
 
     It is at least the number that the expected curves need: with fewer an evaluation could not represent the machine, and no
     uncertainty would include the part left out.
-
-    Args:
-        readings: number of readings.
-        numbers: coordinates per reading.
-        expected: expected errors of the machine.
-
-    Returns:
-        Number of positions, or None if no limit is needed.
     """
     functions = int(readings * numbers / (NUMBERS_PER_FUNCTION * len(machine.motion_names)))
     needed = max((len(curve.coefficients) for curve in expected.curves.values()), default=0)
@@ -138,11 +114,7 @@ def levels_for(machine: Machine, readings: int, numbers: int, expected: Calibrat
 
 
 def _names_to_minimise(machine: Machine, reduce: str | Sequence[str]) -> tuple[str, ...]:
-    """Return the uncertainty to minimise: one of `AIMS`, or names of errors (``E_*C``).
-
-    Raises:
-        InputError: the machine has no error of a given name.
-    """
+    """Return the uncertainty to minimise: one of `AIMS`, or names of errors (``E_*C``) that the machine has, or raise `InputError`."""
     patterns = (reduce,) if isinstance(reduce, str) else tuple(reduce)
     if len(patterns) == 1 and patterns[0] in AIMS:
         return patterns
@@ -181,13 +153,7 @@ class Aim(ABC):
 
 @final
 class LinearAim(Aim):
-    """RMS standard uncertainty of quantities linear in the unknowns, for example of the tool point over the volume in µm.
-
-    Args:
-        derivatives: (n, k, f) with respect to the coordinates.
-        name: name of the criterion.
-        unit: unit of its value.
-    """
+    """RMS standard uncertainty of quantities with (n, k, f) derivatives by the unknowns, such as the tool point over the volume."""
 
     def __init__(self, derivatives: np.ndarray, name: str = "tool", unit: str = "µm") -> None:
         self.name = name
@@ -206,11 +172,7 @@ class LinearAim(Aim):
 
 @final
 class DOptimality(Aim):
-    """D-optimality: mean logarithm of the standard uncertainties of the machine's unknowns over all directions.
-
-    Args:
-        machine: (m, f) orthonormal rows that span the machine's unknowns in the coordinates.
-    """
+    """D-optimality: mean logarithm of the standard uncertainties over the span of ``machine`` (m, f), orthonormal rows."""
 
     name = "everything"
     unit = "mean logarithm per direction"
@@ -230,12 +192,7 @@ class DOptimality(Aim):
 
 @final
 class EOptimality(Aim):
-    """E-optimality: largest standard uncertainty over all directions, relative to the prior.
-
-    Args:
-        machine: see `DOptimality`.
-        prior: (f, f) prior precision.
-    """
+    """E-optimality: largest standard uncertainty over all directions of ``machine``, relative to the prior precision (f, f)."""
 
     name = "weakest"
     unit = "of the prior standard deviation"
@@ -258,16 +215,7 @@ class EOptimality(Aim):
 
 
 def aim_of(model: PlanModel, names: Sequence[str], tool_length_mm: float | None) -> Aim:
-    """Return the criterion, restricted to the directions that the candidate readings together determine.
-
-    Args:
-        model: model of all candidate readings.
-        names: see `Task.reduce`.
-        tool_length_mm: tool length; None: see `PlanModel.tool_length`.
-
-    Raises:
-        InputError: no reading depends on any of the named errors.
-    """
+    """Return the criterion of ``names``, in the directions that all candidate readings determine, or raise `InputError`."""
     lost = {one.name for one in model.hidden}
     # Directions that no candidate determines keep their prior variance: project them out, or they would dominate the criterion.
     silent = model.free.T @ model.determinability.spectrum.null_space

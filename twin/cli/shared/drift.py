@@ -78,7 +78,8 @@ class DriftRequest:
     ) -> CommandResult:
         """Plan the drift test and write it."""
         from twin.planning.drift import drift_plan
-        from twin.planning.programs import drift_steps, format_of, write_program
+        from twin.planning.programs.controls import format_of, write_program
+        from twin.planning.programs.steps import drift_steps
 
         chosen = instrument or DRIFT_INSTRUMENTS[0]
         part = "sphere" if chosen == DRIFT_INSTRUMENTS[0] else "nest"

@@ -3,7 +3,6 @@
 Manual: `twin doc paths`.
 """
 
-from twin.compensation.fewer_blocks.refit import Refit, Refitter, refit
-from twin.compensation.fewer_blocks.report import PathReport, UncertaintyContribution, combined
+from twin.compensation.fewer_blocks.refit import PathReport, Refit, Refitter, UncertaintyContribution, combined, refit
 
 __all__ = ["PathReport", "Refit", "Refitter", "UncertaintyContribution", "combined", "refit"]

@@ -19,7 +19,7 @@ from twin._common.errors import InputError, OutputError
 from twin._common.files import read_lines
 from twin._common.units import count_with_noun
 from twin.compensation.fewer_blocks.fit import largest_distance, lengths
-from twin.compensation.fewer_blocks.runs import Run
+from twin.compensation.fewer_blocks.runs import RunEndPoints
 from twin.compensation.programs.backlash import Backlash
 from twin.compensation.programs.follow import follow
 from twin.compensation.programs.motions import PathMotion
@@ -31,39 +31,11 @@ from twin.tool.forward import Kinematics
 from twin.tool.inverse import SLACK
 
 
-@final
-@dataclass(frozen=True)
-class RunEndPoints:
-    """A run with new end points for its blocks.
-
-    Attributes:
-        run: as found.
-        words: (m, axes) end points of the output blocks, not rounded.
-        assigned: (n,) index of the end point assigned to each block of the run, not decreasing.
-        changed: (n,) whether a block's text is rewritten.
-    """
-
-    run: Run
-    words: np.ndarray
-    assigned: np.ndarray
-    changed: np.ndarray
-
-    @property
-    def kept(self) -> np.ndarray:
-        """(n,) whether each block remains: the first one of each end point."""
-        return np.append(True, np.diff(self.assigned) > 0)
-
-
 class Shortened(NamedTuple):
-    """A program with fewer blocks.
+    """A program with fewer blocks."""
 
-    Attributes:
-        program: the program with rewritten runs; removed blocks are empty lines, so that line numbers are kept.
-        reading: its moves, with unrounded end points.
-    """
-
-    program: Program
-    reading: Interpretation
+    program: Program  # the program with rewritten runs; removed blocks are empty lines, so that line numbers are kept
+    reading: Interpretation  # its moves, with unrounded end points
 
 
 def shortened(
@@ -76,20 +48,10 @@ def shortened(
     posted: bool = False,
     others: Sequence[tuple[int, Move, np.ndarray]] = (),
 ) -> Shortened:
-    """Return a program with its runs of blocks replaced by fewer blocks.
+    """Return a program with its runs replaced by fewer blocks; `OutputError` if the number of lines changed: a defect of `twin`.
 
-    Args:
-        program: as read.
-        dialect: its language.
-        reading: its moves.
-        runs: new end points of its runs.
-        prepared: machine, calibration and options.
-        posted: whether axis words are written even for tool-tip input; end points of runs are then axis positions, with straight
-            lines between them.
-        others: further moves to be rewritten rounded to their increments: index, move and words.
-
-    Raises:
-        OutputError: the number of lines changed: a defect of `twin`.
+    With ``posted``, the end points of runs are axis positions, with straight lines between them. ``others``: further moves to be
+    rewritten, rounded to their increments: index, move and words.
     """
     space, increment = prepared.space, prepared.printed_increment(dialect, posted=posted)
     by_line = {move.line: move for move in reading.moves}
@@ -187,15 +149,10 @@ LINEAR_STEP_MM: Final = 5.0
 @final
 @dataclass(frozen=True)
 class Executed:
-    """A program executed on a machine, block by block.
+    """A program executed on a machine, block by block."""
 
-    Attributes:
-        block: (n,) index of each point's move among those of the program.
-        point_mm: (n, 3) tool points in the work frame.
-    """
-
-    block: np.ndarray
-    point_mm: np.ndarray
+    block: np.ndarray  # (n,) index of each point's move among those of the program
+    point_mm: np.ndarray  # (n, 3) tool points in the work frame
 
     def without(self, blocks: np.ndarray) -> Executed:
         """Return the points without those of some moves."""
@@ -210,15 +167,7 @@ class Executed:
 def execute_words(
     program: Program, reading: Interpretation, space: WordSpace, real: Kinematics, dense: np.ndarray
 ) -> Executed:
-    """Execute a program as its control would, on straight lines in words.
-
-    Args:
-        program: as read.
-        reading: its moves.
-        space: conversion between words and commands.
-        real: the machine with its errors.
-        dense: (moves,) which moves are evaluated along their whole length, not only at their end points.
-    """
+    """Execute a program as its control would, on straight lines in words; ``dense`` (moves,): which moves along their whole length."""
     path = follow(program, reading, space)
     moves = path.columns.move
     motions = zip(path.motions, dense[moves].tolist(), strict=True)
@@ -238,10 +187,7 @@ def _fractions(motion: PathMotion) -> np.ndarray:
 
 
 def path_distance_mm(one: np.ndarray, other: np.ndarray, tolerance_mm: float) -> float:
-    """Return the largest distance between two executed paths of (n, 3) points in both directions, mm.
-
-    The nearest point is first searched at about the same share of the distance along the path.
-    """
+    """Return the largest distance between two executed paths of (n, 3) points in both directions, mm."""
     at = [_shares(points) for points in (one, other)]
     return largest_distance(one, at[0], other, at[1], SEARCHED_SHARE * tolerance_mm, tolerance_mm, anywhere=True)
 
@@ -266,21 +212,11 @@ def is_points(path: Path) -> bool:
 def points_program(
     path: Path, axes: AxisWords, dialects: Sequence[Dialect], written: Dialect, feed: float | None
 ) -> tuple[Program, Dialect]:
-    """Return a program with one straight block per point of a table, and its language.
+    """Return a program with a straight block per point of a table, and its language: ``written``, or cutter locations for vectors.
 
-    Args:
-        path: the table: ``x_mm,y_mm,z_mm``, then nothing, dialect column ``<axis>_deg`` per rotary axis, or the tool vector ``i,j,k``;
-            ``#`` begins a comment.
-        axes: the machine's words.
-        dialects: all languages.
-        written: the language of the output.
-        feed: mm/min; None for no feed word.
-
-    Returns:
-        The program and its language: that of the output, but cutter locations for points with a tool vector.
-
-    Raises:
-        InputError: with line and value, if it is no such table; rotary axes for an output language without words for them.
+    The columns are ``x_mm,y_mm,z_mm``, then nothing, ``<axis>_deg`` per rotary axis, or the tool vector ``i,j,k``; ``#`` begins a
+    comment. ``feed``: mm/min; None for no feed word. `InputError`, with line and value, for another table, or for rotary axes that
+    ``written`` lacks.
     """
     header, lines, values = _table(path, axes)
     vectors = header[3:] == VECTOR
@@ -306,7 +242,11 @@ def points_program(
                 line=lines[at],
                 value=",".join(f"{v:g}" for v in values[at, 3:]),
             )
-    text = dialect.from_points(_names(header, axes), values, feed, _shown(path), path.stem)
+    names = axes.linear if len(header) == 3 or header[3:] == VECTOR else axes.names
+    shown = "points of " + "".join(
+        c if c.isascii() and c.isprintable() and c not in "()~;$" else "_" for c in path.name
+    )
+    text = dialect.from_points(names, values, feed, shown, path.stem)
     return dialect.read(text.encode("latin-1", "replace"), str(path)), dialect
 
 
@@ -354,11 +294,3 @@ def _number(cell: str, column: str, path: Path, line: int) -> float:
             f"{column} is not a coordinate", expected="a number below 1e6", file=path, line=line, value=cell
         )
     return value
-
-
-def _names(header: tuple[str, ...], axes: AxisWords) -> tuple[str, ...]:
-    return axes.linear if len(header) == 3 or header[3:] == VECTOR else axes.names
-
-
-def _shown(path: Path) -> str:
-    return "points of " + "".join(c if c.isascii() and c.isprintable() and c not in "()~;$" else "_" for c in path.name)

@@ -5,12 +5,11 @@ accuracy (`twin.numerics.curves.fg_bernstein`; Díaz Pérez et al. 2019, eq. 13�
 tangent at a joint, are exact constraints: the least-squares curve with some control points fixed is c + G Cᵀ (C G Cᵀ)⁻¹ (b − C c),
 G = (AᵀA)⁻¹ = A⁺A⁺ᵀ (Björck 1996, ch. 5).
 
-Cut a curve into as few straight blocks as keep within a tolerance of the polyline to which the curve was fitted.
-
-The vertices are spread so that every chord needs the same tolerance. Chords with both end points on the curve lie on one side of it and
-use only half of the tolerance band. The vertices are therefore moved off the curve to the outside by half the mean height of their two
-chords, so that vertices and chord middles are equally far from it. The end points of the curve stay fixed; the chords next to them
-deviate more and are made slightly shorter.
+A curve is cut into as few straight blocks as keep within a tolerance of the polyline to which it was fitted. Their vertices are spread
+so that every chord needs the same tolerance. Chords with both end points on the curve lie on one side of it and use only half of the
+tolerance band. The vertices are therefore moved off the curve to the outside by half the mean height of their two chords, so that
+vertices and chord middles are equally far from it. The end points of the curve stay fixed; the chords next to them deviate more and are
+made slightly shorter.
 """
 
 from __future__ import annotations
@@ -43,15 +42,10 @@ def lengths(points: np.ndarray) -> np.ndarray:
 def distances_near(
     points: np.ndarray, at: np.ndarray, line: np.ndarray, line_at: np.ndarray, near: float, limit: float
 ) -> np.ndarray:
-    """Return (n,) distances of points from a polyline, searched near each point's parameter; never too small.
+    """Return (n,) distances of points (n, d) from a polyline (m, d), searched near each point's parameter; never too small.
 
-    Args:
-        points: (n, d).
-        at: (n,) parameter of each point, as in ``line_at``.
-        line: (m, d) vertices, m ≥ 2.
-        line_at: (m,) their parameters, not decreasing.
-        near: distance below which no closer point is searched for.
-        limit: distance with which the results are compared; if many are larger, the search ends.
+    ``at``, ``line_at``: (n,) and (m,) parameters of points and vertices. No closer point is searched for below ``near``, nor if more
+    than a few are farther than ``limit``.
     """
     here = np.clip(np.searchsorted(line_at, at, side="right") - 1, 0, len(line) - 2)
     distances_near = np.full(len(points), np.inf)
@@ -104,17 +98,10 @@ def largest_distance(
     *,
     anywhere: bool = False,
 ) -> float:
-    """Return the largest distance between two polylines, from the vertices of each to the other; the caller provides dense vertices.
+    """Return the largest distance between two polylines of dense vertices, from the vertices (n or m, d) of each to the other.
 
-    Args:
-        one: (n, d) vertices, n ≥ 2.
-        one_at: (n,) their parameters.
-        other: (m, d) vertices, m ≥ 2.
-        other_at: (m,) their parameters; equal at corresponding points.
-        near: as for `distances_near`.
-        limit: as for `distances_near`.
-        anywhere: whether points still beyond the limit are compared with the whole other line; otherwise the search may end at a
-            distance beyond the limit.
+    ``one_at``, ``other_at``: (n or m,) parameters, equal at corresponding points; ``near``, ``limit``: as for `distances_near`. With
+    ``anywhere``, points still beyond the limit are compared with the whole other line; otherwise the search may end beyond the limit.
     """
     worst = 0.0
     for points, at, line, line_at in ((one, one_at, other, other_at), (other, other_at, one, one_at)):
@@ -159,10 +146,7 @@ Tool = Callable[[np.ndarray], np.ndarray]
 
 @lru_cache(maxsize=256)
 def _solver(basis: FGBernstein) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return for a basis: nodes (m,), A⁺ (degree+1, m), and G = A⁺A⁺ᵀ.
-
-    With Chebyshev nodes, least squares is close to the smallest maximum deviation.
-    """
+    """Return for a basis: Chebyshev nodes (m,), A⁺ (degree+1, m), and G = A⁺A⁺ᵀ."""
     count = NODES_A_POINT * (basis.degree + 1)
     nodes = (1.0 - np.cos(np.pi * (np.arange(count) + 0.5) / count)) / 2.0
     inverse = basis.least_squares(nodes, np.eye(count))
@@ -178,34 +162,21 @@ def _values(basis: FGBernstein, count: int) -> np.ndarray:
 @final
 @dataclass(frozen=True)
 class Polyline:
-    """A polyline with derived quantities that are needed repeatedly.
+    """A polyline with derived quantities that are needed repeatedly."""
 
-    Attributes:
-        words: (n, axes) its vertices.
-        at: (n,) their parameters, from 0.
-        size: (n−1,) lengths of its blocks at the tool, mm.
-        turned: (n,) sum of the bends up to and including each vertex, rad.
-        dense: ((n−1)·PARTS+1, axes) vertices and points between.
-        dense_at: their parameters.
-        dense_tool: their coordinates at the tool.
-    """
-
-    words: np.ndarray
-    at: np.ndarray
-    size: np.ndarray
-    turned: np.ndarray
-    dense: np.ndarray
-    dense_at: np.ndarray
-    dense_tool: np.ndarray
+    words: np.ndarray  # (n, axes) its vertices
+    at: np.ndarray  # (n,) their parameters, from 0
+    size: np.ndarray  # (n−1,) lengths of its blocks at the tool, mm
+    turned: np.ndarray  # (n,) sum of the bends up to and including each vertex, rad
+    dense: np.ndarray  # ((n−1)·PARTS+1, axes) vertices and points between
+    dense_at: np.ndarray  # their parameters
+    dense_tool: np.ndarray  # their coordinates at the tool
 
     @classmethod
     def of(cls, words: np.ndarray, tool: Tool, power: float = 1.0) -> Polyline:
         """Create a polyline from (n, axes) vertices, n ≥ 2, consecutive ones distinct at the tool.
 
-        Args:
-            words: the vertices.
-            tool: function from words to coordinates at the tool.
-            power: the parameter grows from vertex to vertex by the distance at the tool to this power.
+        The parameter grows from vertex to vertex by the distance at the tool to the power ``power``.
         """
         share = np.arange(POINTS_PER_BLOCK) / POINTS_PER_BLOCK
         between = words[:-1, None, :] + share[:, None] * np.diff(words, axis=0)[:, None, :]
@@ -237,20 +208,13 @@ class Polyline:
 @final
 @dataclass(frozen=True)
 class CurvePiece:
-    """One fg-Bernstein curve between two vertices.
+    """One fg-Bernstein curve between two vertices."""
 
-    Attributes:
-        first, last: indices of its first and last vertex.
-        basis: its basis functions.
-        control: (degree+1, axes) control points, words.
-        fit_mm: largest distance from the polyline at the tool, in both directions.
-    """
-
-    first: int
+    first: int  # first, last: indices of its first and last vertex
     last: int
-    basis: FGBernstein
-    control: np.ndarray
-    fit_mm: float
+    basis: FGBernstein  # its basis functions
+    control: np.ndarray  # (degree+1, axes) control points, words
+    fit_mm: float  # largest distance from the polyline at the tool, in both directions
 
     @property
     def degree(self) -> int:
@@ -265,13 +229,7 @@ class CurvePiece:
 
 @final
 class Fitter:
-    """Fits curves to one smooth stretch.
-
-    Args:
-        line: its blocks.
-        tool: function from words to coordinates at the tool.
-        allowed_mm: largest distance allowed between curve and polyline.
-    """
+    """Fits curves to one smooth stretch, at most ``allowed_mm`` from it; ``tool``: function from words to coordinates at the tool."""
 
     def __init__(self, line: Polyline, tool: Tool, allowed_mm: float) -> None:
         self.line = line
@@ -445,18 +403,10 @@ GROWTH: Final = 1.15
 def few_blocks(
     line: Polyline, curve: np.ndarray, curve_at: np.ndarray, tool: Tool, allowed_mm: float
 ) -> tuple[np.ndarray, np.ndarray, float] | None:
-    """Return the vertices, without the first, of the fewest straight blocks that stay near a polyline.
+    """Return the fewest straight blocks near a polyline: (m, axes) vertices but the first, (m+1,) parameters, largest distance in mm.
 
-    Args:
-        line: the polyline; its vertices in the words in which the blocks are straight.
-        curve: (n, axes) dense points of a curve near it in such words, with the same end points.
-        curve_at: (n,) their parameters along the line.
-        tool: function from such words to coordinates at the tool.
-        allowed_mm: largest distance allowed between blocks and polyline.
-
-    Returns:
-        (m, axes) words, the last one that of the line; (m+1,) parameters from the start; largest distance in mm. None if as many blocks
-        as the line has are needed.
+    None if as many blocks as the line has are needed. ``curve``: (n, axes) dense points of a curve near the line, with the same end
+    points, and ``curve_at`` (n,) their parameters along the line; ``tool``: function from words to coordinates at the tool.
     """
     most = len(line.words) - 2
     sums = _demand(curve, curve_at, tool)

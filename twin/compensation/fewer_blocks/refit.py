@@ -1,21 +1,28 @@
-"""Refit a program or a table of points with fewer blocks within a tolerance.
+"""Refit a program or a table of points with fewer blocks within a tolerance, and report it.
 
 The tolerance holds between the path that the machine with its errors executes and the path of the input, in both directions. It is
 divided between rounding, compensation between block end points, and the path itself. Of the share of the path the curve gets the
 smallest part that saves blocks, and the blocks get the rest. The output is read back and executed densely before it is returned.
+
+Uncertainty budget, after Díaz Pérez et al. (2019), eq. 15: the error at a point of a trajectory is that of the system plus that of the
+definition of the trajectory. Their table 2 combines standard uncertainties as ISO/TR 230-9 does: U = k √Σu², k = 2; an error known by
+its limits ±a counts as a/√3 (JCGM 100:2008, 4.3.7).
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from math import sqrt
 from pathlib import Path
-from typing import final
+from typing import Any, Final, final
 
 import numpy as np
 
 from twin._common.bundled import DEFAULT_TOLERANCE_MM
 from twin._common.errors import InputError
+from twin._common.provenance import ILLUSTRATIVE, SourceWarning, warning_texts
+from twin._common.records import json_form
 from twin._common.resources import Progress, silent
 from twin._common.units import count_with_noun
 from twin.compensation.fewer_blocks.emit import (
@@ -27,14 +34,12 @@ from twin.compensation.fewer_blocks.emit import (
     points_program,
     shortened,
 )
-from twin.compensation.fewer_blocks.report import PathReport, RunReport, ToleranceShares, UncertaintyContribution
-from twin.compensation.fewer_blocks.run_refitter import RefittedRun, RunRefitter
-from twin.compensation.fewer_blocks.runs import Run, find_runs
+from twin.compensation.fewer_blocks.runs import RefittedRun, Run, RunRefitter, ToleranceShares, find_runs
 from twin.compensation.programs.compensator import Compensation, Compensator
 from twin.compensation.programs.follow import follow, motionless
 from twin.compensation.programs.motions import ToolPath, machine_hints
 from twin.compensation.programs.prepared import Options, PreparedMachine
-from twin.compensation.programs.report import LineNote, Report
+from twin.compensation.programs.report import NO_ERRORS, LineNote, Report, grouped
 from twin.compensation.programs.uncorrected import of_unknown
 from twin.display.results import Result
 from twin.machine.machine import Machine
@@ -43,44 +48,249 @@ from twin.nc import DIALECTS, dialect_for, dialect_to_write, read_program
 from twin.nc.blocks import Interpretation, Move, Program
 from twin.nc.dialect import Dialect
 
+SCHEMA = "twin.path/1"
+SHOWN = 8
+"""Lines of a list that the text prints before it counts the rest; the JSON report has all."""
+EXPANSION_FACTOR: Final = 2.0
+PARTS: Final = ("fit", "chord", "path", "machine", "total")
+"""Steps that use the tolerance."""
+
+
+@final
+@dataclass(frozen=True)
+class UncertaintyContribution:
+    """One contribution to an uncertainty budget."""
+
+    name: str
+    standard_um: float  # standard uncertainty (k = 1), µm; NaN if unknown
+    how: str  # origin of the number
+
+    @classmethod
+    def within(cls, name: str, limit_um: float, how: str) -> UncertaintyContribution:
+        """Return the contribution of an error with a rectangular distribution within ± ``limit_um``."""
+        return cls(name, limit_um / sqrt(3.0), f"{how}: ± {limit_um:.3f} µm/√3")
+
+
+def combined(contributions: Sequence[UncertaintyContribution]) -> float:
+    """Return the expanded uncertainty U = k √Σu² in µm; NaN if a contribution is unknown."""
+    return EXPANSION_FACTOR * sqrt(sum(contribution.standard_um**2 for contribution in contributions))
+
+
+@final
+@dataclass(frozen=True)
+class RunReport:
+    """Report of one run."""
+
+    first_line: int  # first_line, last_line: lines of the input
+    last_line: int
+    blocks: int  # blocks, blocks_out: number of blocks in the input, and after refitting, before compensation
+    blocks_out: int
+    corners: int  # number of vertices kept as corners, without the end points of the run
+    control_points: int  # control points of all its curves; a block left unchanged counts one
+    degrees: tuple[str, ...]  # degrees of its curves in order, with ``t`` for a trigonometric one (an arc)
+    fit_share_um: float  # tolerance of the curve within the share of the path
+    fit_um: float  # largest distance between curve and input at the tool, in both directions
+    chord_um: float  # largest distance between blocks and curve
+    path_um: float  # largest distance between blocks and input: fit and chord together
+    # largest distance between executed path and blocks: compensation between end points and rounding together
+    machine_um: float
+    total_um: float  # largest distance between executed path and input, in both directions; compared with the tolerance
+    why: str  # why it was left unchanged; empty if it was refitted
+
+
+@final
+@dataclass(frozen=True, repr=False)
+class PathReport(Result):
+    """Report of one refitted program; every field is in the JSON report under its name.
+
+    Attributes:
+        warnings: warnings on the origin of the calibration's numbers; none if the program is not compensated.
+        shares: division of the tolerance, for the run with the smallest share for its path: one with rotary motion, if any.
+        lever_mm: distance from the tool tip at which the tool axis must keep the tolerance.
+        angle_deg: resulting tolerance of the rotary words: the tolerance divided by the lever.
+        blocks_out: feed blocks of the output in place of the runs, before compensation split any.
+        not_met: runs whose executed path exceeds the tolerance.
+        contributions: uncertainty budget of the path.
+        compensation: report of the compensation; None without one.
+        compensation_requested: whether the machine's errors were to be compensated.
+    """
+
+    program: str
+    machine: str
+    calibration: str
+    warnings: tuple[SourceWarning, ...]
+    shares: ToleranceShares
+    lever_mm: float
+    angle_deg: float
+    runs: tuple[RunReport, ...]
+    not_met: tuple[LineNote, ...]
+    notes: tuple[LineNote, ...]
+    contributions: tuple[UncertaintyContribution, ...]
+    compensation: Report | None
+    compensation_requested: bool = False
+
+    @property
+    def illustrative(self) -> bool:
+        """Whether some of the compensated errors are illustrative, not measured."""
+        return ILLUSTRATIVE in self.warnings
+
+    @property
+    def blocks(self) -> int:
+        """Number of blocks of all runs in the input."""
+        return sum(run.blocks for run in self.runs)
+
+    @property
+    def blocks_out(self) -> int:
+        """Number of blocks of all runs after refitting."""
+        return sum(run.blocks_out for run in self.runs)
+
+    @property
+    def expanded_um(self) -> float:
+        """U (k = 2) of a point of the path, µm; NaN if a contribution is unknown."""
+        return combined(self.contributions)
+
+    @property
+    def complete(self) -> bool:
+        """Whether every requirement was met; determines the exit status."""
+        compensated = not self.compensation_requested if self.compensation is None else self.compensation.complete
+        return compensated and not self.not_met
+
+    @property
+    def strictly_complete(self) -> bool:
+        """Whether everything was met and corrected, rapids and the orientation included."""
+        return self.complete and (self.compensation is None or self.compensation.strictly_complete)
+
+    @property
+    def headline(self) -> str | None:
+        """Result of the compensation in one line; None if none was requested."""
+        if self.compensation is not None:
+            return self.compensation.headline
+        return NO_ERRORS if self.compensation_requested else None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the JSON report."""
+        uncertainty = {
+            "coverage_factor": EXPANSION_FACTOR,
+            "expanded_um": self.expanded_um,
+            "contributions": self.contributions,
+        }
+        entry = {
+            "schema": SCHEMA,
+            "complete": self.complete,
+            "strictly_complete": self.strictly_complete,
+            "headline": self.headline,
+            "program": self.program,
+            "machine": self.machine,
+            "calibration": self.calibration,
+            "illustrative": self.illustrative,
+            "warnings": self.warnings,
+            "shares_um": self.shares,
+            "used_um": self.used(),
+            "lever_mm": self.lever_mm,
+            "angle_deg": self.angle_deg,
+            "blocks": self.blocks,
+            "blocks_out": self.blocks_out,
+            "control_points": sum(run.control_points for run in self.runs),
+            "runs": self.runs,
+            "not_met": self.not_met,
+            "notes": self.notes,
+            "uncertainty": uncertainty,
+            "compensation": self.compensation,
+        }
+        return dict(json_form(entry))
+
+    @property
+    def brief(self) -> str:
+        """Numbers of blocks before and after, and the part of the tolerance used."""
+        used = f"{self.used()['total']:.3g} of {self.shares.tolerance:g} µm used"
+        blocks = f"{count_with_noun(self.blocks, 'block')}, now {self.blocks_out:,}; {used}"
+        return f"{Path(self.program).name} on {self.machine}: {blocks}{'; NOT MET' if self.not_met else ''}"
+
+    def used(self) -> dict[str, float]:
+        """Return by step the largest part of the tolerance used, over all runs, µm."""
+        return {part: max((getattr(run, f"{part}_um") for run in self.runs), default=0.0) for part in PARTS}
+
+    def to_text(self) -> str:
+        """Return the report as text."""
+        used, shares, u = self.used(), self.shares, self.expanded_um
+        unknown = "unknown (the calibration has no covariance),"
+        fitted = [run for run in self.runs if not run.why]
+        headline = "" if self.headline is None else f": {self.headline}"
+        calibration = ["  not compensated: executed on the machine without errors"]
+        if self.compensation is not None:
+            calibration = [f"  calibration   {self.calibration}"]
+            calibration += [f"                {text}" for text in warning_texts(self.warnings)]
+        fit_share = max((run.fit_share_um for run in self.runs), default=0.0)
+        added = 0 if self.compensation is None else self.compensation.added
+        more = f" (+{added} by splitting and backlash moves in the compensation)" if added else ""
+        out = [
+            f"{self.program} on {self.machine}{headline}",
+            *calibration,
+            f"  blocks        {self.blocks} in {count_with_noun(len(self.runs), 'run')}, now {self.blocks_out}{more}",
+            f"  curves        {sum(run.control_points for run in fitted)} control points for "
+            f"{count_with_noun(sum(run.blocks for run in fitted), 'block')} in {count_with_noun(len(fitted), 'run')}, "
+            f"{count_with_noun(sum(run.corners for run in self.runs), 'corner')} kept",
+            f"  rotary words  {self.angle_deg:.4f}°: the tolerance at {self.lever_mm:g} mm from the tip",
+            "",
+            f"  of {shares.tolerance:g} µm                                  share     used",
+            f"    curve from input path                     {fit_share:8.3f} {used['fit']:8.3f} µm",
+            f"    blocks from curve                                – {used['chord']:8.3f}",
+            f"    both together: blocks from input path     {shares.path:8.3f} {used['path']:8.3f}",
+            f"    compensation between end points, rounding {shares.compensation + shares.rounding:8.3f} {used['machine']:8.3f}",
+            f"    executed path from input path             {shares.tolerance:8.3f} {used['total']:8.3f}",
+            "",
+            f"  uncertainty at a point of the path: {unknown if u != u else f'U (k = 2) {u:.2f} µm,'} contributions (k = 1)",
+            *(
+                f"    {contribution.name:<44}{_um(contribution.standard_um)}  {contribution.how}"
+                for contribution in self.contributions
+            ),
+        ]
+        unchanged = tuple(
+            LineNote(run.first_line, f"{run.blocks} blocks to line {run.last_line}: {run.why}")
+            for run in self.runs
+            if run.why
+        )
+        compensation = self.compensation
+        lists = (
+            ("not met", grouped(self.not_met)),
+            ("not corrected", [] if compensation is None else [error.text for error in compensation.not_corrected]),
+            ("left unchanged", grouped(unchanged)),
+            ("notes", grouped(self.notes)),
+        )
+        for title, lines in lists:
+            if lines:
+                out += ["", f"  {title}: {len(lines)}", *(f"    {line}" for line in lines[:SHOWN])]
+                if len(lines) > SHOWN:
+                    out.append(f"    … and {len(lines) - SHOWN} more (all in the JSON report)")
+        return "\n".join(out) + "\n"
+
+
+def _um(value: float) -> str:
+    return "   unknown" if value != value else f"{value:7.3f} µm"
+
+
+# --- Refit a program or a table of points ---------------------------------------------------------
+
 
 @final
 @dataclass(frozen=True)
 class RefitJob:
-    """The input of a refit and its results.
+    """The input of a refit and its results."""
 
-    Attributes:
-        program: as read.
-        reading: its moves.
-        path: its motions.
-        fitted: its runs.
-        shares: division of the tolerance.
-        shortened: the program with fewer blocks.
-        text: the output.
-        dialect: language of the output.
-        result: the compensation, or the posted program without one; None if there is neither.
-        compensation_requested: whether the machine's errors were to be compensated.
-    """
-
-    program: Program
-    reading: Interpretation
-    path: ToolPath
+    program: Program  # as read
+    reading: Interpretation  # its moves
+    path: ToolPath  # its motions
     fitted: tuple[RefittedRun, ...]
-    shares: ToleranceShares
-    shortened: Shortened
-    text: str
-    dialect: Dialect
-    result: Compensation | None
-    compensation_requested: bool
+    shares: ToleranceShares  # division of the tolerance
+    shortened: Shortened  # the program with fewer blocks
+    text: str  # the output
+    dialect: Dialect  # language of the output
+    result: Compensation | None  # the compensation, or the posted program without one; None if there is neither
+    compensation_requested: bool  # whether the machine's errors were to be compensated
 
 
 def account(refitter: RunRefitter, job: RefitJob) -> PathReport:
-    """Execute the output on the machine with its errors, and return the report.
-
-    Args:
-        refitter: made the fewer blocks; its prepared has the whole tolerance.
-        job: the input and the results.
-    """
+    """Execute the output on the machine with its errors, and return the report."""
     prepared, errors = refitter.prepared, refitter.prepared.calibration
     tolerance = prepared.options.tolerance_mm
     runs = tuple(_runs(refitter, job))
@@ -208,15 +418,9 @@ class Refit(Result):
 
 @final
 class Refitter:
-    """Refits programs on one machine with one calibration.
+    """Refits programs on one machine; ``tolerance_mm`` of the options is the whole tolerance. `InputError` if it cannot run programs.
 
-    Args:
-        calibration: its errors.
-        options: as in `twin.compensation.Options`; ``tolerance_mm`` is the whole tolerance.
-        compensated: whether the output is compensated; otherwise it is for the machine without errors.
-
-    Raises:
-        InputError: the machine cannot run programs.
+    Unless ``compensated``, the output is for the machine without errors.
     """
 
     def __init__(
@@ -238,18 +442,10 @@ class Refitter:
         into: Dialect | None = None,
         printed: bool = False,
     ) -> Refit:
-        """Refit one program.
+        """Refit one program; errors as of `Compensator.compensate`, and `InputError` if rounding alone exceeds the tolerance.
 
-        Args:
-            program: as read.
-            dialect: its language.
-            progress: called with a stage and the fraction done.
-            into: the language to write; another than the program's own only for cutter locations, which are then posted.
-            printed: whether every block is written rounded to the least increments, fitted or not; used for points.
-
-        Raises:
-            InputError: the program cannot be read, or contains something that must not pass; rounding alone exceeds the tolerance.
-            OutputError: the output, read back, differs from the intended positions.
+        ``into``: the language to write; another than the program's own only for cutter locations, which are then posted. ``printed``:
+        whether every block is written rounded to the least increments, fitted or not; used for points.
         """
         with machine_hints(self.prepared.machine, dialect, lambda line: "".join(program.texts[line - 1 : line])):
             return self._refit(program, dialect, progress, into, printed=printed)

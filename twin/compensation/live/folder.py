@@ -18,12 +18,13 @@ from twin._common.files import write_atomic
 from twin._common.provenance import ILLUSTRATIVE, SourceWarning, merge_warnings, warning_texts, warnings_to_json
 from twin._common.records import SPEED, TIME, json_form, sensor_of
 from twin._common.units import URAD
-from twin.compensation.live.graph import Damping, LiveCorrection
 from twin.compensation.live.module import (
     COMPONENT,
     FORMAT,
     LETTERS,
     NAME,
+    Damping,
+    LiveCorrection,
     SuppliedChannel,
     c_file,
     channel_of,
@@ -71,54 +72,37 @@ TEXT_OF_LICENCE: Final = "MODULE_LICENSE is what LinuxCNC asks of every module."
 @final
 @dataclass(frozen=True)
 class Proof:
-    """The correction over the volume, evaluated from the functions in the file.
+    """The correction over the volume, evaluated from the functions in the file."""
 
-    Attributes:
-        poses: number of poses, each with random directions of approach and random values of the channels.
-        point_before_um, point_after_um: RMS and largest error of the tool centre point, without the correction and with it.
-        tilt_before_urad, tilt_after_urad: RMS and largest tilt of the tool axis.
-        damped: share of the poses that are close to a singular position, where the orientation is corrected in part.
-        largest: (axes,) largest correction, mm and degrees.
-        bound: (axes,) what no correction exceeds in the control, with any tool, with the orientation or without.
-        steepest: largest change of the correction with a position; below 1 the forward kinematics exists.
-    """
-
-    poses: int
+    poses: int  # number of poses, each with random directions of approach and random values of the channels
+    # point_before_um, point_after_um: RMS and largest error of the tool centre point, without the correction and with it
     point_before_um: tuple[float, float]
     point_after_um: tuple[float, float]
-    tilt_before_urad: tuple[float, float]
+    tilt_before_urad: tuple[float, float]  # tilt_before_urad, tilt_after_urad: RMS and largest tilt of the tool axis
     tilt_after_urad: tuple[float, float]
+    # share of the poses that are close to a singular position, where the orientation is corrected in part
     damped: float
-    largest: tuple[float, ...]
+    largest: tuple[float, ...]  # (axes,) largest correction, mm and degrees
+    # (axes,) what no correction exceeds in the control, with any tool, with the orientation or without
     bound: tuple[float, ...]
-    steepest: float
+    steepest: float  # largest change of the correction with a position; below 1 the forward kinematics exists
 
 
 @final
 @dataclass(frozen=True)
 class LiveKinematics:
-    """The module and what it does.
-
-    Attributes:
-        live: the correction.
-        proof: its effect over the volume.
-        errors: the calibration it was made from.
-        earlier: calibrations that the control corrected already when that one was measured; their errors are added.
-        whole: all errors that it corrects: those of the machine with the module switched off.
-        text: the C file.
-        component: the HAL component that supplies the temperatures.
-        unproven: why the correction is not shown to be an improvement; empty if it is.
-    """
+    """The module and what it does."""
 
     live: LiveCorrection
-    proof: Proof
-    errors: Calibration
+    proof: Proof  # its effect over the volume
+    errors: Calibration  # the calibration it was made from
+    # calibrations that the control corrected already when that one was measured; their errors are added
     earlier: tuple[Calibration, ...]
-    whole: Calibration
-    text: str
-    component: str
+    whole: Calibration  # all errors that it corrects: those of the machine with the module switched off
+    text: str  # the C file
+    component: str  # the HAL component that supplies the temperatures
     tool_length_mm: float
-    unproven: str = ""
+    unproven: str = ""  # why the correction is not shown to be an improvement; empty if it is
 
     @property
     def warnings(self) -> tuple[SourceWarning, ...]:
@@ -301,20 +285,10 @@ def make_module(
     earlier: Sequence[Calibration] = (),
     force: bool = False,
 ) -> LiveKinematics:
-    """Make the module.
+    """Make the module; `InputError` for errors that it cannot hold, or that are not shown to be an improvement, unless ``force``.
 
-    Args:
-        errors: the errors to be corrected.
-        tool_length_mm: tool length for which the effect over the volume is computed; None: that of the machine file.
-        earlier: errors that the control corrected already when ``errors`` were measured.
-        force: whether the module is made although locations of rotary axes were not identified, or these errors are smaller than
-            their uncertainty.
-
-    Raises:
-        InputError: a location that was not identified, or errors smaller than their uncertainty, without ``force``; a chain that the
-            module does not carry; an axis that is no word of LinuxCNC; a channel without a pin; an empirical effect without a range
-            that the module can keep; an estimate that did not settle; errors that the control corrects already; a correction too
-            steep for the forward kinematics.
+    ``earlier``: errors that the control corrected already when ``errors`` were measured. ``force``: whether it is made although
+    locations of rotary axes were not identified, or the errors are smaller than their uncertainty.
     """
     machine = errors.machine
     _check(errors)
@@ -380,11 +354,7 @@ def _sum(earlier: Sequence[Calibration], errors: Calibration) -> Calibration:
 
 
 def held_by_module(path: Path, machine: Machine) -> tuple[TableEntry, ...]:
-    """Return the calibrations whose errors a module corrects, from the `calibration.yaml` of its folder.
-
-    Raises:
-        InputError: a file that cannot be read or has changed since the module was written, or another calibration.
-    """
+    """Return the calibrations whose errors a module corrects, from its `calibration.yaml`; `InputError` if a file has changed since."""
     errors = Calibration.load(path, machine)
     if errors.control is None or not errors.control.live:
         expected = f"{CALIBRATION} of a folder that `twin control --to {FORMAT}` wrote"
@@ -414,13 +384,7 @@ def errors_while_on(errors: Calibration) -> Calibration:
 def earlier_of(errors: Calibration, *, add: bool) -> tuple[Calibration, ...]:
     """Return the errors that a module in the control corrected already when a calibration was measured.
 
-    Args:
-        errors: the calibration.
-        add: whether the user wants them added.
-
-    Raises:
-        InputError: the control corrects these very errors already; a module was active, and it is not stated that its errors are to
-            be added; or none was, and they cannot be added.
+    `InputError` if the control corrects these very errors, or if ``add`` does not say whether a module was active.
     """
     errors.check_not_live()
     section = errors.control
@@ -515,11 +479,7 @@ def _check_ranges(live: LiveCorrection, file: Path | None) -> None:
 
 
 def _channels(errors: Calibration) -> tuple[str, ...]:
-    """Return the channels that the control must supply.
-
-    Raises:
-        InputError: a channel without a pin.
-    """
+    """Return the channels that the control must supply. Raises `InputError`: a channel without a pin."""
     asked = RecordingState(errors.machine)
     for effect in errors.effects:
         if isinstance(effect, HistoryShift):
@@ -595,7 +555,9 @@ def _proof(live: LiveCorrection, length_mm: float) -> Proof:
     # Not zero: what rounding leaves of no correction is none that exceeds its bound.
     bound = MARGIN * np.abs(found).max(axis=(0, 1)) + LEAST_BOUND
     corrected = q + correction / machine.scale
-    after = nominal.with_errors(corrected, _errors(live, np.clip(corrected, *_bounds(live)), states))
+    after = nominal.with_errors(
+        corrected, _errors(live, np.clip(corrected, *(live.domains / machine.scale[:, None]).T), states)
+    )
     off = [1e3 * np.linalg.norm(one.point_mm - goal.point_mm, axis=1) for one in (before, after)]
     tilts = [np.linalg.norm(one.tilt_urad(goal), axis=1) for one in (before, after)]
     (smallest, slopes) = BatchFunction(live.slopes)(q * machine.scale, states, tool)
@@ -616,22 +578,13 @@ def _rms_and_largest(values: np.ndarray) -> tuple[float, float]:
     return float(np.sqrt(np.mean(values**2))), float(values.max())
 
 
-def _bounds(live: LiveCorrection) -> tuple[np.ndarray, np.ndarray]:
-    low, high = (live.domains / live.machine.scale[:, None]).T
-    return low, high
-
-
 def outputs_of(folder: Path) -> list[Path]:
     """Return every file that is written into a folder."""
     return [folder / name for name in FILES]
 
 
 def write_module(made: LiveKinematics, folder: Path) -> None:
-    """Write the folder, created if necessary; the calibration that refers to the other files last.
-
-    Raises:
-        InputError: an output is also an input, or cannot be written.
-    """
+    """Write the folder, `calibration.yaml` last; `InputError` if an output is also an input, or cannot be written."""
     errors = made.errors
     inputs = {one.path.resolve() for one in (errors, *made.earlier) if one.path is not None}
     for path in outputs_of(folder):

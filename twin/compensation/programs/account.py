@@ -14,8 +14,18 @@ from twin.compensation.programs.correction import Corrected
 from twin.compensation.programs.motions import LostBlock
 from twin.compensation.programs.pieces import Pieces, Rows
 from twin.compensation.programs.prepared import CorrectionAim, PreparedMachine
-from twin.compensation.programs.report import ClassShare, ControlNote, Deviation, LineNote, Report, ReversalNote
-from twin.compensation.programs.uncertainty import CompensationTally, Corrections, CorrectionTally, UnknownErrors
+from twin.compensation.programs.report import (
+    ClassShare,
+    CompensationTally,
+    ControlNote,
+    Corrections,
+    CorrectionTally,
+    Deviation,
+    LineNote,
+    Report,
+    ReversalNote,
+    UnknownErrors,
+)
 from twin.compensation.programs.uncorrected import (
     FrameUse,
     Sample,
@@ -50,12 +60,7 @@ def setup_notes(prepared: PreparedMachine, *, all_tcp: bool, any_tcp: bool) -> I
 
 
 def condition_notes(prepared: PreparedMachine, by_block: str) -> Iterator[LineNote]:
-    """Yield notes on temperatures and time: values that no effect uses, and effects that still change considerably.
-
-    Args:
-        prepared: machine, calibration and options.
-        by_block: the conditions that changed during the program, in words; empty if none did.
-    """
+    """Yield notes on conditions that changed (``by_block``, in words), that no effect uses, or whose effects still change."""
     conditions = prepared.options.conditions
     if by_block:
         yield LineNote(1, by_block)
@@ -129,12 +134,7 @@ class _Sampled(NamedTuple):
 
 @final
 class CompensationAccount:
-    """Builds the report of one compensated program.
-
-    Args:
-        prepared: machine, calibration and options.
-        source: the program's name.
-    """
+    """Builds the report of one compensated program; ``source``: the program's name."""
 
     def __init__(self, prepared: PreparedMachine, source: str) -> None:
         self._prepared, self._source = prepared, source
@@ -190,16 +190,7 @@ class CompensationAccount:
         frames: tuple[FrameUse, ...] = (),
         text_of: Callable[[int], str],
     ) -> Report:
-        """Return the report of everything added so far.
-
-        Args:
-            lines: number of lines of the program.
-            moves: number of its moves.
-            notices: notices of the program reader.
-            unknown: blocks that go to unknown places.
-            text_of: function that returns the text of a line by its number.
-            frames: work offsets and tools of the program, if their tables are known.
-        """
+        """Return the report of everything added so far; ``text_of``: function that returns the text of a line by its number."""
         prepared, options = self._prepared, self._prepared.options
         notes = tuple(self._notes(notices))
         not_corrected = self._not_corrected(unknown, text_of)
@@ -278,13 +269,7 @@ class CompensationAccount:
         return pieces.conditions.at(np.zeros((len(motion), len(self._prepared.machine.axes))), motion, fraction)
 
     def _compare(self, points: SimulatedPoints, pieces: Pieces, lines: np.ndarray, first: int) -> None:
-        """Simulate points with nominal and with written commands, and add the deviations to the tallies.
-
-        Args:
-            pieces: the stretch they belong to.
-            lines: (motions,) line number of each motion.
-            first: number of the stretch's first motion within the program.
-        """
+        """Simulate points with nominal and written commands, and add the deviations; ``first``: the stretch's first motion."""
         comparison = pieces.prepared.comparison
         found = comparison.totals(points.nominal, points.written, points.nominal_sides, points.written_sides)
         for tally, totals in zip((self._before, self._after), found, strict=True):
@@ -429,12 +414,7 @@ def _uncertainty(tool: ToolUncertainty, pieces: Pieces, rows: Rows) -> np.ndarra
 
 
 def _class_errors(name: str, samples: Sequence[_Sampled]) -> tuple[np.ndarray, np.ndarray]:
-    """Return the errors of one class at sampled poses: of the point (µm) and of the tool axis (µrad).
-
-    Args:
-        name: the class.
-        samples: the poses.
-    """
+    """Return the errors of one class at sampled poses: of the point (µm) and of the tool axis (µrad)."""
     point_um, axis_urad = [np.zeros(0)], [np.zeros(0)]
     for aim, commands, approach, nominal in samples:
         reached = aim.by_class[name].forward(commands, approach)

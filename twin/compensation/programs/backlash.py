@@ -50,16 +50,9 @@ LEAST_REVERSAL: Final = 1.5
 class Backlash:
     """The reversal values of a calibration, less those corrected by the control itself.
 
-    Args:
-        calibration: the machine's errors; only its reversals are used, and tables of the control that differ by direction.
-
-    Attributes:
-        size: (axes,) reversal value of each axis, mm and degrees; 0 if it has none or the control corrects it.
-        axes: indices of the axes that have one, or on whose direction an empirical effect depends; such an effect changes at once when
-            the axis reverses.
-
-    Raises:
-        InputError: a table of the control in which the difference between both directions varies along the axis.
+    ``size``: (axes,) mm and degrees; 0 if an axis has none. ``axes``: indices of those that have one, or on whose direction an
+    empirical effect depends, which changes at once when the axis reverses. `InputError` if the difference between both directions in a
+    table of the control varies along the axis.
     """
 
     def __init__(self, calibration: Calibration) -> None:
@@ -86,12 +79,9 @@ class Backlash:
         self._dead_band = LEAST_REVERSAL * np.array([axis.increment for axis in machine.axes])
 
     def sides(self, path: ToolPath, motion: np.ndarray, commands: np.ndarray) -> np.ndarray:
-        """Return the (n, axes) approach directions, from −1 to +1, that result from commands given one after the other.
+        """Return the (n, axes) approach directions, from −1 to +1, that result from (n, axes) commands given one after the other.
 
-        Args:
-            path: the program they belong to, for lines between its motions that are passed through.
-            motion: (n,) index of the motion each belongs to, ascending.
-            commands: (n, axes) mm and degrees.
+        ``path``: for lines between its motions that are passed through; ``motion``: (n,) index of the motion of each, ascending.
         """
         return ApproachTracker(self, path).after(motion, commands)
 
@@ -100,11 +90,9 @@ class Backlash:
         return float(-self.size[axis] if self.size[axis] < 0.0 else self._dead_band[axis])
 
     def commanded_sides(self, path: ToolPath, motion: np.ndarray, intended: np.ndarray) -> np.ndarray:
-        """Return the sides to command for, from the intended axis positions; arguments as for `sides`.
+        """Return the sides, +1, −1 or 0, to command for on the way to each intended axis position; arguments as for `sides`.
 
-        Returns:
-            (n, axes) +1, −1 or 0 on the way to each position. It changes directly after the extreme point of a reversal, the last one
-            of equal points.
+        They change directly after the extreme point of a reversal, the last one of equal points.
         """
         commanded_sides = np.zeros(intended.shape)
         for axis in self.axes:
@@ -115,12 +103,7 @@ class Backlash:
 
 @final
 class ApproachTracker:
-    """Approach directions that result from commands given one after the other, in one portion or several.
-
-    Args:
-        backlash: the reversal values.
-        path: the program, for lines between its motions that are passed through.
-    """
+    """Approach directions that result from commands given one after the other, in one portion or several."""
 
     def __init__(self, backlash: Backlash, path: ToolPath) -> None:
         self._backlash, self._passages = backlash, path.passages
@@ -146,21 +129,13 @@ class ApproachTracker:
 def _play(
     way: np.ndarray, width: float, start: float = np.nan, begun: float = 0.0, reached: float = 0.0
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the position of an axis within its play, and the end of the play it last reached.
+    """Return (n,) the position of an axis within its play, −1 to +1, and (n,) the end of it last reached, +1, −1 or 0 for none.
+
+    The position is 0 until the axis moves, and again where it is unknown (NaN in ``way``). ``start``, ``begun``, ``reached``: before
+    the first.
 
     A step moves the position and stops it at the ends: x → min(high, max(low, x + shift)). Steps one after the other are again of this
     form, so those of 1, 2, 4, … steps are made of those of half as many, for all positions at once (Hillis and Steele, 1986).
-
-    Args:
-        way: (n,) positions, NaN if unknown.
-        width: width of the play, in the same unit.
-        start: position before the first, NaN if unknown.
-        begun: position within the play there.
-        reached: the end of the play last reached there.
-
-    Returns:
-        (n,) from −1 to +1, changing over a distance of ``width``; 0 until the axis moves, and again where its position is unknown. (n,)
-        +1, −1, or 0 before it has reached either end.
     """
     step = np.diff(way, prepend=start)
     moves = np.flatnonzero(step != 0.0)  # gaps are NaN, and unequal to zero

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Final, NamedTuple, final
+from typing import Final, final
 
 import numpy as np
 
@@ -37,32 +37,18 @@ STANDING_STILL: Final = 1e-9
 @final
 @dataclass(frozen=True)
 class BlockConditions:
-    """Channels at every place of every motion, by the time at which the tool is there.
+    """Channels at every place of every motion, by the time at which the tool is there."""
 
-    Attributes:
-        names: names of the channels, as in `Kinematics.by_pose`.
-        begin_s: (motions,) when each begins.
-        duration_s: (motions,) how long each takes.
-        time_s: (moments,) increasing.
-        values: (moments, channels); linear between the moments, except a speed, which is that of the time up to its moment.
-        source: time, speeds and temperatures over the program, and where they are from, in words.
-    """
-
-    names: tuple[str, ...] = ()
-    begin_s: np.ndarray = field(default_factory=lambda: np.zeros(0))
-    duration_s: np.ndarray = field(default_factory=lambda: np.zeros(0))
-    time_s: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    names: tuple[str, ...] = ()  # names of the channels, as in `Kinematics.by_pose`
+    begin_s: np.ndarray = field(default_factory=lambda: np.zeros(0))  # (motions,) when each begins
+    duration_s: np.ndarray = field(default_factory=lambda: np.zeros(0))  # (motions,) how long each takes
+    time_s: np.ndarray = field(default_factory=lambda: np.zeros(0))  # (moments,) increasing
+    # (moments, channels); linear between the moments, except a speed, which is that of the time up to its moment
     values: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
-    source: str = ""
+    source: str = ""  # time, speeds and temperatures over the program, and where they are from, in words
 
     def at(self, sides: np.ndarray, motion: np.ndarray, fraction: np.ndarray) -> np.ndarray:
-        """Return (n, axes + channels) directions of approach and channels, as `Kinematics.directed` describes.
-
-        Args:
-            sides: (n, axes) directions of approach.
-            motion: (n,) motion of each.
-            fraction: (n,) fraction of that motion.
-        """
+        """Return (n, axes + channels): (n, axes) ``sides``, and channels at fractions of motions, as of `Kinematics.directed`."""
         if not self.names:
             return sides
         moment = self.begin_s[motion] + np.asarray(fraction) * self.duration_s[motion]
@@ -97,13 +83,6 @@ def channels_by_block(calibration: Calibration, conditions: Conditions) -> tuple
     return plain + tuple(name for effect in histories for name in effect.factor_channels)
 
 
-class _Times(NamedTuple):
-    """When motions begin and end, s on the clock of the log; (motions,) each."""
-
-    begin: np.ndarray
-    end: np.ndarray
-
-
 def block_conditions(
     program: Program,
     dialect: Dialect,
@@ -112,18 +91,9 @@ def block_conditions(
     calibration: Calibration,
     conditions: Conditions,
 ) -> BlockConditions:
-    """Return the conditions of every motion of a program.
+    """Return the conditions of every motion of a program; ``spaces``: conversions of its words, each from a motion (its index) on.
 
-    Args:
-        program: as read.
-        dialect: its language.
-        path: its motions.
-        spaces: conversion between its words and commands, each from a motion (its index) on.
-        calibration: the machine's errors.
-        conditions: the conditions, by block where `Conditions.by_block` says so.
-
-    Raises:
-        InputError: a feed, a speed, or a part of the log is missing; the error names the line or the times.
+    `InputError`, with the line or the times, if a feed, a speed, or a part of the log is missing.
     """
     names = channels_by_block(calibration, conditions)
     if not names:
@@ -132,8 +102,7 @@ def block_conditions(
     start = conditions.time_s or 0.0
     lengths = durations_s(program.source, said, path, spaces)
     end = start + np.cumsum(said.dwell_s)[path.columns.line] + np.cumsum(lengths)
-    times = _Times(end - lengths, end)
-    course = _Course(program.source, said, path.columns, times, conditions, needed(calibration))
+    course = _Course(program.source, said, path.columns, (end - lengths, end), conditions, needed(calibration))
     state = course.state()
     for effect in calibration.effects:
         if isinstance(effect, HistoryShift):
@@ -141,7 +110,7 @@ def block_conditions(
     values = np.stack([np.asarray(state[name], dtype=float) for name in names], axis=1)
     return BlockConditions(
         names,
-        read_only(times.begin),
+        read_only(end - lengths),
         read_only(lengths),
         read_only(course.time_s),
         read_only(values),
@@ -150,11 +119,7 @@ def block_conditions(
 
 
 def durations_s(source: str, said: Technology, path: ToolPath, spaces: Sequence[tuple[int, WordSpace]]) -> np.ndarray:
-    """Return (motions,) the time of every motion in seconds; that of one with an unknown start is zero.
-
-    Raises:
-        InputError: a feed motion without a feed.
-    """
+    """Return (motions,) the time of every motion in seconds, 0 where the start is unknown; `InputError` without a feed."""
     columns = path.columns
     ends = [*(begin for begin, _ in spaces[1:]), len(columns)]
     parts = [(slice(begin, end), space) for (begin, space), end in zip(spaces, ends, strict=True)]
@@ -208,43 +173,29 @@ def _way(path: ToolPath) -> np.ndarray:
 
 @final
 class _Course:
-    """Channels in the order of time: at the rows of the log, then at beginning, end and between these of every motion.
-
-    Args:
-        source: name of the program.
-        said: its feeds and speeds.
-        columns: its motions.
-        times: when they begin and end.
-        required: channels that the effects need.
-
-    Attributes:
-        time_s: (n,) the moments.
-    """
+    """Channels at the moments ``time_s`` (n,): at the rows of the log, at beginning, end (``times``) and between of motions."""
 
     def __init__(
         self,
         source: str,
         said: Technology,
         columns: MotionColumns,
-        times: _Times,
+        times: tuple[np.ndarray, np.ndarray],
         conditions: Conditions,
         required: Collection[str],
     ) -> None:
-        self._source, self._said, self._columns, self._times = source, said, columns, times
+        self._source, self._said, self._columns = source, said, columns
+        self._begin, self._end = times
         self._conditions, self._needs_speed = conditions, SPEED in required
         self._sensors = [sensor_of(name) for name in required if is_temperature(name)]
         self._log = conditions.log
-        before = np.zeros(0) if self._log is None else self._log.time_s[self._log.time_s < times.end[-1]]
-        between = np.arange(times.begin[0], times.end[-1], STEP_S)
+        before = np.zeros(0) if self._log is None else self._log.time_s[self._log.time_s < self._end[-1]]
+        between = np.arange(self._begin[0], self._end[-1], STEP_S)
         self.time_s = np.unique(np.concatenate([before, between, *times]))
         self._check_log()
 
     def state(self) -> dict[str, np.ndarray]:
-        """Return the channels at the moments.
-
-        Raises:
-            InputError: the speed before or during the program is unknown.
-        """
+        """Return the channels at the moments. Raises `InputError`: the speed before or during the program is unknown."""
         state: dict[str, np.ndarray] = {
             name: np.full(len(self.time_s), value) for name, value in self._conditions.channels.items()
         }
@@ -259,9 +210,9 @@ class _Course:
     def _speeds(self) -> np.ndarray:
         """Return the speed of the time up to each moment."""
         middle = np.append(self.time_s[:1], 0.5 * (self.time_s[1:] + self.time_s[:-1]))
-        motion = np.minimum(np.searchsorted(self._times.end, middle), len(self._times.end) - 1)
+        motion = np.minimum(np.searchsorted(self._end, middle), len(self._end) - 1)
         speed = self._said.speed_rpm[self._columns.line[motion]]
-        log, start = self._log, self._times.begin[0]
+        log, start = self._log, self._begin[0]
         known = np.zeros(len(middle), dtype=bool)
         if log is not None and log.speed_rpm is not None:
             known = middle <= log.time_s[-1]
@@ -286,7 +237,7 @@ class _Course:
 
     def _check_log(self) -> None:
         """Raise `InputError` unless the log covers the program, if it has temperatures, or its beginning."""
-        log, (begin, end) = self._log, (self._times.begin[0], self._times.end[-1])
+        log, (begin, end) = self._log, (self._begin[0], self._end[-1])
         if log is None:
             return
         first, last = log.time_s[0], log.time_s[-1]
@@ -300,7 +251,7 @@ class _Course:
 
     def in_words(self, state: Mapping[str, np.ndarray]) -> str:
         """Return time, speeds and temperatures over the program in words."""
-        begin, end = self._times.begin[0], self._times.end[-1]
+        begin, end = self._begin[0], self._end[-1]
         inside = (self.time_s >= begin) & (self.time_s <= end)
         parts = [
             f"the program takes {(end - begin) / 60.0:.1f} min by feed and path (without accelerations and overrides), from "

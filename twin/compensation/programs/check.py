@@ -40,32 +40,21 @@ _MODES: Final = {
 @final
 @dataclass(frozen=True)
 class Travel:
-    """Positions of one axis at the ends of blocks.
+    """Positions of one axis at the ends of blocks."""
 
-    Attributes:
-        low, high: mm or degrees, in axis coordinates.
-        beyond: line numbers of blocks that end outside its range.
-    """
-
-    low: float
+    low: float  # low, high: mm or degrees, in axis coordinates
     high: float
-    beyond: tuple[int, ...]
+    beyond: tuple[int, ...]  # line numbers of blocks that end outside its range
 
 
 @final
 @dataclass(frozen=True)
 class LeftBlocks:
-    """Blocks that would stay as written, for one reason.
+    """Blocks that would stay as written, for one reason."""
 
-    Attributes:
-        reason: why.
-        lines: their line numbers.
-        feeds: how many of them are feeds.
-    """
-
-    reason: str
-    lines: tuple[int, ...]
-    feeds: int
+    reason: str  # why
+    lines: tuple[int, ...]  # their line numbers
+    feeds: int  # how many of them are feeds
 
 
 @final

@@ -1,9 +1,7 @@
 """Comparison of real and nominal tool poses at many points on straight lines of commands.
 
-Compensation by the method of Ellingsdalen (2021), listings 3.1-3.4 as they run: a baseline for comparison.
-
-The method subtracts the deviation once and does not invert the kinematics. The properties of the listings are reproduced, mistakes
-included, because the published figure 3.11 was made with them:
+The baseline, the method of Ellingsdalen (2021), subtracts the deviation once and does not invert the kinematics. The properties of the
+listings 3.1 to 3.4 are reproduced, mistakes included, because the published figure 3.11 was made with them:
 
 - a fitted polynomial of degree above one loses its constant (listing 3.1);
 - curves are read at the nearest whole mm or degree; Z's table is indexed from its far end (listings 3.3, 3.4);
@@ -45,18 +43,13 @@ UNITS: Final = np.array([MM / UM, *[1.0 / URAD] * 3])
 @final
 @dataclass(frozen=True)
 class Commands:
-    """Commands, mm and degrees, at points on straight lines; or one point for each line, its begin.
+    """Commands, mm and degrees, at points on straight lines; or one point for each line, its begin."""
 
-    Attributes:
-        begin: (lines, axes) start of each line.
-        way: (lines, axes) displacement along each line; None for single points.
-        points: (lines,) number of points, at fractions (k + ½)/n of the line; None for single points.
-        converted: function from (n, axes) words of the tool tip to commands, if the lines are straight lines of such words; else None.
-    """
-
-    begin: np.ndarray
-    way: np.ndarray | None = None
+    begin: np.ndarray  # (lines, axes) start of each line
+    way: np.ndarray | None = None  # (lines, axes) displacement along each line; None for single points
+    # (lines,) number of points, at fractions (k + ½)/n of the line; None for single points
     points: np.ndarray | None = None
+    # function from (n, axes) words of the tool tip to commands, if the lines are straight lines of such words; else None
     converted: Callable[[np.ndarray], np.ndarray] | None = None
 
     @property
@@ -93,14 +86,9 @@ class Commands:
 
 
 def split_lines(points: np.ndarray, which: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return lines in which every point of some is a line of its own.
+    """Return lines in which points of some are lines of their own: (n,) line each is from, (n,) fraction of it, NaN if whole.
 
-    Args:
-        points: (lines,) number of points of each line.
-        which: (lines,) whether its points become lines.
-
-    Returns:
-        (n,) the line that each of them is from, and (n,) the fraction of it at which the point lies; NaN for a whole line.
+    ``points``: (lines,) number of points of each line; ``which``: (lines,) whether its points become lines.
     """
     counts = np.where(which, points, 1)
     line = np.repeat(np.arange(len(points)), counts)
@@ -110,28 +98,16 @@ def split_lines(points: np.ndarray, which: np.ndarray) -> tuple[np.ndarray, np.n
 @final
 @dataclass(frozen=True)
 class ComparedPoses:
-    """Deviations of tool poses from nominal ones.
+    """Deviations of tool poses from nominal ones."""
 
-    Attributes:
-        distance_mm: (n,) distance between the functional points.
-        angle_rad: (n,) angle between the tool axes.
-        known: (n,) whether the commands are finite and within the domains of all curves of the machine.
-    """
-
-    distance_mm: np.ndarray
-    angle_rad: np.ndarray
-    known: np.ndarray
+    distance_mm: np.ndarray  # (n,) distance between the functional points
+    angle_rad: np.ndarray  # (n,) angle between the tool axes
+    known: np.ndarray  # (n,) whether the commands are finite and within the domains of all curves of the machine
 
 
 @final
 class PoseComparison:
-    """Compares poses of a machine with errors with nominal poses; never raises.
-
-    Args:
-        real: the machine with errors.
-        nominal: the machine without errors.
-        of_words: commands as an expression of words of the tool tip, for lines of such words; by default the words themselves.
-    """
+    """Compares poses of a machine with errors with nominal ones; ``of_words``: commands as an expression of words of the tip."""
 
     def __init__(
         self, real: Kinematics, nominal: Kinematics, of_words: Callable[[Any], Any] = lambda words: words
@@ -140,13 +116,7 @@ class PoseComparison:
         self._along: dict[tuple[str, bool, bool], AlongFunction] = {}
 
     def distance_mm(self, nominal: Commands, commanded: Commands, approach: np.ndarray | None = None) -> np.ndarray:
-        """Return (lines,) the largest distance between the functional points on each line; 0 on a line without points.
-
-        Args:
-            nominal: nominal commands, for the machine without errors.
-            commanded: as many commands given to the machine with errors.
-            approach: (lines, axes) approach directions, as in `Kinematics.directed`.
-        """
+        """Return (lines,) the largest distance between the functional points on each line; 0 on a line without points."""
         inputs = (*nominal.inputs, *commanded.inputs, *self._sides(approach))
         return self._function(self._distance, nominal, commanded).largest(inputs, nominal.counts)
 
@@ -164,13 +134,7 @@ class PoseComparison:
     def totals(
         self, nominal: Commands, written: Commands, before: np.ndarray | None, after: np.ndarray | None
     ) -> tuple[Totals, Totals]:
-        """Return the totals of `QUANTITIES` with nominal and with written commands, where the poses of both are known.
-
-        Args:
-            written: as many written ones.
-            before: (lines, axes) approach directions with nominal commands.
-            after: the same with written commands.
-        """
+        """Return the totals of `QUANTITIES` with nominal and with written commands, where the poses of both are known."""
         inputs = (*nominal.inputs, *written.inputs, *self._sides(before), *self._sides(after))
         both = self._function(self._totals, nominal, written).totals(inputs, nominal.counts, SLACK)
         parts = (slice(0, QUANTITIES), slice(QUANTITIES, None))
@@ -217,11 +181,7 @@ class PoseComparison:
         return ca.Function("totals", [*inputs, *sides, share], [*outputs, ca.fmax(*beyond)])
 
     def _symbols(self, *words: bool) -> tuple[list[Any], Any, Any, Any]:
-        """Return begin and displacement of nominal and given lines, the commands at a point, and the fraction.
-
-        Args:
-            words: whether the nominal lines, and the given ones, are lines of words of the tool tip.
-        """
+        """Return begin and displacement of lines (whether of ``words`` of the tip), commands at a point, and the fraction."""
         axes = len(self._real.machine.axes)
         share = ca.SX.sym("share")
         lines = [[ca.SX.sym(f"{which}_{part}", axes) for part in ("begin", "way")] for which in ("meant", "given")]

@@ -1,11 +1,7 @@
 """Correct a program, or a stretch of it: solve all end points, and split blocks where the path between them leaves the tolerance.
 
-If an axis has backlash, a block is also cut where that axis reverses inside it (`twin.compensation.programs.correction`).
-
-Backlash compensation: every axis is commanded for its approach direction, and inserted moves take up the backlash at reversals.
-
-Where an axis reverses, between blocks or inside one, the inserted move takes up the backlash before the way back begins, because that
-starting point needs the command for the new direction.
+Every axis is commanded for its approach direction. Where one with backlash reverses, between blocks or inside one, which is cut there,
+an inserted move takes up the backlash before the way back begins, because that starting point needs the command for the new direction.
 """
 
 from __future__ import annotations
@@ -107,10 +103,7 @@ def _linear_axes_solved_again(pieces: Pieces, rows: Rows) -> Rows:
 
 
 def _without_steps_back(pieces: Pieces, rows: Rows, sides: np.ndarray, axes: tuple[int, ...]) -> Rows:
-    """Return the rows without small steps back caused by rounding.
-
-    Backlash would absorb such a step, or a control might see a reversal.
-    """
+    """Return the rows without small steps back caused by rounding, which backlash would absorb, or a control see as reversals."""
     commands = rows.commands.copy()
     fixed = rows.untouched | rows.clamped | (pieces.by_vector[rows.motion] & (axes == pieces.prepared.machine.rotary))
     for axis in set(pieces.aim.backlash.axes) & set(axes):
@@ -162,19 +155,12 @@ ARC_POINTS: Final = 64
 @final
 @dataclass(frozen=True)
 class Corrected:
-    """A corrected program, or a stretch of it.
+    """A corrected program, or a stretch of it."""
 
-    Attributes:
-        pieces: the program cut into pieces.
-        path_errors: the errors between their end points.
-        rows: the commands at the end points.
-        context: number of its first motions that belong to the stretch before.
-    """
-
-    pieces: Pieces
-    path_errors: PathErrors
-    rows: Rows
-    context: int
+    pieces: Pieces  # the program cut into pieces
+    path_errors: PathErrors  # the errors between their end points
+    rows: Rows  # the commands at the end points
+    context: int  # number of its first motions that belong to the stretch before
 
     @cached_property
     def lines(self) -> np.ndarray:
@@ -217,14 +203,9 @@ class Corrected:
 
 
 def new_positions(stretches: Sequence[Corrected], moves: int, axes: int) -> NewPositions:
-    """Return the positions that replace the moves of a program, or of a part of it, corrected in stretches.
+    """Return the positions that replace the moves of a program, or of a part of it, corrected in consecutive stretches.
 
-    They have shares of the moves' time where moves are inserted that take up backlash.
-
-    Args:
-        stretches: consecutive stretches.
-        moves: number of moves.
-        axes: number of words per position.
+    They have shares of the moves' time where moves are inserted that take up backlash. ``axes``: number of words per position.
     """
     first, count = np.zeros((2, moves), dtype=int)
     begin = 0
@@ -254,14 +235,8 @@ def _shares(found: Corrected) -> np.ndarray:
 def correct(pieces: Pieces, progress: Progress, *, context: int = 0, before: EndState | None = None) -> Corrected:
     """Solve all blocks, and split those whose error between end points exceeds the tolerance.
 
-    Args:
-        pieces: the program, or a stretch of it.
-        progress: called with a stage and the fraction done.
-        context: number of its first motions that belong to the stretch before.
-        before: end of that stretch, if none of its motions is among the pieces.
-
-    Raises:
-        InputError: a position that the calibration does not cover; an arc that cannot be compensated as a whole.
+    ``context``: number of first motions that belong to the stretch before, whose end is ``before`` if none of its motions is among the
+    pieces. `InputError` for a position that the calibration does not cover, or an arc that cannot be compensated as a whole.
     """
     prepared, lines = pieces.prepared, pieces.path.columns.line + 1
     commands = pieces.space.commands(pieces.end[context:], pieces.tcp[context:])

@@ -171,15 +171,8 @@ def execute(
 ) -> Execution:
     """Execute a program as its control would: straight lines in words between blocks, also for rapids.
 
-    Args:
-        path: its motions (`twin.compensation.programs.follow`).
-        space: conversion from words to commands on the machine without errors.
-        real: the machine with errors, the same tool length, and the temperatures and time its effects need.
-        conditions: those of every motion.
-        context: number of first motions that belong to the section before.
-
-    Raises:
-        InputError: a position within the axis's range that its error motions do not cover.
+    ``context``: number of first motions that belong to the section before. `InputError` for a position within the axis's range that its
+    error motions do not cover.
     """
     fractions = [_fractions(motion) for motion in path.motions]
     words, of = path.dense(fractions)
@@ -210,14 +203,7 @@ def execute(
 
 
 def _gaps(path: ToolPath, space: WordSpace, positions: np.ndarray, ends: np.ndarray) -> np.ndarray:
-    """Return (n,) whether a point is the first one of a motion that does not begin where the motion before ended.
-
-    Args:
-        path: the motions.
-        space: conversion from words to commands.
-        positions: (n, axes) commands of the points.
-        ends: (n,) whether a point is the end point of its motion.
-    """
+    """Return (n,) whether a point is the first of a motion that does not begin where the one before ended."""
     begins = space.simulated_commands(path.columns.start, path.columns.tcp)
     distance = np.abs(begins[1:] - positions[ends][:-1]).max(axis=1)
     gaps = np.append(True, ends[:-1])
@@ -236,10 +222,7 @@ def _joined(runs: Sequence[Execution]) -> Execution:
 
 
 def _fractions(motion: PathMotion) -> np.ndarray:
-    """Return fractions of a motion at which to evaluate it; only its end point if its start is unknown.
-
-    They are those of the account of a compensation (`twin.compensation.account`): both find the same largest error in the same line.
-    """
+    """Return fractions of a motion at which to evaluate it, those of `CompensationAccount`; only the end if its start is unknown."""
     if not np.isfinite(motion.start).all():
         return np.array([1.0])
     long = spacings(motion.start[None], motion.end[None])[0]

@@ -1,7 +1,5 @@
 """Convert a program's moves to motions, tracking the position of every axis.
 
-Coordinates of a program that selects work offsets and tools: the set-up and the tool length of every frame.
-
 The position of an axis is its word plus the work offset. To the third linear axis the control adds the length of the tool while one
 is in force; without a table of tools, but with one of work offsets, always. In tool centre point mode the work offset moves the
 program's zero on the workpiece instead: it is the place of the spindle nose at the offset's linear values and rotary axes at zero. In a
@@ -51,17 +49,7 @@ TextOf = Callable[[int], str]
 
 
 def follow(program: Program, reading: Interpretation, space: WordSpace, found: Sequence[Section] = ()) -> ToolPath:
-    """Return a program as motions with known end points.
-
-    Args:
-        program: as read.
-        reading: its moves.
-        space: conversion from words to commands.
-        found: its sections, with conversions of their own.
-
-    Raises:
-        InputError: a feed move from or to a position the program has not given, or a tool vector the machine cannot reach.
-    """
+    """Return a program as motions with known end points; `InputError` for an unknown position or a tool vector out of reach."""
     follower = Follower(program.source, space)
     follower.enter(found)
     moves = as_columns(space.axes.names, reading.moves)
@@ -82,14 +70,7 @@ def motionless(source: str, unknown: Sequence[LostBlock] = ()) -> InputError:
 class Follower:
     """Converts a program's moves to motions, in one stretch or several, tracking the position of every axis.
 
-    Args:
-        source: the program's name.
-        space: conversion from words to commands.
-
-    Attributes:
-        notices: notices on lines that move axes but are passed through unchanged, and on assumptions, so far.
-        passages: axis positions after lines between motions, so far.
-        unknown: blocks that go to unknown places, so far.
+    ``notices``, ``passages``, ``unknown``: as in `ToolPath`, so far.
     """
 
     def __init__(self, source: str, space: WordSpace) -> None:
@@ -121,15 +102,7 @@ class Follower:
         self._later = [*((section.line, section.space) for section in found[::-1]), *self._later]
 
     def columns(self, moves: MoveColumns, left: Sequence[LostPositions], text_of: TextOf) -> MotionColumns:
-        """Return the motions of the next moves; consecutive plain ones are converted together.
-
-        Args:
-            left: lines among them that leave axes at unknown positions.
-            text_of: function that returns the text of a line.
-
-        Raises:
-            InputError: as for `follow`.
-        """
+        """Return the motions of the next moves, plain ones together; ``left``: lines that leave axes at unknown positions."""
         self._left = [*left[::-1], *self._left]
         if np.any(moves.by_vector):
             self._space.branches  # noqa: B018  # refuses a machine that cannot follow tool vectors
@@ -165,10 +138,7 @@ class Follower:
         return bool(self._later) and self._later[-1][0] <= int(moves.line[at])
 
     def _plain(self, moves: MoveColumns, begin: int, end: int) -> MotionColumns:
-        """Return the motions of moves that only name positions or tool vectors, when every axis position is known.
-
-        They end before the first tool vector that the machine cannot reach.
-        """
+        """Return the motions of moves that only name positions or vectors within reach, when every axis position is known."""
         part = slice(begin, end)
         named = moves.position[part]
         ends = _carried_on(named, self._words)
@@ -318,13 +288,9 @@ class Follower:
         return np.where(unknown, space.start, rotary)
 
     def _unknown_position(self, move: Move, end: np.ndarray, unmoved: np.ndarray, text_of: TextOf) -> None:
-        """Pass a move to an unknown position through.
+        """Pass a move to an unknown position through; `InputError` for an arc, whose centre would not suit a corrected start.
 
-        Args:
-            unmoved: (axes,) which axes it leaves, or names by an increment, where something has moved them.
-
-        Raises:
-            InputError: an arc: its centre, as written, would not suit a corrected start.
+        ``unmoved``: (axes,) which axes it leaves, or names by an increment, where something has moved them.
         """
         space = self._space
         missing = unmoved | (np.isnan(end) & (np.arange(len(end)) < 3))
@@ -381,11 +347,7 @@ STANDS_DEG: Final = 0.01
 
 @final
 class FrameSpaces:
-    """Conversions of words in the frames of one machine.
-
-    Args:
-        base: conversion with the tables of work offsets and tools; its tool length applies where they do not say one.
-    """
+    """Conversions of words in the frames of one machine; the tool length of ``base`` applies where its tables do not say one."""
 
     def __init__(self, base: WordSpace) -> None:
         self._base = base
@@ -401,13 +363,7 @@ class FrameSpaces:
     def of(self, frame: WordFrame, source: str, line: int, standing_deg: np.ndarray) -> WordSpace:
         """Return the conversion of words in a frame; the same object for equal work offsets and tool lengths.
 
-        Args:
-            source: name of the program, for messages.
-            line: line of its first move in this frame.
-            standing_deg: (rotary axes,) commands of the rotary axes before it.
-
-        Raises:
-            InputError: an unknown work offset or tool; a tilted plane that the machine cannot reach.
+        ``standing_deg``: (rotary axes,) commands before it. `InputError` for an unknown work offset or tool, or a plane out of reach.
         """
         base, setup, length = self._base, self._base.setup, self._base.tool_length_mm
         tools = setup.tools
@@ -455,10 +411,7 @@ class FrameSpaces:
         return {**setup.work_offset, **stated}, setup.work_origin_mm
 
     def _tilt(self, space: WordSpace, plane: Plane, frame: WordFrame, rotary_deg: np.ndarray) -> Tilt:
-        """Return the plane of a frame, whose zero is given in the words of ``space``, with the rotary axes at zero.
-
-        Within a plane, a shift and a rotation are along its axes.
-        """
+        """Return the plane of a frame, with its zero in the words of ``space``; its shift and turn are along its own axes."""
         if self._base.setup.offsets is None:
             zero = np.zeros((1, len(space.order)))
             zero[:, space.order] = np.where(np.arange(len(space.order)) < 3, space.offset, 0.0)
@@ -476,11 +429,7 @@ class FrameSpaces:
         return Tilt(rotation @ turn, at, rotary_deg, plane.stays)
 
     def _rotary(self, space: WordSpace, plane: Plane, standing_deg: np.ndarray, source: str, line: int) -> np.ndarray:
-        """Return the commands of the rotary axes for a plane, rounded to their least increments where the control positions them.
-
-        Raises:
-            InputError: the machine does not reach it, or does not stand at it.
-        """
+        """Return the commands of the rotary axes for a plane, rounded where the control positions them, or raise `InputError`."""
         if plane.read_deg is not None:
             other = space.tool_axes(np.array(plane.read_deg)) @ space.tool_axes(np.zeros(len(plane.read_deg))).T
             if np.abs(other - np.array(plane.rotation)).max() > np.radians(STANDS_DEG):
@@ -536,32 +485,18 @@ def _carried_on(named: np.ndarray, before: np.ndarray) -> np.ndarray:
 @final
 @dataclass(frozen=True)
 class Section:
-    """Lines of a program in the same frame.
+    """Lines of a program in the same frame."""
 
-    Attributes:
-        line: 0-based index of the first line.
-        space: conversion of its words, with its work offset and tool.
-        assumed_offset: name of the work offset in force before the program selects one; empty without a table of them.
-    """
-
-    line: int
+    line: int  # 0-based index of the first line
     frame: WordFrame
-    space: WordSpace
+    space: WordSpace  # conversion of its words, with its work offset and tool
+    # name of the work offset in force before the program selects one; empty without a table of them
     assumed_offset: str = ""
 
 
 @final
 class Sections:
-    """The sections of a program, found part by part.
-
-    Args:
-        base: conversion of words, with the tables of work offsets and tools.
-        source: name of the program, for messages.
-
-    Attributes:
-        found: the sections so far; none before the first move.
-        selects: whether the program selects frames: it has a table of work offsets or tools, or a frame that changes.
-    """
+    """The sections of a program, found part by part; ``selects``: whether it has work offsets, tools or changing frames."""
 
     def __init__(self, base: WordSpace, source: str) -> None:
         setup = base.setup
@@ -576,14 +511,7 @@ class Sections:
         self._last = np.zeros((0, len(base.axes.names)))
 
     def add(self, moves: MoveColumns, changes: Sequence[FrameChange]) -> list[Section]:
-        """Return the sections that begin among the next moves.
-
-        Args:
-            changes: the lines among them that change the frame.
-
-        Raises:
-            InputError: a work offset or a tool that is not in its table.
-        """
+        """Return the sections that begin among the next moves; `InputError` for a work offset or a tool that is not in its table."""
         self.selects = self.selects or bool(changes)
         known, new = ~moves.passes, len(self.found)
         lines, positions = moves.line[known], moves.position[known]
@@ -618,33 +546,19 @@ def _standing(positions: np.ndarray, first: np.ndarray, base: WordSpace) -> np.n
 @final
 @dataclass(frozen=True)
 class SectionMotions:
-    """The motions of a section, or of a part of it.
+    """The motions of a section, or of a part of it."""
 
-    Attributes:
-        space: conversion of the section's words.
-        path: the motions, after ``context`` motions of the section before in the words of this one.
-        begin, end: the range of its own motions among those given.
-        context: 1, or 0 if no other section is before.
-    """
-
-    space: WordSpace
-    path: ToolPath
-    begin: int
+    space: WordSpace  # conversion of the section's words
+    path: ToolPath  # the motions, after ``context`` motions of the section before in the words of this one
+    begin: int  # begin, end: the range of its own motions among those given
     end: int
-    context: int
+    context: int  # 1, or 0 if no other section is before
 
 
 def motions_of(
     space: WordSpace, found: Sequence[Section], path: ToolPath, last: tuple[WordSpace, MotionColumns] | None = None
 ) -> list[SectionMotions]:
-    """Return the motions of every section that has any.
-
-    Args:
-        space: conversion of words before the first section.
-        found: the sections that begin among these motions.
-        path: the motions of a program, or of a part of it.
-        last: of a part, the last motion of the part before, and the conversion of its words.
-    """
+    """Return the motions of every section that has any; ``last``: last motion of the part before, and the conversion of its words."""
     cuts = np.searchsorted(path.columns.line, [section.line for section in found]).tolist()
     parts: list[SectionMotions] = []
     before = None if last is None else last[0]
@@ -667,12 +581,7 @@ def motions_of(
 
 
 def replace_first(path: ToolPath, before: WordSpace, space: WordSpace) -> ToolPath:
-    """Return a path whose first motion has no length: it stays on its end point, in words of another conversion.
-
-    Args:
-        before: conversion of its first motion.
-        space: conversion of the other motions.
-    """
+    """Return a path whose first motion has no length: it stays on its end point, in words of another conversion."""
     columns = path.columns
     mode = columns.tcp[:1]
     end = space.words(before.commands(columns.end[:1], mode), mode)

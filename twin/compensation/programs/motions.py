@@ -53,13 +53,7 @@ def numbers_of_increments(text: str) -> list[tuple[str, float]]:
 
 @contextmanager
 def machine_hints(machine: Machine, dialect: Dialect, text_of: Callable[[int], str]) -> Iterator[None]:
-    """Let an `InputError` at a line say if a number of that line may count increments, or which machine has the axis that it names.
-
-    Args:
-        machine: the machine: such a number is larger than the range of its axis.
-        dialect: the language of the program.
-        text_of: function that returns the text of a line by its number.
-    """
+    """Let an `InputError` at a line say if a number of that line may count increments, or which machine has the axis that it names."""
     try:
         yield
     except InputError as error:
@@ -89,17 +83,11 @@ COLUMNS: Final = ("move", "line", "rapid", "tcp", "start", "end", "by_vector")
 @final
 @dataclass(frozen=True)
 class PathMotion:
-    """One move with known end points, in words of its own mode.
-
-    Attributes:
-        move: the move as read.
-        start: (axes,) words of the start point; NaN where the program has not given them.
-        end: (axes,) words of the end point; with rotary words also where the program gave a tool vector.
-    """
+    """One move with known end points, in words of its own mode."""
 
     move: Move
-    start: np.ndarray
-    end: np.ndarray
+    start: np.ndarray  # (axes,) words of the start point; NaN where the program has not given them
+    end: np.ndarray  # (axes,) words of the end point; with rotary words also where the program gave a tool vector
 
     @property
     def interpolated(self) -> bool:
@@ -135,26 +123,16 @@ class PathMotion:
 @final
 @dataclass(frozen=True)
 class MotionColumns(MadeOnAccess[PathMotion]):
-    """Motions in columns; `PathMotion` objects are created on access.
+    """Motions in columns; `PathMotion` objects are created on access."""
 
-    Attributes:
-        move: (n,) index of each motion's move among the moves converted with it.
-        line: (n,) index of its line.
-        rapid: (n,) whether it is a rapid.
-        tcp: (n,) whether its words are tool-tip coordinates.
-        start, end: (n, axes) as in `PathMotion`.
-        by_vector: (n,) whether it has a tool vector.
-        special: by index, moves with further data: arcs, and blocks that stay whole.
-    """
-
-    move: np.ndarray
-    line: np.ndarray
-    rapid: np.ndarray
-    tcp: np.ndarray
-    start: np.ndarray
+    move: np.ndarray  # (n,) index of each motion's move among the moves converted with it
+    line: np.ndarray  # (n,) index of its line
+    rapid: np.ndarray  # (n,) whether it is a rapid
+    tcp: np.ndarray  # (n,) whether its words are tool-tip coordinates
+    start: np.ndarray  # start, end: (n, axes) as in `PathMotion`
     end: np.ndarray
-    by_vector: np.ndarray
-    special: dict[int, Move]
+    by_vector: np.ndarray  # (n,) whether it has a tool vector
+    special: dict[int, Move]  # by index, moves with further data: arcs, and blocks that stay whole
 
     @classmethod
     def of(cls, motions: dict[int, PathMotion], width: int) -> MotionColumns:
@@ -207,15 +185,10 @@ class MotionColumns(MadeOnAccess[PathMotion]):
 @final
 @dataclass(frozen=True)
 class ProgramMotions(MadeOnAccess[PathMotion]):
-    """Motions of a whole program with their moves as read, created on access.
-
-    Attributes:
-        columns: the motions.
-        moves: the moves of the program.
-    """
+    """Motions of a whole program with their moves as read, created on access."""
 
     columns: MotionColumns
-    moves: Sequence[Move]
+    moves: Sequence[Move]  # the moves of the program
 
     def __len__(self) -> int:
         return len(self.columns)
@@ -229,31 +202,19 @@ class ProgramMotions(MadeOnAccess[PathMotion]):
 @final
 @dataclass(frozen=True)
 class Passage:
-    """Axis positions after a line between two motions that is passed through unchanged.
+    """Axis positions after a line between two motions that is passed through unchanged."""
 
-    Attributes:
-        before: index of the next motion.
-        commands: (axes,) new positions of the moved axes, mm and degrees, command order; NaN where unknown.
-        moved: (axes,) whether each axis was moved.
-    """
-
-    before: int
-    commands: np.ndarray
-    moved: np.ndarray
+    before: int  # index of the next motion
+    commands: np.ndarray  # (axes,) new positions of the moved axes, mm and degrees, command order; NaN where unknown
+    moved: np.ndarray  # (axes,) whether each axis was moved
 
 
 class LostBlock(NamedTuple):
-    """A block that is passed through unchanged because nothing is known of where it goes.
+    """A block that is passed through unchanged because nothing is known of where it goes."""
 
-    Attributes:
-        line: 0-based index of its line.
-        cutting: whether it is a feed.
-        reason: why, in words.
-    """
-
-    line: int
-    cutting: bool
-    reason: str
+    line: int  # 0-based index of its line
+    cutting: bool  # whether it is a feed
+    reason: str  # why, in words
 
 
 def by_reason(moves: Iterable[LostBlock]) -> dict[str, list[LostBlock]]:
@@ -267,21 +228,15 @@ def by_reason(moves: Iterable[LostBlock]) -> dict[str, list[LostBlock]]:
 @final
 @dataclass(frozen=True)
 class ToolPath:
-    """A program as motions.
+    """A program as motions."""
 
-    Attributes:
-        motions: motions with all positions known.
-        columns: the same in columns.
-        notices: notices on lines that move axes but are passed through unchanged, and on assumptions.
-        passages: axis positions after those lines, and after lines that leave an axis at an unknown position.
-        unknown: blocks that go to unknown places.
-    """
-
-    motions: Sequence[PathMotion]
-    columns: MotionColumns
+    motions: Sequence[PathMotion]  # motions with all positions known
+    columns: MotionColumns  # the same in columns
+    # notices on lines that move axes but are passed through unchanged, and on assumptions
     notices: tuple[Notice, ...] = ()
+    # axis positions after those lines, and after lines that leave an axis at an unknown position
     passages: tuple[Passage, ...] = ()
-    unknown: tuple[LostBlock, ...] = ()
+    unknown: tuple[LostBlock, ...] = ()  # blocks that go to unknown places
 
     def part(self, begin: int, end: int) -> ToolPath:
         """Return the motions from index ``begin`` up to ``end``, with the passages between them."""
@@ -294,14 +249,7 @@ class ToolPath:
         return ToolPath(columns, columns, (), passages)
 
     def dense(self, fractions: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-        """Return words at fractions of all motions; of a motion with unknown start, only those of the end point.
-
-        Args:
-            fractions: those of each motion.
-
-        Returns:
-            (n, axes) words, and (n,) the index of the motion each belongs to.
-        """
+        """Return (n, axes) words at fractions of all motions, only at the end if the start is unknown, and (n,) the motion of each."""
         words = [
             motion.along(share) if np.isfinite(motion.start).all() else motion.end[None]
             for motion, share in zip(self.motions, fractions, strict=True)

@@ -68,15 +68,7 @@ Entry = TypeVar("Entry", Notice, LostBlock)
 
 
 class ProgramSource(ABC):
-    """A program to be read in stretches.
-
-    Attributes:
-        name: its name, for messages.
-        dialect: its language.
-        lines: approximate number of lines.
-        parts: number of parts in which it is solved.
-        program: the program, if it is in memory.
-    """
+    """A program to be read in stretches and solved in ``parts``; ``program``: the program, if it is in memory."""
 
     name: str
     dialect: Dialect
@@ -139,17 +131,7 @@ class ProgramInMemory(ProgramSource):
 
 @final
 class ProgramFile(ProgramSource):
-    """File of a program.
-
-    Args:
-        subprograms: folders in which subprograms are searched after its own.
-
-    Attributes:
-        calls: whether it may call subprograms.
-
-    Raises:
-        InputError: it cannot be read, or is not a program.
-    """
+    """File of a program; ``calls``: whether it may call subprograms. Raises `InputError`: it cannot be read, or is not a program."""
 
     def __init__(self, path: Path, dialect: Dialect, subprograms: Sequence[Path] = ()) -> None:
         self.path, self.name, self.dialect = path, str(path), dialect
@@ -197,23 +179,14 @@ class ProgramFile(ProgramSource):
 @final
 @dataclass(frozen=True)
 class ProgramPart:
-    """Stretches as read, to be solved together.
+    """Stretches as read, to be solved together."""
 
-    Attributes:
-        chunks: the stretches.
-        moves: their moves.
-        drilled: the ranges of lines that execute a drilling cycle.
-        path: their motions.
-        sections: the sections that begin among them.
-        turns: whether the program moves rotary axes, in the parts up to this one or as assumed.
-    """
-
-    chunks: Sequence[Chunk]
+    chunks: Sequence[Chunk]  # the stretches
     moves: MoveColumns
-    drilled: Sequence[range]
-    path: ToolPath
-    sections: Sequence[Section]
-    turns: bool
+    drilled: Sequence[range]  # the ranges of lines that execute a drilling cycle
+    path: ToolPath  # their motions
+    sections: Sequence[Section]  # the sections that begin among them
+    turns: bool  # whether the program moves rotary axes, in the parts up to this one or as assumed
 
     def text_of(self, line: int) -> str:
         """Return the text of a line by its index in the program; empty if it is in a part before."""
@@ -228,19 +201,9 @@ _NO_PATH: Final = ToolPath((), MotionColumns.of({}, 1))
 class PartReader:
     """Reads a program part by part.
 
-    Args:
-        prepared: machine, calibration and options.
-        source: the program.
-        turns: whether it moves rotary axes; None to decide from its first motions.
-        reading: its moves, if they are known more exactly than from its text; it is one part then.
-
-    Attributes:
-        lines: number of lines read so far.
-        turns_later: whether rotary motion appears only later, so that the program must be compensated again from its start.
-        failed: the error that ended reading; None if there is none.
-        reading: the last part as read, with the notices on all lines so far.
-        follower: converts its moves to motions.
-        sections: its sections.
+    ``turns``: whether it moves rotary axes; None to decide from its first motions. ``turns_later``: whether rotary motion appears only
+    later, so that the program must be compensated again from its start. ``reading``: its moves, if they are known more exactly than
+    from its text: one part then. ``failed``: the error that ended reading.
     """
 
     def __init__(
@@ -321,17 +284,7 @@ PRINTED_MM: Final = 2e-4
 
 
 def check(source: str, lines: np.ndarray, new: NewPositions, got: np.ndarray) -> None:
-    """Compare the output with the intended positions.
-
-    Args:
-        source: the program's name.
-        lines: (moves,) line numbers of the program's moves.
-        new: positions that replace them.
-        got: (n, axes) end positions of the moves read back from the output.
-
-    Raises:
-        OutputError: they differ.
-    """
+    """Compare (n, axes) positions read back from the output with the intended ones; `OutputError`, with the line, if they differ."""
     one_each = len(got) == len(new.count) == len(new.positions) and bool(np.all(new.count == 1))
     if one_each and np.all(np.abs(got - new.positions) <= PRINTED_MM):  # the usual case
         return
@@ -358,17 +311,7 @@ def unreadable(source: str, error: InputError) -> OutputError:
 
 @final
 class PartWriter:
-    """Writes a program part by part.
-
-    Args:
-        prepared: machine, calibration and options.
-        source: the original program.
-        into: the language to write.
-        out: output stream.
-
-    Attributes:
-        lines, moves: numbers of lines and moves of the program that have been written.
-    """
+    """Writes a program part by part."""
 
     def __init__(self, prepared: PreparedMachine, source: ProgramSource, into: Dialect, out: BinaryIO) -> None:
         self._prepared, self._axes, self._source, self._into = prepared, prepared.space.axes, source, into
@@ -381,11 +324,7 @@ class PartWriter:
         self._lines = self.lines = self.moves = 0
 
     def write(self, part: ProgramPart, new: NewPositions) -> None:
-        """Write a part, and read back what was written.
-
-        Raises:
-            OutputError: it differs from the intended positions.
-        """
+        """Write a part, and read back what was written. Raises `OutputError`: it differs from the intended positions."""
         self._pending += part.chunks
         self.lines += sum(map(len, part.chunks))
         if self._writer is None and not len(part.moves):
@@ -432,10 +371,7 @@ class PartWriter:
         self._put(data, last=False)
 
     def _put(self, data: bytes, *, last: bool) -> None:
-        """Write data; the first lines are held until the head is complete and then written with the comments.
-
-        All lines are held where they are numbered, because a comment or an inserted line changes every later number.
-        """
+        """Write data; the first lines are held until the head is complete, or all where a comment changes later numbers."""
         if self._head is None:
             self._out.write(data)
             return
@@ -468,21 +404,9 @@ class Solved(NamedTuple):
 
 @final
 class ProgramRun:
-    """Compensation of one program.
+    """Compensation of one program; ``last``: the last part, as read and as solved; the whole program if it is one part.
 
-    Args:
-        prepared: machine, calibration and options.
-        source: the program.
-        into: the language to write.
-        progress: called with a stage and the fraction done.
-        reading: the program's moves, if they are known more exactly than from its text.
-
-    Attributes:
-        reader: the reader of the program.
-        last: the last part, as read and as solved; the whole program if it is one part.
-
-    Raises:
-        InputError: the program cannot be read.
+    ``reading``: the program's moves, if they are known more exactly than from its text.
     """
 
     reader: PartReader
@@ -501,16 +425,7 @@ class ProgramRun:
         self._posted = into.name != source.dialect.name
 
     def write(self, out: BinaryIO) -> Report:
-        """Compensate the program.
-
-        Args:
-            out: output stream.
-
-        Raises:
-            InputError: the program cannot be read, or contains something that must not pass uncompensated. If there are several such
-                errors, the one in the first part is raised.
-            OutputError: the output, read back, differs from the intended positions.
-        """
+        """Compensate the program; of several errors in its text, the one in the first part is raised."""
         source, machine = self._source, self._prepared.machine
         with source.errors(), machine_hints(machine, source.dialect, lambda line: source.text_at(line - 1)):
             return self._write(out)
@@ -567,10 +482,7 @@ class ProgramRun:
         return entry._replace(line=self._number(entry.line) - 1)
 
     def _solved(self, reader: PartReader) -> Generator[tuple[ProgramPart, Solved], None, None]:
-        """Yield parts as read and as solved; ends early if reading does.
-
-        Reading and writing, solving, and reporting run through the parts in order, each on its own thread.
-        """
+        """Yield parts as read and as solved, until reading ends; writing, solving and reporting each run on their own thread."""
         waiting: deque[tuple[ProgramPart, Future[Solved], Future[None]]] = deque()
         accounted: deque[Future[None]] = deque()
         with ThreadPoolExecutor(1) as solving, ThreadPoolExecutor(1) as accounting:
@@ -595,11 +507,7 @@ class ProgramRun:
                 accounting.shutdown(cancel_futures=True)
 
     def _solve(self, part: ProgramPart) -> Solved:
-        """Return a solved part.
-
-        Raises:
-            InputError: a position that the calibration does not cover.
-        """
+        """Return a solved part. Raises `InputError`: a position that the calibration does not cover."""
         found: list[Corrected] = []
         columns = part.path.columns
         if len(columns):

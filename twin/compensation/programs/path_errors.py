@@ -22,17 +22,11 @@ POSES_ON_LINES: Final = 400_000
 @final
 @dataclass(frozen=True)
 class Samples:
-    """Dense points inside the pieces of legs, at fractions (k + ½)/n of each piece.
+    """Dense points inside the pieces of legs, at fractions (k + ½)/n of each piece."""
 
-    Attributes:
-        leg: (pieces,) leg of each piece.
-        number: (pieces,) index of the piece within its leg.
-        points: (pieces,) number of points n of each piece.
-    """
-
-    leg: np.ndarray
-    number: np.ndarray
-    points: np.ndarray
+    leg: np.ndarray  # (pieces,) leg of each piece
+    number: np.ndarray  # (pieces,) index of the piece within its leg
+    points: np.ndarray  # (pieces,) number of points n of each piece
 
     @cached_property
     def piece(self) -> np.ndarray:
@@ -46,30 +40,18 @@ class Samples:
 
 
 class EndState(NamedTuple):
-    """End of a stretch of a program, at which the next one begins.
+    """End of a stretch of a program, at which the next one begins."""
 
-    Attributes:
-        words: (axes,) nominal words.
-        tcp: whether these are tool-tip coordinates.
-        exact, printed: (axes,) compensated words before and after rounding.
-        uncorrected: whether the position is left uncorrected.
-    """
-
-    words: np.ndarray
-    tcp: bool
-    exact: np.ndarray
+    words: np.ndarray  # (axes,) nominal words
+    tcp: bool  # whether these are tool-tip coordinates
+    exact: np.ndarray  # exact, printed: (axes,) compensated words before and after rounding
     printed: np.ndarray
-    uncorrected: bool
+    uncorrected: bool  # whether the position is left uncorrected
 
 
 @final
 class PathErrors:
-    """Errors of a program, or of a stretch of it, between the end points of its pieces.
-
-    Args:
-        pieces: the program cut into pieces.
-        before: end of the stretch before; None if there is none, or if it is among the pieces.
-    """
+    """Errors of a stretch of a program between the end points of its pieces; ``before``: end of the stretch before, if any."""
 
     def __init__(self, pieces: Pieces, before: EndState | None = None) -> None:
         self._pieces, self._space, self._before = pieces, pieces.space, before
@@ -128,17 +110,9 @@ class PathErrors:
     def _directed(
         self, samples: Samples, rows: Rows, ways: Ways, *, on_lines: bool
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the lines within which directions of approach and conditions are constant.
+        """Return lines with constant approach and conditions: (n,) piece and fraction, as `split_lines`, and (n, axes + channels).
 
-        Args:
-            samples: the points.
-            rows: the end points of all pieces.
-            ways: the ways of the pieces.
-            on_lines: whether every piece is a line; otherwise every point is one.
-
-        Returns:
-            (n,) piece and (n,) fraction of each line, as by `split_lines`, and (n, axes + channels) directions of approach and
-            conditions.
+        ``on_lines``: whether every piece is a line; otherwise every point is one.
         """
         pieces, row = self._pieces, rows_of(samples, ways)
         ended = rows.approach[row]
@@ -193,14 +167,7 @@ class PathErrors:
         return begin, end
 
     def commands(self, samples: Samples, ways: Ways) -> tuple[Commands, Commands]:
-        """Return nominal commands, which the control derives from the original program, and those of pieces that follow ``ways``.
-
-        A piece is a line if all of these are straight lines of commands or of words, else each point is.
-
-        Args:
-            samples: the points.
-            ways: the ways of the pieces, as written.
-        """
+        """Return nominal commands and those of pieces that follow ``ways``: as lines if all are straight, else as points."""
         row = rows_of(samples, ways)
         motion = taken(self._pieces.legs.motion, samples.leg)
         begin, way = taken(ways.begin, row), taken(ways.way, row)
@@ -228,10 +195,9 @@ class PathErrors:
         )
 
     def _on_lines(self, motions: np.ndarray) -> bool:
-        """Return whether some motions can be simulated as lines of commands or of words.
+        """Return whether motions can be simulated as lines of commands or words: straight, in one mode, outside tilted planes.
 
-        They are straight, in one mode and outside a tilted plane. Lines of tool-tip words are split into points if the machine's errors
-        depend on approach directions or conditions.
+        Lines of tool-tip words are split into points if the machine's errors depend on approach directions or conditions.
         """
         pieces = self._pieces
         if not self._space.parallel or not np.all(pieces.straight[motions]):
@@ -279,24 +245,14 @@ class PathErrors:
         return off & self._pieces.interpolated
 
     def _start_words(self, separate: np.ndarray, sides: np.ndarray, reached: np.ndarray, *, as_run: bool) -> np.ndarray:
-        """Return (n, axes) words at the start of motions that do not begin where the one before ends.
-
-        Args:
-            separate: (n,) the motions.
-            sides: (n, axes) their directions of approach.
-            reached: (n, axes) words at the end of the motion before each.
-            as_run: as for `ways`.
-        """
+        """Return (n, axes) words at the start of (n,) motions that do not begin at (n, axes) ``reached``, where the one before ends."""
         pieces = self._pieces
         rows = pieces.solve(np.searchsorted(pieces.legs.motion, separate), np.zeros(len(separate)), sides)
         commands = self._actual_start(separate, rows.nominal, reached) if as_run else rows.exact
         return self._space.words(commands, pieces.tcp_out[separate])
 
     def _actual_start(self, separate: np.ndarray, nominal: np.ndarray, reached: np.ndarray) -> np.ndarray:
-        """Return (n, axes) actual commands at the start of these motions; ``nominal``: the nominal ones.
-
-        Axes moved by a line left as written between two motions stand where that line put them.
-        """
+        """Return (n, axes) actual commands at the start of motions; axes moved by a line before stand where that line put them."""
         ended, tcp = (values[separate] for values in self._ends_before)
         expected = self._space.commands(ended, tcp)
         # As in the output, where tool-tip input that is posted has axis words.

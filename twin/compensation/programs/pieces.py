@@ -6,10 +6,8 @@ the rounded rotary axes → linear words rounded.
 Where a limit stops an axis, the position nearest to the point is taken: with the corrected tool axis, else with the rotary axes as
 programmed, else the programmed position itself.
 
-Legs: parts of motions within which no axis with backlash reverses; legs are then cut into pieces.
-
-A straight motion of axis words is one leg. On an arc, and in tool-tip coordinates while the tool turns, an axis can reverse inside the
-block.
+Within a leg no axis with backlash reverses; legs are then cut into pieces. A straight motion of axis words is one leg. On an arc, and
+in tool-tip coordinates while the tool turns, an axis can reverse inside the block.
 """
 
 from __future__ import annotations
@@ -40,49 +38,32 @@ PRINTED_ALIKE: Final = 1e-9
 @final
 @dataclass(frozen=True)
 class Rows:
-    """n end points of pieces, in the order of the program.
+    """n end points of pieces, in the order of the program."""
 
-    Attributes:
-        leg, motion: (n,) leg and motion of each end point.
-        backlash_move: (n,) whether the row is an inserted move that only takes up backlash, at its fraction of the motion.
-        approach: (n, axes) approach directions for which it is solved.
-        reverses: (n, axes) whether each axis reverses before it.
-        overshoot: (n, axes) intentional overshoot, mm and degrees.
-        fraction: (n,) fraction of its motion.
-        words, nominal: (n, axes) nominal words and commands.
-        target_mm, target_rotation: (n, 3) and (n, 3, 3) nominal pose.
-        exact: (n, axes) compensated commands before linear words were rounded.
-        commands, printed: (n, axes) compensated commands as printed, and the printed words.
-        vectors: (n, 3) printed tool vectors; NaN where there is none.
-        orientation_residual_rad: (n,) orientation residual in radians that the rotary axes do not correct.
-        singular: (n,) whether that residual exceeds the solver's numerical noise.
-        clamped: (n,) whether an axis stops at its limit.
-        relaxed: (n,) whether the rotary axes stay as programmed, because with the corrected tool axis the point would be farther off.
-        as_programmed: (n,) whether all axes stay as programmed, because no other position is nearer; such a row is also clamped.
-        untouched: (n,) whether it is left as written because it is out of range.
-    """
-
-    leg: np.ndarray
+    leg: np.ndarray  # leg, motion: (n,) leg and motion of each end point
     motion: np.ndarray
+    # (n,) whether the row is an inserted move that only takes up backlash, at its fraction of the motion
     backlash_move: np.ndarray
-    approach: np.ndarray
-    reverses: np.ndarray
-    overshoot: np.ndarray
-    fraction: np.ndarray
-    words: np.ndarray
+    approach: np.ndarray  # (n, axes) approach directions for which it is solved
+    reverses: np.ndarray  # (n, axes) whether each axis reverses before it
+    overshoot: np.ndarray  # (n, axes) intentional overshoot, mm and degrees
+    fraction: np.ndarray  # (n,) fraction of its motion
+    words: np.ndarray  # words, nominal: (n, axes) nominal words and commands
     nominal: np.ndarray
-    target_mm: np.ndarray
+    target_mm: np.ndarray  # target_mm, target_rotation: (n, 3) and (n, 3, 3) nominal pose
     target_rotation: np.ndarray
-    exact: np.ndarray
-    commands: np.ndarray
+    exact: np.ndarray  # (n, axes) compensated commands before linear words were rounded
+    commands: np.ndarray  # commands, printed: (n, axes) compensated commands as printed, and the printed words
     printed: np.ndarray
-    vectors: np.ndarray
-    orientation_residual_rad: np.ndarray
-    singular: np.ndarray
-    clamped: np.ndarray
+    vectors: np.ndarray  # (n, 3) printed tool vectors; NaN where there is none
+    orientation_residual_rad: np.ndarray  # (n,) orientation residual in radians that the rotary axes do not correct
+    singular: np.ndarray  # (n,) whether that residual exceeds the solver's numerical noise
+    clamped: np.ndarray  # (n,) whether an axis stops at its limit
+    # (n,) whether the rotary axes stay as programmed, because with the corrected tool axis the point would be farther off
     relaxed: np.ndarray
+    # (n,) whether all axes stay as programmed, because no other position is nearer; such a row is also clamped
     as_programmed: np.ndarray
-    untouched: np.ndarray
+    untouched: np.ndarray  # (n,) whether it is left as written because it is out of range
 
     @property
     def target(self) -> Poses:
@@ -137,19 +118,12 @@ def _of_each(make: Callable[..., np.ndarray], *rows: Rows) -> Rows:
 
 
 class Ways(NamedTuple):
-    """Start and displacement of pieces.
+    """Start and displacement of pieces."""
 
-    Attributes:
-        begin: (rows, axes) words at the start of each piece.
-        way: (rows, axes) displacement.
-        rows: (pieces,) rows that are end points of pieces.
-        first: (legs,) index in ``rows`` of each leg's first piece.
-    """
-
-    begin: np.ndarray
-    way: np.ndarray
-    rows: np.ndarray
-    first: np.ndarray
+    begin: np.ndarray  # (rows, axes) words at the start of each piece
+    way: np.ndarray  # (rows, axes) displacement
+    rows: np.ndarray  # (pieces,) rows that are end points of pieces
+    first: np.ndarray  # (legs,) index in ``rows`` of each leg's first piece
 
 
 def taken(values: np.ndarray, rows: np.ndarray) -> np.ndarray:
@@ -178,14 +152,7 @@ def even_cuts(sizes: np.ndarray, most: float) -> list[int]:
 
 
 def check_one_mode(calibration: Calibration, modes: np.ndarray, source: str, *, tcp: bool) -> None:
-    """Raise `InputError` if kinematics are held by the control and a program is not wholly in one mode.
-
-    Args:
-        calibration: the errors.
-        modes: whether the words of each motion are tool-tip coordinates.
-        source: name of the program.
-        tcp: whether tool-centre-point mode is on from the start; the kinematics are taken into account if it is.
-    """
+    """Raise `InputError` if the control holds kinematics and a program is not wholly in one mode: ``tcp``, that from the start."""
     control = calibration.control
     if control is not None and control.kinematics and np.any(modes != tcp):
         raise InputError(
@@ -213,18 +180,12 @@ HALVINGS: Final = 24
 @final
 @dataclass
 class Legs:
-    """Parts of motions, in order.
+    """Parts of motions, in order."""
 
-    Attributes:
-        motion: (legs,) motion of each leg.
-        begin, end: (legs,) fractions of that motion.
-        count: (legs,) number of pieces; 0 for a leg merged into another.
-    """
-
-    motion: np.ndarray
-    begin: np.ndarray
+    motion: np.ndarray  # (legs,) motion of each leg
+    begin: np.ndarray  # begin, end: (legs,) fractions of that motion
     end: np.ndarray
-    count: np.ndarray
+    count: np.ndarray  # (legs,) number of pieces; 0 for a leg merged into another
 
     @classmethod
     def of(cls, motions: int, turning: tuple[np.ndarray, np.ndarray]) -> Legs:
@@ -264,17 +225,9 @@ class Legs:
 def turning_points(
     prepared: PreparedMachine, path: ToolPath, which: np.ndarray, axes: Sequence[int]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the points at which axes reverse inside motions.
+    """Return (k,) motions and (k,) fractions at which axes reverse inside motions, in order.
 
-    Args:
-        prepared: the machine without errors, and the set-up.
-        path: all motions.
-        which: indices of the interpolated ones.
-        axes: indices of the axes to consider.
-
-    Returns:
-        (k,) motion and (k,) fraction, in order. Points closer than two least increments to another one or to an end point of the
-        motion are omitted, because rounded words cannot represent them.
+    Points closer than two least increments to another one or to an end point are omitted: rounded words cannot represent them.
     """
     columns, motions = path.columns, path.motions
     can_turn = np.array(columns.tcp)
@@ -351,21 +304,13 @@ ORIENTATION_NOISE_RAD: Final = 1e-9
 class Pieces:
     """One program, or a stretch of it, cut into pieces.
 
-    Args:
-        prepared: machine, calibration and options.
-        path: the program as motions.
-        aim: errors to correct.
-        dialect: the program's language.
-        source: its name, for messages.
-        number_of: function that returns the numbers of lines by their 0-based indices.
-        conditions: those of every motion.
-        posted: whether axis words are written even for tool-tip input (cutter locations posted for a control).
+    ``dialect``: the program's language; ``number_of``: function that returns the numbers of lines by their 0-based indices; ``posted``:
+    whether axis words are written even for tool-tip input (cutter locations posted for a control).
 
     Attributes:
         lines: (motions,) line number of each motion.
         idle: whether no error motion is in scope: arcs stay arcs, and the program is written unchanged.
         increment: (axes,) least increments of the output words.
-        vector_decimals: decimals of an output tool vector.
         legs: the motions, cut where an axis with backlash in scope reverses, and the number of pieces of each.
         tcp: (motions,) whether the input words are tool-tip coordinates.
         tcp_out: (motions,) whether the output words are.
@@ -470,13 +415,7 @@ class Pieces:
         return self.solve(*self.legs.ends(legs))
 
     def solve(self, leg: np.ndarray, fraction: np.ndarray, approach: np.ndarray | None = None) -> Rows:
-        """Solve for points at fractions of the motions of legs.
-
-        Args:
-            leg: (n,) the legs.
-            fraction: (n,) fractions of their motions.
-            approach: (n, axes) approach directions; unknown if None.
-        """
+        """Solve for points at (n,) fractions of the motions of (n,) legs; ``approach``: (n, axes); unknown if None."""
         limits = self.prepared.limits
         of = taken(self.legs.motion, leg)
         sides = np.zeros((len(of), len(limits))) if approach is None else approach
@@ -547,12 +486,7 @@ class Pieces:
         return commands, left
 
     def printed(self, rows: Rows, unsolved: np.ndarray | None = None) -> Rows:
-        """Return the rows with ``exact`` converted to words and rounded, none farther from its point than as programmed.
-
-        Args:
-            rows: as solved.
-            unsolved: (n,) whether the solver did not reach the point within the limits.
-        """
+        """Return rows with ``exact`` as rounded words, none farther from its point than as programmed; ``unsolved``: (n,)."""
         rounded = self._rounded(rows)
         stopped = rounded.clamped & ~rounded.as_programmed & ~rows.overshoot.any(axis=1)
         if unsolved is not None:

@@ -72,28 +72,15 @@ class Options:
 
 @final
 class PreparedMachine:
-    """One machine with one calibration and the options of a compensation, ready for any program.
+    """One machine with one calibration and the options of a compensation, ready for any program; `InputError` if they do not fit.
 
-    Args:
-        calibration: its errors.
-        space: conversion between words and commands; that of the options if None.
-        like: the same prepared for another space with the same tool length, whose machine models are shared.
+    ``space``: conversion between words and commands; that of the options if None; ``like``: the same prepared for another space with
+    the same tool length, whose machine models are shared.
 
     Attributes:
-        by_block: names of the channels that differ from block to block.
-        space: conversion between words and commands on the machine without errors.
-        real: the machine with all its errors.
-        backlash: its reversal values.
-        comparison: pose comparison of the machine with all its errors with the nominal pose.
-        nominal_comparison: displacement of the tool between nominal and other commands, on the machine without errors.
-        thesis: the baseline method, if chosen.
-        machine_increment: (axes,) least increments in command order.
-        increment: (axes,) the same in word order.
+        comparison, nominal_comparison: poses with all errors, and poses with other commands, compared with the nominal ones.
+        machine_increment, increment: (axes,) least increments in command order and in word order.
         limits: (axes, 2) mm and degrees within which commands stay: axis ranges, or domains of curves where these are narrower.
-
-    Raises:
-        InputError: the machine cannot run programs; the calibration did not converge; the method does not apply; a temperature or time
-            that the calibration needs is missing, or a temperature is given that it does not know.
     """
 
     def __init__(
@@ -183,12 +170,7 @@ class PreparedMachine:
         return self.with_errors(lambda name: False, lambda table: True) if self.calibration.corrections else None
 
     def with_errors(self, keep: Keep, keep_table: KeepTable) -> Kinematics:
-        """Return the machine with only some of its errors.
-
-        Args:
-            keep: whether to keep an error, by the ISO 230-1 name of the error motion it is part of.
-            keep_table: whether to keep the correction by a table of the control.
-        """
+        """Return the machine with some of its errors, kept by ISO 230-1 name of their error motion, and of its control's tables."""
         tables = {table.name: table for table in self.calibration.corrections}
         return self.real.where(lambda name: keep_table(tables[name]) if name in tables else keep(self._acts_as[name]))
 
@@ -205,24 +187,16 @@ class PreparedMachine:
         return outside_range(self.machine, commands)
 
     def printed_increment(self, dialect: Dialect, *, posted: bool) -> np.ndarray:
-        """Return the (axes,) least increments of the output's words, in word order.
-
-        Args:
-            dialect: language of the program.
-            posted: whether the output is posted to another language.
-        """
+        """Return the (axes,) least increments of the output's words, in word order; ``posted``: whether to another language."""
         increment = self.increment.copy()
         if dialect.linear_increment_mm is not None and not posted:
             increment[:3] = dialect.linear_increment_mm
         return increment
 
     def on_grid(self, words: np.ndarray, tips: np.ndarray, increment: np.ndarray) -> np.ndarray:
-        """Return words rounded to their increments; one within its axis's limits is not rounded beyond them.
+        """Return (n, axes) words rounded to their increments; one within its axis's limits is not rounded beyond them.
 
-        Args:
-            words: (n, axes).
-            tips: (n,) whether the linear words are coordinates of the tool tip; these, and turned ones, have no limits.
-            increment: (axes,) in word order.
+        Linear words that are turned or, in ``tips`` (n,), coordinates of the tool tip have no limits.
         """
         offset = self.space.offset
         rounded = np.round(words / increment) * increment
@@ -249,18 +223,7 @@ class PreparedMachine:
 
 @final
 class CorrectionAim:
-    """Errors to correct in one program, and machine models with only these errors.
-
-    Args:
-        prepared: machine, calibration and options.
-        turns: whether the program moves rotary axes.
-
-    Attributes:
-        prepared: as given.
-        turns: whether the program moves rotary axes.
-        scope: classes that are corrected.
-        backlash: reversal values that are corrected.
-    """
+    """Errors to correct in one program, and machine models with only these errors; ``turns``: whether the program moves rotary axes."""
 
     def __init__(self, prepared: PreparedMachine, turns: bool) -> None:
         self.prepared = prepared
@@ -329,10 +292,7 @@ class CorrectionAim:
 
     @cached_property
     def at_axis(self) -> ToolUncertainty | None:
-        """Uncertainty of the corrected orientation; None if it is not corrected.
-
-        It is the same object as `at_point` if every error corrected by the rotary axes is also corrected at the point.
-        """
+        """Uncertainty of the corrected orientation, or `at_point` itself if that has all its errors; None if not corrected."""
         if self.orientation is None:
             return None
         names = [{effect.name for effect in machine.calibration.effects} for machine in (self.orientation, self.point)]

@@ -1,9 +1,7 @@
 """Find the blocks that a compensation could not correct, or not within the tolerance.
 
-Interpolation of a smooth function of axis positions along a path of many short blocks.
-
-The function is evaluated at a few nodes, first far apart. Where the axes between two nodes leave the straight line, or the function is
-not linear within `ACCURACY`, the interval is halved, down to single blocks.
+A smooth function of axis positions along many short blocks is evaluated at a few nodes, first far apart. Where the axes between two
+nodes leave the straight line, or the function is not linear within `ACCURACY`, the interval is halved, down to single blocks.
 """
 
 from __future__ import annotations
@@ -37,27 +35,19 @@ Kind = Literal["range", "orientation", "tolerance", "unknown"]
 @final
 @dataclass(frozen=True)
 class Shortfall:
-    """Blocks that could not be corrected, or not within the tolerance, for one reason.
+    """Blocks that could not be corrected, or not within the tolerance, for one reason."""
 
-    Attributes:
-            kind: ``range``: an axis would leave its range; ``orientation``, ``tolerance``: the tool axis or the point keeps an error;
-                ``unknown``: nothing is known of where the block goes.
-        reason: why they were not corrected.
-        lines: line numbers of all of them in the input.
-        missed: line numbers that affect the exit status: the point of a cutting block is out of tolerance, or an orientation that was
-            requested is not reached.
-        worst_line: line of the worst case.
-        worst: its size, in ``unit``.
-        unit: ``um`` or ``urad`` at the tool; ``mm`` or ``deg`` beyond an axis's range; empty if the size is unknown.
-    """
-
+    # ``range``: an axis would leave its range; ``orientation``, ``tolerance``: the tool axis or the point keeps an error;
+    # ``unknown``: nothing is known of where the block goes
     kind: Kind
-    reason: str
-    lines: tuple[int, ...]
+    reason: str  # why they were not corrected
+    lines: tuple[int, ...]  # line numbers of all of them in the input
+    # line numbers that affect the exit status: the point of a cutting block is out of tolerance, or an orientation that was requested
+    # is not reached
     missed: tuple[int, ...]
-    worst_line: int
-    worst: float
-    unit: str
+    worst_line: int  # line of the worst case
+    worst: float  # its size, in ``unit``
+    unit: str  # ``um`` or ``urad`` at the tool; ``mm`` or ``deg`` beyond an axis's range; empty if the size is unknown
 
     @property
     def text(self) -> str:
@@ -81,21 +71,14 @@ class Shortfall:
 
 
 class FoundShortfalls(NamedTuple):
-    """Blocks found that could not be corrected, for one reason.
+    """Blocks found that could not be corrected, for one reason."""
 
-    Attributes:
-        kind, reason, unit: as in `Shortfall`.
-        lines: (n,) line numbers.
-        sizes: (n,) remaining error of each, in ``unit``.
-        missed: (n,) whether it affects the exit status.
-    """
-
-    kind: Kind
+    kind: Kind  # kind, reason, unit: as in `Shortfall`
     reason: str
     unit: str
-    lines: np.ndarray
-    sizes: np.ndarray
-    missed: np.ndarray
+    lines: np.ndarray  # (n,) line numbers
+    sizes: np.ndarray  # (n,) remaining error of each, in ``unit``
+    missed: np.ndarray  # (n,) whether it affects the exit status
 
 
 @final
@@ -138,30 +121,20 @@ def line_numbers(lines: Sequence[int]) -> str:
 @final
 @dataclass(frozen=True)
 class FrameUse:
-    """Work offset and tool from a line on.
-
-    Attributes:
-        line: the line's number.
-        offset: name of the work offset; empty if there is no table of them.
-        assumed: whether the program has not selected it.
-        tool: number or name of the tool; empty if the program has called none.
-        work_offset: what is added to the words of each axis, mm and degrees; the tool length is included where the control adds it.
-        work_origin_mm: the program's zero in the work frame, for tool-tip coordinates.
-        tilted_deg: positions of the rotary axes in a tilted plane; empty if there is none.
-        shift: by which the program shifts its coordinates, by axis, mm and degrees; outside a plane it is part of ``work_offset``.
-        turned: whether it turns them.
-    """
+    """Work offset and tool from a line on."""
 
     line: int
-    offset: str
-    assumed: bool
-    tool: str
+    offset: str  # name of the work offset; empty if there is no table of them
+    assumed: bool  # whether the program has not selected it
+    tool: str  # number or name of the tool; empty if the program has called none
     tool_length_mm: float
+    # what is added to the words of each axis, mm and degrees; the tool length is included where the control adds it
     work_offset: Mapping[str, float]
-    work_origin_mm: tuple[float, float, float]
-    tilted_deg: Mapping[str, float]
+    work_origin_mm: tuple[float, float, float]  # the program's zero in the work frame, for tool-tip coordinates
+    tilted_deg: Mapping[str, float]  # positions of the rotary axes in a tilted plane; empty if there is none
+    # by which the program shifts its coordinates, by axis, mm and degrees; outside a plane it is part of ``work_offset``
     shift: Mapping[str, float]
-    turned: bool
+    turned: bool  # whether it turns them
 
     @property
     def sentence(self) -> str:
@@ -179,21 +152,12 @@ class FrameUse:
         return f"from line {self.line}: {tool}; {name} with tool length: {added or 'none'}{tilted}{shifted}{turned}"
 
 
-def offset_name(section: Section) -> str:
-    """Return the name of a section's work offset; empty if there is no table of them."""
-    return section.frame.offset or section.assumed_offset
-
-
 def frame_uses(sections: Sequence[Section], number_of: Callable[[int], int]) -> tuple[FrameUse, ...]:
-    """Return the work offsets and tools of a program's sections.
-
-    Args:
-        number_of: function that returns the number of a line by its 0-based index.
-    """
+    """Return the work offsets and tools of a program's sections; ``number_of``: number of a line by its 0-based index."""
     return tuple(
         FrameUse(
             number_of(section.line),
-            offset_name(section),
+            section.frame.offset or section.assumed_offset,
             not section.frame.offset,
             section.frame.length or section.frame.tool,
             section.space.nominal.tool_length_mm,
@@ -222,15 +186,10 @@ a node, which reduces the remaining error to a quarter.
 
 
 def interpolated(values: Callable[[np.ndarray], np.ndarray], places: np.ndarray, straight: np.ndarray) -> np.ndarray:
-    """Return a function's values along a path, evaluated at some points and interpolated linearly between them.
+    """Return (n, groups, m) values along a path (n, axes), evaluated at some points and interpolated linearly between them.
 
-    Args:
-        values: function of (k,) distinct indices of points that returns (k, groups, m) values; those of a group have one unit.
-        places: (n, axes) points along a path, n > 0.
-        straight: (axes,) deviation from the straight line between two points up to which the path counts as straight.
-
-    Returns:
-        (n, groups, m) values.
+    ``values``: function of (k,) distinct indices; the values of a group have one unit. ``straight``: (axes,) deviation from the
+    straight line between two points up to which the path counts as straight.
     """
     count = len(places)
     if count <= EVALUATED_POINTS:
@@ -296,18 +255,13 @@ possible and is not in step with anything a program repeats (H. Weyl, Math. Ann.
 
 
 class SimulatedPoints(NamedTuple):
-    """Simulated points of a program, on straight lines.
+    """Simulated points of a program, on straight lines."""
 
-    Attributes:
-        motion: (lines,) motion each line is on.
-        nominal, written: nominal commands and written commands.
-        nominal_sides, written_sides: (lines, axes + channels) approach directions and conditions at these commands; None if the machine
-            does not depend on them.
-    """
-
-    motion: np.ndarray
-    nominal: Commands
+    motion: np.ndarray  # (lines,) motion each line is on
+    nominal: Commands  # nominal, written: nominal commands and written commands
     written: Commands
+    # nominal_sides, written_sides: (lines, axes + channels) approach directions and conditions at these commands; None if the machine
+    # does not depend on them
     nominal_sides: np.ndarray | None = None
     written_sides: np.ndarray | None = None
 
@@ -330,12 +284,7 @@ class Sample:
         self._parts: list[tuple[np.ndarray, ...]] = []
 
     def add(self, first: int, points: SimulatedPoints, known: Callable[[SimulatedPoints], np.ndarray]) -> None:
-        """Add those points that belong to the sample.
-
-        Args:
-            first: number of the first motion within the program.
-            known: which of some points, each a line of its own, count.
-        """
+        """Add those points that belong to the sample; ``first``: number of the first motion within the program."""
         # By motion, of which every one has many points.
         turns = (first + np.arange(points.motion.max(initial=-1) + 1)) * GOLDEN_RATIO
         place = turns - np.floor(turns)
@@ -378,12 +327,10 @@ UNSOLVED_UM: Final = 0.01
 
 
 def uncorrected(corrected: Corrected, residual_um: Mapping[str, np.ndarray]) -> Iterator[FoundShortfalls]:
-    """Yield the blocks of a program, or of a stretch of it, that could not be corrected, by reason.
+    """Yield the blocks of a stretch that could not be corrected, by reason.
 
-    Args:
-        corrected: the stretch.
-        residual_um: by cause (``rounding``, ``solver``), (rows,) distance in µm of the tool point from its target at the end points
-            after the context.
+    ``residual_um``: by cause (``rounding``, ``solver``), (rows,) distance of the tool point from its target at the end points of its
+    own.
     """
     yield from _beyond_range(corrected, residual_um["rounding"])
     yield from _off_in_orientation(corrected)
@@ -401,12 +348,7 @@ def of_unknown(moves: Sequence[LostBlock]) -> Iterator[FoundShortfalls]:
 
 
 def hinted(shortfall: Shortfall, text_of: Callable[[int], str]) -> Shortfall:
-    """Return blocks outside the range of an axis with a hint if a number of the worst one may count increments.
-
-    Args:
-        shortfall: the blocks.
-        text_of: function that returns the text of a line by its number; empty where numbers never count increments.
-    """
+    """Return blocks outside the range of an axis with a hint if a number of the worst one may count increments."""
     if shortfall.kind != "range" or shortfall.unit not in ("mm", "deg"):
         return shortfall
     if not any(number >= shortfall.worst for _, number in numbers_of_increments(text_of(shortfall.worst_line))):
@@ -424,12 +366,7 @@ def _cutting(corrected: Corrected) -> np.ndarray:
 
 
 def _beyond_range(corrected: Corrected, off_um: np.ndarray) -> Iterator[FoundShortfalls]:
-    """Yield blocks whose commands leave the range of an axis.
-
-    Args:
-        corrected: the stretch.
-        off_um: (rows,) distance of the tool point from its target at the end points, µm.
-    """
+    """Yield blocks whose commands leave the range of an axis; ``off_um``: (rows,) distance of the tool point from its target."""
     prepared, rows = corrected.pieces.prepared, corrected.own
     machine = prepared.machine
     ranges = machine.limits / machine.scale[:, None]
@@ -537,15 +474,7 @@ Both = tuple[Commands, Commands]
 def directed_points(
     corrected: Corrected, prepared: PreparedMachine, ends: Both, portions: Sequence[np.ndarray], ways: Ways
 ) -> Iterator[SimulatedPoints]:
-    """Yield the end points of pieces and the dense points inside them, each a line of its own, portion by portion.
-
-    Args:
-        corrected: the stretch.
-        prepared: the machine with all its reversal values.
-        ends: nominal and written commands at the end points after the context.
-        portions: legs with dense points, in order.
-        ways: the ways of the pieces, as written.
-    """
+    """Yield the end points of pieces and the dense points inside them, each a line of its own, portion by portion."""
     rows, context = corrected.own, len(corrected.rows.leg) - len(corrected.own.leg)
     trackers = [ApproachTracker(prepared.backlash, corrected.pieces.path) for _ in ends]
     begins = [0, *(int(np.searchsorted(rows.leg, portion[0])) for portion in portions[1:]), len(rows.leg)]
@@ -567,17 +496,7 @@ def _portion(
     inside: Both,
     row: np.ndarray,
 ) -> Iterator[SimulatedPoints]:
-    """Yield the end points and the dense points of one portion.
-
-    Args:
-        corrected: the stretch.
-        rows: its end points in this portion.
-        trackers: approach directions with nominal and with written commands, up to this portion.
-        ends: commands at the end points.
-        samples: the dense points.
-        inside: commands at these.
-        row: (pieces,) end point of each piece.
-    """
+    """Yield the end points and the dense points of one portion; ``row``: (pieces,) end point of each piece."""
     pieces, line = corrected.pieces, samples.piece
     motion = pieces.legs.motion[samples.leg][line]
     before = np.zeros(len(rows.leg), dtype=int)

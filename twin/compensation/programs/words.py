@@ -76,11 +76,7 @@ class Setup:
 
 
 def axis_words(machine: Machine) -> AxisWords:
-    """Return the words of a machine's programs, with its linear axes in the order x, y, z of the work frame.
-
-    Raises:
-        InputError: the machine cannot run programs.
-    """
+    """Return the words of a machine's programs, linear axes in the order x, y, z of the work frame, or raise `InputError`."""
     machine.check_programs()
     data = machine.model.createData()
     pin.framesForwardKinematics(machine.model, data, pin.neutral(machine.model))
@@ -125,36 +121,21 @@ def turns_tool(moves: Iterable[Move], axes: AxisWords) -> bool:
 @final
 @dataclass(frozen=True, eq=False)
 class Tilt:
-    """A tilted plane on one machine.
+    """A tilted plane on one machine."""
 
-    Attributes:
-        rotation: (3, 3) its axes in the work frame, as columns.
-        origin_mm: (3,) its zero in the work frame.
-        rotary_deg: (rotary axes,) commands at which the tool is perpendicular to it.
-        stays: whether the linear axes stay while the rotary axes turn there.
-    """
-
-    rotation: np.ndarray
-    origin_mm: np.ndarray
-    rotary_deg: np.ndarray
-    stays: bool
+    rotation: np.ndarray  # (3, 3) its axes in the work frame, as columns
+    origin_mm: np.ndarray  # (3,) its zero in the work frame
+    rotary_deg: np.ndarray  # (rotary axes,) commands at which the tool is perpendicular to it
+    stays: bool  # whether the linear axes stay while the rotary axes turn there
 
 
 @final
 class WordSpace:
     """Conversion between words and commands, for one machine, tool length and set-up.
 
-    Args:
-        setup: work offsets and origin.
-        tool_length_mm: tool length; None for the machine file's own.
-        tilt: the tilted plane of the words; None if they are parallel to the linear axes.
-        turn: (3, 3) axes of the words x, y, z along the linear axes, as columns, outside a tilted plane; None if they are parallel.
-
-    Attributes:
-        axes: the axis words.
-        setup, tool_length_mm, tilt, turn: as given.
-        nominal: the machine without errors.
-        order: (axes,) column of the commands that belongs to each word.
+    ``tilt``: the tilted plane of the words; None if they are parallel to the linear axes; ``turn``: (3, 3) axes of the words x, y, z
+    along the linear axes, as columns, outside a tilted plane; None if they are parallel. ``order``: (axes,) column of the commands of
+    each word.
     """
 
     def __init__(
@@ -233,7 +214,7 @@ class WordSpace:
     def _linear_axes(self) -> ca.Function:
         """Commands of the linear axes, mm, by tool tip in the work frame (mm) and rotary axes (degrees), all in word order.
 
-        Linear axes only translate, so that the tip is linear in their commands: three equations with three unknowns.
+        The tip is linear in the commands of the linear axes: three equations with three unknowns.
         """
         scale = self.machine.scale[self.order]
         linear, rotary = ca.SX.sym("linear", 3), ca.SX.sym("rotary", len(self.order) - 3)
@@ -333,17 +314,7 @@ def outside_range(machine: Machine, commands: np.ndarray) -> np.ndarray:
 
 
 def check_domains(real: Kinematics, source: str, lines: np.ndarray, commands: np.ndarray) -> None:
-    """Raise `InputError` for a position within the axis's range that its curves or an empirical effect do not cover: no extrapolation.
-
-    Args:
-        real: the machine with its calibration.
-        source: the program's name, for the message.
-        lines: (n,) program line number of each command.
-        commands: (n, axes) mm and degrees; those outside an axis's range are not checked here.
-
-    Raises:
-        InputError: with line, value and domain.
-    """
+    """Raise `InputError` for a position within an axis's range that its curves or empirical effects do not cover."""
     outside = real.calibration.outside_domains(commands)
     if not (outside.any() or real.calibration.empirical):
         return

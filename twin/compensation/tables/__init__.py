@@ -3,9 +3,16 @@
 Manual: `twin doc control`.
 """
 
-from twin.compensation.tables.account import Account, account_of, outputs_of, write_folder, written_by
+from twin.compensation.tables.account import (
+    Account,
+    Existing,
+    account_of,
+    compare_tables,
+    outputs_of,
+    write_folder,
+    written_by,
+)
 from twin.compensation.tables.design import Request, Table
-from twin.compensation.tables.existing import Existing, compare_tables
 from twin.compensation.tables.kinematics import (
     KinematicsAccount,
     KinematicsRequest,

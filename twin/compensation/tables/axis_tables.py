@@ -1,17 +1,15 @@
 """Tables of one axis over another: which tables a format needs, and their values.
 
-Kinematics of the control's transformation from the constant errors of a calibration: the lines of its rotary axes.
-
-The location errors (``E_X0C`` …) give the lines of the rotary axes and the place of the workpiece exactly. A format that holds only
-some of them gets the values for which the remaining displacement of the functional point, over the volume and with this tool, is least
-in the sum of squares. Squareness errors are not part of it: they also act without a transformation, and are left to tables.
+For the kinematics of the control's transformation, the location errors (``E_X0C`` …) give the lines of the rotary axes and the place of
+the workpiece exactly. A format that holds only some of them gets the values for which the remaining displacement of the functional
+point, over the volume and with this tool, is least in the sum of squares. Squareness errors are not part of it: they also act without a
+transformation, and are left to tables.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, Final, final
 
 import numpy as np
@@ -57,34 +55,19 @@ MARGIN: Final = 1.02
 @final
 @dataclass(frozen=True)
 class Nodes:
-    """Nodes of the tables over one axis.
+    """Nodes of the tables over one axis."""
 
-    Attributes:
-        at: positions in mm or degrees.
-        values: (nodes, k) values there.
-        deviation: (k,) largest deviation from linear interpolation, in the unit of the values.
-    """
-
-    at: np.ndarray
-    values: np.ndarray
-    deviation: np.ndarray
+    at: np.ndarray  # positions in mm or degrees
+    values: np.ndarray  # (nodes, k) values there
+    deviation: np.ndarray  # (k,) largest deviation from linear interpolation, in the unit of the values
 
 
 def choose_nodes(
     truth: Truth, low: float, high: float, tolerance: np.ndarray, *, step: float | None, most: int
 ) -> Nodes:
-    """Return the nodes for a range.
+    """Return the nodes for a range, mm or degrees; `InputError` if the step is not positive or needs too many nodes.
 
-    Args:
-        truth: the function to be interpolated.
-        low: start of the range, mm or degrees.
-        high: end of the range.
-        tolerance: (k,) tolerance of the interpolation.
-        step: distance between nodes, reduced to one that divides the range; None: as wide as the tolerance allows.
-        most: largest number of nodes in the format.
-
-    Raises:
-        InputError: the step is not positive or needs too many nodes.
+    ``tolerance``: (k,) of the interpolation; ``step``: distance, reduced to one that divides the range; None: as wide as it allows.
     """
     whole = round((high - low) / RESOLUTION)
     counts = [n for n in range(1, most) if whole % n == 0]
@@ -134,25 +117,19 @@ ROUND_TRIP_UM: Final = 0.1
 @final
 @dataclass(frozen=True)
 class ConstantKinematics:
-    """Kinematics of a control, as a file and as read back from it.
-
-    Attributes:
-        text: text of the file.
-        geometry: the geometry read back.
-        displaced_rms_um, displaced_max_um: displacement of the functional point by the location errors over the volume.
-        left_rms_um, left_max_um: displacement that remains with the file, because the format cannot hold it.
-        round_trip_um: largest displacement of the functional point by rounding in the file.
-    """
+    """Kinematics of a control, as a file and as read back from it."""
 
     form: KinematicsFormat
     machine: Machine
-    text: str
-    geometry: TableGeometry
+    text: str  # text of the file
+    geometry: TableGeometry  # the geometry read back
+    # displaced_rms_um, displaced_max_um: displacement of the functional point by the location errors over the volume
     displaced_rms_um: float
     displaced_max_um: float
+    # left_rms_um, left_max_um: displacement that remains with the file, because the format cannot hold it
     left_rms_um: float
     left_max_um: float
-    round_trip_um: float
+    round_trip_um: float  # largest displacement of the functional point by rounding in the file
 
     @property
     def unmet(self) -> tuple[str, ...]:
@@ -165,11 +142,7 @@ class ConstantKinematics:
 
 
 def real_geometry(calibration: Calibration) -> TableGeometry:
-    """Return the geometry of the table with the location errors of a calibration.
-
-    Raises:
-        InputError: the machine does not have a table with two rotary axes.
-    """
+    """Return the geometry of the table with the location errors of a calibration; `InputError` unless it has two rotary axes."""
     machine = calibration.machine
     errors = np.zeros(6 * len(machine.frames))
     for name, value in calibration.location.items():
@@ -184,14 +157,7 @@ def make_kinematics(
 ) -> ConstantKinematics:
     """Return the kinematics of a control for the location errors of a calibration, as a file and as read back.
 
-    Args:
-        calibration: the errors.
-        kind: name of a format of `twin.controls.kinematics`.
-        tool_length_mm: tool length of the functional point; None: that of the machine file.
-        notes: lines for comments.
-
-    Raises:
-        InputError: an unknown format; the transformation cannot represent the machine; there are no location errors.
+    `InputError` for an unknown format, a machine that the transformation cannot represent, or no location errors.
     """
     machine, form = calibration.machine, kinematics_named(kind)
     nominal = form.nominal(machine)
@@ -227,15 +193,6 @@ def make_kinematics(
     )
 
 
-def read_kinematics(kind: str, path: Path, machine: Machine) -> TableGeometry:
-    """Return the geometry in a control's file.
-
-    Raises:
-        InputError: there is no such format, or the file is invalid.
-    """
-    return kinematics_named(kind).read(path, machine)
-
-
 # --- Tables of one axis over another: which tables a format needs, and their values ---------------
 
 TURNS: Final = (-TURN, 2.0 * TURN)
@@ -251,35 +208,22 @@ ALL_BEYOND: Final = 0.99
 @final
 @dataclass(frozen=True)
 class TableColumn:
-    """Column of the tables over one axis.
+    """Column of the tables over one axis."""
 
-    Attributes:
-        moved: the axis that is corrected.
-        side: the direction of approach the column is for.
-        by: axis of the lever the column is multiplied by; None without a product.
-    """
-
-    moved: str
-    side: Direction
-    by: str | None = None
+    moved: str  # the axis that is corrected
+    side: Direction  # the direction of approach the column is for
+    by: str | None = None  # axis of the lever the column is multiplied by; None without a product
 
 
 @final
 @dataclass(frozen=True)
 class Planned:
-    """One table or product to be written.
+    """One table or product to be written."""
 
-    Attributes:
-        term: the table.
-        deviation: largest deviation of the required correction from it, µm or µrad.
-        q: (n,) random positions at which the file read back is checked.
-        truth: (n,) required correction there.
-    """
-
-    term: ControlTerm
-    deviation: float
-    q: np.ndarray
-    truth: np.ndarray
+    term: ControlTerm  # the table
+    deviation: float  # largest deviation of the required correction from it, µm or µrad
+    q: np.ndarray  # (n,) random positions at which the file read back is checked
+    truth: np.ndarray  # (n,) required correction there
 
 
 @final

@@ -1,7 +1,5 @@
 """Computation of tables: one subclass of `Design` for each kind of correction, shared by all formats of that kind.
 
-Required corrections of the axis commands, from the kinematic model; signs follow from the model for any chain of axes.
-
 A table over an axis corrects that axis's own errors. These alone displace the tool centre point by δ(q). The linear axes correct it by
 c = −J⁺·δ, where J holds the derivatives of the point with respect to their commands on the same machine. With three linear axes the
 correction is complete; with fewer it corrects the part along them. It is a first-order correction: 100 µm times 100 µrad is 10 nm.
@@ -35,43 +33,26 @@ from twin.tool.uncertainty import ToolUncertainty, errors_in, random_approach, s
 @final
 @dataclass(frozen=True)
 class Request:
-    """Format and settings of the tables to be made.
+    """Format and settings of the tables to be made."""
 
-    Attributes:
-        kind: name of a format of `twin.controls`.
-        at: positions of the other axes while one moves, mm or degrees by axis; by default the middle of a linear range, 0° of a rotary.
-        tool_length_mm: tool length for which the point is corrected; None: that of the machine file.
-        classes: basic classes to correct (ISO/TR 16907).
-        tolerance_um: tolerance of the interpolation.
-        step: mm or degrees between nodes; None: as wide as the tolerance allows.
-        most: number of tables the control has; None: the format's default.
-        products: whether two tables may be multiplied, if the format can do that.
-        conditions: temperatures and time.
-        unproven: whether tables are written although U of their correction exceeds the correction.
-        add: whether the calibration was measured with tables switched on, and the new tables are added to those.
-        notes: lines for the comments of every file.
-    """
-
-    kind: str
+    kind: str  # name of a format of `twin.controls`
+    # positions of the other axes while one moves, mm or degrees by axis; by default the middle of a linear range, 0° of a rotary
     at: Mapping[str, float] = field(default_factory=dict)
-    tool_length_mm: float | None = None
-    classes: frozenset[str] = frozenset(BASIC)
-    tolerance_um: float = 1.0
-    step: float | None = None
-    most: int | None = None
-    products: bool = True
-    conditions: Conditions = field(default_factory=Conditions)
-    unproven: bool = False
+    tool_length_mm: float | None = None  # tool length for which the point is corrected; None: that of the machine file
+    classes: frozenset[str] = frozenset(BASIC)  # basic classes to correct (ISO/TR 16907)
+    tolerance_um: float = 1.0  # tolerance of the interpolation
+    step: float | None = None  # mm or degrees between nodes; None: as wide as the tolerance allows
+    most: int | None = None  # number of tables the control has; None: the format's default
+    products: bool = True  # whether two tables may be multiplied, if the format can do that
+    conditions: Conditions = field(default_factory=Conditions)  # temperatures and time
+    unproven: bool = False  # whether tables are written although U of their correction exceeds the correction
+    # whether the calibration was measured with tables switched on, and the new tables are added to those
     add: bool = False
-    notes: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()  # lines for the comments of every file
 
     @property
     def form(self) -> TableFormat[Any]:
-        """The format.
-
-        Raises:
-            InputError: no format has that name.
-        """
+        """The format. Raises `InputError`: no format has that name."""
         return format_named(self.kind)
 
     @property
@@ -92,39 +73,22 @@ the error times the slopes of error motions and tables: of 100 µm at 100 µm/m,
 @final
 @dataclass(frozen=True)
 class Volume:
-    """Poses over the volume at which what remains of the errors is evaluated.
+    """Poses over the volume at which what remains of the errors is evaluated."""
 
-    Attributes:
-        q: (n, axes) commands, mm and degrees, within the domains of the curves.
-        sides: (n, axes) directions of approach.
-        goal: poses of the nominal machine.
-        back: (n, linear axes, 3) pseudo-inverse of the derivatives of the nominal point with respect to the linear commands.
-    """
-
-    q: np.ndarray
-    sides: np.ndarray
-    goal: Poses
+    q: np.ndarray  # (n, axes) commands, mm and degrees, within the domains of the curves
+    sides: np.ndarray  # (n, axes) directions of approach
+    goal: Poses  # poses of the nominal machine
+    # (n, linear axes, 3) pseudo-inverse of the derivatives of the nominal point with respect to the linear commands
     back: np.ndarray
 
 
 @final
 class RequiredCorrections:
-    """Corrections that a calibration requires.
+    """Corrections that a calibration requires; corrections by the control are disregarded.
 
-    Args:
-        calibration: its errors, without effects whose channel the conditions do not give; corrections by the control are disregarded.
-        at: positions of the other axes while one moves, mm or degrees by axis; by default linear axes in the middle of their ranges,
-            rotary axes as near to zero as they can be.
-        tool_length_mm: tool length for which the point is corrected; None: that of the machine file.
-        classes: basic classes of ISO/TR 16907 to correct.
-        conditions: temperatures and time.
-
-    Attributes:
-        nominal: the nominal machine.
-
-    Raises:
-        InputError: a position of an unknown axis or out of range; linear axes with linearly dependent directions, for which the
-            correction is not unique.
+    ``at``: positions of the other axes while one moves; by default linear axes in the middle of their ranges, rotary axes as near to
+    zero as they can be. `InputError` for a position of an unknown axis or out of range, or if directions of linear axes are linearly
+    dependent.
     """
 
     def __init__(
@@ -167,11 +131,7 @@ class RequiredCorrections:
         return Volume(q, random_approach(q), self.nominal.forward(q), back)
 
     def poses_with(self, errors: Calibration, commands: np.ndarray) -> Poses:
-        """Return the poses at commands (n, axes) for `volume` with the given errors, without building their kinematics.
-
-        Raises:
-            InputError: a position outside the domain of a curve; an effect needs a channel that is not given.
-        """
+        """Return the poses at commands (n, axes) for `volume` with the given errors, without building their kinematics."""
         errors.check(commands)
         state = state_at(self.machine, commands, self.volume.sides, self.conditions)
         effects = errors.with_tool(self.tool_length_mm).effects
@@ -180,9 +140,7 @@ class RequiredCorrections:
     def corrected_commands(self, reach: Callable[[np.ndarray], Poses], reached: Poses) -> tuple[np.ndarray, int]:
         """Return the commands (n, axes) of `volume` whose linear axes correct the point, and at how many an axis's range limits them.
 
-        Args:
-            reach: commands (n, axes) for `volume` → poses of the machine that is corrected.
-            reached: poses that it reaches with the commands of `volume`.
+        ``reach``: function from commands to poses of the machine that is corrected; ``reached``: poses at the commands of `volume`.
         """
         at, linear = self.volume, list(self.machine.linear)
         commands, limited = at.q.copy(), np.zeros(len(at.q), dtype=bool)
@@ -226,13 +184,7 @@ class RequiredCorrections:
         return np.asarray(rows)
 
     def linear_corrections(self, axes: tuple[str, ...], positions: np.ndarray, side: int = 0) -> np.ndarray:
-        """Return the corrections (n, linear axes) in µm, to be added to the commands, for the errors of some axes.
-
-        Args:
-            axes: the axes whose errors are corrected.
-            positions: (n, axes) mm and degrees.
-            side: direction of approach of these axes: +1, −1, 0 unknown.
-        """
+        """Return the corrections (n, linear axes) in µm for errors of some axes, approached from ``side``: +1, −1, 0 unknown."""
         key = axes, side, positions.tobytes()
         if key not in self._known:
             if len(self._known) >= CORRECTIONS_REMEMBERED:
@@ -269,10 +221,7 @@ class RequiredCorrections:
         return np.asarray(frames[:, own].sum(axis=1) * 1e6)
 
     def linear_factors(self, axes: tuple[str, ...], positions: np.ndarray, side: int = 0) -> np.ndarray:
-        """Return a factor F (n, linear axes, r) of the covariance F Fᵀ of `linear_corrections`, µm, from the identified errors.
-
-        r is zero if none of these axes' errors has a covariance.
-        """
+        """Return F (n, linear axes, r) of the covariance F Fᵀ of `linear_corrections`, µm; r = 0 if no error has one."""
         tool, sides = self._uncertainty(axes), self._sides(axes, positions, side)
         components, spread = tool.frame_factors(positions, sides)
         # Metres per metre and radian equal µm per µm and µrad.
@@ -382,21 +331,13 @@ def check_positions(low: float, high: float) -> np.ndarray:
 @final
 @dataclass(frozen=True)
 class Table:
-    """One table compared with the model; all numbers in the table's unit.
+    """One table compared with the model; all numbers in the table's unit."""
 
-    Attributes:
-        content: nodes and largest value.
-        deviation: largest deviation of the model from the interpolation between nodes.
-        rounding: rounding error of the written digits.
-        tolerance: tolerance of the interpolation.
-        read_back_deviation: largest deviation of the table read back from the model, at random positions.
-    """
-
-    content: TableSummary
-    deviation: float
-    rounding: float
-    tolerance: float
-    read_back_deviation: float
+    content: TableSummary  # nodes and largest value
+    deviation: float  # largest deviation of the model from the interpolation between nodes
+    rounding: float  # rounding error of the written digits
+    tolerance: float  # tolerance of the interpolation
+    read_back_deviation: float  # largest deviation of the table read back from the model, at random positions
 
     @property
     def holds(self) -> bool:
@@ -431,21 +372,14 @@ class Unproven:
     """A table that is not shown to be an improvement: U of its correction exceeds the correction (RMS over the table).
 
     A machine without that error would get such a table in 95 % of cases. Below U, the table may increase the error.
-
-    Attributes:
-        name: name of the table.
-        axes: axes whose errors it corrects.
-        unit: ``um`` or ``urad``.
-        rms: RMS of the correction over the table.
-        u_rms: RMS of its U (95 %) over the table.
-        not_identified: errors in the correction that the calibration could not determine; if none, it is known to be small.
     """
 
-    name: str
-    axes: tuple[str, ...]
-    unit: str
-    rms: float
-    u_rms: float
+    name: str  # name of the table
+    axes: tuple[str, ...]  # axes whose errors it corrects
+    unit: str  # ``um`` or ``urad``
+    rms: float  # RMS of the correction over the table
+    u_rms: float  # RMS of its U (95 %) over the table
+    # errors in the correction that the calibration could not determine; if none, it is known to be small
     not_identified: tuple[str, ...]
 
     @property
@@ -457,14 +391,7 @@ class Unproven:
 
 @final
 class ProofOfTables:
-    """Comparison of the corrections of tables with their uncertainty.
-
-    Args:
-        keep_all: whether unproven tables are kept.
-
-    Attributes:
-        unproven: the tables that are not shown to be an improvement, so far.
-    """
+    """Comparison of the corrections of tables with their uncertainty; ``keep_all``: whether unproven tables are kept."""
 
     def __init__(self, required: RequiredCorrections, *, keep_all: bool) -> None:
         self._required, self._keep_all = required, keep_all
@@ -478,16 +405,9 @@ class ProofOfTables:
         values: np.ndarray,
         factor: np.ndarray,
     ) -> bool:
-        """Return whether a table is to be written; an unproven one is noted.
+        """Return whether a table is to be written; an unproven one is noted. Without a covariance nothing is refused.
 
-        Without a covariance U is unknown and nothing is refused; a warning says so.
-
-        Args:
-            content: name and unit of the table.
-            axes: axes whose errors it corrects.
-            classes: classes of these errors.
-            values: (n,) the correction at positions of the table.
-            factor: (m, r) factor of its covariance at some of them.
+        ``values``: (n,) the correction at positions of the table; ``factor``: (m, r) factor of its covariance at some of them.
         """
         rms = float(np.sqrt(np.mean(np.square(values))))
         u_rms = COVERAGE_FACTOR * float(np.sqrt(np.mean(np.sum(np.square(factor), axis=1))))
@@ -501,49 +421,30 @@ class ProofOfTables:
 @final
 @dataclass(frozen=True)
 class TablePlan(Generic[C]):
-    """Tables to be written.
+    """Tables to be written."""
 
-    Attributes:
-        correction: the tables.
-        compared: function that compares them with the files read back: one `Table` for each of `Correction.contents`, in that order.
-        left_out: tables left out because the control has too few.
-        unproven: tables that are not shown to be an improvement; they are not written unless the request says so.
-    """
-
-    correction: C
+    correction: C  # the tables
+    # function that compares them with the files read back: one `Table` for each of `Correction.contents`, in that order
     compared: Callable[[C], tuple[Table, ...]]
-    left_out: tuple[str, ...] = ()
+    left_out: tuple[str, ...] = ()  # tables left out because the control has too few
+    # tables that are not shown to be an improvement; they are not written unless the request says so
     unproven: tuple[Unproven, ...] = ()
 
 
 class Design(ABC, Generic[C]):
-    """Computation of the tables of one kind of correction.
-
-    Attributes:
-        correction: the kind.
-    """
+    """Computation of the tables of one kind of correction."""
 
     correction: type[C]
 
     @abstractmethod
     def plan(self, required: RequiredCorrections, request: Request, old: C | None) -> TablePlan[C]:
-        """Return the tables; on the nodes of the old ones if there are any.
-
-        Raises:
-            InputError: the machine cannot have such tables, the new ones cannot be added to the old ones, or the step is unusable.
-        """
+        """Return the tables, on the nodes of the old ones if there are any; `InputError` if the machine cannot have them."""
 
     @abstractmethod
     def share(
         self, required: RequiredCorrections, effect: Effect, others: Sequence[Axis], request: Request
     ) -> tuple[Share, str]:
-        """Return which share of one error the tables correct, and the reason if it is not the whole.
-
-        Args:
-            effect: the error.
-            others: axes it depends on, except its own.
-            request: the format, and whether two tables are multiplied.
-        """
+        """Return which share of one error, that depends on ``others``, the tables correct, and the reason if it is not the whole."""
 
 
 def share_depending_on(others: Sequence[Axis]) -> tuple[Share, str]:

@@ -21,11 +21,11 @@ from twin._common.provenance import (
 )
 from twin._common.records import json_form
 from twin.compensation.tables.account import CALIBRATION, README, SCHEMA, Account, outputs_of, write_folder, written_by
-from twin.compensation.tables.axis_tables import ConstantKinematics, make_kinematics, read_kinematics, real_geometry
+from twin.compensation.tables.axis_tables import ConstantKinematics, make_kinematics, real_geometry
 from twin.compensation.tables.design import Request, RequiredCorrections
 from twin.compensation.tables.make import ControlTables, Stages, check_no_module, make, stages_of
 from twin.controls import ControlSection, TableEntry, format_named
-from twin.controls.kinematics import TableGeometry, linear_shift
+from twin.controls.kinematics import TableGeometry, kinematics_named, linear_shift
 from twin.model.calibration import Calibration
 from twin.model.conditions import Conditions
 from twin.model.unknown_errors import check_locations_identified, nominal_locations
@@ -42,43 +42,26 @@ ACTIVE: Final = (
 @final
 @dataclass(frozen=True)
 class KinematicsRequest:
-    """Kinematics to be written, and the tables beside them.
+    """Kinematics to be written, and the tables beside them."""
 
-    Attributes:
-        kind: name of a format of `twin.controls.kinematics`.
-        tables: format and settings of the tables; None for kinematics alone.
-        tool_length_mm: tool length of the functional point; None: that of the machine file.
-        conditions: temperatures and time.
-        unidentified: whether kinematics are written although locations of rotary axes were not identified.
-        notes: lines for the comments of the file.
-    """
-
-    kind: str
-    tables: Request | None = None
-    tool_length_mm: float | None = None
-    conditions: Conditions = field(default_factory=Conditions)
-    unidentified: bool = False
-    notes: tuple[str, ...] = ()
+    kind: str  # name of a format of `twin.controls.kinematics`
+    tables: Request | None = None  # format and settings of the tables; None for kinematics alone
+    tool_length_mm: float | None = None  # tool length of the functional point; None: that of the machine file
+    conditions: Conditions = field(default_factory=Conditions)  # temperatures and time
+    unidentified: bool = False  # whether kinematics are written although locations of rotary axes were not identified
+    notes: tuple[str, ...] = ()  # lines for the comments of the file
 
 
 @final
 @dataclass(frozen=True)
 class KinematicsAccount:
-    """Kinematics of the control and what remains after every stage.
+    """Kinematics of the control and what remains after every stage."""
 
-    Attributes:
-        kinematics: the kinematics, as written and as read back.
-        stages: error at the tool after every stage.
-        errors: the calibration they were made from.
-        tool_length_mm: tool length of the functional point.
-        tables: account of the tables; None without tables.
-    """
-
-    kinematics: ConstantKinematics
-    stages: Stages
-    errors: Calibration
-    tool_length_mm: float
-    tables: Account | None
+    kinematics: ConstantKinematics  # the kinematics, as written and as read back
+    stages: Stages  # error at the tool after every stage
+    errors: Calibration  # the calibration they were made from
+    tool_length_mm: float  # tool length of the functional point
+    tables: Account | None  # account of the tables; None without tables
 
     @property
     def warnings(self) -> tuple[SourceWarning, ...]:
@@ -161,19 +144,13 @@ class KinematicsAccount:
 @final
 @dataclass(frozen=True)
 class ReadKinematics:
-    """Kinematics of a control compared with the location errors of a calibration.
+    """Kinematics of a control compared with the location errors of a calibration."""
 
-    Attributes:
-        kind: name of the format.
-        file: the file that was read.
-        differs_rms_um, differs_max_um: difference at the functional point over the volume.
-    """
-
-    kind: str
-    file: Path
+    kind: str  # name of the format
+    file: Path  # the file that was read
     geometry: TableGeometry
     calibration: Calibration
-    differs_rms_um: float
+    differs_rms_um: float  # differs_rms_um, differs_max_um: difference at the functional point over the volume
     differs_max_um: float
 
     def to_text(self) -> str:
@@ -206,13 +183,9 @@ class ReadKinematics:
 
 
 def compare_kinematics(calibration: Calibration, kind: str, file: Path, tool_length_mm: float | None) -> ReadKinematics:
-    """Read the kinematics of a control and compare them with the location errors of a calibration (in the datum mean lines).
-
-    Raises:
-        InputError: the file cannot be read as this format.
-    """
+    """Read the kinematics of a control and compare them with the location errors of a calibration (in the datum mean lines)."""
     errors, machine = calibration.in_datum("mean lines"), calibration.machine
-    geometry = read_kinematics(kind, file, machine)
+    geometry = kinematics_named(kind).read(file, machine)
     length = machine.tool_length_mm if tool_length_mm is None else tool_length_mm
     q = volume(machine)
     one, two = (linear_shift(machine, held, q, length) for held in (geometry, real_geometry(errors)))
@@ -229,16 +202,10 @@ def kinematics_outputs(folder: Path, request: KinematicsRequest, made: ConstantK
 def make_both(
     errors: Calibration, known: Calibration, request: KinematicsRequest
 ) -> tuple[ConstantKinematics, ControlTables | None]:
-    """Return the kinematics, and the tables beside them if they are requested.
+    """Return the kinematics, and the tables beside them if requested; ``known``: ``errors`` without effects whose channel is not given.
 
-    Args:
-        errors: the calibration, in the datum mean lines.
-        known: the same without effects whose channel is not given.
-        request: format and settings.
-
-    Raises:
-        InputError: as for `make_kinematics` and `make`; tables that correct the location errors themselves; locations that were not
-            identified, unless the request accepts them.
+    `InputError` also for tables that correct the location errors themselves, or locations not identified, unless the request accepts
+    them.
     """
     errors.check_settled()
     check_no_module(errors)
@@ -268,19 +235,7 @@ def write_kinematics(
     request: KinematicsRequest,
     folder: Path,
 ) -> KinematicsAccount:
-    """Write the folder: the control's files first, the calibration that refers to them last.
-
-    Args:
-        made: kinematics and tables.
-        errors: the calibration, in the datum mean lines.
-        known: the same without effects whose channel is not given.
-        missing: the effects left out, by channel.
-        request: format and settings.
-        folder: the output folder, created if necessary.
-
-    Raises:
-        InputError: an output is also an input, or cannot be written.
-    """
+    """Write the folder, `calibration.yaml` last; ``missing``: effects that ``known`` leaves out; errors of `write_folder`."""
     kinematics, tables = made
     for path in kinematics_outputs(folder, request, kinematics):
         if errors.path is not None and path.resolve() == errors.path.resolve():

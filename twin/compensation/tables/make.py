@@ -53,17 +53,12 @@ TITLES: Final = {
 @final
 @dataclass(frozen=True)
 class Stages:
-    """Error that remains at the tool after every stage of the correction.
-
-    Attributes:
-        poses: number of poses.
-        errors: error by stage; the stage of tables is absent without tables, that of the program for a machine that runs none.
-        uncertainty: uncertainty of the point, the same in all stages.
-    """
+    """Error that remains at the tool after every stage of the correction."""
 
     poses: int
+    # error by stage; the stage of tables is absent without tables, that of the program for a machine that runs none
     errors: dict[str, VolumeError]
-    uncertainty: PointUncertainty
+    uncertainty: PointUncertainty  # uncertainty of the point, the same in all stages
 
     def to_lines(self) -> list[str]:
         """Return the stages as text, one line each below a header."""
@@ -94,13 +89,7 @@ class Stages:
 
 
 def stages_of(required: RequiredCorrections, known: Calibration, section: ControlSection) -> Stages:
-    """Return the error after every stage, from the files in the control as read back.
-
-    Args:
-        required: the machine, tool length and conditions.
-        known: the errors, without effects whose channel is not given.
-        section: kinematics of the control, and tables if there are any.
-    """
+    """Return the error after every stage, from the files in the control as read back; ``section``: of the calibration."""
     machine = required.machine
     alone = ControlSection("uncorrected", (), section.kinematics)
     kinds = {BEFORE: None, CONSTANTS: alone, TABLES: section} if section.tables else {BEFORE: None, CONSTANTS: alone}
@@ -251,8 +240,7 @@ def _on_nodes(required: RequiredCorrections, where: tuple[np.ndarray, ...], trut
 def _largest_deviation(required: RequiredCorrections, grid: CorrectionGrid, truth: Truth) -> float:
     """Return the largest deviation in µm of the required correction from the grid's interpolation.
 
-    It is evaluated at the centres of a sample of cells and at the midpoints of cell sides along the edges of the box, where the
-    interpolation error is largest.
+    The centres of some cells and the midpoints of cell sides along the edges of the box are checked, where it is largest.
     """
     rng, where = np.random.default_rng(CELL_SEED), [np.array(nodes) for nodes in grid.at]
     inside = np.stack([rng.choice(0.5 * (nodes[1:] + nodes[:-1]), CELLS) for nodes in where], axis=1)
@@ -288,28 +276,17 @@ def design_of(form: TableFormat[Any]) -> Design[Any]:
 @final
 @dataclass(frozen=True)
 class ControlTables:
-    """Tables for a control, as files and as read back from them.
+    """Tables for a control, as files and as read back from them."""
 
-    Attributes:
-        required: the required corrections they were made from.
-        request: format and settings.
-        files: text by file name, as the control reads it.
-        increment: text by file name of the new part alone if tables were added to old ones; else empty.
-        correction: corrections of the control with these files, as read back.
-        tables: every table compared with the model.
-        left_out: tables left out because the control has too few.
-        unproven: tables that are not shown to be an improvement: not written, or written on request.
-        largest: largest correction by axis, over the volume and both directions, as read back: µm, µrad.
-    """
-
-    required: RequiredCorrections
-    request: Request
-    files: Mapping[str, str]
-    increment: Mapping[str, str]
-    correction: Correction
-    tables: tuple[Table, ...]
-    left_out: tuple[str, ...]
-    unproven: tuple[Unproven, ...]
+    required: RequiredCorrections  # the required corrections they were made from
+    request: Request  # format and settings
+    files: Mapping[str, str]  # text by file name, as the control reads it
+    increment: Mapping[str, str]  # text by file name of the new part alone if tables were added to old ones; else empty
+    correction: Correction  # corrections of the control with these files, as read back
+    tables: tuple[Table, ...]  # every table compared with the model
+    left_out: tuple[str, ...]  # tables left out because the control has too few
+    unproven: tuple[Unproven, ...]  # tables that are not shown to be an improvement: not written, or written on request
+    # largest correction by axis, over the volume and both directions, as read back: µm, µrad
     largest: Mapping[str, float]
 
     @property
@@ -331,17 +308,10 @@ class ControlTables:
 def make(
     machine: Machine, calibration: Calibration, request: Request, required: RequiredCorrections | None = None
 ) -> ControlTables:
-    """Make the tables and read them back.
+    """Make the tables and read them back; ``required``: if known from another format with the same settings.
 
-    Args:
-        calibration: its errors; corrections that its control applies are disregarded.
-        request: format and settings.
-        required: the required corrections, if known from another format with the same settings.
-
-    Raises:
-        InputError: an unknown format; a calibration whose estimate did not converge, or that was measured with tables on while
-            ``request.add`` is False; old tables of another format; no error that the format can correct; no table that is shown to be
-            an improvement.
+    `InputError` for a calibration that did not converge or was measured with tables on (unless ``request.add``), old tables of another
+    format, no error that the format can correct, or no table that is shown to be an improvement.
     """
     if not request.tolerance_um > 0.0:
         raise InputError("tolerance must be positive", expected="µm", value=request.tolerance_um)

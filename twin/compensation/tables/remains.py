@@ -23,40 +23,28 @@ from twin.tool.uncertainty import DEFINITION, ToolUncertainty
 @final
 @dataclass(frozen=True)
 class VolumeError:
-    """Error at the tool over the volume.
+    """Error at the tool over the volume."""
 
-    Attributes:
-        rms_um, max_um: error of the tool centre point according to the model, RMS and maximum over the poses.
-        expected_rms_um: expected RMS error, including the uncertainty of the calibration; NaN if that is unknown.
-        tilt_rms_urad: RMS tilt of the tool axis about x and about y.
-    """
-
+    # rms_um, max_um: error of the tool centre point according to the model, RMS and maximum over the poses
     rms_um: float
     max_um: float
-    expected_rms_um: float
-    tilt_rms_urad: tuple[float, float]
+    expected_rms_um: float  # expected RMS error, including the uncertainty of the calibration; NaN if that is unknown
+    tilt_rms_urad: tuple[float, float]  # RMS tilt of the tool axis about x and about y
 
 
 @final
 @dataclass(frozen=True)
 class PointUncertainty:
-    """Uncertainty of the tool centre point over the volume; it comes from the calibration and no correction reduces it.
+    """Uncertainty of the tool centre point over the volume; it comes from the calibration and no correction reduces it."""
 
-    Attributes:
-        rms_um, max_um: U of the point (`twin.tool.uncertainty.DEFINITION`), RMS and maximum over the poses; NaN if unknown.
-        standard_rms_um: standard uncertainty (k = 1) of the distance, RMS over the poses; NaN if unknown.
-        identified_rms_um: U of the identified errors alone, RMS over the poses; NaN if unknown.
-        identified_standard_rms_um: standard uncertainty of these alone, as ``standard_rms_um``.
-        unknown: errors that could not be determined; U includes their plausible size.
-        without_uncertainty: errors that have a value but no uncertainty; if there are any, the numbers are lower bounds.
-    """
-
+    # rms_um, max_um: U of the point (`twin.tool.uncertainty.DEFINITION`), RMS and maximum over the poses; NaN if unknown
     rms_um: float
     max_um: float
-    standard_rms_um: float
-    identified_rms_um: float
-    identified_standard_rms_um: float
-    unknown: tuple[str, ...]
+    standard_rms_um: float  # standard uncertainty (k = 1) of the distance, RMS over the poses; NaN if unknown
+    identified_rms_um: float  # U of the identified errors alone, RMS over the poses; NaN if unknown
+    identified_standard_rms_um: float  # standard uncertainty of these alone, as ``standard_rms_um``
+    unknown: tuple[str, ...]  # errors that could not be determined; U includes their plausible size
+    # errors that have a value but no uncertainty; if there are any, the numbers are lower bounds
     without_uncertainty: tuple[str, ...]
 
     @classmethod
@@ -99,28 +87,19 @@ class PointUncertainty:
 @final
 @dataclass(frozen=True)
 class RemainingErrors:
-    """Error at the tool without tables, with tables, and with tables and a compensated NC program.
-
-    Attributes:
-        poses: number of poses.
-        before, tables, program: the errors; ``program`` is None for a machine that runs no NC programs.
-        uncertainty: uncertainty of the point, the same for all three.
-        at_limits: number of poses at which an axis would have to leave its range to correct the remaining error.
-    """
+    """Error at the tool without tables, with tables, and with tables and a compensated NC program."""
 
     poses: int
+    # before, tables, program: the errors; ``program`` is None for a machine that runs no NC programs
     before: VolumeError
     tables: VolumeError
     program: VolumeError | None
-    uncertainty: PointUncertainty
-    at_limits: int
+    uncertainty: PointUncertainty  # uncertainty of the point, the same for all three
+    at_limits: int  # number of poses at which an axis would have to leave its range to correct the remaining error
 
     @property
     def reduction(self) -> float:
-        """Share of the RMS error that the tables correct; of the expected RMS error where the uncertainty is known.
-
-        Errors that were not identified are the same with and without tables, and are not part of it.
-        """
+        """Share of the RMS error, or of the expected one of identified errors where U is known, that the tables correct."""
         known = self.uncertainty.identified_standard_rms_um
         before, after = (
             float(np.hypot(one.rms_um, known)) if np.isfinite(known) else one.rms_um
@@ -176,12 +155,7 @@ def or_unknown(value: float) -> str:
 
 
 def remaining_errors(required: RequiredCorrections, calibration: Calibration) -> RemainingErrors:
-    """Return the error at the tool over the volume without tables, with them, and with a compensated program.
-
-    Args:
-        required: the required corrections: the machine, its errors without the control, tool length and conditions.
-        calibration: the same errors with the control's tables; without effects whose channel is not given.
-    """
+    """Return the error at the tool over the volume without tables, with those of ``calibration``, and with a compensated program."""
     reach, at = partial(required.poses_with, calibration), required.volume
     uncertainty, before = _without_tables(required)
     reached = reach(at.q)
@@ -212,31 +186,19 @@ def volume_error(reached: Poses, goal: Poses, uncertainty: PointUncertainty) -> 
 @final
 @dataclass(frozen=True)
 class CorrectedShare:
-    """One error of the calibration and whether the tables correct it.
+    """One error of the calibration and whether the tables correct it."""
 
-    Attributes:
-        name: name of the error.
-        iso_class: its class (ISO/TR 16907).
-        share: ``whole``: corrected; ``line``: corrected with the other axes at the positions of the tables, elsewhere in part; ``no``.
-        why: the reason if it is not ``whole``.
-    """
-
-    name: str
-    iso_class: str
+    name: str  # name of the error
+    iso_class: str  # its class (ISO/TR 16907)
+    # ``whole``: corrected; ``line``: corrected with the other axes at the positions of the tables, elsewhere in part; ``no``
     share: Share
-    why: str
+    why: str  # the reason if it is not ``whole``
 
 
 def corrected_shares(
     required: RequiredCorrections, request: Request, design: Design[Any], unproven: Sequence[Unproven] = ()
 ) -> tuple[CorrectedShare, ...]:
-    """Return every error of the calibration with the share of it that the tables correct.
-
-    Args:
-        request: the format, classes, and whether two tables are multiplied.
-        design: the class that computes the format's tables.
-        unproven: tables that are not shown to be an improvement.
-    """
+    """Return every error of the calibration with the share of it that the tables of the request correct."""
     not_written: dict[str, list[str]] = {}
     for one in () if request.unproven else unproven:
         for name in one.axes:

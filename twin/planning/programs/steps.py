@@ -9,12 +9,11 @@ from typing import Final
 import numpy as np
 
 from twin._common.errors import InputError
-from twin.planning.drift import DriftPlan
-from twin.planning.drift.tests import ALONG, STOP_S
+from twin.planning.drift import ALONG, STOP_S, DriftPlan
 from twin.planning.measure import SequencePlan
-from twin.planning.programs.specification import APPROACH_FEED, PROBING_FEED, ProgramStep, ProgramSteps
-from twin.planning.sequences import ContactPose, SequenceTask, apart_clearance, clearance_of, contact_poses
-from twin.planning.sequences.specification import CONTACT_S, CONTACTS, POINT_S
+from twin.planning.programs.controls import APPROACH_FEED, PROBING_FEED, ProgramStep, ProgramSteps
+from twin.planning.sequences.contacts import ContactPose, apart_clearance, clearance_of, contact_poses
+from twin.planning.sequences.specification import CONTACT_S, CONTACTS, POINT_S, SequenceTask
 
 RETRACT_MM: Final = 400.0
 """Longest retraction from the sphere along the tool axis before rotary axes turn."""
@@ -23,11 +22,7 @@ SEARCH_SHARE: Final = 0.5
 
 
 def program_steps(plan: SequencePlan) -> ProgramSteps:
-    """Return the steps of the measuring program of a plan with a touch probe.
-
-    Raises:
-        InputError: the plan is not for a probe, or no pose has a path with clearance.
-    """
+    """Return the steps of the measuring program of a plan with a touch probe; `InputError` if no pose has a path with clearance."""
     if plan.task.instrument.specification.reads != "null":
         raise InputError(
             "a measuring program is for a touch probe", expected="a plan for a probe", value=plan.task.instrument.name
@@ -47,17 +42,12 @@ def program_steps(plan: SequencePlan) -> ProgramSteps:
         tuple(builder.skipped),
         tuple(_header(plan, builder)),
         tuple(str(name) for name in plan.table.target),
-        (plan.task.sizes.sphere_mm / 2.0, plan.task.sizes.ball_mm / 2.0),
         plan.task.tip_mm,
     )
 
 
 class PoseBuilder:
-    """Builds the steps pose by pose.
-
-    Args:
-        task: machine, instrument and parts on the table.
-    """
+    """Builds the steps pose by pose."""
 
     def __init__(self, task: SequenceTask) -> None:
         self.task = task
@@ -102,7 +92,7 @@ class PoseBuilder:
         return pose.at(self.machine, (self.size.around_mm + np.floor(length * 1e3) / 1e3) * pose.up)
 
     def _way(self, high: np.ndarray) -> list[np.ndarray] | None:
-        """Return the positions from the last one to a retracted one; None if none of the ways tried is clear.
+        """Return clear positions from the last one to a retracted one; None if there are none.
 
         The rotary axes turn first or last, or in between with one linear axis at an end of its range.
         """
@@ -213,11 +203,7 @@ LEAST_DWELL_S: Final = 0.1
 
 
 def drift_steps(plan: DriftPlan) -> ProgramSteps:
-    """Return the steps of the program of a drift test.
-
-    Raises:
-        InputError: a pose or the motion of the axis has no path with clearance inside the ranges.
-    """
+    """Return the steps of the program of a drift test; `InputError` if there is no path with clearance inside the ranges."""
     builder = _DriftBuilder(plan)
     for number in range(1, len(plan.table) + 1):
         builder.read(number)
@@ -230,7 +216,6 @@ def drift_steps(plan: DriftPlan) -> ProgramSteps:
         (),
         tuple(_drift_steps_header(plan, builder)),
         tuple(str(name) for name in (plan.table.target if builder.probing else plan.table.station)),
-        (base.sizes.sphere_mm / 2.0, base.sizes.ball_mm / 2.0),
         base.tip_mm,
         builder.probing,
     )
@@ -259,11 +244,7 @@ class _DriftBuilder(PoseBuilder):
         return self.steps[-1].position
 
     def read(self, number: int) -> None:
-        """Add the steps of a reading: what comes before it, the dwell until its time, the reading, and the motion of the axis after it.
-
-        Raises:
-            InputError: no path with clearance inside the ranges.
-        """
+        """Add the steps of a reading: the way to it, the dwell until its time, the reading, the motion of the axis after it."""
         k = number - 1
         pose, time = self.contact_poses[k], float(self.plan.schedule.time_s[k])
         speed = float(self.plan.schedule.speed_rpm[k])
@@ -319,11 +300,7 @@ class _DriftBuilder(PoseBuilder):
         self._count()
 
     def _exercised(self, number: int, until: float) -> None:
-        """Move the axis to and fro as often as the time until the next reading allows.
-
-        Raises:
-            InputError: no path with clearance inside the ranges.
-        """
+        """Move the axis to and fro as often as the time until the next reading allows."""
         self._leave(number)
         task = self.plan.task
         first, last = self._ends(number)
@@ -338,11 +315,7 @@ class _DriftBuilder(PoseBuilder):
         self._count()
 
     def _ends(self, number: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return the first ends of the motion to and fro that have clearance.
-
-        Raises:
-            InputError: none of those tried has.
-        """
+        """Return the first ends of the motion to and fro that have clearance. Raises `InputError`: none of those tried has."""
         if self.ends is None:
             tried = self._linear_ends() if self.plan.task.moved.linear else self._rotary_ends()
             self.ends = next(

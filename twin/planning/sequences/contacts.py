@@ -26,16 +26,10 @@ def linear_positions(
     places_mm: np.ndarray,
     offset_mm: np.ndarray,
 ) -> np.ndarray:
-    """Return positions (n, axes) at which a part of the tool is at given places, from the nominal kinematics.
+    """Return positions (n, axes) with the tool's part ``tip_mm`` at (n, 3) places in the work frame, offset in the base frame.
 
-    Args:
-        positions: (n, axes) mm and degrees; those of the linear axes are replaced.
-        tip_mm: the part on the tool side, in the frame of the spindle nose.
-        places_mm: (n, 3) places in the work frame.
-        offset_mm: (n, 3) of the tool's part from the place, base frame.
-
-    Raises:
-        InputError: the machine does not have three linear axes that move the tool in all directions.
+    The positions of the linear axes are replaced, from the nominal kinematics; `InputError` unless three move the tool in all
+    directions.
     """
     linear = list(machine.linear)
     q = np.array(positions, dtype=float)
@@ -59,13 +53,7 @@ def linear_positions(
 
 
 def carried_points_mm(machine: Machine, positions: np.ndarray, side: str, places_mm: np.ndarray) -> np.ndarray:
-    """Return (n, 3) points on the tool side or the work side of the nominal machine, base frame, mm.
-
-    Args:
-        positions: (n, axes) mm and degrees.
-        side: ``tool`` or ``work``.
-        places_mm: (n, 3) in the frame of that side.
-    """
+    """Return (n, 3) points of the nominal machine, base frame, mm, from places in the frame of ``side``: ``tool`` or ``work``."""
     n = len(positions)
     errors, carrier = np.zeros((n, 6 * len(machine.frames))), np.full(n, side, dtype=object)
     return observation_of(machine).points(positions * machine.scale, errors, carrier, places_mm * MM) / MM
@@ -82,21 +70,13 @@ ASIDE: Final = 0.17
 @final
 @dataclass(frozen=True)
 class ContactPose:
-    """A pose at a sphere: position with the tip at its centre, and the directions of the contacts.
+    """A pose at a sphere: position with the tip at its centre, and the directions of the contacts."""
 
-    Attributes:
-        centre: (axes,) position with the tip at the nominal centre.
-        to_axes: (3, 3) motion of the linear axes for a motion of the tip in the base frame.
-        up: (3,) from the tip to the spindle, base frame.
-        stem: (3,) from the sphere along its stem, base frame.
-        sides: (4, 3) directions of the contacts at the equator, outwards, base frame.
-    """
-
-    centre: np.ndarray
-    to_axes: np.ndarray
-    up: np.ndarray
-    stem: np.ndarray
-    sides: np.ndarray
+    centre: np.ndarray  # (axes,) position with the tip at the nominal centre
+    to_axes: np.ndarray  # (3, 3) motion of the linear axes for a motion of the tip in the base frame
+    up: np.ndarray  # (3,) from the tip to the spindle, base frame
+    stem: np.ndarray  # (3,) from the sphere along its stem, base frame
+    sides: np.ndarray  # (4, 3) directions of the contacts at the equator, outwards, base frame
 
     def at(self, machine: Machine, away_mm: np.ndarray) -> np.ndarray:
         """Return the position (axes,) with the tip away from the centre by a vector of the base frame, mm."""
@@ -111,13 +91,7 @@ class ContactPose:
 
 
 def contact_poses(task: SequenceTask, positions: np.ndarray, places_mm: np.ndarray) -> list[ContactPose]:
-    """Return the poses at spheres with their directions, from the nominal kinematics.
-
-    Args:
-        task: machine and tip.
-        positions: (n, axes) with the tip at the spheres' centres, mm and degrees.
-        places_mm: (n, 3) the spheres in the work frame.
-    """
+    """Return the poses at spheres, (n, 3) in the work frame, with their directions; ``positions``: (n, axes), tip at the centres."""
     machine, tip = task.machine, np.tile(np.array(task.tip_mm), (len(positions), 1))
     along = np.array([0.0, 0.0, 1.0])
 
@@ -134,12 +108,7 @@ def contact_poses(task: SequenceTask, positions: np.ndarray, places_mm: np.ndarr
 
 
 def _sides(up: np.ndarray, stem: np.ndarray) -> np.ndarray:
-    """Return (4, 3) directions at the equator: the stem's direction across the tool axis is halfway between two of them.
-
-    Args:
-        up: (3,) from the tip to the spindle.
-        stem: (3,) from the sphere along its stem.
-    """
+    """Return (4, 3) directions at the equator: the stem's direction across the tool axis is halfway between two of them."""
     across = stem - (stem @ up) * up
     if np.linalg.norm(across) < SIDEWAYS:
         across = np.eye(3)[int(np.argmin(np.abs(up)))]
@@ -175,23 +144,14 @@ ASSUMED_RADIUS_MM: Final = 200.0
 @final
 @dataclass(frozen=True)
 class Reached:
-    """Points of a sequence that the axes reach.
+    """Points of a sequence that the axes reach."""
 
-    Attributes:
-        points: those points, with the positions of all axes.
-        dropped: number of the other points by reason.
-    """
-
-    points: SequencePoints
-    dropped: Mapping[str, int]
+    points: SequencePoints  # those points, with the positions of all axes
+    dropped: Mapping[str, int]  # number of the other points by reason
 
 
 def reach(task: SequenceTask, points: SequencePoints) -> Reached:
-    """Return the points that the axes reach with clearance, with the positions of the linear axes.
-
-    Raises:
-        InputError: the machine does not have three linear axes that move the tool in all directions.
-    """
+    """Return the points that the axes reach with clearance, and why others are not; `InputError` as of `linear_positions`."""
     machine = task.machine
     places = np.array([task.places_mm[str(name)] for name in points.place]).reshape(-1, 3)
     positions = linear_positions(machine, points.positions, task.tip_mm, places, points.offset_mm)
@@ -263,14 +223,7 @@ def _rod(side: str, start: tuple[float, float, float], length: float, radius: fl
 
 
 def default_place(machine: Machine, tip_mm: tuple[float, float, float], *, central: bool) -> tuple[float, float, float]:
-    """Return the place of one part on the table, in the work frame, mm.
-
-    It is above a turning table, or where the tool is in the middle of the ranges of its linear axes.
-
-    Args:
-        tip_mm: the part on the tool side.
-        central: above the middle of the table, not near its rim.
-    """
+    """Return the place of a part in the work frame, mm: on a turning table (``central``: its middle), or below the tool."""
     if all(machine.axes[i].side == "tool" for i in machine.rotary):
         middle = np.array([[np.mean(axis.domain) if axis.linear else 0.0 for axis in machine.axes]])
         tip = carried_points_mm(machine, middle, "tool", np.array([tip_mm]))

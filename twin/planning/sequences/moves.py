@@ -1,12 +1,11 @@
-"""The measuring sequences: best poses, turns, interpolated motions of ISO 10791-6, circles.
+"""The measuring sequences: best poses, turns, interpolated motions of ISO 10791-6, circles. To add one, add it here.
 
-Kinematic tests in the manner of ISO 10791-6: X, Y and Z follow one or both rotary axes.
-
-The ball in the spindle stays at one place on the table. The text of the standard was not read. Its public scope names neither tests nor
-axes. Florussen, Houben, Spaan and Spaan-Burke (Automating Accuracy Evaluation of 5-Axis Machine Tools, 2020, abstract) use BK1 and BK2
-on machines with a trunnion or swivel table, for the average line of each rotary axis, with one ball; in BK4 all five axes move. AK1,
-AK2 and AK4 are the same motions with both rotary axes on the spindle side, by analogy. No public description was found that says which
-axes move in tests 3, or in CK (one rotary axis on each side); these are refused (`NOT_DESCRIBED`).
+In the kinematic tests in the manner of ISO 10791-6 the ball in the spindle stays at one place on the table. The text of the standard
+was not read. Its public scope names neither tests nor axes. Florussen, Houben, Spaan and Spaan-Burke (Automating Accuracy Evaluation of
+5-Axis Machine Tools, 2020, abstract) use BK1 and BK2 on machines with a trunnion or swivel table, for the average line of each rotary
+axis, with one ball; in BK4 all five axes move. AK1, AK2 and AK4 are the same motions with both rotary axes on the spindle side, by
+analogy. No public description was found that says which axes move in tests 3, or in CK (one rotary axis on each side); these are
+refused (`NOT_DESCRIBED`).
 """
 
 from __future__ import annotations
@@ -20,13 +19,14 @@ from typing import Final, Literal
 
 import numpy as np
 
-from twin._common.errors import InputError
+from twin._common.errors import InputError, closest_name
 from twin.identification.unidentified import constant_rows, without_setup
 from twin.measurement.instruments import StationInstruments
 from twin.measurement.set_up import StationsAndTargets
 from twin.planning.design import Exchange
 from twin.planning.sequences.contacts import reach
 from twin.planning.sequences.specification import (
+    SET_UPS,
     MeasuringSequence,
     SequencePoints,
     SequenceTask,
@@ -131,10 +131,7 @@ def _grid(task: SequenceTask) -> SequencePoints:
 
 
 def _problem(task: SequenceTask, candidates: SequencePoints) -> tuple[np.ndarray, np.ndarray, LinearAim]:
-    """Return the derivatives (n, 3, f), the prior precision (f, f) and the criterion, with the set-up unknown.
-
-    The criterion is the sum of the relative variances of all combinations of constant errors that the candidates determine (A-optimal).
-    """
+    """Return derivatives (n, 3, f), prior precision (f, f) and A-optimality over what the candidates determine, set-up unknown."""
     table = with_nominal_readings(task.machine, sequence_table(task, candidates), task.instrument)
     instruments = StationInstruments.same(task.instrument, table.station)
     setup = StationsAndTargets.from_table(table, instruments)
@@ -328,3 +325,29 @@ TURNS: Final = MeasuringSequence(
     limits="Every axis turns in one direction only, so reversal errors do not show.",
     make=_turns_points,
 )
+
+# --- All sequences --------------------------------------------------------------------------------
+
+SEQUENCES: Final = (BEST, TURNS, *INTERPOLATION, CIRCLES)
+"""The first for an instrument is its default; their names are `twin._common.families.SEQUENCES`."""
+
+
+def sequence_named(name: str | None, instrument: str) -> MeasuringSequence:
+    """Return the sequence of a name for an instrument, the default one if None; `InputError` if it has none of this name."""
+    known = [sequence for sequence in SEQUENCES if instrument in sequence.instruments]
+    names = [one.name for one in known]
+    if name is None and known:
+        return known[0]
+    if name is not None and name.lower() in NOT_DESCRIBED:
+        raise InputError(
+            f"test {name.upper()} of ISO 10791-6 is not included: no public description says {NOT_DESCRIBED[name.lower()]}",
+            expected=f"one of {', '.join(names)}" if names else f"an instrument among {', '.join(SET_UPS)}",
+        )
+    if name not in names:
+        raise InputError(
+            f"no such sequence for instrument {instrument}",
+            expected=f"one of {', '.join(names)}" if names else f"an instrument among {', '.join(SET_UPS)}",
+            value=name,
+            nearest=closest_name(str(name), names),
+        )
+    return known[names.index(name)]

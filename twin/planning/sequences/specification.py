@@ -31,20 +31,13 @@ from twin.planning.kit import Kit
 @final
 @dataclass(frozen=True)
 class PartNames:
-    """Names of the parts of an instrument.
+    """Names of the parts of an instrument."""
 
-    Attributes:
-        station, target: names of the station and the target in the table, without number.
-        places: the parts on the table, in words (plural).
-        tip: the part in the spindle, in words.
-        set_up_s: seconds for setting up one part on the table (assumed): fastening it and finding it with the axes.
-    """
-
-    station: str
+    station: str  # station, target: names of the station and the target in the table, without number
     target: str
-    places: str
-    tip: str
-    set_up_s: float
+    places: str  # the parts on the table, in words (plural)
+    tip: str  # the part in the spindle, in words
+    set_up_s: float  # seconds for setting up one part on the table (assumed): fastening it and finding it with the axes
 
 
 _PARTS: Final = (
@@ -112,25 +105,16 @@ class InstrumentSizes:
 @final
 @dataclass(frozen=True)
 class SequenceTask:
-    """Input of a sequence: machine, instrument, parts on the table and sizes.
-
-    Attributes:
-        instrument: the instrument, one of `SET_UPS`.
-        kit: speeds and usable ranges; its stations, targets and times are not used.
-        tip_mm: (3,) the tool-side part in the frame of the spindle nose.
-        places_mm: the parts on the table by name, in the work frame.
-        minutes: time budget, set-up included.
-        seed: random seed.
-    """
+    """Input of a sequence: machine, instrument, parts on the table and sizes."""
 
     machine: Machine
-    instrument: Instrument
-    kit: Kit
-    tip_mm: tuple[float, float, float]
-    places_mm: Mapping[str, tuple[float, float, float]]
-    minutes: float
+    instrument: Instrument  # the instrument, one of `SET_UPS`
+    kit: Kit  # speeds and usable ranges; its stations, targets and times are not used
+    tip_mm: tuple[float, float, float]  # (3,) the tool-side part in the frame of the spindle nose
+    places_mm: Mapping[str, tuple[float, float, float]]  # the parts on the table by name, in the work frame
+    minutes: float  # time budget, set-up included
     sizes: InstrumentSizes
-    seed: int = 0
+    seed: int = 0  # random seed
 
     @property
     def words(self) -> PartNames:
@@ -156,19 +140,12 @@ class SequenceTask:
 @final
 @dataclass(frozen=True)
 class SequencePoints:
-    """Points of a sequence in order; the positions of the linear axes follow from them.
+    """Points of a sequence in order; the positions of the linear axes follow from them."""
 
-    Attributes:
-        positions: (n, axes) mm and degrees; those of the linear axes are not used.
-        place: (n,) names of the parts on the table.
-        offset_mm: (n, 3) wanted position of the tool-side part from the part on the table, base frame.
-        run: (n,) number of the run, from 1.
-    """
-
-    positions: np.ndarray
-    place: np.ndarray
-    offset_mm: np.ndarray
-    run: np.ndarray
+    positions: np.ndarray  # (n, axes) mm and degrees; those of the linear axes are not used
+    place: np.ndarray  # (n,) names of the parts on the table
+    offset_mm: np.ndarray  # (n, 3) wanted position of the tool-side part from the part on the table, base frame
+    run: np.ndarray  # (n,) number of the run, from 1
 
     @classmethod
     def at_places(cls, positions: np.ndarray, place: np.ndarray | list[str], run: np.ndarray) -> SequencePoints:
@@ -186,24 +163,15 @@ class SequencePoints:
 @final
 @dataclass(frozen=True)
 class MeasuringSequence:
-    """A sequence of poses for instruments that measure the tool relative to the table.
+    """A sequence of poses for instruments that measure the tool relative to the table."""
 
-    Attributes:
-        name: the name that selects it.
-        title: what it is.
-        source: standard and clause, or another source.
-        instruments: names of the instruments that it is for.
-        unverified: what was not checked against the text of the standard; empty if it follows none.
-        limits: what it does not do or show, in words.
-        make: function that returns its points; it raises `InputError` where the machine cannot perform it.
-    """
-
-    name: str
-    title: str
-    source: str
-    instruments: tuple[str, ...]
-    unverified: str
-    limits: str
+    name: str  # the name that selects it
+    title: str  # what it is
+    source: str  # standard and clause, or another source
+    instruments: tuple[str, ...]  # names of the instruments that it is for
+    unverified: str  # what was not checked against the text of the standard; empty if it follows none
+    limits: str  # what it does not do or show, in words
+    # function that returns its points; it raises `InputError` where the machine cannot perform it
     make: Callable[[SequenceTask], SequencePoints]
 
 
@@ -273,13 +241,9 @@ def minutes_of(machine: Machine, kit: Kit, table: Measurements) -> float:
 @final
 @dataclass(frozen=True)
 class Expectation:
-    """The constant errors that a sequence determines, for several states of knowledge of the set-up.
+    """The constant errors that a sequence determines, for several states of knowledge of the set-up."""
 
-    Attributes:
-        by_knowledge: the constant errors by the known parts, in words; nothing known first.
-    """
-
-    by_knowledge: Mapping[str, ConstantErrors]
+    by_knowledge: Mapping[str, ConstantErrors]  # the constant errors by the known parts, in words; nothing known first
 
     @property
     def unknown(self) -> ConstantErrors:
@@ -287,11 +251,7 @@ class Expectation:
         return next(iter(self.by_knowledge.values()))
 
     def lines(self, others: Mapping[str, Mapping[str, float]] | None = None) -> list[str]:
-        """Return the text: one line per constant error, then the errors that are not determined.
-
-        Args:
-            others: further columns by title, u by name.
-        """
+        """Return the text: one line per constant error, then the errors that are not determined."""
         headers, rows = self.rows(others)
         width = max(len(title) for title in headers[1:]) + 2
         lines = [
@@ -344,11 +304,7 @@ def _short(value: float) -> str:
 
 
 def expectation(machine: Machine, table: Measurements, instrument: Instrument) -> Expectation:
-    """Return what a plan determines of the constant errors: with nothing of the set-up known, with its parts known.
-
-    Args:
-        table: the plan, with planned places of stations and targets.
-    """
+    """Return what a plan determines of the constant errors: with nothing of the set-up known, with its parts known."""
     read = with_nominal_readings(machine, table, instrument)
     instruments = StationInstruments.same(instrument, read.station)
     setup = StationsAndTargets.from_table(read, instruments)
