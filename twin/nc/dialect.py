@@ -15,18 +15,10 @@ import numpy as np
 
 from twin._common.arrays import read_only
 from twin._common.errors import InputError
-from twin.nc.blocks import (
-    AxisWords,
-    Interpretation,
-    MoveBuilder,
-    NewPositions,
-    Program,
-    as_columns,
-    encoded,
-)
+from twin.nc.blocks import AxisWords, Interpretation, MoveBuilder, NewPositions, Program, as_columns, encoded
+from twin.nc.chunks import CHUNK_LINES, DELETED_LINE, Chunk, ChunkReader, ChunkWriter
 from twin.nc.inline import Inliner
-from twin.nc.lines.chunks import CHUNK_LINES, DELETED_LINE, Chunk, ChunkReader, ChunkWriter
-from twin.nc.lines.compiled import LineCode, line_code
+from twin.nc.lines import LineCode, line_code
 from twin.nc.text import MM_PER_INCH, Style, format_number, read_lines
 from twin.nc.writer import OutputState
 

@@ -35,7 +35,7 @@ from twin._common.arrays import read_only
 from twin._common.bundled import DEFAULT_ROTARY_LIMIT_DEG
 from twin._common.errors import InputError
 from twin._common.units import DEG, MM, count_with_noun
-from twin.compute.native import CONVERGED, OUT_OF_RANGE, SINGULAR, Batch, InverseProblem, Solver
+from twin.compute.native.solver import CONVERGED, OUT_OF_RANGE, SINGULAR, Batch, InverseProblem, Solver
 from twin.display.results import Result
 from twin.machine.chain import Branch, branches
 from twin.machine.machine import Machine
@@ -62,7 +62,7 @@ class _Residual:
 class Steps:
     """Functions of the inverse kinematics of one machine with one calibration, metres and radians.
 
-    They implement `twin.compute.native.StepFunctions`.
+    They implement `twin.compute.native.solver.StepFunctions`.
 
     Args:
         kinematics: the machine.
@@ -531,7 +531,7 @@ class Solution(Result):
 
     Attributes:
         positions: (n, axes) commands, mm and degrees; for ``out of range`` the solution beyond the limits.
-        code: (n,) status codes of `twin.compute.native`.
+        code: (n,) status codes of `twin.compute.native.solver`.
         point_residual_mm: (n,) residual distance of the point.
         orientation_residual_rad: (n,) residual angle between tool axis and target.
         iterations: largest number of Newton steps over all poses.

@@ -19,7 +19,7 @@ from twin._common.files import check_writable, move_into_place, scratch_folder, 
 from twin._common.resources import Progress, silent
 from twin.compensation.programs.compensator import Compensator
 from twin.compensation.programs.prepared import Options
-from twin.compute.native import equal_portions
+from twin.compute.native.compiler import equal_portions
 from twin.compute.parallel import Workers, map_as_completed
 from twin.display.results import Result
 from twin.machine.machine import Machine

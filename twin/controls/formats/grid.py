@@ -17,8 +17,8 @@ import numpy as np
 
 from twin._common.csv_tables import read_table
 from twin._common.errors import InputError
+from twin.controls.correction import CorrectionGrid
 from twin.controls.format import TableFormat, TableLine, fixed_decimals
-from twin.controls.volumetric import CorrectionGrid
 from twin.machine.machine import Machine
 
 FILE: Final = "grid.csv"

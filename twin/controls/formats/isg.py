@@ -33,9 +33,8 @@ import numpy as np
 
 from twin._common.errors import InputError
 from twin._common.units import count_with_noun
-from twin.controls.correction import ControlCurve, period_of
+from twin.controls.correction import AxisErrors, ControlCurve, VolumetricCorrection, period_of, rest_geometry
 from twin.controls.format import TableFormat, TableLine, check_increasing, fixed_decimals, table_lines
-from twin.controls.volumetric import AxisErrors, VolumetricCorrection, rest_geometry
 from twin.machine.error_names import DIRECTIONS
 from twin.machine.machine import Axis, Machine
 

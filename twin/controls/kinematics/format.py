@@ -30,9 +30,8 @@ from twin._common.errors import InputError
 from twin._common.files import scratch_folder
 from twin._common.units import MM
 from twin.compute.along import BatchFunction
-from twin.controls.correction import Correction, TableSummary
+from twin.controls.correction import Correction, TableSummary, check_linear, rest_geometry
 from twin.controls.format import TableLine, table_lines
-from twin.controls.volumetric import check_linear, rest_geometry
 from twin.machine.chain import frame_pose, joint_in_base, joint_twist
 from twin.machine.machine import Axis, Machine
 from twin.numerics.spatial import rotation_exp

@@ -19,6 +19,7 @@ from typing import Final, final
 import numpy as np
 
 from twin._common.arrays import read_only
+from twin.controls.correction import check_linear
 from twin.controls.format import TableLine, fixed_decimals
 from twin.controls.kinematics.format import (
     SHORTEST,
@@ -30,7 +31,6 @@ from twin.controls.kinematics.format import (
     table_geometry,
     work_origin,
 )
-from twin.controls.volumetric import check_linear
 from twin.machine.machine import Machine
 
 _DIGITS: Final = 6

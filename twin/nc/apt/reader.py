@@ -32,9 +32,8 @@ from twin.nc.blocks import (
     fill_forward,
     line_ends,
 )
-from twin.nc.lines.chunks import DELETED_LINE
-from twin.nc.lines.compiled import LineCode
-from twin.nc.lines.scan import Scan
+from twin.nc.chunks import DELETED_LINE
+from twin.nc.lines import LineCode, Scan
 from twin.nc.modal import AUXILIARY, BESIDE, CORRECTION_DEG, SWITCHING_M
 from twin.nc.text import BOM, MM_PER_INCH, UNIT_LENGTH, ProgramEnd, number, unit_vector
 from twin.nc.writer import Vector

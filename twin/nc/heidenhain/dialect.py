@@ -15,14 +15,15 @@ import numpy as np
 
 from twin._common.families import PROGRAM_SUFFIXES
 from twin.nc.blocks import AxisWords, Kind, Move, MoveColumns, NewPositions, Program, Rewrite
+from twin.nc.chunks import BlockReader, Chunk, ChunkReader, ChunkRewriter, ChunkWriter, SimpleRun
 from twin.nc.dialect import NOTHING, Dialect, FeedUnit, LineWords, NewProgram, as_comment, points_words
 from twin.nc.heidenhain import vocabulary
-from twin.nc.heidenhain.calls import Cycle, CycleCall, HeidenhainInliner, PathBlock, scan
+from twin.nc.heidenhain.calls import HeidenhainInliner, scan
 from twin.nc.heidenhain.interpreter import HeidenhainInterpreter
+from twin.nc.heidenhain.modal import Cycle, CycleCall, PathBlock
 from twin.nc.heidenhain.vocabulary import HEAD, UNNUMBERED, numbered_as, renumbered, with_continued_marked
 from twin.nc.inline import Inliner
-from twin.nc.lines.chunks import BlockReader, Chunk, ChunkReader, ChunkRewriter, ChunkWriter, SimpleRun
-from twin.nc.lines.compiled import LineCode, line_code
+from twin.nc.lines import LineCode, line_code
 from twin.nc.text import (
     Style,
     apply_edits,
@@ -258,7 +259,7 @@ class HeidenhainWriter(WordWriter[PathBlock]):
         return ("TX", "TY", "TZ")
 
 
-# --- Heidenhain programs written in chunks (`twin.nc.lines.chunks`), with blocks renumbered where lines were inserted
+# --- Heidenhain programs written in chunks (`twin.nc.chunks`), with blocks renumbered where lines were inserted
 
 _SPLIT: Final = re.compile(
     rb"(?:\A|(?<=[\r\n]))([ \t]*+(?:\d++[ \t]*+)?+L)([ \t][^\r\n]*+)(\r\n|\n|\r)((?:[A-CU-Za-cu-z][^\r\n]*+(?:\r\n|\n|\r))++)"

@@ -12,8 +12,7 @@ import numpy as np
 from twin._common.errors import InputError
 from twin.nc.blocks import Arc, AxisWords, Kind, Move, MoveColumns, Notice
 from twin.nc.heidenhain import vocabulary
-from twin.nc.heidenhain.calls import PathBlock
-from twin.nc.heidenhain.frame import PLANES, HeidenhainFrame
+from twin.nc.heidenhain.modal import PLANES, HeidenhainFrame, PathBlock
 from twin.nc.modal import SWITCHING_M, AxisWord, Span
 from twin.nc.text import BLANK, MM_PER_INCH, number
 from twin.nc.writer import Vector

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable
 from functools import lru_cache
 from typing import Final, NamedTuple, final
 
-from twin.nc.lines.scan import simple_axis_letters
+from twin.nc.lines import simple_axis_letters
 from twin.nc.text import line_pattern, number
 
 _VALUE = r"[+-]?+[ \t]*+(?:[\d.,]++|Q[LR]?\d++)"

@@ -12,13 +12,7 @@ import numpy as np
 
 from twin._common.families import PROGRAM_SUFFIXES
 from twin.nc.blocks import AxisWords, Kind, MoveColumns, NewPositions, Program
-from twin.nc.dialect import NOTHING, Dialect, FeedUnit, LineWords, NewProgram, as_comment, points_words
-from twin.nc.inline import Inliner
-from twin.nc.iso import vocabulary
-from twin.nc.iso.calls import IsoInliner
-from twin.nc.iso.interpreter import RIGID, IsoInterpreter
-from twin.nc.iso.writer import CODE, IsoWriter
-from twin.nc.lines.chunks import (
+from twin.nc.chunks import (
     BlockReader,
     ChunkReader,
     ChunkRewriter,
@@ -27,7 +21,13 @@ from twin.nc.lines.chunks import (
     only_places,
     replaces_some,
 )
-from twin.nc.lines.compiled import ARRAYS, LineCode, line_code
+from twin.nc.dialect import NOTHING, Dialect, FeedUnit, LineWords, NewProgram, as_comment, points_words
+from twin.nc.inline import Inliner
+from twin.nc.iso import vocabulary
+from twin.nc.iso.calls import IsoInliner
+from twin.nc.iso.interpreter import RIGID, IsoInterpreter
+from twin.nc.iso.writer import CODE, IsoWriter
+from twin.nc.lines import ARRAYS, LineCode, line_code
 from twin.nc.text import BOM, Style, first_lines, insert_comments, newline_of, number, style_in
 from twin.nc.writer import Formatting, Segments
 
@@ -95,7 +95,7 @@ def _dwell(values: Mapping[str, str]) -> float:
     return pause / 1000.0 if "." not in values["P"] and pause >= MILLISECONDS else pause
 
 
-# --- ISO programs processed in chunks (`twin.nc.lines.chunks`) ------------------------------------
+# --- ISO programs processed in chunks (`twin.nc.chunks`) ------------------------------------
 
 _LINE: Final = re.compile(rb"[^\r\n]*+(?:\r\n|\n|\r)")
 
@@ -113,14 +113,7 @@ class IsoRewriter(ChunkRewriter):
     """
 
     def __init__(
-        self,
-        source: str,
-        axes: AxisWords,
-        newline: str,
-        style: Style,
-        *,
-        tcp: bool,
-        code: LineCode = ARRAYS,
+        self, source: str, axes: AxisWords, newline: str, style: Style, *, tcp: bool, code: LineCode = ARRAYS
     ) -> None:
         self._interpreter = IsoInterpreter(source, axes, tcp=tcp)
         self._writer = IsoWriter(source, axes, newline, style)

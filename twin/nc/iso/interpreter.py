@@ -10,9 +10,8 @@ from twin._common.errors import InputError
 from twin.nc.blocks import AxisWords, Kind, Move, MoveColumns, Notice
 from twin.nc.iso import vocabulary
 from twin.nc.iso.cycles import PATTERNS, SINUMERIK
-from twin.nc.iso.frame import TOOL_CHANGE, IsoBlock, Item
+from twin.nc.iso.frame import PROGRAMMED, TOOL_CHANGE, IsoBlock, Item
 from twin.nc.iso.motion import CENTRE, INCH_CODES, SPINDLE_VECTOR, IsoMotion
-from twin.nc.iso.shifts import PROGRAMMED
 from twin.nc.modal import SWITCHING_M, Block, Span
 from twin.nc.text import BLANK, BOM, number
 

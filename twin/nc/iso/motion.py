@@ -11,8 +11,7 @@ from twin.nc.arcs import MOST_TURNS, PLANES, ArcMisfit, arc_by_centre, arc_by_ra
 from twin.nc.blocks import Arc, AxisWords, Kind, Move
 from twin.nc.iso import cycles, vocabulary
 from twin.nc.iso.cycles import Drilling, Stroke
-from twin.nc.iso.frame import IsoBlock, Item
-from twin.nc.iso.shifts import IsoShift
+from twin.nc.iso.frame import IsoBlock, IsoShift, Item
 from twin.nc.modal import BESIDE, CORRECTION_DEG, AxisWord, Span
 from twin.nc.text import MM_PER_INCH, number
 

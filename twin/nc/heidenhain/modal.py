@@ -1,19 +1,324 @@
-"""Effects of Heidenhain blocks on the frame: preset, tool, tilted plane, shift and rotation."""
+"""Modal state of a Heidenhain program: machining cycle, pole and contour, preset, tool, tilted plane, shift and rotation.
+
+Sources: HEIDENHAIN TNC 640, user's manuals "Programming of machining cycles" (200 to 209, 240, 241; calls by ``CYCL CALL``, ``M99`` and
+``M89``) and "Klartext programming", chapter "Programming contours" (``CC``, ``LP``, ``CP``, ``RL``, ``RR``); iTNC 530, "Cycles" (1, 2,
+17 and 18).
+"""
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
-from dataclasses import replace
-from typing import Final
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Final, NamedTuple, final
 
-from twin.nc.blocks import Plane, Rows, product, rotation_about, rotation_along
+from twin.nc.arcs import MOST_TURNS, ArcMisfit, arc_by_centre, arc_by_radius
+from twin.nc.blocks import Arc, Kind, Move, Plane, Rows, product, rotation_about, rotation_along
 from twin.nc.heidenhain import vocabulary
-from twin.nc.heidenhain.calls import PathBlock
-from twin.nc.heidenhain.paths import HeidenhainPaths
-from twin.nc.modal import Block
+from twin.nc.modal import BESIDE, CORRECTION_DEG, Block, Interpreter, Span
 from twin.nc.text import MM_PER_INCH
+
+# --- Data of one block ----------------------------------------------------------------------------
+
+_SURFACE: Final = "Q203"
+_VALUE: Final = re.compile(rf"({_SURFACE}[ \t]*=[ \t]*)([^;~\r\n]*?)([ \t]*(?:[;~].*)?)$", re.ASCII | re.IGNORECASE)
+
+
+@final
+@dataclass
+class Cycle:
+    """A machining cycle that the next calls execute.
+
+    Attributes:
+        number: its number.
+        texts: the lines of its definition without block number and line ending.
+        given: the parameters that these set.
+        open: whether the next line may set a further one.
+        changed: whether one of them has been set after the definition.
+    """
+
+    number: int
+    texts: list[str]
+    given: set[str] = field(default_factory=set)
+    open: bool = True
+    changed: bool = False
+
+    def lines(self, surface: Callable[[str], str]) -> list[str]:
+        """Return the lines of the definition; ``surface``: the text of Q203 for the one that is given."""
+        texts = [
+            _VALUE.sub(lambda found: found[1] + surface(found[2]) + found[3], text).rstrip() for text in self.texts
+        ]
+        return [text if text.endswith("~") else f"{text} ~" for text in texts[:-1]] + [texts[-1].rstrip("~ \t")]
+
+
+class CycleCall(NamedTuple):
+    """The call of a cycle in a block.
+
+    Attributes:
+        cycle: what is called.
+        top: height at which it begins, mm.
+        surface: height of the surface, mm; NaN: it begins and ends where the tool is.
+        level: height at which it ends, mm.
+        axis: the linear axis that drills.
+    """
+
+    cycle: Cycle
+    top: float
+    surface: float
+    level: float
+    axis: int
+
+
+@final
+@dataclass(slots=True)
+class PathBlock(Block):
+    """One block: `twin.nc.modal.Block` with the attributes of Heidenhain blocks.
+
+    Attributes:
+        numbered: whether it has a number.
+        keyword: ``L``, ``LN``, ``LP``, ``C``, ``CP``, ``CR``, or ``""`` for a paraxial block.
+        rapid_text: ``FMAX`` as written, or empty.
+        normal_text: the words ``NX NY NZ`` as written.
+        normal: their components, or None.
+        tool: the components of ``TX TY TZ``, or None.
+        clockwise: the sense of an arc, or None.
+        radius: mm, or None.
+        machine: whether its words are machine coordinates.
+        elsewhere: whether these count from a point of the machine's builder (M92).
+        retracts: whether it retracts along the tool axis.
+        polar: radius and angle of the end point about the pole: value in mm or degrees, and whether it is an increment.
+        polar_words: the words that give them.
+        calls: whether it calls the machining cycle in force behind its motion.
+        call_words: its words that say so (``M99``, ``M89``).
+        call: what it calls.
+        positions: whether its first move is that of its own words.
+        leads: whether the control itself finds the path to its end: a lead-in or lead-out, a tangential arc.
+    """
+
+    numbered: bool = False
+    keyword: str = ""
+    keyword_end: int = 0
+    rapid_text: str = ""
+    normal_text: list[str] = field(default_factory=list)
+    normal: list[float] | None = None
+    tool: list[float] | None = None
+    clockwise: bool | None = None
+    radius: float | None = None
+    machine: bool = False
+    elsewhere: bool = False
+    retracts: bool = False
+    polar: dict[str, tuple[float, bool]] = field(default_factory=dict)
+    polar_words: list[Span] = field(default_factory=list)
+    calls: bool = False
+    call_words: list[Span] = field(default_factory=list)
+    call: CycleCall | None = None
+    positions: bool = True
+    leads: bool = False
+
+
+# --- Machining cycles that make holes: the control executes them at a corrected place --------------
+# A cycle from 200 on goes at rapid to the set-up clearance Q200 above the surface Q203, and returns to it, or to the second set-up
+# clearance Q204 above the surface if that is higher. The older ones begin and end where the tool is.
+
+HOLES: Final = frozenset({*range(200, 210), 240, 241})
+AT_PRESENT_HEIGHT: Final = frozenset({1, 2, 17, 18})
+
+
+class HeidenhainCycles(Interpreter):
+    """The machining cycle in force and its calls.
+
+    Attributes:
+        plane: in-plane axes and the drilling axis.
+        modal: whether every positioning calls the cycle (``M89``).
+    """
+
+    plane = (0, 1, 2)
+    modal = False
+    _in_force: Cycle | None = None
+
+    def define(self, number: int, part: str | None, body: str) -> None:
+        """Begin the definition of a machining cycle, or take a further line of an older one (``1.1``)."""
+        if part not in (None, "0"):
+            if self._in_force is not None and self._in_force.number == number:
+                self._in_force.texts.append(body)
+        elif number in HOLES or number in AT_PRESENT_HEIGHT:
+            self._in_force = Cycle(number, [body], {name.upper() for name, _ in vocabulary.ASSIGNED.findall(body)})
+        elif number not in vocabulary.BESIDE_CYCLES:
+            self._in_force = None
+
+    def take_parameters(self, body: str) -> None:
+        """Take a line that only sets parameters: it belongs to the definition of a cycle directly before it, else it may change it."""
+        names = {name.upper() for name, _ in vocabulary.ASSIGNED.findall(body)}
+        cycle = self._in_force
+        if cycle is not None and cycle.open and cycle.number in HOLES:
+            cycle.texts.append(body)
+            cycle.given |= names
+        elif cycle is not None and cycle.given & names:
+            cycle.changed = True
+
+    def close_definition(self) -> None:
+        """End the definition of a cycle: another statement follows."""
+        if self._in_force is not None:
+            self._in_force.open = False
+
+    def call_cycle(self, block: PathBlock) -> None:
+        """Add the approach of the cycle in force to the moves of a block.
+
+        Raises:
+            InputError: no cycle is in force, its heights are unknown, or the mode does not allow it.
+        """
+        cycle, axis = self._in_force, self.plane[2]
+        if cycle is None:
+            expected = f"cycle 200 to 209, 240, 241, 1, 2, 17 or 18 defined before it; or {vocabulary.EXPANDED_CYCLE}"
+            raise self.error("cycle call without a cycle that is known", expected)
+        what, name = f"cycle call of cycle {cycle.number}", self.names[axis]
+        if self.unknown:
+            raise self.error(f"{what} where {self.unknown}", "the words named as harmless in the machine file")
+        if self.tcp or self.vector is not None:
+            raise self.error(what, "a position without tool centre point control (M129)")
+        if cycle.changed:
+            raise self.error(what, "a new CYCL DEF instead of its parameters set after it")
+        at = self.position[axis]
+        if at != at:
+            raise self.error(f"{what} while the position of {name} is unknown", f"a position of {name} before it")
+        surface, top, level = math.nan, at, at
+        if cycle.number in HOLES:
+            unit = MM_PER_INCH if self.inch else 1.0
+            clearance, surface = (self._parameter(what, name) * unit for name in ("Q200", _SURFACE))
+            second = self._parameter(what, "Q204") * unit if "Q204" in cycle.given else clearance
+            top, level = surface + clearance, surface + max(second, clearance)
+        if abs(top - at) > 1e-9:
+            self.position[axis] = top
+            named = frozenset((name,))
+            block.moves += (Move(self._line, Kind.RAPID, False, tuple(self.position), named),)
+        self.use_set_up(Kind.LINEAR)
+        block.call = CycleCall(cycle, top, surface, level, axis)
+        self.position[axis] = level
+        self.drilled.append(range(self._line, self._line + 1))
+        self.note(
+            f"cycle {cycle.number} is left to the control: its place and its heights have the correction of the height where it begins",
+            once=True,
+        )
+
+    def _parameter(self, what: str, name: str) -> float:
+        cycle = self._in_force
+        if cycle is None or name not in cycle.given:
+            raise self.error(what, f"{name} in its definition")
+        value = self.value_of(name)
+        if value != value:
+            raise self.error(f"{what} with an unknown {name}", "a number, or a Q parameter set to a number before")
+        return value
+
+    def take_call_word(self, block: PathBlock, code: int, span: Span) -> None:
+        """Take ``M89`` or ``M99``: the block calls the cycle after its motion."""
+        block.call_words.append(span)
+        block.calls = True
+        self.modal = code == 89
+
+
+# --- Arcs, end points about the pole, and cutter radius compensation ------------------------------
+
+
+class HeidenhainPaths(HeidenhainCycles):
+    """Arcs, points about the pole and the side of the contour.
+
+    Attributes:
+        centre: the pole in force (``CC``), by axis.
+        on_contour: whether the last block in the plane was compensated.
+    """
+
+    centre: Mapping[int, float] = {}
+    on_contour = False
+
+    def leave_contour(self) -> None:
+        """Check that no radius compensation is selected where the control leaves the contour.
+
+        Raises:
+            InputError: it is.
+        """
+        if self.beside:
+            raise self.error("machine coordinates under cutter radius compensation", "R0 before them")
+        self.on_contour = False
+
+    def compensated(self, block: PathBlock, rotary: list[float]) -> bool:
+        """Return whether a block is under cutter radius compensation, or leads in or out; ``rotary``: the axes before it.
+
+        Raises:
+            InputError: it turns the tool, or calls a cycle.
+        """
+        if not (self.beside or self.on_contour or block.leads):
+            return False
+        here = self.position[self.linear :]
+        turns = any(not abs(a - b) <= CORRECTION_DEG for a, b in zip(here, rotary, strict=True) if a == a or b == b)
+        if self.tcp or self.vector is not None or block.normal is not None or turns or block.calls or self.modal:
+            what = "cutter radius compensation with a tool that turns, or in a cycle"
+            raise self.error(what, "the tool centre path (R0)")
+        self.note(BESIDE, once=True)
+        a, b, _ = self.plane
+        if block.polar or block.axis_bits & (1 << a | 1 << b) or block.keyword in vocabulary.ARCS:
+            self.on_contour = self.beside
+        return True
+
+    def polar_end(self, block: PathBlock, start: list[float]) -> float | None:
+        """Set the end point of a block given about the pole, and return its sweep in radians if that is given.
+
+        Raises:
+            InputError: the pole, the start or the angle is unknown, or a word contradicts another.
+        """
+        a, b, _ = self.plane
+        if not (a in self.centre and b in self.centre):
+            raise self.error(f"{block.keyword} without a pole", "CC before it")
+        if block.axis_bits & (1 << a | 1 << b) or (
+            block.keyword == "CP" and ("R" in block.polar or "A" not in block.polar)
+        ):
+            expected = "CP with PA or IPA" if block.keyword == "CP" else "PR and PA without axis words of the plane"
+            raise self.error(f"{block.keyword} with other words", expected)
+        u, v = start[a] - self.centre[a], start[b] - self.centre[b]
+        if math.hypot(u, v) < 1e-9 and (
+            block.keyword == "CP" or block.polar.keys() != {"R", "A"} or block.polar["A"][1]
+        ):
+            raise self.error(f"{block.keyword} from the pole itself", "PR and PA")
+        values = {"R": math.hypot(u, v), "A": math.degrees(math.atan2(v, u))}
+        begin = math.radians(values["A"])
+        for name, (value, incremental) in block.polar.items():
+            values[name] = value + (values[name] if incremental else 0.0)
+        if not all(map(math.isfinite, values.values())):
+            raise self.error(f"{block.keyword} from an unknown position", "a position of both axes before it")
+        angle = math.radians(values["A"])
+        self.position[a] = self.centre[a] + values["R"] * math.cos(angle)
+        self.position[b] = self.centre[b] + values["R"] * math.sin(angle)
+        if block.keyword != "CP" or not block.polar["A"][1]:
+            return None
+        if block.clockwise is not None and (angle < begin) != block.clockwise:
+            raise self.error("CP whose angle and sense differ", "IPA with the sign of DR")
+        if abs(angle - begin) > math.radians(360.0 * MOST_TURNS):
+            raise self.error("arc of too many turns", f"at most {MOST_TURNS} turns")
+        return angle - begin
+
+    def arc(self, block: PathBlock, start: list[float], sweep: float | None) -> Arc:
+        """Return the arc of a block; ``sweep``: in radians, if the block gives it.
+
+        Raises:
+            InputError: it has no sense, no centre or radius, or is invalid.
+        """
+        if block.clockwise is None:
+            raise self.error("circular block without its sense", "DR+ or DR-")
+        a, b, _ = self.plane
+        from_, to = (start[a], start[b]), (self.position[a], self.position[b])
+        if block.keyword == "CR":
+            if block.radius is None:
+                raise self.error("CR without a radius", "R+10 or R-10")
+            return self.valid_arc(arc_by_radius(self.plane, from_, to, block.radius, block.clockwise))
+        if a in self.centre and b in self.centre:
+            centre = (self.centre[a], self.centre[b])
+            if sweep:
+                return Arc(self.plane, centre, sweep)
+            return self.valid_arc(arc_by_centre(self.plane, from_, to, centre, block.clockwise))
+        return self.valid_arc(ArcMisfit("circular block without its centre", "CC before it"))
+
+
+# --- Preset, tool, tilted plane, shift and rotation -----------------------------------------------
 
 _PRESET: Final = "Q339"
 PLANES: Final = {"Z": (0, 1, 2), "Y": (2, 0, 1), "X": (1, 2, 0)}

@@ -24,8 +24,7 @@ from twin.nc.blocks import (
     Notice,
     fill_forward,
 )
-from twin.nc.lines.compiled import ARRAYS, LineCode
-from twin.nc.lines.scan import MOST_DIGITS, Scan
+from twin.nc.lines import ARRAYS, MOST_DIGITS, LineCode, Scan
 from twin.nc.modal import Interpreter
 from twin.nc.text import MM_PER_INCH
 from twin.nc.writer import LARGEST_STEPS, Formatting, Segments, WordWriter
@@ -58,12 +57,7 @@ class Chunk:
     """
 
     def __init__(
-        self,
-        data: bytes,
-        first: int,
-        names: tuple[str, ...],
-        code: LineCode = ARRAYS,
-        scanner: Scanner | None = None,
+        self, data: bytes, first: int, names: tuple[str, ...], code: LineCode = ARRAYS, scanner: Scanner | None = None
     ) -> None:
         self.scan = code.scan(data, names) if scanner is None else scanner(data, names, code)
         self.first = first
