@@ -38,25 +38,16 @@ class _RowsJob(ctypes.Structure):
 
 @final
 class RowFunction:
-    """A function from columns to rows, evaluated by compiled code or NumPy; the results agree to rounding.
-
-    Args:
-        function: dense inputs and outputs.
-    """
+    """A function from columns to rows, dense, evaluated by compiled code or NumPy; the results agree to rounding."""
 
     def __init__(self, function: ca.Function) -> None:
         self._routine = CompiledRoutine(function, "rows.cpp")
         self._library: ctypes.CDLL | None = None
 
     def __call__(self, inputs: Sequence[np.ndarray], outputs: tuple[np.ndarray, ...]) -> bool:
-        """Fill the outputs.
+        """Fill the outputs, C-contiguous (rows, entries) each; return False, and do nothing, for an unsupported operation.
 
-        Args:
-            inputs: (rows, entries) doubles of any strides; a number shared by all rows has stride 0.
-            outputs: (rows, entries) each, C-contiguous.
-
-        Returns:
-            False if the function has an unsupported operation (`twin.compute.native.tape`) and nothing was done.
+        Inputs are (rows, entries) doubles of any strides; a number shared by all rows has stride 0.
         """
         tape = self._routine.tape
         if tape is None:
@@ -164,11 +155,7 @@ class Totals:
 
 @final
 class CompiledAlong:
-    """A function along lines.
-
-    Args:
-        function: dense inputs and outputs; the last input is the fraction of a line, the others are one number for each line.
-    """
+    """A function along lines: its last input is the fraction of a line, the others are one number for each line."""
 
     def __init__(self, function: ca.Function) -> None:
         self._routine = CompiledRoutine(function, "along.cpp")
@@ -183,11 +170,9 @@ class CompiledAlong:
         self._routine.refuse()
 
     def largest(self, inputs: Sequence[np.ndarray], points: np.ndarray) -> np.ndarray | None:
-        """Return (lines,) the largest value, at least 0, of the function on each line; None if an angle is too large for the C++.
+        """Return (lines,) the largest value, at least 0, on each line; None if an angle is too large for the C++.
 
-        Args:
-            inputs: (lines, entries) doubles each, of any strides.
-            points: (lines,) number of points of each line.
+        Inputs are (lines, entries) doubles of any strides; ``points``: (lines,) number of points of each line.
         """
         worst = np.zeros(len(points))
         parts = self._parts(inputs, points, np.inf, lambda part, job: setattr(job, "worst", worst[part].ctypes.data))
@@ -260,15 +245,7 @@ SMALL_CHUNK = 128
 
 @final
 class BatchFunction:
-    """A function of arrays with one row per pose.
-
-    Args:
-        function: a CasADi function with dense inputs; each input and output becomes an array of shape (rows, entries), entries
-            column-major.
-
-    Attributes:
-        widths_out: number of entries of each output.
-    """
+    """A dense function of arrays with one row per pose: (rows, entries) for each input and output, entries column-major."""
 
     def __init__(self, function: ca.Function) -> None:
         self._widths_in = [function.numel_in(i) for i in range(function.n_in())]
@@ -284,14 +261,7 @@ class BatchFunction:
         return RowFunction(self._function)
 
     def __call__(self, *inputs: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Evaluate all rows.
-
-        Args:
-            inputs: (rows, entries) each, or (entries,) for one value shared by all rows.
-
-        Returns:
-            One (rows, entries) array per output.
-        """
+        """Return one (rows, entries) array per output; inputs: (rows, entries) each, or (entries,) for one value shared by all rows."""
         rows = max((array.shape[0] for array in inputs if len(array.shape) == 2), default=1)
         arrays = [
             np.broadcast_to(np.asarray(array, dtype=float), (rows, width))
@@ -376,11 +346,7 @@ Found = TypeVar("Found", np.ndarray, Totals)
 
 @final
 class AlongFunction:
-    """A function at points spread evenly along lines: at fractions (k + ½)/n of each.
-
-    Args:
-        function: dense inputs, of which the last is the fraction; scalar outputs.
-    """
+    """A function of dense inputs, the last of them fractions (k + ½)/n of a line, at points along lines; scalar outputs."""
 
     def __init__(self, function: ca.Function) -> None:
         self._rows = BatchFunction(function)
@@ -388,11 +354,9 @@ class AlongFunction:
         self._confirmed = False
 
     def largest(self, inputs: tuple[np.ndarray, ...], points: np.ndarray) -> np.ndarray:
-        """Return (lines,) the largest value, at least 0, of a function with one output on each line.
+        """Return (lines,) the largest value, at least 0, of a function with one output on each line of so many points.
 
-        Args:
-            inputs: (lines, entries) each, or (entries,) for one value shared by all lines.
-            points: (lines,) number of points on each line.
+        Inputs are (lines, entries) each, or (entries,) for one value shared by all lines.
         """
         compiled = self._compiled.largest
         return self._chosen(inputs, points, compiled, self._largest, lambda found: found)

@@ -162,10 +162,7 @@ def map_in_order(
     *,
     name: Callable[[Task], str] = str,
 ) -> Iterator[Result]:
-    """Run tasks as `map_as_completed` and yield their results in the order of the tasks.
-
-    Sums over the results are then reproducible to the last bit.
-    """
+    """Run tasks as `map_as_completed` and yield their results in the order of the tasks: sums are then reproducible to the last bit."""
     early: dict[int, Result] = {}
     following = 0
     with closing(map_as_completed(function, shared, tasks, workers, name=name)) as found:
@@ -197,11 +194,7 @@ def _completed(
 ) -> Iterator[tuple[int, Future[Any]]]:
     """Submit tasks, at most ``most`` at a time, and yield each that has ended; none are submitted after a worker has died.
 
-    Args:
-        submit: function that submits the task of an index.
-        indices: the tasks.
-        most: largest number of tasks in flight.
-        check: function called every `CHECK_S` while no task ends; it may raise to end the wait.
+    ``check`` is called every `CHECK_S` while no task ends; it may raise to end the wait.
     """
     waiting, running = iter(indices), dict[Future[Any], int]()
     while True:
@@ -372,12 +365,9 @@ def _on_cluster(
 
 
 def _run_there(common: bytes, packed: bytes, expected: dict[str, str]) -> Any:
-    """Run a task on a worker of a cluster as `_run`.
+    """Run a pickled task, with the pickled function and shared value, on a worker of a cluster as `_run`.
 
-    Args:
-        common: the function and the shared value, pickled.
-        packed: the task, pickled.
-        expected: the versions on the calling computer; a worker that joined later has not been checked.
+    ``expected``: the versions on the calling computer; a worker that joined later has not been checked.
     """
     # A Dask worker may have several threads, but only one at a time may use the shared value.
     with _task_lock:
@@ -411,11 +401,7 @@ def _dask_logs_off() -> Iterator[None]:
 
 @contextmanager
 def _client(address: str, tls: Tls | None) -> Iterator[Client]:
-    """Connect to a scheduler.
-
-    Raises:
-        InputError: there is none at the address, or address and TLS files do not match.
-    """
+    """Connect to a scheduler; raise `InputError` if there is none at the address, or address and TLS files do not match."""
     from distributed import Client
 
     security, secure = _security(tls), address.startswith("tls://")
@@ -447,11 +433,7 @@ def _client(address: str, tls: Tls | None) -> Iterator[Client]:
 
 
 def _security(tls: Tls | None) -> Security:
-    """Return Dask's security settings for the files.
-
-    Raises:
-        InputError: a file is missing or is not a certificate or key.
-    """
+    """Return Dask's security settings for the files; raise `InputError` if one is missing or is not a certificate or key."""
     from distributed.security import Security
 
     files = {} if tls is None else {"tls_ca_file": tls.ca_file, "tls_client_cert": tls.certificate}

@@ -57,11 +57,7 @@ class TableEntry:
 
     @classmethod
     def of(cls, file: Path, kind: str, classes: Sequence[str]) -> TableEntry:
-        """Create the entry of a file with its current hash.
-
-        Raises:
-            InputError: the file cannot be read.
-        """
+        """Return the entry of a file with its current hash; raise `InputError` if it cannot be read."""
         return cls(file, kind, tuple(classes), file_sha256(file))
 
     def check(self) -> None:
@@ -81,7 +77,6 @@ class ControlSection:
     """The `control:` section of a calibration file.
 
     Attributes:
-        errors_are: ``uncorrected`` or ``remaining``.
         tables: the tables active in the control.
         kinematics: the file of the transformation's kinematics, if they were written from a calibration; at most one.
         live: calibrations whose errors a kinematics module in the control corrects, completely.
@@ -139,11 +134,7 @@ class ControlSection:
 
 
 def file_sha256(file: Path) -> str:
-    """Return the SHA-256 of a file.
-
-    Raises:
-        InputError: the file cannot be read.
-    """
+    """Return the SHA-256 of a file; raise `InputError` if it cannot be read."""
     return sha256(read_bytes(file)).hexdigest()
 
 

@@ -46,9 +46,6 @@ class Correction(ABC):
 
     The machine then moves to q + c(q). A table that corrects a positioning error E_XX of +5 µm has c = −5 µm; the sign in the file
     depends on the format.
-
-    Attributes:
-        machine: the machine whose axes it moves.
     """
 
     machine: Machine
@@ -66,12 +63,9 @@ class Correction(ABC):
     def shift(self, axis: str, positions: Mapping[str, Any]) -> Any:
         """Return the value added to the command of one axis: µm for a linear axis, µrad for a rotary one.
 
-        It is interpolated, and continued beyond the ends of a table, in the same way as in the control.
-
-        Args:
-            axis: one of ``axes``.
-            positions: commanded position of every axis by name, mm or degrees: arrays or CasADi (SX) expressions, of one shape; for
-                tables that depend on the direction of approach also ``approach_<axis>`` (+1, −1; 0 if unknown, which gives the mean).
+        It is interpolated, and continued beyond the ends of a table, in the same way as in the control. ``positions``: commanded
+        position of every axis by name, mm or degrees: arrays or CasADi (SX) expressions, of one shape; for tables that depend on the
+        direction of approach also ``approach_<axis>`` (+1, −1; 0 if unknown, which gives the mean).
         """
 
     @abstractmethod
@@ -103,7 +97,6 @@ class ControlCurve:
     Attributes:
         argument: name of the axis of which it is a function.
         at: nodes, mm or degrees, increasing; at least one.
-        values: values at the nodes.
         period: period of an unlimited rotary axis, into which positions are wrapped from the first node on; None for no wrapping.
         direction: +1 or −1: applies only to that direction of approach; 0: always. If the direction of approach is unknown, both
             directions have weight one half.
@@ -157,12 +150,7 @@ def period_of(axis: Axis) -> float | None:
 @final
 @dataclass(frozen=True)
 class ControlTerm:
-    """One table, or the product of two.
-
-    Attributes:
-        axis: the axis that it moves.
-        factors: factors of the product; values of the first in µm or µrad, of the others without unit.
-    """
+    """One table that moves an axis, or the product of two: the first factor in µm or µrad, the others without unit."""
 
     axis: str
     factors: tuple[ControlCurve, ...]
@@ -197,12 +185,7 @@ class ControlTerm:
 @final
 @dataclass(frozen=True, eq=False)
 class TableSum(Correction):
-    """Sum of tables of one axis each, and of products of such tables.
-
-    Attributes:
-        terms: the tables.
-        machine: the machine whose axes they name.
-    """
+    """Sum of tables of one axis each, and of products of such tables."""
 
     terms: tuple[ControlTerm, ...]
     machine: Machine
@@ -262,11 +245,7 @@ _SIGN: Final = {"tool": 1.0, "work": -1.0, "both": 0.0}
 @final
 @dataclass(frozen=True)
 class AxisErrors:
-    """Six error motions of one axis as in a file, µm and µrad.
-
-    Attributes:
-        curves: curves by index of the component in ``XYZABC``.
-    """
+    """Six error motions of one axis as in a file, µm and µrad, by index of the component in ``XYZABC``."""
 
     axis: str
     curves: Mapping[int, ControlCurve]
@@ -319,8 +298,7 @@ def _poses(machine: Machine) -> ca.Function:
 def check_linear(machine: Machine) -> np.ndarray:
     """Return the commands (3, 3) of the linear axes that move the tool by one unit along the axes of the base frame.
 
-    Raises:
-        InputError: there are not three linear axes, or the direction of one changes when another axis moves.
+    It raises `InputError` if there are not three linear axes, or the direction of one changes when another axis moves.
     """
     inverse = np.linalg.inv(_directions(machine, np.zeros(len(machine.axes))))
     rng = np.random.default_rng(0)
@@ -379,7 +357,6 @@ class VolumetricCorrection(Correction):
 
     Attributes:
         errors: component errors of every axis, at `RestGeometry.centre`.
-        machine: a machine with three linear axes.
         tool_length_mm: distance from the tool frame to the tool tip.
 
     Raises:
@@ -466,7 +443,6 @@ class CorrectionGrid(Correction):
     """Corrections at the points of a spatial grid.
 
     Attributes:
-        machine: a machine with three linear axes.
         at: positions of each linear axis in command order, mm, increasing.
         values: (nodes of the first, of the second, of the third, 3) µm.
     """

@@ -37,16 +37,7 @@ DEFAULT_ACCELERATION: Final = 5000.0
 @final
 @dataclass(frozen=True)
 class Ran:
-    """Results of a run of the control.
-
-    Attributes:
-        done: name and result of every action.
-        said: messages of the control.
-        failed: why the actions ended early; empty if they did not.
-        folder: where it ran.
-        pins: number of recorded pins.
-        log: output of the control.
-    """
+    """Results of a run of the control: those of all actions by name, messages, why they ended early (or empty), pins, output."""
 
     done: list[tuple[str, Any]]
     said: list[str]
@@ -56,11 +47,7 @@ class Ran:
     log: str
 
     def samples(self, name: str) -> np.ndarray:
-        """Return the pins recorded into a file: (n, pins).
-
-        Raises:
-            InputError: samples were lost, because the computer was too slow.
-        """
+        """Return the pins recorded into a file: (n, pins); raise `InputError` if the computer was too slow for all samples."""
         rows = [line.split() for line in (self.folder / name).read_text().splitlines()]
         # Samples lost before the first one do not matter.
         rows = rows[sum(row == ["overrun"] for row in rows[:1]) :]
@@ -79,17 +66,13 @@ class Configuration:
     """Configuration of the control.
 
     Attributes:
-        machine: the machine whose axes it has.
         home: position of every axis at which it stands at first.
         kinematics: the module; by default that of axes without a transformation.
         hal: further lines of HAL, after motmod is loaded.
         pins: pins or signals that are recorded by the action ``record``, every millisecond; whole numbers begin with ``#``.
         ini: further sections of the INI file.
         joints: further lines of the section of a joint, by its number.
-        tools: the tool table.
-        parameters: the parameter file.
         acceleration: largest acceleration, mm/s² and °/s².
-        period_s: period of the servo thread.
     """
 
     machine: Machine

@@ -23,11 +23,7 @@ from twin.nc.text import MM_PER_INCH, number
 @final
 @dataclass(frozen=True, repr=False)
 class OffsetTable(Result):
-    """Work offsets of a machine.
-
-    Attributes:
-        rows: by name (``G54``, ``G54.1 P3``, ``G505``, the number of a preset): offset by axis, mm and degrees.
-    """
+    """Work offsets of a machine by name (``G54``, ``G54.1 P3``, ``G505``, the number of a preset) and axis, mm and degrees."""
 
     path: Path
     rows: Mapping[str, Mapping[str, float]]
@@ -38,15 +34,7 @@ class OffsetTable(Result):
         return "G54" if "G54" in self.rows else next(iter(self.rows)) if len(self.rows) == 1 else ""
 
     def of(self, name: str, source: str, line: int) -> Mapping[str, float]:
-        """Return one offset.
-
-        Args:
-            name: its name; empty if the program has selected none: the one that is `assumed`.
-            source: the program, for the message.
-
-        Raises:
-            InputError: there is no such offset.
-        """
+        """Return one offset, that which is `assumed` for an empty name; raise `InputError`, with file and line, if there is none."""
         name = name or self.assumed
         if name in self.rows:
             return self.rows[name]
@@ -68,25 +56,13 @@ class OffsetTable(Result):
 @final
 @dataclass(frozen=True, repr=False)
 class ToolTable(Result):
-    """Tool lengths of a machine.
-
-    Attributes:
-        lengths_mm: by number and by name: length from the spindle nose to the tool tip; of a further edge as ``5 D2``.
-    """
+    """Tool lengths of a machine: from the spindle nose to the tool tip, by number and by name; of a further edge as ``5 D2``."""
 
     path: Path
     lengths_mm: Mapping[str, float]
 
     def of(self, name: str, source: str, line: int) -> float:
-        """Return the length of a tool in mm.
-
-        Args:
-            name: its number or name.
-            source: the program, for the message.
-
-        Raises:
-            InputError: there is no such tool.
-        """
+        """Return the length of a tool in mm by its number or name; raise `InputError`, with file and line, if there is none."""
         if name in self.lengths_mm:
             return self.lengths_mm[name]
         known = [*self.lengths_mm]
@@ -106,11 +82,7 @@ class ToolTable(Result):
 
 
 class TableForm(ABC):
-    """One form of these tables. A new form is such a class, and an entry in `FORMS`.
-
-    Attributes:
-        description: its name in messages.
-    """
+    """One form of these tables, with its name in messages. A new form is such a class, and an entry in `FORMS`."""
 
     description: str
 
@@ -124,27 +96,15 @@ class TableForm(ABC):
 
     @abstractmethod
     def offsets(self, path: Path, lines: Sequence[str]) -> dict[str, dict[str, float]]:
-        """Return the work offsets by name and axis, mm and degrees.
-
-        Raises:
-            InputError: with file, line and value.
-        """
+        """Return the work offsets by name and axis, mm and degrees; raise `InputError` with file, line and value."""
 
     @abstractmethod
     def tools(self, path: Path, lines: Sequence[str]) -> dict[str, float]:
-        """Return the tool lengths in mm by number and by name.
-
-        Raises:
-            InputError: with file, line and value.
-        """
+        """Return the tool lengths in mm by number and by name; raise `InputError` with file, line and value."""
 
 
 def value_of(path: Path, line: int, text: str, what: str = "not a number") -> float:
-    """Return the value of a number with a decimal point or comma.
-
-    Raises:
-        InputError: it is not one.
-    """
+    """Return the value of a number with a decimal point or comma; raise `InputError` if it is not one."""
     value = number(text)
     if value != value:
         raise InputError(what, expected="a number", file=path, line=line, value=text)
@@ -414,12 +374,10 @@ _LENGTH: Final = re.compile(r"\bZ\s*([+-]?[\d.]+)", re.IGNORECASE)
 def parameter_file(
     offsets: Mapping[str, Mapping[str, float]], in_force: str, references: Mapping[str, Mapping[str, float]]
 ) -> str:
-    """Return a parameter file.
+    """Return a parameter file, without the work offsets that the control does not have.
 
-    Args:
-        offsets: work offsets by name, each by axis, mm and degrees; those that the control does not have are left out.
-        in_force: name of the one in force; that of G54 if the control does not have it.
-        references: positions of the axes after ``G28`` and ``G30``.
+    ``offsets`` by name and axis, mm and degrees; ``in_force``: the name of one, that of G54 if the control does not have it;
+    ``references``: positions of the axes after ``G28`` and ``G30``.
     """
     values: dict[int, float] = {_ACTIVE: SYSTEMS.index(in_force) + 1 if in_force in SYSTEMS else 1}
     rows = [(_FIRST + _STEP * SYSTEMS.index(name), row) for name, row in offsets.items() if name in SYSTEMS]

@@ -25,13 +25,8 @@ DIALECTS: tuple[Dialect, ...] = (Iso(), Heidenhain(), Apt())
 def dialect_for(path: Path, data: bytes | None = None, language: str | None = None) -> Dialect:
     """Return the language of a program: as given, else by its content, else by the suffix of its name.
 
-    Args:
-        path: the program's path.
-        data: the program's bytes, if known; the first `HEAD_BYTES` count.
-        language: name of the language; None to recognise it.
-
-    Raises:
-        InputError: an unknown name; neither content nor suffix are those of one language.
+    Of the program's bytes the first `HEAD_BYTES` count. It raises `InputError` for an unknown name, or if neither content nor suffix
+    are those of one language.
     """
     if language is not None:
         return _named(language)
@@ -76,11 +71,7 @@ _SUFFIXES = " ".join(
 
 
 def dialect_of(path: Path, language: str | None = None) -> Dialect:
-    """Return the language of an existing program, as `dialect_for` does.
-
-    Raises:
-        InputError: it cannot be read, or its language is not recognised.
-    """
+    """Return the language of an existing program as `dialect_for` does; raise `InputError` if it cannot be read."""
     try:
         with open_input(path) as stream:
             return dialect_for(path, stream.read(HEAD_BYTES), language)
@@ -91,13 +82,8 @@ def dialect_of(path: Path, language: str | None = None) -> Dialect:
 def dialect_to_write(output: Path, source: Path, dialect: Dialect) -> Dialect:
     """Return the language in which to write a program: that of the suffix of its name, if it is one's own.
 
-    Args:
-        output: its path.
-        source: the program that is rewritten.
-        dialect: its language, which is kept where the suffix is the same, or one of several languages.
-
-    Raises:
-        InputError: another suffix that is of no language, such as that of a picture.
+    The language of the source is kept where the suffix is the same, or one of several languages. It raises `InputError` for another
+    suffix that is of no language, such as that of a picture.
     """
     by_suffix = _by_suffix(output)
     same = output.suffix.lower() == source.suffix.lower()

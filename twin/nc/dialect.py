@@ -68,7 +68,6 @@ class Technology:
 
     Attributes:
         feed: (lines,) mm, degrees or blocks by ``unit``; NaN if unknown.
-        unit: (lines,) `FeedUnit` objects.
         speed_rpm: (lines,) spindle speed, 0 while it is switched off, and before the first speed word.
         dwell_s: (lines,) time for which each line waits.
         says_speed: whether any line has a speed word.
@@ -172,48 +171,25 @@ class Dialect(ABC):
 
     @abstractmethod
     def reader(self, source: str, axes: AxisWords, *, tcp: bool) -> ChunkReader:
-        """Return a reader of a program.
-
-        Args:
-            source: its name, for messages.
-            tcp: whether tool centre point control is on from the start.
-        """
+        """Return a reader of a program; ``source``: its name, for messages, ``tcp``: whether that control is on at its start."""
 
     @abstractmethod
     def rewriter(self, source: str, texts: Iterable[str], lines: int, axes: AxisWords, *, tcp: bool) -> ChunkWriter:
         """Return a writer of a program with some moves replaced and every other byte kept.
 
-        Unchanged moves keep their text. A rewritten block gets every axis word whose value differs from the last value in
-        the output for that axis, whether or not the original block has that word.
-
-        Args:
-            source: its name, for messages.
-            texts: its lines.
-            lines: about how many there are.
-            tcp: whether tool centre point control is on at the first move.
+        Unchanged moves keep their text. A rewritten block gets every axis word whose value differs from the last value in the output
+        for that axis, whether or not the original block has that word. ``lines``: about how many there are; ``tcp``: whether tool
+        centre point control is on at the first move.
         """
 
     def poster(self, source: str, axes: AxisWords, into: Dialect) -> ChunkWriter:
-        """Return a writer of a program of cutter locations as axis words of another language.
-
-        Args:
-            source: its name.
-            axes: the machine's axis words.
-            into: the other language.
-
-        Raises:
-            ValueError: the program already has axis words (an error of the caller).
-        """
+        """Return a writer of cutter locations as axis words of another language; raise `ValueError` if they are axis words already."""
         raise ValueError(f"{self.name} programs cannot be written in {into.name}")
 
     def moves(self, program: Program, axes: AxisWords, *, tcp: bool) -> Interpretation:
-        """Interpret a program.
+        """Interpret a program; ``tcp``: whether tool centre point control is on from the start.
 
-        Args:
-            tcp: whether tool centre point control is on from the start.
-
-        Raises:
-            InputError: with file, line and value, for anything that cannot be understood or must not pass uncompensated.
+        It raises `InputError` with file, line and value, for anything that cannot be understood or must not pass uncompensated.
         """
         reader, found = self.reader(program.source, axes, tcp=tcp), MoveBuilder(axes.names)
         for chunk in self.chunks(program, axes):
@@ -270,23 +246,14 @@ class Dialect(ABC):
 
     @abstractmethod
     def with_comments(self, text: str, comments: Sequence[str]) -> str:
-        """Return the text with comments in its header, in this language's syntax; comments already there are not repeated.
-
-        Args:
-            text: the program; where lines are not numbered, its first part is enough.
-            comments: ASCII without brackets.
-        """
+        """Return the text, or a first part of it, with comments in its header that are not there yet: ASCII without brackets."""
 
     @abstractmethod
     def from_points(self, names: Sequence[str], points: np.ndarray, feed: float | None, remark: str, title: str) -> str:
         """Return a new program with one straight block per point.
 
-        Args:
-            names: axis names of the columns; three fewer than the columns if the last three are a tool vector.
-            points: (n, columns) mm, degrees and tool vectors.
-            feed: mm/min, or None for no feed word.
-            remark: a comment in its header, ASCII without brackets.
-            title: the name of the program, for languages in which it has one.
+        ``points``: (n, columns) mm and degrees of the axes ``names``; three further columns are a tool vector. ``feed``: mm/min, or
+        None for no feed word; ``remark``: a comment, ASCII without brackets; ``title``: for languages in which a program has a name.
         """
 
     @abstractmethod
@@ -310,11 +277,7 @@ class Dialect(ABC):
         return carried(program, self.line_words)
 
     def read(self, data: bytes, source: str) -> Program:
-        """Split bytes into lines.
-
-        Raises:
-            InputError: it is empty or not text.
-        """
+        """Split bytes into lines; raise `InputError` if they are empty or not text."""
         return read_lines(data, source, self.name)
 
     def renumbered(self, program: Program, text: str) -> str:
@@ -328,44 +291,25 @@ class Dialect(ABC):
     def inliner(self, program: Program, folders: Sequence[Path]) -> Inliner | None:
         """Return what writes out the subprograms of a program; None if the language has none.
 
-        Args:
-            program: as read.
-            folders: where its subprograms may be, in the order of search; none for only itself.
+        ``folders``: where they may be, in the order of search; none for only the program itself.
         """
         return None
 
     def expanded(self, program: Program, folders: Sequence[Path]) -> Program:
         """Return a program with its subprograms, loops and jumps written out as executed; the program itself if it has none.
 
-        Args:
-            program: as read.
-            folders: as for `inliner`.
-
-        Raises:
-            InputError: a call that cannot be written out, with file and line.
+        It raises `InputError` for a call that cannot be written out, with file and line. ``folders``: as for `inliner`.
         """
         inliner = self.inliner(program, folders)
         return program if inliner is None else inliner.expanded()
 
     def new_program(self, axes: AxisWords) -> NewProgram:
-        """Return a new, empty program in axis words.
-
-        Raises:
-            ValueError: the language has no axis words (an error of the caller).
-        """
+        """Return a new, empty program in axis words; raise `ValueError` if the language has none (an error of the caller)."""
         raise ValueError(f"{self.name} has no axis words")
 
 
 class NewProgram(ABC):
-    """A program in axis words, written from its beginning.
-
-    Args:
-        style: number format.
-
-    Attributes:
-        feed: feed of the following moves in mm/min; 0: none.
-        out: the text written so far.
-    """
+    """A program in axis words, written from its beginning; ``feed``: that of the following moves, mm/min, 0: none."""
 
     def __init__(self, axes: AxisWords, style: Style) -> None:
         self.feed = 0.0

@@ -36,8 +36,6 @@ class Call:
     """A call found in a line.
 
     Attributes:
-        name: the subprogram.
-        repeats: how often it runs.
         values: what replaces its parameters: the text of each value by the parameter's name, in capitals.
         outside: whether it can only be a file of its own.
         certain: whether the line is a call even if there is no such subprogram.
@@ -89,10 +87,6 @@ Scope = dict[str, str]
 class FlowStructure:
     """The loops and branches of some lines.
 
-    Args:
-        flows: the statements by the index of their line.
-        error: function that returns the error at a line.
-
     Attributes:
         last: for each first statement of a loop or branch, the index of its last one.
         first: the reverse.
@@ -142,12 +136,7 @@ def _matches(begin: Flow, end: Flow) -> bool:
 class Inliner(ABC):
     """Writes out the subprograms, loops and jumps of one language, as they are executed.
 
-    Args:
-        program: the main program.
-        folders: where its subprograms may be, in the order of search; none if it is not a file.
-
-    Attributes:
-        values: the values of parameters at the line that is executed, by name.
+    ``folders``: where subprograms may be, in the order of search; ``values``: of parameters at the line that is executed, by name.
     """
 
     def __init__(self, program: Program, folders: Sequence[Path]) -> None:
@@ -174,19 +163,11 @@ class Inliner(ABC):
 
     @abstractmethod
     def call(self, line: Line) -> Call | None:
-        """Return the call in a line, None if it has none.
-
-        Raises:
-            InputError: a call that cannot be written out.
-        """
+        """Return the call in a line, None if it has none; raise `InputError` for one that cannot be written out."""
 
     @abstractmethod
     def flow(self, line: Line) -> Flow | None:
-        """Return the statement in a line that decides which line is next; None for any other line.
-
-        Raises:
-            InputError: one that cannot be followed.
-        """
+        """Return the statement in a line that decides which line is next, or None; raise `InputError` if it cannot be followed."""
 
     @abstractmethod
     def labels(self, line: Line) -> Sequence[str]:
@@ -202,11 +183,7 @@ class Inliner(ABC):
 
     @abstractmethod
     def plain(self, line: Line, scope: Scope) -> Line:
-        """Return a line to write: without its label, with the values of local parameters; one that only assigns these is a comment.
-
-        Raises:
-            InputError: a value is unknown.
-        """
+        """Return a line to write: without its label, with the values of local parameters; one that only assigns these is a comment."""
 
     def calls(self, line: Line) -> bool:
         """Return whether a line calls a subprogram or decides which line is next, also where that cannot be written out."""
@@ -219,23 +196,14 @@ class Inliner(ABC):
 
     @abstractmethod
     def body(self, call: Call, line: Line) -> list[Line] | None:
-        """Return the lines of a subprogram with the values of its parameters; None if there is no such subprogram.
-
-        Raises:
-            InputError: it cannot be written out.
-        """
+        """Return the lines of a subprogram with the values of its parameters; None if there is no such subprogram."""
 
     def scope(self, call: Call, line: Line) -> Scope:
         """Return the local parameters of a subprogram whose values are not in the lines of `body`; at the call."""
         return {}
 
     def beyond(self, name: str, line: Line) -> list[Line] | None:
-        """Return the lines that a jump out of a subprogram executes, up to the return from it; None if there are none.
-
-        Args:
-            name: the label.
-            line: that of the jump.
-        """
+        """Return the lines that a jump to a label out of a subprogram executes, up to the return from it; None if there are none."""
         return None
 
     @abstractmethod
@@ -253,8 +221,7 @@ class Inliner(ABC):
     def expanded(self) -> Program:
         """Return the program with calls, loops and jumps written out; the program itself if it has none.
 
-        Raises:
-            InputError: one that cannot be written out, with its file and line.
+        It raises `InputError` for one that cannot be written out, with its file and line.
         """
         if not self.likely_within(self.program.text):
             return self.program
@@ -325,11 +292,7 @@ class Inliner(ABC):
         self._called.pop()
 
     def known(self, text: str, line: Line) -> float:
-        """Return the value of an expression or a condition.
-
-        Raises:
-            InputError: it is unknown.
-        """
+        """Return the value of an expression or a condition; raise `InputError` if it is unknown."""
         value = self.value(text)
         if value != value:
             expected = "numbers, or parameters set to numbers before; and no numbers compared that are almost equal"
@@ -344,11 +307,7 @@ class Inliner(ABC):
         return self._files[path]
 
     def file_named(self, *names: str) -> Path | None:
-        """Return the file of the first folder that has one of these names, whatever its capitals; None if there is none.
-
-        Raises:
-            InputError: a folder cannot be searched.
-        """
+        """Return the file of the first folder that has one of these names, whatever its capitals; None if there is none."""
         for folder in self.folders:
             try:
                 files = {path.name.upper(): path for path in sorted(folder.iterdir()) if path.is_file()}
@@ -367,14 +326,7 @@ class Inliner(ABC):
 class FlowRun:
     """The statements of some lines that decide which line is next, while they are executed.
 
-    Args:
-        inliner: knows the language and the values of parameters.
-        lines: the lines.
-        flows: the statements by the index of their line.
-        scope: local parameters.
-
-    Attributes:
-        added: what `after` has to write before the next line: a line, or lines to be executed.
+    ``added``: what `after` has to write before the next line: a line, or lines to be executed.
     """
 
     def __init__(self, inliner: Inliner, lines: Sequence[Line], flows: Mapping[int, Flow], scope: Scope) -> None:

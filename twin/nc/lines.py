@@ -55,7 +55,6 @@ class Words:
         line: (n,) index of the word's line in the text.
         axis: (n,) index of its axis.
         start, end: (n,) range of its value.
-        value: as written.
         sign: (n,) the character code of its sign, 0 if there is none.
         whole, fraction: (n,) number of digits before and after the point.
         point: (n,) whether it has a point.
@@ -86,7 +85,6 @@ class Scan:
         blank: (lines,) whether it is empty or a comment.
         code: (lines,) the motion code of a simple line, -1 if it has none.
         wide: (lines,) whether the motion code has two digits.
-        words: of the simple lines.
         first: (lines + 1,) index of the first word of each line.
     """
 
@@ -139,12 +137,7 @@ def tables(names: tuple[str, ...]) -> tuple[bytes, np.ndarray, np.ndarray, bytes
 
 
 def scan(data: bytes, names: tuple[str, ...]) -> Scan:  # noqa: PLR0915
-    """Find and read the simple lines of a chunk of a program.
-
-    Args:
-        data: whole lines; only the last line of a program may lack its ending.
-        names: axis names.
-    """
+    """Find and read the simple lines of a chunk of whole lines; only the last line of a program may lack its ending."""
     text = np.frombuffer(data, dtype=np.uint8)
     kind_of, rank_of, axis_of, bad_pair = tables(names)
     end = line_ends(text, data) + 1
@@ -231,13 +224,9 @@ _UNKNOWN: Final = np.iinfo(np.int64).min
 def _with_replacements(
     text: np.ndarray, start: np.ndarray, end: np.ndarray, length: np.ndarray, new: np.ndarray
 ) -> bytes:
-    """Return a text with some ranges replaced; they do not overlap, and insertions at one place are in order.
+    """Return a text with ranges replaced, (n,) beginnings and ends, by texts of (n,) lengths, concatenated in ``new``.
 
-    Args:
-        start: (n,) beginnings of the ranges.
-        end: (n,) their ends.
-        length: (n,) length of each replacement.
-        new: all replacements, concatenated.
+    They do not overlap, and insertions at one place are in order.
     """
     order = np.argsort(start, kind="stable")
     start, end = start[order], end[order]
@@ -263,20 +252,11 @@ def rewritten_lines(
     formatting: Formatting,
     grids: Grids,
 ) -> tuple[bytes, Formatting]:
-    """Return simple lines, consecutive except for blank ones, with new positions.
+    """Return the new text of a range with simple lines, consecutive except for blank ones, and the formatting after the last line.
 
-    Args:
-        scan: the text.
-        whole: the range of the text that contains the lines.
-        lines: (lines,) indices of the lines.
-        count: (lines,) number of segments of each line.
-        targets: (segments, axes) end positions, mm and degrees; NaN in the columns of axes that are not written.
-        said: last values in the output; updated.
-        formatting: formatting before the first of the lines.
-        grids: of the axes.
-
-    Returns:
-        The new text of the range, and the formatting after the last line.
+    ``whole``: the range of the text that contains the lines; ``count``: (lines,) number of segments of each; ``targets``: (segments,
+    axes) end positions, mm and degrees, NaN in the columns of axes that are not written; ``said``: last values in the output, updated;
+    ``formatting``: before the first of the lines.
     """
     segments = _Segments(scan, lines, count, targets, said, grids)
     of, words = segments.of_word, segments.words
@@ -576,12 +556,7 @@ class _Compiled:
 @final
 @dataclass(frozen=True)
 class LineCode:
-    """Reader and writer of simple lines: with arrays, or the same in compiled code.
-
-    Attributes:
-        scan: `twin.nc.lines.scan`.
-        rewritten_lines: `twin.nc.lines.rewritten_lines`.
-    """
+    """Reader and writer of simple lines: `scan` and `rewritten_lines` with arrays, or the same in compiled code."""
 
     scan: Callable[[bytes, tuple[str, ...]], Scan]
     rewritten_lines: Callable[..., tuple[bytes, Formatting]]
@@ -591,11 +566,7 @@ ARRAYS: Final = LineCode(scan, rewritten_lines)
 
 
 def line_code(lines: int) -> LineCode:
-    """Return compiled code if there is a compiler and the program is long enough to be worth it, else `ARRAYS`.
-
-    Args:
-        lines: approximate number of lines of the program.
-    """
+    """Return compiled code if there is a compiler and the program has enough lines to be worth it, else `ARRAYS`."""
     found = _compiled() if compiler.worth_compiling(lines) else None
     return ARRAYS if found is None else LineCode(found.scan, found.rewritten_lines)
 

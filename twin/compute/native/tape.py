@@ -91,9 +91,6 @@ class UnknownOperationError(Exception):
 class Tape:
     """The instructions of one function.
 
-    Args:
-        function: an SX function of dense inputs and outputs.
-
     Attributes:
         inputs, outputs: numbers of scalar inputs and outputs, all arguments concatenated, column-major.
         constants: the constants, kept out of the code so that calibrations with curves of the same orders share it.
@@ -123,14 +120,7 @@ class Tape:
             return None
 
     def __call__(self, columns: Sequence[np.ndarray]) -> np.ndarray:
-        """Evaluate with NumPy.
-
-        Args:
-            columns: one (rows,) array per input.
-
-        Returns:
-            (outputs, rows).
-        """
+        """Return (outputs, rows) from one (rows,) array per input, evaluated with NumPy."""
         rows = len(columns[0])
         values_out = np.empty((self.outputs, rows))
         program, slots, results = self._program

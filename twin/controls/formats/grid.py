@@ -51,12 +51,7 @@ class SpatialGrid(TableFormat[CorrectionGrid]):
         return {FILE: "\n".join(lines) + "\n"}
 
     def read(self, files: Sequence[Path], machine: Machine) -> CorrectionGrid:
-        """Return the grid of one file.
-
-        Raises:
-            InputError: there is more than one file, the columns are not those of the machine's three linear axes, or a point is missing
-                or given twice.
-        """
+        """Return the grid of one file; raise `InputError` for other columns, or a point that is missing or given twice."""
         if len(files) != 1:
             raise InputError(
                 "a grid is a single file", expected="one file", value=" ".join(file.name for file in files)

@@ -74,13 +74,8 @@ class HeidenhainTables(TableFormat[TableSum]):
     def write(self, correction: TableSum, notes: Sequence[str] = ()) -> dict[str, str]:
         """Return ``X_CORR.COM`` … for every input axis, and the ``.CMA``; see `TableFormat.write`.
 
-        Args:
-            correction: single tables; all tables of one input axis have the same nodes, and only those of an axis over itself may
-                depend on the direction.
-            notes: comments after the end of each file.
-
-        Raises:
-            InputError: an axis is not one of X Y Z A B C U V W, or such tables cannot represent the correction.
+        All tables of one input axis have the same nodes, and only those of an axis over itself may depend on the direction. Axes are
+        named by one of X Y Z A B C U V W. Notes are comments after the end of each file.
         """
         machine, terms = correction.machine, correction.terms
         check_letters([name for term in terms for name in (term.axis, term.factors[0].argument)], self.title)
@@ -126,11 +121,7 @@ class HeidenhainTables(TableFormat[TableSum]):
         return columns
 
     def read(self, files: Sequence[Path], machine: Machine) -> TableSum:
-        """Return the tables from a ``.CMA`` and the ``.COM`` files named in its active line.
-
-        Raises:
-            InputError: there is no ``.CMA``, not exactly one active line, a missing or an additional table, or a table is invalid.
-        """
+        """Return the tables from a ``.CMA`` and the ``.COM`` files named in its only active line; see `TableFormat.read`."""
         what = "HEIDENHAIN tables are read with the .CMA that assigns them"
         cma = _Rows(single_file(files, ".cma", what, "one .CMA and the .COM files named in its active line"))
         given = {file.stem.upper(): file for file in files if file is not cma.path}

@@ -74,12 +74,7 @@ class Isg(TableFormat[VolumetricCorrection]):
     def write(self, correction: VolumetricCorrection, notes: Sequence[str] = ()) -> dict[str, str]:
         """Return the parameter file and the lines of the compensation list; see `TableFormat.write`.
 
-        Args:
-            correction: all curves of an axis have the same nodes; the tool length is written as a comment.
-            notes: comments at the beginning.
-
-        Raises:
-            InputError: an axis is not one of X Y Z A B C.
+        All curves of an axis have the same nodes; the tool length is written as a comment. Axes are named by one of X Y Z A B C.
         """
         machine = correction.machine
         for axis in machine.axes:
@@ -109,9 +104,7 @@ class Isg(TableFormat[VolumetricCorrection]):
     def read(self, files: Sequence[Path], machine: Machine) -> VolumetricCorrection:
         """Return the component errors from parameter files; a compensation list (``.lis``) among them is ignored.
 
-        Raises:
-            InputError: a column has an unknown name, a block has two arguments, a parameter is duplicated, the dimensions are those of
-                another machine, there are position errors of linear axes, or a value is not a number.
+        It raises `InputError` for unknown or duplicate parameters, dimensions of another machine, and position errors of linear axes.
         """
         curves: dict[str, dict[int, ControlCurve]] = {name: {} for name in machine.names}
         length = machine.tool_length_mm

@@ -63,14 +63,9 @@ class LinuxCnc(TableFormat[TableSum]):
     def write(self, correction: TableSum, notes: Sequence[str] = ()) -> dict[str, str]:
         """Return one ``.comp`` of type 0 (actual positions) per joint, and the INI lines that name them; see `TableFormat.write`.
 
-        Args:
-            correction: tables of an axis over itself; those of the directions +1 and −1 of one axis have the same nodes. The axes are
-                joints 0, 1, … in command order.
-            notes: comments after the last point, where the control no longer reads, and at the beginning of the INI lines.
-
-        Raises:
-            InputError: an axis is not one of X Y Z A B C U V W, there are more than 256 points, or a joint compensation cannot
-                represent the correction.
+        Tables are those of an axis over itself, of at most 256 points, the same for both directions; the axes are joints 0, 1, … in
+        command order. Notes are comments after the last point, where the control no longer reads, and at the beginning of the INI
+        lines.
         """
         machine = correction.machine
         check_letters(machine.names, self.title)
@@ -131,9 +126,7 @@ class LinuxCnc(TableFormat[TableSum]):
     def read(self, files: Sequence[Path], machine: Machine) -> TableSum:
         """Return the tables from an INI file (or its lines) and the ``.comp`` files named in it.
 
-        Raises:
-            InputError: there is no INI file, a file is missing or not named in it, the units are not mm and degrees, or LinuxCNC would
-                refuse a file or not read all of it.
+        It raises `InputError` if the units are not mm and degrees, or LinuxCNC would refuse a file or not read all of it.
         """
         ini = _Ini(
             single_file(
@@ -244,11 +237,7 @@ class _Ini:
         return self._found.get((section, key), TableLine(self.path, None, ""))
 
     def coordinates(self, machine: Machine) -> list[str]:
-        """Return the axis that each joint moves.
-
-        Raises:
-            InputError: COORDINATES is missing or repeats an axis, or the units are not mm and degrees.
-        """
+        """Return the axis that each joint moves; raise `InputError` for one given twice, and units other than mm and degrees."""
         for key, wanted in (("LINEAR_UNITS", ("mm", "metric")), ("ANGULAR_UNITS", ("degree", "deg"))):
             unit = self.get("TRAJ", key)
             if unit.text.lower() not in wanted:

@@ -48,14 +48,8 @@ class Entry:
 def entries(files: Sequence[Path], pattern: re.Pattern[str], example: str) -> dict[str, Entry]:
     """Return the tables in programs, by the text of their index.
 
-    Args:
-        files: the programs.
-        pattern: pattern of an assignment; its groups are the ``name`` of a variable, ``table``, ``node`` and ``value``.
-        example: example of an assignment, for messages.
-
-    Raises:
-        InputError: a line is not an assignment of that pattern, a comment, a program header or end; there is no table; a table is in
-            two files, or a value is written twice.
+    ``pattern``: of an assignment, with groups ``name`` of a variable, ``table``, ``node`` and ``value``; ``example``: for messages. It
+    raises `InputError` for a line that is no assignment, comment, program header or end, a table in two files, a value written twice.
     """
     entries: dict[str, Entry] = {}
     for path in files:
@@ -91,11 +85,7 @@ def entries(files: Sequence[Path], pattern: re.Pattern[str], example: str) -> di
 
 
 def axis_of(place: TableLine, text: str, machine: Machine) -> Axis:
-    """Return the axis of a name: ``AX2`` is the second axis, ``X1`` and ``X`` are X.
-
-    Raises:
-        InputError: the machine has no such axis.
-    """
+    """Return the axis of a name: ``AX2`` is the second axis, ``X1`` and ``X`` are X; raise `InputError` if there is none."""
     name = text.strip("() ").upper()
     general = re.fullmatch(r"AX(\d{1,9})", name)
     if general is not None and 1 <= int(general[1]) <= len(machine.axes):
@@ -116,16 +106,7 @@ def step_of(curve: ControlCurve) -> float | None:
 
 
 def table_of(name: str, variable: str, entry: Entry) -> tuple[tuple[float, ...], tuple[float, ...], float | None]:
-    """Return nodes, values and period of a table.
-
-    Args:
-        name: name of the table, for messages.
-        variable: its system variable.
-        entry: the table as read.
-
-    Raises:
-        InputError: the table is incomplete or inconsistent.
-    """
+    """Return nodes, values and period of a table; raise `InputError`, with its names, if it is incomplete or inconsistent."""
     fields, points = entry.fields, entry.points
     for key in ("STEP", "MIN", "MAX"):
         if key not in fields:
@@ -188,12 +169,7 @@ class Siemens(TableFormat[TableSum]):
     def write(self, correction: TableSum, notes: Sequence[str] = ()) -> dict[str, str]:
         """Return the program, with one table per factor; see `TableFormat.write`.
 
-        Args:
-            correction: tables, and products of two; nodes of every curve are equidistant. The axes are AX1, AX2, … in command order.
-            notes: comments at the beginning.
-
-        Raises:
-            InputError: nodes are not equidistant, or there are too many tables.
+        Nodes of every curve are equidistant, and products are of two tables. The axes are AX1, AX2, … in command order.
         """
         machine = correction.machine
         blocks: list[str] = []
@@ -211,11 +187,7 @@ class Siemens(TableFormat[TableSum]):
         return {FILE: "\n".join([*head, *blocks, "M30"]) + "\n"}
 
     def read(self, files: Sequence[Path], machine: Machine) -> TableSum:
-        """Return the tables from programs that write ``$AN_CEC…``.
-
-        Raises:
-            InputError: a line is not an assignment to a table, a comment, a program header or end; a table is incomplete or invalid.
-        """
+        """Return the tables from programs that write ``$AN_CEC…``; see `TableFormat.read` and `entries`."""
         by_index = {int(index): entry for index, entry in entries(files, _FIELD, "$AN_CEC").items()}
         curves = {index: _curve(index, entry, machine) for index, entry in by_index.items()}
         factors: dict[int, int] = {}

@@ -60,15 +60,7 @@ class SiemensEec(TableFormat[TableSum]):
     unchecked = ("rotary axes: values and positions in degrees",)
 
     def write(self, correction: TableSum, notes: Sequence[str] = ()) -> dict[str, str]:
-        """See `TableFormat.write`.
-
-        Args:
-            correction: one table of each axis over itself, for both directions, with equidistant nodes.
-            notes: comments at the beginning.
-
-        Raises:
-            InputError: there are other tables.
-        """
+        """See `TableFormat.write`: one table of each axis over itself, for both directions, with equidistant nodes."""
         machine = correction.machine
         lines = ["%_N_AX_EEC_MPF", *(f"; {note}" for note in notes), f"; {axis_numbers(machine, 'is')}"]
         for index, axis in enumerate(machine.axes, start=1):
@@ -96,11 +88,7 @@ class SiemensEec(TableFormat[TableSum]):
         return curve, step
 
     def read(self, files: Sequence[Path], machine: Machine) -> TableSum:
-        """Return the tables from programs that write ``$AA_ENC_COMP…`` of the first measuring system.
-
-        Raises:
-            InputError: a line is not an assignment to a table, a comment, a program header or end; a table is incomplete.
-        """
+        """Return the tables from programs that write ``$AA_ENC_COMP…`` of the first measuring system; see `entries`."""
         terms: dict[str, ControlTerm] = {}
         found = entries(files, _FIELD, "$AA_ENC_COMP[0,")
         for axis, entry in [(axis_of(entry.line, of, machine), entry) for of, entry in found.items()]:

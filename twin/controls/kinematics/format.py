@@ -64,10 +64,9 @@ class TableGeometry:
 
 
 def rotary_axes(machine: Machine) -> tuple[Axis, Axis]:
-    """Return the two rotary axes of the table, the one near the bed first.
+    """Return the two rotary axes of the table, the one near the bed first; raise `InputError` for another structure.
 
-    Raises:
-        InputError: the machine is not one with three linear axes of constant direction and two rotary axes that carry the workpiece.
+    Required are three linear axes of constant direction and two rotary axes that carry the workpiece.
     """
     check_linear(machine)
     rotary = [i for i, axis in enumerate(machine.axes) if not axis.linear]
@@ -83,14 +82,9 @@ def rotary_axes(machine: Machine) -> tuple[Axis, Axis]:
 
 
 def table_geometry(machine: Machine, errors: np.ndarray | None = None) -> TableGeometry:
-    """Return the geometry of a machine with all axes at zero.
+    """Return the geometry of a machine with all axes at zero; raise `InputError` as `rotary_axes`.
 
-    Args:
-        machine: a machine with a table of two rotary axes.
-        errors: (6·frames,) constant errors of the error frames, metres and radians; None for the nominal machine.
-
-    Raises:
-        InputError: see `rotary_axes`.
+    ``errors``: (6·frames,) constant errors of the error frames, metres and radians; None for the nominal machine.
     """
     zero, nose = np.zeros(len(machine.axes)), rest_geometry(machine).nose
     points, directions = [], []
@@ -163,13 +157,7 @@ def linear_shift(machine: Machine, geometry: TableGeometry, q: np.ndarray, tool_
 @final
 @dataclass(frozen=True, eq=False)
 class KinematicCorrection(Correction):
-    """Shift of the commands by a transformation whose geometry differs from the nominal one; only while it is active.
-
-    Attributes:
-        machine: a machine with a table of two rotary axes.
-        geometry: the control's geometry.
-        tool_length_mm: distance from the tool frame to the tool tip.
-    """
+    """Shift of the commands by a transformation whose geometry differs from the nominal one; only while it is active."""
 
     machine: Machine
     geometry: TableGeometry
@@ -238,10 +226,9 @@ class KinematicsFormat(ABC):
 
     @abstractmethod
     def nominal(self, machine: Machine) -> Values:
-        """Return the parameters of the nominal machine: those that `geometry` reads and `twin.compensation.tables.axis_tables` fits.
+        """Return the parameters of the nominal machine, which `twin.compensation.tables.axis_tables` fits.
 
-        Raises:
-            InputError: the transformation cannot represent the structure of the machine.
+        It raises `InputError` if the transformation cannot represent the structure of the machine.
         """
 
     @abstractmethod
@@ -250,20 +237,11 @@ class KinematicsFormat(ABC):
 
     @abstractmethod
     def write(self, values: Values, machine: Machine, notes: Sequence[str] = ()) -> str:
-        """Return the text of the file.
-
-        Args:
-            values: the parameters, as `nominal`.
-            notes: texts for comments.
-        """
+        """Return the text of the file; ``values``: the parameters, as `nominal`; ``notes``: texts for comments."""
 
     @abstractmethod
     def read(self, path: Path, machine: Machine) -> TableGeometry:
-        """Return the geometry in a file.
-
-        Raises:
-            InputError: the file is invalid, a parameter is missing, or the machine cannot have this transformation.
-        """
+        """Return the geometry in a file; raise `InputError` if it is invalid, or the machine cannot have this transformation."""
 
     @abstractmethod
     def loading(self, machine: Machine) -> tuple[str, ...]:
@@ -277,11 +255,7 @@ class KinematicsFormat(ABC):
 
 
 def code_lines(path: Path, comment: str) -> list[TableLine]:
-    """Return the lines of a file that are not empty, without what follows a comment's mark.
-
-    Raises:
-        InputError: the file cannot be read.
-    """
+    """Return the lines of a file that are not empty, without what follows a comment's mark."""
     lines = [
         TableLine(path, table_line.number, table_line.text.partition(comment)[0].strip())
         for table_line in table_lines(path)
@@ -290,11 +264,7 @@ def code_lines(path: Path, comment: str) -> list[TableLine]:
 
 
 def numbers_of(path: Path, found: Mapping[str, TableLine], names: Sequence[str]) -> dict[str, float]:
-    """Return the numbers of all named parameters of a file.
-
-    Raises:
-        InputError: one is missing or not a number.
-    """
+    """Return the numbers of all named parameters of a file; raise `InputError` if one is missing or not a number."""
     for name in names:
         if name not in found:
             raise InputError(f"the parameter {name} is missing", expected="all parameters of the format", file=path)
@@ -302,11 +272,7 @@ def numbers_of(path: Path, found: Mapping[str, TableLine], names: Sequence[str])
 
 
 def assign(found: dict[str, TableLine], name: str, value: TableLine) -> None:
-    """Add the value of a parameter.
-
-    Raises:
-        InputError: it has one already.
-    """
+    """Add the value of a parameter; raise `InputError` if it has one already."""
     if name in found:
         raise value.error(f"{name} is assigned twice", "one assignment", value.text)
     found[name] = value

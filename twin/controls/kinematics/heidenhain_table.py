@@ -151,11 +151,7 @@ def _angles(name: str, line: np.ndarray) -> tuple[float, float]:
 
 
 def _followed(rows: Sequence[tuple[str, str, float]], machine: Machine, path: Path | None = None) -> TableGeometry:
-    """Return the geometry by following KEY, AXIS and COORD of all rows.
-
-    Raises:
-        InputError: the rows do not contain both rotary axes of the table, in their order.
-    """
+    """Return the geometry by following KEY, AXIS and COORD of all rows, with both rotary axes of the table in their order."""
     turned, place = np.eye(3), np.zeros(3)
     names, points, directions = list[str](), list[np.ndarray](), list[np.ndarray]()
     for key, axis, value in rows:

@@ -59,9 +59,6 @@ class TogetherJob:
     """Simple ``GOTO`` statements, consecutive except for comments, and their new locations.
 
     Attributes:
-        scan: the text.
-        whole: the range of the text that contains the lines.
-        lines: (n,) indices of the lines.
         count: (n,) number of segments of each.
         positions: (segments, axes) their end points in program units.
         vectors: (segments, 3) their tool vectors.
@@ -184,11 +181,7 @@ class _CompiledLocations:
 
 
 def together_code(lines: int) -> Together:
-    """Return compiled code if there is a compiler and the program is long enough to be worth it, else `written`.
-
-    Args:
-        lines: number of lines of the program.
-    """
+    """Return compiled code if there is a compiler and the program has enough lines to be worth it, else `written`."""
     found = _compiled() if compiler.worth_compiling(lines) else None
     return written if found is None else found.written
 
@@ -253,12 +246,7 @@ _EXPONENT: Final = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)[EeDd][+-]?\d{1,3}", re.
 
 @final
 class AptWriter:
-    """Writer of statements that keeps track of the last tool vector.
-
-    Args:
-        newline: line ending of the program.
-        together: how simple statements are written together.
-    """
+    """Writer of statements that keeps track of the last tool vector."""
 
     def __init__(self, newline: str, together: Together) -> None:
         self.newline = newline
@@ -272,13 +260,7 @@ class AptWriter:
         return raw
 
     def location(self, statement: Statement, rewrite: Rewrite, rows: list[list[float]], unit: float) -> str:
-        """Return the segments of a location.
-
-        Args:
-            rewrite: its replacement.
-            rows: the positions of the replacement, as lists.
-            unit: mm per program unit.
-        """
+        """Return the segments of a location; ``rows``: positions of its replacement as lists, ``unit``: mm per program unit."""
         raw, fields = statement.raw, statement.fields
         style = Style()
         decimals = [max(POSITION_DECIMALS, _decimals(text)) for _, _, text in fields[:3]]
@@ -339,13 +321,7 @@ def _decimals(text: str) -> int:
 @final
 @dataclass(frozen=True)
 class _Run:
-    """Simple statements to be processed together.
-
-    Attributes:
-        chunk: the chunk they are in.
-        begin, end: the range of lines in it, with comments in between.
-        lines: indices of the statements in it.
-    """
+    """Simple statements to process together: a range of lines with comments in between, and the indices of the statements in it."""
 
     chunk: Chunk
     begin: int
@@ -455,9 +431,7 @@ class AptChunkWriter(ChunkWriter):
 class AptPoster(ChunkWriter):
     """Writer of cutter locations as axis words of another language, chunk by chunk.
 
-    Raises:
-        ValueError: a move has no new position or an unknown axis position, or the program already has axis words (errors of
-            the caller).
+    It raises `ValueError` if a move has no new position or an unknown axis position (errors of the caller).
     """
 
     def __init__(self, source: str, program: NewProgram) -> None:
@@ -466,11 +440,7 @@ class AptPoster(ChunkWriter):
         program.start(source)
 
     def write(self, chunk: Chunk, moves: MoveColumns, new: NewPositions) -> bytes:
-        """See `ChunkWriter.write`.
-
-        Raises:
-            InputError: an unknown location.
-        """
+        """See `ChunkWriter.write`; raise `InputError` for an unknown location."""
         index_of = {line: index for index, line in enumerate(moves.line.tolist())}
         texts, at, writer = _texts(chunk), 0, self._program
         while at < len(texts):
@@ -537,10 +507,7 @@ def _texts(chunk: Chunk) -> Sequence[str]:
 def _parts(chunk: Chunk, able: np.ndarray, alone: Callable[[], bool]) -> Iterator[_Run | Statement]:
     """Yield runs of statements to process together, and single statements, in order.
 
-    Args:
-        chunk: whole statements.
-        able: (lines,) which of its lines can be processed together.
-        alone: function that returns whether the next statement must be processed alone.
+    ``able``: (lines,) which can be processed together; ``alone``: whether the next statement must be processed alone.
     """
     texts, at = _texts(chunk), 0
     for begin, end, long in runs(able, chunk.scan.blank):

@@ -155,11 +155,7 @@ class HeidenhainInliner(Inliner):
         return self._labels[file]
 
     def _whole(self, path: Path) -> list[Line]:
-        """Return the blocks of another program.
-
-        Raises:
-            InputError: it ends the whole machining, or has other units.
-        """
+        """Return the blocks of another program; raise `InputError` if it ends the whole machining, or has other units."""
         lines = self.read_file(path)
         begin = next((one for one in self.lines if _UNIT.search(_bare(one))), None)
         for line in lines:
@@ -230,16 +226,7 @@ _RAPID: Final = re.compile(rb"[ \t]FMAX(?=[ \t\r\n])")
 
 
 def scan(data: bytes, names: tuple[str, ...], code: LineCode) -> Scan:
-    """Find and read the simple lines of whole lines of a program.
-
-    Args:
-        data: the lines.
-        names: axis names.
-        code: how ISO lines are read.
-
-    Returns:
-        The simple lines, of motion code 0 with ``FMAX`` and 1 without.
-    """
+    """Find and read the simple lines of whole lines of a program, of motion code 0 with ``FMAX`` and 1 without."""
     image = _with_iso_heads(data)
     if b"R0" in image:
         for end in (b" ", b"\r", b"\n"):

@@ -88,12 +88,8 @@ _BARE: Final = re.compile(
 class HeidenhainWriter(WordWriter[PathBlock]):
     """Writer of a program block by block that keeps track of the values written.
 
-    Args:
-        source, axes, newline, style: as for `WordWriter`.
-
-    Attributes:
-        inserted: whether lines have been inserted among numbered blocks.
-        own_calls: whether calls of cycles are written out, each with its approach; if not, none of their moves may be replaced.
+    ``inserted``: whether lines have been inserted among numbered blocks; ``own_calls``: whether calls of cycles are written out, each
+    with its approach; if not, none of their moves may be replaced.
     """
 
     equals = ""
@@ -147,10 +143,7 @@ class HeidenhainWriter(WordWriter[PathBlock]):
         return f"{head}; {block.text[block.head_end :].strip()}{ending(text)}"
 
     def _called(self, block: PathBlock, call: CycleCall, segments: Mapping[int, Segments]) -> list[str]:
-        """Return the approach of a call, its definition if the surface has another correction than before, and the call.
-
-        A call that stays as it is is only recorded.
-        """
+        """Return the approach of a call, its definition if the surface has a new correction, and the call; nothing if it stays."""
         if not self.own_calls:
             self.said.record(call.axis, call.level, False)
             return []
@@ -271,15 +264,7 @@ _SEGMENT: Final = re.compile(rb"([^\r\n]++)([\r\n]++)")
 
 @final
 class HeidenhainRewriter(ChunkRewriter):
-    """Writer of a program, chunk by chunk.
-
-    Args:
-        source: file name for messages.
-        newline: line ending of the program.
-        style: its number format (`twin.nc.text.style_in`).
-        tcp: whether tool centre point control is on at the first move.
-        code: how simple lines are written.
-    """
+    """Writer of a program, chunk by chunk."""
 
     def __init__(self, source: str, axes: AxisWords, newline: str, style: Style, *, tcp: bool, code: LineCode) -> None:
         self._interpreter = HeidenhainInterpreter(source, axes, tcp=tcp)

@@ -34,23 +34,14 @@ class HeidenhainInterpreter(HeidenhainFrame):
         self._shortest_way: list[tuple[int, bool]] = [(-1, False)]
 
     def step(self, line: int, text: str, known: Move | None = None) -> PathBlock:
-        """Interpret one line.
-
-        Args:
-            line: 0-based index of the line.
-            known: its move, if it has been interpreted before.
-
-        Raises:
-            InputError: with file, line and value.
-        """
+        """Interpret one line; ``line``: its 0-based index, ``known``: its move, if it has been interpreted before."""
         found = self._found(line, text)
         return self._block(text) if found is None else self._simple_block(found, known)
 
     def checked(self, moves: MoveColumns, text_of: Callable[[int], str]) -> MoveColumns:
         """See `Interpreter.checked`: with ``M126`` a rotary axis may turn in the opposite direction. A rapid that does is noted.
 
-        Raises:
-            InputError: a feed that turns so: the blocks that it is split into would turn the axis the long way.
+        A feed that does is refused: the blocks that it is split into would turn the axis the long way.
         """
         moves = super().checked(moves, text_of)
         turned_to = self.turned_to
@@ -324,11 +315,7 @@ class HeidenhainInterpreter(HeidenhainFrame):
         self._assignments(body)
 
     def _call_here(self, block: PathBlock, upper: str) -> None:
-        """Execute the cycle in force at the present position: ``CYCL CALL``, with M functions.
-
-        Raises:
-            InputError: a call at other places.
-        """
+        """Execute the cycle in force at the present position: ``CYCL CALL``, with M functions, but not at other places."""
         rest = upper.removeprefix("CYCL CALL").split()
         if any(not vocabulary.HARMLESS_CALL.fullmatch(word) for word in rest):
             raise self.error("cycle call at other places", f"CYCL CALL, M99 or M89; or {vocabulary.EXPANDED_CYCLE}")
@@ -375,11 +362,7 @@ class HeidenhainInterpreter(HeidenhainFrame):
             self._path(block, "L", block.text.upper().index("CT", block.head_end) + 2)
 
     def _lead(self, block: PathBlock, body: str) -> None:
-        """Apply ``APPR`` or ``DEP``, whose path the control finds: its end is corrected, if the block gives it.
-
-        Raises:
-            InputError: another form of them, or one whose end is not in this block.
-        """
+        """Apply ``APPR`` or ``DEP``, whose path the control finds: its end is corrected, if the block gives it."""
         match = vocabulary.LEAD.match(body)
         if match is None:
             raise self.error(f"path function {body.split()[0]}", "APPR or DEP with LT, LN, CT or LCT")

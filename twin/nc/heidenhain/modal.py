@@ -31,7 +31,6 @@ class Cycle:
     """A machining cycle that the next calls execute.
 
     Attributes:
-        number: its number.
         texts: the lines of its definition without block number and line ending.
         given: the parameters that these set.
         open: whether the next line may set a further one.
@@ -56,11 +55,9 @@ class CycleCall(NamedTuple):
     """The call of a cycle in a block.
 
     Attributes:
-        cycle: what is called.
         top: height at which it begins, mm.
         surface: height of the surface, mm; NaN: it begins and ends where the tool is.
         level: height at which it ends, mm.
-        axis: the linear axis that drills.
     """
 
     cycle: Cycle
@@ -76,17 +73,12 @@ class PathBlock(Block):
     """One block: `twin.nc.modal.Block` with the attributes of Heidenhain blocks.
 
     Attributes:
-        numbered: whether it has a number.
         keyword: ``L``, ``LN``, ``LP``, ``C``, ``CP``, ``CR``, or ``""`` for a paraxial block.
         rapid_text: ``FMAX`` as written, or empty.
         normal_text: the words ``NX NY NZ`` as written.
         normal: their components, or None.
         tool: the components of ``TX TY TZ``, or None.
-        clockwise: the sense of an arc, or None.
-        radius: mm, or None.
-        machine: whether its words are machine coordinates.
         elsewhere: whether these count from a point of the machine's builder (M92).
-        retracts: whether it retracts along the tool axis.
         polar: radius and angle of the end point about the pole: value in mm or degrees, and whether it is an increment.
         polar_words: the words that give them.
         calls: whether it calls the machining cycle in force behind its motion.
@@ -126,12 +118,7 @@ AT_PRESENT_HEIGHT: Final = frozenset({1, 2, 17, 18})
 
 
 class HeidenhainCycles(Interpreter):
-    """The machining cycle in force and its calls.
-
-    Attributes:
-        plane: in-plane axes and the drilling axis.
-        modal: whether every positioning calls the cycle (``M89``).
-    """
+    """The machining cycle in force and its calls; ``modal``: whether every positioning calls it (``M89``)."""
 
     plane = (0, 1, 2)
     modal = False
@@ -163,11 +150,7 @@ class HeidenhainCycles(Interpreter):
             self._in_force.open = False
 
     def call_cycle(self, block: PathBlock) -> None:
-        """Add the approach of the cycle in force to the moves of a block.
-
-        Raises:
-            InputError: no cycle is in force, its heights are unknown, or the mode does not allow it.
-        """
+        """Add the approach of the cycle in force to the moves of a block."""
         cycle, axis = self._in_force, self.plane[2]
         if cycle is None:
             expected = f"cycle 200 to 209, 240, 241, 1, 2, 17 or 18 defined before it; or {vocabulary.EXPANDED_CYCLE}"
@@ -221,32 +204,19 @@ class HeidenhainCycles(Interpreter):
 
 
 class HeidenhainPaths(HeidenhainCycles):
-    """Arcs, points about the pole and the side of the contour.
-
-    Attributes:
-        centre: the pole in force (``CC``), by axis.
-        on_contour: whether the last block in the plane was compensated.
-    """
+    """Arcs, the pole in force (``CC``, by axis), and whether the last block in the plane was compensated (``on_contour``)."""
 
     centre: Mapping[int, float] = {}
     on_contour = False
 
     def leave_contour(self) -> None:
-        """Check that no radius compensation is selected where the control leaves the contour.
-
-        Raises:
-            InputError: it is.
-        """
+        """Raise `InputError` if radius compensation is selected where the control leaves the contour."""
         if self.beside:
             raise self.error("machine coordinates under cutter radius compensation", "R0 before them")
         self.on_contour = False
 
     def compensated(self, block: PathBlock, rotary: list[float]) -> bool:
-        """Return whether a block is under cutter radius compensation, or leads in or out; ``rotary``: the axes before it.
-
-        Raises:
-            InputError: it turns the tool, or calls a cycle.
-        """
+        """Return whether a block is under cutter radius compensation, or leads in or out; ``rotary``: the axes before it."""
         if not (self.beside or self.on_contour or block.leads):
             return False
         here = self.position[self.linear :]
@@ -261,11 +231,7 @@ class HeidenhainPaths(HeidenhainCycles):
         return True
 
     def polar_end(self, block: PathBlock, start: list[float]) -> float | None:
-        """Set the end point of a block given about the pole, and return its sweep in radians if that is given.
-
-        Raises:
-            InputError: the pole, the start or the angle is unknown, or a word contradicts another.
-        """
+        """Set the end point of a block given about the pole, and return its sweep in radians if that is given."""
         a, b, _ = self.plane
         if not (a in self.centre and b in self.centre):
             raise self.error(f"{block.keyword} without a pole", "CC before it")
@@ -297,11 +263,7 @@ class HeidenhainPaths(HeidenhainCycles):
         return angle - begin
 
     def arc(self, block: PathBlock, start: list[float], sweep: float | None) -> Arc:
-        """Return the arc of a block; ``sweep``: in radians, if the block gives it.
-
-        Raises:
-            InputError: it has no sense, no centre or radius, or is invalid.
-        """
+        """Return the arc of a block; ``sweep``: in radians, if the block gives it."""
         if block.clockwise is None:
             raise self.error("circular block without its sense", "DR+ or DR-")
         a, b, _ = self.plane
@@ -339,11 +301,7 @@ _CHOICE: Final = re.compile(r"(?:SEQ|SYM)[ \t]*([+-])", re.ASCII | re.IGNORECASE
 
 
 class HeidenhainFrame(HeidenhainPaths):
-    """Preset by cycle 247, tool by ``TOOL CALL``, tilted plane by ``PLANE SPATIAL``.
-
-    Attributes:
-        continued: whether the next line continues the current block (parameters of a cycle).
-    """
+    """Preset by cycle 247, tool by ``TOOL CALL``, tilted plane; ``continued``: whether the next line continues the block."""
 
     heidenhain = True
     variant = "HEIDENHAIN"
@@ -371,11 +329,7 @@ class HeidenhainFrame(HeidenhainPaths):
         self._selects_preset = True
 
     def end_preset(self, block: PathBlock) -> None:
-        """Select the preset of a cycle 247 that is complete.
-
-        Raises:
-            InputError: its number is unknown.
-        """
+        """Select the preset of a cycle 247 that is complete."""
         if self._selects_preset and not self.continued:
             self._selects_preset, self.doubtful = False, ""
             self._shift_to(block, (), None)
@@ -388,11 +342,7 @@ class HeidenhainFrame(HeidenhainPaths):
             self.select_offset(block, str(int(row)))
 
     def select_tool(self, block: PathBlock, body: str) -> None:
-        """Put the tool of a ``TOOL CALL`` into the spindle.
-
-        Raises:
-            InputError: its number or ``DL`` is unknown.
-        """
+        """Put the tool of a ``TOOL CALL`` into the spindle, with its ``DL``."""
         match = vocabulary.TOOL.match(body)
         if match is None:
             return
@@ -412,11 +362,7 @@ class HeidenhainFrame(HeidenhainPaths):
         self.select(block, tool=tool, length="" if tool == "0" else tool, delta_mm=length)
 
     def tilt(self, block: PathBlock, upper: str) -> None:
-        """Apply a ``PLANE`` statement.
-
-        Raises:
-            InputError: another way to define a plane, or a plane where it cannot be followed.
-        """
+        """Apply a ``PLANE`` statement."""
         words = upper.split()
         if words[1:2] == ["RESET"]:
             self._end_plane(block, words)
@@ -438,11 +384,7 @@ class HeidenhainFrame(HeidenhainPaths):
             self._enter_plane(block, self.pending)
 
     def _zero_of_plane(self) -> tuple[float, float, float]:
-        """Return the zero of a tilted plane: the datum shift before the first one.
-
-        Raises:
-            InputError: it is shifted or turned in a way that is not followed.
-        """
+        """Return the zero of a tilted plane: the datum shift before the first one."""
         if self.frame.plane is None:
             self._shift_below = self.frame.shift
         elif self.frame.shift or self.frame.turn:
@@ -460,9 +402,6 @@ class HeidenhainFrame(HeidenhainPaths):
 
         The builder of the machine decides whether its angles are spatial angles or positions of the rotary axes (HEIDENHAIN, user's
         manuals of TNC 320 and iTNC 530, "Working plane, cycle 19"). Both must be the same plane.
-
-        Raises:
-            InputError: other words, or a plane where it cannot be followed.
         """
         found = vocabulary.TILT.findall(rest)
         if not vocabulary.TILT_REST.fullmatch(vocabulary.TILT.sub("", rest)):
@@ -496,14 +435,10 @@ class HeidenhainFrame(HeidenhainPaths):
         self.select(block, plane=plane, shift=())
 
     def stand_at_plane(self, block: PathBlock) -> bool:
-        """Apply a plane defined with ``STAY``; return whether a block does nothing else.
+        """Apply a plane defined with ``STAY``; return whether a block that moves axes does nothing else.
 
-        Args:
-            block: a block that moves axes. One that names rotary axes only positions them, by the parameters Q120 to Q122 where the
-                control has computed them or by numbers; any other one finds them in position.
-
-        Raises:
-            InputError: it names both, some parameters only, or an unknown position, or under tool centre point control.
+        One that names rotary axes only positions them, by the parameters Q120 to Q122 where the control has computed them or by
+        numbers; any other one finds them in position.
         """
         plane, rotary = self.pending, [word for word in block.words if word.axis >= self.linear]
         if plane is None:
@@ -525,11 +460,7 @@ class HeidenhainFrame(HeidenhainPaths):
         return bool(rotary)
 
     def _rotation(self, upper: str, way: str) -> Rows:
-        """Return the rotation of a ``PLANE`` statement: its name and its words.
-
-        Raises:
-            InputError: another definition of a plane, or a value that is missing or unknown.
-        """
+        """Return the rotation of a ``PLANE`` statement: its name and its words."""
         kind = next((name for name in _DEFINITIONS if way and name.startswith(way[:7]) and len(way) >= 5), "")
         if not kind:
             raise self.error(f"coordinate transformation PLANE {way}", f"PLANE {', '.join(_DEFINITIONS)}")
@@ -559,11 +490,7 @@ class HeidenhainFrame(HeidenhainPaths):
             raise self.error(f"PLANE {way} with {error}", "two directions across each other") from None
 
     def shift(self, block: PathBlock, words: str, what: str) -> None:
-        """Shift the datum by axis words, each absolute or incremental (``IX``); the other axes keep their shift.
-
-        Raises:
-            InputError: other words, or a shift that cannot be followed.
-        """
+        """Shift the datum by axis words, each absolute or incremental (``IX``); the other axes keep their shift."""
         if self.pending is not None:
             raise self.error(f"{what} between PLANE with STAY and its positioning", "the shift before it")
         shift = [*(self.frame.shift or (0.0,) * len(self.names))]
@@ -592,11 +519,7 @@ class HeidenhainFrame(HeidenhainPaths):
             self.doubtful = ""
 
     def turn(self, block: PathBlock, words: str, what: str) -> None:
-        """Turn the coordinates in the working plane by ``ROT``, absolute or incremental.
-
-        Raises:
-            InputError: other words, or a rotation that cannot be followed.
-        """
+        """Turn the coordinates in the working plane by ``ROT``, absolute or incremental."""
         match = vocabulary.ROTATION.fullmatch(words.strip())
         if match is None:
             raise self.error(f"{what} without an angle", "ROT+30", words.strip() or None)
@@ -614,11 +537,7 @@ class HeidenhainFrame(HeidenhainPaths):
         self.reframe(block, carried=False, shift=shift, turn=turn)
 
     def known(self, name: str, written: str) -> float:
-        """Return the value of a word.
-
-        Raises:
-            InputError: it is unknown.
-        """
+        """Return the value of a word; raise `InputError` if it is unknown."""
         if "Q" in written.upper():
             return self.known_value(name, written, "a number, or a Q parameter set to a number before")
         value = self.value_of(written)

@@ -256,11 +256,9 @@ UNNUMBERED: Final = "\0"
 
 
 def renumbered(text: str, numbers: Callable[[list[str]], Iterable[int]]) -> str:
-    """Return lines with new block numbers and without the marks `UNNUMBERED`.
+    """Return lines with new block numbers, which ``numbers`` makes of the old ones, and without the marks `UNNUMBERED`.
 
-    Args:
-        text: the lines.
-        numbers: function that returns the new numbers for the old ones, or more. An old number that begins with a zero keeps its width.
+    An old number that begins with a zero keeps its width.
     """
     parts = _NUMBERS.split(f"\n{text}")
     old = parts[2::3]

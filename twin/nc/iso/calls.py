@@ -380,11 +380,7 @@ class IsoInliner(Inliner):
 
 
 def _bracketed(text: str, line: Line) -> list[str]:
-    """Return the values ``[..] [..]`` of a call.
-
-    Raises:
-        InputError: something else stands between them, or a bracket is not closed.
-    """
+    """Return the values ``[..] [..]`` of a call; raise `InputError` if anything else stands there."""
     values, depth, begin = list[str](), 0, 0
     for at, character in enumerate(text):
         depth += (character == "[") - (character == "]")
@@ -462,11 +458,7 @@ def _until_return(lines: Sequence[Line], jumps: bool) -> list[Line]:
 
 
 def _proc(line: Line) -> re.Match[str] | None:
-    """Return the match of a ``PROC`` line.
-
-    Raises:
-        InputError: its subprogram restores modal words.
-    """
+    """Return the match of a ``PROC`` line; raise `InputError` if its subprogram restores modal words."""
     proc = _PROC.match(line.text[_NUMBER.match(line.text).end() :])  # type: ignore[union-attr]
     if proc is not None and re.search(r"\bSAVE\b", proc.group(3), _FLAGS):
         raise refused("subprogram that restores modal words (SAVE)", "one without SAVE", line)
@@ -499,11 +491,7 @@ def _literal(value: float, name: str) -> str:
 
 
 def _with_literals(text: str, scope: Scope, line: Line) -> str:
-    """Return a text with the values of local parameters.
-
-    Raises:
-        InputError: one is unknown.
-    """
+    """Return a text with the values of local parameters; raise `InputError` if one is unknown."""
 
     def value(match: re.Match[str]) -> str:
         name = key_of(match.group())

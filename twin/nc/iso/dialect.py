@@ -102,15 +102,7 @@ _LINE: Final = re.compile(rb"[^\r\n]*+(?:\r\n|\n|\r)")
 
 @final
 class IsoRewriter(ChunkRewriter):
-    """Writer of a program, chunk by chunk.
-
-    Args:
-        source: file name for messages.
-        newline: line ending of the program.
-        style: its number format (`twin.nc.text.style_in`).
-        tcp: whether tool centre point control is on at the first move.
-        code: how simple lines are written.
-    """
+    """Writer of a program, chunk by chunk."""
 
     def __init__(
         self, source: str, axes: AxisWords, newline: str, style: Style, *, tcp: bool, code: LineCode = ARRAYS
@@ -248,10 +240,7 @@ class Iso(Dialect):
         return IsoInliner(program, folders)
 
     def with_comments(self, text: str, comments: Sequence[str]) -> str:
-        """See `Dialect.with_comments`: after tape mark and program number.
-
-        In round brackets, or after a semicolon if the program's comments or words are those of a SINUMERIK.
-        """
+        """See `Dialect.with_comments`: after tape mark and number, in round brackets, or after a semicolon as of a SINUMERIK."""
         lines = first_lines(text)
         at = place = 0
         while place < len(lines) and (_is_tape(lines[place]) or _comment(lines[place]) is not None):

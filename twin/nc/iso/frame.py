@@ -37,17 +37,11 @@ class IsoBlock(Block):
         codes: G words, named by their code.
         items: axis words, before their values are known.
         others: words that are not axis words.
-        names: statements and their arguments.
-        motion_word: the G word of the motion group, if the block has one.
-        feed: the value of the F word.
         motion: motion code in force (0 to 3), None before the first.
-        inverse_time: whether the feed is an inverse time.
-        absolute_centre: whether the centre of an arc is absolute.
         vector_names: names of the tool vector's words here, with their ``=``, or None if there is no vector.
         cycle_word: the range of a call or the end of a drilling cycle of SINUMERIK.
         cycle_words: words of a drilling cycle of Fanuc, which are not needed once it is expanded.
         drilling: the cycle that the block executes, at all its holes.
-        drilling_axis: the linear axis that drills.
         approaches: whether its axis words name axes that go to a reference or fixed point of SINUMERIK.
         calls: whether the block executes a cycle of SINUMERIK at the present position.
         positions: whether the block moves the axes to the place of the hole before.
@@ -104,11 +98,7 @@ class IsoFrame(Interpreter):
     _length_by_h = _by_name = False
 
     def choose_offset(self, block: IsoBlock, code: str) -> None:
-        """Select a work offset by its G code.
-
-        Raises:
-            InputError: ``G58`` and ``G59`` that shift coordinates.
-        """
+        """Select a work offset by its G code; ``G58`` and ``G59`` that shift coordinates are refused."""
         shifts = code in ("58", "59") and not self.without_frames
         if shifts and block.items and not any(span.name in "0123" for span in block.codes):
             raise self.error(f"coordinate transformation G{code}", vocabulary.NO_TRANSFORMATION, f"G{code}")
@@ -215,11 +205,7 @@ class IsoTilt(IsoFrame):
     pending: Plane | None = None
 
     def tilt_words(self, block: IsoBlock) -> None:
-        """Apply ``G68.2``, ``G53.1``, ``G53.6``, ``G69``, ``G254`` and ``G255``, and take their words from a block.
-
-        Raises:
-            InputError: another way to define a plane, a plane within a plane, or an unknown value.
-        """
+        """Apply ``G68.2``, ``G53.1``, ``G53.6``, ``G69``, ``G254`` and ``G255``, and take their words from a block."""
         codes = {span.name for span in block.codes}
         if not codes & TILTS:
             return
@@ -259,8 +245,7 @@ class IsoTilt(IsoFrame):
     def _turned_plane(self, values: dict[str, float]) -> Rows:
         """Return the axes of a plane by ``G68.2``: Euler angles, or with P1 an angle about X, Y or Z.
 
-        Raises:
-            InputError: another P, or several angles with P1: public descriptions differ in whether the axes turn with each other.
+        Several angles with P1 are refused: public descriptions differ in whether the axes turn with each other.
         """
         angles = [values.get(letter, 0.0) for letter in "IJK"]
         if not values.get("P"):
@@ -274,11 +259,7 @@ class IsoTilt(IsoFrame):
     def stand_at_plane(self, block: IsoBlock) -> bool:
         """Apply a pending plane where the program itself positions the rotary axes; return whether a block does nothing else.
 
-        Args:
-            block: a block that moves axes; one that names rotary axes only positions them, any other one finds them in position.
-
-        Raises:
-            InputError: it names both, an unknown position, or under tool centre point control.
+        A block that names rotary axes only positions them, any other one finds them in position.
         """
         plane, rotary = self.pending, [word for word in block.words if word.axis >= self.linear]
         if plane is None:
@@ -294,11 +275,7 @@ class IsoTilt(IsoFrame):
         return bool(rotary)
 
     def swivel(self, block: IsoBlock, arguments: str) -> None:
-        """Apply ``CYCLE800(FR, TC, ST, MODE, X0, Y0, Z0, A, B, C, X1, Y1, Z1, DIR, …)``.
-
-        Raises:
-            InputError: a form of the cycle whose effect is not modelled.
-        """
+        """Apply ``CYCLE800(FR, TC, ST, MODE, X0, Y0, Z0, A, B, C, X1, Y1, Z1, DIR, …)``."""
         texts = [part.strip() for part in arguments.strip()[1:-1].split(",")]
         if not any(texts) or texts in _DESELECTED:
             self.pending = None
@@ -372,8 +349,7 @@ Control = Literal["", "LinuxCNC", "Fanuc"]
 class IsoShift(IsoTilt):
     """The shifts in force, and the values of work offsets that the program has set.
 
-    Attributes:
-        control: the control whose words the program has used so far, where the meaning of a word depends on it; empty if it is unknown.
+    ``control``: that whose words the program has used so far, where the meaning of a word depends on it; empty if it is unknown.
     """
 
     plane: int
@@ -392,11 +368,7 @@ class IsoShift(IsoTilt):
         self._turns: dict[str, Rows | None] = {}
 
     def shift_words(self, block: IsoBlock, groups: frozenset[str]) -> None:
-        """Apply G10, G52, G92 and the end of the latter, and take their words from a block.
-
-        Raises:
-            InputError: a form of them that cannot be followed, or about which controls disagree.
-        """
+        """Apply G10, G52, G92 and the end of the latter, and take their words from a block."""
         code = next(span.name for span in block.codes if vocabulary.GROUP_OF[span.name] == "shift")
         what = f"G{code}"
         if code == "92" and not block.items and {item.name for item in block.others} == {"S"}:
@@ -460,11 +432,7 @@ class IsoShift(IsoTilt):
         self._shifted_by = code
 
     def _present_position(self, block: IsoBlock, word: AxisWord) -> float:
-        """Return the position that a word declares anew.
-
-        Raises:
-            InputError: it is unknown.
-        """
+        """Return the position that a word declares anew; raise `InputError` if it is unknown."""
         at, name = self.position[word.axis], self.names[word.axis]
         if at != at or self.unknown:
             what = f"{self._block_text.split()[0]} declares the present position of {name}, which is unknown"
@@ -473,11 +441,7 @@ class IsoShift(IsoTilt):
         return at
 
     def _set_offset(self, block: IsoBlock, words: list[AxisWord], given: dict[str, float]) -> None:
-        """Apply ``G10 L2 P.. R..``: values of a work offset; ``G10 L20 P..``: LinuxCNC, so that the present position has values.
-
-        Raises:
-            InputError: another form.
-        """
+        """Apply ``G10 L2 P.. R..``: values of a work offset; ``G10 L20 P..``: LinuxCNC, so that the present position has values."""
         kind, number, turn = given.get("L"), given.get("P", 0.0), given.get("R")
         if kind not in (2.0, 20.0):
             raise self.error("coordinate transformation G10", "G10 L2 with P and axis words")
@@ -555,11 +519,7 @@ class IsoShift(IsoTilt):
     # ------------------------------------------------------------------ SINUMERIK
 
     def program_frame(self, block: IsoBlock, name: str) -> None:
-        """Apply ``TRANS``, ``ATRANS``, ``ROT``, ``AROT``, or the end of a transformation, and take their words from a block.
-
-        Raises:
-            InputError: a form of them that cannot be followed.
-        """
+        """Apply ``TRANS``, ``ATRANS``, ``ROT``, ``AROT``, or the end of a transformation, and take their words from a block."""
         added = name.startswith("A")
         if not (block.items or block.others):
             self._program(block, (), None)

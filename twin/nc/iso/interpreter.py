@@ -67,14 +67,7 @@ class IsoInterpreter(IsoMotion):
     # ------------------------------------------------------------------ a block
 
     def step(self, line: int, text: str) -> IsoBlock | None:
-        """Interpret one line; return None for a line without words (blank, comment, ``%``).
-
-        Args:
-            line: 0-based index of the line.
-
-        Raises:
-            InputError: with file, line and value.
-        """
+        """Interpret one line (0-based index); return None for a line without words (blank, comment, ``%``)."""
         self._line, self._block_text = line, text
         begin = len(BOM) if line == 0 and text.startswith(BOM) else 0
         stripped = text[begin:].strip(" \t\r\n\f\x1a")
@@ -148,11 +141,7 @@ class IsoInterpreter(IsoMotion):
         self._marked |= text == "%"
 
     def _behind_end(self, text: str, stripped: str) -> None:
-        """Interpret a line behind the end of the program.
-
-        Raises:
-            InputError: it moves axes, and the control may execute it.
-        """
+        """Interpret a line behind the end of the program."""
         words = [match for match in vocabulary.TOKEN.finditer(text) if match.lastgroup != "note"]
         if vocabulary.PROGRAM_BEGIN.match(stripped):
             self.end.begins(stripped)
@@ -255,11 +244,7 @@ class IsoInterpreter(IsoMotion):
         return groups
 
     def _machine_axes(self, block: IsoBlock) -> None:
-        """Take machine axes of SINUMERIK (``G74 X1=0``, ``G75 FP=2 Z1=0``) as the axes of a reference or fixed point approach.
-
-        Raises:
-            InputError: under tool centre point control.
-        """
+        """Take machine axes of SINUMERIK (``G74 X1=0``, ``G75 FP=2 Z1=0``) as those of a reference or fixed point approach."""
         own = [item for item in block.others if item.name[1:] == "1" and item.name[0] in self.index]
         if own and [span.name for span in block.codes] in (["74"], ["75"]) and not block.items:
             if self.tcp:

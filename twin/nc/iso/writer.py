@@ -29,7 +29,6 @@ class IsoWriter(WordWriter[IsoBlock]):
     """Writer of an ISO program block by block that keeps track of the values written.
 
     Args:
-        source, axes, newline, style: as for `WordWriter`.
         expand_cycles: whether drilling cycles are expanded into blocks; if not, none of their moves may be replaced.
         rigid_lines: 0-based indices of the lines that make threads rigid (M29 of Fanuc) which are expanded.
 
@@ -62,13 +61,7 @@ class IsoWriter(WordWriter[IsoBlock]):
         return " " if self.spaced else ""
 
     def block(self, line: int, block: IsoBlock, segments: Mapping[int, Segments] | None) -> str:
-        """Return the output for one block.
-
-        Args:
-            line: 0-based index of its line.
-            block: as interpreted.
-            segments: replacements of its moves, by the index of the move in the block.
-        """
+        """Return the output for one block (0-based line); ``segments``: replacements of its moves, by the index in the block."""
         self._line = line
         if block.tcp_switched or block.unknown_axes:
             self.said.mark_unknown(block.unknown_axes)
@@ -99,11 +92,7 @@ class IsoWriter(WordWriter[IsoBlock]):
         return text if block.drilling is None else self._drilled(block, block.drilling, segments or {}, text)
 
     def _declared(self, block: IsoBlock) -> list[Edit]:
-        """Return the edits by which words declare the output's present position, so that the coordinates are those of the program.
-
-        Raises:
-            InputError: the output's position is unknown.
-        """
+        """Return the edits by which words declare the output's present position, so that the coordinates are those of the program."""
         edits: list[Edit] = []
         for word, at in block.declared:
             said = self.said.value[word.axis]
@@ -137,9 +126,6 @@ class IsoWriter(WordWriter[IsoBlock]):
 
         The control refuses a move between it and the thread, and a motion word ends its effect. So it is written again before every
         thread, not where it stood.
-
-        Raises:
-            InputError: the block has other words.
         """
         others = [item for item in block.others if item.name != "S"]
         codes = [span for span in block.codes if span.name not in ("94", "95")]
