@@ -49,6 +49,7 @@ from twin._common.errors import InputError, OutputError
 from twin._common.files import read_bytes
 from twin._common.resources import one_blas_thread
 from twin.compute.native import compiler
+from twin.compute.native.compiler import only_idle_threads
 
 if TYPE_CHECKING:
     from distributed import Client, Security
@@ -252,7 +253,7 @@ def _pool(processes: int, function: Callable[[Any, Any], Any], shared: Any) -> I
     them nor the cells of a notebook again.
     """
     pool: Any
-    if sys.platform == "linux" and compiler.only_idle_threads():
+    if sys.platform == "linux" and only_idle_threads():
         pool = ProcessPoolExecutor(processes, get_context("fork"), _begin, (os.getpid(), function, shared))
     else:
         from joblib.externals.loky import ProcessPoolExecutor as NewProcesses

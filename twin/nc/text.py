@@ -186,7 +186,7 @@ def decimals_of(increment: float) -> int:
 
 
 class Grid(NamedTuple):
-    """The values an axis word can have: multiples of a step, in program units of so many mm (or degrees), with decimals written."""
+    """The values an axis word can have: multiples of a step, with decimals written; step in program units, unit in mm or degrees."""
 
     step: float
     decimals: int
