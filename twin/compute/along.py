@@ -356,7 +356,7 @@ class AlongFunction:
     def largest(self, inputs: tuple[np.ndarray, ...], points: np.ndarray) -> np.ndarray:
         """Return (lines,) the largest value, at least 0, of a function with one output on each line.
 
-        Inputs are (lines, entries) each, or (entries,) for one value shared by all lines; ``points``: (lines,) number of points on each.
+        Inputs are (lines, entries) each, or (entries,) for one value shared by all lines; ``points``: (lines,) their points.
         """
         compiled = self._compiled.largest
         return self._chosen(inputs, points, compiled, self._largest, lambda found: found)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from math import isnan, nan
@@ -78,68 +78,6 @@ class Technology:
     speed_rpm: np.ndarray
     dwell_s: np.ndarray
     says_speed: bool
-
-
-def carried(program: Program, words_of: Callable[[str], LineWords]) -> Technology:
-    """Return the technology of a program.
-
-    A spindle that the program never switches on or off is taken to turn from the first speed word on: the calling program has switched
-    it on.
-
-    Args:
-        words_of: what a line says.
-
-    Raises:
-        InputError: a speed that follows the cutting speed, or is not a number.
-    """
-    lines = [words_of(text) for text in program.texts]
-    switched = any(line.turning is not None or line.off_after for line in lines)
-    turning, speed, feed, unit, scale = not switched, nan, nan, FeedUnit.MINUTE, 1.0
-    feeds, units, speeds = [], [], []
-    for i, words in enumerate(lines):
-        _check(program, i, words)
-        scale = scale if words.inch is None else MM_PER_INCH if words.inch else 1.0
-        feed = nan if words.unit not in (None, unit) else feed
-        unit = words.unit or unit
-        if words.feed is not None:
-            feed = words.feed * (1.0 if unit is FeedUnit.INVERSE or words.metric else scale)
-        speed = speed if words.speed_rpm is None else words.speed_rpm
-        turning = turning if words.turning is None else words.turning
-        feeds.append(feed)
-        units.append(unit)
-        speeds.append(0.0 if isnan(speed) or not turning else speed)
-        turning = turning and not words.off_after
-    return Technology(
-        read_only(np.array(feeds)),
-        read_only(np.array(units, dtype=object)),
-        read_only(np.array(speeds)),
-        read_only(np.array([line.dwell_s for line in lines])),
-        any(line.speed_rpm is not None for line in lines),
-    )
-
-
-def _check(program: Program, line: int, words: LineWords) -> None:
-    text = program.texts[line].strip()
-    if words.varying is not None:
-        raise InputError(
-            f"the spindle speed follows the cutting speed ({words.varying})",
-            expected="a constant speed in every block (G97), or a speed given for the whole program",
-            file=program.source,
-            line=line + 1,
-            value=text,
-        )
-    if (words.speed_rpm is not None and isnan(words.speed_rpm)) or isnan(words.dwell_s):
-        what = "dwell" if isnan(words.dwell_s) else "spindle speed"
-        raise InputError(
-            f"the {what} is not a number",
-            expected="a number, or a speed given for the whole program",
-            file=program.source,
-            line=line + 1,
-            value=text,
-        )
-
-
-# --- Interface of a language of NC programs, as used by the rest of the package -------------------
 
 
 class Dialect(ABC):
@@ -271,10 +209,33 @@ class Dialect(ABC):
     def technology(self, program: Program) -> Technology:
         """Return feed, spindle speed and dwell of every line.
 
-        Raises:
-            InputError: as for `twin.nc.dialect.carried`.
+        A spindle that the program never switches on or off is taken to turn from the first speed word on: the calling program has
+        switched it on. It raises `InputError` for a speed that follows the cutting speed, or is not a number.
         """
-        return carried(program, self.line_words)
+        lines = [self.line_words(text) for text in program.texts]
+        switched = any(line.turning is not None or line.off_after for line in lines)
+        turning, speed, feed, unit, scale = not switched, nan, nan, FeedUnit.MINUTE, 1.0
+        feeds, units, speeds = [], [], []
+        for i, words in enumerate(lines):
+            _check(program, i, words)
+            scale = scale if words.inch is None else MM_PER_INCH if words.inch else 1.0
+            feed = nan if words.unit not in (None, unit) else feed
+            unit = words.unit or unit
+            if words.feed is not None:
+                feed = words.feed * (1.0 if unit is FeedUnit.INVERSE or words.metric else scale)
+            speed = speed if words.speed_rpm is None else words.speed_rpm
+            turning = turning if words.turning is None else words.turning
+            feeds.append(feed)
+            units.append(unit)
+            speeds.append(0.0 if isnan(speed) or not turning else speed)
+            turning = turning and not words.off_after
+        arrays = (
+            np.array(feeds),
+            np.array(units, dtype=object),
+            np.array(speeds),
+            np.array([line.dwell_s for line in lines]),
+        )
+        return Technology(*map(read_only, arrays), any(line.speed_rpm is not None for line in lines))
 
     def read(self, data: bytes, source: str) -> Program:
         """Split bytes into lines; raise `InputError` if they are empty or not text."""
@@ -306,6 +267,19 @@ class Dialect(ABC):
     def new_program(self, axes: AxisWords) -> NewProgram:
         """Return a new, empty program in axis words; raise `ValueError` if the language has none (an error of the caller)."""
         raise ValueError(f"{self.name} has no axis words")
+
+
+def _check(program: Program, line: int, words: LineWords) -> None:
+    if words.varying is not None:
+        what = f"the spindle speed follows the cutting speed ({words.varying})"
+        expected = "a constant speed in every block (G97), or a speed given for the whole program"
+    elif (words.speed_rpm is not None and isnan(words.speed_rpm)) or isnan(words.dwell_s):
+        what = f"the {'dwell' if isnan(words.dwell_s) else 'spindle speed'} is not a number"
+        expected = "a number, or a speed given for the whole program"
+    else:
+        return
+    shown = program.texts[line].strip()
+    raise InputError(what, expected=expected, file=program.source, line=line + 1, value=shown)
 
 
 class NewProgram(ABC):

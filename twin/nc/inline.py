@@ -101,7 +101,8 @@ class FlowStructure:
         self.within: dict[int, int] = {}
         opened: list[int] = []
         for i, flow in flows.items():
-            closes = flow.kind in _CLOSING or (flow.kind == "while" and self._ends_do(flows, opened, flow))
+            ends_do = bool(opened and flow.name) and flows[opened[-1]][:2] == ("do", flow.name)
+            closes = flow.kind in _CLOSING or (flow.kind == "while" and ends_do)
             if flow.kind in OPENING and not closes:
                 opened.append(i)
                 self.branches[i] = [i]
@@ -120,10 +121,6 @@ class FlowStructure:
         if opened:
             raise error("loop or branch without its end", "its end in the same program", opened[-1])
         self.chain = {one: chain for chain in self.branches.values() for one in chain}
-
-    @staticmethod
-    def _ends_do(flows: Mapping[int, Flow], opened: list[int], flow: Flow) -> bool:
-        return bool(opened and flow.name) and flows[opened[-1]].kind == "do" and flows[opened[-1]].name == flow.name
 
 
 def _matches(begin: Flow, end: Flow) -> bool:
@@ -349,10 +346,8 @@ class FlowRun:
             return self._end(at, first)
         if flow.kind in OPENING:
             return self._begin(at, flow)
-        return _AFTER.get(flow.kind, FlowRun._next)(self, at, flow)
-
-    def _next(self, at: int, flow: Flow) -> int:
-        return at + 1
+        handler = _AFTER.get(flow.kind)
+        return at + 1 if handler is None else handler(self, at, flow)
 
     def _begin(self, at: int, flow: Flow) -> int:
         """Return the line after the first statement of a loop or branch."""
@@ -411,9 +406,6 @@ class FlowRun:
         self._inliner.values[name] = float(self._counts[first]) if more else math.nan
         return first + 1 if more else behind
 
-    def _else(self, at: int, flow: Flow) -> int:
-        return self._structure.chain[at][-1] + 1
-
     def _then(self, at: int, flow: Flow) -> int:
         if self._true(flow.condition, at):
             line = self._lines[at]
@@ -451,15 +443,6 @@ class FlowRun:
             self.added.append(self._lines[first : last + 1])
         return at + 1
 
-    def _break(self, at: int, flow: Flow) -> int:
-        return self._structure.last[self._structure.within[at]] + 1
-
-    def _continue(self, at: int, flow: Flow) -> int:
-        return self._structure.last[self._structure.within[at]]
-
-    def _return(self, at: int, flow: Flow) -> int:
-        return len(self._lines)
-
     def _target(self, name: str, at: int, towards: int) -> int:
         """Return the index of the line with a label."""
         places = [i for i in self._labels.get(name, []) if not towards or (i - at) * towards > 0]
@@ -478,15 +461,14 @@ class FlowRun:
 
 
 _AFTER: Final[Mapping[str, Callable[[FlowRun, int, Flow], int]]] = {
-    "elseif": FlowRun._else,
-    "else": FlowRun._else,
+    **dict.fromkeys(("elseif", "else"), lambda run, at, flow: run._structure.chain[at][-1] + 1),
     "then": FlowRun._then,
     "goto": FlowRun._goto,
     "case": FlowRun._case,
     "part": FlowRun._part,
-    "break": FlowRun._break,
-    "continue": FlowRun._continue,
-    "return": FlowRun._return,
+    "break": lambda run, at, flow: run._structure.last[run._structure.within[at]] + 1,
+    "continue": lambda run, at, flow: run._structure.last[run._structure.within[at]],
+    "return": lambda run, at, flow: len(run._lines),
 }
 
 

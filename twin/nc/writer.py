@@ -349,25 +349,18 @@ class WordWriter(ABC, Generic[B]):
 
         ``start``, ``end``: values of the axes before and behind the block. Languages without such arcs refuse it.
         """
-        raise InputError(
-            "arc under cutter radius compensation",
-            expected="the tool centre path from the CAM system",
-            file=self.source,
-            line=self._line + 1,
-            value=block.text.strip(),
-        )
+        raise self._error(block, "arc under cutter radius compensation", "the tool centre path from the CAM system")
+
+    def _error(self, block: B, what: str, expected: str) -> InputError:
+        """Return an error at the current block."""
+        return InputError(what, expected=expected, file=self.source, line=self._line + 1, value=block.text.strip())
 
     def _new_centre(self, block: B, move: Move, start: list[float], end: list[float]) -> tuple[float, float]:
         """Return the centre of an arc between new ends; raise `InputError` if the start is unknown."""
         a, b, _ = move.arc.plane  # type: ignore[union-attr]  # asked for arcs only
         if any(start[axis] != start[axis] or self.said.stale[axis] for axis in (a, b)):
-            raise InputError(
-                "arc under cutter radius compensation from a position that is not certain",
-                expected="a block with both axes of the plane before it",
-                file=self.source,
-                line=self._line + 1,
-                value=block.text.strip(),
-            )
+            what = "arc under cutter radius compensation from a position that is not certain"
+            raise self._error(block, what, "a block with both axes of the plane before it")
         here = (move.position[a], move.position[b])
         return moved_centre(move.arc, here, (start[a], start[b]), (end[a], end[b]))  # type: ignore[arg-type]
 
@@ -436,13 +429,9 @@ class WordWriter(ABC, Generic[B]):
 
     def _check(self, axis: int) -> None:
         if self.said.value[axis] != self.said.value[axis]:
-            raise InputError(
-                f"incremental {self.names[axis]} while its position is unknown",
-                expected="absolute position first",
-                file=self.source,
-                line=self._line + 1,
-                value=self.names[axis],
-            )
+            what, name = f"incremental {self.names[axis]} while its position is unknown", self.names[axis]
+            expected = "absolute position first"
+            raise InputError(what, expected=expected, file=self.source, line=self._line + 1, value=name)
 
     def _vector(self, block: B, vector: list[float], edits: list[Edit] | None) -> list[str]:
         """Replace the words of a tool vector that the block has (as edits) and return the others."""

@@ -13,10 +13,8 @@ Checked against public descriptions:
 - The frame of a table file (``BEGIN … MM``, header line, rows, ``[END]``): iTNC 530 HSCI Technical Manual,
   www.easymanua.ls/heidenhain/itnc-530-hsci/manual/716772?p=684.
 
-**Not checked** (`unchecked`, also stated in the files and in the report): that ``.COM`` values have the sign of the error as
-linear axis-error compensation has; linear interpolation between the points and the end value beyond them; that BACKLASH contains
-absolute values instead of differences; units of a rotary axis (degrees) and the number of digits; column widths. Older controls
-(TNC 4xx, iTNC 530) require a datum and a spacing that is a power of two instead of AXISPOS; this is not written.
+Not checked: `unchecked`. Older controls (TNC 4xx, iTNC 530) require a datum and a spacing that is a power of two instead of AXISPOS;
+this is not written.
 """
 
 from __future__ import annotations

@@ -16,9 +16,7 @@ Only component errors are written. Squareness and locations of rotary axes are i
 depend on the sign convention of the control's position errors. Components are along the machine's x, y, z with all axes at zero; those
 of a linear axis refer to the spindle nose, which moves with it, those of a rotary axis to its centre of rotation (PXB … in the file).
 
-**Not checked** (`unchecked`): that a positive component error is the actual deviation of ISO 230-1 (``negate`` reverses
-it); that the lever of an angular error is measured from the point that moves with the axis; that the end value applies beyond the ends
-of a block; that rotary arguments are wrapped.
+Not checked: `unchecked` (``negate`` reverses the sign of a component error).
 """
 
 from __future__ import annotations

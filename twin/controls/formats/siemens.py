@@ -13,8 +13,7 @@ Checked against public descriptions: SINUMERIK Function Manual, Extended Functio
 - p. 264: the 828D has 8 tables of 200 points.
 - "AX1" … are the machine axes by their order, independent of their names (p. 248).
 
-**Not checked** (`unchecked`): that for two multiplied tables only the product moves the axis and not their single values too, as the
-example of p. 252 requires (its second table alone would move X1 by Z1); that values of rotary output axes are in degrees.
+Not checked: `unchecked`; the example of p. 252 requires that its second table alone does not move X1 by Z1.
 """
 
 from __future__ import annotations

@@ -17,7 +17,6 @@ from typing import Final, final
 
 import numpy as np
 
-from twin._common.arrays import read_only
 from twin._common.errors import InputError
 from twin.controls.format import TableLine, fixed_decimals, table_lines
 from twin.controls.kinematics.format import (
@@ -95,9 +94,7 @@ class FanucTable(KinematicsFormat):
         first, between = np.array([values[name] for name in _LENGTHS]).reshape(2, 3)
         shift = np.array([values[f"{_SHIFT} {axis}"] for axis in "XYZ"])
         nominal = table_geometry(machine)
-        return TableGeometry(
-            read_only(np.array([first, first + between])), nominal.directions, read_only(shift), nominal.turn
-        )
+        return TableGeometry(np.array([first, first + between]), nominal.directions, shift, nominal.turn)
 
     def write(self, values: Values, machine: Machine, notes: Sequence[str] = ()) -> str:
         """See `KinematicsFormat.write`."""

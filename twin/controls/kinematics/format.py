@@ -57,6 +57,10 @@ class TableGeometry:
     shift: np.ndarray
     turn: np.ndarray
 
+    def __post_init__(self) -> None:
+        for part in (self.points, self.directions, self.shift, self.turn):
+            read_only(part)
+
     @property
     def vector(self) -> np.ndarray:
         """All numbers (18,): points, directions, shift, turn."""
@@ -96,7 +100,7 @@ def table_geometry(machine: Machine, errors: np.ndarray | None = None) -> TableG
     real, nominal = (frame_pose(machine, machine.work_frame, zero, e) for e in (errors, None))
     turned = np.array(ca.DM(real.rotation)) @ np.array(ca.DM(nominal.rotation)).T
     shift = (_numbers(real.translation) - _numbers(nominal.translation)) / MM
-    return TableGeometry(*map(read_only, (np.array(points), np.array(directions), shift, rotation_vector(turned))))
+    return TableGeometry(np.array(points), np.array(directions), shift, rotation_vector(turned))
 
 
 def _numbers(expression: Any) -> np.ndarray:

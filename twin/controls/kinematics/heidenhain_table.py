@@ -13,7 +13,6 @@ from typing import Final, final
 
 import numpy as np
 
-from twin._common.arrays import read_only
 from twin._common.errors import InputError
 from twin.controls.format import TableLine, fixed_decimals
 from twin.controls.kinematics.format import (
@@ -169,7 +168,7 @@ def _followed(rows: Sequence[tuple[str, str, float]], machine: Machine, path: Pa
             "other rotary axes than those of the table", expected=" ".join(expected), file=path, value=" ".join(names)
         )
     shift = place - work_origin(machine)
-    return TableGeometry(*map(read_only, (np.array(points), np.array(directions), shift, rotation_vector(turned))))
+    return TableGeometry(np.array(points), np.array(directions), shift, rotation_vector(turned))
 
 
 def _about(axis: int, angle: float) -> np.ndarray:

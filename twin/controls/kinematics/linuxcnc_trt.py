@@ -25,7 +25,6 @@ from typing import Final, final
 
 import numpy as np
 
-from twin._common.arrays import read_only
 from twin._common.errors import InputError
 from twin.controls.format import TableLine, fixed_decimals, table_lines
 from twin.controls.kinematics.format import (
@@ -107,7 +106,7 @@ class LinuxCncTrt(KinematicsFormat):
         else:
             first[0] = x + values["x-offset"]
         shift = np.array([values[f"{_SHIFT}-{axis}"] for axis in "xyz"])
-        return TableGeometry(read_only(np.array([first, second])), nominal.directions, read_only(shift), nominal.turn)
+        return TableGeometry(np.array([first, second]), nominal.directions, shift, nominal.turn)
 
     def write(self, values: Values, machine: Machine, notes: Sequence[str] = ()) -> str:
         """See `KinematicsFormat.write`."""

@@ -18,7 +18,6 @@ from typing import Final, final
 
 import numpy as np
 
-from twin._common.arrays import read_only
 from twin.controls.correction import check_linear
 from twin.controls.format import TableLine, fixed_decimals
 from twin.controls.kinematics.format import (
@@ -82,7 +81,7 @@ class SiemensChain(KinematicsFormat):
         directions = np.array([axis / np.linalg.norm(axis) for axis in (one, two)])
         shift = to_first + to_second + to_table - work_origin(machine)
         points = np.array([to_first, to_first + to_second])
-        return TableGeometry(*map(read_only, (points, directions, shift, turn)))
+        return TableGeometry(points, directions, shift, turn)
 
     def write(self, values: Values, machine: Machine, notes: Sequence[str] = ()) -> str:
         """See `KinematicsFormat.write`."""
@@ -158,9 +157,7 @@ class SiemensChain(KinematicsFormat):
             raise TableLine(path, None, "").error(
                 "a rotary axis is missing in the chain", " ".join(expected), len(points)
             )
-        return TableGeometry(
-            *map(read_only, (np.array(points), np.array(directions), place - work_origin(machine), turn))
-        )
+        return TableGeometry(np.array(points), np.array(directions), place - work_origin(machine), turn)
 
     def loading(self, machine: Machine) -> tuple[str, ...]:
         """See `KinematicsFormat.loading`."""

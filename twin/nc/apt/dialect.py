@@ -407,13 +407,9 @@ class AptChunkWriter(ChunkWriter):
         fields = self._record.fields
         centre[c] = number(fields[c].text) * self._reader.unit + end[c] - move.position[c]
         if any(value != value for value in centre.values()):
-            raise InputError(
-                "arc under cutter radius compensation from a position that is not known",
-                expected="a location before it",
-                file=self._reader.source,
-                line=self._record.line + 1,
-                value=circle.strip(),
-            )
+            what, line = "arc under cutter radius compensation from a position that is not known", self._record.line + 1
+            expected, source = "a location before it", self._reader.source
+            raise InputError(what, expected=expected, file=source, line=line, value=circle.strip())
         edits = []
         for axis, (start, stop, text) in enumerate(fields[:3]):
             places = max(POSITION_DECIMALS, _decimals(text))
@@ -457,26 +453,20 @@ class AptPoster(ChunkWriter):
                 if words.unit is not FeedUnit.MINUTE:
                     writer.comment(" ".join(statement.raw.split()))
             elif statement.word in ("CIRCLE", "CUTCOM", "CYCLE") and _acts(statement):
-                raise InputError(
-                    f"{statement.word} cannot be written as axis positions",
-                    expected="cutter locations of the tool centre, linearised by the CAM system, without cycles",
-                    file=self._source,
-                    line=statement.line + 1,
-                    value=statement.raw.strip(),
-                )
+                expected = "cutter locations of the tool centre, linearised by the CAM system, without cycles"
+                raise self._error(statement, f"{statement.word} cannot be written as axis positions", expected)
             elif statement.word and statement.word not in ("RAPID", "FROM", "GOTO", "?"):
                 writer.comment(" ".join(statement.raw.split()))
         return writer.taken()
 
+    def _error(self, statement: Statement, what: str, expected: str) -> InputError:
+        shown = statement.raw.strip()
+        return InputError(what, expected=expected, file=self._source, line=statement.line + 1, value=shown)
+
     def _write_location(self, statement: Statement, move: Move, rewrite: Rewrite | None) -> None:
         if move.unknown:
-            raise InputError(
-                f"a location that cannot be posted: {move.unknown}",
-                expected="statements whose effect on the locations is known",
-                file=self._source,
-                line=move.line + 1,
-                value=statement.raw.strip(),
-            )
+            what = f"a location that cannot be posted: {move.unknown}"
+            raise self._error(statement, what, "statements whose effect on the locations is known")
         if rewrite is None:
             raise ValueError(f"the move of line {move.line + 1} has no position")
         if not np.all(np.isfinite(rewrite.positions)):

@@ -53,28 +53,6 @@ _OFF: Final = frozenset({2, 5, 30})
 _UNITS: Final = {136: FeedUnit.TURN, 137: FeedUnit.MINUTE}
 
 
-def line_words(text: str) -> LineWords:
-    """Return what a line says. A feed per tooth, an automatic feed and a Q parameter are not a number."""
-    bare = _ASIDE.sub(" ", text)
-    if (dwell := _DWELL.search(bare)) is not None:
-        return LineWords(dwell_s=number(dwell[1]))
-    if (unit := _UNIT.search(bare)) is not None:
-        return LineWords(inch=unit[1].upper() in vocabulary.INCHES)
-    codes = [int(code) for code in _MISC.findall(bare)]
-    feed = next((match for match in _FEED.finditer(bare) if match[2] or match[3]), None)
-    tool = _TOOL.search(bare) or _SPEED.match(bare)
-    words = LineWords(
-        feed=None if feed is None else number(feed[2]) if feed[2] else nan,
-        unit=FeedUnit.TURN
-        if feed is not None and feed[1]
-        else next((_UNITS[code] for code in codes if code in _UNITS), None),
-        speed_rpm=None if tool is None else number(tool[1]) if tool[1] else nan,
-        turning=True if _TURNING & set(codes) else None,
-        off_after=bool(_OFF & set(codes)),
-    )
-    return NOTHING if words == NOTHING else words
-
-
 # --- Writer of Heidenhain blocks: moves replaced, every other byte kept ---------------------------
 
 VECTOR_DECIMALS = 7
@@ -148,8 +126,7 @@ class HeidenhainWriter(WordWriter[PathBlock]):
             self.said.record(call.axis, call.level, False)
             return []
         end = ending(block.text) or self.newline
-        indent = block.text[: block.head_end] if block.numbered or not block.text[: block.head_end].strip() else ""
-        lines: list[str] = []
+        indent, lines = block.indent, list[str]()
         place = 1 if block.positions else 0
         for move in block.moves[place:]:
             for row in segments[place][1] if place in segments else [list(move.position)]:
@@ -196,8 +173,7 @@ class HeidenhainWriter(WordWriter[PathBlock]):
                 edits.append((at, at, f"L {words} "))
             if not block.keyword and block.words:
                 edits.append((block.head_end, block.head_end, "L "))  # a paraxial block moves one axis only
-        indent = text[: block.head_end] if block.numbered or not text[: block.head_end].strip() else ""
-        return f"{indent}{begin if block.keyword else 'L'} "
+        return f"{block.indent}{begin if block.keyword else 'L'} "
 
     def record(self, block: PathBlock) -> None:
         """See `WordWriter.record`: a block about the pole, too, says where it ends."""
@@ -219,7 +195,7 @@ class HeidenhainWriter(WordWriter[PathBlock]):
             edits.append((span.start, span.end, f"R{text}"))
             return []
         end_of_line = ending(block.text) or self.newline
-        indent = block.text[: block.head_end] if block.numbered or not block.text[: block.head_end].strip() else ""
+        indent = block.indent
         words = [
             self.names[axis] + self._length(value, block, axis) for axis, value in zip((a, b), centre, strict=True)
         ]
@@ -280,7 +256,9 @@ class HeidenhainRewriter(ChunkRewriter):
 
     def finished(self, text: str) -> str:
         """See `ChunkWriter.finished`."""
-        return renumbered(text, _consecutive_lines) if self._writer.inserted else text.replace(UNNUMBERED, "")
+        if not self._writer.inserted:
+            return text.replace(UNNUMBERED, "")
+        return renumbered(text, lambda old: itertools.count(int(old[0][:15])) if old else ())
 
     def line(self, line: int, text: str, segments: Mapping[int, Segments]) -> str:
         """See `ChunkRewriter.line`."""
@@ -312,11 +290,6 @@ class HeidenhainRewriter(ChunkRewriter):
         self._writer.inserted |= head.strip() != b"L"
         tail = rb" FMAX\2" if _RAPID.search(words) else rb"\2"
         return head + words + end + _SEGMENT.sub(head + rb" \1" + tail, others)
-
-
-def _consecutive_lines(numbers: Sequence[str]) -> Iterable[int]:
-    """Return consecutive block numbers that begin with the first of the old ones."""
-    return itertools.count(int(numbers[0][:15])) if numbers else ()
 
 
 # --- The Heidenhain plain-language dialect --------------------------------------------------------
@@ -397,8 +370,25 @@ class Heidenhain(Dialect):
         return vocabulary.simple_pattern(names).pattern.fullmatch(text) is not None
 
     def line_words(self, text: str) -> LineWords:
-        """See `Dialect.line_words`."""
-        return line_words(text)
+        """See `Dialect.line_words`. A feed per tooth, an automatic feed and a Q parameter are not a number."""
+        bare = _ASIDE.sub(" ", text)
+        if (dwell := _DWELL.search(bare)) is not None:
+            return LineWords(dwell_s=number(dwell[1]))
+        if (unit := _UNIT.search(bare)) is not None:
+            return LineWords(inch=unit[1].upper() in vocabulary.INCHES)
+        codes = [int(code) for code in _MISC.findall(bare)]
+        feed = next((match for match in _FEED.finditer(bare) if match[2] or match[3]), None)
+        tool = _TOOL.search(bare) or _SPEED.match(bare)
+        words = LineWords(
+            feed=None if feed is None else number(feed[2]) if feed[2] else nan,
+            unit=FeedUnit.TURN
+            if feed is not None and feed[1]
+            else next((_UNITS[code] for code in codes if code in _UNITS), None),
+            speed_rpm=None if tool is None else number(tool[1]) if tool[1] else nan,
+            turning=True if _TURNING & set(codes) else None,
+            off_after=bool(_OFF & set(codes)),
+        )
+        return NOTHING if words == NOTHING else words
 
     def renumbered(self, program: Program, text: str) -> str:
         """See `Dialect.renumbered`."""

@@ -281,9 +281,6 @@ class HeidenhainInterpreter(HeidenhainFrame):
             name = "POLARKIN" if upper.startswith("POLARKIN") else "TRANS"
             raise self.error(f"coordinate transformation {name}", vocabulary.NO_TRANSFORMATION)
 
-    def _tilt(self, block: PathBlock, body: str, upper: str) -> None:
-        self.tilt(block, upper)
-
     def _cycle(self, block: PathBlock, body: str, upper: str) -> None:
         if upper.startswith("CYCL CALL"):
             self._call_here(block, upper)
@@ -421,9 +418,6 @@ class HeidenhainInterpreter(HeidenhainFrame):
         """Return whether the value of a rotary axis is the parameter that ``PLANE`` has set for it."""
         places = {"A": "120", "B": "121", "C": "122"}
         return written.replace(" ", "").lstrip("+").upper() == f"Q{places.get(name.upper(), '')}"
-
-    def _axis(self, block: PathBlock, match: re.Match[str]) -> None:
-        self.add(block, self._axis_word(match))
 
     def _feed(self, block: PathBlock, match: re.Match[str]) -> None:
         if match["feed"][-3:].upper() == "MAX":
@@ -581,7 +575,7 @@ class HeidenhainInterpreter(HeidenhainFrame):
 
 
 _TOKENS: Final[Mapping[str, Callable[[HeidenhainInterpreter, PathBlock, re.Match[str]], None]]] = {
-    "axis": HeidenhainInterpreter._axis,
+    "axis": lambda state, block, match: state.add(block, state._axis_word(match)),
     "side": HeidenhainInterpreter._side,
     "feed": HeidenhainInterpreter._feed,
     "sense": HeidenhainInterpreter._sense,
@@ -600,7 +594,7 @@ _STATEMENTS: Final[Mapping[str, Callable[[HeidenhainInterpreter, PathBlock, str,
     "FN": HeidenhainInterpreter._fn,
     "FUNCTION": HeidenhainInterpreter._function,
     "IF": HeidenhainInterpreter._call,
-    "PLANE": HeidenhainInterpreter._tilt,
+    "PLANE": lambda state, block, body, upper: state.tilt(block, upper),
     "POLARKIN": HeidenhainInterpreter._transform,
     "SEL": HeidenhainInterpreter._call,
     "TOOL": HeidenhainInterpreter._tool,

@@ -108,6 +108,11 @@ class PathBlock(Block):
     positions: bool = True
     leads: bool = False
 
+    @property
+    def indent(self) -> str:
+        """The text before a line inserted beside it: its number, or its blanks."""
+        return self.text[: self.head_end] if self.numbered or not self.text[: self.head_end].strip() else ""
+
 
 # --- Machining cycles that make holes: the control executes them at a corrected place --------------
 # A cycle from 200 on goes at rapid to the set-up clearance Q200 above the surface Q203, and returns to it, or to the second set-up

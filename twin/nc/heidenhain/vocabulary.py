@@ -101,19 +101,7 @@ PASSED = frozenset("END BLK STOP LBL DECLARE PATTERN GLOBAL OPEN WAIT".split())
 HARMLESS_FUNCTIONS = tuple(
     f"FUNCTION {reset}{words}"
     for reset in ("", "RESET ")
-    for words in (
-        "AFC",
-        "COUNT",
-        "DWELL",
-        "FEED",
-        "FILE",
-        "LIFTOFF",
-        "MODE MILL",
-        "S-PULSE",
-        "SPINDLE",
-        "TCPM",
-        "REPORT",
-    )
+    for words in "AFC,COUNT,DWELL,FEED,FILE,LIFTOFF,MODE MILL,S-PULSE,SPINDLE,TCPM,REPORT".split(",")
 )
 """Beginnings of functions that act on feed, spindle, files and messages only."""
 OTHER_TCPM = re.compile(r"(?<!PATHCTRL )AXIS SPAT|REFPNT (?!TIP-TIP)\S+")
@@ -137,8 +125,8 @@ orientation, contour, tuning of the drives (332; 392 of DMG MORI). Cycle 247 sel
 """
 HARMLESS_M = frozenset(
     {
-        *range(11),
         *(
+            *range(11),
             13,
             14,
             17,
@@ -156,12 +144,8 @@ HARMLESS_M = frozenset(
             120,
             122,
             124,
-            126,
-            127,
-            134,
-            135,
         ),
-        *(136, 137, 140, 141, 145, 148, 149, 150),
+        *(126, 127, *range(134, 138), 140, 141, 145, *range(148, 151)),
     }
 )
 """M functions that leave positions, frame and modes alone, and those that are modelled (91, 92, 140), by HEIDENHAIN's list. M94 does

@@ -40,26 +40,6 @@ MILLISECONDS: Final = 100.0
 """Least whole number after P of a dwell that counts milliseconds; controls that count seconds do not wait that long."""
 
 
-def line_words(text: str) -> LineWords:
-    """Return what a line says. A dwell (G4) has its time in F, X, U or P; revolutions (S) are not counted."""
-    found = [_word(match) for match in vocabulary.TOKEN.finditer(text)]
-    codes = [vocabulary.canonical(f"G{value}")[1:] for name, value in found if name == "G"]
-    switches = [int(value) for name, value in found if name == "M" and value.isdigit()]
-    values = dict(found)
-    if "4" in codes:
-        return LineWords(dwell_s=_dwell(values))
-    words = LineWords(
-        feed=_number(values, "F"),
-        unit=next((_UNITS[code] for code in codes if code in _UNITS), None),
-        inch=next((_INCH[code] for code in codes if code in _INCH), None),
-        speed_rpm=_number(values, "S"),
-        turning=next((_SWITCHES[code] for code in switches if code in _SWITCHES), None),
-        off_after=any(code in _OFF for code in switches),
-        varying=next((f"G{code}" for code in codes if code in _VARYING), None),
-    )
-    return NOTHING if words == NOTHING else words
-
-
 def _word(match: re.Match[str]) -> tuple[str, str]:
     """Return letter and value of a word, of ``S1=8000`` too; empty for any other token."""
     kind = match.lastgroup
@@ -266,8 +246,23 @@ class Iso(Dialect):
         return all(_is_of_position(match, axes) for match in vocabulary.TOKEN.finditer(text))
 
     def line_words(self, text: str) -> LineWords:
-        """See `Dialect.line_words`."""
-        return line_words(text)
+        """See `Dialect.line_words`. A dwell (G4) has its time in F, X, U or P; revolutions (S) are not counted."""
+        found = [_word(match) for match in vocabulary.TOKEN.finditer(text)]
+        codes = [vocabulary.canonical(f"G{value}")[1:] for name, value in found if name == "G"]
+        switches = [int(value) for name, value in found if name == "M" and value.isdigit()]
+        values = dict(found)
+        if "4" in codes:
+            return LineWords(dwell_s=_dwell(values))
+        words = LineWords(
+            feed=_number(values, "F"),
+            unit=next((_UNITS[code] for code in codes if code in _UNITS), None),
+            inch=next((_INCH[code] for code in codes if code in _INCH), None),
+            speed_rpm=_number(values, "S"),
+            turning=next((_SWITCHES[code] for code in switches if code in _SWITCHES), None),
+            off_after=any(code in _OFF for code in switches),
+            varying=next((f"G{code}" for code in codes if code in _VARYING), None),
+        )
+        return NOTHING if words == NOTHING else words
 
     def new_program(self, axes: AxisWords) -> NewProgram:
         """See `Dialect.new_program`."""
