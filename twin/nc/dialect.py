@@ -229,13 +229,13 @@ class Dialect(ABC):
             units.append(unit)
             speeds.append(0.0 if isnan(speed) or not turning else speed)
             turning = turning and not words.off_after
-        arrays = (
-            np.array(feeds),
-            np.array(units, dtype=object),
-            np.array(speeds),
-            np.array([line.dwell_s for line in lines]),
+        return Technology(
+            feed=read_only(np.array(feeds)),
+            unit=read_only(np.array(units, dtype=object)),
+            speed_rpm=read_only(np.array(speeds)),
+            dwell_s=read_only(np.array([line.dwell_s for line in lines])),
+            says_speed=any(line.speed_rpm is not None for line in lines),
         )
-        return Technology(*map(read_only, arrays), any(line.speed_rpm is not None for line in lines))
 
     def read(self, data: bytes, source: str) -> Program:
         """Split bytes into lines; raise `InputError` if they are empty or not text."""
