@@ -82,7 +82,10 @@ class RowFunction:
     def _compiled(self, library: ctypes.CDLL, columns: list[np.ndarray], found: list[np.ndarray]) -> bool:
         """Fill the results; return False if an angle is too large."""
         starts = [np.array([column.ctypes.data for column in some]) for some in (columns, found)]
-        steps = [_steps(some) for some in (columns, found)]
+        steps = [
+            np.array([column.strides[0] // column.itemsize for column in some], dtype=np.int64)
+            for some in (columns, found)
+        ]
 
         def part(rows: slice) -> int:
             given, out = (start + 8 * rows.start * step for start, step in zip(starts, steps, strict=True))
@@ -91,11 +94,6 @@ class RowFunction:
             return int(library.run(ctypes.byref(job)))
 
         return not any(compiler.map_row_chunks(len(found[0]), part))
-
-
-def _steps(columns: list[np.ndarray]) -> np.ndarray:
-    """Return the number of doubles from one row to the next."""
-    return np.array([column.strides[0] // column.itemsize for column in columns], dtype=np.int64)
 
 
 # --- A function at points along many straight lines by compiled code (`along.cpp`), which keeps no value of a single point
@@ -210,12 +208,8 @@ class CompiledAlong:
         def part(lines: slice) -> tuple[int, int, int]:
             values = starts + 8 * lines.start * steps
             job = _AlongJob(lines.stop - lines.start, far=LARGEST_ANGLE, slack=slack)
-            for name, array in (
-                ("in", values),
-                ("in_step", steps),
-                ("points", points[lines]),
-                ("k", self._routine.constants),
-            ):
+            given = {"in": values, "in_step": steps, "points": points[lines], "k": self._routine.constants}
+            for name, array in given.items():
                 setattr(job, name, array.ctypes.data)
             room(lines, job)
             status = library.along(ctypes.byref(job)) if library is not None else 1
@@ -250,10 +244,8 @@ class BatchFunction:
     def __init__(self, function: ca.Function) -> None:
         self._widths_in = [function.numel_in(i) for i in range(function.n_in())]
         self.widths_out = [function.numel_out(i) for i in range(function.n_out())]
-        dense = (
-            function if all(function.sparsity_out(i).is_dense() for i in range(function.n_out())) else _dense(function)
-        )
-        self._function = dense
+        dense = all(function.sparsity_out(i).is_dense() for i in range(function.n_out()))
+        self._function = function if dense else _dense(function)
         self._mapped: dict[tuple[int, bool], ca.Function] = {}
 
     @cached_property
@@ -274,10 +266,7 @@ class BatchFunction:
         start = 0
         while start < rows:
             left = rows - start
-            if rows <= 4:
-                size = 1
-            else:
-                size = CHUNK if left >= CHUNK else SMALL_CHUNK
+            size = 1 if rows <= 4 else CHUNK if left >= CHUNK else SMALL_CHUNK
             # Calls of one size share one buffer.
             end = start + max(left // size, 1) * size
             self._run(
@@ -306,26 +295,17 @@ class BatchFunction:
             part = slice(start, start + size)
             count = min(size, len(columns[0]) - start)
             complete = count == size
-            arrays = [column[part] if complete else _padded(column[part], size) for column in columns]
+            arrays = [column[part] for column in columns]
+            if not complete:  # the last row is repeated: padding must be a valid pose
+                arrays = [np.concatenate([rows, np.repeat(rows[-1:], size - count, axis=0)]) for rows in arrays]
             results = [output[part] if complete else np.empty((size, output.shape[1])) for output in outputs]
-            for i, array in enumerate(arrays):
-                buffer.set_arg(i, _view(array))
-            for i, array in enumerate(results):
-                buffer.set_res(i, _view(array))
+            for put, group in ((buffer.set_arg, arrays), (buffer.set_res, results)):
+                for i, array in enumerate(group):
+                    put(i, memoryview(array))
             trigger()
             if not complete:
                 for output, result in zip(outputs, results, strict=True):
                     output[part] = result[:count]
-
-
-def _view(array: np.ndarray) -> Any:
-    # CasADi's stubs know the (pointer, size) form only; it takes a buffer.
-    return memoryview(array)  # type: ignore[arg-type, unused-ignore]
-
-
-def _padded(rows: np.ndarray, size: int) -> np.ndarray:
-    """Return the rows with the last one repeated up to ``size`` rows; padding must be a valid pose."""
-    return np.concatenate([rows, np.repeat(rows[-1:], size - len(rows), axis=0)])
 
 
 def _dense(function: ca.Function) -> ca.Function:
@@ -333,8 +313,6 @@ def _dense(function: ca.Function) -> ca.Function:
     results = function.call(symbols)
     return ca.Function(function.name(), symbols, [ca.densify(result) for result in results])
 
-
-# --- A CasADi function at points along many straight lines, of which only the largest values or totals are kept
 
 AT_ONCE: Final = 100_000
 """Points evaluated at once without compiled code, to bound the memory."""
@@ -390,7 +368,9 @@ class AlongFunction:
             if not self._confirmed:
                 some, few = tuple(array[:TRIED_LINES] for array in arrays), points[:TRIED_LINES]
                 tried = compiled(some, few)
-                self._confirmed = tried is not None and _alike(numbers(tried), numbers(plain(some, few)))
+                self._confirmed = tried is not None and np.allclose(
+                    numbers(tried), numbers(plain(some, few)), rtol=ROUNDING, atol=ROUNDING, equal_nan=True
+                )
                 if tried is not None and not self._confirmed:
                     self._compiled.refuse()
             chosen = compiled(arrays, points) if self._confirmed else None
@@ -445,8 +425,3 @@ def fractions(points: np.ndarray) -> np.ndarray:
 def _means(found: Totals) -> np.ndarray:
     """Return number of points and root mean squares."""
     return np.append(np.sqrt(found.squares / max(found.count, 1)), found.count)
-
-
-def _alike(found: np.ndarray, plain: np.ndarray) -> bool:
-    """Return whether two results agree to rounding, relative to the value or to one."""
-    return bool(np.allclose(found, plain, rtol=ROUNDING, atol=ROUNDING, equal_nan=True))

@@ -108,11 +108,8 @@ class Workers:
         if self.processes is not None and self.processes < 1:
             raise InputError("number of workers too small", expected="at least 1", value=self.processes)
         if self.tls is not None and not (self.scheduler or "").startswith("tls://"):
-            raise InputError(
-                "TLS files for a scheduler that does not use TLS",
-                expected="a scheduler at tls://host:8786",
-                value=self.scheduler,
-            )
+            what = "TLS files for a scheduler that does not use TLS"
+            raise InputError(what, expected="a scheduler at tls://host:8786", value=self.scheduler)
         if self.scheduler is not None and find_spec("distributed") is None:
             raise InputError("a scheduler needs Dask, which is not installed", expected="pip install 'twin[cluster]'")
 
@@ -422,11 +419,9 @@ def _client(address: str, tls: Tls | None) -> Iterator[Client]:
         RuntimeError,
         TypeError,
     ) as error:  # encryption required by Dask's configuration, but not in the address; or TLS without certificates
-        raise InputError(
-            "the scheduler's address and the TLS settings do not match",
-            expected="certificates for a scheduler at tls://host:8786, none for one at tcp://host:8786",
-            value=address,
-        ) from error
+        what = "the scheduler's address and the TLS settings do not match"
+        expected = "certificates for a scheduler at tls://host:8786, none for one at tcp://host:8786"
+        raise InputError(what, expected=expected, value=address) from error
     try:
         yield client
     finally:
@@ -446,12 +441,8 @@ def _security(tls: Tls | None) -> Security:
         security = Security(require_encryption=True if files else None, **{k: str(v) for k, v in files.items()})
         security.get_connection_args("client")
     except (OSError, TypeError, ValueError) as error:
-        raise InputError(
-            "unusable TLS files",
-            expected="PEM files of an authority, a certificate and its key",
-            file=None if tls is None else tls.certificate,
-            value=error,
-        ) from error
+        what, expected = "unusable TLS files", "PEM files of an authority, a certificate and its key"
+        raise InputError(what, expected=expected, file=None if tls is None else tls.certificate, value=error) from error
     return security
 
 

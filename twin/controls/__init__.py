@@ -63,12 +63,9 @@ class TableEntry:
     def check(self) -> None:
         """Raise `InputError` if the file has changed since it was recorded or cannot be read."""
         if file_sha256(self.file) != self.sha256:
-            raise InputError(
-                "not the control table with which the calibration was written: the active corrections are unknown",
-                expected=f"the file with sha256 {self.sha256[:12]}…, or a `control:` section with the tables active now",
-                file=self.file,
-                value=file_sha256(self.file)[:12] + "…",
-            )
+            what = "not the control table with which the calibration was written: the active corrections are unknown"
+            expected = f"the file with sha256 {self.sha256[:12]}…, or a `control:` section with the tables active now"
+            raise InputError(what, expected=expected, file=self.file, value=file_sha256(self.file)[:12] + "…")
 
 
 @final

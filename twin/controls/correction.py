@@ -305,11 +305,8 @@ def check_linear(machine: Machine) -> np.ndarray:
     for _ in range(3):
         there = np.array([rng.uniform(*axis.domain) for axis in machine.axes]) * machine.scale
         if np.abs(_directions(machine, there) @ inverse - np.eye(3)).max() > DIRECTION_TOLERANCE:
-            raise InputError(
-                f"{machine.name}: the direction of a linear axis changes when another axis moves",
-                expected="linear axes that keep their direction",
-                file=machine.path,
-            )
+            what = f"{machine.name}: the direction of a linear axis changes when another axis moves"
+            raise InputError(what, expected="linear axes that keep their direction", file=machine.path)
     return read_only(inverse)
 
 
@@ -319,11 +316,9 @@ def _directions(machine: Machine, q: np.ndarray) -> np.ndarray:
     axes = [machine.axes[i] for i in machine.linear]
     columns = [_SIGN[machine.axes[i].side] * np.array(turns[i]) @ machine.axes[i].direction for i in machine.linear]
     if len(axes) != 3 or abs(np.linalg.det(np.array(columns))) < DIRECTION_TOLERANCE:
-        raise InputError(
-            f"{machine.name} does not have three independent linear axes",
-            expected="three linear axes, or a format with tables of single axes (linuxcnc, heidenhain, siemens)",
-            file=machine.path,
-        )
+        what = f"{machine.name} does not have three independent linear axes"
+        expected = "three linear axes, or a format with tables of single axes (linuxcnc, heidenhain, siemens)"
+        raise InputError(what, expected=expected, file=machine.path)
     return np.array(columns).T
 
 

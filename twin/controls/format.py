@@ -177,9 +177,8 @@ def check_letters(names: Iterable[str], control: str) -> None:
     """Raise `InputError` unless all names are axis names of controls that name axes by a letter."""
     for name in names:
         if name not in LETTERS:
-            raise InputError(
-                f"{control} has no such axis", expected=f"axes named by one of {' '.join(LETTERS)}", value=name
-            )
+            what = f"{control} has no such axis"
+            raise InputError(what, expected=f"axes named by one of {' '.join(LETTERS)}", value=name)
 
 
 def unit_of(axis: Axis) -> float:

@@ -203,9 +203,8 @@ def check(user: str = "") -> None:
             raise InputError("no such user", expected="a user of this computer", value=user, setting="user") from None
         if os.geteuid() not in (0, number):
             expected = "no other user, or root to choose one"
-            raise InputError(
-                "only root runs the control as another user", expected=expected, value=user, setting="user"
-            )
+            what = "only root runs the control as another user"
+            raise InputError(what, expected=expected, value=user, setting="user")
     if LOCK.exists():
         raise InputError("LinuxCNC is running already", expected="none, or no lock that one left behind", file=LOCK)
 

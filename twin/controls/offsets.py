@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, final
@@ -39,13 +39,8 @@ class OffsetTable(Result):
         if name in self.rows:
             return self.rows[name]
         known = ", ".join(list(self.rows)[:10])
-        raise InputError(
-            f"no such work offset in {self.path}" if name else "the program moves before it selects a work offset",
-            expected=f"one of {known}",
-            file=source,
-            line=line,
-            value=name or None,
-        )
+        what = f"no such work offset in {self.path}" if name else "the program moves before it selects a work offset"
+        raise InputError(what, expected=f"one of {known}", file=source, line=line, value=name or None)
 
     @property
     def brief(self) -> str:
@@ -66,14 +61,8 @@ class ToolTable(Result):
         if name in self.lengths_mm:
             return self.lengths_mm[name]
         known = [*self.lengths_mm]
-        raise InputError(
-            f"no such tool in {self.path}",
-            expected=f"one of {', '.join(known[:10])}",
-            file=source,
-            line=line,
-            value=name,
-            nearest=closest_name(name, known),
-        )
+        what, expected = f"no such tool in {self.path}", f"one of {', '.join(known[:10])}"
+        raise InputError(what, expected=expected, file=source, line=line, value=name, nearest=closest_name(name, known))
 
     @property
     def brief(self) -> str:
@@ -87,12 +76,8 @@ class TableForm(ABC):
     description: str
 
     @abstractmethod
-    def is_offsets(self, lines: Sequence[str]) -> bool:
-        """Return whether the lines of a file are work offsets in this form."""
-
-    @abstractmethod
-    def is_tools(self, lines: Sequence[str]) -> bool:
-        """Return whether the lines of a file are tools in this form."""
+    def holds(self, lines: Sequence[str]) -> tuple[bool, bool]:
+        """Return whether the lines of a file hold work offsets, and whether they hold tools, in this form."""
 
     @abstractmethod
     def offsets(self, path: Path, lines: Sequence[str]) -> dict[str, dict[str, float]]:
@@ -133,13 +118,11 @@ class CsvForm(TableForm):
 
     description = "CSV: offset,X_mm,… or tool,length_mm"
 
-    def is_offsets(self, lines: Sequence[str]) -> bool:
-        """See `TableForm.is_offsets`."""
-        return _header(lines)[:1] == ["offset"]
-
-    def is_tools(self, lines: Sequence[str]) -> bool:
-        """See `TableForm.is_tools`."""
-        return _header(lines)[:1] == ["tool"]
+    def holds(self, lines: Sequence[str]) -> tuple[bool, bool]:
+        """See `TableForm.holds`."""
+        first = next((line for line in lines if line.strip() and not line.lstrip().startswith("#")), "")
+        name = first.split(",")[0].strip()
+        return name == "offset", name == "tool"
 
     def offsets(self, path: Path, lines: Sequence[str]) -> dict[str, dict[str, float]]:
         """See `TableForm.offsets`."""
@@ -160,9 +143,8 @@ class CsvForm(TableForm):
         header, rows, _ = read_table(path)
         columns = {name: i for i, name in enumerate(header)}
         if "length_mm" not in columns:
-            raise InputError(
-                "no column length_mm", expected="tool,length_mm", file=path, line=1, value=",".join(header)
-            )
+            what = "no column length_mm"
+            raise InputError(what, expected="tool,length_mm", file=path, line=1, value=",".join(header))
         lengths = _numbers(Cells(path, columns, rows), "length_mm")
         tools = {_key(path, line, row[0]): value for (line, row), value in zip(rows, lengths, strict=True)}
         _check_once(path, tools, rows)
@@ -171,28 +153,18 @@ class CsvForm(TableForm):
         return tools
 
 
-def _header(lines: Sequence[str]) -> list[str]:
-    first = next((line for line in lines if line.strip() and not line.lstrip().startswith("#")), "")
-    return [cell.strip() for cell in first.split(",")]
-
-
 def _key(path: Path, line: int, cell: str) -> str:
     if not cell:
         raise InputError("row without a name", expected="a name in the first column", file=path, line=line)
     return cell.upper() if re.fullmatch(r"g\d.*", cell) else cell
 
 
-def _check_once(
-    path: Path,
-    found: Sequence[str] | dict[str, float] | dict[str, dict[str, float]],
-    rows: Sequence[tuple[int, list[str]]],
-) -> None:
+def _check_once(path: Path, found: Collection[str], rows: Sequence[tuple[int, list[str]]]) -> None:
     if len(found) < len(rows):
         keys = [_key(path, line, row[0]) for line, row in rows]
         second = next(i for i, key in enumerate(keys) if key in keys[:i])
-        raise InputError(
-            "row given twice", expected="each name once", file=path, line=rows[second][0], value=keys[second]
-        )
+        what = "row given twice"
+        raise InputError(what, expected="each name once", file=path, line=rows[second][0], value=keys[second])
 
 
 def _numbers(cells: Cells, name: str) -> list[float]:
@@ -218,13 +190,10 @@ class Fanuc(TableForm):
 
     description = "Fanuc offsets as G10 L2 or G10 L10 blocks"
 
-    def is_offsets(self, lines: Sequence[str]) -> bool:
-        """See `TableForm.is_offsets`."""
-        return any(found.group(1) in ("2", "20") for found in map(_G10.search, lines) if found is not None)
-
-    def is_tools(self, lines: Sequence[str]) -> bool:
-        """See `TableForm.is_tools`."""
-        return any(found.group(1) in ("10", "11") for found in map(_G10.search, lines) if found is not None)
+    def holds(self, lines: Sequence[str]) -> tuple[bool, bool]:
+        """See `TableForm.holds`."""
+        kinds = {found.group(1) for found in map(_G10.search, lines) if found is not None}
+        return bool(kinds & {"2", "20"}), bool(kinds & {"10", "11"})
 
     def offsets(self, path: Path, lines: Sequence[str]) -> dict[str, dict[str, float]]:
         """See `TableForm.offsets`."""
@@ -288,13 +257,11 @@ class PresetsAndTools(TableForm):
 
     description = "Heidenhain preset table .pr or tool table .t"
 
-    def is_offsets(self, lines: Sequence[str]) -> bool:
-        """See `TableForm.is_offsets`."""
-        return _kind(lines) == "PR"
-
-    def is_tools(self, lines: Sequence[str]) -> bool:
-        """See `TableForm.is_tools`."""
-        return _kind(lines) == "T"
+    def holds(self, lines: Sequence[str]) -> tuple[bool, bool]:
+        """See `TableForm.holds`."""
+        found = _BEGIN.match(lines[0]) if lines else None
+        kind = "" if found is None else found.group(2).upper()
+        return kind == "PR", kind == "T"
 
     def offsets(self, path: Path, lines: Sequence[str]) -> dict[str, dict[str, float]]:
         """See `TableForm.offsets`. An empty cell (``-``) leaves the axis without an offset."""
@@ -319,11 +286,6 @@ class PresetsAndTools(TableForm):
             if row.get("NAME"):
                 tools[row["NAME"]] = length
         return tools
-
-
-def _kind(lines: Sequence[str]) -> str:
-    found = _BEGIN.match(lines[0]) if lines else None
-    return "" if found is None else found.group(2).upper()
 
 
 def _rows(path: Path, lines: Sequence[str]) -> tuple[float, list[tuple[int, dict[str, str]]]]:
@@ -393,13 +355,9 @@ class LinuxCncTables(TableForm):
 
     description = "LinuxCNC parameter file or tool table"
 
-    def is_offsets(self, lines: Sequence[str]) -> bool:
-        """See `TableForm.is_offsets`."""
-        return any(line.split()[:1] == [str(_FIRST)] for line in lines)
-
-    def is_tools(self, lines: Sequence[str]) -> bool:
-        """See `TableForm.is_tools`."""
-        return any(map(_TOOL.match, lines))
+    def holds(self, lines: Sequence[str]) -> tuple[bool, bool]:
+        """See `TableForm.holds`."""
+        return any(line.split()[:1] == [str(_FIRST)] for line in lines), any(map(_TOOL.match, lines))
 
     def offsets(self, path: Path, lines: Sequence[str]) -> dict[str, dict[str, float]]:
         """See `TableForm.offsets`."""
@@ -463,13 +421,10 @@ class Sinumerik(TableForm):
 
     description = "SINUMERIK archive with $P_UIFR or $TC_DP3"
 
-    def is_offsets(self, lines: Sequence[str]) -> bool:
-        """See `TableForm.is_offsets`."""
-        return any("UIFR[" in line.upper() for line in lines)
-
-    def is_tools(self, lines: Sequence[str]) -> bool:
-        """See `TableForm.is_tools`."""
-        return any("$TC_DP3[" in line.upper() for line in lines)
+    def holds(self, lines: Sequence[str]) -> tuple[bool, bool]:
+        """See `TableForm.holds`."""
+        offsets, tools = (any(text in line.upper() for line in lines) for text in ("UIFR[", "$TC_DP3["))
+        return offsets, tools
 
     def offsets(self, path: Path, lines: Sequence[str]) -> dict[str, dict[str, float]]:
         """See `TableForm.offsets`."""
@@ -555,7 +510,7 @@ def load_offsets(path: str | Path) -> OffsetTable:
     path = Path(path)
     lines = read_lines(path)
     for form in FORMS:
-        if form.is_offsets(lines):
+        if form.holds(lines)[0]:
             rows = form.offsets(path, lines)
             _check(path, [value for row in rows.values() for value in row.values()])
             if rows:
@@ -583,7 +538,7 @@ def load_tools(path: str | Path) -> ToolTable:
     path = Path(path)
     lines = read_lines(path)
     for form in FORMS:
-        if form.is_tools(lines):
+        if form.holds(lines)[1]:
             lengths = form.tools(path, lines)
             _check(path, [*lengths.values()])
             if lengths:

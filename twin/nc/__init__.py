@@ -29,7 +29,11 @@ def dialect_for(path: Path, data: bytes | None = None, language: str | None = No
     are those of one language.
     """
     if language is not None:
-        return _named(language)
+        for dialect in DIALECTS:
+            if dialect.name == language:
+                return dialect
+        expected = ", ".join(one.name for one in DIALECTS)
+        raise InputError("unknown language", expected=expected, value=language, setting="language")
     found = [] if data is None else [one for one in DIALECTS if one.evidence.search(data[:HEAD_BYTES])]
     opened = [
         one for one in found if one.opening is not None and data is not None and one.opening.search(data[:HEAD_BYTES])
@@ -43,22 +47,9 @@ def dialect_for(path: Path, data: bytes | None = None, language: str | None = No
         if kind is not None:
             raise InputError(f"{kind}, not an NC program", expected="an NC program, or its language", file=path)
     names = " or ".join(one.name for one in found or DIALECTS)
-    raise InputError(
-        "blocks of several languages" if found else "unknown NC program type",
-        expected=f"the language ({names}), or a file name ending in {_SUFFIXES}",
-        file=path,
-        value=path.suffix.lower(),
-        setting="language",
-    )
-
-
-def _named(language: str) -> Dialect:
-    for dialect in DIALECTS:
-        if dialect.name == language:
-            return dialect
-    raise InputError(
-        "unknown language", expected=", ".join(one.name for one in DIALECTS), value=language, setting="language"
-    )
+    what = "blocks of several languages" if found else "unknown NC program type"
+    expected = f"the language ({names}), or a file name ending in {_SUFFIXES}"
+    raise InputError(what, expected=expected, file=path, value=path.suffix.lower(), setting="language")
 
 
 def _by_suffix(path: Path) -> list[Dialect]:
@@ -93,17 +84,6 @@ def dialect_to_write(output: Path, source: Path, dialect: Dialect) -> Dialect:
     return by_suffix[0] if len(by_suffix) == 1 and not same else dialect
 
 
-def _check_size(path: Path, needed: int) -> None:
-    """Raise `InputError` for a program that needs more memory, in bytes, than this process can have."""
-    most = memory_bytes()
-    if needed > most:
-        raise InputError(
-            "the program is too large to be held in memory",
-            expected=f"at most {most / LINE_BYTES:,.0f} lines with {most / 1e9:.1f} GB of memory; split it into several programs",
-            file=path,
-        )
-
-
 def read_program(
     path: str | Path, language: str | None = None, subprograms: Sequence[str | Path] = ()
 ) -> tuple[Program, Dialect]:
@@ -127,6 +107,12 @@ def read_program(
     """
     source = find_program(path)
     data = read_bytes(source, most_bytes=MAX_TEXT_BYTES)
-    _check_size(source, LINE_BYTES * (1 + max(data.count(b"\n"), data.count(b"\r"))))
+    most = memory_bytes()
+    if LINE_BYTES * (1 + max(data.count(b"\n"), data.count(b"\r"))) > most:
+        what = "the program is too large to be held in memory"
+        expected = (
+            f"at most {most / LINE_BYTES:,.0f} lines with {most / 1e9:.1f} GB of memory; split it into several programs"
+        )
+        raise InputError(what, expected=expected, file=source)
     dialect = dialect_for(source, data, language)
     return dialect.expanded(dialect.read(data, str(source)), (source.parent, *map(Path, subprograms))), dialect

@@ -310,9 +310,8 @@ class Inliner(ABC):
                 files = {path.name.upper(): path for path in sorted(folder.iterdir()) if path.is_file()}
             except OSError as error:
                 expected = "a folder with subprograms"
-                raise InputError(
-                    "cannot be searched", expected=expected, file=folder, value=error.strerror, setting="subprograms"
-                ) from None
+                what, shown = "cannot be searched", error.strerror
+                raise InputError(what, expected=expected, file=folder, value=shown, setting="subprograms") from None
             found = next((files[name.upper()] for name in names if name.upper() in files), None)
             if found is not None:
                 return found

@@ -356,9 +356,8 @@ class Interpreter(ABC):
     def use_offset(self) -> None:
         """Record that a move uses the work offset in force; a second one of unknown values is refused (rapids in it: `parks`)."""
         if self.doubtful:
-            raise self.error(
-                f"move where {self.doubtful}", "that stated before it, in a way that every control reads alike"
-            )
+            what = f"move where {self.doubtful}"
+            raise self.error(what, "that stated before it, in a way that every control reads alike")
         if self._offset_known:
             return
         if self.used_offset is not None:

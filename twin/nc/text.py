@@ -64,9 +64,8 @@ class TextCheck:
         """Check the next chunk; raise `InputError` if it is binary."""
         if b"\0" in data:
             line = self.newlines + data.count(b"\n", 0, data.index(b"\0")) + 1
-            raise InputError(
-                "binary file", expected="an NC program as text", file=self._source, line=line, value="NUL byte"
-            )
+            what = "binary file"
+            raise InputError(what, expected="an NC program as text", file=self._source, line=line, value="NUL byte")
         begin = len(BOM) if not self.size and data.startswith(BOM.encode("latin-1")) else 0
         newlines = count_of(data, ord("\n"))
         self.size += len(data)
@@ -80,9 +79,8 @@ class TextCheck:
     def finish(self) -> None:
         """Check the whole after the last chunk; raise `InputError` if it is empty, blank or binary."""
         if 10 * self._control > self.size:
-            raise InputError(
-                "binary file", expected="an NC program as text", file=self._source, value="control characters"
-            )
+            what = "binary file"
+            raise InputError(what, expected="an NC program as text", file=self._source, value="control characters")
         if self._empty:
             raise InputError("empty program", expected="at least one block", file=self._source)
 

@@ -1,16 +1,4 @@
-"""Compiled code: the C++ compiler, the source made for a machine, libraries built once and kept.
-
-Generation of C++ code from a tape, on SIMD registers: several poses per instruction, without branches and calls.
-
-It uses the vector extensions of GCC and Clang, not `std::experimental::simd`: both compilers have them. Sine and cosine are our own, so
-that nothing needs ``-ffast-math`` and not-a-number and comparisons keep their meaning.
-
-Cache of compiled libraries in the user's cache directory.
-
-Loading a library runs its code, so a library is loaded only if this user wrote it and it is complete: folder and file belong
-to the user and are not writable by others, and the file has the digest recorded beside it. Otherwise it is built again. If there
-is no such folder (a home directory that is read-only or belongs to another user) the library is built in a temporary folder.
-"""
+"""Compiled code: the C++ compiler, the source made for a machine, libraries built once and kept."""
 
 from __future__ import annotations
 
@@ -159,6 +147,8 @@ def processor() -> str:
 
 
 # --- Generation of C++ code from a tape, on SIMD registers: several poses per instruction, without branches and calls
+# It uses the vector extensions of GCC and Clang, not `std::experimental::simd`: both compilers have them. Sine and cosine are our own,
+# so that nothing needs ``-ffast-math`` and not-a-number and comparisons keep their meaning.
 
 LARGEST_ANGLE: Final = 1e5
 """Largest angle in radians that the C++ reduces without loss, 16,000 turns of a table; poses beyond it are left to NumPy."""
@@ -203,6 +193,9 @@ def routine(name: str, tape: Tape) -> str:
 
 
 # --- Cache of compiled libraries in the user's cache directory ------------------------------------
+# Loading a library runs its code, so a library is loaded only if this user wrote it and it is complete: folder and file belong to the
+# user and are not writable by others, and the file has the digest recorded beside it. Otherwise it is built again, without such a
+# folder (a home directory that is read-only or belongs to another user) in a temporary one.
 
 try:
     import fcntl

@@ -328,8 +328,6 @@ def angle(apart: np.ndarray) -> np.ndarray:
     return np.asarray(2.0 * np.arcsin(np.clip(apart / 2.0, 0.0, 1.0)))
 
 
-# --- Solver that uses compiled code where there is a compiler and enough work for it, else NumPy --
-
 TRIED: Final = 256
 """Number of poses on which compiled code must agree with NumPy before it is used."""
 

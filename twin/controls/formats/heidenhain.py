@@ -103,19 +103,15 @@ class HeidenhainTables(TableFormat[TableSum]):
             key = "BACKLASH" if curve.direction == DOWN else term.axis
             fits = len(term.factors) == 1 and key not in columns and (curve.direction == 0 or term.axis == axis.name)
             if not fits or len(curve.at) > self.points or any(other.at != curve.at for other in columns.values()):
-                raise InputError(
-                    f"not possible as a HEIDENHAIN table: {term.axis} over {axis.name}",
-                    expected=f"single tables with the same nodes, at most {self.points}; by direction only for an axis over itself",
-                    value=f"{len(curve.at)} points, direction {curve.direction}, {len(term.factors)} factors",
-                )
+                what = f"not possible as a HEIDENHAIN table: {term.axis} over {axis.name}"
+                expected = f"single tables with the same nodes, at most {self.points}; by direction only for an axis over itself"
+                shown = f"{len(curve.at)} points, direction {curve.direction}, {len(term.factors)} factors"
+                raise InputError(what, expected=expected, value=shown)
             columns[key] = curve
         own = [term.factors[0].direction for term in terms if term.axis == axis.name]
         if sorted(own) not in ([], [BOTH], [DOWN, UP]):
-            raise InputError(
-                f"a table for one direction of {axis.name} only",
-                expected="tables for both, or one for both",
-                value=str(sorted(own)),
-            )
+            what = f"a table for one direction of {axis.name} only"
+            raise InputError(what, expected="tables for both, or one for both", value=str(sorted(own)))
         return columns
 
     def read(self, files: Sequence[Path], machine: Machine) -> TableSum:
@@ -137,12 +133,8 @@ class HeidenhainTables(TableFormat[TableSum]):
                 raise line.error("missing table", f"{table}.COM", sorted(given))
             terms += self._terms(_Rows(file), axis, machine)
         if given:
-            raise InputError(
-                "tables that the active line does not name",
-                expected="all tables named in the .CMA",
-                file=cma.path,
-                value=sorted(given),
-            )
+            what = "tables that the active line does not name"
+            raise InputError(what, expected="all tables named in the .CMA", file=cma.path, value=sorted(given))
         return TableSum(tuple(terms), machine)
 
     def _terms(self, table: _Rows, axis: Axis, machine: Machine) -> list[ControlTerm]:
@@ -217,9 +209,8 @@ class _Rows:
         for line in lines[2:-1]:
             cells = line.text.split()
             if len(cells) != len(self.head):
-                raise line.error(
-                    count_with_noun(len(cells), "cell"), f"{len(self.head)}: {' '.join(self.head)}", line.text
-                )
+                what = count_with_noun(len(cells), "cell")
+                raise line.error(what, f"{len(self.head)}: {' '.join(self.head)}", line.text)
             self.rows.append((line, dict(zip(self.head, cells, strict=True))))
 
     def column(self, name: str) -> tuple[float, ...]:

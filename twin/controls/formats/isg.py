@@ -77,9 +77,8 @@ class Isg(TableFormat[VolumetricCorrection]):
         machine = correction.machine
         for axis in machine.axes:
             if axis.name not in DIRECTIONS:
-                raise InputError(
-                    "an axis that the volumetric compensation does not support", expected="X Y Z A B C", value=axis.name
-                )
+                what = "an axis that the volumetric compensation does not support"
+                raise InputError(what, expected="X Y Z A B C", value=axis.name)
         named = _dimensions(machine)
         lines = [
             *(f"// {note}" for note in notes),
@@ -213,9 +212,8 @@ def _blocks(lines: Sequence[TableLine]) -> Iterator[_Block]:
             block = _Block(line, tuple(cells))
         elif text and block is not None:
             if len(cells) != len(block.names):
-                raise line.error(
-                    count_with_noun(len(cells), "cell"), f"{len(block.names)}: {' '.join(block.names)}", text
-                )
+                what = count_with_noun(len(cells), "cell")
+                raise line.error(what, f"{len(block.names)}: {' '.join(block.names)}", text)
             numbers = tuple(line.decimal(name, cell) for cell, name in zip(cells, block.names, strict=True))
             block.rows.append((line, numbers))
 
@@ -230,9 +228,8 @@ def _of_block(block: _Block, axis: Axis) -> dict[int, ControlCurve]:
         if column == place:
             continue
         if not (len(name) == 3 and name[0] == "E" and name[1] in DIRECTIONS and name[2] == axis.name):
-            raise block.head.error(
-                f"unknown column in the block of {axis.name}", f"EX{axis.name} … EC{axis.name}", name
-            )
+            what = f"unknown column in the block of {axis.name}"
+            raise block.head.error(what, f"EX{axis.name} … EC{axis.name}", name)
         component = DIRECTIONS.index(name[1])
         values = tuple(row[column] * _UNITS[component] for _, row in block.rows)
         fields[component] = ControlCurve(axis.name, at, values, period_of(axis))

@@ -112,15 +112,15 @@ class LinuxCnc(TableFormat[TableSum]):
             or {up.argument, down.argument} != {axis.name}
             or up.period
         ):
-            raise InputError(
-                f"not possible as a joint compensation of LinuxCNC: {axis.name}",
-                expected="one table of the axis over itself, or one per direction with the same nodes; positions not wrapped",
-                value=[f"over {curve.argument}, direction {curve.direction}" for curve in curves],
+            what = f"not possible as a joint compensation of LinuxCNC: {axis.name}"
+            expected = (
+                "one table of the axis over itself, or one per direction with the same nodes; positions not wrapped"
             )
+            shown = [f"over {curve.argument}, direction {curve.direction}" for curve in curves]
+            raise InputError(what, expected=expected, value=shown)
         if len(up.at) > self.points:
-            raise InputError(
-                f"too many points for joint {axis.name}", expected=f"at most {self.points} (LinuxCNC)", value=len(up.at)
-            )
+            what = f"too many points for joint {axis.name}"
+            raise InputError(what, expected=f"at most {self.points} (LinuxCNC)", value=len(up.at))
         return up, down
 
     def read(self, files: Sequence[Path], machine: Machine) -> TableSum:
@@ -153,12 +153,8 @@ class LinuxCnc(TableFormat[TableSum]):
                 raise there.error(f"COMP_FILE_TYPE of JOINT_{joint}", "0 or 1", kind.text or None)
             terms += self._terms(file, axis, actual=kind.text == "0")
         if given:
-            raise InputError(
-                "files that no [JOINT_n] COMP_FILE names",
-                expected="all files named in the INI file",
-                file=ini.path,
-                value=sorted(given),
-            )
+            what = "files that no [JOINT_n] COMP_FILE names"
+            raise InputError(what, expected="all files named in the INI file", file=ini.path, value=sorted(given))
         return TableSum(tuple(terms), machine)
 
     def _terms(self, path: Path, axis: Axis, *, actual: bool) -> list[ControlTerm]:
@@ -172,11 +168,8 @@ class LinuxCnc(TableFormat[TableSum]):
                 stopped = stopped or line
                 continue
             if stopped is not None:
-                raise stopped.error(
-                    "points after a line that is not three numbers: LinuxCNC stops there and does not read them",
-                    "no other lines between the points, comments only after the last",
-                    line.text,
-                )
+                what = "points after a line that is not three numbers: LinuxCNC stops there and does not read them"
+                raise stopped.error(what, "no other lines between the points, comments only after the last", line.text)
             nominal, up, down = (line.decimal("a position", word) for word in words[:3])
             rows.append((nominal, nominal - up, nominal - down) if actual else (nominal, up, down))
             lines.append(line)

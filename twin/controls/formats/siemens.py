@@ -58,17 +58,15 @@ def entries(files: Sequence[Path], pattern: re.Pattern[str], example: str) -> di
                 continue
             match = pattern.match(line.text)
             if match is None:
-                raise line.error(
-                    "not a line of a compensation table", f"{example}… = …, a comment, M17 or M30", line.text
-                )
+                what = "not a line of a compensation table"
+                raise line.error(what, f"{example}… = …, a comment, M17 or M30", line.text)
             name, table, node = match["name"], match["table"].upper(), match["node"]
             entry = entries.setdefault(table, Entry(line))
             if entry.line.path != path:
                 raise line.error(f"table {table} is in two files", "each table in one file", entry.line.path.name)
             if (name is None) != (node is not None):
-                raise line.error(
-                    "wrong indices", "the index of the point for a value, no such index for other variables", line.text
-                )
+                expected = "the index of the point for a value, no such index for other variables"
+                raise line.error("wrong indices", expected, line.text)
             if (int(node) in entry.points) if name is None else (name.upper() in entry.fields):
                 raise line.error("assigned twice", "one assignment", line.text)
             value = TableLine(path, line.number, match["value"].strip())
@@ -77,9 +75,8 @@ def entries(files: Sequence[Path], pattern: re.Pattern[str], example: str) -> di
             else:
                 entry.fields[name.upper()] = value
     if not entries:
-        raise InputError(
-            "no compensation table", expected=f"{example}… = …", file=files[0] if len(files) == 1 else None
-        )
+        what = "no compensation table"
+        raise InputError(what, expected=f"{example}… = …", file=files[0] if len(files) == 1 else None)
     return entries
 
 
@@ -123,8 +120,6 @@ def table_of(name: str, variable: str, entry: Entry) -> tuple[tuple[float, ...],
     modulo = "IS_MODULO" in fields and fields["IS_MODULO"].decimal(f"{variable}_IS_MODULO") != 0.0
     return at, tuple(points[n].decimal("a value") for n in range(count + 1)), high - low if modulo else None
 
-
-# --- SINUMERIK 840D sl: sag and angularity compensation (CEC, "cross error compensation"), as a program that writes system va
 
 FILE: Final = "cec.mpf"
 _FACTOR_DIGITS: Final = 9
@@ -251,9 +246,8 @@ def _block(index: int, moved: str, curve: ControlCurve, digits: int, machine: Ma
     """Return the lines of one table, in the control's units."""
     step = step_of(curve)
     if step is None:
-        raise InputError(
-            "nodes of a CEC table", expected="two or more equidistant nodes", value=f"{moved} over {curve.argument}"
-        )
+        what = "nodes of a CEC table"
+        raise InputError(what, expected="two or more equidistant nodes", value=f"{moved} over {curve.argument}")
     side = {0: "both directions", 1: f"{curve.argument} moving up", -1: f"{curve.argument} moving down"}[
         curve.direction
     ]

@@ -80,11 +80,10 @@ class SiemensEec(TableFormat[TableSum]):
         step = step_of(curve)
         alone = len(own) == 1 and own[0].key == (axis.name, (axis.name, 0))
         if not alone or step is None or len(curve.at) > self.points:
-            raise InputError(
-                f"not possible as leadscrew error compensation: {axis.name}",
-                expected=f"one table of the axis over itself for both directions, 2 to {self.points} equidistant points",
-                value=[f"{term.name}, {len(term.factors[0].at)} points" for term in own],
-            )
+            what = f"not possible as leadscrew error compensation: {axis.name}"
+            expected = f"one table of the axis over itself for both directions, 2 to {self.points} equidistant points"
+            shown = [f"{term.name}, {len(term.factors[0].at)} points" for term in own]
+            raise InputError(what, expected=expected, value=shown)
         return curve, step
 
     def read(self, files: Sequence[Path], machine: Machine) -> TableSum:

@@ -75,12 +75,9 @@ def rotary_axes(machine: Machine) -> tuple[Axis, Axis]:
     check_linear(machine)
     rotary = [i for i, axis in enumerate(machine.axes) if not axis.linear]
     if len(rotary) != 2 or any(machine.axes[i].side != "work" for i in rotary):
-        raise InputError(
-            f"{machine.name}: the kinematics of a control can be written for a table with two rotary axes only",
-            expected="two rotary axes that carry the workpiece",
-            file=machine.path,
-            value=" ".join(f"{machine.axes[i].name} ({machine.axes[i].side})" for i in rotary) or "none",
-        )
+        what = f"{machine.name}: the kinematics of a control can be written for a table with two rotary axes only"
+        shown = " ".join(f"{machine.axes[i].name} ({machine.axes[i].side})" for i in rotary) or "none"
+        raise InputError(what, expected="two rotary axes that carry the workpiece", file=machine.path, value=shown)
     first, second = sorted(rotary, key=lambda i: machine.axis_joints[i])
     return machine.axes[first], machine.axes[second]
 
@@ -198,8 +195,6 @@ class KinematicCorrection(Correction):
         """See `Correction.rounded`."""
         return 2 * PARTS
 
-
-# --- Base class of the kinematics of a control's transformation: one final class per format, each in its own file
 
 SHORTEST: Final = 1e-6
 """Length below which a vector has no direction."""

@@ -88,11 +88,9 @@ class LinuxCncTrt(KinematicsFormat):
         signs = {int(np.sign(directions[0][along])), int(np.sign(directions[1][2]))}
         allowed = ({-1}, {1}) if along == 0 else ({-1},)
         if signs not in allowed or abs(abs(directions[1][2]) - 1.0) > EXACT:
-            raise InputError(
-                f"{machine.name}: the rotary axes do not turn as the kinematics of LinuxCNC requires",
-                expected="both left-handed with a positive command (xyzac-trt: or both right-handed); reverse the scale of a joint",
-                file=machine.path,
-            )
+            what = f"{machine.name}: the rotary axes do not turn as the kinematics of LinuxCNC requires"
+            expected = "both left-handed with a positive command (xyzac-trt: or both right-handed); reverse the scale of a joint"
+            raise InputError(what, expected=expected, file=machine.path)
         return ("xyzac-trt", "xyzbc-trt")[along], int(signs == {-1})
 
     def geometry(self, values: Values, machine: Machine) -> TableGeometry:

@@ -131,9 +131,8 @@ class SiemensChain(KinematicsFormat):
         while name:
             element = elements.get(name)
             if element is None or name in followed:
-                raise TableLine(path, None, name).error(
-                    "the kinematic chain is broken or closed", "elements linked by $NK_NEXT, from ROOT on", name
-                )
+                what = "the kinematic chain is broken or closed"
+                raise TableLine(path, None, name).error(what, "elements linked by $NK_NEXT, from ROOT on", name)
             followed.add(name)
             kind, vector = (
                 element["TYPE,"].text,
@@ -145,18 +144,16 @@ class SiemensChain(KinematicsFormat):
                 place = place + vector
             elif kind == "AXIS_ROT":
                 if element["AXIS,"].text != expected[min(len(points), 1)] or len(points) == 2:
-                    raise element["AXIS,"].error(
-                        "not a rotary axis of the table", " ".join(expected), element["AXIS,"].text
-                    )
+                    what = "not a rotary axis of the table"
+                    raise element["AXIS,"].error(what, " ".join(expected), element["AXIS,"].text)
                 points.append(place)
                 directions.append(vector / np.linalg.norm(vector))
             elif kind == "ROT_CONST":
                 turn = np.radians(element["A_OFF,"].decimal("A_OFF")) * vector / np.linalg.norm(vector)
             name = element["NEXT,"].text
         if len(points) != 2:
-            raise TableLine(path, None, "").error(
-                "a rotary axis is missing in the chain", " ".join(expected), len(points)
-            )
+            what = "a rotary axis is missing in the chain"
+            raise TableLine(path, None, "").error(what, " ".join(expected), len(points))
         return TableGeometry(np.array(points), np.array(directions), place - work_origin(machine), turn)
 
     def loading(self, machine: Machine) -> tuple[str, ...]:

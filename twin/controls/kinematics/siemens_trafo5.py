@@ -101,9 +101,8 @@ class SiemensTrafo5(KinematicsFormat):
                 continue
             value = TableLine(path, line.number, match["value"])
             if match["type"] and value.text != _TYPE:
-                raise value.error(
-                    "transformation of another type", f"{_TYPE} (both rotary axes in the table)", value.text
-                )
+                what = "transformation of another type"
+                raise value.error(what, f"{_TYPE} (both rotary axes in the table)", value.text)
             name = match["name"] or match["tilt"]
             if name:
                 assign(lines_by_name, f"{name.upper()}[{match['index'] or match['part']}]", value)

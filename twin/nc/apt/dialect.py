@@ -526,8 +526,6 @@ def _replaced_together(chunk: Chunk, moves: MoveColumns, new: NewPositions) -> n
     return able & scanned.simple
 
 
-# --- The APT dialect: cutter locations (``.cls``, ``.apt``), ``GOTO/x,y,z,i,j,k`` in the work frame
-
 _REMARK: Final = re.compile(r"[ \t]*+(?:\$\$[^\r\n]*+)?+[\r\n]*+", re.ASCII)
 _LOCATION: Final = re.compile(r"[ \t]*+GOTO[ \t]*+/[ \t\d.,+-]++[\r\n]*+", re.ASCII | re.IGNORECASE)
 

@@ -453,11 +453,9 @@ class AptReader:
             and self._tool != self._used_tool
         ):
             self._line = self._tool_line
-            raise self.error(
-                "second tool",
-                self._tool,
-                f"one tool per program (locations before use {self._used_tool}), or the table of tools",
-            )
+            expected = self._tool
+            shown = f"one tool per program (locations before use {self._used_tool}), or the table of tools"
+            raise self.error("second tool", expected, shown)
         self._used_tool = self._tool or self._used_tool
 
 

@@ -292,8 +292,6 @@ class HeidenhainRewriter(ChunkRewriter):
         return head + words + end + _SEGMENT.sub(head + rb" \1" + tail, others)
 
 
-# --- The Heidenhain plain-language dialect --------------------------------------------------------
-
 _REMARK: Final = re.compile(r"[ \t]*+(?:\d++[ \t]*+)?+(?:[;*][^\r\n~]*+)?+[\r\n]*+", re.ASCII)
 
 

@@ -50,12 +50,9 @@ class HeidenhainInterpreter(HeidenhainFrame):
             in_force = on[np.searchsorted(lines, moves.line, side="right") - 1]
             far = np.flatnonzero((np.abs(np.diff(turned_to, axis=0)) > LONGEST_TURN_DEG).any(axis=1) & in_force)
             for line in moves.line[far[~moves.rapid[far]]][:1].tolist():
-                raise self.error(
-                    "a rotary axis turns by more than half a turn, or in the opposite direction (M126)",
-                    "M127, or positions within half a turn of each other, such as C+370 after C+350",
-                    text_of(line).strip(),
-                    line + 1,
-                )
+                what = "a rotary axis turns by more than half a turn, or in the opposite direction (M126)"
+                expected = "M127, or positions within half a turn of each other, such as C+370 after C+350"
+                raise self.error(what, expected, text_of(line).strip(), line + 1)
             text = "M126: a rotary axis turns in the opposite direction on this rapid; its end point is the same"
             self.late_notices += [Notice(line, text) for line in moves.line[far].tolist()]
         return moves
@@ -204,9 +201,8 @@ class HeidenhainInterpreter(HeidenhainFrame):
             return
         if vocabulary.SKIPPED.match(body):
             expected = "the blocks to execute without /, the others left out"
-            raise self.error(
-                "block skip: whether the block is executed depends on a switch of the control", expected, body
-            )
+            what = "block skip: whether the block is executed depends on a switch of the control"
+            raise self.error(what, expected, body)
         if vocabulary.PARAXIAL.match(body) or vocabulary.TECHNOLOGY.match(body):
             self._path(block, "", block.head_end)
         elif match is None:
@@ -293,9 +289,8 @@ class HeidenhainInterpreter(HeidenhainFrame):
         if cycle in vocabulary.RUN_AT_ONCE:
             raise self.error(f"cycle {cycle} is executed where it is defined", vocabulary.EXPANDED_CYCLE)
         if cycle in vocabulary.TRANSFORM_CYCLES and self.continued:
-            raise self.error(
-                f"CYCL DEF {cycle} over several lines", "its parts as blocks of their own, such as CYCL DEF 7.1 X+10"
-            )
+            what = f"CYCL DEF {cycle} over several lines"
+            raise self.error(what, "its parts as blocks of their own, such as CYCL DEF 7.1 X+10")
         if cycle == 247:
             self.begin_preset()
         elif cycle in (7, 10) and part is not None and part != "0":
@@ -373,9 +368,8 @@ class HeidenhainInterpreter(HeidenhainFrame):
         a, b, _ = self.plane
         given = bool(block.axis_bits & (1 << a | 1 << b))
         if given is not (arrives or "LCT" in match[0].upper()):
-            raise self.error(
-                f"{match[0]} with or without its end", "the end with APPR and DEP LCT, none with DEP LT, LN and CT"
-            )
+            what = f"{match[0]} with or without its end"
+            raise self.error(what, "the end with APPR and DEP LCT, none with DEP LT, LN and CT")
         if not given:
             self.on_contour = False
             self.mark_unknown(block, (a, b), moved=True)
@@ -434,9 +428,8 @@ class HeidenhainInterpreter(HeidenhainFrame):
         word = f"M{code}"
         if code in vocabulary.REFUSED_M:
             what = "function that changes the meaning of axis words"
-            raise self.error(
-                f"{what} {word}", vocabulary.EXPANDED_CYCLE if code != 118 else vocabulary.NO_TRANSFORMATION
-            )
+            expected = vocabulary.EXPANDED_CYCLE if code != 118 else vocabulary.NO_TRANSFORMATION
+            raise self.error(f"{what} {word}", expected)
         if code in vocabulary.CALLING_M:
             self.take_call_word(block, code, Span(match.start("misc"), match.end()))
             return

@@ -374,9 +374,8 @@ class HeidenhainFrame(HeidenhainPaths):
             return
         way = next((word for word in words if word in ("TURN", "MOVE", "STAY")), "")
         if self.tcp or not way:
-            raise self.error(
-                "PLANE under tool centre point control, or that says nothing of the rotary axes", "TURN, MOVE or STAY"
-            )
+            what = "PLANE under tool centre point control, or that says nothing of the rotary axes"
+            raise self.error(what, "TURN, MOVE or STAY")
         turned = self._rotation(upper, words[1] if len(words) > 1 else "")
         if turned[2][2] > 1.0 - _ALONG and turned[0][0] < 1.0 - _ALONG and "COORD ROT" not in upper:
             expected = "COORD ROT; TABLE ROT turns the table"
@@ -396,9 +395,8 @@ class HeidenhainFrame(HeidenhainPaths):
             raise self.error("another tilted plane while this one is shifted or turned", "the shift cancelled before")
         shift = self._shift_below
         if self.frame.turn or any(shift[self.linear :]):
-            raise self.error(
-                "tilted plane in turned coordinates, or after a shift of a rotary axis", "these cancelled before"
-            )
+            what = "tilted plane in turned coordinates, or after a shift of a rotary axis"
+            raise self.error(what, "these cancelled before")
         x, y, z = shift[:3] or (0.0, 0.0, 0.0)
         return x, y, z
 

@@ -176,8 +176,6 @@ def _ranges(begin: np.ndarray, end: np.ndarray) -> Iterator[int]:
         yield from range(first, last)
 
 
-# --- The ISO dialect (G-code) ---------------------------------------------------------------------
-
 _TAPE: Final = re.compile(
     r"%.*|\$[^=%\s]+%|;\$PATH=.*|PROC\b.*|<[^<>]*>|[O:][ \t]*\d+(?![\w.])(?![ \t]*(?:SUB|CALL|IF|DO|WHILE|REPEAT|RETURN)\b).*",
     re.IGNORECASE,

@@ -221,9 +221,8 @@ class IsoTilt(IsoFrame):
             return
         if "68.2" in codes:
             self._check_allowed(block)
-            values = {
-                item.name: self._plane_value(item) for item in (*block.items, *block.others) if item.name in "XYZIJKPQ"
-            }
+            items = [item for item in (*block.items, *block.others) if item.name in "XYZIJKPQ"]
+            values = {item.name: self.known_value(item.name, item.value, vocabulary.KNOWN_VALUE) for item in items}
             unit = MM_PER_INCH if self.inch else 1.0
             x, y, z = (values.get(letter, 0.0) * unit for letter in "XYZ")
             self.pending = Plane((x, y, z), self._turned_plane(values))
@@ -314,9 +313,8 @@ class IsoTilt(IsoFrame):
     def _check_unshifted(self) -> None:
         """Raise `InputError` where the program has shifted or turned the coordinates: controls treat that differently."""
         if self.frame.shift or self.frame.turn:
-            raise self.error(
-                "tilted plane while the coordinates are shifted or turned", "the shift ended before (TRANS, G52, G92.1)"
-            )
+            what = "tilted plane while the coordinates are shifted or turned"
+            raise self.error(what, "the shift ended before (TRANS, G52, G92.1)")
 
     def _check_allowed(self, block: IsoBlock) -> None:
         self._check_unshifted()
@@ -324,9 +322,6 @@ class IsoTilt(IsoFrame):
             raise self.error("tilted plane under tool centre point control", "tool centre point control off before it")
         if self.frame.plane is not None:
             raise self.error("tilted plane within a tilted plane", "the first one cancelled (G69, CYCLE800()) before")
-
-    def _plane_value(self, item: Item) -> float:
-        return self.known_value(item.name, item.value, vocabulary.KNOWN_VALUE)
 
 
 # --- Shifts and rotations: ``G92`` and ``G52``, ``G10 L2`` and ``L20``, the programmable frame of SINUMERIK (``TRANS``, ``ROT``)
@@ -417,9 +412,8 @@ class IsoShift(IsoTilt):
     def _shift(self, block: IsoBlock, code: str, words: list[AxisWord]) -> None:
         """Apply G92 or G52, which are one shift on LinuxCNC and two on Fanuc."""
         if any(self._present) and self._shifted_by != code:
-            raise self.error(
-                f"G{code} after G{self._shifted_by}", f"G{self._shifted_by} ended before it: controls differ"
-            )
+            what = f"G{code} after G{self._shifted_by}"
+            raise self.error(what, f"G{self._shifted_by} ended before it: controls differ")
         if not words:
             raise self.error(f"G{code} without axis words", f"axis words, such as G{code} X0")
         present = [*(self._present or self._zeros)]
@@ -552,9 +546,8 @@ class IsoShift(IsoTilt):
             angles[letter] = self.known_value(item.name, item.value, vocabulary.KNOWN_VALUE)
         turns = [(letter, angle) for letter, angle in angles.items() if angle]
         if len(turns) > 1 or len(angles) < len(block.items) + len(block.others):
-            raise self.error(
-                f"{name} about several axes", "one axis a block: their order depends on the control's setting"
-            )
+            what = f"{name} about several axes"
+            raise self.error(what, "one axis a block: their order depends on the control's setting")
         return rotation_about(turns[0][0], [turns[0][1]]) if turns else None
 
     def _program(self, block: IsoBlock, shift: tuple[float, ...], turn: Rows | None) -> None:

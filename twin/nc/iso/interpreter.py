@@ -467,9 +467,8 @@ class IsoInterpreter(IsoMotion):
     def _group(self, block: IsoBlock, code: str) -> str | None:
         """Return the modal group of a G code, empty if it has none; None for an unknown code that passes through."""
         if self._okuma and code in vocabulary.NOT_OF_OKUMA:
-            raise self.error(
-                f"G{code} of Okuma", "axis positions without tool length, work offset and cycles of Okuma", f"G{code}"
-            )
+            what = f"G{code} of Okuma"
+            raise self.error(what, "axis positions without tool length, work offset and cycles of Okuma", f"G{code}")
         group = "reference" if block.approaches else vocabulary.GROUP_OF.get(code)
         if group is not None:
             return group

@@ -189,9 +189,8 @@ class IsoDrilling(IsoShift):
             if value != value and not machine:
                 if vocabulary.LITERAL.fullmatch(text):
                     raise self.missing_number(name, text)
-                raise self.error(
-                    f"the value of {name} is unknown", "a number, or a variable set to a number before", text
-                )
+                what = f"the value of {name} is unknown"
+                raise self.error(what, "a number, or a variable set to a number before", text)
         if self.inch and axis < self.linear:
             value *= MM_PER_INCH
         incremental = form == "IC" or (form == "" and self.incremental)
@@ -224,9 +223,8 @@ class IsoDrilling(IsoShift):
         top, at = self._height.get("R", math.nan), self.position[self.drilling]
         axis = self.names[self.drilling]
         if self.unknown:
-            raise self._refused(
-                f"in force where {self.unknown}", "the words named as harmless in the machine file, or G80 before"
-            )
+            what = f"in force where {self.unknown}"
+            raise self._refused(what, "the words named as harmless in the machine file, or G80 before")
         if self._initial != self._initial and (self._to_initial or self.incremental):
             raise self._refused(f"position of {axis} unknown", f"a position of {axis} before the cycle")
         if self._to_initial and self._initial < top - 1e-9:
