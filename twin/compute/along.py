@@ -301,7 +301,7 @@ class BatchFunction:
             results = [output[part] if complete else np.empty((size, output.shape[1])) for output in outputs]
             for put, group in ((buffer.set_arg, arrays), (buffer.set_res, results)):
                 for i, array in enumerate(group):
-                    put(i, memoryview(array))
+                    put(i, memoryview(array))  # type: ignore[arg-type, unused-ignore]  # of its stubs; it is a buffer
             trigger()
             if not complete:
                 for output, result in zip(outputs, results, strict=True):

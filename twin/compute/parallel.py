@@ -232,11 +232,9 @@ def _on_processes(
                     deaths[index] += 1
                     if deaths[index] < MAX_DEATHS:
                         continue
-                    result = InputError(
-                        f"a worker process died {MAX_DEATHS} times while running this task",
-                        expected="enough memory for the task, or fewer workers",
-                        value=name(tasks[index]),
-                    )
+                    what = f"a worker process died {MAX_DEATHS} times while running this task"
+                    expected = "enough memory for the task, or fewer workers"
+                    result = InputError(what, expected=expected, value=name(tasks[index]))
                 del left[index]
                 yield index, result
 
@@ -346,11 +344,8 @@ def _on_cluster(
                 try:
                     result = future.result()
                 except KilledWorker as error:
-                    result = InputError(
-                        f"{error.allowed_failures + 1} workers of the cluster died while running this task",
-                        expected="enough memory for the task",
-                        value=name(tasks[index]),
-                    )
+                    what = f"{error.allowed_failures + 1} workers of the cluster died while running this task"
+                    result = InputError(what, expected="enough memory for the task", value=name(tasks[index]))
                 except CancelledError as error:
                     kept = "a scheduler that runs until the end"
                     raise InputError("the connection to the scheduler was lost", expected=kept) from error
@@ -473,11 +468,8 @@ def _check_versions(client: Client, address: str) -> None:
         if isinstance(version, BaseException):
             raise InputError("twin is not installed on a worker", expected=there, value=worker)
     for worker, found in client.run(versions, on_error="return").items():
-        different = (
-            f"twin {installed.get(worker)}"
-            if isinstance(found, BaseException)
-            else version_differences(versions(), found)
-        )
+        failed = isinstance(found, BaseException)
+        different = f"twin {installed.get(worker)}" if failed else version_differences(versions(), found)
         if different:
             raise _other_versions(different, worker)
     other = [worker for worker, digest in client.run(arithmetic, on_error="return").items() if digest != arithmetic()]

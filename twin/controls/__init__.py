@@ -112,12 +112,7 @@ class ControlSection:
 
         def listed(entries: Sequence[TableEntry]) -> list[dict[str, Any]]:
             return [
-                {
-                    "file": shown(entry.file),
-                    "format": entry.format,
-                    "classes": list(entry.classes),
-                    "sha256": entry.sha256,
-                }
+                {"file": shown(entry.file), "format": entry.format, "classes": [*entry.classes], "sha256": entry.sha256}
                 for entry in entries
             ]
 

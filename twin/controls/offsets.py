@@ -98,13 +98,8 @@ def value_of(path: Path, line: int, text: str, what: str = "not a number") -> fl
 
 def rotated(path: Path, line: int, name: str, value: object) -> InputError:
     """Return the error for an offset that turns, mirrors or scales the coordinates."""
-    return InputError(
-        f"the work offset {name} turns, mirrors or scales the coordinates",
-        expected="offsets that only shift the axes",
-        file=path,
-        line=line,
-        value=value,
-    )
+    what = f"the work offset {name} turns, mirrors or scales the coordinates"
+    return InputError(what, expected="offsets that only shift the axes", file=path, line=line, value=value)
 
 
 # --- CSV ------------------------------------------------------------------------------------------

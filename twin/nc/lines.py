@@ -367,12 +367,8 @@ class _Styles:
 
     def at(self, word: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Return point, minimum decimals, leading zero and plus after some words."""
-        return (
-            self.point[word].astype(bool),
-            self.min_decimals[word],
-            self.leading_zero[word].astype(bool),
-            self.plus[word],
-        )
+        point, leading_zero = self.point[word].astype(bool), self.leading_zero[word].astype(bool)
+        return point, self.min_decimals[word], leading_zero, self.plus[word]
 
     def last(self) -> Style:
         """Return the style after the last word."""

@@ -436,11 +436,8 @@ class Interpreter(ABC):
         same_tool = not self._one_tool or not (
             self._tool_chosen or (self._fed_length != self._held_length and not self.tcp)
         )
-        return (
-            same_tool
-            and not (self.unknown or self.doubtful)
-            and (self.offset == self.used_offset or self._offset_known)
-        )
+        same_offset = self.offset == self.used_offset or self._offset_known
+        return same_tool and same_offset and not (self.unknown or self.doubtful)
 
     def check_plane(self, rotary: bool, *, machine: bool = False) -> None:
         """Raise `InputError` for a move that the plane does not allow; ``rotary``: it names rotary axes, ``machine``: coordinates."""

@@ -46,7 +46,8 @@ from twin.controls.correction import (
     period_of,
     rest_geometry,
 )
-from twin.controls.kinematics import KinematicsFormat, TableGeometry, kinematics_named, linear_shift, table_geometry
+from twin.controls.kinematics import kinematics_named
+from twin.controls.kinematics.format import KinematicsFormat, TableGeometry, linear_shift, table_geometry
 from twin.machine.error_names import component_names
 from twin.machine.machine import Axis, Machine
 from twin.model.calibration import Calibration

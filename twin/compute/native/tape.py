@@ -260,11 +260,8 @@ class _Builder:
         rows = [function.sparsity_out(i).find() for i in range(function.n_out())]
         results = [self.constant(0.0)] * starts_out[-1]
         work = [0] * function.sz_w()
-        kind, operands_of, outputs_of = (
-            function.instruction_id,
-            function.instruction_input,
-            function.instruction_output,
-        )
+        kind = function.instruction_id
+        operands_of, outputs_of = function.instruction_input, function.instruction_output
         for k in range(function.n_instructions()):
             code, operands, outputs = kind(k), operands_of(k), outputs_of(k)
             name = NAMES.get(code)

@@ -104,14 +104,8 @@ class LinuxCnc(TableFormat[TableSum]):
         by = {curve.direction: curve for curve in curves}
         up, down = by.get(UP, by.get(BOTH)), by.get(DOWN, by.get(BOTH))
         whole = len(own) == (1 if BOTH in by else 2) and all(len(term.factors) == 1 for term in own)
-        if (
-            up is None
-            or down is None
-            or not whole
-            or up.at != down.at
-            or {up.argument, down.argument} != {axis.name}
-            or up.period
-        ):
+        alike = up is not None and down is not None and whole and up.at == down.at and not up.period
+        if up is None or down is None or not alike or {up.argument, down.argument} != {axis.name}:
             what = f"not possible as a joint compensation of LinuxCNC: {axis.name}"
             expected = (
                 "one table of the axis over itself, or one per direction with the same nodes; positions not wrapped"
@@ -128,14 +122,9 @@ class LinuxCnc(TableFormat[TableSum]):
 
         It raises `InputError` if the units are not mm and degrees, or LinuxCNC would refuse a file or not read all of it.
         """
-        ini = _Ini(
-            single_file(
-                files,
-                ".ini",
-                "LinuxCNC tables are read with the INI file that names them",
-                f"one .ini with [JOINT_n] COMP_FILE and COMP_FILE_TYPE (twin writes {INI}) and the .comp files",
-            )
-        )
+        what = "LinuxCNC tables are read with the INI file that names them"
+        expected = f"one .ini with [JOINT_n] COMP_FILE and COMP_FILE_TYPE (twin writes {INI}) and the .comp files"
+        ini = _Ini(single_file(files, ".ini", what, expected))
         given = {file.name: file for file in files if file is not ini.path}
         terms: list[ControlTerm] = []
         for joint, name in enumerate(ini.coordinates(machine)):

@@ -10,23 +10,7 @@ from functools import cache
 
 from twin._common import families
 from twin._common.errors import InputError
-from twin.controls.kinematics.format import (
-    KinematicCorrection,
-    KinematicsFormat,
-    TableGeometry,
-    linear_shift,
-    table_geometry,
-)
-
-__all__ = [
-    "KinematicCorrection",
-    "KinematicsFormat",
-    "TableGeometry",
-    "kinematics_formats",
-    "kinematics_named",
-    "linear_shift",
-    "table_geometry",
-]
+from twin.controls.kinematics.format import KinematicsFormat
 
 
 def kinematics_formats() -> tuple[KinematicsFormat, ...]:

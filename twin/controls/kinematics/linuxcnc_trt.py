@@ -62,12 +62,8 @@ class LinuxCncTrt(KinematicsFormat):
         kind, _ = self._kind(machine)
         (first, second), moved = table_geometry(machine).points, "y" if kind == "xyzac-trt" else "x"
         offset = first[1] - second[1] if moved == "y" else first[0] - second[0]
-        values = {
-            "x-rot-point": second[0],
-            "y-rot-point": second[1],
-            "z-rot-point": first[2],
-            f"{moved}-offset": offset,
-        }
+        values = {"x-rot-point": second[0], "y-rot-point": second[1], "z-rot-point": first[2]}
+        values[f"{moved}-offset"] = offset
         return {name: float(value) for name, value in values.items()} | {f"{_SHIFT}-{axis}": 0.0 for axis in "xyz"}
 
     def _kind(self, machine: Machine) -> tuple[str, int]:

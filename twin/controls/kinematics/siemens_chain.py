@@ -134,10 +134,8 @@ class SiemensChain(KinematicsFormat):
                 what = "the kinematic chain is broken or closed"
                 raise TableLine(path, None, name).error(what, "elements linked by $NK_NEXT, from ROOT on", name)
             followed.add(name)
-            kind, vector = (
-                element["TYPE,"].text,
-                np.array([element[f"OFF_DIR,{i}"].decimal("OFF_DIR") for i in range(3)]),
-            )
+            kind = element["TYPE,"].text
+            vector = np.array([element[f"OFF_DIR,{i}"].decimal("OFF_DIR") for i in range(3)])
             if kind != "OFFSET" and np.linalg.norm(vector) < SHORTEST:
                 raise element["TYPE,"].error(f"{name} has no direction", "a vector other than zero", "0 0 0")
             if kind == "OFFSET":

@@ -445,13 +445,8 @@ class AptReader:
 
     def use_tool(self) -> None:
         """Record that a location uses the tool that is loaded; raise `InputError` for a second one of unknown length."""
-        if (
-            self.axes.one_tool
-            and not self.axes.tools_known
-            and self._tool
-            and self._used_tool
-            and self._tool != self._used_tool
-        ):
+        lengths_unknown = self.axes.one_tool and not self.axes.tools_known
+        if lengths_unknown and self._used_tool and self._tool not in ("", self._used_tool):
             self._line = self._tool_line
             expected = self._tool
             shown = f"one tool per program (locations before use {self._used_tool}), or the table of tools"

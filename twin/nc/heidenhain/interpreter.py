@@ -77,15 +77,8 @@ class HeidenhainInterpreter(HeidenhainFrame):
     def _found(self, line: int, text: str) -> re.Match[str] | None:
         """Begin a line and return its match if it is a simple block; only ``LN`` can have vectors."""
         self._line, self._block_text = line, text
-        special = (
-            self.continued
-            or self.modal
-            or self.beside
-            or self.on_contour
-            or self.parks
-            or self.pending
-            or bool(self.end.word)
-        )
+        special = self.continued or self.modal or self.beside or self.on_contour
+        special = special or self.parks or self.pending is not None or bool(self.end.word)
         found = None if special else self._simple.pattern.fullmatch(text)
         if found is not None and found[2] in ("L", "l") and any(found.groups()[self._simple.behind]):
             return None

@@ -110,13 +110,8 @@ HARMLESS_FN = frozenset({*range(9), 13, 14, 15, 16, 18, 20, 23, 24, 26, 27, 28, 
 """Parameter functions that compute, read, wait or write free tables; 17, 19, 25 and 29 write data of the control, a datum, the PLC."""
 HARMLESS_CYCLES = frozenset(
     {
-        *(1, 2, 3, 4, 5, 9, 13, 14, 17, 18, 32, 247),
-        *range(20, 30),
-        *range(200, 216),
-        *(225, 230, 231, 232, 233, 240, 241, 262, 263, 264, 265, 267),
-        *range(251, 259),
-        *range(270, 278),
-        *(332, 392),
+        *(1, 2, 3, 4, 5, 9, 13, 14, 17, 18, *range(20, 30), 32, *range(200, 216), 225, *range(230, 234), 240, 241, 247),
+        *(*range(251, 259), *range(262, 266), 267, *range(270, 278), 332, 392),
     }
     - {26}
 )

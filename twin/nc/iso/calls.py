@@ -378,11 +378,8 @@ class IsoInliner(Inliner):
             return "(return)\n"
         line = Line(text, "", 0)
         call, bare = self.call(line), _bare(line)
-        if (
-            call.outside
-            if call is not None
-            else not (_O_FLOW.match(bare) or "#" in bare or _END_DO.fullmatch(bare) or _FANUC_JUMP.match(bare))
-        ):
+        brackets = "#" in bare or any((_O_FLOW.match(bare), _END_DO.fullmatch(bare), _FANUC_JUMP.match(bare)))
+        if call.outside if call is not None else not brackets:
             return with_ending(f"; {as_comment(text, '')}", text)
         return with_ending(f"({as_comment(text, '()')})", text)
 

@@ -164,13 +164,8 @@ class IsoFrame(Interpreter):
         radius_only = codes & {"41", "42"} and not (self.frame.length or self._held_length)
         if "D" in said and not self._length_by_h and not radius_only:
             edge = self._name_of(said["D"])
-            return {
-                "length": ""
-                if edge == "0"
-                else tool
-                if edge == "1" and (tool or self.tools_known)
-                else f"{tool} D{edge}"
-            }
+            own = tool if edge == "1" and (tool or self.tools_known) else f"{tool} D{edge}"
+            return {"length": "" if edge == "0" else own}
         return {}
 
     def _name_of(self, item: Item) -> str:
@@ -480,11 +475,8 @@ class IsoShift(IsoTilt):
     def choose_offset(self, block: IsoBlock, code: str) -> None:
         """As `IsoFrame.choose_offset`, with the values that the program has set; ``G54 P3`` of Fanuc is ``G54.1 P3``."""
         others = {span.name for span in block.codes} - {"54"}
-        if (
-            code == "54"
-            and not (self.code or others - _BESIDE_OFFSET)
-            and any(item.name == "P" for item in block.others)
-        ):
+        own_p = not (self.code or others - _BESIDE_OFFSET) and any(item.name == "P" for item in block.others)
+        if code == "54" and own_p:
             code = "54.1"
         if self.code:
             what = "another work offset within a drilling cycle: R, the depth and the initial level are read in it, as by LinuxCNC"
