@@ -13,8 +13,8 @@ Checked against public descriptions:
 - The frame of a table file (``BEGIN … MM``, header line, rows, ``[END]``): iTNC 530 HSCI Technical Manual,
   www.easymanua.ls/heidenhain/itnc-530-hsci/manual/716772?p=684.
 
-Not checked: `unchecked`. Older controls (TNC 4xx, iTNC 530) require a datum and a spacing that is a power of two instead of AXISPOS;
-this is not written.
+**Not checked**: `unchecked`. Older controls (TNC 4xx, iTNC 530) require a datum and a spacing that is a power of two instead of
+AXISPOS; this is not written.
 """
 
 from __future__ import annotations

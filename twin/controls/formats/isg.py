@@ -16,7 +16,7 @@ Only component errors are written. Squareness and locations of rotary axes are i
 depend on the sign convention of the control's position errors. Components are along the machine's x, y, z with all axes at zero; those
 of a linear axis refer to the spindle nose, which moves with it, those of a rotary axis to its centre of rotation (PXB … in the file).
 
-Not checked: `unchecked` (``negate`` reverses the sign of a component error).
+**Not checked**: `unchecked` (``negate`` reverses the sign of a component error).
 """
 
 from __future__ import annotations

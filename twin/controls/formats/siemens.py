@@ -13,7 +13,7 @@ Checked against public descriptions: SINUMERIK Function Manual, Extended Functio
 - p. 264: the 828D has 8 tables of 200 points.
 - "AX1" … are the machine axes by their order, independent of their names (p. 248).
 
-Not checked: `unchecked`; the example of p. 252 requires that its second table alone does not move X1 by Z1.
+**Not checked**: `unchecked`; the example of p. 252 requires that its second table alone does not move X1 by Z1.
 """
 
 from __future__ import annotations

@@ -17,7 +17,7 @@ It cannot move one axis as a function of another (straightness, squareness, leve
 can), and it does not distinguish directions, so that backlash remains (backlash compensation, MD32450). The tables are for the first
 measuring system of every axis.
 
-Not checked: `unchecked`.
+**Not checked**: `unchecked`.
 """
 
 from __future__ import annotations
