@@ -22,8 +22,9 @@ from twin._common.bundled import bundled_folder
 from twin._common.files import scratch_folder
 from twin.compensation.fewer_blocks.emit import points_program
 from twin.controls import ControlCurve, ControlTerm, TableSum, format_named, read_tables
-from twin.controls.kinematics import kinematics_formats, kinematics_named, linear_shift
-from twin.controls.volumetric import AxisErrors, CorrectionGrid, VolumetricCorrection
+from twin.controls.correction import AxisErrors, CorrectionGrid, VolumetricCorrection
+from twin.controls.kinematics import kinematics_formats, kinematics_named
+from twin.controls.kinematics.format import linear_shift
 from twin.identification.axis_run import (
     AxisLayout,
     axis_curves,

@@ -23,9 +23,8 @@ from twin.compensation.programs.words import Setup
 from twin.controls.offsets import OffsetTable, ToolTable
 from twin.machine.machine import Machine
 from twin.model.calibration import Calibration
-from twin.nc import dialect_for, read_program
+from twin.nc import chunks, dialect_for, read_program
 from twin.nc.iso.dialect import IsoRewriter
-from twin.nc.lines import chunks
 from twin.tool.forward import Kinematics
 
 SAMPLES = Path(__file__).resolve().parents[2] / "twin" / "samples"

@@ -24,7 +24,7 @@ from twin.compensation import Compensator, Options, compensate_file
 from twin.compensation.programs.report import CorrectionTally, LineNote, grouped
 from twin.compensation.programs.uncorrected import FoundShortfalls, ShortfallTally
 from twin.compensation.programs.words import Setup
-from twin.compute.native import OUT_OF_RANGE
+from twin.compute.native.solver import OUT_OF_RANGE
 from twin.machine.machine import Machine
 from twin.model.calibration import Calibration
 from twin.model.iso16907 import Scope

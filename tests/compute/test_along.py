@@ -8,9 +8,9 @@ import pytest
 
 from tests.compute.test_native import compiled, eager, libraries  # noqa: F401
 from twin.compute import along
+from twin.compute import along as native
 from twin.compute.along import AlongFunction, fractions
 from twin.compute.native import compiler
-from twin.compute.native import rows as native
 
 SWITCHES = ["0", pytest.param("1", marks=compiled)]
 

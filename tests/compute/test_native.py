@@ -23,8 +23,8 @@ import pytest
 from tests.model.errors import random_calibration
 from tests.tool.test_kinematics import random_commands
 from twin.compute import along as batch
-from twin.compute.native import compiler, solver, solver_description
-from twin.compute.native.compiler import Compiler, CompilerError
+from twin.compute.native import compiler, solver
+from twin.compute.native.compiler import Compiler, CompilerError, solver_description
 from twin.compute.native.solver import Batch, BatchOutcome, InverseProblem, NumpySolver, Solver
 from twin.compute.native.tape import Tape, UnknownOperationError
 from twin.machine.machine import Machine

@@ -130,7 +130,7 @@ def test_a_copy_needs_a_process_without_other_threads() -> None:
     alone = "import numpy as np; from twin.compute.native import compiler; compiler.map_parts([slice(0, 1), slice(1, 2)], id)"
     other = "import threading, time; threading.Thread(target=time.sleep, args=(60,), daemon=True).start()"
     for lines, may in ((alone, "True"), (other, "False")):
-        source = f"{lines}\nfrom twin.compute.native import only_idle_threads\nprint(only_idle_threads())"
+        source = f"{lines}\nfrom twin.compute.native.compiler import only_idle_threads\nprint(only_idle_threads())"
         done = subprocess.run([sys.executable, "-c", source], capture_output=True, text=True)
         assert done.stdout.strip() == may, done.stderr
 

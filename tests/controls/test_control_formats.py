@@ -21,8 +21,8 @@ from twin._common.families import BASIC
 from twin._common.units import DEG
 from twin.cli.doc import page_text
 from twin.controls import ControlCurve, ControlTerm, Correction, TableFormat, TableSum, read_tables, table_formats
+from twin.controls.correction import EXACT_UM, AxisErrors, CorrectionGrid, VolumetricCorrection
 from twin.controls.formats.linuxcnc import LinuxCnc
-from twin.controls.volumetric import EXACT_UM, AxisErrors, CorrectionGrid, VolumetricCorrection
 from twin.machine.machine import Machine
 
 MACHINE = Machine.load("dmu50")

@@ -21,7 +21,8 @@ from twin import cli
 from twin._common.errors import InputError
 from twin.compensation import Options, compensate
 from twin.compensation.tables.axis_tables import make_kinematics, real_geometry
-from twin.controls.kinematics import kinematics_formats, kinematics_named, linear_shift, table_geometry
+from twin.controls.kinematics import kinematics_formats, kinematics_named
+from twin.controls.kinematics.format import linear_shift, table_geometry
 from twin.machine.machine import Machine
 from twin.model.calibration import Calibration
 from twin.numerics.covariance import Covariance

@@ -15,10 +15,9 @@ from tests.nc.nc_support import AXES, iso_program
 from tests.nc.test_iso_stream import check
 from tests.nc.test_simple_blocks import LONG, ODD, SWAPPED, mixed_iso
 from twin.compute.native import compiler
+from twin.nc import chunks as line_chunks
 from twin.nc.blocks import AxisWords
-from twin.nc.lines import chunks as line_chunks
-from twin.nc.lines.compiled import ARRAYS, line_code
-from twin.nc.lines.scan import Scan, scan
+from twin.nc.lines import ARRAYS, Scan, line_code, scan
 
 NAMES = st.sampled_from([("X", "Y", "Z", "B", "C"), ("X", "Y", "Z"), ("Z", "Y", "X", "a", "c"), ("X1", "Y"), ()])
 PIECES = [

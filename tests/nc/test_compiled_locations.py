@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 
 from tests.nc.nc_support import AXES
 from twin.compute.native import compiler
-from twin.nc.apt.locations import TogetherJob, together_code, written
+from twin.nc.apt.dialect import TogetherJob, together_code, written
 from twin.nc.apt.reader import scan
-from twin.nc.lines.compiled import ARRAYS
+from twin.nc.lines import ARRAYS
 
 COMPILED = together_code(10**9)
 needs_compiler = pytest.mark.skipif(compiler.find_compiler() is None, reason="no C++ compiler")

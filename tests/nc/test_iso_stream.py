@@ -25,13 +25,12 @@ from tests.nc.test_simple_blocks import (
     shown,
     way,
 )
+from twin.nc import chunks as line_chunks
 from twin.nc.blocks import AxisWords, Interpretation, MoveColumns, Program
+from twin.nc.chunks import Chunk
 from twin.nc.iso.dialect import IsoRewriter
 from twin.nc.iso.interpreter import IsoInterpreter
-from twin.nc.lines import chunks as line_chunks
-from twin.nc.lines.chunks import Chunk
-from twin.nc.lines.compiled import ARRAYS, LineCode
-from twin.nc.lines.scan import scan
+from twin.nc.lines import ARRAYS, LineCode, scan
 from twin.nc.text import Style, newline_of, style_in
 
 SEED = st.integers(0, 10**6)

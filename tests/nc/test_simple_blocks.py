@@ -16,10 +16,9 @@ from tests.conftest import beside
 from tests.nc.nc_support import AXES, iso_program, plain_program
 from twin._common.errors import InputError
 from twin.compute.native import compiler
-from twin.nc import dialect_for
+from twin.nc import chunks, dialect_for
 from twin.nc.blocks import AxisWords, Kind, NewPositions
 from twin.nc.heidenhain import vocabulary as heidenhain_vocabulary
-from twin.nc.lines import chunks
 
 ISO, PLAIN, APT = (dialect_for(Path(name)) for name in ("a.nc", "a.h", "a.cls"))
 SWAPPED = AxisWords(("X", "Y", "Z"), ("C", "A"), {"X": 0.001, "Y": 0.005, "Z": 0.0001, "A": 0.001, "C": 0.01})

@@ -66,8 +66,8 @@ def _start(seconds: float) -> Finding:
 
 
 def _compiler() -> Finding:
-    from twin.compute.native import compiler, solver_description
-    from twin.compute.native.compiler import SWITCH_VARIABLE, enabled
+    from twin.compute.native import compiler
+    from twin.compute.native.compiler import SWITCH_VARIABLE, enabled, solver_description
 
     tool = compiler.find_compiler()
     if tool is None:

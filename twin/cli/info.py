@@ -124,7 +124,7 @@ class _Info:
         from importlib.metadata import version
 
         from twin._common.records import json_form
-        from twin.compute.native import solver_description
+        from twin.compute.native.compiler import solver_description
 
         machine, errors = self.errors.machine, self.errors
         return {
@@ -203,7 +203,7 @@ class _Info:
 
         from rich.table import Table
 
-        from twin.compute.native import solver_description
+        from twin.compute.native.compiler import solver_description
 
         machine, given, shown = self.errors.machine, self.given, self.errors
         console.print(machine.name, style="bold", end="")

@@ -28,7 +28,7 @@ from twin.compensation.programs.follow import Sections, follow, motions_of
 from twin.compensation.programs.prepared import PreparedMachine
 from twin.compensation.programs.words import Setup
 from twin.controls import linuxcnc
-from twin.controls.offsets.linuxcnc import parameter_file
+from twin.controls.offsets import parameter_file
 from twin.display.results import Result
 from twin.machine.machine import Machine
 from twin.model.calibration import Calibration

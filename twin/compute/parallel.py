@@ -48,7 +48,8 @@ from typing import TYPE_CHECKING, Any, Final, TypeVar, final
 from twin._common.errors import InputError, OutputError
 from twin._common.files import read_bytes
 from twin._common.resources import one_blas_thread
-from twin.compute.native import compiler, only_idle_threads
+from twin.compute.native import compiler
+from twin.compute.native.compiler import only_idle_threads
 
 if TYPE_CHECKING:
     from distributed import Client, Security
@@ -107,11 +108,8 @@ class Workers:
         if self.processes is not None and self.processes < 1:
             raise InputError("number of workers too small", expected="at least 1", value=self.processes)
         if self.tls is not None and not (self.scheduler or "").startswith("tls://"):
-            raise InputError(
-                "TLS files for a scheduler that does not use TLS",
-                expected="a scheduler at tls://host:8786",
-                value=self.scheduler,
-            )
+            what = "TLS files for a scheduler that does not use TLS"
+            raise InputError(what, expected="a scheduler at tls://host:8786", value=self.scheduler)
         if self.scheduler is not None and find_spec("distributed") is None:
             raise InputError("a scheduler needs Dask, which is not installed", expected="pip install 'twin[cluster]'")
 
@@ -162,10 +160,7 @@ def map_in_order(
     *,
     name: Callable[[Task], str] = str,
 ) -> Iterator[Result]:
-    """Run tasks as `map_as_completed` and yield their results in the order of the tasks.
-
-    Sums over the results are then reproducible to the last bit.
-    """
+    """Run tasks as `map_as_completed` and yield their results in the order of the tasks: sums are then reproducible to the last bit."""
     early: dict[int, Result] = {}
     following = 0
     with closing(map_as_completed(function, shared, tasks, workers, name=name)) as found:
@@ -197,11 +192,7 @@ def _completed(
 ) -> Iterator[tuple[int, Future[Any]]]:
     """Submit tasks, at most ``most`` at a time, and yield each that has ended; none are submitted after a worker has died.
 
-    Args:
-        submit: function that submits the task of an index.
-        indices: the tasks.
-        most: largest number of tasks in flight.
-        check: function called every `CHECK_S` while no task ends; it may raise to end the wait.
+    ``check`` is called every `CHECK_S` while no task ends; it may raise to end the wait.
     """
     waiting, running = iter(indices), dict[Future[Any], int]()
     while True:
@@ -241,11 +232,9 @@ def _on_processes(
                     deaths[index] += 1
                     if deaths[index] < MAX_DEATHS:
                         continue
-                    result = InputError(
-                        f"a worker process died {MAX_DEATHS} times while running this task",
-                        expected="enough memory for the task, or fewer workers",
-                        value=name(tasks[index]),
-                    )
+                    what = f"a worker process died {MAX_DEATHS} times while running this task"
+                    expected = "enough memory for the task, or fewer workers"
+                    result = InputError(what, expected=expected, value=name(tasks[index]))
                 del left[index]
                 yield index, result
 
@@ -355,11 +344,8 @@ def _on_cluster(
                 try:
                     result = future.result()
                 except KilledWorker as error:
-                    result = InputError(
-                        f"{error.allowed_failures + 1} workers of the cluster died while running this task",
-                        expected="enough memory for the task",
-                        value=name(tasks[index]),
-                    )
+                    what = f"{error.allowed_failures + 1} workers of the cluster died while running this task"
+                    result = InputError(what, expected="enough memory for the task", value=name(tasks[index]))
                 except CancelledError as error:
                     kept = "a scheduler that runs until the end"
                     raise InputError("the connection to the scheduler was lost", expected=kept) from error
@@ -372,12 +358,9 @@ def _on_cluster(
 
 
 def _run_there(common: bytes, packed: bytes, expected: dict[str, str]) -> Any:
-    """Run a task on a worker of a cluster as `_run`.
+    """Run a pickled task, with the pickled function and shared value, on a worker of a cluster as `_run`.
 
-    Args:
-        common: the function and the shared value, pickled.
-        packed: the task, pickled.
-        expected: the versions on the calling computer; a worker that joined later has not been checked.
+    ``expected``: the versions on the calling computer; a worker that joined later has not been checked.
     """
     # A Dask worker may have several threads, but only one at a time may use the shared value.
     with _task_lock:
@@ -411,11 +394,7 @@ def _dask_logs_off() -> Iterator[None]:
 
 @contextmanager
 def _client(address: str, tls: Tls | None) -> Iterator[Client]:
-    """Connect to a scheduler.
-
-    Raises:
-        InputError: there is none at the address, or address and TLS files do not match.
-    """
+    """Connect to a scheduler; raise `InputError` if there is none at the address, or address and TLS files do not match."""
     from distributed import Client
 
     security, secure = _security(tls), address.startswith("tls://")
@@ -435,11 +414,9 @@ def _client(address: str, tls: Tls | None) -> Iterator[Client]:
         RuntimeError,
         TypeError,
     ) as error:  # encryption required by Dask's configuration, but not in the address; or TLS without certificates
-        raise InputError(
-            "the scheduler's address and the TLS settings do not match",
-            expected="certificates for a scheduler at tls://host:8786, none for one at tcp://host:8786",
-            value=address,
-        ) from error
+        what = "the scheduler's address and the TLS settings do not match"
+        expected = "certificates for a scheduler at tls://host:8786, none for one at tcp://host:8786"
+        raise InputError(what, expected=expected, value=address) from error
     try:
         yield client
     finally:
@@ -447,11 +424,7 @@ def _client(address: str, tls: Tls | None) -> Iterator[Client]:
 
 
 def _security(tls: Tls | None) -> Security:
-    """Return Dask's security settings for the files.
-
-    Raises:
-        InputError: a file is missing or is not a certificate or key.
-    """
+    """Return Dask's security settings for the files; raise `InputError` if one is missing or is not a certificate or key."""
     from distributed.security import Security
 
     files = {} if tls is None else {"tls_ca_file": tls.ca_file, "tls_client_cert": tls.certificate}
@@ -463,12 +436,8 @@ def _security(tls: Tls | None) -> Security:
         security = Security(require_encryption=True if files else None, **{k: str(v) for k, v in files.items()})
         security.get_connection_args("client")
     except (OSError, TypeError, ValueError) as error:
-        raise InputError(
-            "unusable TLS files",
-            expected="PEM files of an authority, a certificate and its key",
-            file=None if tls is None else tls.certificate,
-            value=error,
-        ) from error
+        what, expected = "unusable TLS files", "PEM files of an authority, a certificate and its key"
+        raise InputError(what, expected=expected, file=None if tls is None else tls.certificate, value=error) from error
     return security
 
 
@@ -499,11 +468,8 @@ def _check_versions(client: Client, address: str) -> None:
         if isinstance(version, BaseException):
             raise InputError("twin is not installed on a worker", expected=there, value=worker)
     for worker, found in client.run(versions, on_error="return").items():
-        different = (
-            f"twin {installed.get(worker)}"
-            if isinstance(found, BaseException)
-            else version_differences(versions(), found)
-        )
+        failed = isinstance(found, BaseException)
+        different = f"twin {installed.get(worker)}" if failed else version_differences(versions(), found)
         if different:
             raise _other_versions(different, worker)
     other = [worker for worker, digest in client.run(arithmetic, on_error="return").items() if digest != arithmetic()]

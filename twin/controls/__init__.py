@@ -57,22 +57,15 @@ class TableEntry:
 
     @classmethod
     def of(cls, file: Path, kind: str, classes: Sequence[str]) -> TableEntry:
-        """Create the entry of a file with its current hash.
-
-        Raises:
-            InputError: the file cannot be read.
-        """
+        """Return the entry of a file with its current hash; raise `InputError` if it cannot be read."""
         return cls(file, kind, tuple(classes), file_sha256(file))
 
     def check(self) -> None:
         """Raise `InputError` if the file has changed since it was recorded or cannot be read."""
         if file_sha256(self.file) != self.sha256:
-            raise InputError(
-                "not the control table with which the calibration was written: the active corrections are unknown",
-                expected=f"the file with sha256 {self.sha256[:12]}…, or a `control:` section with the tables active now",
-                file=self.file,
-                value=file_sha256(self.file)[:12] + "…",
-            )
+            what = "not the control table with which the calibration was written: the active corrections are unknown"
+            expected = f"the file with sha256 {self.sha256[:12]}…, or a `control:` section with the tables active now"
+            raise InputError(what, expected=expected, file=self.file, value=file_sha256(self.file)[:12] + "…")
 
 
 @final
@@ -81,7 +74,6 @@ class ControlSection:
     """The `control:` section of a calibration file.
 
     Attributes:
-        errors_are: ``uncorrected`` or ``remaining``.
         tables: the tables active in the control.
         kinematics: the file of the transformation's kinematics, if they were written from a calibration; at most one.
         live: calibrations whose errors a kinematics module in the control corrects, completely.
@@ -120,12 +112,7 @@ class ControlSection:
 
         def listed(entries: Sequence[TableEntry]) -> list[dict[str, Any]]:
             return [
-                {
-                    "file": shown(entry.file),
-                    "format": entry.format,
-                    "classes": list(entry.classes),
-                    "sha256": entry.sha256,
-                }
+                {"file": shown(entry.file), "format": entry.format, "classes": [*entry.classes], "sha256": entry.sha256}
                 for entry in entries
             ]
 
@@ -139,11 +126,7 @@ class ControlSection:
 
 
 def file_sha256(file: Path) -> str:
-    """Return the SHA-256 of a file.
-
-    Raises:
-        InputError: the file cannot be read.
-    """
+    """Return the SHA-256 of a file; raise `InputError` if it cannot be read."""
     return sha256(read_bytes(file)).hexdigest()
 
 

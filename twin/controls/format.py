@@ -87,32 +87,18 @@ class TableFormat(ABC, Generic[C]):
 
     @abstractmethod
     def write(self, correction: C, notes: Sequence[str] = ()) -> dict[str, str]:
-        """Return the texts of the files by file name.
-
-        Args:
-            correction: the tables.
-            notes: texts for comments, placed where the control ignores them.
-
-        Raises:
-            InputError: the format cannot represent the correction.
-        """
+        """Return the texts of the files by name, with notes as comments; raise `InputError` for a correction that does not fit."""
 
     @abstractmethod
     def read(self, files: Sequence[Path], machine: Machine) -> C:
         """Return the tables from all files of the control, including those that assign tables to axes.
 
-        Raises:
-            InputError: a file is invalid, or the control would refuse it.
+        It raises `InputError` if a file is invalid, or the control would refuse it.
         """
 
     @abstractmethod
     def loading(self, correction: C, largest: Mapping[str, float]) -> tuple[str, ...]:
-        """Return instructions to load and activate the tables, one text per step.
-
-        Args:
-            correction: the tables.
-            largest: largest correction of every axis that is moved, µm or µrad.
-        """
+        """Return instructions to load and activate the tables, one text per step; ``largest`` correction by axis, µm or µrad."""
 
     def to_read(self, written: Mapping[str, str]) -> tuple[str, ...]:
         """Return the names of those written files that `read` needs."""
@@ -139,12 +125,7 @@ LETTERS: Final = tuple("XYZABCUVW")
 @final
 @dataclass(frozen=True)
 class TableLine:
-    """A line of a file, or a part of it.
-
-    Attributes:
-        number: number of the line, from 1 on; None for a missing line.
-        text: text without leading and trailing blanks.
-    """
+    """A line of a file, or a part of it, without leading and trailing blanks; numbers begin with 1, None is a missing line."""
 
     path: Path
     number: int | None
@@ -155,15 +136,7 @@ class TableLine:
         return InputError(what, expected=expected, file=self.path, line=self.number, value=value)
 
     def decimal(self, what: str, text: str | None = None) -> float:
-        """Return a number of magnitude up to `LARGEST`.
-
-        Args:
-            what: name of the number, for the message.
-            text: text of the number; the whole line if None.
-
-        Raises:
-            InputError: the text is not such a number.
-        """
+        """Return a number, of the whole line if ``text`` is None; raise `InputError`, which says ``what``, beyond `LARGEST`."""
         shown = self.text if text is None else text
         try:
             value = float(shown)
@@ -174,22 +147,14 @@ class TableLine:
         return value
 
     def axis(self, name: str, machine: Machine) -> Axis:
-        """Return the axis of that name.
-
-        Raises:
-            InputError: the machine has no such axis.
-        """
+        """Return the axis of that name; raise `InputError` if the machine has none."""
         if name not in machine.by_name:
             raise self.error(f"{machine.name} has no such axis", f"one of {' '.join(machine.names)}", name)
         return machine.by_name[name]
 
 
 def table_lines(path: Path) -> list[TableLine]:
-    """Return all lines of a file.
-
-    Raises:
-        InputError: the file cannot be read.
-    """
+    """Return all lines of a file; raise `InputError` if it cannot be read."""
     return [TableLine(path, number, text.strip()) for number, text in enumerate(read_lines(path), start=1)]
 
 
@@ -201,11 +166,7 @@ def check_increasing(at: Sequence[float], lines: Sequence[TableLine]) -> None:
 
 
 def single_file(files: Sequence[Path], suffix: str, what: str, expected: str) -> Path:
-    """Return the only file with a suffix.
-
-    Raises:
-        InputError: no file, or more than one, has it.
-    """
+    """Return the only file with a suffix; raise `InputError` if none, or more than one, has it."""
     matching = [file for file in files if file.suffix.lower() == suffix]
     if len(matching) != 1:
         raise InputError(what, expected=expected, value=" ".join(file.name for file in files))
@@ -216,9 +177,8 @@ def check_letters(names: Iterable[str], control: str) -> None:
     """Raise `InputError` unless all names are axis names of controls that name axes by a letter."""
     for name in names:
         if name not in LETTERS:
-            raise InputError(
-                f"{control} has no such axis", expected=f"axes named by one of {' '.join(LETTERS)}", value=name
-            )
+            what = f"{control} has no such axis"
+            raise InputError(what, expected=f"axes named by one of {' '.join(LETTERS)}", value=name)
 
 
 def unit_of(axis: Axis) -> float:

@@ -37,16 +37,7 @@ DEFAULT_ACCELERATION: Final = 5000.0
 @final
 @dataclass(frozen=True)
 class Ran:
-    """Results of a run of the control.
-
-    Attributes:
-        done: name and result of every action.
-        said: messages of the control.
-        failed: why the actions ended early; empty if they did not.
-        folder: where it ran.
-        pins: number of recorded pins.
-        log: output of the control.
-    """
+    """Results of a run of the control: those of all actions by name, messages, why they ended early (or empty), pins, output."""
 
     done: list[tuple[str, Any]]
     said: list[str]
@@ -56,11 +47,7 @@ class Ran:
     log: str
 
     def samples(self, name: str) -> np.ndarray:
-        """Return the pins recorded into a file: (n, pins).
-
-        Raises:
-            InputError: samples were lost, because the computer was too slow.
-        """
+        """Return the pins recorded into a file: (n, pins); raise `InputError` if the computer was too slow for all samples."""
         rows = [line.split() for line in (self.folder / name).read_text().splitlines()]
         # Samples lost before the first one do not matter.
         rows = rows[sum(row == ["overrun"] for row in rows[:1]) :]
@@ -79,17 +66,13 @@ class Configuration:
     """Configuration of the control.
 
     Attributes:
-        machine: the machine whose axes it has.
         home: position of every axis at which it stands at first.
         kinematics: the module; by default that of axes without a transformation.
         hal: further lines of HAL, after motmod is loaded.
         pins: pins or signals that are recorded by the action ``record``, every millisecond; whole numbers begin with ``#``.
         ini: further sections of the INI file.
         joints: further lines of the section of a joint, by its number.
-        tools: the tool table.
-        parameters: the parameter file.
         acceleration: largest acceleration, mm/s² and °/s².
-        period_s: period of the servo thread.
     """
 
     machine: Machine
@@ -220,9 +203,8 @@ def check(user: str = "") -> None:
             raise InputError("no such user", expected="a user of this computer", value=user, setting="user") from None
         if os.geteuid() not in (0, number):
             expected = "no other user, or root to choose one"
-            raise InputError(
-                "only root runs the control as another user", expected=expected, value=user, setting="user"
-            )
+            what = "only root runs the control as another user"
+            raise InputError(what, expected=expected, value=user, setting="user")
     if LOCK.exists():
         raise InputError("LinuxCNC is running already", expected="none, or no lock that one left behind", file=LOCK)
 

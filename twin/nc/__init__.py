@@ -25,16 +25,15 @@ DIALECTS: tuple[Dialect, ...] = (Iso(), Heidenhain(), Apt())
 def dialect_for(path: Path, data: bytes | None = None, language: str | None = None) -> Dialect:
     """Return the language of a program: as given, else by its content, else by the suffix of its name.
 
-    Args:
-        path: the program's path.
-        data: the program's bytes, if known; the first `HEAD_BYTES` count.
-        language: name of the language; None to recognise it.
-
-    Raises:
-        InputError: an unknown name; neither content nor suffix are those of one language.
+    Of the program's bytes the first `HEAD_BYTES` count. It raises `InputError` for an unknown name, or if neither content nor suffix
+    are those of one language.
     """
     if language is not None:
-        return _named(language)
+        for dialect in DIALECTS:
+            if dialect.name == language:
+                return dialect
+        expected = ", ".join(one.name for one in DIALECTS)
+        raise InputError("unknown language", expected=expected, value=language, setting="language")
     found = [] if data is None else [one for one in DIALECTS if one.evidence.search(data[:HEAD_BYTES])]
     opened = [
         one for one in found if one.opening is not None and data is not None and one.opening.search(data[:HEAD_BYTES])
@@ -48,22 +47,9 @@ def dialect_for(path: Path, data: bytes | None = None, language: str | None = No
         if kind is not None:
             raise InputError(f"{kind}, not an NC program", expected="an NC program, or its language", file=path)
     names = " or ".join(one.name for one in found or DIALECTS)
-    raise InputError(
-        "blocks of several languages" if found else "unknown NC program type",
-        expected=f"the language ({names}), or a file name ending in {_SUFFIXES}",
-        file=path,
-        value=path.suffix.lower(),
-        setting="language",
-    )
-
-
-def _named(language: str) -> Dialect:
-    for dialect in DIALECTS:
-        if dialect.name == language:
-            return dialect
-    raise InputError(
-        "unknown language", expected=", ".join(one.name for one in DIALECTS), value=language, setting="language"
-    )
+    what = "blocks of several languages" if found else "unknown NC program type"
+    expected = f"the language ({names}), or a file name ending in {_SUFFIXES}"
+    raise InputError(what, expected=expected, file=path, value=path.suffix.lower(), setting="language")
 
 
 def _by_suffix(path: Path) -> list[Dialect]:
@@ -76,11 +62,7 @@ _SUFFIXES = " ".join(
 
 
 def dialect_of(path: Path, language: str | None = None) -> Dialect:
-    """Return the language of an existing program, as `dialect_for` does.
-
-    Raises:
-        InputError: it cannot be read, or its language is not recognised.
-    """
+    """Return the language of an existing program as `dialect_for` does; raise `InputError` if it cannot be read."""
     try:
         with open_input(path) as stream:
             return dialect_for(path, stream.read(HEAD_BYTES), language)
@@ -91,13 +73,8 @@ def dialect_of(path: Path, language: str | None = None) -> Dialect:
 def dialect_to_write(output: Path, source: Path, dialect: Dialect) -> Dialect:
     """Return the language in which to write a program: that of the suffix of its name, if it is one's own.
 
-    Args:
-        output: its path.
-        source: the program that is rewritten.
-        dialect: its language, which is kept where the suffix is the same, or one of several languages.
-
-    Raises:
-        InputError: another suffix that is of no language, such as that of a picture.
+    The language of the source is kept where the suffix is the same, or one of several languages. It raises `InputError` for another
+    suffix that is of no language, such as that of a picture.
     """
     by_suffix = _by_suffix(output)
     same = output.suffix.lower() == source.suffix.lower()
@@ -105,17 +82,6 @@ def dialect_to_write(output: Path, source: Path, dialect: Dialect) -> Dialect:
         expected = f"a file name ending in one of {_SUFFIXES}, or that of {source.name}"
         raise InputError("unknown NC program type", expected=expected, file=output, value=output.suffix.lower())
     return by_suffix[0] if len(by_suffix) == 1 and not same else dialect
-
-
-def _check_size(path: Path, needed: int) -> None:
-    """Raise `InputError` for a program that needs more memory, in bytes, than this process can have."""
-    most = memory_bytes()
-    if needed > most:
-        raise InputError(
-            "the program is too large to be held in memory",
-            expected=f"at most {most / LINE_BYTES:,.0f} lines with {most / 1e9:.1f} GB of memory; split it into several programs",
-            file=path,
-        )
 
 
 def read_program(
@@ -141,6 +107,12 @@ def read_program(
     """
     source = find_program(path)
     data = read_bytes(source, most_bytes=MAX_TEXT_BYTES)
-    _check_size(source, LINE_BYTES * (1 + max(data.count(b"\n"), data.count(b"\r"))))
+    most = memory_bytes()
+    if LINE_BYTES * (1 + max(data.count(b"\n"), data.count(b"\r"))) > most:
+        what = "the program is too large to be held in memory"
+        expected = (
+            f"at most {most / LINE_BYTES:,.0f} lines with {most / 1e9:.1f} GB of memory; split it into several programs"
+        )
+        raise InputError(what, expected=expected, file=source)
     dialect = dialect_for(source, data, language)
     return dialect.expanded(dialect.read(data, str(source)), (source.parent, *map(Path, subprograms))), dialect

@@ -67,16 +67,7 @@ def arc_by_centre(
     clockwise: bool,
     turns: int = 0,
 ) -> Arc | ArcMisfit:
-    """Return the arc about a centre; equal start and end make a full circle.
-
-    Args:
-        plane: as `Arc.plane`.
-        start: in-plane start, mm.
-        end: in-plane end, mm.
-        centre: in-plane centre, mm.
-        clockwise: whether the sense is clockwise.
-        turns: additional full turns.
-    """
+    """Return the arc about a centre with additional full turns; equal start and end make a full circle. Points are in the plane, mm."""
     ax, ay = start[0] - centre[0], start[1] - centre[1]
     bx, by = end[0] - centre[0], end[1] - centre[1]
     first, last = math.hypot(ax, ay), math.hypot(bx, by)
@@ -120,12 +111,7 @@ def centres_that_fit(
 def moved_centre(
     arc: Arc, end: tuple[float, float], new_start: tuple[float, float], new_end: tuple[float, float]
 ) -> tuple[float, float]:
-    """Return the centre of an arc whose ends are moved by small amounts: by their mean, and then equally far from both new ends.
-
-    Args:
-        end: its in-plane end, mm.
-        new_start, new_end: its ends after they are moved.
-    """
+    """Return the centre of an arc whose ends are moved by small amounts: by their mean, and then equally far from both new ends."""
     c, s = math.cos(arc.angle_rad), math.sin(arc.angle_rad)
     u, v = end[0] - arc.centre_mm[0], end[1] - arc.centre_mm[1]
     start = (arc.centre_mm[0] + c * u + s * v, arc.centre_mm[1] - s * u + c * v)
@@ -146,16 +132,7 @@ def arc_by_radius(
     clockwise: bool,
     turns: int = 0,
 ) -> Arc | ArcMisfit:
-    """Return the arc with a radius: positive for up to half a circle, negative for more.
-
-    Args:
-        plane: as `Arc.plane`.
-        start: in-plane start, mm.
-        end: in-plane end, mm.
-        radius: mm, signed.
-        clockwise: whether the sense is clockwise.
-        turns: additional full turns.
-    """
+    """Return the arc with a radius, mm: positive for up to half a circle, negative for more; see `arc_by_centre`."""
     dx, dy = end[0] - start[0], end[1] - start[1]
     chord = math.hypot(dx, dy)
     if not math.isfinite(chord):

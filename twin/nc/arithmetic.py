@@ -93,11 +93,8 @@ def key_of(name: str) -> str:
 def evaluate(text: str, parameters: Mapping[str, float], *, heidenhain: bool = False, linuxcnc: bool = False) -> float:
     """Return the value of an expression; NaN if it is unknown.
 
-    Args:
-        text: the expression.
-        parameters: values by name in capitals (``#1``, ``R1``, ``_DEPTH``, ``Q1``).
-        heidenhain: whether ``DIV`` is a quotient and commas are decimal; else ``DIV`` gives a whole number (SINUMERIK).
-        linuxcnc: whether it is LinuxCNC that compares.
+    Parameters have names in capitals (``#1``, ``R1``, ``_DEPTH``, ``Q1``). For ``heidenhain`` ``DIV`` is a quotient and commas are
+    decimal; else ``DIV`` gives a whole number (SINUMERIK). ``linuxcnc``: whether it is LinuxCNC that compares.
     """
     try:
         parser = _Parser(text.replace(",", ".") if heidenhain else text, parameters, not heidenhain, linuxcnc)

@@ -59,12 +59,7 @@ class Plane:
 
 
 def rotation_about(axes: str, angles_deg: Sequence[float]) -> Rows:
-    """Return the rotation matrix of successive rotations, each about an axis that the ones before have turned.
-
-    Args:
-        axes: letters X, Y, Z, one for each rotation.
-        angles_deg: their angles in degrees.
-    """
+    """Return the matrix of successive rotations, each about an axis (letter X, Y or Z) that the ones before have turned."""
     matrix = np.eye(3)
     for letter, angle in zip(axes, angles_deg, strict=True):
         c, s = _cos_sin(angle)
@@ -79,8 +74,7 @@ def rotation_about(axes: str, angles_deg: Sequence[float]) -> Rows:
 def rotation_along(first: Sequence[float], normal: Sequence[float]) -> Rows:
     """Return the rotation matrix whose third column lies along a normal, and whose first column is nearest to another vector.
 
-    Raises:
-        ValueError: a vector of length zero, or both are parallel.
+    It raises `ValueError` for a vector of length zero, and if both are parallel.
     """
     z = np.array(normal, dtype=float)
     x = np.array(first, dtype=float)
@@ -213,12 +207,7 @@ class AxisWords:
 @final
 @dataclass(frozen=True)
 class Origin:
-    """Origin of a line of a program whose subprograms are written out.
-
-    Attributes:
-        line: its number there.
-        main: the number in the main program, of the line itself or of the call that leads to it.
-    """
+    """Origin of a line of a program whose subprograms are written out: file, line, and line of the main program or of its call."""
 
     file: str
     line: int
@@ -298,10 +287,8 @@ class Move(NamedTuple):
             ``position`` holds its words, NaN for the other axes. With ``unknown``: those of a work offset of unknown values, all NaN.
         position: absolute end position of every axis, mm and degrees, in the order ``AxisWords.names``, in the program's
             coordinates (without work offset); NaN where still unknown. Rotary entries are NaN in a block with a tool vector.
-        named: names of the axes written in this block.
         vector: tool vector (i, j, k), unit length, from tip to spindle in the work frame, or None.
         normal: surface normal of an ``LN`` block, unit length, or None (kept as written).
-        arc: for ``Kind.ARC``.
         unknown: why nothing is known of where the block goes (`twin.nc.modal.Interpreter.unknown`); empty if that is known. Such a
             block passes through unchanged; ``position`` is NaN and ``arc`` None.
         whole: whether the block stays one block, an arc an arc: under cutter radius compensation.
@@ -420,8 +407,6 @@ class Interpretation:
     """The result of interpreting a program.
 
     Attributes:
-        moves: its moves in order.
-        notices: remarks for the report.
         lost_positions: the lines after which axis positions are unknown.
         frames: the lines that change the frame: by known values of offsets and tools (`AxisWords`), or of the program.
         drilled: ranges of lines that execute a drilling cycle; all their moves belong to it.
@@ -442,7 +427,6 @@ class Rewrite:
     """New end positions for one move: one row per segment; the last row is the end of the move.
 
     Attributes:
-        move: the move it replaces.
         positions: (segments, axes) absolute, mm and degrees, in the order ``AxisWords.names``, rounded to the least increment;
             NaN for a word that is not to be written (rotary axes of a move with a tool vector, or of a program without them).
         vectors: (segments, 3) unit tool vectors, or None.
@@ -467,9 +451,6 @@ class MoveColumns(MadeOnAccess[Move]):
     """Moves as columns; see `Move`.
 
     Attributes:
-        names: axis names, in the order of the positions.
-        line: (n,) index of the line.
-        rapid: (n,) whether the move is a rapid.
         tcp: (n,) whether the words are tool-tip coordinates.
         named: (n,) the axes written in the block, as bits.
         position: (n, axes) mm and degrees, NaN where unknown.
@@ -576,11 +557,7 @@ class MoveColumns(MadeOnAccess[Move]):
 
 @final
 class MoveBuilder:
-    """Collector of moves, added one by one or in columns.
-
-    Args:
-        names: axis names.
-    """
+    """Collector of moves, added one by one or in columns."""
 
     def __init__(self, names: tuple[str, ...]) -> None:
         self._names = names
@@ -636,13 +613,7 @@ class NewPositions:
 
     @classmethod
     def of(cls, moves: int, axes: int, new: Mapping[int, tuple[np.ndarray, np.ndarray | None]]) -> NewPositions:
-        """Return the replacements of single moves.
-
-        Args:
-            moves: number of moves of the program.
-            axes: number of words per position.
-            new: by the index of the move, ascending, (segments, axes) positions and (segments, 3) vectors or None.
-        """
+        """Return the replacements of moves by index, ascending: (segments, axes) positions and (segments, 3) vectors or None."""
         count = np.zeros(moves, dtype=int)
         count[list(new)] = [len(positions) for positions, _ in new.values()]
         vectors = [np.full((len(rows), 3), np.nan) if tool is None else tool for rows, tool in new.values()]

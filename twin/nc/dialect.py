@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from math import isnan, nan
@@ -15,18 +15,10 @@ import numpy as np
 
 from twin._common.arrays import read_only
 from twin._common.errors import InputError
-from twin.nc.blocks import (
-    AxisWords,
-    Interpretation,
-    MoveBuilder,
-    NewPositions,
-    Program,
-    as_columns,
-    encoded,
-)
+from twin.nc.blocks import AxisWords, Interpretation, MoveBuilder, NewPositions, Program, as_columns, encoded
+from twin.nc.chunks import CHUNK_LINES, DELETED_LINE, Chunk, ChunkReader, ChunkWriter
 from twin.nc.inline import Inliner
-from twin.nc.lines.chunks import CHUNK_LINES, DELETED_LINE, Chunk, ChunkReader, ChunkWriter
-from twin.nc.lines.compiled import LineCode, line_code
+from twin.nc.lines import LineCode, line_code
 from twin.nc.text import MM_PER_INCH, Style, format_number, read_lines
 from twin.nc.writer import OutputState
 
@@ -76,7 +68,6 @@ class Technology:
 
     Attributes:
         feed: (lines,) mm, degrees or blocks by ``unit``; NaN if unknown.
-        unit: (lines,) `FeedUnit` objects.
         speed_rpm: (lines,) spindle speed, 0 while it is switched off, and before the first speed word.
         dwell_s: (lines,) time for which each line waits.
         says_speed: whether any line has a speed word.
@@ -87,68 +78,6 @@ class Technology:
     speed_rpm: np.ndarray
     dwell_s: np.ndarray
     says_speed: bool
-
-
-def carried(program: Program, words_of: Callable[[str], LineWords]) -> Technology:
-    """Return the technology of a program.
-
-    A spindle that the program never switches on or off is taken to turn from the first speed word on: the calling program has switched
-    it on.
-
-    Args:
-        words_of: what a line says.
-
-    Raises:
-        InputError: a speed that follows the cutting speed, or is not a number.
-    """
-    lines = [words_of(text) for text in program.texts]
-    switched = any(line.turning is not None or line.off_after for line in lines)
-    turning, speed, feed, unit, scale = not switched, nan, nan, FeedUnit.MINUTE, 1.0
-    feeds, units, speeds = [], [], []
-    for i, words in enumerate(lines):
-        _check(program, i, words)
-        scale = scale if words.inch is None else MM_PER_INCH if words.inch else 1.0
-        feed = nan if words.unit not in (None, unit) else feed
-        unit = words.unit or unit
-        if words.feed is not None:
-            feed = words.feed * (1.0 if unit is FeedUnit.INVERSE or words.metric else scale)
-        speed = speed if words.speed_rpm is None else words.speed_rpm
-        turning = turning if words.turning is None else words.turning
-        feeds.append(feed)
-        units.append(unit)
-        speeds.append(0.0 if isnan(speed) or not turning else speed)
-        turning = turning and not words.off_after
-    return Technology(
-        read_only(np.array(feeds)),
-        read_only(np.array(units, dtype=object)),
-        read_only(np.array(speeds)),
-        read_only(np.array([line.dwell_s for line in lines])),
-        any(line.speed_rpm is not None for line in lines),
-    )
-
-
-def _check(program: Program, line: int, words: LineWords) -> None:
-    text = program.texts[line].strip()
-    if words.varying is not None:
-        raise InputError(
-            f"the spindle speed follows the cutting speed ({words.varying})",
-            expected="a constant speed in every block (G97), or a speed given for the whole program",
-            file=program.source,
-            line=line + 1,
-            value=text,
-        )
-    if (words.speed_rpm is not None and isnan(words.speed_rpm)) or isnan(words.dwell_s):
-        what = "dwell" if isnan(words.dwell_s) else "spindle speed"
-        raise InputError(
-            f"the {what} is not a number",
-            expected="a number, or a speed given for the whole program",
-            file=program.source,
-            line=line + 1,
-            value=text,
-        )
-
-
-# --- Interface of a language of NC programs, as used by the rest of the package -------------------
 
 
 class Dialect(ABC):
@@ -180,48 +109,25 @@ class Dialect(ABC):
 
     @abstractmethod
     def reader(self, source: str, axes: AxisWords, *, tcp: bool) -> ChunkReader:
-        """Return a reader of a program.
-
-        Args:
-            source: its name, for messages.
-            tcp: whether tool centre point control is on from the start.
-        """
+        """Return a reader of a program; ``source``: its name, for messages, ``tcp``: whether that control is on at its start."""
 
     @abstractmethod
     def rewriter(self, source: str, texts: Iterable[str], lines: int, axes: AxisWords, *, tcp: bool) -> ChunkWriter:
         """Return a writer of a program with some moves replaced and every other byte kept.
 
-        Unchanged moves keep their text. A rewritten block gets every axis word whose value differs from the last value in
-        the output for that axis, whether or not the original block has that word.
-
-        Args:
-            source: its name, for messages.
-            texts: its lines.
-            lines: about how many there are.
-            tcp: whether tool centre point control is on at the first move.
+        Unchanged moves keep their text. A rewritten block gets every axis word whose value differs from the last value in the output
+        for that axis, whether or not the original block has that word. ``lines``: about how many there are; ``tcp``: whether tool
+        centre point control is on at the first move.
         """
 
     def poster(self, source: str, axes: AxisWords, into: Dialect) -> ChunkWriter:
-        """Return a writer of a program of cutter locations as axis words of another language.
-
-        Args:
-            source: its name.
-            axes: the machine's axis words.
-            into: the other language.
-
-        Raises:
-            ValueError: the program already has axis words (an error of the caller).
-        """
+        """Return a writer of cutter locations as axis words of another language; raise `ValueError` if they are axis words already."""
         raise ValueError(f"{self.name} programs cannot be written in {into.name}")
 
     def moves(self, program: Program, axes: AxisWords, *, tcp: bool) -> Interpretation:
-        """Interpret a program.
+        """Interpret a program; ``tcp``: whether tool centre point control is on from the start.
 
-        Args:
-            tcp: whether tool centre point control is on from the start.
-
-        Raises:
-            InputError: with file, line and value, for anything that cannot be understood or must not pass uncompensated.
+        It raises `InputError` with file, line and value, for anything that cannot be understood or must not pass uncompensated.
         """
         reader, found = self.reader(program.source, axes, tcp=tcp), MoveBuilder(axes.names)
         for chunk in self.chunks(program, axes):
@@ -278,23 +184,14 @@ class Dialect(ABC):
 
     @abstractmethod
     def with_comments(self, text: str, comments: Sequence[str]) -> str:
-        """Return the text with comments in its header, in this language's syntax; comments already there are not repeated.
-
-        Args:
-            text: the program; where lines are not numbered, its first part is enough.
-            comments: ASCII without brackets.
-        """
+        """Return the text, or a first part of it, with comments in its header that are not there yet: ASCII without brackets."""
 
     @abstractmethod
     def from_points(self, names: Sequence[str], points: np.ndarray, feed: float | None, remark: str, title: str) -> str:
         """Return a new program with one straight block per point.
 
-        Args:
-            names: axis names of the columns; three fewer than the columns if the last three are a tool vector.
-            points: (n, columns) mm, degrees and tool vectors.
-            feed: mm/min, or None for no feed word.
-            remark: a comment in its header, ASCII without brackets.
-            title: the name of the program, for languages in which it has one.
+        ``points``: (n, columns) mm and degrees of the axes ``names``; three further columns are a tool vector. ``feed``: mm/min, or
+        None for no feed word; ``remark``: a comment, ASCII without brackets; ``title``: for languages in which a program has a name.
         """
 
     @abstractmethod
@@ -312,17 +209,36 @@ class Dialect(ABC):
     def technology(self, program: Program) -> Technology:
         """Return feed, spindle speed and dwell of every line.
 
-        Raises:
-            InputError: as for `twin.nc.dialect.carried`.
+        A spindle that the program never switches on or off is taken to turn from the first speed word on: the calling program has
+        switched it on. It raises `InputError` for a speed that follows the cutting speed, or is not a number.
         """
-        return carried(program, self.line_words)
+        lines = [self.line_words(text) for text in program.texts]
+        switched = any(line.turning is not None or line.off_after for line in lines)
+        turning, speed, feed, unit, scale = not switched, nan, nan, FeedUnit.MINUTE, 1.0
+        feeds, units, speeds = [], [], []
+        for i, words in enumerate(lines):
+            _check(program, i, words)
+            scale = scale if words.inch is None else MM_PER_INCH if words.inch else 1.0
+            feed = nan if words.unit not in (None, unit) else feed
+            unit = words.unit or unit
+            if words.feed is not None:
+                feed = words.feed * (1.0 if unit is FeedUnit.INVERSE or words.metric else scale)
+            speed = speed if words.speed_rpm is None else words.speed_rpm
+            turning = turning if words.turning is None else words.turning
+            feeds.append(feed)
+            units.append(unit)
+            speeds.append(0.0 if isnan(speed) or not turning else speed)
+            turning = turning and not words.off_after
+        return Technology(
+            feed=read_only(np.array(feeds)),
+            unit=read_only(np.array(units, dtype=object)),
+            speed_rpm=read_only(np.array(speeds)),
+            dwell_s=read_only(np.array([line.dwell_s for line in lines])),
+            says_speed=any(line.speed_rpm is not None for line in lines),
+        )
 
     def read(self, data: bytes, source: str) -> Program:
-        """Split bytes into lines.
-
-        Raises:
-            InputError: it is empty or not text.
-        """
+        """Split bytes into lines; raise `InputError` if they are empty or not text."""
         return read_lines(data, source, self.name)
 
     def renumbered(self, program: Program, text: str) -> str:
@@ -336,44 +252,38 @@ class Dialect(ABC):
     def inliner(self, program: Program, folders: Sequence[Path]) -> Inliner | None:
         """Return what writes out the subprograms of a program; None if the language has none.
 
-        Args:
-            program: as read.
-            folders: where its subprograms may be, in the order of search; none for only itself.
+        ``folders``: where they may be, in the order of search; none for only the program itself.
         """
         return None
 
     def expanded(self, program: Program, folders: Sequence[Path]) -> Program:
         """Return a program with its subprograms, loops and jumps written out as executed; the program itself if it has none.
 
-        Args:
-            program: as read.
-            folders: as for `inliner`.
-
-        Raises:
-            InputError: a call that cannot be written out, with file and line.
+        It raises `InputError` for a call that cannot be written out, with file and line. ``folders``: as for `inliner`.
         """
         inliner = self.inliner(program, folders)
         return program if inliner is None else inliner.expanded()
 
     def new_program(self, axes: AxisWords) -> NewProgram:
-        """Return a new, empty program in axis words.
-
-        Raises:
-            ValueError: the language has no axis words (an error of the caller).
-        """
+        """Return a new, empty program in axis words; raise `ValueError` if the language has none (an error of the caller)."""
         raise ValueError(f"{self.name} has no axis words")
 
 
+def _check(program: Program, line: int, words: LineWords) -> None:
+    if words.varying is not None:
+        what = f"the spindle speed follows the cutting speed ({words.varying})"
+        expected = "a constant speed in every block (G97), or a speed given for the whole program"
+    elif (words.speed_rpm is not None and isnan(words.speed_rpm)) or isnan(words.dwell_s):
+        what = f"the {'dwell' if isnan(words.dwell_s) else 'spindle speed'} is not a number"
+        expected = "a number, or a speed given for the whole program"
+    else:
+        return
+    shown = program.texts[line].strip()
+    raise InputError(what, expected=expected, file=program.source, line=line + 1, value=shown)
+
+
 class NewProgram(ABC):
-    """A program in axis words, written from its beginning.
-
-    Args:
-        style: number format.
-
-    Attributes:
-        feed: feed of the following moves in mm/min; 0: none.
-        out: the text written so far.
-    """
+    """A program in axis words, written from its beginning; ``feed``: that of the following moves, mm/min, 0: none."""
 
     def __init__(self, axes: AxisWords, style: Style) -> None:
         self.feed = 0.0

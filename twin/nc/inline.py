@@ -36,8 +36,6 @@ class Call:
     """A call found in a line.
 
     Attributes:
-        name: the subprogram.
-        repeats: how often it runs.
         values: what replaces its parameters: the text of each value by the parameter's name, in capitals.
         outside: whether it can only be a file of its own.
         certain: whether the line is a call even if there is no such subprogram.
@@ -89,10 +87,6 @@ Scope = dict[str, str]
 class FlowStructure:
     """The loops and branches of some lines.
 
-    Args:
-        flows: the statements by the index of their line.
-        error: function that returns the error at a line.
-
     Attributes:
         last: for each first statement of a loop or branch, the index of its last one.
         first: the reverse.
@@ -107,7 +101,8 @@ class FlowStructure:
         self.within: dict[int, int] = {}
         opened: list[int] = []
         for i, flow in flows.items():
-            closes = flow.kind in _CLOSING or (flow.kind == "while" and self._ends_do(flows, opened, flow))
+            ends_do = bool(opened and flow.name) and flows[opened[-1]][:2] == ("do", flow.name)
+            closes = flow.kind in _CLOSING or (flow.kind == "while" and ends_do)
             if flow.kind in OPENING and not closes:
                 opened.append(i)
                 self.branches[i] = [i]
@@ -127,10 +122,6 @@ class FlowStructure:
             raise error("loop or branch without its end", "its end in the same program", opened[-1])
         self.chain = {one: chain for chain in self.branches.values() for one in chain}
 
-    @staticmethod
-    def _ends_do(flows: Mapping[int, Flow], opened: list[int], flow: Flow) -> bool:
-        return bool(opened and flow.name) and flows[opened[-1]].kind == "do" and flows[opened[-1]].name == flow.name
-
 
 def _matches(begin: Flow, end: Flow) -> bool:
     """Return whether a statement can end or divide a loop or branch."""
@@ -142,12 +133,7 @@ def _matches(begin: Flow, end: Flow) -> bool:
 class Inliner(ABC):
     """Writes out the subprograms, loops and jumps of one language, as they are executed.
 
-    Args:
-        program: the main program.
-        folders: where its subprograms may be, in the order of search; none if it is not a file.
-
-    Attributes:
-        values: the values of parameters at the line that is executed, by name.
+    ``folders``: where subprograms may be, in the order of search; ``values``: of parameters at the line that is executed, by name.
     """
 
     def __init__(self, program: Program, folders: Sequence[Path]) -> None:
@@ -174,19 +160,11 @@ class Inliner(ABC):
 
     @abstractmethod
     def call(self, line: Line) -> Call | None:
-        """Return the call in a line, None if it has none.
-
-        Raises:
-            InputError: a call that cannot be written out.
-        """
+        """Return the call in a line, None if it has none; raise `InputError` for one that cannot be written out."""
 
     @abstractmethod
     def flow(self, line: Line) -> Flow | None:
-        """Return the statement in a line that decides which line is next; None for any other line.
-
-        Raises:
-            InputError: one that cannot be followed.
-        """
+        """Return the statement in a line that decides which line is next, or None; raise `InputError` if it cannot be followed."""
 
     @abstractmethod
     def labels(self, line: Line) -> Sequence[str]:
@@ -202,11 +180,7 @@ class Inliner(ABC):
 
     @abstractmethod
     def plain(self, line: Line, scope: Scope) -> Line:
-        """Return a line to write: without its label, with the values of local parameters; one that only assigns these is a comment.
-
-        Raises:
-            InputError: a value is unknown.
-        """
+        """Return a line to write: without its label, with the values of local parameters; one that only assigns these is a comment."""
 
     def calls(self, line: Line) -> bool:
         """Return whether a line calls a subprogram or decides which line is next, also where that cannot be written out."""
@@ -219,23 +193,14 @@ class Inliner(ABC):
 
     @abstractmethod
     def body(self, call: Call, line: Line) -> list[Line] | None:
-        """Return the lines of a subprogram with the values of its parameters; None if there is no such subprogram.
-
-        Raises:
-            InputError: it cannot be written out.
-        """
+        """Return the lines of a subprogram with the values of its parameters; None if there is no such subprogram."""
 
     def scope(self, call: Call, line: Line) -> Scope:
         """Return the local parameters of a subprogram whose values are not in the lines of `body`; at the call."""
         return {}
 
     def beyond(self, name: str, line: Line) -> list[Line] | None:
-        """Return the lines that a jump out of a subprogram executes, up to the return from it; None if there are none.
-
-        Args:
-            name: the label.
-            line: that of the jump.
-        """
+        """Return the lines that a jump to a label out of a subprogram executes, up to the return from it; None if there are none."""
         return None
 
     @abstractmethod
@@ -253,8 +218,7 @@ class Inliner(ABC):
     def expanded(self) -> Program:
         """Return the program with calls, loops and jumps written out; the program itself if it has none.
 
-        Raises:
-            InputError: one that cannot be written out, with its file and line.
+        It raises `InputError` for one that cannot be written out, with its file and line.
         """
         if not self.likely_within(self.program.text):
             return self.program
@@ -325,11 +289,7 @@ class Inliner(ABC):
         self._called.pop()
 
     def known(self, text: str, line: Line) -> float:
-        """Return the value of an expression or a condition.
-
-        Raises:
-            InputError: it is unknown.
-        """
+        """Return the value of an expression or a condition; raise `InputError` if it is unknown."""
         value = self.value(text)
         if value != value:
             expected = "numbers, or parameters set to numbers before; and no numbers compared that are almost equal"
@@ -344,19 +304,14 @@ class Inliner(ABC):
         return self._files[path]
 
     def file_named(self, *names: str) -> Path | None:
-        """Return the file of the first folder that has one of these names, whatever its capitals; None if there is none.
-
-        Raises:
-            InputError: a folder cannot be searched.
-        """
+        """Return the file of the first folder that has one of these names, whatever its capitals; None if there is none."""
         for folder in self.folders:
             try:
                 files = {path.name.upper(): path for path in sorted(folder.iterdir()) if path.is_file()}
             except OSError as error:
                 expected = "a folder with subprograms"
-                raise InputError(
-                    "cannot be searched", expected=expected, file=folder, value=error.strerror, setting="subprograms"
-                ) from None
+                what, shown = "cannot be searched", error.strerror
+                raise InputError(what, expected=expected, file=folder, value=shown, setting="subprograms") from None
             found = next((files[name.upper()] for name in names if name.upper() in files), None)
             if found is not None:
                 return found
@@ -367,14 +322,7 @@ class Inliner(ABC):
 class FlowRun:
     """The statements of some lines that decide which line is next, while they are executed.
 
-    Args:
-        inliner: knows the language and the values of parameters.
-        lines: the lines.
-        flows: the statements by the index of their line.
-        scope: local parameters.
-
-    Attributes:
-        added: what `after` has to write before the next line: a line, or lines to be executed.
+    ``added``: what `after` has to write before the next line: a line, or lines to be executed.
     """
 
     def __init__(self, inliner: Inliner, lines: Sequence[Line], flows: Mapping[int, Flow], scope: Scope) -> None:
@@ -397,10 +345,8 @@ class FlowRun:
             return self._end(at, first)
         if flow.kind in OPENING:
             return self._begin(at, flow)
-        return _AFTER.get(flow.kind, FlowRun._next)(self, at, flow)
-
-    def _next(self, at: int, flow: Flow) -> int:
-        return at + 1
+        handler = _AFTER.get(flow.kind)
+        return at + 1 if handler is None else handler(self, at, flow)
 
     def _begin(self, at: int, flow: Flow) -> int:
         """Return the line after the first statement of a loop or branch."""
@@ -459,9 +405,6 @@ class FlowRun:
         self._inliner.values[name] = float(self._counts[first]) if more else math.nan
         return first + 1 if more else behind
 
-    def _else(self, at: int, flow: Flow) -> int:
-        return self._structure.chain[at][-1] + 1
-
     def _then(self, at: int, flow: Flow) -> int:
         if self._true(flow.condition, at):
             line = self._lines[at]
@@ -499,15 +442,6 @@ class FlowRun:
             self.added.append(self._lines[first : last + 1])
         return at + 1
 
-    def _break(self, at: int, flow: Flow) -> int:
-        return self._structure.last[self._structure.within[at]] + 1
-
-    def _continue(self, at: int, flow: Flow) -> int:
-        return self._structure.last[self._structure.within[at]]
-
-    def _return(self, at: int, flow: Flow) -> int:
-        return len(self._lines)
-
     def _target(self, name: str, at: int, towards: int) -> int:
         """Return the index of the line with a label."""
         places = [i for i in self._labels.get(name, []) if not towards or (i - at) * towards > 0]
@@ -526,15 +460,14 @@ class FlowRun:
 
 
 _AFTER: Final[Mapping[str, Callable[[FlowRun, int, Flow], int]]] = {
-    "elseif": FlowRun._else,
-    "else": FlowRun._else,
+    **dict.fromkeys(("elseif", "else"), lambda run, at, flow: run._structure.chain[at][-1] + 1),
     "then": FlowRun._then,
     "goto": FlowRun._goto,
     "case": FlowRun._case,
     "part": FlowRun._part,
-    "break": FlowRun._break,
-    "continue": FlowRun._continue,
-    "return": FlowRun._return,
+    "break": lambda run, at, flow: run._structure.last[run._structure.within[at]] + 1,
+    "continue": lambda run, at, flow: run._structure.last[run._structure.within[at]],
+    "return": lambda run, at, flow: len(run._lines),
 }
 
 

@@ -22,7 +22,6 @@ class AxisWord(NamedTuple):
     """One axis word of a block.
 
     Attributes:
-        axis: index of the axis.
         start, end: range of the word in the line's text.
         value_start, value_end: range of its value, inside ``AC( )`` and similar forms.
         form: ``""`` or ``AC``, ``IC``, ``DC``, ``ACP``, ``ACN``.
@@ -53,11 +52,8 @@ class Block:
     """One block: its words, the modal state in force, and its moves.
 
     Attributes:
-        text: the line's text.
         head_end: end of the skip mark and block number.
-        inch: whether the program is in inches here.
         incremental: whether words without a form are incremental here.
-        words: axis words, in their order.
         axis_bits: the axes of these words, as bits.
         vector_words: ranges of the tool vector's values, by component 0, 1, 2.
         arc_words: centre, radius, sense and turns of an arc.
@@ -122,11 +118,9 @@ _REFERENCE = re.compile(r"([+-]?)[ \t]*+(\$?[A-Za-z_]\w*+|\#(?:\d++|<[^>\r\n]*+>
 
 
 class Interpreter(ABC):
-    """Modal state of an ISO or Heidenhain program.
+    """Modal state of an ISO or Heidenhain program; methods raise `InputError` (file, line, value) for what they cannot follow.
 
     Args:
-        source: file name for messages.
-        tcp: whether tool centre point control is on from the start.
         tcp_on, tcp_off: words that switch it, including those of the machine.
 
     Attributes:
@@ -137,16 +131,13 @@ class Interpreter(ABC):
         frame, frames: the coordinates in force, and the lines that change them.
         drilled: see `twin.nc.blocks.Interpretation`.
         stated_offsets: values of work offsets that the program has set, by axis; None for those that it has not.
-        tcp: whether tool centre point control is on.
         tcp_word: the word that switched it last; empty: none yet.
         motion: motion code in force, None before the first and in languages without.
-        beside: whether cutter radius compensation is selected.
         unknown: why positions, frame, offsets and modes are unknown here; empty if they are known.
         doubtful: why controls may differ in the shift of the coordinates; empty if it is known.
         offset: the work offset that the program has selected; None before the first, or if offsets do not change what is read.
         used_offset: the offset of the moves so far, None before the first.
         turned_to: (n, rotary axes) their positions before and at the moves checked last.
-        end: the end of the program.
         repeated: moves of the third linear axis that follow each simple line, of a drilling cycle: height and whether it is a rapid;
             None if no cycle is in force.
     """
@@ -205,11 +196,7 @@ class Interpreter(ABC):
 
     @abstractmethod
     def moves(self, line: int, text: str) -> Sequence[Move]:
-        """Return the moves of one line; ``line``: its 0-based index.
-
-        Raises:
-            InputError: with file, line and value.
-        """
+        """Return the moves of one line; ``line``: its 0-based index."""
 
     @property
     @abstractmethod
@@ -217,14 +204,10 @@ class Interpreter(ABC):
         """Whether simple lines can be interpreted together in the present modal state."""
 
     def checked(self, moves: MoveColumns, text_of: Callable[[int], str]) -> MoveColumns:
-        """Return the moves of the lines just interpreted.
+        """Return the moves of the lines just interpreted; ``text_of``: the text of one of these lines by its 0-based index.
 
-        Args:
-            text_of: function that returns the text of one of these lines by its 0-based index.
-
-        Raises:
-            InputError: one of them must not pass after those before it: a feed that turns a rotary axis without tool centre point
-                control behind an auxiliary function that is not known, which may be the machine's word for that control.
+        It raises `InputError` for a feed that turns a rotary axis without tool centre point control behind an auxiliary function that
+        is not known, which may be the machine's word for that control.
         """
         before = self.turned_to[-1:]
         self.turned_to = np.concatenate([before, moves.position[:, self.linear :]])
@@ -246,11 +229,7 @@ class Interpreter(ABC):
         return True
 
     def behind_end(self, *, moves: bool) -> None:
-        """Take note of a block behind the end of the program.
-
-        Raises:
-            InputError: it moves axes, and the control may execute it.
-        """
+        """Take note of a block behind the end of the program; raise `InputError` if it moves axes, and the control may execute it."""
         refused = self.end.refusal() if moves else None
         if refused is not None:
             raise self.error(*refused)
@@ -292,16 +271,7 @@ class Interpreter(ABC):
         return -value if match.group(1) == "-" else value
 
     def known_value(self, name: str, text: str, expected: str) -> float:
-        """Return the value of a word.
-
-        Args:
-            name: the word's name.
-            text: its value as written.
-            expected: what it should be, for the message.
-
-        Raises:
-            InputError: the value is unknown.
-        """
+        """Return the value of a word; raise `InputError` if it is unknown. ``expected``: what it should be, for the message."""
         value = self.value_of(text)
         if value != value:
             raise self.error(f"the value of {name} is unknown", expected, text)
@@ -319,11 +289,7 @@ class Interpreter(ABC):
         return names
 
     def add(self, block: Block, word: AxisWord) -> None:
-        """Add an axis word to a block.
-
-        Raises:
-            InputError: the block already has a word for that axis.
-        """
+        """Add an axis word to a block; raise `InputError` if it already has one for that axis."""
         if block.axis_bits >> word.axis & 1:
             raise self.error(f"axis {self.names[word.axis]} twice in one block", "each axis once")
         block.axis_bits |= 1 << word.axis
@@ -336,10 +302,8 @@ class Interpreter(ABC):
     ) -> None:
         """Mark axis positions as unknown after a block.
 
-        Args:
-            which: the axes.
-            moved: True: the block moves them; False: it may; None: it does not, or moves them to a known place.
-            reference: the word of a reference return that moves them.
+        ``moved``: True: the block moves them; False: it may; None: it does not, or moves them to a known place. ``reference``: the word
+        of a reference return that moves them.
         """
         axes = tuple(which)
         if moved is not None:
@@ -381,11 +345,7 @@ class Interpreter(ABC):
             )
 
     def select_offset(self, block: Block, name: str) -> None:
-        """Select a work offset by its name; positions in the new coordinates are unknown where the offsets are known.
-
-        Raises:
-            InputError: cutter radius compensation does not allow it.
-        """
+        """Select a work offset by its name; positions in the new coordinates are unknown where the offsets are known."""
         if self.offset not in (None, name):
             self.check_beside()
         self.offset, self._offset_line = name, self._line
@@ -394,15 +354,10 @@ class Interpreter(ABC):
             self.select(block, offset=name)
 
     def use_offset(self) -> None:
-        """Record that a move uses the work offset in force.
-
-        Raises:
-            InputError: it is the program's second one, and the values of the offsets are unknown (rapids in it: `parks`).
-        """
+        """Record that a move uses the work offset in force; a second one of unknown values is refused (rapids in it: `parks`)."""
         if self.doubtful:
-            raise self.error(
-                f"move where {self.doubtful}", "that stated before it, in a way that every control reads alike"
-            )
+            what = f"move where {self.doubtful}"
+            raise self.error(what, "that stated before it, in a way that every control reads alike")
         if self._offset_known:
             return
         if self.used_offset is not None:
@@ -438,12 +393,9 @@ class Interpreter(ABC):
     def hold_tool(self, block: Block, tool: str, length: str, *, along: int | None = None) -> None:
         """Record the tool in the spindle and the one whose length is in force, empty for none, where lengths are not known.
 
-        After a change the axis along the tool is at an unknown position: its words then count with another length, and on some controls
-        an incremental word moves by the difference, too. A switch of tool centre point control is another matter (`switch`).
-
-        Args:
-            length: the tool whose length is in force.
-            along: the linear axis along the tool, the third one if None.
+        After a change the axis ``along`` the tool, the third one if None, is at an unknown position: its words then count with another
+        length, and on some controls an incremental word moves by the difference, too. A switch of tool centre point control is another
+        matter (`switch`).
         """
         if (tool, length) != (self._held_tool, self._held_length) and not block.tcp_switched:
             axes = (self.linear - 1 if along is None else along,)
@@ -455,23 +407,12 @@ class Interpreter(ABC):
             self._held_length, self._length_line, self._tool_chosen = length, self._line, True
 
     def use_set_up(self, kind: Kind) -> None:
-        """Record that a move uses the work offset, the tool and the length in force.
-
-        Raises:
-            InputError: one of them is the program's second one, and its values are unknown.
-        """
+        """Record that a move uses the work offset, the tool and the length in force."""
         self.use_offset()
         self.use_tool(cutting=kind is not Kind.RAPID)
 
     def use_tool(self, *, cutting: bool) -> None:
-        """Record that a move uses the tool and the length in force.
-
-        Args:
-            cutting: whether it is a feed.
-
-        Raises:
-            InputError: it is the program's second one, and the lengths of the tools are unknown.
-        """
+        """Record that a move, a feed if ``cutting``, uses the tool and the length in force; a second unknown one is refused."""
         if not self._one_tool:
             return
         for what, now, before, line in (
@@ -495,11 +436,8 @@ class Interpreter(ABC):
         same_tool = not self._one_tool or not (
             self._tool_chosen or (self._fed_length != self._held_length and not self.tcp)
         )
-        return (
-            same_tool
-            and not (self.unknown or self.doubtful)
-            and (self.offset == self.used_offset or self._offset_known)
-        )
+        same_offset = self.offset == self.used_offset or self._offset_known
+        return same_tool and same_offset and not (self.unknown or self.doubtful)
 
     def check_plane(self, rotary: bool, *, machine: bool = False) -> None:
         """Raise `InputError` for a move that the plane does not allow; ``rotary``: it names rotary axes, ``machine``: coordinates."""
@@ -523,11 +461,7 @@ class Interpreter(ABC):
         return not (rotary or self.tcp or self._inclined)
 
     def stands(self, what: str) -> tuple[float, ...]:
-        """Return the present positions of the rotary axes, at their least increments.
-
-        Raises:
-            InputError: one is unknown.
-        """
+        """Return the present positions of the rotary axes, at their least increments; raise `InputError` if one is unknown."""
         at = self.position[self.linear :]
         if any(value != value for value in at):
             raise self.error(f"{what} at unknown positions of the rotary axes", "a position of each of them before it")
@@ -552,12 +486,8 @@ class Interpreter(ABC):
     def reframe(self, block: Block, *, carried: bool, **changes: Any) -> None:
         """Change the frame by known values from this block on.
 
-        Args:
-            carried: whether all controls read an incremental word after it from where the axis stands; else the positions of axes whose
-                words have changed are unknown until the program gives them.
-
-        Raises:
-            InputError: tool centre point control or cutter radius compensation does not allow it.
+        ``carried``: whether all controls read an incremental word after it from where the axis stands; else the positions of axes whose
+        words have changed are unknown until the program gives them.
         """
         frame = replace(self.frame, **changes)
         if frame == self.frame:
@@ -588,11 +518,7 @@ class Interpreter(ABC):
             raise self.error(what, "shifts of the linear axes and rotations only")
 
     def switch(self, block: Block, on: bool, word: str) -> None:
-        """Switch tool centre point control, unless it has that state already.
-
-        Raises:
-            InputError: the frame in force does not allow it.
-        """
+        """Switch tool centre point control, unless it has that state already."""
         if on == self.tcp:
             return
         self._check_tcp(on, self.frame)
@@ -637,11 +563,7 @@ class Interpreter(ABC):
         return which
 
     def unit_direction(self, what: str, components: list[float]) -> tuple[float, float, float]:
-        """Return a vector at unit length.
-
-        Raises:
-            InputError: its length is zero.
-        """
+        """Return a vector at unit length; raise `InputError` if its length is zero."""
         vector, length = unit_vector((components[0], components[1], components[2]))
         if length == 0.0:
             raise self.error(f"{what} of zero length", "a direction")
@@ -652,8 +574,7 @@ class Interpreter(ABC):
     def set_tool_vector(self, axis_bits: int, vector: tuple[float, float, float]) -> None:
         """Set the tool vector from a block that names some axes (bits); the control then determines the rotary axes.
 
-        Raises:
-            InputError: the block names rotary axes too, or the coordinates are turned: controls differ in which vectors they turn.
+        Turned coordinates are refused: controls differ in which vectors they turn.
         """
         if axis_bits >> self.linear:
             raise self.error("tool vector and rotary axes in one block", "only one of them")
@@ -664,11 +585,7 @@ class Interpreter(ABC):
             self.position[i] = math.nan
 
     def valid_arc(self, found: Arc | ArcMisfit) -> Arc:
-        """Return an arc.
-
-        Raises:
-            InputError: the arc is invalid.
-        """
+        """Return an arc; raise `InputError` if it is invalid."""
         if isinstance(found, ArcMisfit):
             raise self.error(found.what, found.expected)
         return found
@@ -676,8 +593,7 @@ class Interpreter(ABC):
     def machine_position(self, block: Block, *, elsewhere: bool = False) -> tuple[float, ...]:
         """Return the machine coordinates a block names; their place in program coordinates is unknown.
 
-        Args:
-            elsewhere: whether they count from a point of the machine's builder, which is not known.
+        ``elsewhere``: whether they count from a point of the machine's builder, which is not known.
         """
         unknown = {word.axis for word in block.words if word.incremental or elsewhere}
         return self.placed({word.axis: math.nan if word.axis in unknown else word.value for word in block.words}, block)

@@ -40,11 +40,7 @@ def line_pattern(*forms: str) -> re.Pattern[bytes]:
 
 
 def read_lines(data: bytes, source: str, dialect: str) -> Program:
-    """Split bytes into lines, keeping every byte.
-
-    Raises:
-        InputError: it is empty, blank or a binary file.
-    """
+    """Split bytes into lines, keeping every byte; raise `InputError` for an empty, blank or binary file."""
     check = TextCheck(source)
     check.add(data)
     check.finish()
@@ -57,15 +53,7 @@ def count_of(data: bytes, character: int) -> int:
 
 
 class TextCheck:
-    """Check that bytes given in chunks are a text program.
-
-    Args:
-        source: file name for messages.
-
-    Attributes:
-        size: number of bytes.
-        newlines, returns: numbers of LF and CR characters.
-    """
+    """Check that bytes given in chunks are a text program; ``newlines``, ``returns``: numbers of LF and CR characters."""
 
     def __init__(self, source: str) -> None:
         self._source = source
@@ -73,16 +61,11 @@ class TextCheck:
         self._empty = True
 
     def add(self, data: bytes) -> None:
-        """Check the next chunk.
-
-        Raises:
-            InputError: it is a binary file.
-        """
+        """Check the next chunk; raise `InputError` if it is binary."""
         if b"\0" in data:
             line = self.newlines + data.count(b"\n", 0, data.index(b"\0")) + 1
-            raise InputError(
-                "binary file", expected="an NC program as text", file=self._source, line=line, value="NUL byte"
-            )
+            what = "binary file"
+            raise InputError(what, expected="an NC program as text", file=self._source, line=line, value="NUL byte")
         begin = len(BOM) if not self.size and data.startswith(BOM.encode("latin-1")) else 0
         newlines = count_of(data, ord("\n"))
         self.size += len(data)
@@ -94,15 +77,10 @@ class TextCheck:
         self._empty = self._empty and not data[begin:].strip(b" \t\r\n\f\x1a")
 
     def finish(self) -> None:
-        """Check the whole after the last chunk.
-
-        Raises:
-            InputError: it is empty, blank or a binary file.
-        """
+        """Check the whole after the last chunk; raise `InputError` if it is empty, blank or binary."""
         if 10 * self._control > self.size:
-            raise InputError(
-                "binary file", expected="an NC program as text", file=self._source, value="control characters"
-            )
+            what = "binary file"
+            raise InputError(what, expected="an NC program as text", file=self._source, value="control characters")
         if self._empty:
             raise InputError("empty program", expected="at least one block", file=self._source)
 
@@ -120,11 +98,7 @@ def newline_of(texts: Iterable[str]) -> str:
 
 
 def number(text: str) -> float:
-    """Return the value of a number as programs write it (``-.5``, ``+5``, ``5.``, ``5,5``, a space after the sign).
-
-    Returns:
-        The value, or NaN if it is not a number of plausible size.
-    """
+    """Return the value of a number as programs write it (``-.5``, ``5.``, ``5,5``, ``+ 5``); NaN if it is not of plausible size."""
     try:
         value = float(text)
     except ValueError:
@@ -210,13 +184,7 @@ def decimals_of(increment: float) -> int:
 
 
 class Grid(NamedTuple):
-    """The values an axis word can have: multiples of a step in the units of the program.
-
-    Attributes:
-        step: step, in program units.
-        decimals: decimals written.
-        unit: mm (or degrees) per program unit.
-    """
+    """The values an axis word can have: multiples of a step, with decimals written; step in program units, unit in mm or degrees."""
 
     step: float
     decimals: int
@@ -234,15 +202,9 @@ def grid(increment: float, inch: bool) -> Grid:
 
 
 def printed(value: float, increment: float, *, inch: bool = False) -> float:
-    """Return the value that a program holds after ``value`` has been formatted.
+    """Return the value, mm or degrees, that a program holds after ``value`` has been formatted and read back; NaN stays NaN.
 
-    Args:
-        value: mm or degrees.
-        increment: least increment of the axis, mm or degrees.
-        inch: whether the program is in inches and the axis linear.
-
-    Returns:
-        mm or degrees, as read back from the formatted word; NaN stays NaN.
+    ``inch``: whether the program is in inches and the axis linear.
     """
     if value != value:
         return value
@@ -340,15 +302,10 @@ def insert_comments(
     content: Callable[[str], str | None],
     rest: Callable[[str], str] = lambda text: text,
 ) -> str:
-    """Return the text with comments inserted before one of its first lines.
+    """Return the text with comments inserted before one of its first lines (index ``at``).
 
-    Args:
-        lines: its first lines.
-        at: index of the line.
-        comments: texts of the comments.
-        style: function that makes a comment line of a text.
-        content: function that returns the text of a comment line, None for any other line.
-        rest: function applied to the text after the comments.
+    ``style`` makes a comment line of a text, ``content`` returns the text of a comment line, None for any other line, and ``rest`` is
+    applied to the text after the comments.
     """
     new = missing_comments(lines[at:], comments, content)
     if not new:
@@ -367,11 +324,7 @@ def insert_comments(
 
 @final
 class ProgramEnd:
-    """End of a program. No control executes what is behind it: it stays as it is.
-
-    Attributes:
-        word: the word that ends it; empty before.
-    """
+    """End of a program by a word, empty before it. No control executes what is behind it: it stays as it is."""
 
     def __init__(self) -> None:
         self.word = ""

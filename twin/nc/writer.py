@@ -74,13 +74,7 @@ class OutputState:
         self.stale[axis] = False
 
     def axes_to_write(self, row: Sequence[float], written: int, inch: bool) -> list[int]:
-        """Return the axes that need a word to reach their targets.
-
-        Args:
-            row: targets; NaN: no target.
-            written: axes that have a word already, as bits.
-            inch: whether the program is in inches.
-        """
+        """Return the axes that need a word to reach their targets (NaN: none); ``written``: axes that have a word already, as bits."""
         grids = self._grids[inch]
         axes_to_write = []
         for axis, target in enumerate(row):
@@ -136,13 +130,7 @@ _MINUS, _PLUS, _ZERO, _POINT, _SPACE = b"-+0. "
 @final
 @dataclass(frozen=True)
 class Formatting:
-    """Formatting of a program at some place.
-
-    Attributes:
-        style: number format.
-        spaced: whether words are separated by spaces.
-        lower: whether letters are small.
-    """
+    """Number format at some place of a program, whether words are separated by spaces, whether letters are small."""
 
     style: Style
     spaced: bool
@@ -151,12 +139,7 @@ class Formatting:
 
 @final
 class Grids:
-    """The steps of the axis words, for writing many together.
-
-    Args:
-        names: axis names.
-        increment: (axes,) least increments, mm and degrees.
-    """
+    """The steps of the axis words, for writing many together; increments are in mm and degrees."""
 
     def __init__(self, names: tuple[str, ...], increment: list[float]) -> None:
         grids = [grid(one, False) for one in increment]
@@ -174,17 +157,9 @@ def lines_of_words(
 ) -> str | None:
     """Return a line for each position after the first, with words for the axes that move; none for one at which no axis moves.
 
-    Args:
-        rows: (n, axes) positions, mm and degrees, of which the first has been written; NaN for axes without a target.
-        said: last values in the output; updated.
-        formatting: number format, separation of words and size of letters.
-        grids: of the axes.
-        begin: text at the begin of each line.
-        ending: line ending.
-
-    Returns:
-        The text; None (and nothing done) if an axis has a target only now and then, a value is too large or not known, or numbers
-        cannot be written together in this format.
+    ``rows``: (n, axes) positions, mm and degrees, of which the first has been written; NaN for axes without a target. ``said``: last
+    values in the output, updated. ``begin``: text at the begin of each line. None (and nothing done) if an axis has a target only now
+    and then, a value is too large or not known, or numbers cannot be written together in this format.
     """
     known = np.isfinite(rows)
     own = known[0]
@@ -229,14 +204,9 @@ def formatted_words(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return words with numbers formatted as by `twin.nc.text.format_number`, concatenated, and the length of each.
 
-    Args:
-        steps: (n,) values in least increments.
-        axis: (n,) axis of each word.
-        styles: style of the numbers: point, minimum decimals, leading zero, plus.
-        grids: of the axes.
-        spaced: (n,) whether a space comes first.
-        letter: (n,) the following letter, 0 for none.
-        ending: (n, 2) characters after the number, 0 for none.
+    ``steps``: (n,) values in least increments; ``axis``: (n,) of each word; ``styles``: point, minimum decimals, leading zero, plus;
+    ``spaced``: (n,) whether a space comes first; ``letter``: (n,) the following letter, ``ending``: (n, 2) characters after the number,
+    0 for none.
     """
     point, min_decimals, leading_zero, plus = styles
     places = int(max(grids.decimals.max(initial=0), min_decimals.max(initial=0)))
@@ -290,17 +260,9 @@ B = TypeVar("B", bound=Block)
 
 
 class WordWriter(ABC, Generic[B]):
-    """Writer of a program block by block that keeps track of the values written.
+    """Writer of a program block by block that keeps track of the values written (`said`).
 
-    Args:
-        source: file name for messages.
-        newline: line ending of the program.
-        style: its number format.
-
-    Attributes:
-        said: the last value written for every axis.
-        grids: steps of the axis words.
-        lower: whether the program uses small letters.
+    ``lower``: whether the program uses small letters.
     """
 
     separator = " "
@@ -334,12 +296,7 @@ class WordWriter(ABC, Generic[B]):
             self._vector_text = None
 
     def rewritten(self, block: B, segments: Segments) -> list[str]:  # noqa: C901, PLR0912
-        """Return the lines that replace a block.
-
-        Args:
-            block: the block; its first move is replaced.
-            segments: the segments that replace it.
-        """
+        """Return the lines that replace a block, whose first move the segments replace."""
         rewrite, rows = segments
         many, start = len(rows) > 1, list(self.said.value)
         vectors = None if rewrite.vectors is None else rewrite.vectors.tolist()
@@ -390,36 +347,20 @@ class WordWriter(ABC, Generic[B]):
     def _bent(self, block: B, move: Move, start: list[float], end: list[float], edits: list[Edit]) -> list[str]:
         """Give an arc that stays an arc its new centre or radius, as edits, and return the words that are missing.
 
-        Args:
-            start: values of the axes before the block.
-            end: their values behind it.
-
-        Raises:
-            InputError: the start is unknown, or the language has no such arcs.
+        ``start``, ``end``: values of the axes before and behind the block. Languages without such arcs refuse it.
         """
-        raise InputError(
-            "arc under cutter radius compensation",
-            expected="the tool centre path from the CAM system",
-            file=self.source,
-            line=self._line + 1,
-            value=block.text.strip(),
-        )
+        raise self._error(block, "arc under cutter radius compensation", "the tool centre path from the CAM system")
+
+    def _error(self, block: B, what: str, expected: str) -> InputError:
+        """Return an error at the current block."""
+        return InputError(what, expected=expected, file=self.source, line=self._line + 1, value=block.text.strip())
 
     def _new_centre(self, block: B, move: Move, start: list[float], end: list[float]) -> tuple[float, float]:
-        """Return the centre of an arc between new ends.
-
-        Raises:
-            InputError: the start is unknown.
-        """
+        """Return the centre of an arc between new ends; raise `InputError` if the start is unknown."""
         a, b, _ = move.arc.plane  # type: ignore[union-attr]  # asked for arcs only
         if any(start[axis] != start[axis] or self.said.stale[axis] for axis in (a, b)):
-            raise InputError(
-                "arc under cutter radius compensation from a position that is not certain",
-                expected="a block with both axes of the plane before it",
-                file=self.source,
-                line=self._line + 1,
-                value=block.text.strip(),
-            )
+            what = "arc under cutter radius compensation from a position that is not certain"
+            raise self._error(block, what, "a block with both axes of the plane before it")
         here = (move.position[a], move.position[b])
         return moved_centre(move.arc, here, (start[a], start[b]), (end[a], end[b]))  # type: ignore[arg-type]
 
@@ -488,13 +429,9 @@ class WordWriter(ABC, Generic[B]):
 
     def _check(self, axis: int) -> None:
         if self.said.value[axis] != self.said.value[axis]:
-            raise InputError(
-                f"incremental {self.names[axis]} while its position is unknown",
-                expected="absolute position first",
-                file=self.source,
-                line=self._line + 1,
-                value=self.names[axis],
-            )
+            what, name = f"incremental {self.names[axis]} while its position is unknown", self.names[axis]
+            expected = "absolute position first"
+            raise InputError(what, expected=expected, file=self.source, line=self._line + 1, value=name)
 
     def _vector(self, block: B, vector: list[float], edits: list[Edit] | None) -> list[str]:
         """Replace the words of a tool vector that the block has (as edits) and return the others."""

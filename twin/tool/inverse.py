@@ -28,7 +28,7 @@ from twin._common.arrays import read_only
 from twin._common.bundled import DEFAULT_ROTARY_LIMIT_DEG
 from twin._common.errors import InputError
 from twin._common.units import DEG, MM, count_with_noun
-from twin.compute.native import CONVERGED, OUT_OF_RANGE, SINGULAR, Batch, InverseProblem, Solver
+from twin.compute.native.solver import CONVERGED, OUT_OF_RANGE, SINGULAR, Batch, InverseProblem, Solver
 from twin.display.results import Result
 from twin.machine.chain import Branch, branches
 from twin.machine.machine import Machine
@@ -55,8 +55,8 @@ class _Residual:
 class Steps:
     """Functions of the inverse kinematics of one machine with one calibration, metres and radians.
 
-    They implement `twin.compute.native.StepFunctions`. No rotary axis moves further than ``rotary_limit`` (radians) from its start to
-    correct an orientation.
+    They implement `twin.compute.native.solver.StepFunctions`. No rotary axis moves further than ``rotary_limit`` (radians) from its
+    start to correct an orientation.
     """
 
     def __init__(self, kinematics: Kinematics, rotary_limit: float) -> None:
@@ -473,7 +473,7 @@ class Solution(Result):
     """Commands for a batch of poses."""
 
     positions: np.ndarray  # (n, axes) commands, mm and degrees; for ``out of range`` the solution beyond the limits
-    code: np.ndarray  # (n,) status codes of `twin.compute.native`
+    code: np.ndarray  # (n,) status codes of `twin.compute.native.solver`
     point_residual_mm: np.ndarray  # (n,) residual distance of the point
     orientation_residual_rad: np.ndarray  # (n,) residual angle between tool axis and target
     iterations: int  # largest number of Newton steps over all poses

@@ -28,7 +28,7 @@ from twin._common.records import json_form
 from twin._common.resources import Progress, one_blas_thread, silent
 from twin._common.units import UM, count_with_noun
 from twin.compute.along import BatchFunction
-from twin.compute.native import equal_portions
+from twin.compute.native.compiler import equal_portions
 from twin.compute.parallel import Workers, map_in_order
 from twin.display.numbers import COVERAGE, COVERAGE_FACTOR
 from twin.display.results import Result

@@ -24,8 +24,7 @@ import numpy as np
 from twin._common.arrays import rows_all_true
 from twin._common.errors import InputError
 from twin._common.units import MM, UM, URAD
-from twin.compute.along import AlongFunction, BatchFunction, fractions
-from twin.compute.native import Totals
+from twin.compute.along import AlongFunction, BatchFunction, Totals, fractions
 from twin.model.calibration import Calibration
 from twin.model.motion_curve import Curve
 from twin.tool.forward import Kinematics

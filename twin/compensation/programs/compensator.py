@@ -35,7 +35,7 @@ from twin.compensation.programs.motions import ToolPath
 from twin.compensation.programs.parts import ProgramFile, ProgramInMemory, ProgramRun, ProgramSource
 from twin.compensation.programs.prepared import Options, PreparedMachine
 from twin.compensation.programs.report import Report
-from twin.compute.native import equal_portions
+from twin.compute.native.compiler import equal_portions
 from twin.compute.parallel import Workers, map_as_completed
 from twin.display.results import Display, DisplayedResult, Result
 from twin.machine.machine import Machine

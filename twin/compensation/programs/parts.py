@@ -38,7 +38,7 @@ from twin.compensation.programs.prepared import PreparedMachine
 from twin.compensation.programs.report import Report
 from twin.compensation.programs.uncorrected import frame_uses
 from twin.compensation.programs.words import WordSpace
-from twin.compute.native import equal_portions
+from twin.compute.native.compiler import equal_portions
 from twin.nc.blocks import (
     Interpretation,
     Move,
@@ -50,10 +50,10 @@ from twin.nc.blocks import (
     as_columns,
     lines_in,
 )
+from twin.nc.chunks import DELETED_LINE, Chunk, ChunkWriter
 from twin.nc.dialect import Dialect
 from twin.nc.inline import Line, errors_in_files
-from twin.nc.lines.chunks import DELETED_LINE, Chunk, ChunkWriter
-from twin.nc.lines.compiled import line_code
+from twin.nc.lines import line_code
 from twin.nc.text import HEAD_LINES, TextCheck
 
 STRETCH_BYTES: Final = 3 << 17

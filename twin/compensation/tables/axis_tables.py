@@ -34,9 +34,18 @@ from twin.compensation.tables.design import (
     tolerance_of,
 )
 from twin.controls import ControlCurve, ControlTerm, TableFormat, TableSum, TableSummary
-from twin.controls.correction import BOTH, DOWN, UP, Direction, period_of
-from twin.controls.kinematics import KinematicsFormat, TableGeometry, kinematics_named, linear_shift, table_geometry
-from twin.controls.volumetric import AxisErrors, VolumetricCorrection, rest_geometry
+from twin.controls.correction import (
+    BOTH,
+    DOWN,
+    UP,
+    AxisErrors,
+    Direction,
+    VolumetricCorrection,
+    period_of,
+    rest_geometry,
+)
+from twin.controls.kinematics import kinematics_named
+from twin.controls.kinematics.format import KinematicsFormat, TableGeometry, linear_shift, table_geometry
 from twin.machine.error_names import component_names
 from twin.machine.machine import Axis, Machine
 from twin.model.calibration import Calibration

@@ -25,7 +25,8 @@ from twin.compensation.tables.axis_tables import ConstantKinematics, make_kinema
 from twin.compensation.tables.design import Request, RequiredCorrections
 from twin.compensation.tables.make import ControlTables, Stages, check_no_module, make, stages_of
 from twin.controls import ControlSection, TableEntry, format_named
-from twin.controls.kinematics import TableGeometry, kinematics_named, linear_shift
+from twin.controls.kinematics import kinematics_named
+from twin.controls.kinematics.format import TableGeometry, linear_shift
 from twin.model.calibration import Calibration
 from twin.model.conditions import Conditions
 from twin.model.unknown_errors import check_locations_identified, nominal_locations

@@ -30,7 +30,7 @@ from twin.compensation.tables.design import (
 )
 from twin.compensation.tables.remains import PointUncertainty, VolumeError, or_unknown, volume_error
 from twin.controls import ControlSection, Correction, TableFormat, TableSummary
-from twin.controls.volumetric import CorrectionGrid
+from twin.controls.correction import CorrectionGrid
 from twin.machine.machine import Axis, Machine
 from twin.model.calibration import Calibration
 from twin.model.conditions import APPROACH, values_in_words

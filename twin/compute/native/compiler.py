@@ -1,16 +1,4 @@
-"""Compiled code: the C++ compiler, the source made for a machine, libraries built once and kept.
-
-Generation of C++ code from a tape, on SIMD registers: several poses per instruction, without branches and calls.
-
-It uses the vector extensions of GCC and Clang, not `std::experimental::simd`: both compilers have them. Sine and cosine are our own, so
-that nothing needs ``-ffast-math`` and not-a-number and comparisons keep their meaning.
-
-Cache of compiled libraries in the user's cache directory.
-
-Loading a library runs its code, so a library is loaded only if this user wrote it and it is complete: folder and file belong
-to the user and are not writable by others, and the file has the digest recorded beside it. Otherwise it is built again. If there
-is no such folder (a home directory that is read-only or belongs to another user) the library is built in a temporary folder.
-"""
+"""Compiled code: the C++ compiler, the source made for a machine, libraries built once and kept."""
 
 from __future__ import annotations
 
@@ -76,12 +64,7 @@ class CompilerError(Exception):
 @final
 @dataclass(frozen=True)
 class Compiler:
-    """A C++ compiler.
-
-    Attributes:
-        command: its command line.
-        version: the first line of its version output.
-    """
+    """A C++ compiler: its command line, and the first line of its version output."""
 
     command: tuple[str, ...]
     version: str
@@ -92,11 +75,7 @@ class Compiler:
         return "\n".join([*self.command, self.version, *FLAGS, processor()])
 
     def build(self, source: str, target: Path) -> None:
-        """Compile C++ into a shared library.
-
-        Raises:
-            CompilerError: it fails, or takes too long.
-        """
+        """Compile C++ into a shared library; raise `CompilerError` if that fails or takes too long."""
         text = target.with_suffix(".cpp")
         try:
             text.write_text(source, encoding="utf-8")
@@ -112,10 +91,6 @@ def _run(command: Sequence[str], source: Path) -> tuple[int, str]:
     """Run the compiler and return its status and its output on stderr; it cannot outlive this process.
 
     It reads the source from its standard input; its temporary files go into the folder of the source and are removed with it.
-
-    Raises:
-        OSError: it cannot be run.
-        subprocess.TimeoutExpired: it takes too long.
     """
     read_end, write_end = os.pipe()
     with open(read_end, "rb"), open(write_end, "wb") as alive, source.open("rb") as stream:
@@ -172,6 +147,8 @@ def processor() -> str:
 
 
 # --- Generation of C++ code from a tape, on SIMD registers: several poses per instruction, without branches and calls
+# It uses the vector extensions of GCC and Clang, not `std::experimental::simd`: both compilers have them. Sine and cosine are our own,
+# so that nothing needs ``-ffast-math`` and not-a-number and comparisons keep their meaning.
 
 LARGEST_ANGLE: Final = 1e5
 """Largest angle in radians that the C++ reduces without loss, 16,000 turns of a table; poses beyond it are left to NumPy."""
@@ -216,6 +193,9 @@ def routine(name: str, tape: Tape) -> str:
 
 
 # --- Cache of compiled libraries in the user's cache directory ------------------------------------
+# Loading a library runs its code, so a library is loaded only if this user wrote it and it is complete: folder and file belong to the
+# user and are not writable by others, and the file has the digest recorded beside it. Otherwise it is built again, without such a
+# folder (a home directory that is read-only or belongs to another user) in a temporary one.
 
 try:
     import fcntl
@@ -244,9 +224,7 @@ def cached_library(name: str) -> ctypes.CDLL | None:
 def stored_library(source: str, compiler: Compiler) -> ctypes.CDLL:
     """Return the compiled library of a source from the cache; build and cache it if necessary.
 
-    Raises:
-        CompilerError: it cannot be compiled.
-        OSError: it can be stored nowhere, or not be loaded.
+    It raises `CompilerError` if it cannot be compiled, `OSError` if it can be stored nowhere or not be loaded.
     """
     place, name = folder(), key(source, compiler)
     try:
@@ -404,13 +382,9 @@ def library(source: str) -> ctypes.CDLL | None:
 def confirmed_library(
     package: str, file: str, jobs: Mapping[str, type[ctypes.Structure]], agrees: Callable[[ctypes.CDLL], bool]
 ) -> ctypes.CDLL | None:
-    """Return the compiled library of a C++ file; None if it cannot be compiled, or its results are wrong.
+    """Return the compiled library of a C++ file of a package; None if it cannot be compiled, or its results are wrong.
 
-    Args:
-        package: the package of the file.
-        file: its name.
-        jobs: the structure that each of its functions takes a pointer to, by the function's name.
-        agrees: whether the library gives the same results as Python on a sample.
+    Each function takes a pointer to one structure (``jobs``). ``agrees``: whether a library gives the results of Python on a sample.
     """
     source = resources.files(package).joinpath(file).read_text(encoding="utf-8")
     confirmed_library = library(source)
@@ -483,12 +457,7 @@ LARGEST_TAPE: Final = 5_000
 
 @final
 class CompiledRoutine:
-    """The routine of a function in a library.
-
-    Args:
-        function: dense inputs and outputs.
-        file: the C++ file, which calls the routine ``row`` with the sizes N inputs and O outputs.
-    """
+    """The routine of a function in a library, called ``row`` in the C++ file, with the sizes N inputs and O outputs."""
 
     def __init__(self, function: ca.Function, file: str) -> None:
         self._function, self._file = function, file

@@ -60,7 +60,6 @@ class InverseProblem:
     """A machine with errors, reduced to the data of its inverse; metres and radians unless stated otherwise.
 
     Attributes:
-        axes: number of axes.
         rotary: indices of the rotary axes that may move; if there are none, no pose may be `Batch.loose`.
         sides: number of further inputs: directions of approach, and channels that differ from pose to pose.
         scale: (axes,) metres per millimetre, radians per degree.
@@ -68,7 +67,6 @@ class InverseProblem:
         limits: (rotary, 2) limits of the rotary axes for a full correction of the orientation.
         rotary_limit: largest change of a rotary axis for it.
         tolerance: metres, and radians for the tool axis.
-        steps: maximum number of Newton steps.
         near: residual below which a step may reuse the matrices of the step before.
         mm: metres per millimetre.
     """
@@ -329,8 +327,6 @@ def angle(apart: np.ndarray) -> np.ndarray:
     """Return the angles in radians between unit vectors from the distances between their ends."""
     return np.asarray(2.0 * np.arcsin(np.clip(apart / 2.0, 0.0, 1.0)))
 
-
-# --- Solver that uses compiled code where there is a compiler and enough work for it, else NumPy --
 
 TRIED: Final = 256
 """Number of poses on which compiled code must agree with NumPy before it is used."""

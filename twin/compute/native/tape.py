@@ -91,9 +91,6 @@ class UnknownOperationError(Exception):
 class Tape:
     """The instructions of one function.
 
-    Args:
-        function: an SX function of dense inputs and outputs.
-
     Attributes:
         inputs, outputs: numbers of scalar inputs and outputs, all arguments concatenated, column-major.
         constants: the constants, kept out of the code so that calibrations with curves of the same orders share it.
@@ -123,14 +120,7 @@ class Tape:
             return None
 
     def __call__(self, columns: Sequence[np.ndarray]) -> np.ndarray:
-        """Evaluate with NumPy.
-
-        Args:
-            columns: one (rows,) array per input.
-
-        Returns:
-            (outputs, rows).
-        """
+        """Return (outputs, rows) from one (rows,) array per input, evaluated with NumPy."""
         rows = len(columns[0])
         values_out = np.empty((self.outputs, rows))
         program, slots, results = self._program
@@ -270,11 +260,8 @@ class _Builder:
         rows = [function.sparsity_out(i).find() for i in range(function.n_out())]
         results = [self.constant(0.0)] * starts_out[-1]
         work = [0] * function.sz_w()
-        kind, operands_of, outputs_of = (
-            function.instruction_id,
-            function.instruction_input,
-            function.instruction_output,
-        )
+        kind = function.instruction_id
+        operands_of, outputs_of = function.instruction_input, function.instruction_output
         for k in range(function.n_instructions()):
             code, operands, outputs = kind(k), operands_of(k), outputs_of(k)
             name = NAMES.get(code)

@@ -21,11 +21,7 @@ def table_formats() -> tuple[TableFormat[Any], ...]:
 
 @cache
 def format_named(name: str) -> TableFormat[Any]:
-    """Return the format of that name; the modules of the others are not imported.
-
-    Raises:
-        InputError: there is no such format.
-    """
+    """Return the format of that name, without importing the others; raise `InputError` if there is none."""
     if name not in families.TABLE_FORMATS:
         expected = f"one of {' '.join(families.TABLE_FORMATS)}"
         raise InputError("no such format of control tables", expected=expected, value=name)
@@ -34,14 +30,5 @@ def format_named(name: str) -> TableFormat[Any]:
 
 
 def read_tables(kind: str, files: Sequence[Path], machine: Machine) -> Correction:
-    """Return the tables of one control from its files.
-
-    Args:
-        kind: name of a format.
-        files: all files of the control, including those that assign tables to axes.
-        machine: the machine whose axes they move.
-
-    Raises:
-        InputError: there is no such format, or a file is invalid.
-    """
+    """Return the tables of one control from all of its files; raise `InputError` for an unknown format or an invalid file."""
     return format_named(kind).read(files, machine)

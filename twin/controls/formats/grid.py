@@ -17,8 +17,8 @@ import numpy as np
 
 from twin._common.csv_tables import read_table
 from twin._common.errors import InputError
+from twin.controls.correction import CorrectionGrid
 from twin.controls.format import TableFormat, TableLine, fixed_decimals
-from twin.controls.volumetric import CorrectionGrid
 from twin.machine.machine import Machine
 
 FILE: Final = "grid.csv"
@@ -51,23 +51,16 @@ class SpatialGrid(TableFormat[CorrectionGrid]):
         return {FILE: "\n".join(lines) + "\n"}
 
     def read(self, files: Sequence[Path], machine: Machine) -> CorrectionGrid:
-        """Return the grid of one file.
-
-        Raises:
-            InputError: there is more than one file, the columns are not those of the machine's three linear axes, or a point is missing
-                or given twice.
-        """
+        """Return the grid of one file; raise `InputError` for other columns, or a point that is missing or given twice."""
         if len(files) != 1:
-            raise InputError(
-                "a grid is a single file", expected="one file", value=" ".join(file.name for file in files)
-            )
+            what = "a grid is a single file"
+            raise InputError(what, expected="one file", value=" ".join(file.name for file in files))
         path = files[0]
         names = tuple(machine.axes[i].name for i in machine.linear)
         header, rows, _ = read_table(path)
         if len(names) != 3 or header != _columns(names):
-            raise InputError(
-                "wrong columns for a grid", expected=",".join(_columns(names)), file=path, value=",".join(header)
-            )
+            what = "wrong columns for a grid"
+            raise InputError(what, expected=",".join(_columns(names)), file=path, value=",".join(header))
         if not rows:
             raise InputError("no points", expected="one or more rows", file=path)
         lines = [TableLine(path, line, ",".join(row)) for line, row in rows]
@@ -80,12 +73,8 @@ class SpatialGrid(TableFormat[CorrectionGrid]):
         at = tuple(tuple(np.unique(numbers[:, i]).tolist()) for i in range(3))
         shape = tuple(len(nodes) for nodes in at)
         if min(shape) < 2:
-            raise InputError(
-                "too few positions of an axis",
-                expected="two or more of each axis",
-                file=path,
-                value=" × ".join(map(str, shape)),
-            )
+            what = "too few positions of an axis"
+            raise InputError(what, expected="two or more of each axis", file=path, value=" × ".join(map(str, shape)))
         values = np.full((*shape, 3), np.nan)
         for line, found in zip(lines, numbers, strict=True):
             place = tuple(at[i].index(float(found[i])) for i in range(3))
@@ -94,12 +83,8 @@ class SpatialGrid(TableFormat[CorrectionGrid]):
             values[place] = found[3:]
         if np.isnan(values).any():
             place = np.argwhere(np.isnan(values[..., 0]))[0]
-            raise InputError(
-                "a point is missing",
-                expected="every combination of the positions",
-                file=path,
-                value=" ".join(f"{name} {at[i][place[i]]:g}" for i, name in enumerate(names)),
-            )
+            what, shown = "a point is missing", " ".join(f"{name} {at[i][place[i]]:g}" for i, name in enumerate(names))
+            raise InputError(what, expected="every combination of the positions", file=path, value=shown)
         return CorrectionGrid(machine, at, values)
 
     def loading(self, correction: CorrectionGrid, largest: Mapping[str, float]) -> tuple[str, ...]:

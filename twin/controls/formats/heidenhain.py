@@ -13,10 +13,8 @@ Checked against public descriptions:
 - The frame of a table file (``BEGIN … MM``, header line, rows, ``[END]``): iTNC 530 HSCI Technical Manual,
   www.easymanua.ls/heidenhain/itnc-530-hsci/manual/716772?p=684.
 
-**Not checked** (`unchecked`, also stated in the files and in the report): that ``.COM`` values have the sign of the error as
-linear axis-error compensation has; linear interpolation between the points and the end value beyond them; that BACKLASH contains
-absolute values instead of differences; units of a rotary axis (degrees) and the number of digits; column widths. Older controls
-(TNC 4xx, iTNC 530) require a datum and a spacing that is a power of two instead of AXISPOS; this is not written.
+**Not checked**: `unchecked`. Older controls (TNC 4xx, iTNC 530) require a datum and a spacing that is a power of two instead of
+AXISPOS; this is not written.
 """
 
 from __future__ import annotations
@@ -74,13 +72,8 @@ class HeidenhainTables(TableFormat[TableSum]):
     def write(self, correction: TableSum, notes: Sequence[str] = ()) -> dict[str, str]:
         """Return ``X_CORR.COM`` … for every input axis, and the ``.CMA``; see `TableFormat.write`.
 
-        Args:
-            correction: single tables; all tables of one input axis have the same nodes, and only those of an axis over itself may
-                depend on the direction.
-            notes: comments after the end of each file.
-
-        Raises:
-            InputError: an axis is not one of X Y Z A B C U V W, or such tables cannot represent the correction.
+        All tables of one input axis have the same nodes, and only those of an axis over itself may depend on the direction. Axes are
+        named by one of X Y Z A B C U V W. Notes are comments after the end of each file.
         """
         machine, terms = correction.machine, correction.terms
         check_letters([name for term in terms for name in (term.axis, term.factors[0].argument)], self.title)
@@ -110,27 +103,19 @@ class HeidenhainTables(TableFormat[TableSum]):
             key = "BACKLASH" if curve.direction == DOWN else term.axis
             fits = len(term.factors) == 1 and key not in columns and (curve.direction == 0 or term.axis == axis.name)
             if not fits or len(curve.at) > self.points or any(other.at != curve.at for other in columns.values()):
-                raise InputError(
-                    f"not possible as a HEIDENHAIN table: {term.axis} over {axis.name}",
-                    expected=f"single tables with the same nodes, at most {self.points}; by direction only for an axis over itself",
-                    value=f"{len(curve.at)} points, direction {curve.direction}, {len(term.factors)} factors",
-                )
+                what = f"not possible as a HEIDENHAIN table: {term.axis} over {axis.name}"
+                expected = f"single tables with the same nodes, at most {self.points}; by direction only for an axis over itself"
+                shown = f"{len(curve.at)} points, direction {curve.direction}, {len(term.factors)} factors"
+                raise InputError(what, expected=expected, value=shown)
             columns[key] = curve
         own = [term.factors[0].direction for term in terms if term.axis == axis.name]
         if sorted(own) not in ([], [BOTH], [DOWN, UP]):
-            raise InputError(
-                f"a table for one direction of {axis.name} only",
-                expected="tables for both, or one for both",
-                value=str(sorted(own)),
-            )
+            what = f"a table for one direction of {axis.name} only"
+            raise InputError(what, expected="tables for both, or one for both", value=str(sorted(own)))
         return columns
 
     def read(self, files: Sequence[Path], machine: Machine) -> TableSum:
-        """Return the tables from a ``.CMA`` and the ``.COM`` files named in its active line.
-
-        Raises:
-            InputError: there is no ``.CMA``, not exactly one active line, a missing or an additional table, or a table is invalid.
-        """
+        """Return the tables from a ``.CMA`` and the ``.COM`` files named in its only active line; see `TableFormat.read`."""
         what = "HEIDENHAIN tables are read with the .CMA that assigns them"
         cma = _Rows(single_file(files, ".cma", what, "one .CMA and the .COM files named in its active line"))
         given = {file.stem.upper(): file for file in files if file is not cma.path}
@@ -148,12 +133,8 @@ class HeidenhainTables(TableFormat[TableSum]):
                 raise line.error("missing table", f"{table}.COM", sorted(given))
             terms += self._terms(_Rows(file), axis, machine)
         if given:
-            raise InputError(
-                "tables that the active line does not name",
-                expected="all tables named in the .CMA",
-                file=cma.path,
-                value=sorted(given),
-            )
+            what = "tables that the active line does not name"
+            raise InputError(what, expected="all tables named in the .CMA", file=cma.path, value=sorted(given))
         return TableSum(tuple(terms), machine)
 
     def _terms(self, table: _Rows, axis: Axis, machine: Machine) -> list[ControlTerm]:
@@ -228,9 +209,8 @@ class _Rows:
         for line in lines[2:-1]:
             cells = line.text.split()
             if len(cells) != len(self.head):
-                raise line.error(
-                    count_with_noun(len(cells), "cell"), f"{len(self.head)}: {' '.join(self.head)}", line.text
-                )
+                what = count_with_noun(len(cells), "cell")
+                raise line.error(what, f"{len(self.head)}: {' '.join(self.head)}", line.text)
             self.rows.append((line, dict(zip(self.head, cells, strict=True))))
 
     def column(self, name: str) -> tuple[float, ...]:

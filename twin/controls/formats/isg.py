@@ -16,9 +16,7 @@ Only component errors are written. Squareness and locations of rotary axes are i
 depend on the sign convention of the control's position errors. Components are along the machine's x, y, z with all axes at zero; those
 of a linear axis refer to the spindle nose, which moves with it, those of a rotary axis to its centre of rotation (PXB … in the file).
 
-**Not checked** (`unchecked`): that a positive component error is the actual deviation of ISO 230-1 (``negate`` reverses
-it); that the lever of an angular error is measured from the point that moves with the axis; that the end value applies beyond the ends
-of a block; that rotary arguments are wrapped.
+**Not checked**: `unchecked` (``negate`` reverses the sign of a component error).
 """
 
 from __future__ import annotations
@@ -33,9 +31,8 @@ import numpy as np
 
 from twin._common.errors import InputError
 from twin._common.units import count_with_noun
-from twin.controls.correction import ControlCurve, period_of
+from twin.controls.correction import AxisErrors, ControlCurve, VolumetricCorrection, period_of, rest_geometry
 from twin.controls.format import TableFormat, TableLine, check_increasing, fixed_decimals, table_lines
-from twin.controls.volumetric import AxisErrors, VolumetricCorrection, rest_geometry
 from twin.machine.error_names import DIRECTIONS
 from twin.machine.machine import Axis, Machine
 
@@ -75,19 +72,13 @@ class Isg(TableFormat[VolumetricCorrection]):
     def write(self, correction: VolumetricCorrection, notes: Sequence[str] = ()) -> dict[str, str]:
         """Return the parameter file and the lines of the compensation list; see `TableFormat.write`.
 
-        Args:
-            correction: all curves of an axis have the same nodes; the tool length is written as a comment.
-            notes: comments at the beginning.
-
-        Raises:
-            InputError: an axis is not one of X Y Z A B C.
+        All curves of an axis have the same nodes; the tool length is written as a comment. Axes are named by one of X Y Z A B C.
         """
         machine = correction.machine
         for axis in machine.axes:
             if axis.name not in DIRECTIONS:
-                raise InputError(
-                    "an axis that the volumetric compensation does not support", expected="X Y Z A B C", value=axis.name
-                )
+                what = "an axis that the volumetric compensation does not support"
+                raise InputError(what, expected="X Y Z A B C", value=axis.name)
         named = _dimensions(machine)
         lines = [
             *(f"// {note}" for note in notes),
@@ -110,9 +101,7 @@ class Isg(TableFormat[VolumetricCorrection]):
     def read(self, files: Sequence[Path], machine: Machine) -> VolumetricCorrection:
         """Return the component errors from parameter files; a compensation list (``.lis``) among them is ignored.
 
-        Raises:
-            InputError: a column has an unknown name, a block has two arguments, a parameter is duplicated, the dimensions are those of
-                another machine, there are position errors of linear axes, or a value is not a number.
+        It raises `InputError` for unknown or duplicate parameters, dimensions of another machine, and position errors of linear axes.
         """
         curves: dict[str, dict[int, ControlCurve]] = {name: {} for name in machine.names}
         length = machine.tool_length_mm
@@ -223,9 +212,8 @@ def _blocks(lines: Sequence[TableLine]) -> Iterator[_Block]:
             block = _Block(line, tuple(cells))
         elif text and block is not None:
             if len(cells) != len(block.names):
-                raise line.error(
-                    count_with_noun(len(cells), "cell"), f"{len(block.names)}: {' '.join(block.names)}", text
-                )
+                what = count_with_noun(len(cells), "cell")
+                raise line.error(what, f"{len(block.names)}: {' '.join(block.names)}", text)
             numbers = tuple(line.decimal(name, cell) for cell, name in zip(cells, block.names, strict=True))
             block.rows.append((line, numbers))
 
@@ -240,9 +228,8 @@ def _of_block(block: _Block, axis: Axis) -> dict[int, ControlCurve]:
         if column == place:
             continue
         if not (len(name) == 3 and name[0] == "E" and name[1] in DIRECTIONS and name[2] == axis.name):
-            raise block.head.error(
-                f"unknown column in the block of {axis.name}", f"EX{axis.name} … EC{axis.name}", name
-            )
+            what = f"unknown column in the block of {axis.name}"
+            raise block.head.error(what, f"EX{axis.name} … EC{axis.name}", name)
         component = DIRECTIONS.index(name[1])
         values = tuple(row[column] * _UNITS[component] for _, row in block.rows)
         fields[component] = ControlCurve(axis.name, at, values, period_of(axis))

@@ -63,14 +63,9 @@ class LinuxCnc(TableFormat[TableSum]):
     def write(self, correction: TableSum, notes: Sequence[str] = ()) -> dict[str, str]:
         """Return one ``.comp`` of type 0 (actual positions) per joint, and the INI lines that name them; see `TableFormat.write`.
 
-        Args:
-            correction: tables of an axis over itself; those of the directions +1 and −1 of one axis have the same nodes. The axes are
-                joints 0, 1, … in command order.
-            notes: comments after the last point, where the control no longer reads, and at the beginning of the INI lines.
-
-        Raises:
-            InputError: an axis is not one of X Y Z A B C U V W, there are more than 256 points, or a joint compensation cannot
-                represent the correction.
+        Tables are those of an axis over itself, of at most 256 points, the same for both directions; the axes are joints 0, 1, … in
+        command order. Notes are comments after the last point, where the control no longer reads, and at the beginning of the INI
+        lines.
         """
         machine = correction.machine
         check_letters(machine.names, self.title)
@@ -109,40 +104,27 @@ class LinuxCnc(TableFormat[TableSum]):
         by = {curve.direction: curve for curve in curves}
         up, down = by.get(UP, by.get(BOTH)), by.get(DOWN, by.get(BOTH))
         whole = len(own) == (1 if BOTH in by else 2) and all(len(term.factors) == 1 for term in own)
-        if (
-            up is None
-            or down is None
-            or not whole
-            or up.at != down.at
-            or {up.argument, down.argument} != {axis.name}
-            or up.period
-        ):
-            raise InputError(
-                f"not possible as a joint compensation of LinuxCNC: {axis.name}",
-                expected="one table of the axis over itself, or one per direction with the same nodes; positions not wrapped",
-                value=[f"over {curve.argument}, direction {curve.direction}" for curve in curves],
+        alike = up is not None and down is not None and whole and up.at == down.at and not up.period
+        if up is None or down is None or not alike or {up.argument, down.argument} != {axis.name}:
+            what = f"not possible as a joint compensation of LinuxCNC: {axis.name}"
+            expected = (
+                "one table of the axis over itself, or one per direction with the same nodes; positions not wrapped"
             )
+            shown = [f"over {curve.argument}, direction {curve.direction}" for curve in curves]
+            raise InputError(what, expected=expected, value=shown)
         if len(up.at) > self.points:
-            raise InputError(
-                f"too many points for joint {axis.name}", expected=f"at most {self.points} (LinuxCNC)", value=len(up.at)
-            )
+            what = f"too many points for joint {axis.name}"
+            raise InputError(what, expected=f"at most {self.points} (LinuxCNC)", value=len(up.at))
         return up, down
 
     def read(self, files: Sequence[Path], machine: Machine) -> TableSum:
         """Return the tables from an INI file (or its lines) and the ``.comp`` files named in it.
 
-        Raises:
-            InputError: there is no INI file, a file is missing or not named in it, the units are not mm and degrees, or LinuxCNC would
-                refuse a file or not read all of it.
+        It raises `InputError` if the units are not mm and degrees, or LinuxCNC would refuse a file or not read all of it.
         """
-        ini = _Ini(
-            single_file(
-                files,
-                ".ini",
-                "LinuxCNC tables are read with the INI file that names them",
-                f"one .ini with [JOINT_n] COMP_FILE and COMP_FILE_TYPE (twin writes {INI}) and the .comp files",
-            )
-        )
+        what = "LinuxCNC tables are read with the INI file that names them"
+        expected = f"one .ini with [JOINT_n] COMP_FILE and COMP_FILE_TYPE (twin writes {INI}) and the .comp files"
+        ini = _Ini(single_file(files, ".ini", what, expected))
         given = {file.name: file for file in files if file is not ini.path}
         terms: list[ControlTerm] = []
         for joint, name in enumerate(ini.coordinates(machine)):
@@ -160,12 +142,8 @@ class LinuxCnc(TableFormat[TableSum]):
                 raise there.error(f"COMP_FILE_TYPE of JOINT_{joint}", "0 or 1", kind.text or None)
             terms += self._terms(file, axis, actual=kind.text == "0")
         if given:
-            raise InputError(
-                "files that no [JOINT_n] COMP_FILE names",
-                expected="all files named in the INI file",
-                file=ini.path,
-                value=sorted(given),
-            )
+            what = "files that no [JOINT_n] COMP_FILE names"
+            raise InputError(what, expected="all files named in the INI file", file=ini.path, value=sorted(given))
         return TableSum(tuple(terms), machine)
 
     def _terms(self, path: Path, axis: Axis, *, actual: bool) -> list[ControlTerm]:
@@ -179,11 +157,8 @@ class LinuxCnc(TableFormat[TableSum]):
                 stopped = stopped or line
                 continue
             if stopped is not None:
-                raise stopped.error(
-                    "points after a line that is not three numbers: LinuxCNC stops there and does not read them",
-                    "no other lines between the points, comments only after the last",
-                    line.text,
-                )
+                what = "points after a line that is not three numbers: LinuxCNC stops there and does not read them"
+                raise stopped.error(what, "no other lines between the points, comments only after the last", line.text)
             nominal, up, down = (line.decimal("a position", word) for word in words[:3])
             rows.append((nominal, nominal - up, nominal - down) if actual else (nominal, up, down))
             lines.append(line)
@@ -244,11 +219,7 @@ class _Ini:
         return self._found.get((section, key), TableLine(self.path, None, ""))
 
     def coordinates(self, machine: Machine) -> list[str]:
-        """Return the axis that each joint moves.
-
-        Raises:
-            InputError: COORDINATES is missing or repeats an axis, or the units are not mm and degrees.
-        """
+        """Return the axis that each joint moves; raise `InputError` for one given twice, and units other than mm and degrees."""
         for key, wanted in (("LINEAR_UNITS", ("mm", "metric")), ("ANGULAR_UNITS", ("degree", "deg"))):
             unit = self.get("TRAJ", key)
             if unit.text.lower() not in wanted:

@@ -13,8 +13,7 @@ Checked against public descriptions: SINUMERIK Function Manual, Extended Functio
 - p. 264: the 828D has 8 tables of 200 points.
 - "AX1" … are the machine axes by their order, independent of their names (p. 248).
 
-**Not checked** (`unchecked`): that for two multiplied tables only the product moves the axis and not their single values too, as the
-example of p. 252 requires (its second table alone would move X1 by Z1); that values of rotary output axes are in degrees.
+**Not checked**: `unchecked`; the example of p. 252 requires that its second table alone does not move X1 by Z1.
 """
 
 from __future__ import annotations
@@ -48,14 +47,8 @@ class Entry:
 def entries(files: Sequence[Path], pattern: re.Pattern[str], example: str) -> dict[str, Entry]:
     """Return the tables in programs, by the text of their index.
 
-    Args:
-        files: the programs.
-        pattern: pattern of an assignment; its groups are the ``name`` of a variable, ``table``, ``node`` and ``value``.
-        example: example of an assignment, for messages.
-
-    Raises:
-        InputError: a line is not an assignment of that pattern, a comment, a program header or end; there is no table; a table is in
-            two files, or a value is written twice.
+    ``pattern``: of an assignment, with groups ``name`` of a variable, ``table``, ``node`` and ``value``; ``example``: for messages. It
+    raises `InputError` for a line that is no assignment, comment, program header or end, a table in two files, a value written twice.
     """
     entries: dict[str, Entry] = {}
     for path in files:
@@ -65,17 +58,15 @@ def entries(files: Sequence[Path], pattern: re.Pattern[str], example: str) -> di
                 continue
             match = pattern.match(line.text)
             if match is None:
-                raise line.error(
-                    "not a line of a compensation table", f"{example}… = …, a comment, M17 or M30", line.text
-                )
+                what = "not a line of a compensation table"
+                raise line.error(what, f"{example}… = …, a comment, M17 or M30", line.text)
             name, table, node = match["name"], match["table"].upper(), match["node"]
             entry = entries.setdefault(table, Entry(line))
             if entry.line.path != path:
                 raise line.error(f"table {table} is in two files", "each table in one file", entry.line.path.name)
             if (name is None) != (node is not None):
-                raise line.error(
-                    "wrong indices", "the index of the point for a value, no such index for other variables", line.text
-                )
+                expected = "the index of the point for a value, no such index for other variables"
+                raise line.error("wrong indices", expected, line.text)
             if (int(node) in entry.points) if name is None else (name.upper() in entry.fields):
                 raise line.error("assigned twice", "one assignment", line.text)
             value = TableLine(path, line.number, match["value"].strip())
@@ -84,18 +75,13 @@ def entries(files: Sequence[Path], pattern: re.Pattern[str], example: str) -> di
             else:
                 entry.fields[name.upper()] = value
     if not entries:
-        raise InputError(
-            "no compensation table", expected=f"{example}… = …", file=files[0] if len(files) == 1 else None
-        )
+        what = "no compensation table"
+        raise InputError(what, expected=f"{example}… = …", file=files[0] if len(files) == 1 else None)
     return entries
 
 
 def axis_of(place: TableLine, text: str, machine: Machine) -> Axis:
-    """Return the axis of a name: ``AX2`` is the second axis, ``X1`` and ``X`` are X.
-
-    Raises:
-        InputError: the machine has no such axis.
-    """
+    """Return the axis of a name: ``AX2`` is the second axis, ``X1`` and ``X`` are X; raise `InputError` if there is none."""
     name = text.strip("() ").upper()
     general = re.fullmatch(r"AX(\d{1,9})", name)
     if general is not None and 1 <= int(general[1]) <= len(machine.axes):
@@ -116,16 +102,7 @@ def step_of(curve: ControlCurve) -> float | None:
 
 
 def table_of(name: str, variable: str, entry: Entry) -> tuple[tuple[float, ...], tuple[float, ...], float | None]:
-    """Return nodes, values and period of a table.
-
-    Args:
-        name: name of the table, for messages.
-        variable: its system variable.
-        entry: the table as read.
-
-    Raises:
-        InputError: the table is incomplete or inconsistent.
-    """
+    """Return nodes, values and period of a table; raise `InputError`, with its names, if it is incomplete or inconsistent."""
     fields, points = entry.fields, entry.points
     for key in ("STEP", "MIN", "MAX"):
         if key not in fields:
@@ -143,8 +120,6 @@ def table_of(name: str, variable: str, entry: Entry) -> tuple[tuple[float, ...],
     modulo = "IS_MODULO" in fields and fields["IS_MODULO"].decimal(f"{variable}_IS_MODULO") != 0.0
     return at, tuple(points[n].decimal("a value") for n in range(count + 1)), high - low if modulo else None
 
-
-# --- SINUMERIK 840D sl: sag and angularity compensation (CEC, "cross error compensation"), as a program that writes system va
 
 FILE: Final = "cec.mpf"
 _FACTOR_DIGITS: Final = 9
@@ -188,12 +163,7 @@ class Siemens(TableFormat[TableSum]):
     def write(self, correction: TableSum, notes: Sequence[str] = ()) -> dict[str, str]:
         """Return the program, with one table per factor; see `TableFormat.write`.
 
-        Args:
-            correction: tables, and products of two; nodes of every curve are equidistant. The axes are AX1, AX2, … in command order.
-            notes: comments at the beginning.
-
-        Raises:
-            InputError: nodes are not equidistant, or there are too many tables.
+        Nodes of every curve are equidistant, and products are of two tables. The axes are AX1, AX2, … in command order.
         """
         machine = correction.machine
         blocks: list[str] = []
@@ -211,11 +181,7 @@ class Siemens(TableFormat[TableSum]):
         return {FILE: "\n".join([*head, *blocks, "M30"]) + "\n"}
 
     def read(self, files: Sequence[Path], machine: Machine) -> TableSum:
-        """Return the tables from programs that write ``$AN_CEC…``.
-
-        Raises:
-            InputError: a line is not an assignment to a table, a comment, a program header or end; a table is incomplete or invalid.
-        """
+        """Return the tables from programs that write ``$AN_CEC…``; see `TableFormat.read` and `entries`."""
         by_index = {int(index): entry for index, entry in entries(files, _FIELD, "$AN_CEC").items()}
         curves = {index: _curve(index, entry, machine) for index, entry in by_index.items()}
         factors: dict[int, int] = {}
@@ -280,9 +246,8 @@ def _block(index: int, moved: str, curve: ControlCurve, digits: int, machine: Ma
     """Return the lines of one table, in the control's units."""
     step = step_of(curve)
     if step is None:
-        raise InputError(
-            "nodes of a CEC table", expected="two or more equidistant nodes", value=f"{moved} over {curve.argument}"
-        )
+        what = "nodes of a CEC table"
+        raise InputError(what, expected="two or more equidistant nodes", value=f"{moved} over {curve.argument}")
     side = {0: "both directions", 1: f"{curve.argument} moving up", -1: f"{curve.argument} moving down"}[
         curve.direction
     ]

@@ -17,7 +17,7 @@ It cannot move one axis as a function of another (straightness, squareness, leve
 can), and it does not distinguish directions, so that backlash remains (backlash compensation, MD32450). The tables are for the first
 measuring system of every axis.
 
-**Not checked** (`unchecked`): values and positions of rotary axes in degrees.
+**Not checked**: `unchecked`.
 """
 
 from __future__ import annotations
@@ -60,15 +60,7 @@ class SiemensEec(TableFormat[TableSum]):
     unchecked = ("rotary axes: values and positions in degrees",)
 
     def write(self, correction: TableSum, notes: Sequence[str] = ()) -> dict[str, str]:
-        """See `TableFormat.write`.
-
-        Args:
-            correction: one table of each axis over itself, for both directions, with equidistant nodes.
-            notes: comments at the beginning.
-
-        Raises:
-            InputError: there are other tables.
-        """
+        """See `TableFormat.write`: one table of each axis over itself, for both directions, with equidistant nodes."""
         machine = correction.machine
         lines = ["%_N_AX_EEC_MPF", *(f"; {note}" for note in notes), f"; {axis_numbers(machine, 'is')}"]
         for index, axis in enumerate(machine.axes, start=1):
@@ -88,19 +80,14 @@ class SiemensEec(TableFormat[TableSum]):
         step = step_of(curve)
         alone = len(own) == 1 and own[0].key == (axis.name, (axis.name, 0))
         if not alone or step is None or len(curve.at) > self.points:
-            raise InputError(
-                f"not possible as leadscrew error compensation: {axis.name}",
-                expected=f"one table of the axis over itself for both directions, 2 to {self.points} equidistant points",
-                value=[f"{term.name}, {len(term.factors[0].at)} points" for term in own],
-            )
+            what = f"not possible as leadscrew error compensation: {axis.name}"
+            expected = f"one table of the axis over itself for both directions, 2 to {self.points} equidistant points"
+            shown = [f"{term.name}, {len(term.factors[0].at)} points" for term in own]
+            raise InputError(what, expected=expected, value=shown)
         return curve, step
 
     def read(self, files: Sequence[Path], machine: Machine) -> TableSum:
-        """Return the tables from programs that write ``$AA_ENC_COMP…`` of the first measuring system.
-
-        Raises:
-            InputError: a line is not an assignment to a table, a comment, a program header or end; a table is incomplete.
-        """
+        """Return the tables from programs that write ``$AA_ENC_COMP…`` of the first measuring system; see `entries`."""
         terms: dict[str, ControlTerm] = {}
         found = entries(files, _FIELD, "$AA_ENC_COMP[0,")
         for axis, entry in [(axis_of(entry.line, of, machine), entry) for of, entry in found.items()]:

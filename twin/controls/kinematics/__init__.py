@@ -10,23 +10,7 @@ from functools import cache
 
 from twin._common import families
 from twin._common.errors import InputError
-from twin.controls.kinematics.format import (
-    KinematicCorrection,
-    KinematicsFormat,
-    TableGeometry,
-    linear_shift,
-    table_geometry,
-)
-
-__all__ = [
-    "KinematicCorrection",
-    "KinematicsFormat",
-    "TableGeometry",
-    "kinematics_formats",
-    "kinematics_named",
-    "linear_shift",
-    "table_geometry",
-]
+from twin.controls.kinematics.format import KinematicsFormat
 
 
 def kinematics_formats() -> tuple[KinematicsFormat, ...]:
@@ -36,11 +20,7 @@ def kinematics_formats() -> tuple[KinematicsFormat, ...]:
 
 @cache
 def kinematics_named(name: str) -> KinematicsFormat:
-    """Return the format of that name; the modules of the others are not imported.
-
-    Raises:
-        InputError: there is no such format.
-    """
+    """Return the format of that name, without importing the others; raise `InputError` if there is none."""
     if name not in families.KINEMATICS_FORMATS:
         expected = f"one of {' '.join(families.KINEMATICS_FORMATS)}"
         raise InputError("no such format of control kinematics", expected=expected, value=name)

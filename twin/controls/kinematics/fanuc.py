@@ -17,7 +17,6 @@ from typing import Final, final
 
 import numpy as np
 
-from twin._common.arrays import read_only
 from twin._common.errors import InputError
 from twin.controls.format import TableLine, fixed_decimals, table_lines
 from twin.controls.kinematics.format import (
@@ -75,11 +74,8 @@ class FanucTable(KinematicsFormat):
             flat = [i for i in range(3) if abs(line[i]) < _EXACT]
             along = next((i for i in range(3) if abs(abs(line[i]) - 1.0) < _EXACT), None)
             if not flat:
-                raise InputError(
-                    f"{machine.name}: the direction of {axis.name} lies in none of the planes XY, YZ, ZX",
-                    expected="another format of kinematics for this machine",
-                    file=machine.path,
-                )
+                what = f"{machine.name}: the direction of {axis.name} lies in none of the planes XY, YZ, ZX"
+                raise InputError(what, expected="another format of kinematics for this machine", file=machine.path)
             if along is not None:
                 code, angle, hand = along + 1, 0.0, int(line[along] > 0.0)
             else:
@@ -95,9 +91,7 @@ class FanucTable(KinematicsFormat):
         first, between = np.array([values[name] for name in _LENGTHS]).reshape(2, 3)
         shift = np.array([values[f"{_SHIFT} {axis}"] for axis in "XYZ"])
         nominal = table_geometry(machine)
-        return TableGeometry(
-            read_only(np.array([first, first + between])), nominal.directions, read_only(shift), nominal.turn
-        )
+        return TableGeometry(np.array([first, first + between]), nominal.directions, shift, nominal.turn)
 
     def write(self, values: Values, machine: Machine, notes: Sequence[str] = ()) -> str:
         """See `KinematicsFormat.write`."""
@@ -119,9 +113,8 @@ class FanucTable(KinematicsFormat):
                 assign(lines_by_parameter, name, TableLine(path, line.number, match["value"] or match["shift"]))
         for name, text in self._codes(machine).items():
             if name in lines_by_parameter and lines_by_parameter[name].decimal(name) != float(text):
-                raise lines_by_parameter[name].error(
-                    f"parameter {name} of another machine", text, lines_by_parameter[name].text
-                )
+                what = f"parameter {name} of another machine"
+                raise lines_by_parameter[name].error(what, text, lines_by_parameter[name].text)
         values = numbers_of(path, lines_by_parameter, _LENGTHS)
         for axis in "XYZ":
             name = f"{_SHIFT} {axis}"

@@ -30,9 +30,8 @@ from twin._common.errors import InputError
 from twin._common.files import scratch_folder
 from twin._common.units import MM
 from twin.compute.along import BatchFunction
-from twin.controls.correction import Correction, TableSummary
+from twin.controls.correction import Correction, TableSummary, check_linear, rest_geometry
 from twin.controls.format import TableLine, table_lines
-from twin.controls.volumetric import check_linear, rest_geometry
 from twin.machine.chain import frame_pose, joint_in_base, joint_twist
 from twin.machine.machine import Axis, Machine
 from twin.numerics.spatial import rotation_exp
@@ -58,6 +57,10 @@ class TableGeometry:
     shift: np.ndarray
     turn: np.ndarray
 
+    def __post_init__(self) -> None:
+        for part in (self.points, self.directions, self.shift, self.turn):
+            read_only(part)
+
     @property
     def vector(self) -> np.ndarray:
         """All numbers (18,): points, directions, shift, turn."""
@@ -65,33 +68,24 @@ class TableGeometry:
 
 
 def rotary_axes(machine: Machine) -> tuple[Axis, Axis]:
-    """Return the two rotary axes of the table, the one near the bed first.
+    """Return the two rotary axes of the table, the one near the bed first; raise `InputError` for another structure.
 
-    Raises:
-        InputError: the machine is not one with three linear axes of constant direction and two rotary axes that carry the workpiece.
+    Required are three linear axes of constant direction and two rotary axes that carry the workpiece.
     """
     check_linear(machine)
     rotary = [i for i, axis in enumerate(machine.axes) if not axis.linear]
     if len(rotary) != 2 or any(machine.axes[i].side != "work" for i in rotary):
-        raise InputError(
-            f"{machine.name}: the kinematics of a control can be written for a table with two rotary axes only",
-            expected="two rotary axes that carry the workpiece",
-            file=machine.path,
-            value=" ".join(f"{machine.axes[i].name} ({machine.axes[i].side})" for i in rotary) or "none",
-        )
+        what = f"{machine.name}: the kinematics of a control can be written for a table with two rotary axes only"
+        shown = " ".join(f"{machine.axes[i].name} ({machine.axes[i].side})" for i in rotary) or "none"
+        raise InputError(what, expected="two rotary axes that carry the workpiece", file=machine.path, value=shown)
     first, second = sorted(rotary, key=lambda i: machine.axis_joints[i])
     return machine.axes[first], machine.axes[second]
 
 
 def table_geometry(machine: Machine, errors: np.ndarray | None = None) -> TableGeometry:
-    """Return the geometry of a machine with all axes at zero.
+    """Return the geometry of a machine with all axes at zero; raise `InputError` as `rotary_axes`.
 
-    Args:
-        machine: a machine with a table of two rotary axes.
-        errors: (6·frames,) constant errors of the error frames, metres and radians; None for the nominal machine.
-
-    Raises:
-        InputError: see `rotary_axes`.
+    ``errors``: (6·frames,) constant errors of the error frames, metres and radians; None for the nominal machine.
     """
     zero, nose = np.zeros(len(machine.axes)), rest_geometry(machine).nose
     points, directions = [], []
@@ -103,7 +97,7 @@ def table_geometry(machine: Machine, errors: np.ndarray | None = None) -> TableG
     real, nominal = (frame_pose(machine, machine.work_frame, zero, e) for e in (errors, None))
     turned = np.array(ca.DM(real.rotation)) @ np.array(ca.DM(nominal.rotation)).T
     shift = (_numbers(real.translation) - _numbers(nominal.translation)) / MM
-    return TableGeometry(*map(read_only, (np.array(points), np.array(directions), shift, rotation_vector(turned))))
+    return TableGeometry(np.array(points), np.array(directions), shift, rotation_vector(turned))
 
 
 def _numbers(expression: Any) -> np.ndarray:
@@ -164,13 +158,7 @@ def linear_shift(machine: Machine, geometry: TableGeometry, q: np.ndarray, tool_
 @final
 @dataclass(frozen=True, eq=False)
 class KinematicCorrection(Correction):
-    """Shift of the commands by a transformation whose geometry differs from the nominal one; only while it is active.
-
-    Attributes:
-        machine: a machine with a table of two rotary axes.
-        geometry: the control's geometry.
-        tool_length_mm: distance from the tool frame to the tool tip.
-    """
+    """Shift of the commands by a transformation whose geometry differs from the nominal one; only while it is active."""
 
     machine: Machine
     geometry: TableGeometry
@@ -208,8 +196,6 @@ class KinematicCorrection(Correction):
         return 2 * PARTS
 
 
-# --- Base class of the kinematics of a control's transformation: one final class per format, each in its own file
-
 SHORTEST: Final = 1e-6
 """Length below which a vector has no direction."""
 Values = Mapping[str, float]
@@ -239,10 +225,9 @@ class KinematicsFormat(ABC):
 
     @abstractmethod
     def nominal(self, machine: Machine) -> Values:
-        """Return the parameters of the nominal machine: those that `geometry` reads and `twin.compensation.tables.axis_tables` fits.
+        """Return the parameters of the nominal machine, which `twin.compensation.tables.axis_tables` fits.
 
-        Raises:
-            InputError: the transformation cannot represent the structure of the machine.
+        It raises `InputError` if the transformation cannot represent the structure of the machine.
         """
 
     @abstractmethod
@@ -251,20 +236,11 @@ class KinematicsFormat(ABC):
 
     @abstractmethod
     def write(self, values: Values, machine: Machine, notes: Sequence[str] = ()) -> str:
-        """Return the text of the file.
-
-        Args:
-            values: the parameters, as `nominal`.
-            notes: texts for comments.
-        """
+        """Return the text of the file; ``values``: the parameters, as `nominal`; ``notes``: texts for comments."""
 
     @abstractmethod
     def read(self, path: Path, machine: Machine) -> TableGeometry:
-        """Return the geometry in a file.
-
-        Raises:
-            InputError: the file is invalid, a parameter is missing, or the machine cannot have this transformation.
-        """
+        """Return the geometry in a file; raise `InputError` if it is invalid, or the machine cannot have this transformation."""
 
     @abstractmethod
     def loading(self, machine: Machine) -> tuple[str, ...]:
@@ -278,11 +254,7 @@ class KinematicsFormat(ABC):
 
 
 def code_lines(path: Path, comment: str) -> list[TableLine]:
-    """Return the lines of a file that are not empty, without what follows a comment's mark.
-
-    Raises:
-        InputError: the file cannot be read.
-    """
+    """Return the lines of a file that are not empty, without what follows a comment's mark."""
     lines = [
         TableLine(path, table_line.number, table_line.text.partition(comment)[0].strip())
         for table_line in table_lines(path)
@@ -291,11 +263,7 @@ def code_lines(path: Path, comment: str) -> list[TableLine]:
 
 
 def numbers_of(path: Path, found: Mapping[str, TableLine], names: Sequence[str]) -> dict[str, float]:
-    """Return the numbers of all named parameters of a file.
-
-    Raises:
-        InputError: one is missing or not a number.
-    """
+    """Return the numbers of all named parameters of a file; raise `InputError` if one is missing or not a number."""
     for name in names:
         if name not in found:
             raise InputError(f"the parameter {name} is missing", expected="all parameters of the format", file=path)
@@ -303,11 +271,7 @@ def numbers_of(path: Path, found: Mapping[str, TableLine], names: Sequence[str])
 
 
 def assign(found: dict[str, TableLine], name: str, value: TableLine) -> None:
-    """Add the value of a parameter.
-
-    Raises:
-        InputError: it has one already.
-    """
+    """Add the value of a parameter; raise `InputError` if it has one already."""
     if name in found:
         raise value.error(f"{name} is assigned twice", "one assignment", value.text)
     found[name] = value

@@ -13,7 +13,6 @@ from typing import Final, final
 
 import numpy as np
 
-from twin._common.arrays import read_only
 from twin._common.errors import InputError
 from twin.controls.format import TableLine, fixed_decimals
 from twin.controls.kinematics.format import (
@@ -62,9 +61,8 @@ class HeidenhainTable(KinematicsFormat):
         values = {f"{n}{'XYZ'[i]}": float(v) for n, vector in enumerate(vectors, 1) for i, v in enumerate(vector)}
         for n, (axis, turned) in enumerate(zip(rotary_axes(machine), nominal.directions, strict=True), 1):
             if axis.name not in _ALIGNED:
-                raise InputError(
-                    f"{axis.name} is not a rotary axis of HEIDENHAIN", expected="A, B or C", file=machine.path
-                )
+                what = f"{axis.name} is not a rotary axis of HEIDENHAIN"
+                raise InputError(what, expected="A, B or C", file=machine.path)
             letters = _ALIGNED[axis.name]
             values |= {f"{n}{k}": v for k, v in zip(letters, _angles(axis.name, -turned), strict=True)}
         return values | {f"3{letter}": 0.0 for letter in "ABC"}
@@ -98,9 +96,8 @@ class HeidenhainTable(KinematicsFormat):
                 or not words[0].isdigit()
                 or words[1] not in ("MachAxis", "Trans", "ToolAxis", "MachBase")
             ):
-                raise line.error(
-                    "not a row of a kinematics description", "NR, MachAxis, Trans or ToolAxis, AXIS, COORD", line.text
-                )
+                what = "not a row of a kinematics description"
+                raise line.error(what, "NR, MachAxis, Trans or ToolAxis, AXIS, COORD", line.text)
             if words[1] == "Trans" and (len(words) < 4 or words[2] not in "XYZABC"):
                 raise line.error("a shift or rotation is incomplete", "NR Trans AXIS COORD", line.text)
             value = TableLine(path, line.number, words[3]).decimal("COORD") if words[1] == "Trans" else 0.0
@@ -151,11 +148,7 @@ def _angles(name: str, line: np.ndarray) -> tuple[float, float]:
 
 
 def _followed(rows: Sequence[tuple[str, str, float]], machine: Machine, path: Path | None = None) -> TableGeometry:
-    """Return the geometry by following KEY, AXIS and COORD of all rows.
-
-    Raises:
-        InputError: the rows do not contain both rotary axes of the table, in their order.
-    """
+    """Return the geometry by following KEY, AXIS and COORD of all rows, with both rotary axes of the table in their order."""
     turned, place = np.eye(3), np.zeros(3)
     names, points, directions = list[str](), list[np.ndarray](), list[np.ndarray]()
     for key, axis, value in rows:
@@ -169,11 +162,10 @@ def _followed(rows: Sequence[tuple[str, str, float]], machine: Machine, path: Pa
             directions.append(-turned[:, "ABC".index(axis)])
     expected = [axis.name for axis in rotary_axes(machine)]
     if names != expected:
-        raise InputError(
-            "other rotary axes than those of the table", expected=" ".join(expected), file=path, value=" ".join(names)
-        )
+        what = "other rotary axes than those of the table"
+        raise InputError(what, expected=" ".join(expected), file=path, value=" ".join(names))
     shift = place - work_origin(machine)
-    return TableGeometry(*map(read_only, (np.array(points), np.array(directions), shift, rotation_vector(turned))))
+    return TableGeometry(np.array(points), np.array(directions), shift, rotation_vector(turned))
 
 
 def _about(axis: int, angle: float) -> np.ndarray:

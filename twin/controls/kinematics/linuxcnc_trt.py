@@ -25,7 +25,6 @@ from typing import Final, final
 
 import numpy as np
 
-from twin._common.arrays import read_only
 from twin._common.errors import InputError
 from twin.controls.format import TableLine, fixed_decimals, table_lines
 from twin.controls.kinematics.format import (
@@ -63,12 +62,8 @@ class LinuxCncTrt(KinematicsFormat):
         kind, _ = self._kind(machine)
         (first, second), moved = table_geometry(machine).points, "y" if kind == "xyzac-trt" else "x"
         offset = first[1] - second[1] if moved == "y" else first[0] - second[0]
-        values = {
-            "x-rot-point": second[0],
-            "y-rot-point": second[1],
-            "z-rot-point": first[2],
-            f"{moved}-offset": offset,
-        }
+        values = {"x-rot-point": second[0], "y-rot-point": second[1], "z-rot-point": first[2]}
+        values[f"{moved}-offset"] = offset
         return {name: float(value) for name, value in values.items()} | {f"{_SHIFT}-{axis}": 0.0 for axis in "xyz"}
 
     def _kind(self, machine: Machine) -> tuple[str, int]:
@@ -89,11 +84,9 @@ class LinuxCncTrt(KinematicsFormat):
         signs = {int(np.sign(directions[0][along])), int(np.sign(directions[1][2]))}
         allowed = ({-1}, {1}) if along == 0 else ({-1},)
         if signs not in allowed or abs(abs(directions[1][2]) - 1.0) > EXACT:
-            raise InputError(
-                f"{machine.name}: the rotary axes do not turn as the kinematics of LinuxCNC requires",
-                expected="both left-handed with a positive command (xyzac-trt: or both right-handed); reverse the scale of a joint",
-                file=machine.path,
-            )
+            what = f"{machine.name}: the rotary axes do not turn as the kinematics of LinuxCNC requires"
+            expected = "both left-handed with a positive command (xyzac-trt: or both right-handed); reverse the scale of a joint"
+            raise InputError(what, expected=expected, file=machine.path)
         return ("xyzac-trt", "xyzbc-trt")[along], int(signs == {-1})
 
     def geometry(self, values: Values, machine: Machine) -> TableGeometry:
@@ -107,7 +100,7 @@ class LinuxCncTrt(KinematicsFormat):
         else:
             first[0] = x + values["x-offset"]
         shift = np.array([values[f"{_SHIFT}-{axis}"] for axis in "xyz"])
-        return TableGeometry(read_only(np.array([first, second])), nominal.directions, read_only(shift), nominal.turn)
+        return TableGeometry(np.array([first, second]), nominal.directions, shift, nominal.turn)
 
     def write(self, values: Values, machine: Machine, notes: Sequence[str] = ()) -> str:
         """See `KinematicsFormat.write`."""

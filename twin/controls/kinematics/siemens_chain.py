@@ -18,7 +18,7 @@ from typing import Final, final
 
 import numpy as np
 
-from twin._common.arrays import read_only
+from twin.controls.correction import check_linear
 from twin.controls.format import TableLine, fixed_decimals
 from twin.controls.kinematics.format import (
     SHORTEST,
@@ -30,7 +30,6 @@ from twin.controls.kinematics.format import (
     table_geometry,
     work_origin,
 )
-from twin.controls.volumetric import check_linear
 from twin.machine.machine import Machine
 
 _DIGITS: Final = 6
@@ -82,7 +81,7 @@ class SiemensChain(KinematicsFormat):
         directions = np.array([axis / np.linalg.norm(axis) for axis in (one, two)])
         shift = to_first + to_second + to_table - work_origin(machine)
         points = np.array([to_first, to_first + to_second])
-        return TableGeometry(*map(read_only, (points, directions, shift, turn)))
+        return TableGeometry(points, directions, shift, turn)
 
     def write(self, values: Values, machine: Machine, notes: Sequence[str] = ()) -> str:
         """See `KinematicsFormat.write`."""
@@ -132,35 +131,28 @@ class SiemensChain(KinematicsFormat):
         while name:
             element = elements.get(name)
             if element is None or name in followed:
-                raise TableLine(path, None, name).error(
-                    "the kinematic chain is broken or closed", "elements linked by $NK_NEXT, from ROOT on", name
-                )
+                what = "the kinematic chain is broken or closed"
+                raise TableLine(path, None, name).error(what, "elements linked by $NK_NEXT, from ROOT on", name)
             followed.add(name)
-            kind, vector = (
-                element["TYPE,"].text,
-                np.array([element[f"OFF_DIR,{i}"].decimal("OFF_DIR") for i in range(3)]),
-            )
+            kind = element["TYPE,"].text
+            vector = np.array([element[f"OFF_DIR,{i}"].decimal("OFF_DIR") for i in range(3)])
             if kind != "OFFSET" and np.linalg.norm(vector) < SHORTEST:
                 raise element["TYPE,"].error(f"{name} has no direction", "a vector other than zero", "0 0 0")
             if kind == "OFFSET":
                 place = place + vector
             elif kind == "AXIS_ROT":
                 if element["AXIS,"].text != expected[min(len(points), 1)] or len(points) == 2:
-                    raise element["AXIS,"].error(
-                        "not a rotary axis of the table", " ".join(expected), element["AXIS,"].text
-                    )
+                    what = "not a rotary axis of the table"
+                    raise element["AXIS,"].error(what, " ".join(expected), element["AXIS,"].text)
                 points.append(place)
                 directions.append(vector / np.linalg.norm(vector))
             elif kind == "ROT_CONST":
                 turn = np.radians(element["A_OFF,"].decimal("A_OFF")) * vector / np.linalg.norm(vector)
             name = element["NEXT,"].text
         if len(points) != 2:
-            raise TableLine(path, None, "").error(
-                "a rotary axis is missing in the chain", " ".join(expected), len(points)
-            )
-        return TableGeometry(
-            *map(read_only, (np.array(points), np.array(directions), place - work_origin(machine), turn))
-        )
+            what = "a rotary axis is missing in the chain"
+            raise TableLine(path, None, "").error(what, " ".join(expected), len(points))
+        return TableGeometry(np.array(points), np.array(directions), place - work_origin(machine), turn)
 
     def loading(self, machine: Machine) -> tuple[str, ...]:
         """See `KinematicsFormat.loading`."""

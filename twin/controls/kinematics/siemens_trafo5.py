@@ -15,7 +15,6 @@ from typing import Final, final
 
 import numpy as np
 
-from twin._common.arrays import read_only
 from twin.controls.format import TableLine, fixed_decimals, table_lines
 from twin.controls.kinematics.format import (
     SHORTEST,
@@ -79,7 +78,7 @@ class SiemensTrafo5(KinematicsFormat):
         )
         directions = np.array([-axis / np.linalg.norm(axis) for axis in (one, two)])
         points = np.array([base, base + joint])
-        return TableGeometry(*map(read_only, (points, directions, base + joint + part, np.radians(tilt))))
+        return TableGeometry(points, directions, base + joint + part, np.radians(tilt))
 
     def write(self, values: Values, machine: Machine, notes: Sequence[str] = ()) -> str:
         """See `KinematicsFormat.write`."""
@@ -102,9 +101,8 @@ class SiemensTrafo5(KinematicsFormat):
                 continue
             value = TableLine(path, line.number, match["value"])
             if match["type"] and value.text != _TYPE:
-                raise value.error(
-                    "transformation of another type", f"{_TYPE} (both rotary axes in the table)", value.text
-                )
+                what = "transformation of another type"
+                raise value.error(what, f"{_TYPE} (both rotary axes in the table)", value.text)
             name = match["name"] or match["tilt"]
             if name:
                 assign(lines_by_name, f"{name.upper()}[{match['index'] or match['part']}]", value)

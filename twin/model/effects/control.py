@@ -8,7 +8,8 @@ from typing import Any, Final, final
 import numpy as np
 
 from twin.controls import ControlSection, Correction, read_tables
-from twin.controls.kinematics import KinematicCorrection, kinematics_named
+from twin.controls.kinematics import kinematics_named
+from twin.controls.kinematics.format import KinematicCorrection
 from twin.machine.machine import Axis, Machine
 from twin.model.effects.base import Effect, Frame, Parameter, along
 

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import ctypes
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cache
 from math import nan
 from typing import Final, final
 
@@ -12,31 +14,13 @@ import numpy as np
 
 from twin._common.errors import InputError
 from twin._common.families import PROGRAM_SUFFIXES
-from twin.nc.apt.locations import (
-    MOST_DECIMALS,
-    POSITION_DECIMALS,
-    VECTOR_DECIMALS,
-    Said,
-    Together,
-    TogetherJob,
-    together_code,
-)
+from twin.compute.native import compiler
 from twin.nc.apt.reader import AptReader, Statement, continues, cuts_beside, locations, scan, statement_at
 from twin.nc.arcs import moved_centre
-from twin.nc.blocks import (
-    AxisWords,
-    Kind,
-    Lines,
-    Move,
-    MoveBuilder,
-    MoveColumns,
-    NewPositions,
-    Rewrite,
-    lines_in,
-)
+from twin.nc.blocks import AxisWords, Kind, Lines, Move, MoveBuilder, MoveColumns, NewPositions, Rewrite, lines_in
+from twin.nc.chunks import DELETED_LINE, Chunk, ChunkReader, ChunkWriter, runs
 from twin.nc.dialect import NOTHING, Dialect, FeedUnit, LineWords, NewProgram
-from twin.nc.lines.chunks import DELETED_LINE, Chunk, ChunkReader, ChunkWriter, runs
-from twin.nc.lines.compiled import LineCode
+from twin.nc.lines import ARRAYS, LineCode, Scan
 from twin.nc.text import (
     MM_PER_INCH,
     Style,
@@ -51,6 +35,180 @@ from twin.nc.text import (
     style_of,
 )
 from twin.nc.writer import vector_texts
+
+# --- Locations of simple ``GOTO`` statements written together: with Python strings, or the same in compiled code (`locations.cpp`)
+
+POSITION_DECIMALS: Final = 5
+VECTOR_DECIMALS: Final = 9
+MOST_DECIMALS: Final = 12
+"""Decimals of a coordinate that are kept at most."""
+_COMPONENT: Final = f"%.{VECTOR_DECIMALS}f"
+_LONGEST_LOCATION: Final = 6 * 32
+"""Most characters of a location: sign, 16 digits, point, 12 decimals and comma for each number."""
+_VECTOR_ROOM: Final = 128
+_POINTERS: Final = ctypes.c_void_p
+_SCANNED: Final = ("text", "start", "end", "first")
+_WORDS: Final = ("start", "end", "fraction")
+_SAMPLE: Final = b"    X1.5Y-2Z0.1234567A0B0C1\r\n\n    X1Y2Z3.0000000000001\r\n    X0Y0Z-.5\n%\n    X1Y1Z1A1B0C0\n"
+"""In the form of ISO lines, as `twin.nc.apt.reader.scan` makes it of a program."""
+
+
+@final
+@dataclass(frozen=True)
+class TogetherJob:
+    """Simple ``GOTO`` statements, consecutive except for comments, and their new locations.
+
+    Attributes:
+        count: (n,) number of segments of each.
+        positions: (segments, axes) their end points in program units.
+        vectors: (segments, 3) their tool vectors.
+    """
+
+    scan: Scan
+    whole: slice
+    lines: np.ndarray
+    count: np.ndarray
+    positions: np.ndarray
+    vectors: np.ndarray
+
+
+Said = tuple[str, ...]
+"""Components of the tool vector written last."""
+Together = Callable[[TogetherJob, Said | None], tuple[str, Said | None]]
+"""Function that returns the statements with their new locations, and the last tool vector in them, given the last one before."""
+
+
+def written(job: TogetherJob, said: Said | None) -> tuple[str, Said | None]:
+    """Write locations with Python strings; see `Together`."""
+    scan, whole, lines, count, vectors = job.scan, job.whole, job.lines, job.count, job.vectors
+    text, words = scan.data[whole].decode("latin-1"), scan.words
+    first, last = scan.first[lines], scan.first[lines + 1] - 1
+    places = np.clip(words.fraction[first[:, None] + [0, 1, 2]], POSITION_DECIMALS, MOST_DECIMALS)
+    numbers = list(zip(*(_fixed(job.positions[:, i], np.repeat(places[:, i], count)) for i in range(3)), strict=True))
+    tools = list(zip(*(_shortest(vectors[:, i]) for i in range(3)), strict=True))
+    ranges = (words.start[first], words.end[last], scan.start[lines], scan.end[lines])
+    columns = (*((ends - whole.start).tolist() for ends in ranges), (last - first == 5).tolist(), count.tolist())
+
+    def location(row: int, *, again: bool) -> str:
+        before = tools[row - 1] if row else said
+        return ",".join(numbers[row] + tools[row] if again or tools[row] != before else numbers[row])
+
+    out, at, row = list[str](), 0, 0
+    for begin, behind, start, end, tilted, segments in zip(*columns, strict=True):
+        out += (text[at:begin], location(row, again=tilted))
+        at = behind
+        if segments > 1:
+            head, newline = text[start:begin], ending(text[start:end])
+            out.append(text[behind:end])
+            out += (f"{head}{location(row + i, again=False)}{newline}" for i in range(1, segments))
+            at = end
+        row += segments
+    out.append(text[at:])
+    return "".join(out), tools[-1] if tools else said
+
+
+def _fixed(values: np.ndarray, places: np.ndarray) -> list[str]:
+    """Return numbers as `format_number` does with these many decimals and no fewer."""
+    fixed = list(map("%.*f".__mod__, zip(places.tolist(), values.tolist(), strict=True)))
+    for i in np.flatnonzero(np.signbit(values) & (np.abs(values) < 1.0)).tolist():
+        fixed[i] = format_number(float(values[i]), int(places[i]), Style(min_decimals=int(places[i])))
+    return fixed
+
+
+def _shortest(values: np.ndarray) -> list[str]:
+    """Return the components of tool vectors as `twin.nc.writer.vector_texts` does."""
+    shortest = [
+        text.rstrip("0").rstrip(".") if text[-1] == "0" else text for text in map(_COMPONENT.__mod__, values.tolist())
+    ]
+    for i in np.flatnonzero(np.signbit(values) & (np.abs(values) < 10.0**-VECTOR_DECIMALS)).tolist():
+        shortest[i] = format_number(float(values[i]), VECTOR_DECIMALS, Style())
+    return shortest
+
+
+class _LocationJob(ctypes.Structure):
+    """`Locations` of locations.cpp, field by field."""
+
+    _fields_ = (
+        *((name, ctypes.c_int64) for name in ("begin", "stop", "count_lines", "axes")),
+        *((name, _POINTERS) for name in ("text", "lines", "count", "start", "end", "first")),
+        *((f"word_{name}", _POINTERS) for name in _WORDS),
+        *((name, _POINTERS) for name in ("positions", "vectors", "said")),
+        ("said_size", ctypes.c_int64),
+        ("out", _POINTERS),
+        ("written", ctypes.c_int64),
+    )
+
+
+@final
+@dataclass(frozen=True)
+class _CompiledLocations:
+    """Writing by a compiled library."""
+
+    library: ctypes.CDLL
+
+    def written(self, job: TogetherJob, said: Said | None) -> tuple[str, Said | None]:
+        """As `written`, which is called if a number is too large for the compiled code: 2⁵² units of its last decimal."""
+        scan, whole = job.scan, job.whole
+        given = {
+            "lines": np.ascontiguousarray(job.lines, dtype=np.int64),
+            "count": np.ascontiguousarray(job.count, dtype=np.int64),
+            "positions": np.ascontiguousarray(job.positions, dtype=float),
+            "vectors": np.ascontiguousarray(job.vectors, dtype=float),
+        }
+        given |= {name: getattr(scan, name) for name in _SCANNED}
+        given |= {f"word_{name}": getattr(scan.words, name) for name in _WORDS}
+        lines, count = given["lines"], given["count"]
+        copied = int(count @ (scan.end[lines] - scan.start[lines]))
+        room = whole.stop - whole.start + copied + _LONGEST_LOCATION * len(job.positions)
+        given["out"] = np.empty(room, dtype=np.uint8)
+        before = ",".join(said or ()).encode()
+        # A longer vector differs from all that are written here.
+        last = ctypes.create_string_buffer(before if len(before) < _VECTOR_ROOM else b"", _VECTOR_ROOM)
+        passed = _LocationJob(
+            begin=whole.start,
+            stop=whole.stop,
+            count_lines=len(lines),
+            axes=job.positions.shape[1],
+            said=ctypes.addressof(last),
+            said_size=len(last.value),
+            **{name: values.ctypes.data for name, values in given.items()},
+        )
+        self.library.write_locations(ctypes.byref(passed))
+        if passed.written < 0:
+            return written(job, said)
+        text = str(given["out"][: passed.written].data, "latin-1")
+        return text, tuple(last.raw[: passed.said_size].decode().split(",")) if passed.said_size else None
+
+
+def together_code(lines: int) -> Together:
+    """Return compiled code if there is a compiler and the program has enough lines to be worth it, else `written`."""
+    found = _compiled() if compiler.worth_compiling(lines) else None
+    return written if found is None else found.written
+
+
+@cache
+def _compiled() -> _CompiledLocations | None:
+    """Return the compiled code; None if it cannot be compiled, or differs from `written` on a sample."""
+    jobs = {"write_locations": _LocationJob}
+    confirmed_library = compiler.confirmed_library(
+        "twin.nc.apt", "locations.cpp", jobs, lambda one: _agrees(_CompiledLocations(one))
+    )
+    return None if confirmed_library is None else _CompiledLocations(confirmed_library)
+
+
+def _agrees(compiled: _CompiledLocations) -> bool:
+    """Return whether a sample is written as by `written`."""
+    seen = ARRAYS.scan(_SAMPLE, ("X", "Y", "Z", "A", "B", "C"))
+    lines = np.flatnonzero(seen.simple)
+    count = 1 + np.arange(len(lines)) % 3
+    positions = np.cumsum(np.full((count.sum(), 3), [0.4371, -1e-6, 1 / 3]), axis=0) - [1.5, 0.0, 2.0**-7]
+    vectors = np.round(np.sin(positions), 2)
+    vectors[1::2] = vectors[: len(vectors) // 2 * 2 : 2]
+    job = TogetherJob(seen, slice(0, len(_SAMPLE)), lines, count, positions, vectors)
+    return all(compiled.written(job, said) == written(job, said) for said in (None, ("0", "0", "1")))
+
+
+# --- Feed, spindle speed and dwell ----------------------------------------------------------------
 
 _STATEMENT: Final = re.compile(
     r"[ \t]*(UNITS?|FEDRAT|SPINDL|DELAY|FINI)\b[ \t]*/?([^$\r\n]*)", re.ASCII | re.IGNORECASE
@@ -88,12 +246,7 @@ _EXPONENT: Final = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)[EeDd][+-]?\d{1,3}", re.
 
 @final
 class AptWriter:
-    """Writer of statements that keeps track of the last tool vector.
-
-    Args:
-        newline: line ending of the program.
-        together: how simple statements are written together.
-    """
+    """Writer of statements that keeps track of the last tool vector."""
 
     def __init__(self, newline: str, together: Together) -> None:
         self.newline = newline
@@ -107,13 +260,7 @@ class AptWriter:
         return raw
 
     def location(self, statement: Statement, rewrite: Rewrite, rows: list[list[float]], unit: float) -> str:
-        """Return the segments of a location.
-
-        Args:
-            rewrite: its replacement.
-            rows: the positions of the replacement, as lists.
-            unit: mm per program unit.
-        """
+        """Return the segments of a location; ``rows``: positions of its replacement as lists, ``unit``: mm per program unit."""
         raw, fields = statement.raw, statement.fields
         style = Style()
         decimals = [max(POSITION_DECIMALS, _decimals(text)) for _, _, text in fields[:3]]
@@ -174,13 +321,7 @@ def _decimals(text: str) -> int:
 @final
 @dataclass(frozen=True)
 class _Run:
-    """Simple statements to be processed together.
-
-    Attributes:
-        chunk: the chunk they are in.
-        begin, end: the range of lines in it, with comments in between.
-        lines: indices of the statements in it.
-    """
+    """Simple statements to process together: a range of lines with comments in between, and the indices of the statements in it."""
 
     chunk: Chunk
     begin: int
@@ -266,13 +407,9 @@ class AptChunkWriter(ChunkWriter):
         fields = self._record.fields
         centre[c] = number(fields[c].text) * self._reader.unit + end[c] - move.position[c]
         if any(value != value for value in centre.values()):
-            raise InputError(
-                "arc under cutter radius compensation from a position that is not known",
-                expected="a location before it",
-                file=self._reader.source,
-                line=self._record.line + 1,
-                value=circle.strip(),
-            )
+            what, line = "arc under cutter radius compensation from a position that is not known", self._record.line + 1
+            expected, source = "a location before it", self._reader.source
+            raise InputError(what, expected=expected, file=source, line=line, value=circle.strip())
         edits = []
         for axis, (start, stop, text) in enumerate(fields[:3]):
             places = max(POSITION_DECIMALS, _decimals(text))
@@ -290,9 +427,7 @@ class AptChunkWriter(ChunkWriter):
 class AptPoster(ChunkWriter):
     """Writer of cutter locations as axis words of another language, chunk by chunk.
 
-    Raises:
-        ValueError: a move has no new position or an unknown axis position, or the program already has axis words (errors of
-            the caller).
+    It raises `ValueError` if a move has no new position or an unknown axis position (errors of the caller).
     """
 
     def __init__(self, source: str, program: NewProgram) -> None:
@@ -301,11 +436,7 @@ class AptPoster(ChunkWriter):
         program.start(source)
 
     def write(self, chunk: Chunk, moves: MoveColumns, new: NewPositions) -> bytes:
-        """See `ChunkWriter.write`.
-
-        Raises:
-            InputError: an unknown location.
-        """
+        """See `ChunkWriter.write`; raise `InputError` for an unknown location."""
         index_of = {line: index for index, line in enumerate(moves.line.tolist())}
         texts, at, writer = _texts(chunk), 0, self._program
         while at < len(texts):
@@ -322,26 +453,20 @@ class AptPoster(ChunkWriter):
                 if words.unit is not FeedUnit.MINUTE:
                     writer.comment(" ".join(statement.raw.split()))
             elif statement.word in ("CIRCLE", "CUTCOM", "CYCLE") and _acts(statement):
-                raise InputError(
-                    f"{statement.word} cannot be written as axis positions",
-                    expected="cutter locations of the tool centre, linearised by the CAM system, without cycles",
-                    file=self._source,
-                    line=statement.line + 1,
-                    value=statement.raw.strip(),
-                )
+                expected = "cutter locations of the tool centre, linearised by the CAM system, without cycles"
+                raise self._error(statement, f"{statement.word} cannot be written as axis positions", expected)
             elif statement.word and statement.word not in ("RAPID", "FROM", "GOTO", "?"):
                 writer.comment(" ".join(statement.raw.split()))
         return writer.taken()
 
+    def _error(self, statement: Statement, what: str, expected: str) -> InputError:
+        shown = statement.raw.strip()
+        return InputError(what, expected=expected, file=self._source, line=statement.line + 1, value=shown)
+
     def _write_location(self, statement: Statement, move: Move, rewrite: Rewrite | None) -> None:
         if move.unknown:
-            raise InputError(
-                f"a location that cannot be posted: {move.unknown}",
-                expected="statements whose effect on the locations is known",
-                file=self._source,
-                line=move.line + 1,
-                value=statement.raw.strip(),
-            )
+            what = f"a location that cannot be posted: {move.unknown}"
+            raise self._error(statement, what, "statements whose effect on the locations is known")
         if rewrite is None:
             raise ValueError(f"the move of line {move.line + 1} has no position")
         if not np.all(np.isfinite(rewrite.positions)):
@@ -372,10 +497,7 @@ def _texts(chunk: Chunk) -> Sequence[str]:
 def _parts(chunk: Chunk, able: np.ndarray, alone: Callable[[], bool]) -> Iterator[_Run | Statement]:
     """Yield runs of statements to process together, and single statements, in order.
 
-    Args:
-        chunk: whole statements.
-        able: (lines,) which of its lines can be processed together.
-        alone: function that returns whether the next statement must be processed alone.
+    ``able``: (lines,) which can be processed together; ``alone``: whether the next statement must be processed alone.
     """
     texts, at = _texts(chunk), 0
     for begin, end, long in runs(able, chunk.scan.blank):
@@ -403,8 +525,6 @@ def _replaced_together(chunk: Chunk, moves: MoveColumns, new: NewPositions) -> n
     able[words.line[(words.axis < 3) & ((words.sign == ord("+")) | (words.whole == 0))]] = False
     return able & scanned.simple
 
-
-# --- The APT dialect: cutter locations (``.cls``, ``.apt``), ``GOTO/x,y,z,i,j,k`` in the work frame
 
 _REMARK: Final = re.compile(r"[ \t]*+(?:\$\$[^\r\n]*+)?+[\r\n]*+", re.ASCII)
 _LOCATION: Final = re.compile(r"[ \t]*+GOTO[ \t]*+/[ \t\d.,+-]++[\r\n]*+", re.ASCII | re.IGNORECASE)

@@ -1,4 +1,4 @@
-// New locations of simple `GOTO` statements, written as `twin.nc.apt.locations.written` does; they are compared in tests.
+// New locations of simple `GOTO` statements, written as `twin.nc.apt.dialect.written` does; they are compared in tests.
 #include <cmath>
 #include <cstdint>
 #include <cstring>

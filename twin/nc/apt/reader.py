@@ -32,9 +32,8 @@ from twin.nc.blocks import (
     fill_forward,
     line_ends,
 )
-from twin.nc.lines.chunks import DELETED_LINE
-from twin.nc.lines.compiled import LineCode
-from twin.nc.lines.scan import Scan
+from twin.nc.chunks import DELETED_LINE
+from twin.nc.lines import LineCode, Scan
 from twin.nc.modal import AUXILIARY, BESIDE, CORRECTION_DEG, SWITCHING_M
 from twin.nc.text import BOM, MM_PER_INCH, UNIT_LENGTH, ProgramEnd, number, unit_vector
 from twin.nc.writer import Vector
@@ -92,13 +91,7 @@ class Statement(NamedTuple):
 
 
 def statement_at(texts: Sequence[str], first: int, line: int = 0) -> tuple[Statement, int]:
-    """Return the statement that begins at one of some lines, and the index of the line after it.
-
-    Args:
-        texts: the lines.
-        first: index of the line.
-        line: index in the program of the first of the lines.
-    """
+    """Return the statement that begins at one of some lines, and the index of the line after it; ``line``: index of the first line."""
     raw = text = texts[first]
     index = first + 1
     if "$" in text:
@@ -149,13 +142,7 @@ _CAPITAL: Final = 0xDF
 
 
 def scan(data: bytes, names: tuple[str, ...], code: LineCode) -> Scan:
-    """Find and read the simple statements of whole lines of a program.
-
-    Args:
-        data: the lines.
-        names: axis names of the machine; the words of the result are always those of x, y, z, i, j, k.
-        code: how ISO lines are read.
-    """
+    """Find and read the simple statements of whole lines of a program; its words are always those of x, y, z, i, j, k."""
     text = np.frombuffer(data, dtype=np.uint8)
     image = text.copy()
     starts = np.concatenate([[0], line_ends(text, data) + 1])
@@ -278,11 +265,7 @@ class AptReader:
             self.notices.append(Notice(self._line, text))
 
     def step(self, statement: Statement) -> Move | None:
-        """Interpret one statement and return its move, if it has one.
-
-        Raises:
-            InputError: with file, line and value, for anything that must not pass uncompensated.
-        """
+        """Interpret one statement and return its move, if any; raise `InputError` for anything that must not pass uncompensated."""
         word = statement.word
         if not word:
             return None
@@ -308,12 +291,7 @@ class AptReader:
         self.unknown = self.unknown or f"the effect of {shown} is not known"
 
     def run(self, lines: np.ndarray, numbers: np.ndarray) -> MoveColumns:
-        """Interpret simple ``GOTO`` statements together, none of them a rapid.
-
-        Args:
-            lines: (n,) 0-based indices of their lines.
-            numbers: (n, 6) their numbers; NaN where a statement has no tool vector.
-        """
+        """Interpret simple ``GOTO`` statements together, none of them a rapid; numbers are (n, 6), NaN for no tool vector."""
         self.use_tool()
         vector, width = numbers[:, 3:].copy(), len(self.axes.names)
         said = np.isfinite(vector)
@@ -398,11 +376,7 @@ class AptReader:
         self._circle = (statement, values)
 
     def _arc(self, end: Sequence[float], vector: Vector) -> Arc | None:
-        """Return the arc of the ``CIRCLE`` before a location, right-handed about its axis; None if there is none.
-
-        Raises:
-            InputError: it lies in no coordinate plane, the tool turns, or it does not end on its circle.
-        """
+        """Return the arc of the ``CIRCLE`` before a location, right-handed about its axis; None if there is none."""
         if self._circle is None:
             return None
         statement, values = self._circle
@@ -470,24 +444,13 @@ class AptReader:
         return Move(self._line, kind, True, position, self.names, vector=vector, arc=arc, whole=whole)
 
     def use_tool(self) -> None:
-        """Record that a location uses the tool that is loaded.
-
-        Raises:
-            InputError: it is the second tool, whose length is not known.
-        """
-        if (
-            self.axes.one_tool
-            and not self.axes.tools_known
-            and self._tool
-            and self._used_tool
-            and self._tool != self._used_tool
-        ):
+        """Record that a location uses the tool that is loaded; raise `InputError` for a second one of unknown length."""
+        lengths_unknown = self.axes.one_tool and not self.axes.tools_known
+        if lengths_unknown and self._used_tool and self._tool not in ("", self._used_tool):
             self._line = self._tool_line
-            raise self.error(
-                "second tool",
-                self._tool,
-                f"one tool per program (locations before use {self._used_tool}), or the table of tools",
-            )
+            expected = self._tool
+            shown = f"one tool per program (locations before use {self._used_tool}), or the table of tools"
+            raise self.error("second tool", expected, shown)
         self._used_tool = self._tool or self._used_tool
 
 

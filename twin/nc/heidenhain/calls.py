@@ -2,21 +2,16 @@
 
 Source: Heidenhain TNC 640, user's manual Klartext programming, "Subprograms and program-section repeats".
 
-Simple lines of plain language found all at once, through an image of the text that has the form of ISO lines.
-
-The simple lines here are a subset of those of `twin.nc.heidenhain.vocabulary.simple_pattern`: a block number, ``L`` in capitals, signed
-axis words in the usual order, each after a blank, ``R0``, and a feed or ``FMAX``. The image has the same length, so that the places of
-its words are those of the text: ``12 L X+1,5 R0 F500`` becomes ``··G1·X+1.5····F500`` (· is a blank).
 """
 
 from __future__ import annotations
 
 import re
 from bisect import bisect_right
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Final, NamedTuple, final
+from typing import Final, final
 
 import numpy as np
 
@@ -25,9 +20,7 @@ from twin.nc.blocks import Program, line_ends
 from twin.nc.dialect import as_comment
 from twin.nc.heidenhain.vocabulary import ASSIGNED, HEAD, SKIPPED_END
 from twin.nc.inline import Call, Flow, Inliner, Line, Scope, refused, with_ending
-from twin.nc.lines.compiled import LineCode
-from twin.nc.lines.scan import Scan
-from twin.nc.modal import Block, Span
+from twin.nc.lines import LineCode, Scan
 
 _FLAGS: Final = re.ASCII | re.IGNORECASE
 _NAME: Final = r"(?:\"([^\"]*)\"|(\d+))"
@@ -162,11 +155,7 @@ class HeidenhainInliner(Inliner):
         return self._labels[file]
 
     def _whole(self, path: Path) -> list[Line]:
-        """Return the blocks of another program.
-
-        Raises:
-            InputError: it ends the whole machining, or has other units.
-        """
+        """Return the blocks of another program; raise `InputError` if it ends the whole machining, or has other units."""
         lines = self.read_file(path)
         begin = next((one for one in self.lines if _UNIT.search(_bare(one))), None)
         for line in lines:
@@ -209,105 +198,10 @@ def _as_remark(line: Line) -> Line:
     return line._replace(text=with_ending(f"{line.text[:at]}; {body}", line.text))
 
 
-# --- Data of one interpreted block of a Heidenhain program -----------------------------------------
-
-_SURFACE: Final = "Q203"
-_VALUE: Final = re.compile(rf"({_SURFACE}[ \t]*=[ \t]*)([^;~\r\n]*?)([ \t]*(?:[;~].*)?)$", re.ASCII | re.IGNORECASE)
-
-
-@final
-@dataclass
-class Cycle:
-    """A machining cycle that the next calls execute.
-
-    Attributes:
-        number: its number.
-        texts: the lines of its definition without block number and line ending.
-        given: the parameters that these set.
-        open: whether the next line may set a further one.
-        changed: whether one of them has been set after the definition.
-    """
-
-    number: int
-    texts: list[str]
-    given: set[str] = field(default_factory=set)
-    open: bool = True
-    changed: bool = False
-
-    def lines(self, surface: Callable[[str], str]) -> list[str]:
-        """Return the lines of the definition; ``surface``: the text of Q203 for the one that is given."""
-        texts = [
-            _VALUE.sub(lambda found: found[1] + surface(found[2]) + found[3], text).rstrip() for text in self.texts
-        ]
-        return [text if text.endswith("~") else f"{text} ~" for text in texts[:-1]] + [texts[-1].rstrip("~ \t")]
-
-
-class CycleCall(NamedTuple):
-    """The call of a cycle in a block.
-
-    Attributes:
-        cycle: what is called.
-        top: height at which it begins, mm.
-        surface: height of the surface, mm; NaN: it begins and ends where the tool is.
-        level: height at which it ends, mm.
-        axis: the linear axis that drills.
-    """
-
-    cycle: Cycle
-    top: float
-    surface: float
-    level: float
-    axis: int
-
-
-@final
-@dataclass(slots=True)
-class PathBlock(Block):
-    """One block: `twin.nc.modal.Block` with the attributes of Heidenhain blocks.
-
-    Attributes:
-        numbered: whether it has a number.
-        keyword: ``L``, ``LN``, ``LP``, ``C``, ``CP``, ``CR``, or ``""`` for a paraxial block.
-        rapid_text: ``FMAX`` as written, or empty.
-        normal_text: the words ``NX NY NZ`` as written.
-        normal: their components, or None.
-        tool: the components of ``TX TY TZ``, or None.
-        clockwise: the sense of an arc, or None.
-        radius: mm, or None.
-        machine: whether its words are machine coordinates.
-        elsewhere: whether these count from a point of the machine's builder (M92).
-        retracts: whether it retracts along the tool axis.
-        polar: radius and angle of the end point about the pole: value in mm or degrees, and whether it is an increment.
-        polar_words: the words that give them.
-        calls: whether it calls the machining cycle in force behind its motion.
-        call_words: its words that say so (``M99``, ``M89``).
-        call: what it calls.
-        positions: whether its first move is that of its own words.
-        leads: whether the control itself finds the path to its end: a lead-in or lead-out, a tangential arc.
-    """
-
-    numbered: bool = False
-    keyword: str = ""
-    keyword_end: int = 0
-    rapid_text: str = ""
-    normal_text: list[str] = field(default_factory=list)
-    normal: list[float] | None = None
-    tool: list[float] | None = None
-    clockwise: bool | None = None
-    radius: float | None = None
-    machine: bool = False
-    elsewhere: bool = False
-    retracts: bool = False
-    polar: dict[str, tuple[float, bool]] = field(default_factory=dict)
-    polar_words: list[Span] = field(default_factory=list)
-    calls: bool = False
-    call_words: list[Span] = field(default_factory=list)
-    call: CycleCall | None = None
-    positions: bool = True
-    leads: bool = False
-
-
 # --- Simple lines of plain language found all at once, through an image of the text that has the form of ISO lines
+# They are a subset of those of `twin.nc.heidenhain.vocabulary.simple_pattern`: a block number, ``L`` in capitals, signed axis words in
+# the usual order, each after a blank, ``R0``, and a feed or ``FMAX``. The image has the same length, so that the places of its words
+# are those of the text: ``12 L X+1,5 R0 F500`` becomes ``··G1·X+1.5····F500`` (· is a blank).
 
 _IMAGE: Final = bytes(
     ord(".") if c == ord(",") else ord("?") if chr(c).islower() or c in b"GN" else c for c in range(256)
@@ -332,16 +226,7 @@ _RAPID: Final = re.compile(rb"[ \t]FMAX(?=[ \t\r\n])")
 
 
 def scan(data: bytes, names: tuple[str, ...], code: LineCode) -> Scan:
-    """Find and read the simple lines of whole lines of a program.
-
-    Args:
-        data: the lines.
-        names: axis names.
-        code: how ISO lines are read.
-
-    Returns:
-        The simple lines, of motion code 0 with ``FMAX`` and 1 without.
-    """
+    """Find and read the simple lines of whole lines of a program, of motion code 0 with ``FMAX`` and 1 without."""
     image = _with_iso_heads(data)
     if b"R0" in image:
         for end in (b" ", b"\r", b"\n"):

@@ -15,14 +15,15 @@ import numpy as np
 
 from twin._common.families import PROGRAM_SUFFIXES
 from twin.nc.blocks import AxisWords, Kind, Move, MoveColumns, NewPositions, Program, Rewrite
+from twin.nc.chunks import BlockReader, Chunk, ChunkReader, ChunkRewriter, ChunkWriter, SimpleRun
 from twin.nc.dialect import NOTHING, Dialect, FeedUnit, LineWords, NewProgram, as_comment, points_words
 from twin.nc.heidenhain import vocabulary
-from twin.nc.heidenhain.calls import Cycle, CycleCall, HeidenhainInliner, PathBlock, scan
+from twin.nc.heidenhain.calls import HeidenhainInliner, scan
 from twin.nc.heidenhain.interpreter import HeidenhainInterpreter
+from twin.nc.heidenhain.modal import Cycle, CycleCall, PathBlock
 from twin.nc.heidenhain.vocabulary import HEAD, UNNUMBERED, numbered_as, renumbered, with_continued_marked
 from twin.nc.inline import Inliner
-from twin.nc.lines.chunks import BlockReader, Chunk, ChunkReader, ChunkRewriter, ChunkWriter, SimpleRun
-from twin.nc.lines.compiled import LineCode, line_code
+from twin.nc.lines import LineCode, line_code
 from twin.nc.text import (
     Style,
     apply_edits,
@@ -52,28 +53,6 @@ _OFF: Final = frozenset({2, 5, 30})
 _UNITS: Final = {136: FeedUnit.TURN, 137: FeedUnit.MINUTE}
 
 
-def line_words(text: str) -> LineWords:
-    """Return what a line says. A feed per tooth, an automatic feed and a Q parameter are not a number."""
-    bare = _ASIDE.sub(" ", text)
-    if (dwell := _DWELL.search(bare)) is not None:
-        return LineWords(dwell_s=number(dwell[1]))
-    if (unit := _UNIT.search(bare)) is not None:
-        return LineWords(inch=unit[1].upper() in vocabulary.INCHES)
-    codes = [int(code) for code in _MISC.findall(bare)]
-    feed = next((match for match in _FEED.finditer(bare) if match[2] or match[3]), None)
-    tool = _TOOL.search(bare) or _SPEED.match(bare)
-    words = LineWords(
-        feed=None if feed is None else number(feed[2]) if feed[2] else nan,
-        unit=FeedUnit.TURN
-        if feed is not None and feed[1]
-        else next((_UNITS[code] for code in codes if code in _UNITS), None),
-        speed_rpm=None if tool is None else number(tool[1]) if tool[1] else nan,
-        turning=True if _TURNING & set(codes) else None,
-        off_after=bool(_OFF & set(codes)),
-    )
-    return NOTHING if words == NOTHING else words
-
-
 # --- Writer of Heidenhain blocks: moves replaced, every other byte kept ---------------------------
 
 VECTOR_DECIMALS = 7
@@ -87,12 +66,8 @@ _BARE: Final = re.compile(
 class HeidenhainWriter(WordWriter[PathBlock]):
     """Writer of a program block by block that keeps track of the values written.
 
-    Args:
-        source, axes, newline, style: as for `WordWriter`.
-
-    Attributes:
-        inserted: whether lines have been inserted among numbered blocks.
-        own_calls: whether calls of cycles are written out, each with its approach; if not, none of their moves may be replaced.
+    ``inserted``: whether lines have been inserted among numbered blocks; ``own_calls``: whether calls of cycles are written out, each
+    with its approach; if not, none of their moves may be replaced.
     """
 
     equals = ""
@@ -146,16 +121,12 @@ class HeidenhainWriter(WordWriter[PathBlock]):
         return f"{head}; {block.text[block.head_end :].strip()}{ending(text)}"
 
     def _called(self, block: PathBlock, call: CycleCall, segments: Mapping[int, Segments]) -> list[str]:
-        """Return the approach of a call, its definition if the surface has another correction than before, and the call.
-
-        A call that stays as it is is only recorded.
-        """
+        """Return the approach of a call, its definition if the surface has a new correction, and the call; nothing if it stays."""
         if not self.own_calls:
             self.said.record(call.axis, call.level, False)
             return []
         end = ending(block.text) or self.newline
-        indent = block.text[: block.head_end] if block.numbered or not block.text[: block.head_end].strip() else ""
-        lines: list[str] = []
+        indent, lines = block.indent, list[str]()
         place = 1 if block.positions else 0
         for move in block.moves[place:]:
             for row in segments[place][1] if place in segments else [list(move.position)]:
@@ -202,8 +173,7 @@ class HeidenhainWriter(WordWriter[PathBlock]):
                 edits.append((at, at, f"L {words} "))
             if not block.keyword and block.words:
                 edits.append((block.head_end, block.head_end, "L "))  # a paraxial block moves one axis only
-        indent = text[: block.head_end] if block.numbered or not text[: block.head_end].strip() else ""
-        return f"{indent}{begin if block.keyword else 'L'} "
+        return f"{block.indent}{begin if block.keyword else 'L'} "
 
     def record(self, block: PathBlock) -> None:
         """See `WordWriter.record`: a block about the pole, too, says where it ends."""
@@ -225,7 +195,7 @@ class HeidenhainWriter(WordWriter[PathBlock]):
             edits.append((span.start, span.end, f"R{text}"))
             return []
         end_of_line = ending(block.text) or self.newline
-        indent = block.text[: block.head_end] if block.numbered or not block.text[: block.head_end].strip() else ""
+        indent = block.indent
         words = [
             self.names[axis] + self._length(value, block, axis) for axis, value in zip((a, b), centre, strict=True)
         ]
@@ -258,7 +228,7 @@ class HeidenhainWriter(WordWriter[PathBlock]):
         return ("TX", "TY", "TZ")
 
 
-# --- Heidenhain programs written in chunks (`twin.nc.lines.chunks`), with blocks renumbered where lines were inserted
+# --- Heidenhain programs written in chunks (`twin.nc.chunks`), with blocks renumbered where lines were inserted
 
 _SPLIT: Final = re.compile(
     rb"(?:\A|(?<=[\r\n]))([ \t]*+(?:\d++[ \t]*+)?+L)([ \t][^\r\n]*+)(\r\n|\n|\r)((?:[A-CU-Za-cu-z][^\r\n]*+(?:\r\n|\n|\r))++)"
@@ -270,15 +240,7 @@ _SEGMENT: Final = re.compile(rb"([^\r\n]++)([\r\n]++)")
 
 @final
 class HeidenhainRewriter(ChunkRewriter):
-    """Writer of a program, chunk by chunk.
-
-    Args:
-        source: file name for messages.
-        newline: line ending of the program.
-        style: its number format (`twin.nc.text.style_in`).
-        tcp: whether tool centre point control is on at the first move.
-        code: how simple lines are written.
-    """
+    """Writer of a program, chunk by chunk."""
 
     def __init__(self, source: str, axes: AxisWords, newline: str, style: Style, *, tcp: bool, code: LineCode) -> None:
         self._interpreter = HeidenhainInterpreter(source, axes, tcp=tcp)
@@ -294,7 +256,9 @@ class HeidenhainRewriter(ChunkRewriter):
 
     def finished(self, text: str) -> str:
         """See `ChunkWriter.finished`."""
-        return renumbered(text, _consecutive_lines) if self._writer.inserted else text.replace(UNNUMBERED, "")
+        if not self._writer.inserted:
+            return text.replace(UNNUMBERED, "")
+        return renumbered(text, lambda old: itertools.count(int(old[0][:15])) if old else ())
 
     def line(self, line: int, text: str, segments: Mapping[int, Segments]) -> str:
         """See `ChunkRewriter.line`."""
@@ -327,13 +291,6 @@ class HeidenhainRewriter(ChunkRewriter):
         tail = rb" FMAX\2" if _RAPID.search(words) else rb"\2"
         return head + words + end + _SEGMENT.sub(head + rb" \1" + tail, others)
 
-
-def _consecutive_lines(numbers: Sequence[str]) -> Iterable[int]:
-    """Return consecutive block numbers that begin with the first of the old ones."""
-    return itertools.count(int(numbers[0][:15])) if numbers else ()
-
-
-# --- The Heidenhain plain-language dialect --------------------------------------------------------
 
 _REMARK: Final = re.compile(r"[ \t]*+(?:\d++[ \t]*+)?+(?:[;*][^\r\n~]*+)?+[\r\n]*+", re.ASCII)
 
@@ -411,8 +368,25 @@ class Heidenhain(Dialect):
         return vocabulary.simple_pattern(names).pattern.fullmatch(text) is not None
 
     def line_words(self, text: str) -> LineWords:
-        """See `Dialect.line_words`."""
-        return line_words(text)
+        """See `Dialect.line_words`. A feed per tooth, an automatic feed and a Q parameter are not a number."""
+        bare = _ASIDE.sub(" ", text)
+        if (dwell := _DWELL.search(bare)) is not None:
+            return LineWords(dwell_s=number(dwell[1]))
+        if (unit := _UNIT.search(bare)) is not None:
+            return LineWords(inch=unit[1].upper() in vocabulary.INCHES)
+        codes = [int(code) for code in _MISC.findall(bare)]
+        feed = next((match for match in _FEED.finditer(bare) if match[2] or match[3]), None)
+        tool = _TOOL.search(bare) or _SPEED.match(bare)
+        words = LineWords(
+            feed=None if feed is None else number(feed[2]) if feed[2] else nan,
+            unit=FeedUnit.TURN
+            if feed is not None and feed[1]
+            else next((_UNITS[code] for code in codes if code in _UNITS), None),
+            speed_rpm=None if tool is None else number(tool[1]) if tool[1] else nan,
+            turning=True if _TURNING & set(codes) else None,
+            off_after=bool(_OFF & set(codes)),
+        )
+        return NOTHING if words == NOTHING else words
 
     def renumbered(self, program: Program, text: str) -> str:
         """See `Dialect.renumbered`."""

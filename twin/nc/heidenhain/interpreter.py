@@ -12,8 +12,7 @@ import numpy as np
 from twin._common.errors import InputError
 from twin.nc.blocks import Arc, AxisWords, Kind, Move, MoveColumns, Notice
 from twin.nc.heidenhain import vocabulary
-from twin.nc.heidenhain.calls import PathBlock
-from twin.nc.heidenhain.frame import PLANES, HeidenhainFrame
+from twin.nc.heidenhain.modal import PLANES, HeidenhainFrame, PathBlock
 from twin.nc.modal import SWITCHING_M, AxisWord, Span
 from twin.nc.text import BLANK, MM_PER_INCH, number
 from twin.nc.writer import Vector
@@ -35,23 +34,14 @@ class HeidenhainInterpreter(HeidenhainFrame):
         self._shortest_way: list[tuple[int, bool]] = [(-1, False)]
 
     def step(self, line: int, text: str, known: Move | None = None) -> PathBlock:
-        """Interpret one line.
-
-        Args:
-            line: 0-based index of the line.
-            known: its move, if it has been interpreted before.
-
-        Raises:
-            InputError: with file, line and value.
-        """
+        """Interpret one line; ``line``: its 0-based index, ``known``: its move, if it has been interpreted before."""
         found = self._found(line, text)
         return self._block(text) if found is None else self._simple_block(found, known)
 
     def checked(self, moves: MoveColumns, text_of: Callable[[int], str]) -> MoveColumns:
         """See `Interpreter.checked`: with ``M126`` a rotary axis may turn in the opposite direction. A rapid that does is noted.
 
-        Raises:
-            InputError: a feed that turns so: the blocks that it is split into would turn the axis the long way.
+        A feed that does is refused: the blocks that it is split into would turn the axis the long way.
         """
         moves = super().checked(moves, text_of)
         turned_to = self.turned_to
@@ -60,12 +50,9 @@ class HeidenhainInterpreter(HeidenhainFrame):
             in_force = on[np.searchsorted(lines, moves.line, side="right") - 1]
             far = np.flatnonzero((np.abs(np.diff(turned_to, axis=0)) > LONGEST_TURN_DEG).any(axis=1) & in_force)
             for line in moves.line[far[~moves.rapid[far]]][:1].tolist():
-                raise self.error(
-                    "a rotary axis turns by more than half a turn, or in the opposite direction (M126)",
-                    "M127, or positions within half a turn of each other, such as C+370 after C+350",
-                    text_of(line).strip(),
-                    line + 1,
-                )
+                what = "a rotary axis turns by more than half a turn, or in the opposite direction (M126)"
+                expected = "M127, or positions within half a turn of each other, such as C+370 after C+350"
+                raise self.error(what, expected, text_of(line).strip(), line + 1)
             text = "M126: a rotary axis turns in the opposite direction on this rapid; its end point is the same"
             self.late_notices += [Notice(line, text) for line in moves.line[far].tolist()]
         return moves
@@ -90,15 +77,8 @@ class HeidenhainInterpreter(HeidenhainFrame):
     def _found(self, line: int, text: str) -> re.Match[str] | None:
         """Begin a line and return its match if it is a simple block; only ``LN`` can have vectors."""
         self._line, self._block_text = line, text
-        special = (
-            self.continued
-            or self.modal
-            or self.beside
-            or self.on_contour
-            or self.parks
-            or self.pending
-            or bool(self.end.word)
-        )
+        special = self.continued or self.modal or self.beside or self.on_contour
+        special = special or self.parks or self.pending is not None or bool(self.end.word)
         found = None if special else self._simple.pattern.fullmatch(text)
         if found is not None and found[2] in ("L", "l") and any(found.groups()[self._simple.behind]):
             return None
@@ -214,9 +194,8 @@ class HeidenhainInterpreter(HeidenhainFrame):
             return
         if vocabulary.SKIPPED.match(body):
             expected = "the blocks to execute without /, the others left out"
-            raise self.error(
-                "block skip: whether the block is executed depends on a switch of the control", expected, body
-            )
+            what = "block skip: whether the block is executed depends on a switch of the control"
+            raise self.error(what, expected, body)
         if vocabulary.PARAXIAL.match(body) or vocabulary.TECHNOLOGY.match(body):
             self._path(block, "", block.head_end)
         elif match is None:
@@ -291,9 +270,6 @@ class HeidenhainInterpreter(HeidenhainFrame):
             name = "POLARKIN" if upper.startswith("POLARKIN") else "TRANS"
             raise self.error(f"coordinate transformation {name}", vocabulary.NO_TRANSFORMATION)
 
-    def _tilt(self, block: PathBlock, body: str, upper: str) -> None:
-        self.tilt(block, upper)
-
     def _cycle(self, block: PathBlock, body: str, upper: str) -> None:
         if upper.startswith("CYCL CALL"):
             self._call_here(block, upper)
@@ -306,9 +282,8 @@ class HeidenhainInterpreter(HeidenhainFrame):
         if cycle in vocabulary.RUN_AT_ONCE:
             raise self.error(f"cycle {cycle} is executed where it is defined", vocabulary.EXPANDED_CYCLE)
         if cycle in vocabulary.TRANSFORM_CYCLES and self.continued:
-            raise self.error(
-                f"CYCL DEF {cycle} over several lines", "its parts as blocks of their own, such as CYCL DEF 7.1 X+10"
-            )
+            what = f"CYCL DEF {cycle} over several lines"
+            raise self.error(what, "its parts as blocks of their own, such as CYCL DEF 7.1 X+10")
         if cycle == 247:
             self.begin_preset()
         elif cycle in (7, 10) and part is not None and part != "0":
@@ -325,11 +300,7 @@ class HeidenhainInterpreter(HeidenhainFrame):
         self._assignments(body)
 
     def _call_here(self, block: PathBlock, upper: str) -> None:
-        """Execute the cycle in force at the present position: ``CYCL CALL``, with M functions.
-
-        Raises:
-            InputError: a call at other places.
-        """
+        """Execute the cycle in force at the present position: ``CYCL CALL``, with M functions, but not at other places."""
         rest = upper.removeprefix("CYCL CALL").split()
         if any(not vocabulary.HARMLESS_CALL.fullmatch(word) for word in rest):
             raise self.error("cycle call at other places", f"CYCL CALL, M99 or M89; or {vocabulary.EXPANDED_CYCLE}")
@@ -376,11 +347,7 @@ class HeidenhainInterpreter(HeidenhainFrame):
             self._path(block, "L", block.text.upper().index("CT", block.head_end) + 2)
 
     def _lead(self, block: PathBlock, body: str) -> None:
-        """Apply ``APPR`` or ``DEP``, whose path the control finds: its end is corrected, if the block gives it.
-
-        Raises:
-            InputError: another form of them, or one whose end is not in this block.
-        """
+        """Apply ``APPR`` or ``DEP``, whose path the control finds: its end is corrected, if the block gives it."""
         match = vocabulary.LEAD.match(body)
         if match is None:
             raise self.error(f"path function {body.split()[0]}", "APPR or DEP with LT, LN, CT or LCT")
@@ -394,9 +361,8 @@ class HeidenhainInterpreter(HeidenhainFrame):
         a, b, _ = self.plane
         given = bool(block.axis_bits & (1 << a | 1 << b))
         if given is not (arrives or "LCT" in match[0].upper()):
-            raise self.error(
-                f"{match[0]} with or without its end", "the end with APPR and DEP LCT, none with DEP LT, LN and CT"
-            )
+            what = f"{match[0]} with or without its end"
+            raise self.error(what, "the end with APPR and DEP LCT, none with DEP LT, LN and CT")
         if not given:
             self.on_contour = False
             self.mark_unknown(block, (a, b), moved=True)
@@ -440,9 +406,6 @@ class HeidenhainInterpreter(HeidenhainFrame):
         places = {"A": "120", "B": "121", "C": "122"}
         return written.replace(" ", "").lstrip("+").upper() == f"Q{places.get(name.upper(), '')}"
 
-    def _axis(self, block: PathBlock, match: re.Match[str]) -> None:
-        self.add(block, self._axis_word(match))
-
     def _feed(self, block: PathBlock, match: re.Match[str]) -> None:
         if match["feed"][-3:].upper() == "MAX":
             block.rapid_text = match["feed"]
@@ -458,9 +421,8 @@ class HeidenhainInterpreter(HeidenhainFrame):
         word = f"M{code}"
         if code in vocabulary.REFUSED_M:
             what = "function that changes the meaning of axis words"
-            raise self.error(
-                f"{what} {word}", vocabulary.EXPANDED_CYCLE if code != 118 else vocabulary.NO_TRANSFORMATION
-            )
+            expected = vocabulary.EXPANDED_CYCLE if code != 118 else vocabulary.NO_TRANSFORMATION
+            raise self.error(f"{what} {word}", expected)
         if code in vocabulary.CALLING_M:
             self.take_call_word(block, code, Span(match.start("misc"), match.end()))
             return
@@ -599,7 +561,7 @@ class HeidenhainInterpreter(HeidenhainFrame):
 
 
 _TOKENS: Final[Mapping[str, Callable[[HeidenhainInterpreter, PathBlock, re.Match[str]], None]]] = {
-    "axis": HeidenhainInterpreter._axis,
+    "axis": lambda state, block, match: state.add(block, state._axis_word(match)),
     "side": HeidenhainInterpreter._side,
     "feed": HeidenhainInterpreter._feed,
     "sense": HeidenhainInterpreter._sense,
@@ -618,7 +580,7 @@ _STATEMENTS: Final[Mapping[str, Callable[[HeidenhainInterpreter, PathBlock, str,
     "FN": HeidenhainInterpreter._fn,
     "FUNCTION": HeidenhainInterpreter._function,
     "IF": HeidenhainInterpreter._call,
-    "PLANE": HeidenhainInterpreter._tilt,
+    "PLANE": lambda state, block, body, upper: state.tilt(block, upper),
     "POLARKIN": HeidenhainInterpreter._transform,
     "SEL": HeidenhainInterpreter._call,
     "TOOL": HeidenhainInterpreter._tool,

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable
 from functools import lru_cache
 from typing import Final, NamedTuple, final
 
-from twin.nc.lines.scan import simple_axis_letters
+from twin.nc.lines import simple_axis_letters
 from twin.nc.text import line_pattern, number
 
 _VALUE = r"[+-]?+[ \t]*+(?:[\d.,]++|Q[LR]?\d++)"
@@ -101,19 +101,7 @@ PASSED = frozenset("END BLK STOP LBL DECLARE PATTERN GLOBAL OPEN WAIT".split())
 HARMLESS_FUNCTIONS = tuple(
     f"FUNCTION {reset}{words}"
     for reset in ("", "RESET ")
-    for words in (
-        "AFC",
-        "COUNT",
-        "DWELL",
-        "FEED",
-        "FILE",
-        "LIFTOFF",
-        "MODE MILL",
-        "S-PULSE",
-        "SPINDLE",
-        "TCPM",
-        "REPORT",
-    )
+    for words in "AFC,COUNT,DWELL,FEED,FILE,LIFTOFF,MODE MILL,S-PULSE,SPINDLE,TCPM,REPORT".split(",")
 )
 """Beginnings of functions that act on feed, spindle, files and messages only."""
 OTHER_TCPM = re.compile(r"(?<!PATHCTRL )AXIS SPAT|REFPNT (?!TIP-TIP)\S+")
@@ -122,13 +110,8 @@ HARMLESS_FN = frozenset({*range(9), 13, 14, 15, 16, 18, 20, 23, 24, 26, 27, 28, 
 """Parameter functions that compute, read, wait or write free tables; 17, 19, 25 and 29 write data of the control, a datum, the PLC."""
 HARMLESS_CYCLES = frozenset(
     {
-        *(1, 2, 3, 4, 5, 9, 13, 14, 17, 18, 32, 247),
-        *range(20, 30),
-        *range(200, 216),
-        *(225, 230, 231, 232, 233, 240, 241, 262, 263, 264, 265, 267),
-        *range(251, 259),
-        *range(270, 278),
-        *(332, 392),
+        *(1, 2, 3, 4, 5, 9, 13, 14, 17, 18, *range(20, 30), 32, *range(200, 216), 225, *range(230, 234), 240, 241, 247),
+        *(*range(251, 259), *range(262, 266), 267, *range(270, 278), 332, 392),
     }
     - {26}
 )
@@ -137,8 +120,8 @@ orientation, contour, tuning of the drives (332; 392 of DMG MORI). Cycle 247 sel
 """
 HARMLESS_M = frozenset(
     {
-        *range(11),
         *(
+            *range(11),
             13,
             14,
             17,
@@ -156,12 +139,8 @@ HARMLESS_M = frozenset(
             120,
             122,
             124,
-            126,
-            127,
-            134,
-            135,
         ),
-        *(136, 137, 140, 141, 145, 148, 149, 150),
+        *(126, 127, *range(134, 138), 140, 141, 145, *range(148, 151)),
     }
 )
 """M functions that leave positions, frame and modes alone, and those that are modelled (91, 92, 140), by HEIDENHAIN's list. M94 does
@@ -256,11 +235,9 @@ UNNUMBERED: Final = "\0"
 
 
 def renumbered(text: str, numbers: Callable[[list[str]], Iterable[int]]) -> str:
-    """Return lines with new block numbers and without the marks `UNNUMBERED`.
+    """Return lines with new block numbers, which ``numbers`` makes of the old ones, and without the marks `UNNUMBERED`.
 
-    Args:
-        text: the lines.
-        numbers: function that returns the new numbers for the old ones, or more. An old number that begins with a zero keeps its width.
+    An old number that begins with a zero keeps its width.
     """
     parts = _NUMBERS.split(f"\n{text}")
     old = parts[2::3]

@@ -81,7 +81,6 @@ _SIEMENS: Final = re.compile(r"(?:IF|WHILE|UNTIL|FOR|CASE)(?!\w)[ \t]*[^\[ \t]",
 _DEFINED: Final = re.compile(r"[ \t]*(?:N\d+[ \t]*)?DEF[ \t]+(?:REAL|INT|BOOL)[ \t]+([^;]*)", _FLAGS)
 _LOCAL: Final = re.compile(r"#\d+(?!\d)|(?<![\w$#])[A-Za-z_]\w*")
 _GIVEN: Final = re.compile(rf"{_LOCAL.pattern}|#<[^>]*>")
-_NAMED_PARAMETER: Final = re.compile(r"#[ \t]*<[ \t]*[^\s_>]")
 _FANUC_JUMP: Final = re.compile(r"(?:GOTO|DO|WHILE[ \t]*\[)[ \t]*\d?", _FLAGS)
 _OWN: Final = "\0"
 """Mark of the scope of a subprogram that has variables of its own."""
@@ -140,12 +139,13 @@ class IsoInliner(Inliner):
         if named is None or (named.group(2) or "").upper() in _STATEMENTS:
             return None
         name = named.group(1) or named.group(2)
-        values = _arguments(named.group(3))
+        inner = (named.group(3) or "").strip()[1:-1]
+        values = [part.strip() for part in inner.split(",")] if inner.strip() else []
         certain = named.group(1) is not None or re.fullmatch(r"L\d+", name, _FLAGS) is not None
         return Call(name, int(named.group(4) or 1), values, outside=True, certain=certain)
 
     def _fanuc(self, line: Line, bare: str) -> Call:
-        words = dict(_words(bare))
+        words = {letter.upper(): value for letter, value in _WORD.findall(bare)}
         if set(words) - {"M", "P", "L"} or not words.get("P", "").isdigit() or not words.get("L", "1").isdigit():
             raise refused("subprogram call", "a block with only M98, P and L", line)
         digits, repeats = words["P"], int(words.get("L", "1"))
@@ -154,7 +154,7 @@ class IsoInliner(Inliner):
         return Call(f"O{int(digits)}", repeats, own=False)
 
     def _macro(self, line: Line, bare: str) -> Call:
-        words = _words(bare)
+        words = [(letter.upper(), value) for letter, value in _WORD.findall(bare)]
         values = dict(words)
         if len(values) < len(words) or not values.get("P", "").isdigit():
             raise refused("macro call", "G65 with a program number P and each argument once", line)
@@ -294,7 +294,7 @@ class IsoInliner(Inliner):
         if not self._changes(call, lines):
             return {}
         scope = {_OWN: ""}
-        for name, text in _local_values(call, lines, line).items():
+        for name, text in _local_values(call, lines).items():
             scope[key_of(name)] = text if text == "#0" else _literal(self.value(text), name)
         return scope
 
@@ -304,7 +304,7 @@ class IsoInliner(Inliner):
             return True
         if not call.own or any(_DEFINED.match(line.text) for line in lines):
             return call.own
-        own = {key_of(name) for name in _local_values(call, lines, None)}
+        own = {key_of(name) for name in _local_values(call, lines)}
         given = {key_of(name) for value in call.values for name in _GIVEN.findall(value)}
         return bool(self._assigned(lines, {call.name}) & (own | given))
 
@@ -359,10 +359,18 @@ class IsoInliner(Inliner):
         """Return a body with its parameters replaced by the values of the call, unless it ``changes`` them."""
         found = [line for line in lines if _proc(line) is None]
         if not call.outside:
+            # Named parameters of a subprogram are its own (LinuxCNC: ``#<depth>``, but not ``#<_depth>``).
             within = self._called.count(call.name)
-            found = [_with_names_of(f"{call.name}{f'_{within}' if within else ''}", line) for line in found]
-        values = {} if changes else _local_values(call, lines, None)
-        return [_replaced(line, values) for line in found]
+            own = re.sub(r"\W", "", f"{call.name}{f'_{within}' if within else ''}")
+            texts = (re.sub(r"#[ \t]*<[ \t]*([^\s_>][^>]*)>", rf"#<{own}_\1>", line.text) for line in found)
+            found = [line._replace(text=text) for line, text in zip(found, texts, strict=True)]
+        values = {} if changes else _local_values(call, lines)
+        if not values:
+            return found
+        texts = (
+            _LOCAL.sub(lambda match: values.get(match.group().upper(), match.group()), line.text) for line in found
+        )
+        return [line._replace(text=text) for line, text in zip(found, texts, strict=True)]
 
     def comment(self, text: str) -> str:
         """See `Inliner.comment`."""
@@ -370,21 +378,14 @@ class IsoInliner(Inliner):
             return "(return)\n"
         line = Line(text, "", 0)
         call, bare = self.call(line), _bare(line)
-        if (
-            call.outside
-            if call is not None
-            else not (_O_FLOW.match(bare) or "#" in bare or _END_DO.fullmatch(bare) or _FANUC_JUMP.match(bare))
-        ):
+        brackets = "#" in bare or any((_O_FLOW.match(bare), _END_DO.fullmatch(bare), _FANUC_JUMP.match(bare)))
+        if call.outside if call is not None else not brackets:
             return with_ending(f"; {as_comment(text, '')}", text)
         return with_ending(f"({as_comment(text, '()')})", text)
 
 
 def _bracketed(text: str, line: Line) -> list[str]:
-    """Return the values ``[..] [..]`` of a call.
-
-    Raises:
-        InputError: something else stands between them, or a bracket is not closed.
-    """
+    """Return the values ``[..] [..]`` of a call; raise `InputError` if anything else stands there."""
     values, depth, begin = list[str](), 0, 0
     for at, character in enumerate(text):
         depth += (character == "[") - (character == "]")
@@ -399,29 +400,13 @@ def _bracketed(text: str, line: Line) -> list[str]:
     return values
 
 
-def _with_names_of(name: str, line: Line) -> Line:
-    """Return a line of a subprogram whose named parameters are its own (LinuxCNC: ``#<depth>``, but not ``#<_depth>``)."""
-    own = re.sub(r"\W", "", name)
-    return line._replace(text=re.sub(r"#[ \t]*<[ \t]*([^\s_>][^>]*)>", rf"#<{own}_\1>", line.text))
-
-
 def _bare(line: Line) -> str:
     return _NOTES.sub("", line.text[_NUMBER.match(line.text).end() :]).strip()  # type: ignore[union-attr]
-
-
-def _words(bare: str) -> list[tuple[str, str]]:
-    return [(letter.upper(), value) for letter, value in _WORD.findall(bare)]
 
 
 def _locals(values: Mapping[int, str], count: int) -> list[str]:
     """Return the values of the local variables of a macro; those that have none are vacant (``#0``)."""
     return [values.get(i, "#0") for i in range(1, count + 1)]
-
-
-def _arguments(text: str | None) -> list[str]:
-    """Return the arguments of ``NAME(a, b)``."""
-    inner = "" if text is None else text.strip()[1:-1]
-    return [part.strip() for part in inner.split(",")] if inner.strip() else []
 
 
 def _between(lines: Sequence[Line], name: str) -> list[Line]:
@@ -462,18 +447,14 @@ def _until_return(lines: Sequence[Line], jumps: bool) -> list[Line]:
 
 
 def _proc(line: Line) -> re.Match[str] | None:
-    """Return the match of a ``PROC`` line.
-
-    Raises:
-        InputError: its subprogram restores modal words.
-    """
+    """Return the match of a ``PROC`` line; raise `InputError` if its subprogram restores modal words."""
     proc = _PROC.match(line.text[_NUMBER.match(line.text).end() :])  # type: ignore[union-attr]
     if proc is not None and re.search(r"\bSAVE\b", proc.group(3), _FLAGS):
         raise refused("subprogram that restores modal words (SAVE)", "one without SAVE", line)
     return proc
 
 
-def _local_values(call: Call, lines: Sequence[Line], at: Line | None) -> dict[str, str]:
+def _local_values(call: Call, lines: Sequence[Line]) -> dict[str, str]:
     """Return the text of the value of each local parameter of a subprogram, by its name."""
     for line in lines:
         if (proc := _proc(line)) is not None:
@@ -499,11 +480,7 @@ def _literal(value: float, name: str) -> str:
 
 
 def _with_literals(text: str, scope: Scope, line: Line) -> str:
-    """Return a text with the values of local parameters.
-
-    Raises:
-        InputError: one is unknown.
-    """
+    """Return a text with the values of local parameters; raise `InputError` if one is unknown."""
 
     def value(match: re.Match[str]) -> str:
         name = key_of(match.group())
@@ -546,10 +523,6 @@ def _case(match: re.Match[str]) -> Flow:
     return Flow("case", "", "\0".join("\1".join(one) for one in whens), match.group(1).strip())
 
 
-def _counted(match: re.Match[str]) -> Flow:
-    return Flow("for", key_of(match.group(1)), f"{match.group(2).strip()}\0{match.group(3).strip()}")
-
-
 def _part(match: re.Match[str]) -> Flow:
     first = match.group(2).upper()
     last = first if match.group(1) else (match.group(3) or "").upper()
@@ -561,7 +534,7 @@ _FLOWS: Final[Mapping[re.Pattern[str], Callable[[re.Match[str]], Flow]]] = {
     _THEN: lambda match: Flow("then", "", match.group(2), match.group(1)),
     _DO: lambda match: Flow("while" if match.group(1) else "do", f"DO{match.group(2)}", match.group(1) or ""),
     _END_DO: lambda match: Flow("end", f"DO{match.group(1)}"),
-    _FOR: _counted,
+    _FOR: lambda match: Flow("for", key_of(match.group(1)), f"{match.group(2).strip()}\0{match.group(3).strip()}"),
     _PART: _part,
     _CASE: _case,
 }
@@ -578,10 +551,3 @@ def _parameters(text: str, values: Sequence[str], line: Line) -> dict[str, str]:
             raise refused("parameter without a value", "a call with a value for each REAL or INT parameter", line)
         parameters[declared.group(1).upper()] = f"({value or declared.group(2)})"
     return parameters
-
-
-def _replaced(line: Line, values: Mapping[str, str]) -> Line:
-    """Return a line with parameters replaced."""
-    if not values:
-        return line
-    return line._replace(text=_LOCAL.sub(lambda match: values.get(match.group().upper(), match.group()), line.text))

@@ -42,7 +42,6 @@ class Stroke(NamedTuple):
 
     Attributes:
         height: where it ends, mm; NaN if the axis does not move.
-        kind: rapid or feed.
         feed: its feed word, if it differs from that of the block.
         after: a block to write after it (dwell).
         kept: the control's own cycle to execute instead of a move.
@@ -56,11 +55,9 @@ class Stroke(NamedTuple):
 
 
 class Drilling(NamedTuple):
-    """A drilling cycle executed at every following position.
+    """A drilling cycle executed at every following position: its strokes, with heights in mm in program coordinates.
 
-    Attributes:
-        strokes: what the drilling axis does, heights in mm in program coordinates.
-        level: height at which a cycle ends that is left to the control (SINUMERIK); NaN: that of the last stroke.
+    ``level``: height at which a cycle ends that is left to the control (SINUMERIK); NaN: that of the last stroke.
     """
 
     strokes: tuple[Stroke, ...]
@@ -76,16 +73,9 @@ FANUC_WORDS: Final[Mapping[str, str]] = {"76": "IJ"}
 
 
 def pecked(top: float, depth: float, step: float, *, full: bool) -> list[Stroke]:
-    """Return the strokes of a hole drilled in steps.
+    """Return the strokes from a height to the bottom of a hole in steps, mm; raise `ValueError` for more than `MOST_STROKES`.
 
-    Args:
-        top: height at which feeding begins.
-        depth: height of the bottom.
-        step: depth of a step, mm, positive.
-        full: whether the drill leaves the hole after each step (G83), or only breaks the chip (G73).
-
-    Raises:
-        ValueError: more than `MOST_STROKES` strokes.
+    ``full``: whether the drill leaves the hole after each step (G83), or only breaks the chip (G73).
     """
     if (top - depth) / step > MOST_STROKES:
         raise ValueError(f"more than {MOST_STROKES} steps")
@@ -101,17 +91,11 @@ def pecked(top: float, depth: float, step: float, *, full: bool) -> list[Stroke]
 
 
 def of_fanuc(code: str, height: Mapping[str, float], dwell: str, retract: float, words: tuple[str, str]) -> Drilling:
-    """Return a cycle of Fanuc, Haas or LinuxCNC.
+    """Return a cycle of Fanuc, Haas or LinuxCNC; raise `ValueError`, in words, if a value is missing or contradicts another.
 
-    Args:
-        code: its G code without G, one of `FANUC` or `FANUC_KEPT`.
-        height: ``R`` and the depth ``Z`` in mm, and ``Q``, the step of G73 and G83.
-        dwell: value of ``P`` as written; empty if there is none.
-        retract: height at which it ends (G98: initial level, G99: R).
-        words: name of the drilling axis, and the words of a kept cycle other than depth and R.
-
-    Raises:
-        ValueError: a value is missing or contradicts another, in words.
+    ``code``: one of `FANUC` or `FANUC_KEPT`; ``height``: ``R``, the depth ``Z`` and the step ``Q`` of G73 and G83, mm; ``dwell``: ``P``
+    as written, or empty; ``retract``: height at which it ends (G98: initial level, G99: R); ``words``: name of the drilling axis, and
+    the words of a kept cycle other than depth and R.
     """
     top, depth = height.get("R", math.nan), height.get("Z", math.nan)
     if not (math.isfinite(top) and math.isfinite(depth)):
@@ -186,15 +170,9 @@ SINUMERIK: Final = frozenset({f"CYCLE{number}" for number in (*range(81, 90), 84
 
 
 def of_sinumerik(name: str, arguments: str, value_of: Callable[[str], float], unit_mm: float) -> Drilling:
-    """Return a cycle of SINUMERIK: ``CYCLE81(RTP, RFP, SDIS, DP, DPR, …)``.
+    """Return a cycle of SINUMERIK: ``CYCLE81(RTP, RFP, SDIS, DP, DPR, …)``; raise `ValueError`, in words, if it is not one.
 
-    Args:
-        arguments: what stands between the parentheses.
-        value_of: value of an argument in the program's units, NaN if unknown.
-        unit_mm: the program's unit of length.
-
-    Raises:
-        ValueError: another cycle, or a value that is missing or contradicts another, in words.
+    ``value_of``: value of an argument in the program's units of length (``unit_mm``), NaN if unknown.
     """
     texts = [part.strip() for part in arguments.split(",")]
     if name not in SINUMERIK:
@@ -229,11 +207,7 @@ def of_sinumerik(name: str, arguments: str, value_of: Callable[[str], float], un
 
 
 def _kept(name: str, texts: Sequence[str], values: Sequence[float], top: float, unit_mm: float) -> Stroke:
-    """Return a cycle of SINUMERIK that is left to the control: its absolute heights are shifted, the other arguments are kept.
-
-    Raises:
-        ValueError: an absolute height is unknown.
-    """
+    """Return a cycle of SINUMERIK that is left to the control: its absolute heights are shifted, the other arguments are kept."""
     absolute = {0, 1, 3} | ({5} if name == "CYCLE83" else set())
     parts: list[str | float] = [f"{name}("]
     for place, text in enumerate(texts):
@@ -288,11 +262,7 @@ PATTERNS: Final = frozenset(_PATTERNS)
 def places_of(name: str, arguments: str, value_of: Callable[[str], float], unit_mm: float) -> list[tuple[float, float]]:
     """Return the places of a pattern of holes in mm: ``HOLES1(SPCA, SPCO, STA1, FDIS, DBH, NUM)``, ``HOLES2``, ``CYCLE801``.
 
-    Args:
-        arguments, value_of, unit_mm: as for `of_sinumerik`.
-
-    Raises:
-        ValueError: other arguments, in words.
+    Arguments and errors as for `of_sinumerik`.
     """
     texts = [part.strip() for part in arguments.split(",")]
     count, places = _PATTERNS[name]

@@ -12,13 +12,7 @@ import numpy as np
 
 from twin._common.families import PROGRAM_SUFFIXES
 from twin.nc.blocks import AxisWords, Kind, MoveColumns, NewPositions, Program
-from twin.nc.dialect import NOTHING, Dialect, FeedUnit, LineWords, NewProgram, as_comment, points_words
-from twin.nc.inline import Inliner
-from twin.nc.iso import vocabulary
-from twin.nc.iso.calls import IsoInliner
-from twin.nc.iso.interpreter import RIGID, IsoInterpreter
-from twin.nc.iso.writer import CODE, IsoWriter
-from twin.nc.lines.chunks import (
+from twin.nc.chunks import (
     BlockReader,
     ChunkReader,
     ChunkRewriter,
@@ -27,7 +21,13 @@ from twin.nc.lines.chunks import (
     only_places,
     replaces_some,
 )
-from twin.nc.lines.compiled import ARRAYS, LineCode, line_code
+from twin.nc.dialect import NOTHING, Dialect, FeedUnit, LineWords, NewProgram, as_comment, points_words
+from twin.nc.inline import Inliner
+from twin.nc.iso import vocabulary
+from twin.nc.iso.calls import IsoInliner
+from twin.nc.iso.interpreter import RIGID, IsoInterpreter
+from twin.nc.iso.writer import CODE, IsoWriter
+from twin.nc.lines import ARRAYS, LineCode, line_code
 from twin.nc.text import BOM, Style, first_lines, insert_comments, newline_of, number, style_in
 from twin.nc.writer import Formatting, Segments
 
@@ -38,26 +38,6 @@ _SWITCHES: Final = {3: True, 4: True}
 _OFF: Final = frozenset({2, 5, 30})
 MILLISECONDS: Final = 100.0
 """Least whole number after P of a dwell that counts milliseconds; controls that count seconds do not wait that long."""
-
-
-def line_words(text: str) -> LineWords:
-    """Return what a line says. A dwell (G4) has its time in F, X, U or P; revolutions (S) are not counted."""
-    found = [_word(match) for match in vocabulary.TOKEN.finditer(text)]
-    codes = [vocabulary.canonical(f"G{value}")[1:] for name, value in found if name == "G"]
-    switches = [int(value) for name, value in found if name == "M" and value.isdigit()]
-    values = dict(found)
-    if "4" in codes:
-        return LineWords(dwell_s=_dwell(values))
-    words = LineWords(
-        feed=_number(values, "F"),
-        unit=next((_UNITS[code] for code in codes if code in _UNITS), None),
-        inch=next((_INCH[code] for code in codes if code in _INCH), None),
-        speed_rpm=_number(values, "S"),
-        turning=next((_SWITCHES[code] for code in switches if code in _SWITCHES), None),
-        off_after=any(code in _OFF for code in switches),
-        varying=next((f"G{code}" for code in codes if code in _VARYING), None),
-    )
-    return NOTHING if words == NOTHING else words
 
 
 def _word(match: re.Match[str]) -> tuple[str, str]:
@@ -95,32 +75,17 @@ def _dwell(values: Mapping[str, str]) -> float:
     return pause / 1000.0 if "." not in values["P"] and pause >= MILLISECONDS else pause
 
 
-# --- ISO programs processed in chunks (`twin.nc.lines.chunks`) ------------------------------------
+# --- ISO programs processed in chunks (`twin.nc.chunks`) ------------------------------------
 
 _LINE: Final = re.compile(rb"[^\r\n]*+(?:\r\n|\n|\r)")
 
 
 @final
 class IsoRewriter(ChunkRewriter):
-    """Writer of a program, chunk by chunk.
-
-    Args:
-        source: file name for messages.
-        newline: line ending of the program.
-        style: its number format (`twin.nc.text.style_in`).
-        tcp: whether tool centre point control is on at the first move.
-        code: how simple lines are written.
-    """
+    """Writer of a program, chunk by chunk."""
 
     def __init__(
-        self,
-        source: str,
-        axes: AxisWords,
-        newline: str,
-        style: Style,
-        *,
-        tcp: bool,
-        code: LineCode = ARRAYS,
+        self, source: str, axes: AxisWords, newline: str, style: Style, *, tcp: bool, code: LineCode = ARRAYS
     ) -> None:
         self._interpreter = IsoInterpreter(source, axes, tcp=tcp)
         self._writer = IsoWriter(source, axes, newline, style)
@@ -211,8 +176,6 @@ def _ranges(begin: np.ndarray, end: np.ndarray) -> Iterator[int]:
         yield from range(first, last)
 
 
-# --- The ISO dialect (G-code) ---------------------------------------------------------------------
-
 _TAPE: Final = re.compile(
     r"%.*|\$[^=%\s]+%|;\$PATH=.*|PROC\b.*|<[^<>]*>|[O:][ \t]*\d+(?![\w.])(?![ \t]*(?:SUB|CALL|IF|DO|WHILE|REPEAT|RETURN)\b).*",
     re.IGNORECASE,
@@ -255,10 +218,7 @@ class Iso(Dialect):
         return IsoInliner(program, folders)
 
     def with_comments(self, text: str, comments: Sequence[str]) -> str:
-        """See `Dialect.with_comments`: after tape mark and program number.
-
-        In round brackets, or after a semicolon if the program's comments or words are those of a SINUMERIK.
-        """
+        """See `Dialect.with_comments`: after tape mark and number, in round brackets, or after a semicolon as of a SINUMERIK."""
         lines = first_lines(text)
         at = place = 0
         while place < len(lines) and (_is_tape(lines[place]) or _comment(lines[place]) is not None):
@@ -284,8 +244,23 @@ class Iso(Dialect):
         return all(_is_of_position(match, axes) for match in vocabulary.TOKEN.finditer(text))
 
     def line_words(self, text: str) -> LineWords:
-        """See `Dialect.line_words`."""
-        return line_words(text)
+        """See `Dialect.line_words`. A dwell (G4) has its time in F, X, U or P; revolutions (S) are not counted."""
+        found = [_word(match) for match in vocabulary.TOKEN.finditer(text)]
+        codes = [vocabulary.canonical(f"G{value}")[1:] for name, value in found if name == "G"]
+        switches = [int(value) for name, value in found if name == "M" and value.isdigit()]
+        values = dict(found)
+        if "4" in codes:
+            return LineWords(dwell_s=_dwell(values))
+        words = LineWords(
+            feed=_number(values, "F"),
+            unit=next((_UNITS[code] for code in codes if code in _UNITS), None),
+            inch=next((_INCH[code] for code in codes if code in _INCH), None),
+            speed_rpm=_number(values, "S"),
+            turning=next((_SWITCHES[code] for code in switches if code in _SWITCHES), None),
+            off_after=any(code in _OFF for code in switches),
+            varying=next((f"G{code}" for code in codes if code in _VARYING), None),
+        )
+        return NOTHING if words == NOTHING else words
 
     def new_program(self, axes: AxisWords) -> NewProgram:
         """See `Dialect.new_program`."""

@@ -11,9 +11,8 @@ from twin.nc.arcs import ABSOLUTE, FROM_START
 from twin.nc.blocks import AxisWords, Kind, Move, MoveColumns, Notice
 from twin.nc.iso import vocabulary
 from twin.nc.iso.cycles import PATTERNS, SINUMERIK
-from twin.nc.iso.frame import TOOL_CHANGE, IsoBlock, Item
+from twin.nc.iso.frame import PROGRAMMED, TOOL_CHANGE, IsoBlock, Item
 from twin.nc.iso.motion import CENTRE, INCH_CODES, SPINDLE_VECTOR, IsoMotion
-from twin.nc.iso.shifts import PROGRAMMED
 from twin.nc.modal import SWITCHING_M, Block, Span
 from twin.nc.text import BLANK, BOM, number
 
@@ -69,14 +68,7 @@ class IsoInterpreter(IsoMotion):
     # ------------------------------------------------------------------ a block
 
     def step(self, line: int, text: str) -> IsoBlock | None:
-        """Interpret one line; return None for a line without words (blank, comment, ``%``).
-
-        Args:
-            line: 0-based index of the line.
-
-        Raises:
-            InputError: with file, line and value.
-        """
+        """Interpret one line (0-based index); return None for a line without words (blank, comment, ``%``)."""
         self._line, self._block_text = line, text
         begin = len(BOM) if line == 0 and text.startswith(BOM) else 0
         stripped = text[begin:].strip(" \t\r\n\f\x1a")
@@ -150,11 +142,7 @@ class IsoInterpreter(IsoMotion):
         self._marked |= text == "%"
 
     def _behind_end(self, text: str, stripped: str) -> None:
-        """Interpret a line behind the end of the program.
-
-        Raises:
-            InputError: it moves axes, and the control may execute it.
-        """
+        """Interpret a line behind the end of the program."""
         words = [match for match in vocabulary.TOKEN.finditer(text) if match.lastgroup != "note"]
         if vocabulary.PROGRAM_BEGIN.match(stripped):
             self.end.begins(stripped)
@@ -257,11 +245,7 @@ class IsoInterpreter(IsoMotion):
         return groups
 
     def _machine_axes(self, block: IsoBlock) -> None:
-        """Take machine axes of SINUMERIK (``G74 X1=0``, ``G75 FP=2 Z1=0``) as the axes of a reference or fixed point approach.
-
-        Raises:
-            InputError: under tool centre point control.
-        """
+        """Take machine axes of SINUMERIK (``G74 X1=0``, ``G75 FP=2 Z1=0``) as those of a reference or fixed point approach."""
         own = [item for item in block.others if item.name[1:] == "1" and item.name[0] in self.index]
         if own and [span.name for span in block.codes] in (["74"], ["75"]) and not block.items:
             if self.tcp:
@@ -484,9 +468,8 @@ class IsoInterpreter(IsoMotion):
     def _group(self, block: IsoBlock, code: str) -> str | None:
         """Return the modal group of a G code, empty if it has none; None for an unknown code that passes through."""
         if self._okuma and code in vocabulary.NOT_OF_OKUMA:
-            raise self.error(
-                f"G{code} of Okuma", "axis positions without tool length, work offset and cycles of Okuma", f"G{code}"
-            )
+            what = f"G{code} of Okuma"
+            raise self.error(what, "axis positions without tool length, work offset and cycles of Okuma", f"G{code}")
         group = "reference" if block.approaches else vocabulary.GROUP_OF.get(code)
         if group is not None:
             return group

@@ -22,8 +22,7 @@ from twin.nc.arcs import (
 from twin.nc.blocks import Arc, AxisWords, Kind, Move
 from twin.nc.iso import cycles, vocabulary
 from twin.nc.iso.cycles import Drilling, Stroke
-from twin.nc.iso.frame import IsoBlock, Item
-from twin.nc.iso.shifts import IsoShift
+from twin.nc.iso.frame import IsoBlock, IsoShift, Item
 from twin.nc.modal import BESIDE, CORRECTION_DEG, AxisWord, Span
 from twin.nc.text import MM_PER_INCH, number
 
@@ -40,7 +39,6 @@ class IsoDrilling(IsoShift):
 
     Attributes:
         plane: 17, 18 or 19.
-        incremental: whether words are relative.
         cycle: the cycle executed after every positioning, or None.
         code: G code of a Fanuc cycle in force, empty if there is none.
     """
@@ -90,9 +88,6 @@ class IsoDrilling(IsoShift):
         """Take the words of a Fanuc cycle from a block; return whether the block executes the cycle.
 
         A block with an axis word or R does. P and Q in any other block belong to another word (``G4 P1``, ``G64 P0.01``, ``G5.1 Q1``).
-
-        Raises:
-            InputError: a value is missing, contradicts another, or depends on a mode that is not expanded.
         """
         level_stated, self._level_stated = self._level_stated, False
         self._repeats = 1
@@ -161,12 +156,9 @@ class IsoDrilling(IsoShift):
         self._height |= found
 
     def _check_increments(self) -> None:
-        """Check that R and the depth mean the same on every control after G90 or G91.
+        """Raise `InputError` unless R and the depth mean the same on every control after G90 or G91.
 
         Fanuc and Haas take them over where they are stated; LinuxCNC reads the numbers again as increments or positions.
-
-        Raises:
-            InputError: they do not, and nothing shows which control it is.
         """
         if self.incremental == self._stated_incremental:
             return
@@ -182,8 +174,7 @@ class IsoDrilling(IsoShift):
     def _only_defines(self, block: IsoBlock) -> bool:
         """Return False for a block with L0 or K0, which defines a cycle but drills nothing.
 
-        Raises:
-            InputError: it names another place: whether the tool goes there depends on the control.
+        Another place in it is refused: whether the tool goes there depends on the control.
         """
         for item in block.items:
             word = self.axis_word(item, machine=False)
@@ -195,11 +186,7 @@ class IsoDrilling(IsoShift):
         return False
 
     def axis_word(self, item: Item, *, machine: bool) -> AxisWord:
-        """Return an axis word with its value.
-
-        Raises:
-            InputError: the value is unknown, and the block is not in machine coordinates.
-        """
+        """Return an axis word with its value; raise `InputError` if that is unknown and not in machine coordinates."""
         name, start, end, value_start, value_end, text = item
         axis = self.index[name]
         form = ""
@@ -213,9 +200,8 @@ class IsoDrilling(IsoShift):
             if value != value and not machine:
                 if vocabulary.LITERAL.fullmatch(text):
                     raise self.missing_number(name, text)
-                raise self.error(
-                    f"the value of {name} is unknown", "a number, or a variable set to a number before", text
-                )
+                what = f"the value of {name} is unknown"
+                raise self.error(what, "a number, or a variable set to a number before", text)
         if self.inch and axis < self.linear:
             value *= MM_PER_INCH
         incremental = form == "IC" or (form == "" and self.incremental)
@@ -248,9 +234,8 @@ class IsoDrilling(IsoShift):
         top, at = self._height.get("R", math.nan), self.position[self.drilling]
         axis = self.names[self.drilling]
         if self.unknown:
-            raise self._refused(
-                f"in force where {self.unknown}", "the words named as harmless in the machine file, or G80 before"
-            )
+            what = f"in force where {self.unknown}"
+            raise self._refused(what, "the words named as harmless in the machine file, or G80 before")
         if self._initial != self._initial and (self._to_initial or self.incremental):
             raise self._refused(f"position of {axis} unknown", f"a position of {axis} before the cycle")
         if self._to_initial and self._initial < top - 1e-9:
@@ -283,15 +268,7 @@ class IsoDrilling(IsoShift):
         return self.error(f"canned cycle G{self.code}: {what}", f"{expected}; or {vocabulary.EXPANDED_CYCLE}", value)
 
     def call(self, name: str, arguments: str) -> Drilling:
-        """Return the cycle that ``MCALL`` calls.
-
-        Args:
-            name: the cycle.
-            arguments: its argument list, with parentheses.
-
-        Raises:
-            InputError: it is not known.
-        """
+        """Return the cycle that ``MCALL`` calls, with its argument list in parentheses."""
         shown = f"{name}{arguments}"
         unit = MM_PER_INCH if self.inch else 1.0
         try:
@@ -305,11 +282,7 @@ class IsoDrilling(IsoShift):
         return cycle
 
     def call_once(self, block: IsoBlock, item: Item) -> None:
-        """Execute a cycle of SINUMERIK at the present position, or the one in force at the places of a pattern.
-
-        Raises:
-            InputError: it is not known, or no cycle is in force.
-        """
+        """Execute a cycle of SINUMERIK at the present position, or the one in force at the places of a pattern."""
         self._check_one_control(item.name)
         block.cycle_word = Span(item.start, len(block.text.rstrip("\r\n")))
         if item.name not in cycles.PATTERNS:
@@ -323,11 +296,7 @@ class IsoDrilling(IsoShift):
         block.pattern = [{a: u, b: v} for u, v in places]
 
     def mcall(self, block: IsoBlock, item: Item, *, last: bool) -> None:
-        """Apply ``MCALL`` or the cycle after it, the ``last`` statement of its block.
-
-        Raises:
-            InputError: it is not known.
-        """
+        """Apply ``MCALL`` or the cycle after it, the ``last`` statement of its block."""
         self._check_one_control(item.name)
         if item.name == "MCALL":
             block.cycle_word = Span(item.start, len(block.text.rstrip("\r\n")))
@@ -463,21 +432,13 @@ class IsoMotion(IsoDrilling):
         return plain and self.steady and self.set_up and self.vector is None
 
     def leave_contour(self) -> None:
-        """End cutter radius compensation at a reference return.
-
-        Raises:
-            InputError: it is still selected.
-        """
+        """Raise `InputError` if cutter radius compensation is still selected at a reference return."""
         if self.beside:
             raise self.error("reference return under cutter radius compensation", "G40 before it")
         self._on_contour = False
 
     def _compensated(self, block: IsoBlock, rotary: list[float]) -> bool:
-        """Return whether a block is under cutter radius compensation, or leads in or out; ``rotary``: the axes before it.
-
-        Raises:
-            InputError: it turns the tool, or a drilling cycle is in force.
-        """
+        """Return whether a block is under cutter radius compensation, or leads in or out; ``rotary``: the axes before it."""
         compensated = self.beside or self._on_contour
         if not compensated:
             return False
@@ -495,12 +456,8 @@ class IsoMotion(IsoDrilling):
     def move(self, block: IsoBlock, centre: list[Item], *, machine: bool) -> None:  # noqa: C901, PLR0912
         """Add the moves of a block whose axis words are known.
 
-        Args:
-            centre: its words for a centre, a radius, full turns or a tool vector.
-            machine: whether its axis words are machine coordinates.
-
-        Raises:
-            InputError: a word contradicts another word or the modal state.
+        ``centre``: its words for a centre, a radius, full turns or a tool vector; ``machine``: whether its axis words are machine
+        coordinates.
         """
         motion = self.motion
         if not machine and not self.unknown and self.stand_at_plane(block):

@@ -70,27 +70,8 @@ GROUPS: dict[str, tuple[str, ...]] = {
     "reference": ("28", "30", "30.1", "75", "27", "31", "38", "38.2", "38.3", "38.4", "38.5"),
     "mode": ("61", "61.1", "62", "64", "60", "641", "642", "643", "644", "645"),
     "": (
-        *(
-            "5.1",
-            "5.4",
-            "5",
-            "8",
-            "9",
-            "13.1",
-            "15",
-            "40.1",
-            "50",
-            "50.1",
-            "50.2",
-            "67",
-            "69.1",
-            "80",
-            "80.5",
-            "601",
-            "602",
-            "603",
-        ),
-        *("103", "187", "450", "451", "460", "461", "462", "621", "340", "341"),
+        *("5.1", "5.4", "5", "8", "9", "13.1", "15", "40.1", "50", "50.1", "50.2", "67", "69.1", "80", "80.5"),
+        *("601", "602", "603", "103", "187", "450", "451", "460", "461", "462", "621", "340", "341"),
     ),
 }
 """The G codes whose effect is known. Every other one is refused (`REFUSED_CODES`), or nothing is known after it.
@@ -172,21 +153,13 @@ RESTORING_M: frozenset[str] = frozenset({"M72", "M73"})
 HARMLESS_M: frozenset[str] = frozenset(
     f"M{code}"
     for code in (
-        *range(
-            15
-        ),  # stops and ends, spindle, tool change, coolant, clamps of axes (ISO 6983, DIN 66025; M12 to M14: Haas, Okuma)
+        # stops and ends, spindle, tool change, coolant, clamps of axes (ISO 6983, DIN 66025; M12 to M14: Haas, Okuma)
+        *range(15),
         *(17, 19, 29, 30),  # end of a subprogram, spindle orientation, rigid tapping, end of the program
         *(31, 32, 33),  # chip conveyor (Haas)
         *range(40, 46),  # gear of the spindle (DIN 66025)
-        *(
-            48,
-            49,
-            50,
-            51,
-            52,
-            53,
-            60,
-        ),  # overrides, adaptive feed, feed hold, stop for a pallet (LinuxCNC); coolant elsewhere
+        # overrides, adaptive feed, feed hold, stop for a pallet (LinuxCNC); coolant elsewhere
+        *(*range(48, 54), 60),
         *range(61, 69),  # tool in the spindle, digital and analogue inputs and outputs (LinuxCNC)
         *(70, 83, 84, 88, 89),  # a SINUMERIK spindle as an axis; air jet and coolant through the spindle (Haas)
         99,  # return, or repetition from the start

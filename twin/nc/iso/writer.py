@@ -7,7 +7,6 @@ import re
 from collections.abc import Mapping
 from typing import Final, final
 
-from twin._common.errors import InputError
 from twin.nc.arcs import ABSOLUTE, FROM_START
 from twin.nc.blocks import AxisWords, Kind, Move, Rewrite
 from twin.nc.dialect import as_comment
@@ -30,7 +29,6 @@ class IsoWriter(WordWriter[IsoBlock]):
     """Writer of an ISO program block by block that keeps track of the values written.
 
     Args:
-        source, axes, newline, style: as for `WordWriter`.
         expand_cycles: whether drilling cycles are expanded into blocks; if not, none of their moves may be replaced.
         rigid_lines: 0-based indices of the lines that make threads rigid (M29 of Fanuc) which are expanded.
 
@@ -63,13 +61,7 @@ class IsoWriter(WordWriter[IsoBlock]):
         return " " if self.spaced else ""
 
     def block(self, line: int, block: IsoBlock, segments: Mapping[int, Segments] | None) -> str:
-        """Return the output for one block.
-
-        Args:
-            line: 0-based index of its line.
-            block: as interpreted.
-            segments: replacements of its moves, by the index of the move in the block.
-        """
+        """Return the output for one block (0-based line); ``segments``: replacements of its moves, by the index in the block."""
         self._line = line
         if block.tcp_switched or block.unknown_axes:
             self.said.mark_unknown(block.unknown_axes)
@@ -100,23 +92,14 @@ class IsoWriter(WordWriter[IsoBlock]):
         return text if block.drilling is None else self._drilled(block, block.drilling, segments or {}, text)
 
     def _declared(self, block: IsoBlock) -> list[Edit]:
-        """Return the edits by which words declare the output's present position, so that the coordinates are those of the program.
-
-        Raises:
-            InputError: the output's position is unknown.
-        """
+        """Return the edits by which words declare the output's present position, so that the coordinates are those of the program."""
         edits: list[Edit] = []
         for word, at in block.declared:
             said = self.said.value[word.axis]
             if said != said:
                 name = self.names[word.axis]
-                raise InputError(
-                    f"the present position of {name} is declared anew, but unknown in the output",
-                    expected=f"a move to a position of {name} before it",
-                    file=self.source,
-                    line=self._line + 1,
-                    value=block.text.strip(),
-                )
+                what = f"the present position of {name} is declared anew, but unknown in the output"
+                raise self._error(block, what, f"a move to a position of {name} before it")
             if abs(said - at) > SAME_NUMBER:
                 unit = MM_PER_INCH if block.inch and word.axis < self.linear else 1.0
                 text = format_number((word.value + said - at) / unit, 9, self.style)
@@ -138,36 +121,21 @@ class IsoWriter(WordWriter[IsoBlock]):
 
         The control refuses a move between it and the thread, and a motion word ends its effect. So it is written again before every
         thread, not where it stood.
-
-        Raises:
-            InputError: the block has other words.
         """
         others = [item for item in block.others if item.name != "S"]
         codes = [span for span in block.codes if span.name not in ("94", "95")]
         if any((block.skip, block.m_words[1:], others, block.items, codes, block.names)):
-            raise InputError(
-                "rigid tapping M29",
-                expected="a block of its own (M29 S…) before G84 or G74",
-                file=self.source,
-                line=self._line + 1,
-                value=block.text.strip(),
-            )
+            raise self._error(block, "rigid tapping M29", "a block of its own (M29 S…) before G84 or G74")
         self._rigid = " ".join(["M29", *(block.text[item.start : item.end].strip() for item in block.others)])
         end = ending(block.text) or self.newline
         kept = "".join(f"{block.text[span.start : span.end]}{end}" for span in block.codes)
         return f"({as_comment(block.text, '()')}){end}{kept}"
 
     def _drilled(self, block: IsoBlock, drilling: Drilling, segments: Mapping[int, Segments], text: str) -> str:
-        """Return the output of a block that drills; ``text``: that of its positioning."""
+        """Return a block that drills, with its strokes or, not changed, recorded where it ends; ``text``: its positioning."""
         if self.expand_cycles:
             text = self._without_cycle(block, text)
-            text += self._strokes(block, drilling, segments, text)
-        else:
-            self._record_holes(block, drilling)
-        return text
-
-    def _record_holes(self, block: IsoBlock, drilling: Drilling) -> None:
-        """Record where a block that drills and is not changed ends."""
+            return text + self._strokes(block, drilling, segments, text)
         last = block.moves[-1].position if block.moves else ()
         height = drilling.level if drilling.level == drilling.level or not last else last[block.drilling_axis]
         if height == height:
@@ -177,6 +145,7 @@ class IsoWriter(WordWriter[IsoBlock]):
         for word in block.words if block.repeats > 1 else ():
             if word.incremental:
                 self.said.record(word.axis, (block.repeats - 1) * word.value, True)
+        return text
 
     def _mark_stale(self, block: IsoBlock) -> None:
         """Mark everything as uncertain after a block that the operator can skip."""
@@ -295,7 +264,9 @@ class IsoWriter(WordWriter[IsoBlock]):
                 continue
             if by_radius:
                 radius = math.hypot(start[a] - centre[a], start[b] - centre[b])
-                value = math.copysign(radius, self._sign(move))
+                # A radius is written negative for more than half a circle.
+                over = abs(move.arc.angle_rad) > math.pi + 1e-9  # type: ignore[union-attr]
+                value = -radius if over else radius
             else:
                 axis = "IJK".index(span.name)
                 written.add(axis)
@@ -310,10 +281,6 @@ class IsoWriter(WordWriter[IsoBlock]):
         texts = [("ijk" if self.lower else "IJK")[axis] + self._length(value, block, a) for axis, value in words]
         absolute = block.centres is ABSOLUTE
         return [text for text, (_, value) in zip(texts, words, strict=True) if absolute or abs(value) > 1e-9]
-
-    def _sign(self, move: Move) -> float:
-        """Return the sign of a radius as written: negative for more than half a circle."""
-        return -1.0 if abs(move.arc.angle_rad) > math.pi + 1e-9 else 1.0  # type: ignore[union-attr]
 
     def _length(self, value: float, block: IsoBlock, axis: int, *, up: bool = False) -> str:
         """Return a length in the format of the program, rounded to the increment of an axis, ``up`` away from zero."""
@@ -347,13 +314,8 @@ class IsoWriter(WordWriter[IsoBlock]):
             return []
         span, rows = block.feed, len(rewrite.positions)
         if span is None:
-            raise InputError(
-                "block with inverse time feed (G93) but without F cannot be split",
-                expected="an F word in every block with G93",
-                file=self.source,
-                line=self._line + 1,
-                value=block.text.strip(),
-            )
+            what = "block with inverse time feed (G93) but without F cannot be split"
+            raise self._error(block, what, "an F word in every block with G93")
         factors = [float(rows)] * rows if rewrite.shares is None else (1.0 / rewrite.shares).tolist()
         feeds = [self._segment_feed(block, span, factor) for factor in factors]
         edits.append((span.start, span.end, feeds[0]))

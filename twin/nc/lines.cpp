@@ -1,4 +1,4 @@
-// Simple lines of an ISO program, read as `twin.nc.lines.scan.scan` and written as `rewritten_lines` there do with arrays; they are
+// Simple lines of an ISO program, read as `twin.nc.lines.scan` and written as `rewritten_lines` there do with arrays; they are
 // compared in tests.
 #include <cmath>
 #include <cstdint>

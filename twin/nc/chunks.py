@@ -24,8 +24,7 @@ from twin.nc.blocks import (
     Notice,
     fill_forward,
 )
-from twin.nc.lines.compiled import ARRAYS, LineCode
-from twin.nc.lines.scan import MOST_DIGITS, Scan
+from twin.nc.lines import ARRAYS, MOST_DIGITS, LineCode, Scan
 from twin.nc.modal import Interpreter
 from twin.nc.text import MM_PER_INCH
 from twin.nc.writer import LARGEST_STEPS, Formatting, Segments, WordWriter
@@ -43,27 +42,10 @@ Scanner = Callable[[bytes, tuple[str, ...], LineCode], Scan]
 
 @final
 class Chunk:
-    """A chunk of whole lines of a program.
-
-    Args:
-        data: their bytes.
-        first: 0-based index of the first line in the program.
-        names: axis names.
-        code: how simple lines are read.
-        scanner: finds the simple lines of the program's language; those of ISO programs if None.
-
-    Attributes:
-        scan: its simple lines.
-        first: as given.
-    """
+    """A chunk of whole lines of a program, with its simple lines as the scanner of its language finds them; None is that of ISO."""
 
     def __init__(
-        self,
-        data: bytes,
-        first: int,
-        names: tuple[str, ...],
-        code: LineCode = ARRAYS,
-        scanner: Scanner | None = None,
+        self, data: bytes, first: int, names: tuple[str, ...], code: LineCode = ARRAYS, scanner: Scanner | None = None
     ) -> None:
         self.scan = code.scan(data, names) if scanner is None else scanner(data, names, code)
         self.first = first
@@ -77,14 +59,9 @@ class Chunk:
 
 
 def runs(bulk: np.ndarray, blank: np.ndarray) -> Iterator[tuple[int, int, bool]]:
-    """Split lines into runs to process together and single lines.
+    """Yield runs of lines to process together and single lines: first line, the line after the last, whether together.
 
-    Args:
-        bulk: (lines,) whether the line can be processed together with its neighbours.
-        blank: (lines,) whether it is empty or a comment.
-
-    Yields:
-        First line, the line after the last, and whether to process them together.
+    ``bulk``: (lines,) whether a line can be processed with its neighbours; ``blank``: whether it is empty or a comment.
     """
     stops = np.append(np.flatnonzero(~(bulk | blank)), len(bulk)).tolist()
     at = 0
@@ -109,11 +86,7 @@ class Record(Protocol):
 
 
 class ChunkReader(ABC):
-    """Reader of a program, chunk by chunk.
-
-    Args:
-        record: its interpreter.
-    """
+    """Reader of a program, chunk by chunk."""
 
     def __init__(self, record: Record) -> None:
         self._record = record
@@ -121,11 +94,7 @@ class ChunkReader(ABC):
 
     @abstractmethod
     def read(self, chunk: Chunk) -> MoveColumns:
-        """Return the moves of the next chunk.
-
-        Raises:
-            InputError: as `twin.nc.dialect.Dialect.moves`.
-        """
+        """Return the moves of the next chunk; raise `InputError` as `twin.nc.dialect.Dialect.moves`."""
 
     def may_end(self, tail: str) -> bool:
         """Return whether the program may be divided here; ``tail``: the lines after its last move."""
@@ -161,11 +130,7 @@ class ChunkReader(ABC):
 
 @final
 class BlockReader(ChunkReader):
-    """Reader of a program whose lines are blocks, chunk by chunk.
-
-    Args:
-        interpreter: interpreter of its blocks.
-    """
+    """Reader of a program whose lines are blocks, chunk by chunk."""
 
     def __init__(self, interpreter: Interpreter) -> None:
         super().__init__(interpreter)
@@ -244,16 +209,7 @@ def _with_repeated(
     named: np.ndarray,
     rapid: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return columns of moves with those of a drilling cycle behind each.
-
-    Args:
-        repeated: see `Interpreter`.
-        drilling: the axis that drills.
-        line: as for `MoveColumns`.
-        position: the same.
-        named: the same.
-        rapid: the same.
-    """
+    """Return columns of `MoveColumns` with the moves of a drilling cycle (see `Interpreter`) along one axis behind each."""
     each = 1 + len(repeated)
     line, position, named, rapid = (np.repeat(column, each, axis=0) for column in (line, position, named, rapid))
     for place, (height, fast) in enumerate(repeated, 1):
@@ -271,7 +227,6 @@ class SimpleRun(NamedTuple):
     """Simple lines that are written together.
 
     Attributes:
-        scan: the text.
         whole: the range of the text that contains the lines.
         lines: (n,) indices of the lines.
         motion: (n,) their motion codes.
@@ -294,23 +249,12 @@ class ChunkWriter(ABC):
 
     @abstractmethod
     def write(self, chunk: Chunk, moves: MoveColumns, new: NewPositions) -> bytes:
-        """Return the next chunk with its moves replaced.
-
-        Args:
-            new: their replacements.
-        """
+        """Return the next chunk with its moves replaced by the new positions."""
 
     def drill(  # noqa: B027  # most languages have nothing to prepare
         self, drilled: Sequence[range], text_of: Callable[[int], str], moves: MoveColumns, new: NewPositions
     ) -> None:
-        """Prepare for the drilling cycles of a part.
-
-        Args:
-            drilled: the ranges of its lines that execute one.
-            text_of: function that returns the text of a line by its 0-based index in the program.
-            moves: its moves.
-            new: their replacements.
-        """
+        """Prepare for a part whose ranges of lines ``drilled`` execute cycles; ``text_of``: text of a line by 0-based index."""
 
     def end(self) -> bytes:
         """Return what follows the last chunk."""
@@ -322,13 +266,7 @@ class ChunkWriter(ABC):
 
 
 class ChunkRewriter(ChunkWriter):
-    """Writer of a program whose lines are blocks, chunk by chunk.
-
-    Args:
-        interpreter: interpreter of its blocks.
-        writer: writer of its blocks.
-        code: how simple lines are written.
-    """
+    """Writer of a program whose lines are blocks, chunk by chunk."""
 
     def __init__(
         self, axes: AxisWords, interpreter: Interpreter, writer: WordWriter[Any], code: LineCode = ARRAYS
@@ -338,12 +276,7 @@ class ChunkRewriter(ChunkWriter):
 
     @abstractmethod
     def line(self, line: int, text: str, segments: Mapping[int, Segments]) -> str:
-        """Return the output for one line.
-
-        Args:
-            line: its 0-based index in the program.
-            segments: replacements of its moves, by the index of the move in the line.
-        """
+        """Return the output for one line (0-based index); ``segments``: replacements of its moves, by the index of the move in it."""
 
     @abstractmethod
     def formatting(self, run: SimpleRun) -> Formatting | None:
@@ -351,13 +284,7 @@ class ChunkRewriter(ChunkWriter):
 
     @abstractmethod
     def written(self, run: SimpleRun, text: bytes, formatting: Formatting) -> bytes:
-        """Take over the state after lines that were written together, and return their final text.
-
-        Args:
-            run: the lines.
-            text: as written.
-            formatting: formatting after the last of them.
-        """
+        """Take over the state after lines that were written together, with formatting after the last, and return their final text."""
 
     def write(self, chunk: Chunk, moves: MoveColumns, new: NewPositions) -> bytes:
         """See `ChunkWriter.write`."""

@@ -1,1 +1,0 @@
-"""Simple lines of programs, read and written many at once with arrays or compiled code."""
