@@ -102,11 +102,7 @@ def _twin(version: VersionOption = False) -> None:
 
 
 def load(name: str) -> Any:
-    """Import a command's module and return the command for the parser; where a package that it needs does not import, say which.
-
-    Args:
-        name: one of `COMMANDS`.
-    """
+    """Import the module of one of `COMMANDS` and return the command for the parser; where a package does not import, say which."""
     try:
         import_module(f"twin.cli.{MODULES.get(name, name)}")
     except installation.IMPORT_FAILURES as error:

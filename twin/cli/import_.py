@@ -80,11 +80,7 @@ def import_(
 
 
 def _proposed(found: ImportedTable, path: Path, output: Path, others: list[object]) -> CommandResult:
-    """Write the proposed mapping, and return a result that asks for its confirmation.
-
-    Raises:
-        InputError: a mapping of that name exists.
-    """
+    """Write the proposed mapping, unless one exists (`InputError`), and return a result that asks for its confirmation."""
     sheet, plan, machine = others
     words = ["twin", "import", found.source, "-o", str(output), "--columns", str(path)]
     words += [] if sheet is None else ["--sheet", str(sheet)]

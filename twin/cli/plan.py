@@ -276,11 +276,7 @@ class _SequenceRequest:
             raise InputError("--judge evaluates an existing plan", expected="no option of a measuring sequence")
 
     def for_sequence(self) -> bool:
-        """Return whether a measuring sequence is wanted.
-
-        Raises:
-            InputError: an option of a sequence without its instrument.
-        """
+        """Return whether a measuring sequence is wanted; `InputError` for an option of one without its instrument."""
         if self.instrument in SEQUENCE_INSTRUMENTS:
             return True
         if self.sequence is not None or self.spheres or self.sizes or self.program is not None:

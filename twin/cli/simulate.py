@@ -135,11 +135,7 @@ def _head(truth: Calibration, instrument: str, seed: int, noise: bool) -> str:
 
 
 def _surroundings(air: str | None, drift: list[str] | None) -> Environment:
-    """Return the air and the drift of a simulation.
-
-    Raises:
-        InputError: text that cannot be read, or a station given twice.
-    """
+    """Return the air and the drift of a simulation."""
     from twin.measurement.instruments import Air
     from twin.measurement.simulate import Environment
 

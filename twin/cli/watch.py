@@ -84,11 +84,7 @@ def watch(
 
 
 def dates(entries: Sequence[str]) -> dict[str, datetime]:
-    """Return the dates of files, each given as ``FILE=DATE``.
-
-    Raises:
-        InputError: text that is not FILE=DATE, no date, or a file given twice.
-    """
+    """Return the dates of files, each given as ``FILE=DATE``, a file once."""
     from twin.monitoring.check import parsed_date
 
     words = pairs("--date", entries, "FILE=DATE: first.csv=2026-03-02", last=True)

@@ -72,14 +72,10 @@ def spent_share(checks: int) -> float:
 
 
 def change_shapes(days: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the regressors of a step and of a drift after each check.
+    """Return the (n, n − 1) regressors of a step and of a drift after each check; ``days``: (n,) ascending.
 
-    Args:
-        days: (n,) dates in days, ascending.
-
-    Returns:
-        Two arrays (n, n − 1): column c − 1 belongs to a change after check c. A step is 0 before and 1 after it; a drift is the time
-        since check c in `MONTH_DAYS`, 0 before it.
+    Column c − 1 belongs to a change after check c. A step is 0 before and 1 after it; a drift is the time since check c in
+    `MONTH_DAYS`, 0 before it.
     """
     count = len(days)
     after = np.arange(count)[:, None] > np.arange(count - 1)
@@ -95,12 +91,7 @@ def remover(nuisance: np.ndarray) -> tuple[np.ndarray, int]:
 
 
 def whitening(count: int, correlation: float) -> np.ndarray:
-    """Return the matrix (n, n) that makes a first-order autoregression of unit variance independent.
-
-    Args:
-        count: number of checks.
-        correlation: from one check to the next, below 1.
-    """
+    """Return the (n, n) matrix that makes a first-order autoregression of unit variance, ``correlation`` below 1, independent."""
     scale = np.sqrt(1.0 - correlation**2)
     whitening = (np.eye(count) - correlation * np.eye(count, k=-1)) / scale
     whitening[:1, :1] = 1.0
@@ -115,18 +106,11 @@ def log_evidence(
     least: float = 0.0,
     correlation: float = 0.0,
 ) -> np.ndarray:
-    """Return the logarithm of the e-process after each check.
+    """Return the logarithm of the e-process after each check, in the shape of ``values``; 0 means that nothing is known.
 
-    Args:
-        values: (n,) or (n, series) deviations in the order of their dates.
-        days: (n,) dates in days, ascending.
-        nuisance: (n, p) columns with unknown coefficients, whose influence is eliminated; one of them is the level.
-        sd: (n,) relative standard deviations of the checks; equal if None.
-        least: floor of the variance, in units of ``sd`` squared.
-        correlation: of the deviations from one check to the next.
-
-    Returns:
-        (n,) or (n, series) logarithms; 0 means that nothing is known.
+    ``values``: (n,) or (n, series) deviations by ascending ``days``; ``nuisance``: (n, p) columns, one the level, whose influence is
+    eliminated; ``sd``: (n,) relative standard deviations, equal if None; ``least``: floor of the variance, in units of ``sd``
+    squared.
     """
     sd = np.ones(len(days)) if sd is None else sd
     white = whitening(len(days), correlation)
@@ -143,14 +127,10 @@ def log_evidence(
 def _log_ratio(
     y: np.ndarray, x: np.ndarray, shapes: list[np.ndarray], outliers: np.ndarray, least: float
 ) -> np.ndarray:
-    """Return (series,) the logarithm of the averaged likelihood ratio of the checks so far.
+    """Return (series,) the logarithm of the averaged likelihood ratio of the checks so far; all arguments are whitened.
 
-    Args:
-        y: (n, series) white deviations.
-        x: (n, p) white nuisance columns.
-        shapes: white regressors of steps and drifts.
-        outliers: (n, n) white regressors of a single check.
-        least: floor of the variance.
+    ``y``: (n, series); ``x``: (n, p) nuisance columns; ``shapes`` of steps and drifts; ``outliers``: (n, n), one a check; ``least``:
+    floor of the variance.
     """
     count = len(y)
     basis, rank = remover(x)
@@ -213,29 +193,17 @@ MOST_CORRELATION: Final = 0.6
 @final
 @dataclass(frozen=True)
 class ErrorSeries:
-    """The deviations of one error from the calibration, one for each check that determines it, in the order of their dates.
+    """The deviations of one error from the calibration, one for each check that determines it, in the order of their dates."""
 
-    Attributes:
-        name: ISO 230-1 name of the error.
-        unit: ``um``, ``urad`` or ``um/m``.
-        checks: (n,) indices of the checks in the watch.
-        days: (n,) dates in days.
-        value: (n,) deviations.
-        u: (n,) standard uncertainties from the instrument's noise.
-        kind: (n,) instruments of the check; each kind has its own level.
-        temperature_degC: by sensor, (n,); NaN where not given.
-        correlation: of the deviations from one check to the next, which is allowed for.
-    """
-
-    name: str
-    unit: str
-    checks: np.ndarray
-    days: np.ndarray
-    value: np.ndarray
-    u: np.ndarray
-    kind: np.ndarray
-    temperature_degC: Mapping[str, np.ndarray]
-    correlation: float = 0.0
+    name: str  # ISO 230-1
+    unit: str  # ``um``, ``urad`` or ``um/m``
+    checks: np.ndarray  # (n,) indices of the checks in the watch
+    days: np.ndarray  # (n,) dates in days
+    value: np.ndarray  # (n,) deviations
+    u: np.ndarray  # (n,) standard uncertainties from the instrument's noise
+    kind: np.ndarray  # (n,) instruments of the check; each kind has its own level
+    temperature_degC: Mapping[str, np.ndarray]  # by sensor, (n,); NaN where not given
+    correlation: float = 0.0  # of the deviations from one check to the next, which is allowed for
 
     @property
     def root(self) -> np.ndarray:
@@ -272,28 +240,17 @@ class ErrorSeries:
 @final
 @dataclass(frozen=True)
 class Change:
-    """A change of an error.
+    """A change of an error."""
 
-    Attributes:
-        shape: ``step``, or ``drift`` that grows in proportion to time.
-        sure_shape: whether the other shape is less likely by `BETTER_LIKELIHOOD_RATIO`.
-        after: number of the last check before the change, as an index into the series.
-        day: most likely day: halfway between two checks for a step, a check's for a drift.
-        earliest_day, latest_day: limits of its 95 % interval.
-        size: change until the last check, in the unit of the error.
-        expanded: U of it (95 %, Student).
-        per_month: rate of a drift, per 30 days; NaN for a step.
-    """
-
-    shape: Literal["step", "drift"]
-    sure_shape: bool
-    after: int
-    day: float
-    earliest_day: float
+    shape: Literal["step", "drift"]  # ``step``, or ``drift`` that grows in proportion to time
+    sure_shape: bool  # whether the other shape is less likely by `BETTER_LIKELIHOOD_RATIO`
+    after: int  # number of the last check before the change, as an index into the series
+    day: float  # most likely day: halfway between two checks for a step, a check's for a drift
+    earliest_day: float  # limits of its 95 % interval
     latest_day: float
-    size: float
-    expanded: float
-    per_month: float
+    size: float  # change until the last check, in the unit of the error
+    expanded: float  # U of it (95 %, Student)
+    per_month: float  # rate of a drift, per 30 days; NaN for a step
 
 
 @final
@@ -310,32 +267,19 @@ class TemperatureEffect:
 @final
 @dataclass(frozen=True)
 class WatchedError:
-    """An error over the checks.
-
-    Attributes:
-        verdict: ``steady``, ``changed`` (whatever a temperature did), ``follows temperature`` or ``undecided``.
-        log_evidence: (n,) of a change after each check, temperatures ignored.
-        log_evidence_apart: (n,) the same, whatever one of the temperatures explains; NaN without temperatures.
-        alarm: index into the series of the check that first passed the limit; None if none did.
-        change: the most likely change; None for a steady series.
-        temperatures: the sensors that explain a series that follows one, or is undecided; the first is the most likely.
-        repeatability: standard deviation of one check about the model of the verdict; NaN if unknown.
-        level: deviation from the calibration at the last check, by that model.
-        weights: (n,) of the checks in that level.
-        fitted: (n,) that model at every check.
-    """
+    """An error over the checks."""
 
     series: ErrorSeries
-    verdict: Verdict
-    log_evidence: np.ndarray
-    log_evidence_apart: np.ndarray
-    alarm: int | None
-    change: Change | None
-    temperatures: tuple[TemperatureEffect, ...]
-    repeatability: float
-    level: float
-    weights: np.ndarray
-    fitted: np.ndarray
+    verdict: Verdict  # ``steady``, ``changed`` (whatever a temperature did), ``follows temperature`` or ``undecided``
+    log_evidence: np.ndarray  # (n,) of a change after each check, temperatures ignored
+    log_evidence_apart: np.ndarray  # (n,) the same, whatever one of the temperatures explains; NaN without temperatures
+    alarm: int | None  # index into the series of the check that first passed the limit; None if none did
+    change: Change | None  # the most likely change; None for a steady series
+    temperatures: tuple[TemperatureEffect, ...]  # that explain a series, most likely first
+    repeatability: float  # standard deviation of one check about the model of the verdict; NaN if unknown
+    level: float  # deviation from the calibration at the last check, by that model
+    weights: np.ndarray  # (n,) of the checks in that level
+    fitted: np.ndarray  # (n,) that model at every check
 
     @property
     def alarming(self) -> bool:
@@ -346,32 +290,18 @@ class WatchedError:
 @final
 @dataclass(frozen=True)
 class _Fit:
-    """Weighted least squares.
+    """Weighted least squares."""
 
-    Attributes:
-        value: coefficients.
-        cofactor: their covariance per unit variance.
-        rss: weighted sum of squares of the residuals.
-        dof: degrees of freedom.
-        weights: (n,) of the values in the fit of the last one.
-        fitted: (n,) the fit.
-    """
-
-    value: np.ndarray
-    cofactor: np.ndarray
-    rss: float
-    dof: int
-    weights: np.ndarray
-    fitted: np.ndarray
+    value: np.ndarray  # coefficients
+    cofactor: np.ndarray  # their covariance per unit variance
+    rss: float  # weighted sum of squares of the residuals
+    dof: int  # degrees of freedom
+    weights: np.ndarray  # (n,) of the values in the fit of the last one
+    fitted: np.ndarray  # (n,) the fit
 
 
 def examine(series: ErrorSeries, limit: float) -> WatchedError:
-    """Return what a series shows.
-
-    Args:
-        series: the deviations of one error.
-        limit: logarithm of the evidence from which it is an alarm, for each of the two tests.
-    """
+    """Return what a series shows; ``limit``: logarithm of the evidence from which it is an alarm, for each of the two tests."""
     sd, sensors, levels, correlation = series.sd, series.sensors, series.levels, series.correlation
     least = float(np.min((LEAST_NOISE * series.u / sd) ** 2))
     plain = log_evidence(series.value, series.days, levels, sd, least, correlation)
@@ -535,10 +465,8 @@ def lag_correlation(every: Sequence[ErrorSeries]) -> float:
     """Return the correlation of the deviations from one check to the next, estimated from the series of all errors together.
 
     It is the mean lag-1 correlation of the residuals about the most likely change beside levels and temperatures, corrected for its
-    bias, and not less than zero. Constants of the correction were fitted to drawn series.
-
-    Args:
-        every: the series; those of fewer than `FEWEST_CHECKS` do not count.
+    bias, and not less than zero. Constants of the correction were fitted to drawn series; those of fewer than `FEWEST_CHECKS` do not
+    count.
     """
     correlations = []
     for series in every:

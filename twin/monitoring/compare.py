@@ -159,13 +159,10 @@ def _without_missing_channels(
 
 
 def _in_one_datum(first: Calibration, second: Calibration) -> tuple[Calibration, Calibration, str, set[str]]:
-    """Return both calibrations converted to mean lines, or unchanged if one cannot be converted.
+    """Return both calibrations in mean lines, or unchanged if one cannot be converted; a sentence about it; errors new to both.
 
     If neither is in mean lines, only errors that one of them contains may change: constants and slopes that only another error could
     take over stay in the curves of both.
-
-    Returns:
-        The two calibrations, a sentence about the conversion, and names of errors that neither contained before.
     """
     given = first.datum, second.datum
     named = {name for side in (first, second) for name in (*side.curves, *side.squareness, *side.location)}
@@ -191,11 +188,7 @@ def _in_one_datum(first: Calibration, second: Calibration) -> tuple[Calibration,
 
 
 def _check_tables(first: Calibration, second: Calibration) -> list[str]:
-    """Return notices on the control's compensation tables.
-
-    Raises:
-        InputError: the calibrations are not comparable, because the tables are not in both or differ.
-    """
+    """Return notices on the control's tables; `InputError` if these make the calibrations not comparable: not in both, or different."""
     for name, side in (("first", first), ("second", second)):
         require_type(name, side, Calibration)
     one, two = first.control, second.control
@@ -261,20 +254,13 @@ def _label(calibration: Calibration, otherwise: str) -> str:
 @final
 @dataclass(frozen=True)
 class _JointChange:
-    """The joint change of all known errors.
+    """The joint change of all known errors."""
 
-    Attributes:
-        p_value, dof: of its χ²; NaN and 0 without known errors.
-        culprits: the smallest set of errors that explains it.
-        without_variance: for each error, the largest change in directions without variance.
-        causes: changes of the errors of that set, as functions of the state of the machine.
-    """
-
-    p_value: float
+    p_value: float  # of its χ²; NaN and 0 without known errors
     dof: int
-    culprits: Culprits
-    without_variance: tuple[float, ...]
-    causes: Mapping[str, ActingError]
+    culprits: Culprits  # the smallest set of errors that explains it
+    without_variance: tuple[float, ...]  # for each error, the largest change in directions without variance
+    causes: Mapping[str, ActingError]  # changes of the errors of that set, as functions of the state of the machine
 
 
 def _joint_change(pairs: Sequence[Pair], first: Calibration, second: Calibration) -> _JointChange:

@@ -35,43 +35,24 @@ CANCELLED_RATIO: Final = 0.05
 @final
 @dataclass(frozen=True)
 class ErrorChange:
-    """The change of one error, second calibration less first.
+    """The change of one error, second calibration less first."""
 
-    Attributes:
-        name: ISO 230-1 name, or the effect's own.
-        kind: ``curve``, ``number`` (squareness, location) or ``effect``.
-        iso_class: class of ISO/TR 16907.
-        axis: the axis it belongs to.
-        unit: ``um`` or ``urad``; for an effect, the unit of the number ``label``.
-        status: ``known``; ``same``: identical numbers; ``unknown``: a calibration does not state its uncertainty.
-        label: for an effect, the number that ``largest`` belongs to: the one with the largest change in standard uncertainties.
-        rms: of a curve, over the common part of both domains; else the absolute value of ``largest``.
-        largest: the largest change of a curve with its sign, or the change of the number.
-        at: position of the axis of the largest change, mm or degrees; NaN unless a curve.
-        u: standard uncertainty (k = 1) of ``largest``; NaN if unknown.
-        band: half width at ``at`` of the simultaneous 95 % band of the whole curve; for a number 1.96 u; NaN if unknown.
-        p_value: of the χ² of the change; NaN if unknown.
-        p_adjusted: p-value corrected for the number of errors tested (Holm).
-        without_variance: largest change in directions without an uncertainty on both sides, in ``unit``; zero if none.
-        notes: assumptions made.
-    """
-
-    name: str
-    kind: Literal["curve", "number", "effect"]
-    iso_class: str
+    name: str  # ISO 230-1 name, or the effect's own
+    kind: Literal["curve", "number", "effect"]  # ``curve``, ``number`` (squareness, location) or ``effect``
+    iso_class: str  # class of ISO/TR 16907
     axis: str
-    unit: str
-    status: Status
-    label: str
-    rms: float
-    largest: float
-    at: float
-    u: float
-    band: float
-    p_value: float
-    p_adjusted: float
-    without_variance: float
-    notes: tuple[str, ...]
+    unit: str  # for an effect, that of the number ``label``
+    status: Status  # ``known``; ``same``: identical numbers; ``unknown``: a calibration does not state its uncertainty
+    label: str  # for an effect, the number that ``largest`` belongs to: the one with the largest change in standard uncertainties
+    rms: float  # of a curve, over the common part of both domains; else the absolute value of ``largest``
+    largest: float  # the largest change of a curve with its sign, or the change of the number
+    at: float  # position of the axis of the largest change, mm or degrees; NaN unless a curve
+    u: float  # standard uncertainty (k = 1) of ``largest``; NaN if unknown
+    band: float  # half width at ``at`` of the simultaneous 95 % band of the whole curve; for a number 1.96 u; NaN if unknown.
+    p_value: float  # of the χ² of the change; NaN if unknown
+    p_adjusted: float  # p-value corrected for the number of errors tested (Holm)
+    without_variance: float  # largest change in directions without an uncertainty, in ``unit``; zero if none
+    notes: tuple[str, ...]  # assumptions made
 
     @property
     def significant(self) -> bool | None:
@@ -95,60 +76,35 @@ class ErrorChange:
 @final
 @dataclass(frozen=True)
 class Culprits:
-    """The smallest set of errors that explains the change, all others taken as unchanged.
+    """The smallest set of errors that explains the change, all others taken as unchanged."""
 
-    Attributes:
-        errors: the changes estimated on this assumption, strongest first; ``p_adjusted`` is corrected for all sets tried.
-        alternatives: for each, the errors that would explain the change equally well in its place.
-        trends: for each, its shape along the axis: ``constant``, ``line``, ``bow``, ``turn`` (one wave per turn), or empty.
-        left_p_value: p-value of the change they do not explain; NaN if nothing could be tested.
-        shows_from: detection limits (name, size, unit) of squareness and locations: a change of it alone, all else unchanged, is found
-            in 19 of 20 comparisons.
-    """
-
-    errors: tuple[ErrorChange, ...]
-    alternatives: tuple[tuple[str, ...], ...]
-    trends: tuple[str, ...]
-    left_p_value: float
-    shows_from: tuple[tuple[str, float, str], ...] = ()
+    errors: tuple[ErrorChange, ...]  # strongest first; ``p_adjusted`` is corrected for all sets tried
+    alternatives: tuple[tuple[str, ...], ...]  # for each, the errors that would explain the change equally well
+    trends: tuple[str, ...]  # ``constant``, ``line``, ``bow``, ``turn`` (one wave per turn), or empty
+    left_p_value: float  # p-value of the change they do not explain; NaN if nothing could be tested
+    shows_from: tuple[tuple[str, float, str], ...] = ()  # (name, size, unit) found in 19 of 20 comparisons
 
 
 @final
 @dataclass(frozen=True, repr=False)
 class Changes(DisplayedResult):
-    """The changes between two calibrations of one machine.
-
-    Attributes:
-        first, second: names of the two (their files).
-        errors: change of each error that both contain, tested by itself.
-        not_compared: errors that could not be compared, with the reason.
-        not_identified: errors that neither contains, because they could not be determined; U of the remaining error includes their
-            plausible size.
-        joint_p_value, joint_dof: of the χ² of all known changes together; NaN and 0 if none is known.
-        culprits: the smallest set of errors that explains the change.
-        tool: the change at the tool.
-        tolerance_mm: largest error at the tool that the older calibration may leave; None if not given.
-        left_out: effects not included in the comparison at the tool, with the channels they need.
-        notices: assumptions and limits of the whole comparison.
-        meaning: the meaning of the result, in sentences.
-        warnings: on the origin of the numbers of either.
-    """
+    """The changes between two calibrations of one machine."""
 
     machine: Machine
-    first: str
+    first: str  # names of the two (their files)
     second: str
-    errors: tuple[ErrorChange, ...]
-    not_compared: tuple[NotCompared, ...]
-    not_identified: tuple[NotCompared, ...]
-    joint_p_value: float
+    errors: tuple[ErrorChange, ...]  # change of each error that both contain, tested by itself
+    not_compared: tuple[NotCompared, ...]  # errors that could not be compared, with the reason
+    not_identified: tuple[NotCompared, ...]  # in neither; U of what remains includes their plausible size
+    joint_p_value: float  # of the χ² of all known changes together; NaN and 0 if none is known
     joint_dof: int
     culprits: Culprits
     tool: ToolChange
-    tolerance_mm: float | None
-    left_out: tuple[tuple[str, str], ...]
-    notices: tuple[str, ...]
-    meaning: tuple[str, ...] = ()
-    warnings: tuple[SourceWarning, ...] = ()
+    tolerance_mm: float | None  # largest error at the tool that the older calibration may leave; None if not given
+    left_out: tuple[tuple[str, str], ...]  # effects not included at the tool, with the channels they need
+    notices: tuple[str, ...]  # assumptions and limits
+    meaning: tuple[str, ...] = ()  # in sentences
+    warnings: tuple[SourceWarning, ...] = ()  # on the origin of the numbers of either
 
     @property
     def illustrative(self) -> bool:

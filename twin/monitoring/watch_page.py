@@ -320,12 +320,7 @@ def watch_html(watch: Watch) -> str:
 
 
 def history(watch: Watch, findings: list[WatchedError]) -> Figure:
-    """Plot the deviations of errors over the dates, the evidence of a change beside them, and the temperatures below.
-
-    Args:
-        watch: the result.
-        findings: the errors to be drawn.
-    """
+    """Plot the deviations of errors over the dates, the evidence of a change beside them, and the temperatures below."""
     sensors = list(dict.fromkeys(name for check in watch.checks for name in check.temperature_degC))
     rows = len(findings) + bool(sensors)
     figure = new_figure(WIDTH, PANEL * rows + 0.7)

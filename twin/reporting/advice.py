@@ -27,21 +27,13 @@ from twin.tool.forward import Kinematics
 @final
 @dataclass(frozen=True)
 class TablesLeft:
-    """Errors that remain with the tables of one format.
+    """Errors that remain with the tables of one format."""
 
-    Attributes:
-        kind: name of the format; only formats with tables of single axes, not the volumetric ones ``isg`` and ``grid``.
-        at: positions of the other axes while one moves, by axis; mm, degrees.
-        tool_length_mm: tool length for which the tables are made.
-        remains: the error at the tool with them.
-        carried: every error of the calibration, and the part of it that the format compensates.
-    """
-
-    kind: str
-    at: Mapping[str, float]
-    tool_length_mm: float
-    remains: RemainingErrors
-    carried: tuple[CorrectedShare, ...]
+    kind: str  # name of the format: one with tables of single axes, not volumetric as ``isg`` and ``grid``
+    at: Mapping[str, float]  # positions of the other axes while one moves, by axis; mm, degrees
+    tool_length_mm: float  # tool length for which the tables are made
+    remains: RemainingErrors  # the error at the tool with them
+    carried: tuple[CorrectedShare, ...]  # every error, and the part of it that the format compensates
 
     def to_dict(self) -> dict[str, Any]:
         """Return the content for JSON."""
@@ -53,13 +45,8 @@ def tables_left(
 ) -> tuple[TablesLeft, ...]:
     """Make the tables of every format and return the remaining errors, the most effective format first.
 
-    The result is empty if the control has tables already, the estimate did not converge or there are no errors. Formats that cannot
-    hold tables of this machine are omitted.
-
-    Args:
-        real: machine, errors that can be evaluated under the conditions, tool length, conditions.
-        errors: the calibration as given.
-        missing: effects omitted for want of a channel, by channel.
+    Empty if the control has tables already, the estimate did not converge or there are no errors. Formats that cannot hold tables of
+    this machine are omitted. ``real`` has the errors that can be evaluated, ``errors`` all, ``missing`` the others by channel.
     """
     if errors.control is not None or not errors.settled or real.calibration.empty:
         return ()
@@ -103,34 +90,21 @@ REPEATS: Final = 1e-3
 @final
 @dataclass(frozen=True)
 class Step:
-    """One recommended action, or one action to avoid.
-
-    Attributes:
-        kind: ``do``, ``measure``, ``never`` or ``unknown``.
-        title: the action, in a few words.
-        text: explanation, with numbers.
-    """
+    """One recommended action, or one action to avoid."""
 
     kind: Kind
     title: str
-    text: str
+    text: str  # with numbers
 
 
 @final
 @dataclass(frozen=True)
 class MachineAdvice:
-    """Summary at the top of the report.
+    """Summary at the top of the report."""
 
-    Attributes:
-        headline: the main result in one sentence.
-        rating: overall rating, which selects the colour.
-        largest_errors: the largest errors, one line each.
-        steps: actions to take, to measure and to avoid.
-    """
-
-    headline: str
-    rating: Rating
-    largest_errors: tuple[str, ...]
+    headline: str  # in one sentence
+    rating: Rating  # selects the colour
+    largest_errors: tuple[str, ...]  # one line each
     steps: tuple[Step, ...]
 
     def to_dict(self) -> dict[str, Any]:
@@ -147,16 +121,7 @@ def advise(
     points: Sequence[PointComparison] = (),
     tables: Sequence[TablesLeft] = (),
 ) -> MachineAdvice:
-    """Return the summary of a report in words.
-
-    Args:
-        found: the error budget.
-        outcome: errors before and after compensation.
-        identified: result of the identification, or None.
-        left_out: effects omitted for want of a channel, by channel.
-        points: measured points compared with the calibration.
-        tables: remaining errors with tables in the control, the best first; empty if tables are in use already.
-    """
+    """Return the summary of a report in words; ``left_out``: effects omitted for want of a channel; ``tables``: the best first."""
     if not found.errors and not left_out:
         steps = (
             Step(

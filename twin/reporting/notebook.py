@@ -34,11 +34,7 @@ if TYPE_CHECKING:
 
 
 def optional(package: str) -> Any:
-    """Return a package of the extra ``notebook``.
-
-    Raises:
-        InputError: it is not installed.
-    """
+    """Return a package of the extra ``notebook``; raise `InputError` if it is not installed."""
     try:
         return import_module(package)
     except ModuleNotFoundError as error:
@@ -275,11 +271,7 @@ def error_field(
 
 @final
 class ErrorsAtTool:
-    """Errors of the tool of a machine, and their uncertainty.
-
-    Args:
-        kinematics: the machine with its errors, tool length and conditions.
-    """
+    """Errors of the tool of a machine with its tool length and conditions, and their uncertainty."""
 
     def __init__(self, kinematics: Kinematics) -> None:
         machine = kinematics.machine

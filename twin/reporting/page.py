@@ -89,12 +89,9 @@ SECTIONS: Final = (
 
 
 def machine_html(report: MachineReport, front: FrontPage | None = None, language: Language = Language.en) -> str:
-    """Return the page as self-contained HTML; needs matplotlib (extra ``plots``).
+    """Return the page as self-contained HTML; ``front`` None: without tolerances and facts of the test.
 
-    Args:
-        report: result of `twin.reporting.machine_report`.
-        front: content of the first page; None for one without tolerances and facts of the test.
-        language: language of the page; sentences without translation stay English and are counted.
+    Sentences without translation stay English and are counted.
     """
 
     def stops_of(name: str) -> tuple[PositionEstimates, ...]:
@@ -251,11 +248,7 @@ OPTIONS: Final = (
 
 
 def find_browser() -> str:
-    """Return the path of a browser of the Chromium family.
-
-    Raises:
-        InputError: none is installed, or the environment variable ``TWIN_BROWSER`` names no program.
-    """
+    """Return the path of a browser of the Chromium family; `InputError` if there is none, or ``TWIN_BROWSER`` names no program."""
     named = os.environ.get(VARIABLE)
     if named:
         browser = shutil.which(named)
@@ -274,15 +267,7 @@ def find_browser() -> str:
 
 
 def page_to_pdf(page: str, browser: str) -> bytes:
-    """Return a page as PDF.
-
-    Args:
-        page: self-contained HTML.
-        browser: path of the browser.
-
-    Raises:
-        InputError: the browser failed or took longer than 120 s.
-    """
+    """Return self-contained HTML as PDF; raise `InputError` if the browser failed or took longer than `TIMEOUT_S`."""
     with tempfile.TemporaryDirectory(prefix="twin-pdf-", ignore_cleanup_errors=True) as name:
         folder = Path(name)
         source, target = folder / "page.html", folder / "page.pdf"

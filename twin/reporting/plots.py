@@ -73,12 +73,7 @@ VIRIDIS: Final = ListedColormap(viridis(np.linspace(0.0, 1.0, 256)).tolist(), "v
 
 
 def plot_budget(rows: Sequence[Contribution], *, total: Contribution) -> Figure:
-    """Draw the error budget as horizontal bars: RMS at the tool, largest value as a marker, U as a whisker.
-
-    Args:
-        rows: contributions, largest first.
-        total: contribution of all errors together, drawn last.
-    """
+    """Draw the error budget as horizontal bars, the total last: RMS at the tool, largest value as a marker, U as a whisker."""
     shown = [*rows[:BARS], total]
     names = [
         f"{say('all') if one is total else one.name}{' *' if one.illustrative else ''}{'' if np.isfinite(one.u_rms_um) else ' ?'}"
@@ -106,22 +101,13 @@ def plot_budget(rows: Sequence[Contribution], *, total: Contribution) -> Figure:
 
 
 def plot_motion(motion: Motion, stops: Sequence[PositionEstimates] = ()) -> Figure:
-    """Draw an error motion with its 95 % interval against position, or as a polar plot for a rotary axis of up to one turn.
-
-    Args:
-        motion: the error motion.
-        stops: its estimates from readings.
-    """
+    """Draw an error motion with its 95 % interval and estimates from readings; polar for a rotary axis of up to one turn."""
     within_turn = float(motion.position[-1] - motion.position[0]) <= TURN + 1e-9
     return _polar(motion, stops) if not motion.linear and within_turn else _along(motion, stops)
 
 
 def plot_constants(found: Sequence[Constant]) -> Figure:
-    """Draw squareness and locations with their 95 % intervals, lengths and angles in separate plots.
-
-    Args:
-        found: the values, at least one.
-    """
+    """Draw squareness and locations (at least one) with their 95 % intervals, lengths and angles in separate plots."""
     groups = [[one for one in found if one.unit == unit] for unit in ("urad", "um")]
     groups = [group for group in groups if group]
     heights = np.array([len(group) + 1.2 for group in groups])
@@ -150,9 +136,7 @@ def plot_constants(found: Sequence[Constant]) -> Figure:
 def plot_squareness(one: Constant, largest_urad: float) -> Figure:
     """Draw two axes with their nominal and their actual angle, exaggerated, and its 95 % interval as a wedge; faint if not significant.
 
-    Args:
-        one: a squareness error.
-        largest_urad: largest absolute value or end of an interval of all sketches, which have one scale.
+    ``largest_urad``: largest absolute value or end of an interval of all sketches, which have one scale.
     """
     drawing = new_figure(2.3, 2.3)
     plot = drawing.subplots()
@@ -215,14 +199,7 @@ def plot_field(field: Field) -> Figure:
 
 
 def plot_slice(one: Slice, values: np.ndarray, top: float, label: str) -> Figure:
-    """Draw one plane of the field as a contour map.
-
-    Args:
-        one: the plane.
-        values: (b, a) values to draw, µm.
-        top: end of the colour scale, the same for planes that are compared.
-        label: label of the colour scale.
-    """
+    """Draw (b, a) values in µm over a plane of the field as a contour map; ``top``: end of the colour scale of all planes."""
     high = float(np.ptp(one.up)) / float(np.ptp(one.across))
     wide = min(SIDE, MOST_HIGH / high)
     height = wide * high + 0.72

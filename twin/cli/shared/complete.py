@@ -45,11 +45,7 @@ LISTS: Final[Mapping[str, Sequence[str]]] = MappingProxyType(
 
 
 def one_of(which: str) -> dict[str, Any]:
-    """Return the arguments of `typer.Option` for an option whose value is one name of a list.
-
-    Args:
-        which: one of `LISTS`.
-    """
+    """Return the arguments of `typer.Option` for an option whose value is one name of one of `LISTS`."""
 
     def checked(value: str) -> str:
         names = LISTS[which]

@@ -54,11 +54,7 @@ class DriftRequest:
     program: Path | None = None
 
     def wanted(self, others: bool) -> bool:
-        """Return whether a drift test is wanted.
-
-        Raises:
-            InputError: an option of a drift test without its name, or beside options of another plan.
-        """
+        """Return whether a drift test is wanted; `InputError` for its options without its name, or beside those of another plan."""
         names = "|".join(DRIFTS)
         if self.name is None and (self.highest_rpm is not None or self.spectrum or self.axis is not None):
             raise InputError("--highest-rpm, --spectrum and --axis need --drift", expected=f"--drift {names}")

@@ -66,19 +66,12 @@ LITTLE_MEMORY_GB: Final = 2.0
 @final
 @dataclass(frozen=True)
 class Finding:
-    """Result of one check.
+    """Result of one check."""
 
-    Attributes:
-        name: what was checked.
-        status: ``ok``; ``missing``: something optional is absent; ``FAILED``.
-        detail: what was found.
-        remedy: what to do; empty if nothing is needed.
-    """
-
-    name: str
-    status: Literal["ok", "missing", "FAILED"]
-    detail: str
-    remedy: str = ""
+    name: str  # what was checked
+    status: Literal["ok", "missing", "FAILED"]  # ``ok``; ``missing``: something optional is absent; ``FAILED``
+    detail: str  # what was found
+    remedy: str = ""  # what to do; empty if nothing is needed
 
 
 @cache
@@ -89,10 +82,7 @@ def imports_all() -> bool:
 
 @cache
 def broken() -> Mapping[str, str]:
-    """Return the installed packages that cannot be imported, each with the reason in one line.
-
-    Each is imported in its own process, since an import can also crash the process.
-    """
+    """Return the installed packages that cannot be imported, each with the reason; each in a process that the import may crash."""
     if imports_all():
         return {}
     from concurrent.futures import ThreadPoolExecutor
@@ -109,12 +99,9 @@ def can_start() -> bool:
 
 
 def exit_with_import_error(error: BaseException) -> NoReturn:
-    """Exit with status 2 after a failed import, and name the packages in one line.
+    """Exit with status 2 after a failed import, and name the packages in one line; re-raise if all can be imported.
 
-    Raises:
-        BaseException: the error itself, if all packages can be imported: then the defect is in twin.
-        KeyboardInterrupt: the import was interrupted.
-        SystemExit: otherwise.
+    Then the defect is in twin. An interrupted import raises `KeyboardInterrupt`.
     """
     cause: BaseException | None = error
     while cause is not None:
@@ -134,11 +121,7 @@ def exit_with_import_error(error: BaseException) -> NoReturn:
 
 
 def exit_with_findings() -> NoReturn:
-    """Print the checks of `twin doctor` that need no packages, and exit with the status of a failed check.
-
-    Raises:
-        SystemExit: always.
-    """
+    """Print the checks of `twin doctor` that need no packages, and exit with the status of a failed check."""
     accept_any_text()
     clock = perf_counter()
     findings = [python(), *packages(), *extras(), browser(), *size()]
