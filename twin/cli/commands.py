@@ -53,7 +53,12 @@ COMMANDS: Final = {
     "doc": "Show a page of the manual.",
 }
 """The commands in the order of the help, each with its summary. A command's module has its name; see `MODULES` for the others."""
-MODULES: Final = {"axis-run": "axis_run", "import": "import_", "simulate-run": "axis_run"}
+MODULES: Final = {
+    **dict.fromkeys(("axis-run", "simulate-run"), "axis_run"),
+    **dict.fromkeys(("check", "compensate", "path", "verify"), "programs"),
+    **dict.fromkeys(("compare", "watch"), "changes"),
+    **dict.fromkeys(("convert", "import"), "foreign_files"),
+}
 
 
 class LazyGroup(TyperGroup):

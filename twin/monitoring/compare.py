@@ -17,8 +17,7 @@ from twin.model.calibration import Calibration
 from twin.model.conditions import Conditions, needed_values
 from twin.model.datum import MEAN_LINES
 from twin.model.effects import Effect, split_name
-from twin.monitoring.comparison import Changes, Culprits, ErrorChange
-from twin.monitoring.comparison_words import meaning_of
+from twin.monitoring.comparison import Changes, Culprits, ErrorChange, meaning_of
 from twin.monitoring.pairs import (
     FALSE_ALARMS_OF_A_TEST,
     NotCompared,
