@@ -81,12 +81,6 @@ def outside_bounds(values: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> 
     return np.asarray((values < lower) | (values > upper))
 
 
-def row_lengths(vectors: np.ndarray) -> np.ndarray:
-    """Return the (n,) lengths of (n, 3) vectors; `numpy.linalg.norm` along an axis is slower."""
-    x, y, z = vectors[:, 0], vectors[:, 1], vectors[:, 2]
-    return np.asarray(np.sqrt(x * x + y * y + z * z))
-
-
 def distinct(numbers: np.ndarray) -> list[int]:
     """Return the different ones of (n,) whole numbers in ascending order, without the import of `numpy.ma` by `numpy.unique`."""
     return sorted(set(numbers.tolist()))

@@ -1,9 +1,7 @@
 """Memory, threads, locks and pipes of this computer.
 
-Advisory locks on output files: of two runs that write the same files at the same time, all files that remain are of one run.
-
-The locks are for the runs of one user on one computer. They are held from the first output that is complete to the end of the command,
-so that a run never waits for the work of another one.
+Advisory locks on output files: of two runs of one user that write the same files at the same time, all files that remain are of one
+run. They are held from the first output that is complete to the end of the command, so that a run never waits for the work of another.
 """
 
 from __future__ import annotations

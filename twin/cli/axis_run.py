@@ -51,9 +51,7 @@ class RunUncertaintyChoice(StrEnum):
 )
 def axis_run(
     readings: Annotated[
-        Path,
-        typer.Argument(help="Table of readings, one column per beam.", autocompletion=complete.tables),
-        EXISTING,
+        Path, typer.Argument(help="Table of readings, one column per beam.", autocompletion=complete.tables), EXISTING
     ],
     output: Annotated[
         Path, typer.Option("--output", "-o", help="Calibration file to write: six curves of the axis."), CALIBRATION

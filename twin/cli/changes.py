@@ -22,9 +22,7 @@ from twin.cli.shared.terminal import pairs
 )
 def compare(
     first: Annotated[
-        Path,
-        typer.Argument(metavar="OLDER", help="Older calibration.", autocompletion=complete.calibrations),
-        EXISTING,
+        Path, typer.Argument(metavar="OLDER", help="Older calibration.", autocompletion=complete.calibrations), EXISTING
     ],
     second: Annotated[
         Path,
@@ -100,10 +98,7 @@ def watch(
     ] = None,
     date: Annotated[
         list[str] | None,
-        typer.Option(
-            "--date",
-            help="FILE=DATE of a check whose table and name give no date, ISO 8601; repeatable.",
-        ),
+        typer.Option("--date", help="FILE=DATE of a check whose table and name give no date, ISO 8601; repeatable."),
     ] = None,
     json_file: JsonOption = None,
     html_file: Annotated[Path | None, typer.Option("--html", help="Write the history to this HTML file."), HTML] = None,

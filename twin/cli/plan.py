@@ -33,9 +33,7 @@ DriftOption = Annotated[
     ),
 ]
 HighestOption = Annotated[
-    float | None,
-    typer.Option("--highest-rpm", help="Highest spindle speed, 1/min, with --drift spindle."),
-    POSITIVE,
+    float | None, typer.Option("--highest-rpm", help="Highest spindle speed, 1/min, with --drift spindle."), POSITIVE
 ]
 SpectrumOption = Annotated[
     bool,
@@ -116,9 +114,7 @@ MINUTES_TO_SEPARATE = 60.0
 SEQUENCE_MINUTES = 60.0
 
 PlanOutput = Annotated[
-    Path | None,
-    typer.Option("--output", "-o", help="Plan to write: a measurement table without coordinates."),
-    TABLE,
+    Path | None, typer.Option("--output", "-o", help="Plan to write: a measurement table without coordinates."), TABLE
 ]
 KitOption = Annotated[
     Path | None,
@@ -174,9 +170,7 @@ InstrumentOption = Annotated[
 SequenceOption = Annotated[
     str | None,
     typer.Option(
-        "--sequence",
-        help="Measuring sequence, with --instrument: {sequences}.",
-        autocompletion=complete.sequences,
+        "--sequence", help="Measuring sequence, with --instrument: {sequences}.", autocompletion=complete.sequences
     ),
 ]
 SpheresOption = Annotated[
@@ -434,12 +428,7 @@ def _judged_sequence(plan: Path, machine: Machine, kit: Kit, table: Measurements
         *expected.lines(),
         *(f"  set aside, {text}" for text in grouped_notes(table.set_aside)),
     ]
-    report = {
-        "schema": "twin.plan/1",
-        "judged": str(plan),
-        "minutes": minutes,
-        "constant_errors": expected.to_dict(),
-    }
+    report = {"schema": "twin.plan/1", "judged": str(plan), "minutes": minutes, "constant_errors": expected.to_dict()}
     return CommandResult("\n".join(lines) + "\n", lambda: report, met=not table.set_aside)
 
 

@@ -212,7 +212,11 @@ def _summary(
         status = NOT_ALL_MET
     return CommandResult(
         "\n".join([*lines, ""]),
-        lambda: {"schema": "twin.compensations/1", "exit_status": status, "programs": [outcome.to_dict() for outcome in outcomes_done]},
+        lambda: {
+            "schema": "twin.compensations/1",
+            "exit_status": status,
+            "programs": [outcome.to_dict() for outcome in outcomes_done],
+        },
         written="",
         after=[f"written: {folder} (each with {TEXT_SUFFIX} and {JSON_SUFFIX})"]
         if len(failed) < len(outcomes_done)
@@ -220,7 +224,6 @@ def _summary(
         errors=errors,
         status=status,
     )
-
 
 
 @command(

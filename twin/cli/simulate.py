@@ -29,12 +29,7 @@ PlanArgument = Annotated[
     ),
 ]
 InstrumentOption = Annotated[
-    str,
-    typer.Option(
-        "--instrument",
-        help="Simulated instrument: {instruments}.",
-        autocompletion=complete.instruments,
-    ),
+    str, typer.Option("--instrument", help="Simulated instrument: {instruments}.", autocompletion=complete.instruments)
 ]
 AirOption = Annotated[
     str | None,

@@ -1,11 +1,8 @@
 """Common style of matplotlib pictures: palette, axes, polar plots, headings; saving and embedding. Needs the extra ``plots``.
 
-Every drawing function returns a new `Figure` without a screen or shared state; `save` writes it. Colour-blind readers can distinguish
-the colours; line styles and markers also distinguish curves without colour.
-
-Axes of small pictures, drawn as a few artists that look like matplotlib's own. Needs the extra ``plots``.
-
-matplotlib makes five artists for each tick and places each several times: more than half of the time of a small picture.
+Every drawing function returns a new `Figure` without a screen or shared state. Colour-blind readers can distinguish the colours; line
+styles and markers also distinguish curves without colour. Axes of small pictures are drawn as a few artists that look like matplotlib's
+own, which makes five for each tick and places each several times: more than half of the time of a small picture.
 """
 
 from __future__ import annotations

@@ -1,39 +1,18 @@
 """The change in the series of one error: step or drift, its date and size, and whether a temperature explains it.
 
-The date of a change is estimated by maximum likelihood over all dates, its 95 % interval by the profile likelihood: all dates with
-dof (RSS − RSS_min)/RSS_min ≤ 7.35. This limit holds for a small change; for a large one the interval is too wide, never too narrow
-(Hansen 2000, table 1).
+The test is an e-process: the likelihood ratio of "something changed" to "nothing changed", averaged over the possible changes. While
+nothing changed its expectation is one, so it exceeds 1/α at any time with a probability of at most α (Ville's inequality), whatever the
+number of looks. The change after check c has the share w_c = a/((a + c − 1)(a + c)) of the alarm rate. Level, repeatability and further
+nuisance columns are eliminated by invariance to shift and scale (right Haar priors, as in a t-test), for which the bound is exact for
+normal deviations of unknown variance (Pérez-Ortiz et al. 2024; Lai 1976); the size of the change has normal priors of several widths
+(Robbins 1970). The likelihood of no change is at least `OUTLIER_WEIGHT` times that with an inflated variance of any one check, and the
+deviations are whitened for a first-order autoregression. That and the floor of the variance (`least`) only make the ratio smaller.
 
-A change counts as one of the machine if it is evident even if any one of the temperature sensors may have any linear influence: of
-the e-processes with each sensor among the nuisance columns, the least must pass the limit. If only the test without temperature
-passes it, the likelihoods decide: a temperature explains the series if it is `BETTER_LIKELIHOOD_RATIO` times as likely as every step
-and every drift. Otherwise the series is undecided: time and temperature changed together.
+The date is estimated by maximum likelihood, its 95 % interval by dof (RSS − RSS_min)/RSS_min ≤ 7.35. This limit holds for a small
+change; for a large one the interval is too wide, never too narrow (Hansen 2000, table 1). A change counts as one of the machine if the
+e-process with each temperature sensor among the nuisance columns passes the limit. Manual: `twin doc watch`.
 
 B. E. Hansen: Sample splitting and threshold estimation, Econometrica 68 (2000) 575-603.
-
-Sequential test for a change in a series of checks, valid whatever the number of looks.
-
-The test statistic is an e-process: the likelihood ratio of "something changed" to "nothing changed", averaged over the possible
-changes. While nothing changed its expectation is one, so it exceeds 1/α at any time with a probability of at most α (Ville's
-inequality). The number of looks need not be fixed in advance, and a further look costs nothing. The alarm rate is spent over the
-dates of the change instead of over the looks: the change after check c has the share w_c = a/((a + c − 1)(a + c)) of it, and all
-shares sum to one. A group sequential boundary (Lan and DeMets 1983) would need the last look, or an information time, which a watch
-does not have; and its levels would have to be computed anew for every repeatability.
-
-Neither the level nor the repeatability of the checks is known. Both are eliminated: the ratio is that of the data reduced by
-invariance to shift and scale (right Haar priors, as in a t-test), for which the bound is exact for normal deviations of unknown
-variance (Pérez-Ortiz et al. 2024; Lai 1976). Further nuisance columns are eliminated in the same way: the level of each kind of
-check, and a temperature with an unknown coefficient. The change is a step, or a drift from its date on; its size in standard
-deviations has normal priors of several widths (Robbins 1970).
-
-Two departures from independent, normal deviations are allowed for. The unchanged machine may have one check far off: the likelihood
-of no change is at least `OUTLIER_WEIGHT` times that with an inflated variance of any one check. A single check is then hardly
-evidence, the second one of a step is. And the deviations may be correlated from check to check (first-order autoregression); they
-are then whitened. The first only makes the ratio smaller. With the second, the bound is as good as the estimate of the correlation.
-
-The floor of the variance (`least`) is a small part of the instrument's. It only makes the ratio smaller, so the bound is kept.
-
-K. K. G. Lan, D. L. DeMets: Discrete sequential boundaries for clinical trials, Biometrika 70 (1983) 659-663.
 H. Robbins: Statistical methods related to the law of the iterated logarithm, Ann. Math. Statist. 41 (1970) 1397-1409.
 T. L. Lai: On confidence sequences, Ann. Statist. 4 (1976) 265-280.
 M. F. Pérez-Ortiz, T. Lardy, R. de Heide, P. D. Grünwald: E-statistics, group invariance and anytime-valid testing, Ann. Statist. 52
@@ -368,12 +347,7 @@ def _fit(value: np.ndarray, root: np.ndarray, columns: np.ndarray) -> _Fit:
     residual = root @ value - x @ estimate
     dof = len(value) - int(np.linalg.matrix_rank(x, tol=1e-9 * np.abs(x).max()))
     return _Fit(
-        estimate,
-        inverse @ inverse.T,
-        float(residual @ residual),
-        dof,
-        columns[-1] @ inverse @ root,
-        columns @ estimate,
+        estimate, inverse @ inverse.T, float(residual @ residual), dof, columns[-1] @ inverse @ root, columns @ estimate
     )
 
 

@@ -371,10 +371,7 @@ def _shape_of(pair: Pair, change: np.ndarray, *, linear: bool) -> str:
     ways = (
         (("constant", [np.ones_like(u)]), ("line", [np.ones_like(u), u]), ("bow", [np.ones_like(u), u, u**2]))
         if linear
-        else (
-            ("constant", [np.ones_like(u)]),
-            ("turn", [np.ones_like(u), np.cos(angle), np.sin(angle)]),
-        )
+        else (("constant", [np.ones_like(u)]), ("turn", [np.ones_like(u), np.cos(angle), np.sin(angle)]))
     )
     for name, functions in ways:
         columns = np.stack(functions, axis=1)

@@ -447,7 +447,7 @@ def _common_pattern(found: Changes) -> list[str]:
     if len(errors) == 1:
         return [_remedy(errors[0], found.culprits.trends[0], machine)]
     if len(scales) == len(errors) and lines and _same_slope(scales, machine):
-        rates = ", ".join(f"{e.axis} {_rate(e, machine):+.1f} ± {_rate_u(e, machine):.1f} µm/m" for e in scales)
+        rates = ", ".join(f"{e.axis} {{:+.1f}} ± {{:.1f}} µm/m".format(*_rate(e, machine)) for e in scales)
         return [
             f"All scales changed alike ({rates}). Likely causes are an uncorrected temperature or the scale of the instrument "
             "(wavelength, refractive index). Check these before the machine."
@@ -492,24 +492,16 @@ def _remedy(error: ErrorChange, trend: str, machine: Machine) -> str:
     return f"Check {axis}'s guide or bearing, or {newer}."
 
 
-def _rate(error: ErrorChange, machine: Machine) -> float:
-    """Return the slope in µm/m of a linear change that is zero at mid-range."""
-    return error.largest / _lever_mm(error, machine) * 1e3
-
-
-def _rate_u(error: ErrorChange, machine: Machine) -> float:
-    return abs(COVERAGE_FACTOR * error.u / _lever_mm(error, machine)) * 1e3
-
-
-def _lever_mm(error: ErrorChange, machine: Machine) -> float:
+def _rate(error: ErrorChange, machine: Machine) -> tuple[float, float]:
+    """Return the slope of a linear change that is zero at mid-range, and its U (95 %), µm/m."""
     lo, hi = machine.by_name[error.axis].domain
-    return error.at - (lo + hi) / 2.0 or 1.0
+    lever_mm = error.at - (lo + hi) / 2.0 or 1.0
+    return error.largest / lever_mm * 1e3, abs(COVERAGE_FACTOR * error.u / lever_mm) * 1e3
 
 
 def _same_slope(scales: Sequence[ErrorChange], machine: Machine) -> bool:
     """Return whether all slopes agree within their uncertainty."""
-    rates = np.array([_rate(error, machine) for error in scales])
-    u = np.array([_rate_u(error, machine) for error in scales])
+    rates, u = np.array([_rate(error, machine) for error in scales]).T
     if len(rates) < 2 or np.any(u <= 0.0):
         return False
     weight = u**-2

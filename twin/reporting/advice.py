@@ -168,7 +168,10 @@ def _corrections(
     if calibration.corrected_in_control:
         yield from _module(calibration, found, outcome)
     elif identified is not None and identified.doubtful:
-        yield from _wait()
+        text = Message(
+            "The corrections would contain errors of another kind, with a wrong size. Find the cause of the residuals first."
+        )
+        yield Step("never", Message("Compensate or adjust with this calibration"), text)
     else:
         yield from _one_of(_compensate(calibration, found, outcome), _adjust(found), _tables(found, tables))
 
@@ -312,14 +315,6 @@ def _incomplete(
         yield Step("measure", Message("Find the cause of the noise"), text)
 
 
-def _wait() -> Iterator[Step]:
-    """Yield the step that replaces every correction while the calibration does not describe its own readings."""
-    text = Message(
-        "The corrections would contain errors of another kind, with a wrong size. Find the cause of the residuals first."
-    )
-    yield Step("never", Message("Compensate or adjust with this calibration"), text)
-
-
 def _misfit(points: Sequence[PointComparison], calibration: Calibration) -> Iterator[Step]:
     """Yield steps on measured points that do not fit this calibration."""
     for point in points:
@@ -409,7 +404,19 @@ def _compensate(calibration: Calibration, found: Budget, outcome: CompensationFo
         )
     else:
         known |= {"rms": figure(outcome.judged.rms_um, "µm"), "within": figure(outcome.judged.quantile(0.95), "µm")}
-        texts.append(_compensated(known) if outcome.complete else _at_least_compensated(known))
+        texts.append(
+            Message(
+                "`twin compensate part.nc -o part.compensated.nc{options}` reduces the error from {start} RMS to {rms}, including the "
+                "uncertainty of the calibration ({exact} for an exact one); 95 % of positions within {within}.",
+                **known,
+            )
+            if outcome.complete
+            else Message(
+                "`twin compensate part.nc -o part.compensated.nc{options}` reduces the error from {start} RMS to at least {rms}, "
+                "including the uncertainty of the calibration ({exact} for an exact one); 95 % of positions within at least {within}.",
+                **known,
+            )
+        )
         texts += _not_corrected(outcome)
     if outcome.out_of_range:
         texts.append(
@@ -434,22 +441,6 @@ def _not_corrected(outcome: CompensationForecast) -> list[Message]:
         rms=figure(outcome.with_uncertainty.rms_um, "µm"),
     )
     return [text]
-
-
-def _compensated(known: Mapping[str, str]) -> str:
-    return Message(
-        "`twin compensate part.nc -o part.compensated.nc{options}` reduces the error from {start} RMS to {rms}, including the "
-        "uncertainty of the calibration ({exact} for an exact one); 95 % of positions within {within}.",
-        **known,
-    )
-
-
-def _at_least_compensated(known: Mapping[str, str]) -> str:
-    return Message(
-        "`twin compensate part.nc -o part.compensated.nc{options}` reduces the error from {start} RMS to at least {rms}, including the "
-        "uncertainty of the calibration ({exact} for an exact one); 95 % of positions within at least {within}.",
-        **known,
-    )
 
 
 def _with_measured(what: Message, calibration: Calibration) -> str:
@@ -627,11 +618,7 @@ def _void(calibration: Calibration, settled: bool) -> Iterator[Step]:
 
 def _never(calibration: Calibration, found: Budget) -> Iterator[Step]:
     insignificant = [
-        Message(
-            "{words} ({size})",
-            words=lower(error.words),
-            size=with_half(error.peak, error.peak_half, error.unit),
-        )
+        Message("{words} ({size})", words=lower(error.words), size=with_half(error.peak, error.peak_half, error.unit))
         for error in found.errors
         if error.iso_class in MECHANICAL and isfinite(error.peak_half) and 0.0 < error.peak <= error.peak_half
     ]

@@ -226,16 +226,12 @@ def _commanded(found: Budget) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     low, high = np.maximum(ranges[:, 0], domains[:, 0]), np.minimum(ranges[:, 1], domains[:, 1])
     rotary, linear = list(machine.rotary), list(machine.linear)
     first = inverse.solve(meant, q, approach=approach)
-    commands = _clipped(first.positions, low, high)
-    commands[:, rotary] = _clipped(np.round(commands / increment) * increment, low, high)[:, rotary]
+    commands = np.clip(first.positions, low, high)
+    commands[:, rotary] = np.clip(np.round(commands / increment) * increment, low, high)[:, rotary]
     second = inverse.solve(meant, commands, rotary=False, approach=approach)
-    commands[:, linear] = _clipped(np.round(second.positions / increment) * increment, low, high)[:, linear]
+    commands[:, linear] = np.clip(np.round(second.positions / increment) * increment, low, high)[:, linear]
     beyond = second.where(Status.OUT_OF_RANGE)
     return commands, beyond, first.where(Status.SINGULAR) | first.where(Status.OUT_OF_RANGE)
-
-
-def _clipped(commands: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    return np.clip(commands, low, high)
 
 
 @final

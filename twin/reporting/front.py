@@ -192,7 +192,14 @@ def front_page(
     to = {constant.name: constant.to for constant in report.constants}
     items = [
         *_tool_items(report, given),
-        *(_item(error, given.get(error.name), to.get(error.name, "")) for error in errors),
+        *(
+            _judged(
+                FrontItem(e.name, e.unit, e.peak, e.peak_half, given.get(e.name), None, "", to.get(e.name, "")),
+                e.u_complete,
+                e.illustrative,
+            )
+            for e in errors
+        ),
     ]
     missing = [name for name in given if name not in names and name not in TOOL]
     items += [FrontItem(name, unit_of(name), nan, nan, given[name], "undecided", "unknown") for name in missing]
@@ -212,14 +219,6 @@ def check_tolerances(machine: Machine, tolerances: Mapping[str, float]) -> None:
                 value=name,
                 nearest=closest_name(name, known),
             )
-
-
-def _item(one: Contribution, tolerance: float | None, to: str) -> FrontItem:
-    return _judged(
-        FrontItem(one.name, one.unit, one.peak, one.peak_half, tolerance, None, "", to),
-        one.u_complete,
-        one.illustrative,
-    )
 
 
 def _tool_items(report: MachineReport, given: Mapping[str, float]) -> list[FrontItem]:

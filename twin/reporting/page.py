@@ -280,10 +280,7 @@ def page_to_pdf(page: str, browser: str) -> bytes:
             done = subprocess.run(call, capture_output=True, timeout=TIMEOUT_S, check=False)
         except (OSError, subprocess.TimeoutExpired) as error:
             raise InputError(
-                "the browser did not print the page",
-                expected=WORKING,
-                value=type(error).__name__,
-                file=browser,
+                "the browser did not print the page", expected=WORKING, value=type(error).__name__, file=browser
             ) from error
         if done.returncode or not target.is_file() or not target.read_bytes().startswith(b"%PDF"):
             raise InputError(

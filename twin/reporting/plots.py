@@ -193,7 +193,9 @@ def plot_field(field: Field) -> Figure:
     if len(points) > 1:
         plot.set_box_aspect(np.maximum(np.ptp(np.concatenate([points, points + arrows]), axis=0), 1.0), zoom=0.92)
     plot.view_init(elev=24, azim=-62)
-    bar = drawing.colorbar(_scale(top), cax=drawing.add_axes((0.873, 0.156, 0.026, 0.688)))
+    bar = drawing.colorbar(
+        ScalarMappable(Normalize(0.0, top), VIRIDIS), cax=drawing.add_axes((0.873, 0.156, 0.026, 0.688))
+    )
     bar.set_label(say("error [µm]; arrows × {factor}", factor=f"{factor:,.0f}".replace(",", " ")))
     return drawing
 
@@ -224,8 +226,9 @@ def plot_slice(one: Slice, values: np.ndarray, top: float, label: str) -> Figure
 def plot_compensation(outcome: CompensationForecast) -> Figure:
     """Draw the cumulative distribution of the error over the positions, before and after compensation."""
     plot = _plot(6.2, 3.3 + LINE * len(outcome.levels), legend=len(outcome.levels))
+    colours = [*([RUN] if outcome.without_tables is not None else []), BACKWARD, THIRD, FORWARD]
     smallest = [level.size_um[level.size_um > 0.0].min(initial=np.inf) for level in outcome.levels]
-    for level, colour, style in zip(outcome.levels, _styles(outcome), ("-", "--", "-.", ":"), strict=False):
+    for level, colour, style in zip(outcome.levels, colours, ("-", "--", "-.", ":"), strict=False):
         share = 100.0 * (np.arange(len(level.size_um)) + 1) / len(level.size_um)
         thin = np.unique(np.linspace(0, len(share) - 1, 600).astype(int))
         text = say("{name}: {rms}", name=level.name, rms=figure(level.rms_um, "µm RMS"))
@@ -254,10 +257,6 @@ def plot_residuals(one: PointComparison) -> Figure:
     plot.set(ylim=(0.0, 101.0), xlabel=say("residual of a point [µm]"), ylabel=say("share of points below [%]"))
     _legend(plot, columns=2)
     return cast(Figure, plot.figure)
-
-
-def _styles(outcome: CompensationForecast) -> list[str]:
-    return [*([RUN] if outcome.without_tables is not None else []), BACKWARD, THIRD, FORWARD]
 
 
 def _along(motion: Motion, stops: Sequence[PositionEstimates]) -> Figure:
@@ -326,10 +325,6 @@ def _name_rows(plot: Axes, at: np.ndarray, names: Sequence[str]) -> None:
     """Give the rows of a plot their names; `Axes.set_yticks` would make matplotlib's ticks."""
     plot.yaxis.set_major_locator(FixedLocator(at.tolist()))
     plot.yaxis.set_major_formatter(FixedFormatter(list(names)))
-
-
-def _scale(top: float) -> ScalarMappable:
-    return ScalarMappable(Normalize(0.0, top), VIRIDIS)
 
 
 def _plot(width: float, height: float, *, left: float = 0.72, legend: int = 1, plain: bool = False) -> Axes:

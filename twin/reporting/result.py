@@ -99,10 +99,7 @@ def sources(
             versions() | {"python": platform.python_version()} | {name: _version(name) for name in MORE}
         ),
         seeds=MappingProxyType(
-            {
-                Message("poses and directions of approach"): BUDGET_SEED,
-                Message("uncertainty of the calibration"): seed,
-            }
+            {Message("poses and directions of approach"): BUDGET_SEED, Message("uncertainty of the calibration"): seed}
         ),
         made=made,
     )
@@ -330,7 +327,14 @@ def machine_report(  # noqa: PLR0913
     origin = sources(calibration, identified, [path for path, _ in measured], seed, made)
     known, left_out = without_missing_channels(at, calibration)
     real = Kinematics(machine, known, tool_length_mm=tool_length_mm, conditions=at)
-    error_budget, error_motions, error_field, outcome = _over_the_volume(real, seed, progress)
+    progress("budget", 0.05)
+    error_budget = budget(real)
+    progress("curves", 0.3)
+    error_motions = motions(real)
+    progress("field", 0.35)
+    error_field = field(real)
+    progress("compensation", 0.4)
+    outcome = forecast_compensation(error_budget, seed)
     comparisons = tuple(_comparisons(measured, known, progress))
     gaps = Gaps(
         _absent(known), known.not_identifiable, error_budget.without_uncertainty, left_out, at.unused(calibration)
@@ -355,19 +359,6 @@ def machine_report(  # noqa: PLR0913
         advice=advise(calibration, error_budget, outcome, identification, left_out, comparisons, tables),
         sources=origin,
     )
-
-
-def _over_the_volume(
-    real: Kinematics, seed: int, progress: Progress
-) -> tuple[Budget, tuple[Motion, ...], Field, CompensationForecast]:
-    progress("budget", 0.05)
-    error_budget = budget(real)
-    progress("curves", 0.3)
-    error_motions = motions(real)
-    progress("field", 0.35)
-    error_field = field(real)
-    progress("compensation", 0.4)
-    return error_budget, error_motions, error_field, forecast_compensation(error_budget, seed)
 
 
 def _comparisons(

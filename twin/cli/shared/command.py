@@ -234,9 +234,7 @@ def _check_output(path: Path, mark: Output) -> None:
         raise InputError("cannot be written", expected="a file, not a folder", file=path)
     if mark.suffixes and path.suffix.lower() not in mark.suffixes:
         raise InputError(
-            "wrong suffix of the output file",
-            expected=f"a name ending in {' or '.join(mark.suffixes)}",
-            file=path,
+            "wrong suffix of the output file", expected=f"a name ending in {' or '.join(mark.suffixes)}", file=path
         )
 
 

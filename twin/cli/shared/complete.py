@@ -1,10 +1,7 @@
-"""Shell completion: values of options, and files in the current folder.
+"""Shell completion (`twin --install-completion`): values of options, and files in the current folder.
 
-`twin --install-completion` installs it in the shell. Every function takes the incomplete word and returns its possible completions.
-
-Names that options list: ``{instruments}`` in the help of an option stands for the names of all instruments.
-
-They come from `twin._common.families`, which imports nothing.
+Every function takes the incomplete word and returns its possible completions. ``{instruments}`` in the help of an option stands for
+the names of all instruments, from `twin._common.families`, which imports nothing.
 """
 
 from __future__ import annotations

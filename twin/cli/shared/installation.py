@@ -194,10 +194,7 @@ def browser() -> Finding:
         if path is not None:
             return Finding("Chromium", "ok", path)
     return Finding(
-        "Chromium",
-        "missing",
-        "not found",
-        "needed only for the browser test of the scene; any browser shows the pages",
+        "Chromium", "missing", "not found", "needed only for the browser test of the scene; any browser shows the pages"
     )
 
 

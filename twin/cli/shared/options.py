@@ -14,7 +14,7 @@ from twin._common.bundled import find_program
 from twin._common.errors import InputError, closest_name
 from twin.cli.shared import complete
 from twin.cli.shared.command import EXISTING, MACHINE, POSITIVE, PROGRAM
-from twin.cli.shared.terminal import axis_values, echo, number, pairs, three_numbers
+from twin.cli.shared.terminal import axis_values, number, pairs, three_numbers
 
 if TYPE_CHECKING:
     from twin.compensation.programs.words import Setup
@@ -63,10 +63,7 @@ SubprogramsOption = Annotated[
 MachineOption = Annotated[
     str,
     typer.Option(
-        "--machine",
-        "-m",
-        help="Machine file, or the name of a bundled machine.",
-        autocompletion=complete.machines,
+        "--machine", "-m", help="Machine file, or the name of a bundled machine.", autocompletion=complete.machines
     ),
     MACHINE,
 ]
@@ -173,8 +170,7 @@ MeasuredArgument = Annotated[
     EXISTING,
 ]
 WorkersOption = Annotated[
-    int | None,
-    typer.Option("--workers", help="Number of local processes; default: one per core; 1: no child process."),
+    int | None, typer.Option("--workers", help="Number of local processes; default: one per core; 1: no child process.")
 ]
 SchedulerOption = Annotated[
     str | None,
@@ -214,12 +210,6 @@ def calibration_of(path: Path | None, machine: Machine) -> Calibration:
 def unused(at: Conditions, errors: Calibration) -> list[str]:
     """Return one line for each condition that the calibration does not need."""
     return [f"{name} has no effect: the calibration does not need it" for name in at.unused(errors)]
-
-
-def print_unused(at: Conditions, errors: Calibration) -> None:
-    """Print the lines of `unused`."""
-    for line in unused(at, errors):
-        echo(line)
 
 
 def bundled_sample(path: Path, what: str, kind: str, known: Sequence[str]) -> Path:

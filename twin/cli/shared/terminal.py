@@ -205,10 +205,7 @@ MANY_WORDS: Final[Mapping[str, re.Pattern[str]]] = {
 BETWEEN: Final[Mapping[str, str]] = {"--spheres": r"\s+", "--subprograms": r"(?!)"}
 """Separator of several words in one argument, where it is not blanks and commas; paths may contain both."""
 MANY_WORDS_OF: Final[Mapping[str, Mapping[str, re.Pattern[str]]]] = {
-    "evaluate": {
-        "--tolerance": re.compile(r"[A-Za-z][\w:()↑↓↺↻]*=.*"),
-        "--sensors": re.compile(r"[A-Za-z][\w-]*=.*"),
-    },
+    "evaluate": {"--tolerance": re.compile(r"[A-Za-z][\w:()↑↓↺↻]*=.*"), "--sensors": re.compile(r"[A-Za-z][\w-]*=.*")},
     "report": {"--tolerance": re.compile(r"[A-Za-z]\w*=.*")},
 }
 """The same for options that take several words with one command only."""

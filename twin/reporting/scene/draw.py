@@ -1,11 +1,7 @@
-"""Draw the animation of a program on its machine as one HTML page.
-
-Lengths in this module are in metres; the path and its deviations are given in mm.
-
-Meshcat's viewer as one self-contained HTML page, made without a browser, network or server.
+"""Draw the animation of a program on its machine, and the error field, each as one HTML page.
 
 The page embeds meshcat's drawing commands, like meshcat's ``static_html``, which gets them from a server process. Here they are
-collected from meshcat's classes, so that no server is started. Lengths are in metres.
+collected from meshcat's classes, without a server. Lengths are in metres; the path and its deviations are given in mm.
 """
 
 from __future__ import annotations
