@@ -28,8 +28,6 @@ def bundled_folder() -> Path:
     return inside if inside.is_dir() else package.parent / "urdf"
 
 
-# --- Files given by their path or, if they come with `twin`, by their name ------------------------
-
 _SAMPLES: Final = Path(__file__).resolve().parents[1] / "samples"
 
 

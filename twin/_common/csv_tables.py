@@ -71,7 +71,6 @@ def read_table(path: Path) -> tuple[list[str], list[tuple[int, list[str]]], list
 
 
 def _check_separator(header: str, path: Path, line: int) -> None:
-    """Raise `InputError` if the columns of a header are not separated by commas."""
     for separator, name in ((";", "semicolons"), ("\t", "tabs")):
         if header.count(separator) > header.count(","):
             raise InputError(

@@ -96,10 +96,7 @@ def control_character(text: str) -> str | None:
 
 
 def printable(text: str, *, one_line: bool = False) -> str:
-    """Return a text with control characters escaped, so that a file or its name cannot control the terminal.
-
-    Tabs and line ends are kept unless ``one_line``.
-    """
+    """Return a text with control characters escaped, so that it cannot control the terminal; tabs and line ends too if ``one_line``."""
     if text.isprintable():
         return text
     kept = "" if one_line else "\t\r\n"

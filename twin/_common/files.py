@@ -121,19 +121,12 @@ def read_json(path: Path, expected: str) -> Any:
 
 @final
 class CommandFiles:
-    """The files that one command reads and writes; a file cannot be both.
-
-    Attributes:
-        read: input files by their resolved paths.
-        outputs: output files by their resolved paths.
-        written: complete output files, which may be read back.
-        locks: locks of the output files, from the first that is complete to the end of the command.
-    """
+    """The files that one command reads and writes, by their resolved paths; a file cannot be both."""
 
     def __init__(self) -> None:
         self.read: set[Path] = set()
         self.outputs: set[Path] = set()
-        self.written: set[Path] = set()
+        self.written: set[Path] = set()  # complete outputs, which may be read back
         self._identities: set[tuple[int, int]] = set()
         self.locks = OutputLocks()
 

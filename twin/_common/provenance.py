@@ -140,10 +140,7 @@ PARTLY_UNKNOWN_UNCERTAINTY: Final = SourceWarning(
 
 
 def merge_warnings(*lists: Iterable[SourceWarning]) -> tuple[SourceWarning, ...]:
-    """Return the warnings of several sources, the most serious first, each name once with the errors of all.
-
-    A warning about all errors includes those about some.
-    """
+    """Return the warnings of several sources, the most serious first, each name once and about the errors of all."""
     first: dict[str, SourceWarning] = {}
     for warning in (warning for each in lists for warning in each):
         same = first.setdefault(warning.name, warning)

@@ -44,10 +44,7 @@ class Element:
 
 
 def parse_xml(text: str, path: Path, expected: str) -> Element:
-    """Return the root element of XML text; ``path`` and ``expected`` kind of file are for messages.
-
-    Raises `InputError`: not XML, a document type declaration, more than `MAX_ELEMENTS`, or elements nested deeper than `MAX_NESTING`.
-    """
+    """Return the root element of XML text; `InputError`: not XML, a document type, too many elements, or nested too deeply."""
     parser = expat.ParserCreate("utf-8")
     stack, count = [Element("", {}, 0)], 0
 

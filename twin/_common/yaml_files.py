@@ -58,17 +58,13 @@ _EXPECTED_WORDS: Final = {
 
 
 def _refuse_other_kind(path: Path, name: str) -> None:
-    """Raise `InputError` if a file is recognised as something other than YAML."""
     kind = other_kind(read_text(path), "a calibration", "a machine file", "another file of twin")
     if kind is not None:
         raise InputError(f"{kind}, not a YAML file", expected=f"a file with `schema: {name}`", file=path)
 
 
 def load_yaml(path: Path, schema: type[Schema], name: str) -> tuple[Schema, Mapping[EntryPath, int]]:
-    """Return a YAML file, validated against a pydantic model, and the line of every entry by its path; ``name``: its ``schema:``.
-
-    Raises `InputError`, with the line, on anything that does not match, and on a duplicate key.
-    """
+    """Return a YAML file validated against a pydantic model whose ``schema:`` is ``name``, and the line of every entry by its path."""
     try:
         data, lines = read_yaml(path)
     except InputError:
@@ -324,7 +320,6 @@ def _suggested(first: Any, known: Sequence[str]) -> str | None:
 
 
 def _known_keys(schema: type[BaseModel], place: Sequence[str | int]) -> list[str]:
-    """Return the known keys at the path of an unknown one."""
     models: list[type[BaseModel]] = [schema]
     for part in place[:-1]:
         below = [

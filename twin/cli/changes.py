@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from datetime import datetime
 from pathlib import Path
 from typing import Annotated
 
@@ -117,11 +115,12 @@ def watch(
 
     if html_file is not None:
         options.need_pictures("the HTML page")
+    words = pairs("--date", date or [], "FILE=DATE: first.csv=2026-03-02", last=True)
     settings = WatchSettings(
         alarm_rate=alarm_rate,
         tolerance_mm=tolerance,
         tool_length_mm=tool_length,
-        dates=dates(date or []),
+        dates={name: parsed_date(text) for name, text, _ in words},
         since=None if since is None else parsed_date(since),
     )
     loaded = options.machine(machine)
@@ -133,11 +132,3 @@ def watch(
 
         write_atomic(html_file, watch_html(watched))
     return CommandResult(watched.to_text() + news_text(watched), watched.to_dict, met=watched.met)
-
-
-def dates(entries: Sequence[str]) -> dict[str, datetime]:
-    """Return the dates of files, each given as ``FILE=DATE``, a file once."""
-    from twin.monitoring.check import parsed_date
-
-    words = pairs("--date", entries, "FILE=DATE: first.csv=2026-03-02", last=True)
-    return {name: parsed_date(text) for name, text, _ in words}

@@ -168,7 +168,6 @@ def _written(folder: Path, names: Iterable[str]) -> str:
 def _check_use(
     read: bool, files: list[Path] | None, kind: str | None, to: str | None, kinematics: str | None, output: Path | None
 ) -> None:
-    """Raise `InputError` unless the options are those of reading, or those of writing."""
     if read and (to is not None or kinematics is not None or output is not None or kind is None or not files):
         expected = "FILES --format F, and neither --to nor --kinematics nor -o"
         raise InputError("invalid use of --read", expected=expected, value=" ".join(map(str, files or [])))
@@ -185,7 +184,6 @@ def _read(
     tool_length: float | None,
     around: Conditions,
 ) -> Existing | ReadKinematics:
-    """Return existing tables or kinematics compared with the calibration."""
     from twin.compensation.tables import compare_kinematics, compare_tables
     from twin.tool.uncertainty import without_missing_channels
 
@@ -224,7 +222,6 @@ def _check_live(given: Mapping[str, object]) -> None:
 
 
 def _write_live(errors: Calibration, add: bool, force: bool, tool_length: float | None, output: Path) -> CommandResult:
-    """Make the kinematics module and write the folder."""
     from twin.compensation.live import earlier_of, make_module, outputs_of, write_module
 
     _check_folder(output, outputs_of(output))

@@ -188,7 +188,6 @@ class _Info:
             console.print(line, soft_wrap=True)
 
     def _show_machine(self, console: Console) -> None:
-        """Print files, axes and error frames of the machine."""
         from importlib.metadata import version
 
         from rich.table import Table
@@ -223,7 +222,6 @@ class _Info:
 
 
 def _uncertainty_lines(over: UncertaintyMap | None, without: list[str]) -> list[str]:
-    """Return lines on the uncertainty of the tool point over the volume."""
     from twin.tool.uncertainty import DEFINITION
 
     missing = ", ".join(without)

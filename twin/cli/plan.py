@@ -270,10 +270,10 @@ def plan(
         return test.planned(loaded, own, instrument, spheres, minutes, own_sizes, output)
     sizes = _sizes(sphere_diameter, ball_diameter, clearance, radius, feed)
     request = _SequenceRequest(instrument, sequence, spheres, sizes, program_file)
+    for_sequence = request.wanted(judged is not None)
     if judged is not None:
-        request.check_judged()
         return _judged(judged, loaded, own, errors, instrument, tool_length)
-    if request.for_sequence():
+    if for_sequence:
         return request.planned(loaded, own, tool_length, minutes, seed, output)
     made = _made(loaded, own, errors, minutes, reduce, causes, after, tool_length, seed)
     if output is not None:
@@ -322,7 +322,6 @@ def _made(
 
 
 def _sizes(*given: float | None) -> dict[str, float]:
-    """Return the sizes of the instrument that were given, by name."""
     names = ("sphere_mm", "ball_mm", "clearance_mm", "bar_mm", "feed_mm_min")
     return {name: value for name, value in zip(names, given, strict=True) if value is not None}
 
@@ -330,7 +329,6 @@ def _sizes(*given: float | None) -> dict[str, float]:
 def _check_combination(
     after: Path | None, causes: tuple[str, str] | None, reduce: list[str] | None, instrument: str | None
 ) -> None:
-    """Raise `InputError` for options that exclude each other."""
     if after is not None and causes is None:
         raise InputError("--after needs --separate", expected="two causes to distinguish", value=after)
     if causes is not None and reduce:
@@ -350,22 +348,16 @@ class _SequenceRequest:
     sizes: Mapping[str, float]
     program: Path | None
 
-    def check_judged(self) -> None:
-        """Raise `InputError` if there is an option that makes a plan, where one is judged."""
-        if self.sequence is not None or self.spheres or self.sizes or self.program is not None:
+    def wanted(self, judged: bool) -> bool:
+        """Return whether a sequence is wanted; `InputError` for its options without its instrument, or if a plan is judged."""
+        given = self.sequence is not None or bool(self.spheres or self.sizes) or self.program is not None
+        if judged and given:
             raise InputError("--judge evaluates an existing plan", expected="no option of a measuring sequence")
-
-    def for_sequence(self) -> bool:
-        """Return whether a measuring sequence is wanted; `InputError` for an option of one without its instrument."""
-        if self.instrument in SEQUENCE_INSTRUMENTS:
-            return True
-        if self.sequence is not None or self.spheres or self.sizes or self.program is not None:
-            raise InputError(
-                "a measuring sequence needs its instrument",
-                expected=f"--instrument {' or '.join(SEQUENCE_INSTRUMENTS)}",
-                value=self.instrument,
-            )
-        return False
+        own = self.instrument in SEQUENCE_INSTRUMENTS
+        if given and not own:
+            expected = f"--instrument {' or '.join(SEQUENCE_INSTRUMENTS)}"
+            raise InputError("a measuring sequence needs its instrument", expected=expected, value=self.instrument)
+        return own and not judged
 
     def planned(
         self,

@@ -132,7 +132,6 @@ def _compensated(
     *,
     strict: bool,
 ) -> CommandResult:
-    """Compensate one program, or several into a folder."""
     from twin.compensation import Compensator
     from twin.compensation.programs.many import compensate_files
 

@@ -134,7 +134,6 @@ def _of_first_page(
 
 
 def _result(found: MachineReport, front: FrontPage, unused: Iterable[str]) -> CommandResult:
-    """Return what the command prints, with what was not met."""
     verdict, counts = front.verdict, [f"{front.count(k)} {k}" for k in ("fail", "undecided", "pass") if front.count(k)]
     judged = [] if verdict is None else [f"tolerances (ISO 14253-1): {verdict.upper()}; items: {', '.join(counts)}"]
     items = front.not_accepted
@@ -148,7 +147,6 @@ def _result(found: MachineReport, front: FrontPage, unused: Iterable[str]) -> Co
 
 
 def _first_screen(found: MachineReport) -> list[str]:
-    """Return the summary as lines for the terminal."""
     names = {"do": "do", "measure": "measure", "never": "do not", "unknown": "not known"}
     return [
         *([*warning_texts(found.warnings), ""] if found.warnings else []),

@@ -83,7 +83,6 @@ def thermal(
 def _predictions(
     first: ThermalRecord, other: ThermalRecord | None, model_file: Path | None, continues: bool
 ) -> tuple[ThermalModel, list[tuple[ThermalRecord, ThermalPrediction]]]:
-    """Return the model, read or fitted to the first record, and the predictions of the records."""
     from twin.thermal import fit_thermal as run_fit
     from twin.thermal import load_model
 

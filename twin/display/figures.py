@@ -116,8 +116,6 @@ def embedded(figure: Figure, words: str, caption: str = "", kind: str = "") -> H
     return part("figure", base64.b64encode(buffer.getvalue()).decode(), words, caption, kind)
 
 
-# --- Axes of small pictures, drawn as a few artists that look like matplotlib's own. Needs the extra ``plots``
-
 TICK: Final = 3.5
 """Length of a tick, and its distance to its number, points."""
 TURNED_PAD: Final = 14.0
@@ -281,7 +279,6 @@ def _draw(plot: Axes, axis: Axis, size: float, *, grid: bool, side: int) -> None
 
 
 def _in_order(along: Any, across: Any, side: int) -> tuple[Any, Any]:
-    """Return the coordinates along and across an axis as x and y."""
     return (across, along) if side else (along, across)
 
 
@@ -291,7 +288,6 @@ def _outward(plot: Axes, points: float, side: int) -> Transform:
 
 
 def _shifted(plot: Axes, x: float, y: float) -> Transform:
-    """Return the shift by x and y points."""
     inches: Any = plot.get_figure(root=True).dpi_scale_trans  # type: ignore[union-attr]
     return ScaledTranslation(x / 72.0, y / 72.0, inches)
 

@@ -146,8 +146,6 @@ def _log_ratios(
     return np.stack(logs)
 
 
-# --- The change in the series of one error: step or drift, its date and size, and whether a temperature explains it
-
 Verdict = Literal["steady", "changed", "follows temperature", "undecided"]
 DATE_LIMIT: Final = 7.35
 """Largest profile likelihood ratio inside the 95 % interval of the date (Hansen 2000)."""
@@ -304,7 +302,11 @@ def examine(series: ErrorSeries, limit: float) -> WatchedError:
     elif moved.any():
         temperatures = _temperatures(series, least)
         verdict = "follows temperature" if temperatures[0].log_ratio >= np.log(BETTER_LIKELIHOOD_RATIO) else "undecided"
-    columns = _model(series, verdict, change, temperatures)
+    columns = levels
+    if verdict in ("changed", "undecided") and change is not None:
+        columns = np.column_stack([levels, _shape(series, change.shape, change.after)])
+    elif verdict == "follows temperature":
+        columns = np.column_stack([levels, sensors[temperatures[0].sensor]])
     fit = _fit(series.value, series.root, columns)
     variance = max(fit.rss / fit.dof, least) if fit.dof > 0 else np.nan
     return WatchedError(
@@ -320,18 +322,6 @@ def examine(series: ErrorSeries, limit: float) -> WatchedError:
         read_only(fit.weights),
         read_only(fit.fitted),
     )
-
-
-def _model(
-    series: ErrorSeries, verdict: Verdict, change: Change | None, temperatures: tuple[TemperatureEffect, ...]
-) -> np.ndarray:
-    """Return the columns of the model of a verdict."""
-    columns = [series.levels]
-    if verdict in ("changed", "undecided") and change is not None:
-        columns.append(_shape(series, change.shape, change.after)[:, None])
-    if verdict == "follows temperature":
-        columns.append(series.sensors[temperatures[0].sensor][:, None])
-    return np.concatenate(columns, axis=1)
 
 
 def _shape(series: ErrorSeries, shape: str, after: int) -> np.ndarray:
@@ -387,7 +377,6 @@ def _best(rss: Mapping[str, np.ndarray]) -> str:
 
 
 def _change(series: ErrorSeries, least: float, nuisance: np.ndarray) -> Change:
-    """Return the most likely change, with its interval, beside the nuisance columns."""
     profile = {name: rss + least for name, rss in _profile(series, nuisance).items()}
     # A step and a drift in the last interval are the same change.
     shape: Literal["step", "drift"] = "step" if _best(profile) == "step" else "drift"

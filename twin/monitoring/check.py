@@ -266,7 +266,6 @@ def _solved(network: Network, setup: StationsAndTargets, calibration: Calibratio
 def _parallel(
     network: Network, setup: StationsAndTargets, calibration: Calibration, free: np.ndarray
 ) -> StationsAndTargets:
-    """Return the set-up with some stations parallel to their carriers."""
     data, targets, stations = network.data, list(setup.targets), np.array(setup.stations)
     target = np.array([targets.index(str(name)) for name in data.target])
     points = observation_of(network.machine).points_mm(calibration, data, setup.place[target] / MM)
@@ -348,10 +347,7 @@ def remaining_error(
     tool_length_mm: float | None,
     progress: Progress = silent,
 ) -> Remaining:
-    """Return the error at the tool that remains if the calibration compensates the machine as the checks show it now.
-
-    It contains the deviations of the errors that the checks determine, and their uncertainty; not those of the other errors.
-    """
+    """Return the error at the tool due to the deviations that the checks determine now, if the calibration compensates."""
     value, covariance = levels(findings, checks)
     after = deviations(machine, {one.series.name: v for one, v in zip(findings, value, strict=True)}, covariance)
     names = [effect.name for effect in after.effects]

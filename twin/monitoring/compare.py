@@ -327,7 +327,6 @@ def _as_effect(pair: Pair, change: np.ndarray, effect: Effect) -> ActingError:
 
 
 def _change(pair: Pair, change: np.ndarray, covariance: np.ndarray) -> ErrorChange:
-    """Return the change of one error, with its uncertainty if known."""
     values = pair.shape @ change
     known, curve = pair.status == "known", pair.kind == "curve"
     u = np.full(len(values), np.nan)

@@ -500,7 +500,6 @@ def _rate(error: ErrorChange, machine: Machine) -> tuple[float, float]:
 
 
 def _same_slope(scales: Sequence[ErrorChange], machine: Machine) -> bool:
-    """Return whether all slopes agree within their uncertainty."""
     rates, u = np.array([_rate(error, machine) for error in scales]).T
     if len(rates) < 2 or np.any(u <= 0.0):
         return False

@@ -251,7 +251,6 @@ def _functions(effect: Effect, axis: str, positions: np.ndarray) -> np.ndarray:
 
 
 def _numbers(one: Effect, two: Effect, axis: str, covariances: tuple[Covariance, Covariance]) -> Pair:
-    """Pair the numbers of a squareness, a location or an effect."""
     named = one.name.startswith("E_")
     forms = [effect.normal_form for effect in (one, two)]
     sides = [
@@ -308,8 +307,6 @@ def joint_covariance(pairs: Sequence[Pair], covariances: tuple[Covariance, Covar
         total[:, gone] = 0.0
     return (total + total.T) / 2.0
 
-
-# --- Significance of the changes between two calibrations -----------------------------------------
 
 FALSE_ALARMS: Final = 0.05
 TESTS: Final = 4
@@ -556,7 +553,6 @@ class _Search:
         )
 
     def _exchange(self) -> None:
-        """Exchange each selected candidate for a better one, if there is one."""
         for place, which in enumerate(list(self.chosen)):
             taken = {self.candidates[i].pair for i in self.chosen if i != which}
             gains = self._gains(self.basis(without=which))

@@ -253,7 +253,6 @@ _UNKNOWN: Final = _Simulated(np.zeros(0), np.zeros(0))
 def _simulate_unchanged(
     scene: _CommonPoses, judged: Mapping[str, str], drawn: Collection[str], classes: list[str], progress: Progress
 ) -> dict[str, _Simulated]:
-    """Simulate the displacements of an unchanged machine by draws of both calibrations' numbers."""
     owner = {
         number.name: effect.name
         for side in (scene.first, scene.second)

@@ -181,7 +181,6 @@ def _examined(
 
 
 def _not_determined(checks: Sequence[Check]) -> tuple[str, ...]:
-    """Return what no check determines, in words."""
     seen = {name for check in checks for name in check.errors}
     return tuple(text for text in checks[0].lost if text not in seen and all(text in check.lost for check in checks))
 
@@ -287,7 +286,6 @@ def _file_notices(
 
 
 def _record_notices(records: Sequence[Path]) -> list[str]:
-    """Return what the last record of the control says."""
     if not records:
         return []
     last = max(map(ControlRecord.load, records[-2:]), key=lambda one: one.begin)

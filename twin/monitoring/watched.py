@@ -132,7 +132,6 @@ def remember(path: Path, key: WatchKey, new: Sequence[Check], said: WatchStateme
 
 
 def _load(memory: sqlite3.Connection, content: bytes, folder: Path) -> None:
-    """Fill a database in memory with the content of a file."""
     if SERIALIZES:
         memory.deserialize(content)
         return
@@ -144,7 +143,6 @@ def _load(memory: sqlite3.Connection, content: bytes, folder: Path) -> None:
 
 
 def _content(memory: sqlite3.Connection, folder: Path) -> bytes:
-    """Return the content of the file of a database in memory."""
     if SERIALIZES:
         return memory.serialize()
     with scratch_folder(folder) as scratch:
@@ -191,8 +189,6 @@ def _not_a_memory(path: Path, why: str) -> InputError:
         value=why,
     )
 
-
-# --- The result of a watch: verdict, history of every error, and whether the calibration is still good
 
 SCHEMA: Final = "twin.watch/1"
 Verdict = Literal["changed", "undecided", "steady"]

@@ -19,7 +19,7 @@ from twin.display.numbers import capital, listed, lower
 from twin.model.calibration import Calibration
 from twin.model.conditions import SETTINGS, needed_values
 from twin.reporting.compensation import CompensationForecast
-from twin.reporting.contributions import Budget, Contribution
+from twin.reporting.contributions import Budget
 from twin.reporting.identified import Identified, PointComparison
 from twin.tool.forward import Kinematics
 
@@ -65,8 +65,6 @@ def tables_left(
         tables.append(TablesLeft(form.name, made.required.at, real.tool_length_mm, account.remains, account.carried))
     return tuple(sorted(tables, key=lambda one: -one.remains.reduction))
 
-
-# --- Summary of a machine report in words: largest errors, recommended actions, measurements, and what to avoid
 
 Kind = Literal["do", "measure", "never", "unknown"]
 Rating = Literal["well", "wrong", "unknown"]
@@ -152,7 +150,18 @@ def advise(
     return MachineAdvice(
         _headline(found, outcome, live=live),
         "well" if found.total.max_um <= SMALL_UM else "unknown" if live else "wrong",
-        tuple(_line(error) for error in found.errors[:NAMED]),
+        tuple(
+            Message(
+                "{words} ({name}): up to {peak}; effect at the tool {rms} RMS, up to {largest} (U {u})",
+                words=one.words,
+                name=one.name,
+                peak=with_half(one.peak, one.peak_half, one.unit),
+                rms=figure(one.rms_um, "µm"),
+                largest=figure(one.max_um, "µm"),
+                u=expanded(one.u_rms_um, complete=one.u_complete),
+            )
+            for one in found.errors[:NAMED]
+        ),
         tuple(sorted(every, key=lambda step: _ORDER.index(step.kind))),
     )
 
@@ -164,7 +173,6 @@ def _corrections(
     identified: Identified | None,
     tables: Sequence[TablesLeft],
 ) -> Iterator[Step]:
-    """Yield how the errors are to be corrected."""
     if calibration.corrected_in_control:
         yield from _module(calibration, found, outcome)
     elif identified is not None and identified.doubtful:
@@ -251,18 +259,6 @@ def _one_of(*ways: Iterator[Step]) -> Iterator[Step]:
         again = again or step.kind == "do"
 
 
-def _line(one: Contribution) -> Message:
-    return Message(
-        "{words} ({name}): up to {peak}; effect at the tool {rms} RMS, up to {largest} (U {u})",
-        words=one.words,
-        name=one.name,
-        peak=with_half(one.peak, one.peak_half, one.unit),
-        rms=figure(one.rms_um, "µm"),
-        largest=figure(one.max_um, "µm"),
-        u=expanded(one.u_rms_um, complete=one.u_complete),
-    )
-
-
 def _incomplete(
     calibration: Calibration, left_out: Mapping[str, tuple[str, ...]], identified: Identified | None
 ) -> Iterator[Step]:
@@ -316,7 +312,6 @@ def _incomplete(
 
 
 def _misfit(points: Sequence[PointComparison], calibration: Calibration) -> Iterator[Step]:
-    """Yield steps on measured points that do not fit this calibration."""
     for point in points:
         if point.far:
             text = Message(
@@ -449,7 +444,6 @@ def _with_measured(what: Message, calibration: Calibration) -> str:
 
 
 def _about(calibration: Calibration) -> str:
-    """Return the options for machine and calibration."""
     file = "" if calibration.path is None else f" --calibration {calibration.path.name}"
     return f"{calibration.machine.as_option}{file}"
 
@@ -545,7 +539,6 @@ def _remaining(one: TablesLeft) -> str:
 
 
 def _unknown(calibration: Calibration, outcome: CompensationForecast) -> Iterator[Step]:
-    """Yield a step on the errors that the readings could not determine."""
     by_reason: dict[str, list[str]] = {}
     for error in calibration.not_identifiable:
         by_reason.setdefault(error.why, []).append(error.name)

@@ -74,8 +74,6 @@ def _uri(kind: str, content: bytes) -> str:
     return f"data:image/{kind};base64,{base64.b64encode(content).decode()}"
 
 
-# --- First page of a report: items with tolerance and verdict, the largest findings, and the facts of the test
-
 TOOL: Final = ("tool", "tool_after")
 """Names of the error of the tool point before compensation, and as expected after it."""
 FINDINGS: Final = 3

@@ -143,10 +143,7 @@ class Identified:
 
     @classmethod
     def load(cls, path: str | Path, calibration: Calibration) -> Identified:
-        """Read the JSON file that ``twin identify --json`` wrote with a calibration, and compare the two.
-
-        Raises `InputError` if the file has another format, or belongs to another machine.
-        """
+        """Read the JSON of ``twin identify --json`` and compare it with the calibration; `InputError`: another format or machine."""
         path = Path(path)
         try:
             content = IdentificationFile.model_validate(read_json(path, "the JSON file of `twin identify`"))

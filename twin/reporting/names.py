@@ -95,7 +95,6 @@ def _of_kind(kind: str, name: str, to: str = "") -> Message:
 
 
 def _title(effect: str, where: str) -> str:
-    """Return the name of a machine effect at a place; a calibration holds no effects of instruments."""
     return title_of(
         {machine_effect.name: machine_effect for machine_effect in MACHINE_EFFECTS}.get(effect), effect, where
     )

@@ -179,7 +179,6 @@ def measurements_from_frame(frame: pd.DataFrame, machine: Machine) -> Measuremen
 
 
 def _rows(calibration: Calibration) -> list[tuple[Any, ...]]:
-    """Return the rows of a calibration's frame."""
     covariance = calibration.covariance
     variance = dict(zip(covariance.names, np.diagonal(covariance.matrix), strict=True))
 
@@ -531,7 +530,6 @@ def _png(kinematics: Kinematics, position: np.ndarray) -> bytes:
 
 
 def _error(errors: ErrorsAtTool, position: np.ndarray) -> str:
-    """Return the error at the tool in one position, in words."""
     found = {name: float(value[0]) for name, (value, _, _) in errors.at(position[None]).items()}
     if np.isnan(found["distance"]):
         return "outside the domain of the error motions: no error is known here"

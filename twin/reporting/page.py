@@ -89,10 +89,7 @@ SECTIONS: Final = (
 
 
 def machine_html(report: MachineReport, front: FrontPage | None = None, language: Language = Language.en) -> str:
-    """Return the page as self-contained HTML; ``front`` None: without tolerances and facts of the test.
-
-    Sentences without translation stay English and are counted.
-    """
+    """Return the page as self-contained HTML; sentences without translation stay English and are counted."""
 
     def stops_of(name: str) -> tuple[PositionEstimates, ...]:
         return tuple(stop for comparison in report.comparisons for stop in comparison.stops.get(name, ()))
@@ -171,7 +168,6 @@ def _spacing(steps_mm: Mapping[str, float]) -> Number:
 
 
 def _viewer(report: MachineReport) -> str:
-    """Return the interactive 3D field in an iframe."""
     field, rows = report.field, report.field.drawn
     inner = field_html(
         field.point_mm[rows],
@@ -204,7 +200,6 @@ def _degree(report: MachineReport, motion: Motion) -> str:
 
 
 def _numbers(report: MachineReport, effect: Effect) -> str:
-    """Return the parameters of an effect with their 95 % intervals."""
     known = report.calibration.covariance
     texts = []
     for one in effect.parameters:
@@ -215,7 +210,6 @@ def _numbers(report: MachineReport, effect: Effect) -> str:
 
 
 def _rows_of(rows: Sequence[tuple[int, str]]) -> list[str]:
-    """Return lines on excluded rows, with their reasons."""
     texts: list[str] = [Message("line {line}: {reason}", line=line, reason=reason) for line, reason in rows[:ROWS]]
     more = len(rows) - ROWS
     return [*texts, Message("and {count} more, all in the JSON", count=more)] if more > 0 else texts

@@ -328,10 +328,7 @@ def _name_rows(plot: Axes, at: np.ndarray, names: Sequence[str]) -> None:
 
 
 def _plot(width: float, height: float, *, left: float = 0.72, legend: int = 1, plain: bool = False) -> Axes:
-    """Return one plot with fixed margins for labels and a legend of ``legend`` lines: automatic layout is as slow as drawing.
-
-    With ``plain``, the caller adds the axes by `draw_plain_axes`.
-    """
+    """Return one plot with fixed margins for labels and legend (automatic layout is as slow as drawing); ``plain``: without axes."""
     drawing = new_figure(width, height, layout=None)
     below = 0.52 + LINE * legend
     place = left / width, below / height, (width - left - 0.12) / width, (height - below - 0.14) / height

@@ -112,8 +112,6 @@ def _version(name: str) -> str:
         return MISSING
 
 
-# --- Compute every number of a machine report, and its JSON ---------------------------------------
-
 SCHEMA: Final = "twin.reporting/1"
 SEED: Final = 0
 

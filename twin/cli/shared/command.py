@@ -167,7 +167,6 @@ def progress_bar() -> Iterator[Any]:
 
 
 def _report(result: CommandResult, outputs: Sequence[Path], json_file: Path | None) -> None:
-    """Write the JSON file, print the text, and exit with the result's status."""
     if json_file is not None:
         write_json(json_file, result.report(), check=result.check_json)
     echo(result.text, end="")

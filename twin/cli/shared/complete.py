@@ -22,6 +22,7 @@ from twin.samples import PLANS
 if TYPE_CHECKING:
     from twin.machine.machine import Machine
 
+Completer = Callable[[str], list[str]]
 LISTS: Final[Mapping[str, Sequence[str]]] = MappingProxyType(
     {
         "classes": NAMES,
@@ -50,10 +51,12 @@ def one_of(which: str) -> dict[str, Any]:
             raise typer.BadParameter(f"{value!r} is not one of {', '.join(map(repr, names))}.")
         return value
 
-    def completed(incomplete: str) -> list[str]:
-        return [name for name in LISTS[which] if name.startswith(incomplete)]
+    return {"parser": checked, "metavar": f"[{{{which}}}]", "autocompletion": _listed(which)}
 
-    return {"parser": checked, "metavar": f"[{{{which}}}]", "autocompletion": completed}
+
+def _listed(which: str) -> Completer:
+    """Return a completer of the names of one of `LISTS`."""
+    return lambda incomplete: _starting_with(incomplete, LISTS[which])
 
 
 @final
@@ -71,32 +74,14 @@ class ListingCommand(TyperCommand):
         super().format_help(ctx, formatter)
 
 
-# --- Shell completion: values of options, and files in the current folder -------------------------
-
 YAML: Final = (".yaml", ".yml")
 
 Found = TypeVar("Found")
-Completer = Callable[[str], list[str]]
 
 
 def classes(incomplete: str) -> list[str]:
     """Complete a class of ISO/TR 16907."""
     return _starting_with(incomplete.upper(), LISTS["classes"])
-
-
-def instruments(incomplete: str) -> list[str]:
-    """Complete the name of an instrument."""
-    return _starting_with(incomplete, LISTS["instruments"])
-
-
-def drifts(incomplete: str) -> list[str]:
-    """Complete the name of a drift test."""
-    return _starting_with(incomplete, LISTS["drifts"])
-
-
-def sequences(incomplete: str) -> list[str]:
-    """Complete the name of a measuring sequence."""
-    return _starting_with(incomplete, LISTS["sequences"])
 
 
 def errors(ctx: Any, incomplete: str) -> list[str]:
@@ -163,7 +148,6 @@ def _samples(suffixes: tuple[str, ...]) -> list[str]:
 
 
 def _named_or_file(names: Callable[[], list[str]], suffixes: tuple[str, ...]) -> Completer:
-    """Return a completer of bundled names and of files with one of the suffixes."""
     return lambda incomplete: _starting_with(incomplete, names()) + _files(incomplete, suffixes)
 
 
@@ -191,6 +175,7 @@ def programs(incomplete: str) -> list[str]:
     return _named_or_file(lambda: _samples(suffixes), suffixes)(incomplete)
 
 
+drifts, instruments, sequences = map(_listed, ("drifts", "instruments", "sequences"))
 machines = _named_or_file(lambda: _bundled(".yaml"), YAML)
 calibrations = _named_or_file(list, YAML)
 kits = _named_or_file(lambda: _bundled(".kit.yaml"), YAML)

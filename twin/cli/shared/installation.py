@@ -99,10 +99,7 @@ def can_start() -> bool:
 
 
 def exit_with_import_error(error: BaseException) -> NoReturn:
-    """Exit with status 2 after a failed import, and name the packages in one line; re-raise if all can be imported.
-
-    Then the defect is in twin. An interrupted import raises `KeyboardInterrupt`.
-    """
+    """Exit with status 2 after a failed import, and name the packages; if all can be imported, the defect is twin's: raise."""
     cause: BaseException | None = error
     while cause is not None:
         if isinstance(cause, KeyboardInterrupt):  # a package that was being imported made another exception of it
@@ -230,7 +227,6 @@ def _reinstall(name: str) -> str:
 
 
 def _modules() -> dict[str, str]:
-    """Return the modules to import of every installed package."""
     every = {**NEEDED, **{name: modules for name, (modules, _) in OPTIONAL.items()}}
     return {name: modules for name, modules in every.items() if _version(name) is not None}
 

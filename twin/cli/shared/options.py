@@ -272,10 +272,7 @@ def conditions(
     *,
     by_block: bool = False,
 ) -> Conditions:
-    """Return temperatures (words ``NAME=°C``), time, spindle speed and carried load of a program, or the record of the machine.
-
-    ``by_block``: whether the program's own speed words apply where no speed is given.
-    """
+    """Return temperatures (``NAME=°C``), time, speed and load of a program, or its record; ``by_block``: its S words apply."""
     from twin.model.conditions import Conditions, MachineLog
 
     words = pairs("--temperature", temperatures, "axis or sensor and °C: X=23.1")

@@ -271,7 +271,6 @@ def axis_values(option: str, entries: Iterable[str] | None, axes: Sequence[str])
 
 
 def _many_words(arguments: list[str]) -> Mapping[str, re.Pattern[str]]:
-    """Return the options of several words for the command that the arguments name."""
     own = next((MANY_WORDS_OF[word] for word in arguments[:2] if word in MANY_WORDS_OF), {})
     return {**MANY_WORDS, **own}
 

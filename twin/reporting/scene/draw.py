@@ -66,10 +66,7 @@ _WAYS: Final = np.array(list(product((-2, -1, 0, 1, 2), repeat=3)), dtype=float)
 
 
 def viewer_page(template: str, commands: Sequence[Any], data: Mapping[str, Any], top_um: float, **words: Any) -> str:
-    """Return the page's text, several megabytes, from a template that extends ``viewer.html.j2``.
-
-    ``commands`` are meshcat's, ``data`` is for the page's script, ``words`` for the template.
-    """
+    """Return the page from a template that extends ``viewer.html.j2``, with meshcat's commands and ``data`` for its script."""
     colours = viridis(np.linspace(0.0, 1.0, 17))
     main = importlib.resources.files("meshcat") / "viewer" / "dist" / "main.min.js"
     return render(
@@ -136,8 +133,6 @@ def _plain(data: Any) -> Any:
     return data.item() if isinstance(data, np.generic) else data
 
 
-# --- Draw the animation of a program on its machine as one HTML page ------------------------------
-
 SECONDS: Final = 20.0
 """Duration of the animation."""
 VECTORS: Final = 24
@@ -149,6 +144,9 @@ _INK: Final = (0.13, 0.14, 0.17)
 _RED: Final = (0.84, 0.10, 0.12)
 _TOOL: Final = 0xC9A227
 _CORNERS: Final = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=float)
+_BOX_EDGES: Final = np.concatenate(
+    [_CORNERS[[a, b]] for a in range(8) for b in range(a + 1, 8) if np.sum(_CORNERS[a] != _CORNERS[b]) == 1]
+)
 _LIGHTS: Final = (
     ("AmbientLight", "intensity", 0.6),
     ("FillLight", "intensity", 0.38),
@@ -215,7 +213,6 @@ def scene_html(
 
 
 def _path_data(path: ScenePath, frames: Keyframes, factor: float) -> dict[str, Any]:
-    """Return the data of the path for the page's script."""
     worst = path.shown_mm(factor)[path.worst] * MM
     shown = np.concatenate([path.nominal_mm[path.counted], path.shown_mm(factor)[path.counted]]) * MM
     return {
@@ -278,7 +275,7 @@ def _visuals(kinematics: Kinematics) -> list[_Visual]:
         frame, shape, turn = model.frames[entry.parentFrame], entry.geometry, np.eye(4)
         if isinstance(shape, coal.Box):
             half = np.array(shape.halfSide)
-            geometry, edges = shapes.Box((2 * half).tolist()), _box_edges(half)
+            geometry, edges = shapes.Box((2 * half).tolist()), half * _BOX_EDGES
         elif isinstance(shape, coal.Cylinder):
             half = np.array([shape.radius, shape.radius, shape.halfLength])
             geometry = shapes.Cylinder(2 * shape.halfLength, shape.radius)
@@ -302,11 +299,6 @@ def machine_edges(kinematics: Kinematics) -> dict[str, np.ndarray]:
     visuals = _visuals(kinematics)
     links = dict.fromkeys(visual.link for visual in visuals)
     return {link: np.concatenate([visual.edges for visual in visuals if visual.link == link]) for link in links}
-
-
-def _box_edges(half: np.ndarray) -> np.ndarray:
-    pairs = [(a, b) for a in range(8) for b in range(a + 1, 8) if np.sum(_CORNERS[a] != _CORNERS[b]) == 1]
-    return half * _CORNERS[np.array(pairs).ravel()]
 
 
 def _rims(radius: float, half_length: float, count: int = 40) -> np.ndarray:
@@ -431,7 +423,6 @@ def _stage_commands(box: np.ndarray) -> list[Any]:
 
 
 def _pairs(points: np.ndarray, colours: np.ndarray, pieces: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """Return the end points of all segments of all runs, and their colours."""
     ends = np.concatenate([np.repeat(piece, 2)[1:-1] for piece in pieces])
     return points[ends], colours[ends]
 
