@@ -131,7 +131,7 @@ def watch(
     checks = tuple(sorted((*known.checks, *new), key=lambda one: (one.date, one.name)))
     if not checks:
         raise InputError("no check in the folder", expected="measurement tables (.csv)", file=folder)
-    errors, remaining, watched = _examined(checks, machine, settings, progress)
+    errors, remaining, watched, limit = _examined(checks, machine, settings, progress)
     found = Watch(
         folder=folder,
         memory=memory,
@@ -143,7 +143,7 @@ def watch(
         alarm_rate=settings.alarm_rate,
         spent=settings.alarm_rate * spent_share(len(checks)),
         errors_watched=watched,
-        limit=_limit(watched, settings),
+        limit=limit,
         tolerance_mm=settings.tolerance_mm,
         remaining=remaining,
         news=_news(new, known),
@@ -151,33 +151,33 @@ def watch(
         notices=(*_file_notices(files, ignored, known, new), *_record_notices(records), *_check_notices(checks)),
         warnings=merge_warnings(calibration.warnings, (SIMULATED,) if any(check.simulated for check in checks) else ()),
     )
-    if not new:
-        return found
-    said = WatchStatement(looked, len(checks), found.spent, found.verdict, f"{headline(found)}.\n{found.to_text()}")
-    remember(memory, key, new, said)
+    return _remembered(found, key, new, looked) if new else found
+
+
+def _remembered(found: Watch, key: WatchKey, new: Sequence[Check], looked: str) -> Watch:
+    """Write what the watch says now into its memory, and return the watch with it."""
+    text = f"{headline(found)}.\n{found.to_text()}"
+    said = WatchStatement(looked, len(found.checks), found.spent, found.verdict, text)
+    remember(found.memory, key, new, said)
     return replace(found, statements=(*found.statements, said))
-
-
-def _limit(watched: int, settings: WatchSettings) -> float:
-    """Return the logarithm of the evidence from which one of the errors watched is an alarm."""
-    return float(np.log(TESTS * watched / settings.alarm_rate))
 
 
 def _examined(
     checks: Sequence[Check], machine: Machine, settings: WatchSettings, progress: Progress
-) -> tuple[tuple[WatchedError, ...], Remaining | None, int]:
-    """Return every error, in the order in which the checks name them, what remains at the tool, and the number watched."""
+) -> tuple[tuple[WatchedError, ...], Remaining | None, int, float]:
+    """Return every error, in the order in which the checks name them, what remains at the tool, their number, the limit."""
     progress("comparing", 0.8)
     linear = [axis.name for axis in machine.axes if axis.linear]
     watched = len([*linear, *machine.squareness_names, *machine.location_names])
     every = [series_of(name, checks) for name in dict.fromkeys(name for check in checks for name in check.errors)]
     correlation = lag_correlation(every)
-    limit = _limit(watched, settings)
+    limit = float(np.log(TESTS * watched / settings.alarm_rate))
     errors = tuple(examine(replace(one, correlation=correlation), limit) for one in every)
     if settings.tolerance_mm is None or not errors:
-        return errors, None, watched
+        return errors, None, watched, limit
     length = settings.tool_length_mm
-    return errors, remaining_error(machine, errors, checks, tool_length_mm=length, progress=progress), watched
+    remaining = remaining_error(machine, errors, checks, tool_length_mm=length, progress=progress)
+    return errors, remaining, watched, limit
 
 
 def _not_determined(checks: Sequence[Check]) -> tuple[str, ...]:
