@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import datetime
+import gc
 import os
 import re
 import sys
@@ -18,7 +19,7 @@ from hypothesis import HealthCheck, settings
 from xdist.scheduler import LoadFileScheduling
 
 from twin._common.resources import one_blas_thread
-from twin.cli import commands
+from twin.cli import OBJECTS, commands
 from twin.machine.machine import Machine
 from twin.model.calibration import Calibration
 from twin.planning import Kit, Plan, duration, plan
@@ -32,6 +33,9 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")  # of the commands that tests star
 # Two workers share two cores (pyproject.toml): threads of a linear algebra library would only stand in each other's way.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 one_blas_thread()
+
+# As every command does: searching for reference cycles takes a third of the time of the collection of tests.
+gc.set_threshold(OBJECTS, 10, 10)
 
 # Each call builds every command that is imported: one in a user's process, twenty here.
 commands.load = cache(commands.load)

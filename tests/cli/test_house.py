@@ -7,6 +7,7 @@ import re
 import shutil
 import subprocess
 import sys
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -44,8 +45,14 @@ def test_layers() -> None:
     assert run(tool("lint-imports")) == ""
 
 
-def package_files() -> list[Path]:
-    return sorted((ROOT / "twin").rglob("*.py"))
+@cache
+def package_files() -> tuple[Path, ...]:
+    return tuple(sorted((ROOT / "twin").rglob("*.py")))
+
+
+@cache
+def package_trees() -> tuple[ast.Module, ...]:
+    return tuple(ast.parse(path.read_text()) for path in package_files())
 
 
 MOST_LINES = 700
@@ -59,8 +66,8 @@ def test_modules_are_short() -> None:
 def test_no_function_beyond_80_lines() -> None:
     long = [
         node.name
-        for path in package_files()
-        for node in ast.walk(ast.parse(path.read_text()))
+        for tree in package_trees()
+        for node in ast.walk(tree)
         if isinstance(node, ast.FunctionDef) and (node.end_lineno or 0) - node.lineno >= 80
     ]
     assert long == []
@@ -69,8 +76,8 @@ def test_no_function_beyond_80_lines() -> None:
 def test_class_names_are_unique() -> None:
     names = [
         node.name
-        for path in package_files()
-        for node in ast.parse(path.read_text()).body
+        for tree in package_trees()
+        for node in tree.body
         if isinstance(node, ast.ClassDef) and not node.name.startswith("_")
     ]
     assert [name for name in names if names.count(name) > 1] == []

@@ -104,7 +104,9 @@ def test_what_remains_is_compensated_or_added(
     assert code == 2 and "with the module switched off, the calibration corrected.yaml" in said
 
 
-def test_the_report_advises_to_keep_the_module(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_report_advises_to_keep_the_module(
+    without_pictures: None, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     status("report -c live/calibration.yaml -o r.html --json r.json --tool-length 120".split(), capsys)
     summary = json.loads(Path("r.json").read_text())["summary"]
     assert summary["headline"].startswith(

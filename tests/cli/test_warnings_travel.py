@@ -287,7 +287,9 @@ def test_calibration_from_simulated_readings_has_the_warning(dmu50: Machine, tab
     assert [one["name"] for one in drawn.to_dict()["warnings"]] == ["simulated_readings", "not_identifiable"]
 
 
-def test_standard_tests_have_the_warning(table: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_standard_tests_have_the_warning(
+    without_pictures: None, table: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     page, report = tmp_path / "t.html", tmp_path / "t.json"
     for path, wanted in ((table, {SIMULATED.name}), (as_measured(table), set[str]())):
         assert run("evaluate", path, "--html", page, "--json", report) == 0
@@ -295,7 +297,9 @@ def test_standard_tests_have_the_warning(table: Path, tmp_path: Path, capsys: py
         assert said(printed) == said(page.read_text()) == named(report) == wanted
 
 
-def test_watch_has_the_warning(table: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_watch_has_the_warning(
+    without_pictures: None, table: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     mine = tmp_path / "mine.yaml"
     mine.write_text(calibration_text("nothing"))
     for path, wanted in ((table, {SIMULATED.name}), (as_measured(table), set[str]())):

@@ -391,6 +391,7 @@ def test_two_causes_that_are_one_number_are_named_once(tmp_path: Path) -> None:
 MOVED = {"shift_x": 14.0, "shift_y": -9.0, "shift_z": 6.0, "turn_x": 3.0, "turn_y": -5.0, "turn_z": 6.0}
 
 
+@pytest.mark.sample(2)  # of 3
 @pytest.mark.parametrize("where", ["round 2 only", "round 2", "round 3"])
 def test_one_round_that_is_aligned_differently_is_a_shift_of_it(look: Callable[..., Diagnosis], where: str) -> None:
     truth = one("frame_shift", where, **MOVED)

@@ -43,6 +43,7 @@ def warming(axis: str, amplitude: float, fixed_at: float, time_constant: float) 
     return Hidden("scale_drift", axis, {"amplitude": amplitude, "offset": offset, "time_constant": time_constant})
 
 
+@pytest.mark.sample(2)  # of 3
 @pytest.mark.parametrize(
     "truth",
     [
@@ -98,6 +99,7 @@ def test_a_temperature_with_the_course_of_a_warm_up_leaves_both(look: Look) -> N
     assert result.verdict == "ambiguous"
 
 
+@pytest.mark.sample(1)  # of 2
 @pytest.mark.parametrize("seed", [27, 29])
 def test_nothing_is_named_without_it(seed: int, look: Look) -> None:
     assert look([], seed, NO_TEMPERATURES).verdict == "consistent"

@@ -68,6 +68,7 @@ def test_a_step_between_few_stops_is_named(look: Look) -> None:
     check(cause, truth)
 
 
+@pytest.mark.sample(2)  # of 4
 @pytest.mark.parametrize(
     "truth",
     [
@@ -85,6 +86,7 @@ def test_its_neighbours_keep_their_names(truth: Hidden, look: Look) -> None:
     assert cause.effect != "scale_step"
 
 
+@pytest.mark.sample(1)  # of 2
 @pytest.mark.parametrize("seed", [35, 37])
 def test_nothing_is_named_without_it(seed: int, look: Look) -> None:
     assert look([], seed).verdict == "consistent"

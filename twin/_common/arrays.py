@@ -42,10 +42,7 @@ def read_only(array: np.ndarray) -> np.ndarray:
 
 
 def first_largest(values: np.ndarray) -> int:
-    """Return the index of the first of (n,) values that equals the largest up to rounding.
-
-    `numpy.argmax` returns any of the values that would be equal in exact arithmetic, depending on the processor.
-    """
+    """Return the index of the first of (n,) values that equals the largest up to rounding; `numpy.argmax` depends on the processor."""
     largest = float(np.max(values))
     return int(np.argmax(values >= largest - EQUAL * abs(largest))) if np.isfinite(largest) else int(np.argmax(values))
 
@@ -66,10 +63,7 @@ def rows_all_true(good: np.ndarray) -> np.ndarray:
 
 
 def all_within(values: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> bool:
-    """Return whether all of (n, k) values lie within the (k,) bounds of their columns; false if one is not a number.
-
-    NumPy's operations along the rows of a narrow array are slow, therefore `WIDE` rows are treated as one.
-    """
+    """Return whether all of (n, k) values, none of them NaN, lie within the (k,) bounds; fast, because `WIDE` rows are taken as one."""
     even = len(values) // WIDE * WIDE
     for part, repeated in ((values[:even].reshape(even // WIDE, WIDE * values.shape[1]), WIDE), (values[even:], 1)):
         if len(part) and not (
@@ -85,12 +79,6 @@ def outside_bounds(values: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> 
     if all_within(values, lower, upper):
         return np.zeros(values.shape, dtype=bool)
     return np.asarray((values < lower) | (values > upper))
-
-
-def row_lengths(vectors: np.ndarray) -> np.ndarray:
-    """Return the (n,) lengths of (n, 3) vectors; `numpy.linalg.norm` along an axis is slower."""
-    x, y, z = vectors[:, 0], vectors[:, 1], vectors[:, 2]
-    return np.asarray(np.sqrt(x * x + y * y + z * z))
 
 
 def distinct(numbers: np.ndarray) -> list[int]:

@@ -28,17 +28,11 @@ def bundled_folder() -> Path:
     return inside if inside.is_dir() else package.parent / "urdf"
 
 
-# --- Files given by their path or, if they come with `twin`, by their name ------------------------
-
 _SAMPLES: Final = Path(__file__).resolve().parents[1] / "samples"
 
 
 def find_bundled(name: str | Path, suffix: str, expected: str) -> Path:
-    """Return the path of a file given by its path or, for one that comes with `twin`, by its name.
-
-    Raises:
-        InputError: there is no such file; the message lists the files that come with `twin`.
-    """
+    """Return the path of a file given by its path or bundled name; raise `InputError`, which lists the bundled ones, otherwise."""
     path = Path(name)
     if is_file(path):
         return path

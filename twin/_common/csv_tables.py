@@ -24,16 +24,10 @@ MAX_VALUE: Final = 1e12
 
 
 def read_table(path: Path) -> tuple[list[str], list[tuple[int, list[str]]], list[str]]:
-    """Read a CSV file with a header row and ``#`` comments.
+    """Return header, rows with their line numbers, and the text of every ``#`` comment of a CSV file in which each row is one line.
 
-    Each row is one line; a line break inside a cell is an error.
-
-    Returns:
-        The header, the rows with their line numbers, and the text of every comment.
-
-    Raises:
-        InputError: no header, too many columns, a duplicate column, a row of another length, a cell that does not end on its line
-            or is too long, a control character.
+    Raises `InputError` with line and value: no header, too many columns, a duplicate one, a row of another length, a cell that does
+    not end on its line or is too long, a control character.
     """
     whole = [(number, text) for number, text in enumerate(read_lines(path), start=1) if text.strip()]
     for number, text in whole:
@@ -77,7 +71,6 @@ def read_table(path: Path) -> tuple[list[str], list[tuple[int, list[str]]], list
 
 
 def _check_separator(header: str, path: Path, line: int) -> None:
-    """Raise `InputError` if the columns of a header are not separated by commas."""
     for separator, name in ((";", "semicolons"), ("\t", "tabs")):
         if header.count(separator) > header.count(","):
             raise InputError(
@@ -90,11 +83,7 @@ def _check_separator(header: str, path: Path, line: int) -> None:
 
 
 def split_cells(text: str, path: Path, line: int) -> list[str]:
-    """Return the cells of one line of CSV.
-
-    Raises:
-        InputError: a cell does not end on this line, or is too long.
-    """
+    """Return the cells of one line of CSV; raise `InputError` if one does not end on this line, or is too long."""
     return _cells([(line, text)], path)[0]
 
 

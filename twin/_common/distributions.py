@@ -74,24 +74,12 @@ Verdict = Literal["pass", "fail", "undecided"]
 
 
 def decide(value: float, half: float, tolerance: float) -> Verdict:
-    """Return the verdict on a value: ``pass`` if value + U ≤ tolerance, ``fail`` if value − U > tolerance, else ``undecided``.
-
-    Args:
-        value: absolute value; NaN if unknown.
-        half: its expanded uncertainty U (95 %); NaN if unknown.
-        tolerance: largest permitted absolute value, in the same unit.
-    """
+    """Return ``pass`` if value + U ≤ tolerance, ``fail`` if value − U > tolerance, else ``undecided``; ``half`` is U (95 %)."""
     return decide_interval(value - half, value + half, tolerance)
 
 
 def decide_interval(low: float, high: float, tolerance: float) -> Verdict:
-    """Return the verdict on a value of which the limits of the 95 % interval are known; ``undecided`` for NaN.
-
-    Args:
-        low: lower limit of the absolute value.
-        high: upper limit.
-        tolerance: largest permitted absolute value, in the same unit.
-    """
+    """Return the verdict on an absolute value with the limits of its 95 % interval; ``undecided`` for NaN."""
     if high <= tolerance:
         return "pass"
     return "fail" if low > tolerance else "undecided"

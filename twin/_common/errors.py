@@ -96,12 +96,7 @@ def control_character(text: str) -> str | None:
 
 
 def printable(text: str, *, one_line: bool = False) -> str:
-    """Return a text with control and format characters escaped, so that a file or its name cannot control the terminal.
-
-    Args:
-        text: any text.
-        one_line: whether to escape tabs and line ends too.
-    """
+    """Return a text with control characters escaped, so that it cannot control the terminal; tabs and line ends too if ``one_line``."""
     if text.isprintable():
         return text
     kept = "" if one_line else "\t\r\n"
@@ -118,10 +113,7 @@ def _escaped(char: str) -> str:
 
 
 def closest_name(name: str, known: Iterable[str]) -> str | None:
-    """Return the known name closest to another name, ignoring case; None if none is close.
-
-    ``e_xx`` finds ``E_XX``.
-    """
+    """Return the known name closest to another one, ignoring case (``e_xx`` finds ``E_XX``); None if none is close."""
     names = list(known)
     close = get_close_matches(name.casefold(), [candidate.casefold() for candidate in names], n=1)
     # X_mm and x_mm are different columns: among names that differ only in case, take the most similar spelling.
@@ -130,13 +122,7 @@ def closest_name(name: str, known: Iterable[str]) -> str | None:
 
 
 def require_name(what: str, name: str, known: Iterable[str], **place: Any) -> None:
-    """Raise `InputError` unless a name is known.
-
-    Args:
-        what: what it is the name of, in words.
-        known: all names.
-        place: file, line or setting of the name.
-    """
+    """Raise `InputError` unless a name is known; ``what`` says what it is the name of, ``place`` is its file, line or setting."""
     names = list(known)
     if name not in names:
         expected = f"one of {', '.join(names)}"

@@ -98,24 +98,12 @@ PROGRAM_SUFFIXES: Final = {
 
 
 def members(package: str, table: Mapping[str, str]) -> tuple[Any, ...]:
-    """Import the members of a family and return them in the order of their table.
-
-    Args:
-        package: package of their modules.
-        table: module and attribute by name; the attribute is a member, its class, or a tuple that contains it.
-
-    Raises:
-        LookupError: a member has another name than in the table.
-    """
+    """Import the members of a family, in the order of their table; as `member`."""
     return tuple(member(package, table, name) for name in table)
 
 
 def member(package: str, table: Mapping[str, str], name: str) -> Any:
-    """Import one member of a family; arguments as for `members`.
-
-    Raises:
-        LookupError: it has another name than in the table.
-    """
+    """Import one member of a family, which the table gives as module and attribute: the member, its class, or a tuple with it."""
     module, attribute = table[name].split(":")
     found = getattr(import_module(f"{package}.{module}"), attribute)
     some = found if isinstance(found, tuple) else (found() if isinstance(found, type) else found,)

@@ -31,25 +31,14 @@ TEMPORARY_PREFIX: Final = ".twin-"
 
 
 def register_input(path: Path) -> None:
-    """Register a file as an input of the running command, if there is one.
-
-    Raises:
-        InputError: the command is going to write it.
-    """
+    """Register a file as an input of the running command; raise `InputError` if that is going to write it."""
     tracker = _COMMAND.get()
     if tracker is not None:
         tracker.add_input(path)
 
 
 def folder_entries(folder: Path, what: str) -> list[Path]:
-    """Return the paths in a folder by name.
-
-    Args:
-        what: what it is, in words, for the message.
-
-    Raises:
-        InputError: it is not a folder that can be read.
-    """
+    """Return the paths in a folder by name; raise `InputError`, with ``what`` it is in words, if it cannot be read."""
     try:
         return sorted(folder.iterdir())
     except OSError as error:
@@ -65,14 +54,7 @@ def names_beside(path: Path) -> list[str]:
 
 
 def read_bytes(path: Path, *, most_bytes: int | None = None) -> bytes:
-    """Return the content of a file.
-
-    Args:
-        most_bytes: size beyond which it is refused; None: any.
-
-    Raises:
-        InputError: there is no such file, it cannot be read, it is too large, or the running command is going to write it.
-    """
+    """Return the content of a file; `InputError` if it cannot be read, exceeds ``most_bytes``, or the command is to write it."""
     try:
         with open_input(path) as stream:
             data = stream.read(-1 if most_bytes is None else most_bytes + 1)
@@ -89,9 +71,8 @@ def read_bytes(path: Path, *, most_bytes: int | None = None) -> bytes:
 def open_input(path: Path) -> BinaryIO:
     """Open an input file: a regular file, a terminal, or a pipe that another program writes, such as ``<(…)`` of a shell.
 
-    Raises:
-        InputError: it is a device or a socket, no program writes to the pipe, or the running command is going to write it.
-        OSError: it cannot be read.
+    Raises `InputError` for a device, a socket, a pipe without a writer, or what the running command is going to write; `OSError` if
+    it cannot be read.
     """
     register_input(path)
     mode = path.stat().st_mode
@@ -103,14 +84,7 @@ def open_input(path: Path) -> BinaryIO:
 
 
 def read_text(path: Path, *, most_bytes: int = MAX_TEXT_BYTES) -> str:
-    """Return the content of a UTF-8 text file.
-
-    Args:
-        most_bytes: size beyond which it is refused.
-
-    Raises:
-        InputError: as `read_bytes`, or it is not UTF-8 text.
-    """
+    """Return the content of a UTF-8 text file; raise `InputError` as `read_bytes`, or if it is not UTF-8 text."""
     data = read_bytes(path, most_bytes=most_bytes)
     try:
         text = data.decode("utf-8-sig")
@@ -129,24 +103,13 @@ def read_text(path: Path, *, most_bytes: int = MAX_TEXT_BYTES) -> str:
 
 
 def read_lines(path: Path) -> list[str]:
-    """Return the lines of a UTF-8 text file, split at LF, CR LF and CR only.
-
-    Raises:
-        InputError: as `read_text`.
-    """
+    """Return the lines of a UTF-8 text file, split at LF, CR LF and CR only."""
     lines = read_text(path).replace("\r\n", "\n").replace("\r", "\n").split("\n")
     return lines[:-1] if lines[-1] == "" else lines
 
 
 def read_json(path: Path, expected: str) -> Any:
-    """Return the data of a JSON file.
-
-    Args:
-        expected: what the file should contain, for messages.
-
-    Raises:
-        InputError: as `read_text`, or it is not JSON, nested too deeply, or has a number with too many digits.
-    """
+    """Return the data of a JSON file; raise `InputError`, with what was ``expected``, if it is not JSON or nested too deeply."""
     text = read_text(path)
     try:
         return json.loads(text)
@@ -158,28 +121,17 @@ def read_json(path: Path, expected: str) -> Any:
 
 @final
 class CommandFiles:
-    """The files that one command reads and writes; a file cannot be both.
-
-    Attributes:
-        read: input files by their resolved paths.
-        outputs: output files by their resolved paths.
-        written: complete output files, which may be read back.
-        locks: locks of the output files, from the first that is complete to the end of the command.
-    """
+    """The files that one command reads and writes, by their resolved paths; a file cannot be both."""
 
     def __init__(self) -> None:
         self.read: set[Path] = set()
         self.outputs: set[Path] = set()
-        self.written: set[Path] = set()
+        self.written: set[Path] = set()  # complete outputs, which may be read back
         self._identities: set[tuple[int, int]] = set()
         self.locks = OutputLocks()
 
     def add_input(self, path: Path) -> None:
-        """Register an input file.
-
-        Raises:
-            InputError: the command is going to write it.
-        """
+        """Register an input file; raise `InputError` if the command is going to write it."""
         file = _resolved(path)
         if file in self.outputs - self.written:
             raise _input_conflict(path)
@@ -187,15 +139,7 @@ class CommandFiles:
         self._identities |= _identity(file)
 
     def add_output(self, path: Path, file: Path) -> None:
-        """Register an output file.
-
-        Args:
-            path: its path as given, for the message.
-            file: its resolved path.
-
-        Raises:
-            InputError: the command has read it, under this name or another one.
-        """
+        """Register an output file, ``path`` resolved; raise `InputError` if the command has read it, under this name or another one."""
         if file in self.written:
             return
         if file in self.read or _identity(file) & self._identities:
@@ -208,10 +152,9 @@ _COMMAND: Final[ContextVar[CommandFiles | None]] = ContextVar("files of the runn
 
 @contextmanager
 def tracked_files() -> Iterator[CommandFiles]:
-    """Track all files read and written inside the context, so that no input is overwritten.
+    """Track all files read and written inside the context, so that no input is overwritten; nested, return the outer tracker.
 
-    Without it (in a notebook or a script) a file may be read, changed and saved under its own name. A nested call returns the outer
-    tracker.
+    Without it (in a notebook or a script) a file may be read, changed and saved under its own name.
     """
     outer = _COMMAND.get()
     if outer is not None:
@@ -240,11 +183,7 @@ def _identity(file: Path) -> set[tuple[int, int]]:
 
 
 def _resolved(path: Path) -> Path:
-    """Return the path without symbolic links.
-
-    Raises:
-        InputError: the operating system rejects the path.
-    """
+    """Return the path without symbolic links; raise `InputError` if the operating system rejects it."""
     try:
         return path.resolve()
     except (OSError, RuntimeError, ValueError) as error:
@@ -254,9 +193,7 @@ def _resolved(path: Path) -> Path:
 def check_writable(paths: Sequence[Path]) -> None:
     """Check that every output can be written, before the work starts, and remove what killed runs left in their folders.
 
-    Raises:
-        InputError: a folder is missing or not writable; an output is an input, not a regular file, or read-only; two outputs are the
-            same file.
+    Raises `InputError`: no writable folder; an output is an input, not a regular file, or read-only; two outputs are the same file.
     """
     tracker = _COMMAND.get()
     seen: set[Path] = set() if tracker is None else set(tracker.outputs)
@@ -269,14 +206,7 @@ def check_writable(paths: Sequence[Path]) -> None:
 
 
 def check_folder(folder: Path, path: Path) -> None:
-    """Check that files can be created in a folder, and remove what killed runs left there.
-
-    Args:
-        path: the output to be written there, for the message.
-
-    Raises:
-        InputError: it is not writable.
-    """
+    """Raise `InputError`, about the output ``path``, unless a folder is writable; remove what killed runs left there."""
     _remove_leftovers(folder)
     try:
         os.unlink(_new_temporary(folder))
@@ -285,11 +215,7 @@ def check_folder(folder: Path, path: Path) -> None:
 
 
 def _target(path: Path) -> Path:
-    """Return the file that writing to a path replaces, following symbolic links.
-
-    Raises:
-        InputError: as `check_writable`, for one path.
-    """
+    """Return the file that writing to a path replaces, following symbolic links; raise `InputError` as `check_writable`."""
     file = _resolved(path)
     tracker = _COMMAND.get()
     if tracker is not None:
@@ -312,28 +238,15 @@ def _target(path: Path) -> Path:
 def write_atomic(path: Path, content: str | bytes, *, check: Callable[[Path], object] | None = None) -> None:
     """Write a file atomically: at every moment the path holds the old content or the new one.
 
-    Args:
-        content: its content; text as UTF-8.
-        check: reads the complete file, under a temporary name in the same folder, before it replaces the path. If it raises an
-            `InputError`, the path keeps its old content.
-
-    Raises:
-        InputError: it cannot be written, or the check refuses it.
+    ``check`` reads the complete file, under a temporary name in the same folder, before it replaces the path. If it raises an
+    `InputError`, the path keeps its old content.
     """
     with atomic_file(path, check) as stream:
         stream.write(content.encode("utf-8", "backslashreplace") if isinstance(content, str) else content)
 
 
 def write_json(path: Path, data: Any, *, check: Callable[[Path], object] | None = None) -> None:
-    """Write JSON atomically; a number that is not finite is written as null, meaning unknown.
-
-    Args:
-        data: its content.
-        check: as for `write_atomic`.
-
-    Raises:
-        InputError: it cannot be written, or the check refuses it.
-    """
+    """Write JSON atomically, as `write_atomic`; a number that is not finite is written as null, meaning unknown."""
     write_atomic(path, json.dumps(_finite(data), indent=1, allow_nan=False) + "\n", check=check)
 
 
@@ -347,13 +260,9 @@ def _finite(data: Any) -> Any:
 
 @contextmanager
 def atomic_file(path: Path, check: Callable[[Path], object] | None = None) -> Iterator[BinaryIO]:
-    """Open a temporary file that replaces the path when it is complete; after an error nothing remains.
+    """Open a temporary file that replaces the path when it is complete; after an error nothing remains. ``check`` as in `write_atomic`.
 
-    An existing file keeps its mode and, if permitted, its owner; a symbolic link is kept and its target replaced. ``check`` is that of
-    `write_atomic`.
-
-    Raises:
-        InputError: it cannot be written.
+    An existing file keeps its mode and, if permitted, its owner; a symbolic link is kept and its target replaced.
     """
     target = _target(path)
     try:
@@ -389,12 +298,7 @@ def _check_written(temporary: Path, path: Path, check: Callable[[Path], object])
 
 
 def move_into_place(made: Path, path: Path) -> None:
-    """Replace an output with a complete file on the same file system.
-
-    Raises:
-        InputError: the output cannot be written.
-        OSError: the operating system refuses.
-    """
+    """Replace an output with a complete file on the same file system."""
     _replace(made, _target(path))
 
 
@@ -417,9 +321,6 @@ def scratch_folder(parent: Path | None = None) -> Iterator[Path]:
     """Make a folder for temporary files, in TMPDIR unless a parent is given, and remove it afterwards.
 
     Folders left by a killed run are removed by the next run that makes a folder or writes a file in the same place.
-
-    Raises:
-        OSError: it cannot be made.
     """
     place = Path(tempfile.gettempdir()) if parent is None else parent
     _remove_leftovers(place)
@@ -494,11 +395,7 @@ _KINDS: Final = (
 
 
 def kind_of_text(text: str) -> str | None:
-    """Return the kind of file that a text is, with its article (``an NC program``); None if it is not recognised.
-
-    Args:
-        text: the text, or its beginning.
-    """
+    """Return the kind of file that a text, or its beginning, is, with its article (``an NC program``); None if it is not recognised."""
     beginning = text[:_BEGINNING].removeprefix("\ufeff")
     return next((kind for pattern, kind in _KINDS if pattern.match(beginning)), None)
 

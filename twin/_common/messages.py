@@ -35,11 +35,6 @@ class Quoted(str):
 class Message(str):
     """English text with its identifier and arguments.
 
-    Attributes:
-        identifier: English format string.
-        arguments: values by name: messages, numbers, or text that is the same in every language.
-        capitalised: whether the first letter is a capital one, whatever the identifier says.
-
     Examples:
         >>> message = Message("backlash of {axis}", axis="X")
         >>> message
@@ -48,9 +43,9 @@ class Message(str):
         'backlash of {axis}'
     """
 
-    identifier: str
-    arguments: Mapping[str, Any]
-    capitalised: bool
+    identifier: str  # English format string
+    arguments: Mapping[str, Any]  # values by name: messages, numbers, or text that is the same in every language
+    capitalised: bool  # whether the first letter is a capital one, whatever the identifier says
 
     def __new__(cls, identifier: str, /, **arguments: Any) -> Message:
         """Return the message, in English."""
@@ -79,15 +74,10 @@ def joined(separator: str, parts: Sequence[str]) -> Message:
 
 @dataclass
 class Translation:
-    """Translation into the language of a catalogue, with decimal comma.
+    """Translation into the language of a catalogue, with decimal comma."""
 
-    Attributes:
-        catalogue: format string by identifier.
-        missing: texts without translation met so far.
-    """
-
-    catalogue: Mapping[str, str]
-    missing: dict[str, None] = field(default_factory=dict)
+    catalogue: Mapping[str, str]  # format string by identifier
+    missing: dict[str, None] = field(default_factory=dict)  # texts without translation met so far
 
     def text(self, value: str, *, as_html: bool = False) -> str:
         """Return text in the language. Text without translation stays English; HTML is escaped, and marks such text as English."""
@@ -136,12 +126,7 @@ def translated(translation: Translation | None) -> Iterator[None]:
 
 
 def say(text: str, /, **arguments: Any) -> str:
-    """Return text in the language of the page that is being made.
-
-    Args:
-        text: a message, a number, or the identifier of a message.
-        arguments: arguments of the message.
-    """
+    """Return text (a message, a number, or the identifier of a message and its arguments) in the language of the page being made."""
     message = Message(text, **arguments) if type(text) is str else text
     translation = _current.get()
     return message if translation is None else translation.text(message)

@@ -40,19 +40,12 @@ NAMED: Final = 8
 @final
 @dataclass(frozen=True)
 class SourceWarning:
-    """A warning about the origin of numbers.
-
-    Attributes:
-        name: identifier of the warning.
-        title: the title shown before the sentence.
-        explanation: the sentence, without the errors that it is about.
-        errors: names of the errors that it is about; empty if it is about all.
-    """
+    """A warning about the origin of numbers."""
 
     name: Name
-    title: str
-    explanation: str
-    errors: tuple[str, ...] = ()
+    title: str  # shown before the sentence
+    explanation: str  # the sentence, without the errors that it is about
+    errors: tuple[str, ...] = ()  # names of the errors that it is about; empty if it is about all
 
     @property
     def sentence(self) -> str:
@@ -147,11 +140,7 @@ PARTLY_UNKNOWN_UNCERTAINTY: Final = SourceWarning(
 
 
 def merge_warnings(*lists: Iterable[SourceWarning]) -> tuple[SourceWarning, ...]:
-    """Return the warnings of several sources, the most serious first.
-
-    Each name appears once, with the title of its first occurrence and the errors of all; a warning about all errors includes those
-    about some.
-    """
+    """Return the warnings of several sources, the most serious first, each name once and about the errors of all."""
     first: dict[str, SourceWarning] = {}
     for warning in (warning for each in lists for warning in each):
         same = first.setdefault(warning.name, warning)

@@ -23,17 +23,11 @@ MAX_CELLS: Final = 5_000_000
 
 
 class LogColumns(NamedTuple):
-    """Columns of a record, complete and checked.
-
-    Attributes:
-        cells: the table.
-        numbers: (n,) values of every column that was read, by its name.
-        notices: names of columns that were not read, in words.
-    """
+    """Columns of a record, complete and checked."""
 
     cells: Cells
-    numbers: Mapping[str, np.ndarray]
-    notices: tuple[str, ...]
+    numbers: Mapping[str, np.ndarray]  # (n,) values of every column that was read, by its name
+    notices: tuple[str, ...]  # names of columns that were not read, in words
 
 
 def is_temperature(name: str) -> bool:
@@ -47,11 +41,7 @@ def sensor_of(name: str) -> str:
 
 
 def read_record(path: str | Path) -> tuple[Cells, tuple[str, ...]]:
-    """Return the cells of a record over time, and its comments.
-
-    Raises:
-        InputError: no column of times, or fewer than two rows.
-    """
+    """Return cells and comments of a record over time; raise `InputError` without a column of times or with fewer than two rows."""
     file = Path(path)
     header, rows, comments = read_table(file)
     if TIME not in header:
@@ -69,14 +59,10 @@ def check_course(cells: Cells, numbers: Mapping[str, np.ndarray]) -> None:
 
 
 def read_log(path: str | Path, also: Callable[[str], bool] = lambda name: False) -> LogColumns:
-    """Read the columns ``time_s``, ``T_<sensor>_degC`` and ``spindle_rpm`` of a record, and others.
+    """Read the columns ``time_s``, ``T_<sensor>_degC``, ``spindle_rpm`` of a record, and those whose name ``also`` accepts.
 
-    Args:
-        also: whether to read a further column of that name.
-
-    Raises:
-        InputError: with line and value: no times, neither temperature nor speed, a cell that is empty or no number, a time that does
-            not increase, a negative speed, too few or too many rows.
+    Raises `InputError` with line and value: no times, neither temperature nor speed, a cell that is empty or no number, a time that
+    does not increase, a negative speed, too few or too many rows.
     """
     cells, _ = read_record(path)
     header, rows, file = list(cells.columns), cells.rows, cells.path
@@ -100,17 +86,10 @@ _NONE: Mapping[str, str] = MappingProxyType({})
 
 
 def json_form(value: Any, *, rename: Mapping[str, str] = _NONE, leave_out: Collection[str] = ()) -> Any:
-    """Return a value as numbers, text, lists and dictionaries; null for a number that is not finite.
+    """Return a value as numbers, text, lists and dictionaries; null for a number that is not finite; `TypeError` if it cannot be.
 
-    A dataclass becomes a dictionary of its fields in their order; a part with a method `to_dict` becomes what that returns.
-
-    Args:
-        value: a dataclass, mapping, sequence, array, number, text, or None.
-        rename: JSON keys of those fields of ``value`` whose key is not the field name.
-        leave_out: fields of ``value`` to omit.
-
-    Raises:
-        TypeError: a part cannot be converted to JSON.
+    A dataclass becomes a dictionary of its fields in their order, without ``leave_out`` and with the keys of ``rename``; a part with
+    a method `to_dict` becomes what that returns.
     """
     if is_dataclass(value) and not isinstance(value, type):
         kept = [field.name for field in fields(value) if field.name not in leave_out]

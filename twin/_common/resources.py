@@ -1,9 +1,7 @@
 """Memory, threads, locks and pipes of this computer.
 
-Advisory locks on output files: of two runs that write the same files at the same time, all files that remain are of one run.
-
-The locks are for the runs of one user on one computer. They are held from the first output that is complete to the end of the command,
-so that a run never waits for the work of another one.
+Advisory locks on output files: of two runs of one user that write the same files at the same time, all files that remain are of one
+run. They are held from the first output that is complete to the end of the command, so that a run never waits for the work of another.
 """
 
 from __future__ import annotations
@@ -81,12 +79,7 @@ Part = TypeVar("Part")
 
 
 def map_chunks(pieces: Sequence[Piece], work: Callable[[Sequence[Piece]], Part]) -> list[Part]:
-    """Apply a function to the chunks of a list in parallel threads and return the result of each chunk.
-
-    Args:
-        pieces: the items; chunk k holds every `THREADS`-th item from k on.
-        work: function of a chunk, called from several threads. It should release the GIL for most of its time.
-    """
+    """Apply a function that releases the GIL to the chunks (every `THREADS`-th item) of a list in parallel threads."""
     shares = [pieces[i::THREADS] for i in range(max(min(THREADS, len(pieces)), 1))]
     if len(shares) == 1:
         return [work(shares[0])]
@@ -97,10 +90,8 @@ def map_chunks(pieces: Sequence[Piece], work: Callable[[Sequence[Piece]], Part])
 def one_blas_thread(*, scipy: bool = True) -> AbstractContextManager[object]:
     """Limit linear algebra to one thread from now on, or inside the context if the result is used as a context manager.
 
-    Results then do not depend on the number of cores, and many small factorisations do not wait for threads.
-
-    Args:
-        scipy: whether scipy's library is limited, too. It is not NumPy's, and takes 0.15 s to load where nothing else needs it.
+    Results then do not depend on the number of cores, and many small factorisations do not wait for threads. The library of ``scipy``
+    is not NumPy's, and takes 0.15 s to load where nothing else needs it.
     """
     if scipy:
         import_module("scipy.linalg")  # Only libraries that are loaded are limited.
@@ -110,10 +101,7 @@ def one_blas_thread(*, scipy: bool = True) -> AbstractContextManager[object]:
 
 @cache
 def _libraries(scipy: bool) -> ThreadpoolController:
-    """Return the loaded libraries, with that of scipy or before it is loaded.
-
-    They are found once: that takes a millisecond, as long as to compensate five hundred blocks.
-    """
+    """Return the loaded libraries, with that of scipy or before it is loaded; cached, because finding them takes a millisecond."""
     return ThreadpoolController()
 
 
@@ -147,13 +135,9 @@ class OutputLocks:
         self._process = os.getpid()
 
     def acquire(self, files: Iterable[Path]) -> None:
-        """Wait until no other run writes these files, and keep others from it.
+        """Wait until no other run writes these files (resolved paths), and keep others from it; `InputError` after `WAIT_S`.
 
-        Args:
-            files: resolved paths; those locked already are skipped. In sorted order, so that two runs do not wait for each other.
-
-        Raises:
-            InputError: another run has not finished within `WAIT_S`.
+        In sorted order, so that two runs do not wait for each other.
         """
         # A worker forked from the command writes into the command's scratch folder; the command itself moves the files into place.
         if _LOCKING is None or os.getpid() != self._process:
@@ -213,13 +197,7 @@ def is_readable_device(path: Path) -> bool:
 def read_pipe(path: Path, most_bytes: int) -> bytes:
     """Return all that other programs write to a pipe; wait without limit for what they write, but not for one that writes.
 
-    Args:
-        path: the pipe.
-        most_bytes: size beyond which it is refused.
-
-    Raises:
-        InputError: no program writes to it, or it is too large.
-        OSError: it cannot be read.
+    Raises `InputError` if no program writes to it, or more than ``most_bytes``; `OSError` if it cannot be read.
     """
     descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
     data, deadline, seen = bytearray(), monotonic() + WRITER_S, False

@@ -19,21 +19,13 @@ MAX_ELEMENTS: Final = 200_000
 @final
 @dataclass(frozen=True)
 class Element:
-    """One XML element with the number of its first line.
+    """One XML element with the number of its first line."""
 
-    Attributes:
-        name: its tag.
-        attributes: its attributes by name.
-        line: 1-based line of its start.
-        children: elements directly below it.
-        parts: pieces of its own text, in order.
-    """
-
-    name: str
+    name: str  # its tag
     attributes: Mapping[str, str]
-    line: int
-    children: list[Element] = field(default_factory=list)
-    parts: list[str] = field(default_factory=list)
+    line: int  # 1-based line of its start
+    children: list[Element] = field(default_factory=list)  # directly below it
+    parts: list[str] = field(default_factory=list)  # pieces of its own text, in order
 
     @property
     def text(self) -> str:
@@ -52,15 +44,7 @@ class Element:
 
 
 def parse_xml(text: str, path: Path, expected: str) -> Element:
-    """Return the root element of XML text.
-
-    Args:
-        path: its file, for messages.
-        expected: kind of file, for messages.
-
-    Raises:
-        InputError: not XML, a document type declaration, more than `MAX_ELEMENTS`, or elements nested deeper than `MAX_NESTING`.
-    """
+    """Return the root element of XML text; `InputError`: not XML, a document type, too many elements, or nested too deeply."""
     parser = expat.ParserCreate("utf-8")
     stack, count = [Element("", {}, 0)], 0
 

@@ -58,22 +58,13 @@ _EXPECTED_WORDS: Final = {
 
 
 def _refuse_other_kind(path: Path, name: str) -> None:
-    """Raise `InputError` if a file is recognised as something other than YAML."""
     kind = other_kind(read_text(path), "a calibration", "a machine file", "another file of twin")
     if kind is not None:
         raise InputError(f"{kind}, not a YAML file", expected=f"a file with `schema: {name}`", file=path)
 
 
 def load_yaml(path: Path, schema: type[Schema], name: str) -> tuple[Schema, Mapping[EntryPath, int]]:
-    """Read a YAML file, validate it against a pydantic model, and return it with the line of every entry by its path in the file.
-
-    Args:
-        schema: the model it must match.
-        name: the value its ``schema:`` entry must have.
-
-    Raises:
-        InputError: with the line, on anything that does not match, and on a duplicate key.
-    """
+    """Return a YAML file validated against a pydantic model whose ``schema:`` is ``name``, and the line of every entry by its path."""
     try:
         data, lines = read_yaml(path)
     except InputError:
@@ -113,10 +104,9 @@ def load_yaml(path: Path, schema: type[Schema], name: str) -> tuple[Schema, Mapp
 
 
 def read_yaml(path: Path) -> tuple[Any, Mapping[EntryPath, int]]:
-    """Read a YAML file and return its plain data, with the line of every entry by its path.
+    """Return the plain data of a YAML file, and the line of every entry by its path.
 
-    Raises:
-        InputError: with the line: not YAML, a tag or value that is not accepted, a duplicate key, nested too deeply or too large.
+    Raises `InputError` with the line: not YAML, a tag or value that is not accepted, a duplicate key, nested too deeply or too large.
     """
     text = read_text(path, most_bytes=MAX_BYTES)
     root = _root(text, path)
@@ -128,9 +118,6 @@ def _root(text: str, path: Path) -> yaml.Node | None:
     """Return the root of the nodes of a text.
 
     The C parser of PyYAML is ten times faster, where it is installed; its messages differ, so that a text it refuses is parsed again.
-
-    Raises:
-        InputError: with the line: not YAML, nested too deeply or too large.
     """
     if _FastLoader is not None:
         with suppress(yaml.YAMLError):
@@ -175,11 +162,7 @@ class _BoundedComposer(yaml.composer.Composer, yaml.resolver.Resolver):
         self.count = 0
 
     def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
-        """Compose a node as PyYAML does.
-
-        Raises:
-            MarkedYAMLError: too many levels or too many entries.
-        """
+        """Compose a node as PyYAML does; raise `MarkedYAMLError` beyond `MAX_DEPTH` or `MAX_ENTRIES`."""
         mark = self.peek_event().start_mark  # type: ignore[attr-defined]
         self.depth += 1
         self.count += 1
@@ -217,11 +200,7 @@ if yaml.__with_libyaml__:
 
 @final
 class _NodeConverter:
-    """Conversion of YAML nodes to plain data, with aliases expanded.
-
-    Attributes:
-        lines: the line of every entry by its path.
-    """
+    """Conversion of YAML nodes to plain data, with aliases expanded; ``lines`` holds the line of every entry by its path."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -229,11 +208,7 @@ class _NodeConverter:
         self._open_nodes: list[yaml.Node] = []
 
     def plain(self, node: yaml.Node, place: EntryPath) -> Any:
-        """Return the plain data of a node.
-
-        Raises:
-            InputError: its kind is not accepted, it is too large, or it contains itself.
-        """
+        """Return the plain data of a node; raise `InputError` if its kind is not accepted, it is too large, or contains itself."""
         line = node.start_mark.line + 1
         self.lines[place] = line
         if isinstance(node, yaml.ScalarNode):
@@ -300,10 +275,7 @@ def _number(text: str) -> Any:
 
 
 def yaml_text(data: Any) -> str:
-    """Return plain data as the text of a YAML file, which `read_yaml` reads as the same data; mappings keep their order.
-
-    A control character in a text is written too, but refused on reading.
-    """
+    """Return plain data as YAML, which `read_yaml` reads as the same data, in the same order; but it refuses control characters."""
     return str(yaml.dump(data, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=120, default_flow_style=None))
 
 
@@ -348,7 +320,6 @@ def _suggested(first: Any, known: Sequence[str]) -> str | None:
 
 
 def _known_keys(schema: type[BaseModel], place: Sequence[str | int]) -> list[str]:
-    """Return the known keys at the path of an unknown one."""
     models: list[type[BaseModel]] = [schema]
     for part in place[:-1]:
         below = [

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -16,12 +15,12 @@ from twin._common.units import count_with_noun
 from twin.cli.shared import complete, options
 from twin.cli.shared.command import CALIBRATION, EXISTING, TABLE, CommandResult, JsonOption, command
 from twin.cli.shared.terminal import three_numbers
+from twin.cli.simulate import simulated_by
 
 if TYPE_CHECKING:
     import numpy as np
 
     from twin.identification.axis_run import AxisLayout
-    from twin.model.calibration import Calibration
 
 MOST_ROWS = 30_000
 """Largest number of rows of a simulated run, as many as `twin axis-run` can evaluate."""
@@ -51,9 +50,7 @@ class RunUncertaintyChoice(StrEnum):
 )
 def axis_run(
     readings: Annotated[
-        Path,
-        typer.Argument(help="Table of readings, one column per beam.", autocompletion=complete.tables),
-        EXISTING,
+        Path, typer.Argument(help="Table of readings, one column per beam.", autocompletion=complete.tables), EXISTING
     ],
     output: Annotated[
         Path, typer.Option("--output", "-o", help="Calibration file to write: six curves of the axis."), CALIBRATION
@@ -127,7 +124,11 @@ def simulate_axis_run(
         noise=noise,
     )
     installed = dict(zip(axis_layout.beams.installation, (float(v) for v in stands), strict=True))
-    table.save(output, axis_layout, comment=_comment(truth, axis_layout, seed, noise, installed))
+    known = ", ".join(f"{name} {value:.3g}" for name, value in installed.items() if value)
+    comment = (
+        f"{simulated_by(truth, axis_layout.name, seed, noise)}\ninstallation errors of the layout (m, rad, 1): {known}"
+    )
+    table.save(output, axis_layout, comment=comment)
     report = {
         "schema": "twin.simulated_run/1",
         "readings": str(output),
@@ -143,17 +144,6 @@ def simulate_axis_run(
         "stands_off": installed,
     }
     return CommandResult("", lambda: report, written=f"written: {{}}, {count_with_noun(len(table), 'row')}")
-
-
-def _comment(truth: Calibration, layout: AxisLayout, seed: int, noise: bool, installed: Mapping[str, float]) -> str:
-    """Return the comment of a simulated table; ``installed``: installation errors by name."""
-    from importlib.metadata import version
-
-    known = ", ".join(f"{name} {value:.3g}" for name, value in installed.items() if value)
-    return (
-        f"simulated by twin {version('twin')}: {truth.machine.name}, calibration {truth.path or 'none'}, {layout.name}, "
-        f"seed {seed}, {'with' if noise else 'without'} noise\ninstallation errors of the layout (m, rad, 1): {known}"
-    )
 
 
 def _layout_file(path: Path) -> Path:

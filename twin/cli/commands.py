@@ -53,7 +53,12 @@ COMMANDS: Final = {
     "doc": "Show a page of the manual.",
 }
 """The commands in the order of the help, each with its summary. A command's module has its name; see `MODULES` for the others."""
-MODULES: Final = {"axis-run": "axis_run", "import": "import_", "simulate-run": "axis_run"}
+MODULES: Final = {
+    **dict.fromkeys(("axis-run", "simulate-run"), "axis_run"),
+    **dict.fromkeys(("check", "compensate", "path", "verify"), "programs"),
+    **dict.fromkeys(("compare", "watch"), "changes"),
+    **dict.fromkeys(("convert", "import"), "foreign_files"),
+}
 
 
 class LazyGroup(TyperGroup):
@@ -102,11 +107,7 @@ def _twin(version: VersionOption = False) -> None:
 
 
 def load(name: str) -> Any:
-    """Import a command's module and return the command for the parser; where a package that it needs does not import, say which.
-
-    Args:
-        name: one of `COMMANDS`.
-    """
+    """Import the module of one of `COMMANDS` and return the command for the parser; where a package does not import, say which."""
     try:
         import_module(f"twin.cli.{MODULES.get(name, name)}")
     except installation.IMPORT_FAILURES as error:

@@ -2,37 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from twin._common.bundled import DEFAULT
 from twin._common.errors import InputError
 from twin._common.families import LIVE_FORMATS
-from twin._common.files import check_folder, check_writable, write_json
-from twin.cli.shared.command import POSITIVE, JsonOption, Output, command, progress_bar
+from twin._common.files import check_folder, check_writable
+from twin.cli.shared import options
+from twin.cli.shared.command import POSITIVE, CommandResult, JsonOption, Output, command, progress_bar
 from twin.cli.shared.complete import LISTS, one_of
-from twin.cli.shared.installation import NOT_ALL_MET
-from twin.cli.shared.options import (
-    CalibrationOption,
-    LoadOption,
-    MachineOption,
-    RpmOption,
-    ScopeOption,
-    TemperatureOption,
-    TimeOption,
-    ToolOption,
-    calibration_of,
-    conditions,
-    print_unused,
-)
-from twin.cli.shared.options import (
-    machine as machine_of,
-)
-from twin.cli.shared.terminal import echo, number, pairs
+from twin.cli.shared.terminal import number, pairs
 
 if TYPE_CHECKING:
     from twin.compensation.tables import (
@@ -101,23 +85,23 @@ def control(
     output: OutputFolder = None,
     read: Read = False,
     kind: FormatRead = None,
-    machine: MachineOption = DEFAULT,
-    calibration: CalibrationOption = None,
-    tool_length: ToolOption = None,
+    machine: options.MachineOption = DEFAULT,
+    calibration: options.CalibrationOption = None,
+    tool_length: options.ToolOption = None,
     at: At = None,
-    scope: ScopeOption = None,
+    scope: options.ScopeOption = None,
     tolerance: Tolerance = None,
     step: Step = None,
     tables: Tables = None,
     products: Products = True,
     add: Add = False,
     force: Force = False,
-    temperature: TemperatureOption = None,
-    time: TimeOption = None,
-    rpm: RpmOption = None,
-    load: LoadOption = None,
+    temperature: options.TemperatureOption = None,
+    time: options.TimeOption = None,
+    rpm: options.RpmOption = None,
+    load: options.LoadOption = None,
     json_file: JsonOption = None,
-) -> None:
+) -> CommandResult:
     """Write compensation tables and kinematics for the machine's control from a calibration, or check existing ones.
 
     The folder contains the control's files, README.txt (how to load them, and the remaining errors) and calibration.yaml, which also
@@ -125,70 +109,71 @@ def control(
     `twin doc control` describes the formats.
     """
     _check_use(read, files, kind, to, kinematics, output)
-    from twin.compensation.tables import KinematicsRequest
+    from twin.compensation.tables import KinematicsRequest, Request
+    from twin.controls import format_named
 
-    loaded = machine_of(machine)
-    errors = calibration_of(calibration, loaded)
-    around = conditions(temperature, time, rpm, load)
+    loaded = options.machine(machine)
+    errors = options.calibration_of(calibration, loaded)
+    around = options.conditions(temperature, time, rpm, load)
     around.check(errors)
-    fixed = _positions(at)
+    words = pairs("--at", at, "X=250 Y=225 …, each axis once")
+    fixed = {name: number("--at", text, entry) for name, text, entry in words}
     if read and kind is not None and files:
-        _read(errors, kind, files, fixed, tool_length, around, json_file)
-        return
-    if to in LIVE_FORMATS and output is not None:
+        return _result(_read(errors, kind, files, fixed, tool_length, around), options.unused(around, errors))
+    folder = Path() if output is None else output
+    if to in LIVE_FORMATS:
         of_tables = {"--kinematics": kinematics, "--at": at, "--scope": scope, "--tolerance": tolerance, "--step": step}
         at_pins = {"--temperature": temperature, "--time": time, "--rpm": rpm, "--load": load}
         _check_live({**of_tables, "--tables": tables, **at_pins})
-        _write_live(errors, add, force, tool_length, output, json_file)
-        return
-    notes = _notes(loaded, errors)
-    own: dict[str, Any] = {
-        "at": fixed,
-        "tool_length_mm": tool_length,
-        "classes": _classes(scope),
-        "step": step,
-        "most": tables,
-    }
-    own |= {"products": products, "conditions": around, "add": add, "notes": notes, "unproven": force}
-    request = None if to is None else _request(to, None if tolerance is None else 1e3 * tolerance, own)
-    if kinematics is not None and output is not None:
-        both = KinematicsRequest(kinematics, request, tool_length, around, force, notes)
-        _write_kinematics(errors, both, output, json_file)
-    elif request is not None and output is not None:
-        _write(loaded, errors, request, output, json_file)
+        return _write_live(errors, add, force, tool_length, folder)
+    head = f"twin: {loaded.name}, calibration {errors.path or 'none'}"
+    notes = (head.encode("ascii", "replace").decode(),)
+    request = None
+    if to is not None:
+        request = Request(
+            kind=to,
+            tolerance_um=format_named(to).tolerance_um if tolerance is None else 1e3 * tolerance,
+            at=fixed,
+            tool_length_mm=tool_length,
+            classes=_classes(scope),
+            step=step,
+            most=tables,
+            products=products,
+            conditions=around,
+            add=add,
+            notes=notes,
+            unproven=force,
+        )
+    account: Account | KinematicsAccount
+    if kinematics is None and request is not None:
+        account, own = _write(loaded, errors, request, folder)
+    else:
+        both = KinematicsRequest(str(kinematics), request, tool_length, around, force, notes)
+        account, own = _write_kinematics(errors, both, folder)
+    others = {path.name for path in folder.iterdir()} - {*own, "" if json_file is None else json_file.name}
+    after = [f"other files in this folder: {' '.join(sorted(others))}"] if others else []
+    return _result(account, [*options.unused(around, errors), _written(folder, own), *after], met=not account.unmet)
 
 
-def _request(to: str, tolerance_um: float | None, more: Mapping[str, Any]) -> Request:
-    """Return the request for tables of a format; ``tolerance_um``: None for the format's own; ``more``: further arguments."""
-    from twin.compensation.tables import Request
-    from twin.controls import format_named
+def _result(
+    found: Account | Existing | KinematicsAccount | ReadKinematics, after: list[str], *, met: bool = True
+) -> CommandResult:
+    return CommandResult(found.to_text(), found.to_dict, met=met, written="", after=after)
 
-    return Request(
-        kind=to, tolerance_um=format_named(to).tolerance_um if tolerance_um is None else tolerance_um, **more
-    )
+
+def _written(folder: Path, names: Iterable[str]) -> str:
+    return f"\nwritten: {folder}/ {' '.join(names)}"
 
 
 def _check_use(
-    read: bool,
-    files: list[Path] | None,
-    kind: str | None,
-    to: str | None,
-    kinematics: str | None,
-    output: Path | None,
+    read: bool, files: list[Path] | None, kind: str | None, to: str | None, kinematics: str | None, output: Path | None
 ) -> None:
-    """Raise `InputError` unless the options are those of reading, or those of writing."""
     if read and (to is not None or kinematics is not None or output is not None or kind is None or not files):
         expected = "FILES --format F, and neither --to nor --kinematics nor -o"
         raise InputError("invalid use of --read", expected=expected, value=" ".join(map(str, files or [])))
     if not read and ((to is None and kinematics is None) or output is None or files or kind is not None):
         formats = f"--to {'|'.join(LISTS['written_formats'])} or --kinematics {'|'.join(LISTS['kinematics_formats'])}"
         raise InputError("no output chosen", expected=f"{formats} with -o FOLDER, or --read FILES --format F")
-
-
-def _notes(machine: Machine, errors: Calibration) -> tuple[str, ...]:
-    """Return the comment at the head of every file."""
-    text = f"twin: {machine.name}, calibration {errors.path or 'none'}"
-    return (text.encode("ascii", "replace").decode(),)
 
 
 def _read(
@@ -198,24 +183,20 @@ def _read(
     fixed: dict[str, float],
     tool_length: float | None,
     around: Conditions,
-    json_file: Path | None,
-) -> None:
-    """Compare existing tables or kinematics with the calibration and print the result."""
+) -> Existing | ReadKinematics:
     from twin.compensation.tables import compare_kinematics, compare_tables
     from twin.tool.uncertainty import without_missing_channels
 
     if kind in LISTS["table_formats"]:
         known, _ = without_missing_channels(around, errors)
-        compared = compare_tables(errors.machine, known, kind, files, fixed, tool_length, around)
-        _print(compared, errors, around, json_file)
-        return
+        return compare_tables(errors.machine, known, kind, files, fixed, tool_length, around)
     if len(files) != 1:
         raise InputError("kinematics are a single file", expected="one file", value=" ".join(map(str, files)))
-    _print(compare_kinematics(errors, kind, files[0], tool_length), errors, around, json_file)
+    return compare_kinematics(errors, kind, files[0], tool_length)
 
 
-def _write(machine: Machine, errors: Calibration, request: Request, output: Path, json_file: Path | None) -> None:
-    """Make the tables, write the folder and print the result."""
+def _write(machine: Machine, errors: Calibration, request: Request, output: Path) -> tuple[Account, tuple[str, ...]]:
+    """Make the tables and write the folder; return the account and the names of the files."""
     from twin.compensation.tables import make, outputs_of, write_folder, written_by
     from twin.tool.uncertainty import without_missing_channels
 
@@ -226,8 +207,7 @@ def _write(machine: Machine, errors: Calibration, request: Request, output: Path
         made = make(machine, known, request)
         bar("what remains", 0.6)
         account = write_folder(made, errors, known, missing, output)
-    _print(account, errors, request.conditions, json_file)
-    _finish(account, output, written_by(made), json_file)
+    return account, written_by(made)
 
 
 def _check_live(given: Mapping[str, object]) -> None:
@@ -241,10 +221,7 @@ def _check_live(given: Mapping[str, object]) -> None:
             )
 
 
-def _write_live(
-    errors: Calibration, add: bool, force: bool, tool_length: float | None, output: Path, json_file: Path | None
-) -> None:
-    """Make the kinematics module, write the folder and print the account."""
+def _write_live(errors: Calibration, add: bool, force: bool, tool_length: float | None, output: Path) -> CommandResult:
     from twin.compensation.live import earlier_of, make_module, outputs_of, write_module
 
     _check_folder(output, outputs_of(output))
@@ -252,14 +229,14 @@ def _write_live(
         bar("kinematics module", 0.0)
         made = make_module(errors, tool_length_mm=tool_length, earlier=earlier_of(errors, add=add), force=force)
         write_module(made, output)
-    if json_file is not None:
-        write_json(json_file, made.to_dict())
-    echo(made.to_text(), end="")
-    echo(f"\nwritten: {output}/ {' '.join(path.name for path in outputs_of(output))}")
+    after = [_written(output, (path.name for path in outputs_of(output)))]
+    return CommandResult(made.to_text(), made.to_dict, written="", after=after)
 
 
-def _write_kinematics(errors: Calibration, request: KinematicsRequest, output: Path, json_file: Path | None) -> None:
-    """Make kinematics and tables, write the folder and print the result."""
+def _write_kinematics(
+    errors: Calibration, request: KinematicsRequest, output: Path
+) -> tuple[KinematicsAccount, tuple[str, ...]]:
+    """Make kinematics and tables and write the folder; return the account, the names of the files."""
     from twin.compensation.tables import kinematics_outputs, kinematics_written, make_both, write_kinematics
     from twin.tool.uncertainty import without_missing_channels
 
@@ -272,8 +249,7 @@ def _write_kinematics(errors: Calibration, request: KinematicsRequest, output: P
         _check_folder(output, kinematics_outputs(output, request, made[0]))
         bar("what remains", 0.6)
         account = write_kinematics(made, errors, known, missing, request, output)
-    _print(account, errors, request.conditions, json_file)
-    _finish(account, output, kinematics_written(made), json_file)
+    return account, kinematics_written(made)
 
 
 def _check_folder(output: Path, outputs: list[Path]) -> None:
@@ -284,29 +260,6 @@ def _check_folder(output: Path, outputs: list[Path]) -> None:
     check_folder(existing, output)
     if output.is_dir():
         check_writable(outputs)
-
-
-def _finish(account: Account | KinematicsAccount, output: Path, own: tuple[str, ...], json_file: Path | None) -> None:
-    """Print the files in the folder; exit with `NOT_ALL_MET` if a requirement is not met."""
-    echo(f"\nwritten: {output}/ {' '.join(own)}")
-    others = {path.name for path in output.iterdir()} - {*own, "" if json_file is None else json_file.name}
-    if others:
-        echo(f"other files in this folder: {' '.join(sorted(others))}")
-    if account.unmet:
-        raise typer.Exit(NOT_ALL_MET)
-
-
-def _print(
-    found: Account | Existing | KinematicsAccount | ReadKinematics,
-    errors: Calibration,
-    around: Conditions,
-    json_file: Path | None,
-) -> None:
-    """Write the result as JSON and print it."""
-    if json_file is not None:
-        write_json(json_file, found.to_dict())
-    echo(found.to_text(), end="")
-    print_unused(around, errors)
 
 
 def _classes(scope: list[str] | None) -> frozenset[str]:
@@ -324,8 +277,3 @@ def _classes(scope: list[str] | None) -> frozenset[str]:
             value="FOR",
         )
     return chosen.classes
-
-
-def _positions(at: list[str] | None) -> dict[str, float]:
-    words = pairs("--at", at, "X=250 Y=225 …, each axis once")
-    return {name: number("--at", text, entry) for name, text, entry in words}

@@ -44,7 +44,6 @@ def doctor(json_file: JsonOption = None) -> CommandResult:
 
 
 def _cache() -> Finding:
-    """Check the folder of compiled libraries."""
     from twin.compute.native import compiler
 
     place = compiler.folder()
@@ -58,7 +57,6 @@ def _cache() -> Finding:
 
 
 def _start(seconds: float) -> Finding:
-    """Check the processor time of Python and all imports before this command started."""
     if seconds > SLOW_START_S:
         remedy = "a slow disk or a virus scanner may be the cause: put the Python environment on a local disk"
         return Finding("start-up", "missing", f"{seconds:.1f} s of processor", remedy)

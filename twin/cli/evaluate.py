@@ -38,8 +38,7 @@ LengthOption = Annotated[
     POSITIVE,
 ]
 DriftOption = Annotated[
-    bool,
-    typer.Option("--iso230-3", help="Evaluate the thermal tests of ISO 230-3: displacements over time_s."),
+    bool, typer.Option("--iso230-3", help="Evaluate the thermal tests of ISO 230-3: displacements over time_s.")
 ]
 SensorsOption = Annotated[
     list[str] | None,

@@ -159,11 +159,7 @@ def identify(
 
 
 def tables_on(entries: Sequence[str], machine: Machine) -> ControlSection:
-    """Return the control's tables or module that were active during the measurement, each given as ``FORMAT=FILE``.
-
-    Raises:
-        InputError: an unknown format; a file that cannot be read, or is not a table of this machine; a module and tables.
-    """
+    """Return the control's tables or module that were active during the measurement, each given as ``FORMAT=FILE``."""
     from twin._common.families import LIVE_FORMATS, TABLE_FORMATS
     from twin.compensation.live import held_by_module
     from twin.controls import ControlSection, TableEntry, read_tables

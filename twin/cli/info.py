@@ -98,26 +98,16 @@ def info(
 @final
 @dataclass(frozen=True)
 class _Info:
-    """Content of the output of `twin info`.
+    """Content of the output of `twin info`."""
 
-    Attributes:
-        given: the calibration as in its file.
-        errors: the calibration in the requested datum.
-        kinematics: with the errors that can be evaluated at the conditions.
-        missing: effects omitted for want of a channel, by channel.
-        rows, classes: the error budget by error and by class.
-        over: U of the tool point over the volume; None without a covariance.
-        without: names of the errors without a covariance.
-    """
-
-    given: Calibration
-    errors: Calibration
-    kinematics: Kinematics
-    missing: Mapping[str, tuple[str, ...]]
-    rows: tuple[BudgetRow, ...]
+    given: Calibration  # the calibration as in its file
+    errors: Calibration  # the calibration in the requested datum
+    kinematics: Kinematics  # with the errors that can be evaluated at the conditions
+    missing: Mapping[str, tuple[str, ...]]  # effects omitted for want of a channel, by channel
+    rows: tuple[BudgetRow, ...]  # the error budget by error and by class
     classes: tuple[BudgetRow, ...]
-    over: UncertaintyMap | None
-    without: list[str]
+    over: UncertaintyMap | None  # U of the tool point over the volume; None without a covariance
+    without: list[str]  # names of the errors without a covariance
 
     def to_dict(self) -> dict[str, Any]:
         """Return the printed content for JSON; null for unknown values."""
@@ -198,7 +188,6 @@ class _Info:
             console.print(line, soft_wrap=True)
 
     def _show_machine(self, console: Console) -> None:
-        """Print files, axes and error frames of the machine."""
         from importlib.metadata import version
 
         from rich.table import Table
@@ -233,7 +222,6 @@ class _Info:
 
 
 def _uncertainty_lines(over: UncertaintyMap | None, without: list[str]) -> list[str]:
-    """Return lines on the uncertainty of the tool point over the volume."""
     from twin.tool.uncertainty import DEFINITION
 
     missing = ", ".join(without)

@@ -1,4 +1,4 @@
-"""Command ``twin plan``."""
+"""Command ``twin plan``, with the drift tests."""
 
 from __future__ import annotations
 
@@ -11,28 +11,111 @@ import typer
 
 from twin._common.bundled import DEFAULT
 from twin._common.errors import InputError, require_name
-from twin._common.families import INSTRUMENTS, SEQUENCE_INSTRUMENTS
+from twin._common.families import DRIFT_INSTRUMENTS, DRIFTS, INSTRUMENTS, SEQUENCE_INSTRUMENTS
 from twin._common.provenance import warning_texts, warnings_to_json
 from twin._common.units import count_with_noun
 from twin.cli.shared import complete, options
 from twin.cli.shared.command import POSITIVE, TABLE, CommandResult, JsonOption, Output, command, progress_bar
-from twin.cli.shared.drift import AxisOption, DriftOption, DriftRequest, HighestOption, SpectrumOption
 from twin.cli.shared.terminal import not_negative, three_numbers
 
 if TYPE_CHECKING:
     from twin.machine.machine import Machine
     from twin.measurement.table import Measurements
     from twin.model.calibration import Calibration
-    from twin.planning import Kit, Plan
+    from twin.planning import InstrumentSizes, Kit, Plan
+
+DriftOption = Annotated[
+    str | None,
+    typer.Option(
+        "--drift",
+        help="Plan a thermal test (ISO 230-3): {drifts}; --instrument: {drift_instruments}.",
+        autocompletion=complete.drifts,
+    ),
+]
+HighestOption = Annotated[
+    float | None, typer.Option("--highest-rpm", help="Highest spindle speed, 1/min, with --drift spindle."), POSITIVE
+]
+SpectrumOption = Annotated[
+    bool,
+    typer.Option("--spectrum", help="Change the speed at random every 10 min, with --drift spindle; default: steps."),
+]
+AxisOption = Annotated[
+    str | None, typer.Option("--axis", help="Linear or rotary axis that moves, with --drift axes; default: the first.")
+]
+
+
+@final
+@dataclass(frozen=True)
+class DriftRequest:
+    """Options of a drift test: name, highest speed, spectrum, axis, feed, seed, program."""
+
+    name: str | None
+    highest_rpm: float | None
+    spectrum: bool
+    axis: str | None
+    feed_mm_min: float | None
+    seed: int
+    program: Path | None = None
+
+    def wanted(self, others: bool) -> bool:
+        """Return whether a drift test is wanted; `InputError` for its options without its name, or beside those of another plan."""
+        names = "|".join(DRIFTS)
+        if self.name is None and (self.highest_rpm is not None or self.spectrum or self.axis is not None):
+            raise InputError("--highest-rpm, --spectrum and --axis need --drift", expected=f"--drift {names}")
+        if self.name is not None and others:
+            raise InputError("--drift plans a thermal test", expected="no option of another plan", value=self.name)
+        return self.name is not None
+
+    def planned(
+        self,
+        machine: Machine,
+        kit: Kit,
+        instrument: str | None,
+        spheres: list[str] | None,
+        minutes: float | None,
+        sizes: InstrumentSizes,
+        output: Path | None,
+    ) -> CommandResult:
+        """Plan the drift test and write it."""
+        from twin.planning.drift import drift_plan
+        from twin.planning.programs.controls import format_of, write_program
+        from twin.planning.programs.steps import drift_steps
+
+        chosen = instrument or DRIFT_INSTRUMENTS[0]
+        part = "sphere" if chosen == DRIFT_INSTRUMENTS[0] else "nest"
+        places = {
+            f"{part} {k + 1}": three_numbers("--spheres", text, text, "x,y,z in mm")
+            for k, text in enumerate(spheres or [])
+        }
+        options = {name: getattr(self, name) for name in ("highest_rpm", "spectrum", "axis", "feed_mm_min", "seed")}
+        made = drift_plan(
+            machine,
+            str(self.name),
+            chosen,
+            kit,
+            places_mm=places or None,
+            minutes=minutes,
+            sizes=sizes,
+            options=options,
+        )
+        text, report = made.to_text(), made.to_dict()
+        if self.program is not None:
+            language = format_of(self.program)
+            steps = drift_steps(made)
+            write_program(steps, self.program)
+            report["program"] = {"file": str(self.program), "control": language.title}
+            text += f"note: program for {language.title}, NOT RUN ON A MACHINE. {language.unverified if steps.probing else ''}\n"
+        if output is not None:
+            made.save(output)
+        return CommandResult(text, lambda: report)
+
 
 MINUTES = 210.0
 MINUTES_TO_SEPARATE = 60.0
 SEQUENCE_MINUTES = 60.0
 
 PlanOutput = Annotated[
-    Path | None,
-    typer.Option("--output", "-o", help="Plan to write: a measurement table without coordinates."),
-    TABLE,
+    Path | None, typer.Option("--output", "-o", help="Plan to write: a measurement table without coordinates."), TABLE
 ]
 KitOption = Annotated[
     Path | None,
@@ -88,9 +171,7 @@ InstrumentOption = Annotated[
 SequenceOption = Annotated[
     str | None,
     typer.Option(
-        "--sequence",
-        help="Measuring sequence, with --instrument: {sequences}.",
-        autocompletion=complete.sequences,
+        "--sequence", help="Measuring sequence, with --instrument: {sequences}.", autocompletion=complete.sequences
     ),
 ]
 SpheresOption = Annotated[
@@ -190,10 +271,10 @@ def plan(
         return test.planned(loaded, own, instrument, spheres, minutes, own_sizes, output)
     sizes = _sizes(sphere_diameter, ball_diameter, clearance, radius, feed)
     request = _SequenceRequest(instrument, sequence, spheres, sizes, program_file)
+    for_sequence = request.wanted(judged is not None)
     if judged is not None:
-        request.check_judged()
         return _judged(judged, loaded, own, errors, instrument, tool_length)
-    if request.for_sequence():
+    if for_sequence:
         return request.planned(loaded, own, tool_length, minutes, seed, output)
     made = _made(loaded, own, errors, minutes, reduce, causes, after, tool_length, seed)
     if output is not None:
@@ -242,7 +323,6 @@ def _made(
 
 
 def _sizes(*given: float | None) -> dict[str, float]:
-    """Return the sizes of the instrument that were given, by name."""
     names = ("sphere_mm", "ball_mm", "clearance_mm", "bar_mm", "feed_mm_min")
     return {name: value for name, value in zip(names, given, strict=True) if value is not None}
 
@@ -250,7 +330,6 @@ def _sizes(*given: float | None) -> dict[str, float]:
 def _check_combination(
     after: Path | None, causes: tuple[str, str] | None, reduce: list[str] | None, instrument: str | None
 ) -> None:
-    """Raise `InputError` for options that exclude each other."""
     if after is not None and causes is None:
         raise InputError("--after needs --separate", expected="two causes to distinguish", value=after)
     if causes is not None and reduce:
@@ -270,26 +349,16 @@ class _SequenceRequest:
     sizes: Mapping[str, float]
     program: Path | None
 
-    def check_judged(self) -> None:
-        """Raise `InputError` if there is an option that makes a plan, where one is judged."""
-        if self.sequence is not None or self.spheres or self.sizes or self.program is not None:
+    def wanted(self, judged: bool) -> bool:
+        """Return whether a sequence is wanted; `InputError` for its options without its instrument, or if a plan is judged."""
+        given = self.sequence is not None or bool(self.spheres or self.sizes) or self.program is not None
+        if judged and given:
             raise InputError("--judge evaluates an existing plan", expected="no option of a measuring sequence")
-
-    def for_sequence(self) -> bool:
-        """Return whether a measuring sequence is wanted.
-
-        Raises:
-            InputError: an option of a sequence without its instrument.
-        """
-        if self.instrument in SEQUENCE_INSTRUMENTS:
-            return True
-        if self.sequence is not None or self.spheres or self.sizes or self.program is not None:
-            raise InputError(
-                "a measuring sequence needs its instrument",
-                expected=f"--instrument {' or '.join(SEQUENCE_INSTRUMENTS)}",
-                value=self.instrument,
-            )
-        return False
+        own = self.instrument in SEQUENCE_INSTRUMENTS
+        if given and not own:
+            expected = f"--instrument {' or '.join(SEQUENCE_INSTRUMENTS)}"
+            raise InputError("a measuring sequence needs its instrument", expected=expected, value=self.instrument)
+        return own and not judged
 
     def planned(
         self,
@@ -353,12 +422,7 @@ def _judged_sequence(plan: Path, machine: Machine, kit: Kit, table: Measurements
         *expected.lines(),
         *(f"  set aside, {text}" for text in grouped_notes(table.set_aside)),
     ]
-    report = {
-        "schema": "twin.plan/1",
-        "judged": str(plan),
-        "minutes": minutes,
-        "constant_errors": expected.to_dict(),
-    }
+    report = {"schema": "twin.plan/1", "judged": str(plan), "minutes": minutes, "constant_errors": expected.to_dict()}
     return CommandResult("\n".join(lines) + "\n", lambda: report, met=not table.set_aside)
 
 

@@ -53,8 +53,7 @@ IdentifiedOption = Annotated[
     Path | None, typer.Option("--identified", help="JSON file of `twin identify --json` for this calibration.")
 ]
 ComparedOption = Annotated[
-    list[Path] | None,
-    typer.Option("--measured", help="Measurement table to compare with the calibration; repeatable."),
+    list[Path] | None, typer.Option("--measured", help="Measurement table to compare with the calibration; repeatable.")
 ]
 
 
@@ -135,32 +134,19 @@ def _of_first_page(
 
 
 def _result(found: MachineReport, front: FrontPage, unused: Iterable[str]) -> CommandResult:
-    """Return what the command prints, with what was not met."""
+    verdict, counts = front.verdict, [f"{front.count(k)} {k}" for k in ("fail", "undecided", "pass") if front.count(k)]
+    judged = [] if verdict is None else [f"tolerances (ISO 14253-1): {verdict.upper()}; items: {', '.join(counts)}"]
+    items = front.not_accepted
+    more = [f"and {len(items) - SHOWN} further items, all in the JSON"] if len(items) > SHOWN else []
     return CommandResult(
-        "\n".join([*_first_screen(found), *_verdict(front), *unused, ""]),
+        "\n".join([*_first_screen(found), *judged, *unused, ""]),
         lambda: found.to_dict() | {"first_page": front.to_dict()},
         met=not found.unmet and not front.not_accepted,
-        after=[f"not met: {text}" for text in (*found.unmet, *_not_accepted(front))],
+        after=[f"not met: {text}" for text in (*found.unmet, *(item.text for item in items[:SHOWN]), *more)],
     )
 
 
-def _verdict(front: FrontPage) -> list[str]:
-    """Return the verdict on the tolerances, with the number of items of each kind; nothing without tolerances."""
-    if front.verdict is None:
-        return []
-    counts = [f"{front.count(kind)} {kind}" for kind in ("fail", "undecided", "pass") if front.count(kind)]
-    return [f"tolerances (ISO 14253-1): {front.verdict.upper()}; items: {', '.join(counts)}"]
-
-
-def _not_accepted(front: FrontPage) -> list[str]:
-    """Return the items that are out of tolerance or unknown, the first few in full."""
-    items = front.not_accepted
-    more = [f"and {len(items) - SHOWN} further items, all in the JSON"] if len(items) > SHOWN else []
-    return [*(item.text for item in items[:SHOWN]), *more]
-
-
 def _first_screen(found: MachineReport) -> list[str]:
-    """Return the summary as lines for the terminal."""
     names = {"do": "do", "measure": "measure", "never": "do not", "unknown": "not known"}
     return [
         *([*warning_texts(found.warnings), ""] if found.warnings else []),

@@ -18,7 +18,6 @@ from twin.cli.shared.terminal import not_negative, pairs, three_numbers
 
 if TYPE_CHECKING:
     from twin.measurement.simulate import Environment
-    from twin.measurement.table import Measurements
     from twin.model.calibration import Calibration
 
 PlanArgument = Annotated[
@@ -29,12 +28,7 @@ PlanArgument = Annotated[
     ),
 ]
 InstrumentOption = Annotated[
-    str,
-    typer.Option(
-        "--instrument",
-        help="Simulated instrument: {instruments}.",
-        autocompletion=complete.instruments,
-    ),
+    str, typer.Option("--instrument", help="Simulated instrument: {instruments}.", autocompletion=complete.instruments)
 ]
 AirOption = Annotated[
     str | None,
@@ -71,6 +65,7 @@ def simulate(
     source = options.plan_file(plan)
     from numpy.random import default_rng
 
+    from twin.measurement.checks import grouped_notes
     from twin.measurement.instruments import instrument_named
     from twin.measurement.simulate import simulate as run_simulation
     from twin.measurement.table import Measurements
@@ -85,7 +80,7 @@ def simulate(
         measured, setting = run_simulation(
             planned, loaded, truth, reader, default_rng(seed), noise=noise, surroundings=around
         )
-    comment = (_head(truth, reader.name, seed, noise), around.describe(), setting.describe())
+    comment = (simulated_by(truth, f"instrument {reader.name}", seed, noise), around.describe(), setting.describe())
     measured.save(output, loaded, comment="\n".join(filter(None, comment)))
     report = {
         "schema": "twin.simulation/1",
@@ -104,42 +99,29 @@ def simulate(
         "set_aside": [{"line": note.line, "why": note.text} for note in planned.set_aside],
         "notices": list(planned.notices),
     }
+    excluded = (f"set aside, {text}" for text in grouped_notes(planned.set_aside))
+    off = [MODULE_OFF] if truth.corrected_in_control else []
     return CommandResult(
         "",
         lambda: report,
         met=not planned.set_aside,
         written=f"written: {{}}, {count_with_noun(len(measured), 'point')}",
-        after=[*_notes(planned), *([MODULE_OFF] if truth.corrected_in_control else [])],
+        after=[f"  {text}" for text in (*excluded, *planned.notices, *off)],
     )
 
 
-MODULE_OFF = "  the machine is simulated with the kinematics module in its control switched off"
+MODULE_OFF = "the machine is simulated with the kinematics module in its control switched off"
 
 
-def _notes(planned: Measurements) -> list[str]:
-    """Return the lines on excluded rows and notices of a plan."""
-    from twin.measurement.checks import grouped_notes
-
-    excluded = (f"  set aside, {text}" for text in grouped_notes(planned.set_aside))
-    return [*excluded, *(f"  {text}" for text in planned.notices)]
-
-
-def _head(truth: Calibration, instrument: str, seed: int, noise: bool) -> str:
+def simulated_by(truth: Calibration, instrument: str, seed: int, noise: bool) -> str:
     """Return the first comment of a simulated table."""
     from importlib.metadata import version
 
-    return (
-        f"simulated by twin {version('twin')}: {truth.machine.name}, calibration {truth.path or 'none'}, instrument {instrument}, "
-        f"seed {seed}, {'with' if noise else 'without'} noise"
-    )
+    origin = f"simulated by twin {version('twin')}: {truth.machine.name}, calibration {truth.path or 'none'}"
+    return f"{origin}, {instrument}, seed {seed}, {'with' if noise else 'without'} noise"
 
 
 def _surroundings(air: str | None, drift: list[str] | None) -> Environment:
-    """Return the air and the drift of a simulation.
-
-    Raises:
-        InputError: text that cannot be read, or a station given twice.
-    """
     from twin.measurement.instruments import Air
     from twin.measurement.simulate import Environment
 

@@ -26,9 +26,7 @@ TOO_FAR = 2.0
 )
 def thermal(
     record: Annotated[
-        Path,
-        typer.Argument(help="Record: time_s, spindle_rpm, T_<sensor>_degC and displacements <name>_um."),
-        EXISTING,
+        Path, typer.Argument(help="Record: time_s, spindle_rpm, T_<sensor>_degC and displacements <name>_um."), EXISTING
     ],
     output: Annotated[
         Path | None, typer.Option("--output", "-o", help="Write the fitted model to this YAML file."), CALIBRATION
@@ -78,14 +76,13 @@ def thermal(
     lines = model_lines(model)
     for one, prediction in new:
         lines += ["", *prediction_lines(one.path, prediction), *one.notices]
-    met = all(_holds(prediction) for _, prediction in new)
+    met = not any((one.rms_um > TOO_FAR * one.expected_rms_um).any() for _, one in new)
     return CommandResult("\n".join([*lines, ""]), lambda: _report(model, shown), met=met)
 
 
 def _predictions(
     first: ThermalRecord, other: ThermalRecord | None, model_file: Path | None, continues: bool
 ) -> tuple[ThermalModel, list[tuple[ThermalRecord, ThermalPrediction]]]:
-    """Return the model, read or fitted to the first record, and the predictions of the records."""
     from twin.thermal import fit_thermal as run_fit
     from twin.thermal import load_model
 
@@ -98,11 +95,6 @@ def _predictions(
     if other is not None:
         shown.append((other, model.predict(other, continues=continues or None)))
     return model, shown
-
-
-def _holds(prediction: ThermalPrediction) -> bool:
-    """Return whether no error is much larger than expected."""
-    return not (prediction.rms_um > TOO_FAR * prediction.expected_rms_um).any()
 
 
 def _report(model: ThermalModel, shown: list[tuple[ThermalRecord, ThermalPrediction]]) -> dict[str, Any]:

@@ -72,21 +72,16 @@ def volume(
             kinematics, trials=trials, poses=poses, seed=seed, digits=digits, workers=own, progress=report_rate
         )
     taken = monotonic() - began
+    millions = population.machines * len(population.positions) / 1e6
     lines = [
         f"{population.machines} machines drawn for {loaded.name} from {errors.path} with seed {seed}",
         *warning_texts(population.warnings),
         f"at {len(population.positions)} poses over the volume, tool length {kinematics.tool_length_mm:g} mm: "
-        f"{_rate(population, taken)}\n",
+        f"{millions:.1f} million poses in {taken:.1f} s, {millions / taken:.1f} million a second\n",
         *_lines(population, programs=loaded.runs_programs),
         *options.unused(at, errors),
     ]
     return CommandResult("\n".join([*lines, ""]), population.to_dict)
-
-
-def _rate(found: Population, taken: float) -> str:
-    """Return in words how many poses were evaluated, and how long it took."""
-    millions = found.machines * len(found.positions) / 1e6
-    return f"{millions:.1f} million poses in {taken:.1f} s, {millions / taken:.1f} million a second"
 
 
 def _lines(found: Population, *, programs: bool) -> list[str]:

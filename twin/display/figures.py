@@ -1,11 +1,8 @@
 """Common style of matplotlib pictures: palette, axes, polar plots, headings; saving and embedding. Needs the extra ``plots``.
 
-Every drawing function returns a new `Figure` without a screen or shared state; `save` writes it. Colour-blind readers can distinguish
-the colours; line styles and markers also distinguish curves without colour.
-
-Axes of small pictures, drawn as a few artists that look like matplotlib's own. Needs the extra ``plots``.
-
-matplotlib makes five artists for each tick and places each several times: more than half of the time of a small picture.
+Every drawing function returns a new `Figure` without a screen or shared state. Colour-blind readers can distinguish the colours; line
+styles and markers also distinguish curves without colour. Axes of small pictures are drawn as a few artists that look like matplotlib's
+own, which makes five for each tick and places each several times: more than half of the time of a small picture.
 """
 
 from __future__ import annotations
@@ -51,13 +48,7 @@ DEG: Final = np.pi / 180.0
 
 
 def new_figure(width: float, height: float, layout: str | None = "constrained") -> Figure:
-    """Return an empty figure of a size in inches.
-
-    Args:
-        width: inches.
-        height: inches.
-        layout: matplotlib's layout engine; None if the axes are placed explicitly.
-    """
+    """Return an empty figure of a size in inches; ``layout``: matplotlib's layout engine, None if the axes are placed explicitly."""
     figure = Figure(figsize=(width, height), layout=layout)  # type: ignore[arg-type]
     FigureCanvasAgg(figure)
     return figure
@@ -86,26 +77,16 @@ def heading(figure: Figure, text: str, size: float = 12.0) -> None:
 
 
 def legend_below(figure: Figure, *, columns: int | None = None, size: float = 9.0) -> None:
-    """Add the legend of a figure's first plot below all plots.
-
-    Args:
-        columns: number of columns; None for one row.
-        size: font size.
-    """
+    """Add the legend of a figure's first plot below all plots; in one row unless ``columns`` are given."""
     handles, labels = figure.axes[0].get_legend_handles_labels()
     where: dict[str, Any] = {"loc": "outside lower center", "ncols": columns or len(labels)}
     figure.legend(handles, labels, **where, frameon=False, fontsize=size)
 
 
 def polar_ticks(plot: PolarAxes, extent: float, domain: Sequence[float]) -> tuple[list[tuple[float, str]], bool]:
-    """Set the radial range of a polar plot around its zero circle, and its angular range if less than a turn.
+    """Set the radial range of a polar plot around its zero circle, and its angular range (``domain``, degrees) if less than a turn.
 
-    Args:
-        extent: largest absolute deviation.
-        domain: ends of the angular range, degrees.
-
-    Returns:
-        Tick radii with their labels, to be drawn by the caller; and whether the plot is a full turn.
+    Return tick radii up to ``extent`` with their labels, to be drawn by the caller, and whether the plot is a full turn.
     """
     plot.set_ylim(-HOLLOW * extent, HEADROOM * extent)
     full = domain[1] - domain[0] > 350.0
@@ -123,30 +104,17 @@ def radius_label(tick: float) -> str:
 
 
 def save(figure: Figure, path: str | Path, *, dpi: int = 150) -> None:
-    """Write a figure in the format of the file's suffix (png, pdf, svg).
-
-    Args:
-        dpi: dots per inch, for png.
-    """
+    """Write a figure in the format of the file's suffix (png, pdf, svg); ``dpi`` is for png."""
     figure.savefig(path, dpi=dpi)
 
 
 def embedded(figure: Figure, words: str, caption: str = "", kind: str = "") -> Html:
-    """Return a picture embedded as SVG; the same picture gives the same bytes.
-
-    Args:
-        figure: the picture.
-        words: alternative text.
-        caption: caption as plain text; none if empty.
-        kind: CSS class; none if empty.
-    """
+    """Return a picture embedded as SVG, with alternative text, plain caption and CSS class; the same picture gives the same bytes."""
     buffer = io.BytesIO()
     with matplotlib.rc_context({"svg.hashsalt": "twin", "svg.fonttype": "path"}):
         figure.savefig(buffer, format="svg", metadata={"Date": None})
     return part("figure", base64.b64encode(buffer.getvalue()).decode(), words, caption, kind)
 
-
-# --- Axes of small pictures, drawn as a few artists that look like matplotlib's own. Needs the extra ``plots``
 
 TICK: Final = 3.5
 """Length of a tick, and its distance to its number, points."""
@@ -207,11 +175,7 @@ class _PlainPolarAxes(PolarAxes):
 
 
 def add_plain_axes(figure: Figure, place: tuple[float, float, float, float]) -> Axes:
-    """Return new axes of a figure, to be finished by `draw_plain_axes`.
-
-    Args:
-        place: left, bottom, width and height in shares of the figure.
-    """
+    """Return new axes at left, bottom, width and height in shares of the figure, to be finished by `draw_plain_axes`."""
     plot = figure.add_axes(place, axes_class=_PlainAxes)
     for spine in plot.spines.values():
         spine.get_position()  # places it, as a tick would
@@ -226,14 +190,10 @@ def add_plain_polar(figure: Figure, place: tuple[float, float, float, float]) ->
 def draw_plain_axes(
     plot: Axes, size: float, *, grid: Literal["both", "x", ""] = "both", scale: bool = True, right: bool = False
 ) -> None:
-    """Draw grid, ticks, numbers and labels of a finished plot with linear axes, and hide matplotlib's own.
+    """Draw grid, ticks, numbers (of a font size in points) and labels of a finished plot, and hide matplotlib's own.
 
-    Args:
-        plot: the plot, with its data, limits and axis labels; fixed locators of axes and their formatters are used.
-        size: font size of the numbers, points.
-        grid: axes with a pale grid behind the data.
-        scale: whether the horizontal axis is drawn.
-        right: whether the vertical axis is at the right.
+    Fixed locators of axes and their formatters are used; the horizontal axis is drawn if ``scale``, the vertical one at the right if
+    ``right``.
     """
     plot.set_title("", y=1.0)  # its place would otherwise be computed from those of the ticks
     for axis in (plot.xaxis, plot.yaxis):
@@ -248,11 +208,8 @@ def draw_plain_polar(
 ) -> None:
     """Draw grid, angles and radii of a finished polar plot, and hide matplotlib's own.
 
-    Args:
-        plot: the plot, with its data and limits; over a full turn if the limits are.
-        angles: (n,) angles of the rays and their numbers, rad.
-        radii: radii of the circles, ascending, with their texts.
-        sizes: font sizes of the angles and of the radii, points.
+    ``angles``: (n,) rad, of the rays and their numbers; ``radii`` of the circles, ascending, with their texts; ``sizes``: font sizes
+    of both in points.
     """
     for axis in (plot.xaxis, plot.yaxis):
         axis.set_visible(False)
@@ -322,7 +279,6 @@ def _draw(plot: Axes, axis: Axis, size: float, *, grid: bool, side: int) -> None
 
 
 def _in_order(along: Any, across: Any, side: int) -> tuple[Any, Any]:
-    """Return the coordinates along and across an axis as x and y."""
     return (across, along) if side else (along, across)
 
 
@@ -332,7 +288,6 @@ def _outward(plot: Axes, points: float, side: int) -> Transform:
 
 
 def _shifted(plot: Axes, x: float, y: float) -> Transform:
-    """Return the shift by x and y points."""
     inches: Any = plot.get_figure(root=True).dpi_scale_trans  # type: ignore[union-attr]
     return ScaledTranslation(x / 72.0, y / 72.0, inches)
 

@@ -99,12 +99,7 @@ def _in_language(value: Any) -> Any:
 
 
 def render(template: str, **context: Any) -> str:
-    """Return a rendered template.
-
-    Args:
-        template: path of the template in the package.
-        context: variables of the template.
-    """
+    """Return a template, given by its path in the package, rendered with its variables."""
     return templates().get_template(template).render(context)
 
 
@@ -126,14 +121,7 @@ def joined(*parts: Cell) -> Html:
 def table(
     headers: Sequence[str], rows: Iterable[Sequence[Cell]], *, right: Iterable[int] = (), title: str = ""
 ) -> Html:
-    """Return a table, or empty text if there are no rows.
-
-    Args:
-        headers: column headers with units.
-        rows: cells of every row.
-        right: indices of right-aligned columns.
-        title: title above the table.
-    """
+    """Return a table with a title above it, or empty text if there are no rows; ``right``: indices of right-aligned columns."""
     body = list(rows)
     return part("table", headers, body, set(right), title) if body else Html("")
 
@@ -155,11 +143,7 @@ def chips(texts: Iterable[Cell]) -> Html:
 
 
 def chain(links: Sequence[tuple[str, str]]) -> Html:
-    """Return a chain of connected boxes.
-
-    Args:
-        links: text and kind of every box: ``axis``, ``fixed`` or ``end``.
-    """
+    """Return a chain of connected boxes: text and kind (``axis``, ``fixed`` or ``end``) of each."""
     return part("chain", links)
 
 

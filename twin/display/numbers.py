@@ -34,13 +34,7 @@ def rounded(value: float, expanded: float) -> tuple[str, str]:
 
 
 def measured(value: float, u: float, unit: str) -> str:
-    """Return a number with its 95 % interval: ``9.29 ± 0.51 µm``, or ``9.3 µm, ± unknown`` without an uncertainty.
-
-    Args:
-        value: the number.
-        u: its standard uncertainty (k = 1); NaN if unknown.
-        unit: unit as in files (``um``).
-    """
+    """Return a number with its 95 % interval from u (k = 1): ``9.29 ± 0.51 µm``; ``9.3 µm, ± unknown`` if u is NaN."""
     sign = readable(unit)
     if isfinite(u):
         return Number(f"{_interval(value, COVERAGE_FACTOR * u)} {sign}")
@@ -48,13 +42,7 @@ def measured(value: float, u: float, unit: str) -> str:
 
 
 def with_half(value: float, half: float, unit: str) -> str:
-    """Return a number with the half width of its 95 % interval, to two digits of that, or with ``± unknown``.
-
-    Args:
-        value: the number.
-        half: half width; NaN if unknown.
-        unit: unit as in files (``um``).
-    """
+    """Return a number with the half width of its 95 % interval, to two digits of that, or with ``± unknown`` if that is NaN."""
     sign = readable(unit)
     if not isfinite(half):
         return Message("{value} (± unknown)", value=figure(value, sign))
@@ -62,13 +50,7 @@ def with_half(value: float, half: float, unit: str) -> str:
 
 
 def figure(value: float, unit: str = "", *, digits: int = 3) -> str:
-    """Return a number with three significant digits, at most two decimals and no exponent.
-
-    Args:
-        value: the number; NaN gives `UNKNOWN`.
-        unit: unit as displayed, appended to the number.
-        digits: number of significant digits.
-    """
+    """Return a number with three significant ``digits``, at most two decimals, no exponent, and its unit; `UNKNOWN` for NaN."""
     if not isfinite(value):
         return UNKNOWN
     decimals = 2 if value == 0.0 else min(max(digits - 1 - floor(log10(abs(value))), 0), 2)

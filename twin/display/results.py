@@ -36,24 +36,15 @@ class Result(ABC):
 @final
 @dataclass(frozen=True)
 class Display:
-    """Content of a display in a notebook.
-
-    Attributes:
-        rows: names with their values, one per line; empty values are omitted.
-        above: notes, tables and pictures above the rows.
-        below: notes, tables and pictures below them.
-        small: small text next to the title.
-        illustrative: whether some numbers are assumed, not measured; adds a warning under the title.
-        wrong: whether a requirement was not met; sets the warning colour.
-    """
+    """Content of a display in a notebook."""
 
     title: str
-    rows: Sequence[tuple[str, Cell]] = ()
-    above: Sequence[Cell] = ()
-    below: Sequence[Cell] = ()
-    small: str = ""
-    illustrative: bool = False
-    wrong: bool = False
+    rows: Sequence[tuple[str, Cell]] = ()  # names with their values, one per line; empty values are omitted
+    above: Sequence[Cell] = ()  # notes, tables and pictures above the rows
+    below: Sequence[Cell] = ()  # the same below them
+    small: str = ""  # small text next to the title
+    illustrative: bool = False  # whether some numbers are assumed, not measured; adds a warning under the title
+    wrong: bool = False  # whether a requirement was not met; sets the warning colour
 
     def html(self) -> Html:
         """Return the display as HTML."""

@@ -1,39 +1,18 @@
 """The change in the series of one error: step or drift, its date and size, and whether a temperature explains it.
 
-The date of a change is estimated by maximum likelihood over all dates, its 95 % interval by the profile likelihood: all dates with
-dof (RSS − RSS_min)/RSS_min ≤ 7.35. This limit holds for a small change; for a large one the interval is too wide, never too narrow
-(Hansen 2000, table 1).
+The test is an e-process: the likelihood ratio of "something changed" to "nothing changed", averaged over the possible changes. While
+nothing changed its expectation is one, so it exceeds 1/α at any time with a probability of at most α (Ville's inequality), whatever the
+number of looks. The change after check c has the share w_c = a/((a + c − 1)(a + c)) of the alarm rate. Level, repeatability and further
+nuisance columns are eliminated by invariance to shift and scale (right Haar priors, as in a t-test), for which the bound is exact for
+normal deviations of unknown variance (Pérez-Ortiz et al. 2024; Lai 1976); the size of the change has normal priors of several widths
+(Robbins 1970). The likelihood of no change is at least `OUTLIER_WEIGHT` times that with an inflated variance of any one check, and the
+deviations are whitened for a first-order autoregression. That and the floor of the variance (`least`) only make the ratio smaller.
 
-A change counts as one of the machine if it is evident even if any one of the temperature sensors may have any linear influence: of
-the e-processes with each sensor among the nuisance columns, the least must pass the limit. If only the test without temperature
-passes it, the likelihoods decide: a temperature explains the series if it is `BETTER_LIKELIHOOD_RATIO` times as likely as every step
-and every drift. Otherwise the series is undecided: time and temperature changed together.
+The date is estimated by maximum likelihood, its 95 % interval by dof (RSS − RSS_min)/RSS_min ≤ 7.35. This limit holds for a small
+change; for a large one the interval is too wide, never too narrow (Hansen 2000, table 1). A change counts as one of the machine if the
+e-process with each temperature sensor among the nuisance columns passes the limit. Manual: `twin doc watch`.
 
 B. E. Hansen: Sample splitting and threshold estimation, Econometrica 68 (2000) 575-603.
-
-Sequential test for a change in a series of checks, valid whatever the number of looks.
-
-The test statistic is an e-process: the likelihood ratio of "something changed" to "nothing changed", averaged over the possible
-changes. While nothing changed its expectation is one, so it exceeds 1/α at any time with a probability of at most α (Ville's
-inequality). The number of looks need not be fixed in advance, and a further look costs nothing. The alarm rate is spent over the
-dates of the change instead of over the looks: the change after check c has the share w_c = a/((a + c − 1)(a + c)) of it, and all
-shares sum to one. A group sequential boundary (Lan and DeMets 1983) would need the last look, or an information time, which a watch
-does not have; and its levels would have to be computed anew for every repeatability.
-
-Neither the level nor the repeatability of the checks is known. Both are eliminated: the ratio is that of the data reduced by
-invariance to shift and scale (right Haar priors, as in a t-test), for which the bound is exact for normal deviations of unknown
-variance (Pérez-Ortiz et al. 2024; Lai 1976). Further nuisance columns are eliminated in the same way: the level of each kind of
-check, and a temperature with an unknown coefficient. The change is a step, or a drift from its date on; its size in standard
-deviations has normal priors of several widths (Robbins 1970).
-
-Two departures from independent, normal deviations are allowed for. The unchanged machine may have one check far off: the likelihood
-of no change is at least `OUTLIER_WEIGHT` times that with an inflated variance of any one check. A single check is then hardly
-evidence, the second one of a step is. And the deviations may be correlated from check to check (first-order autoregression); they
-are then whitened. The first only makes the ratio smaller. With the second, the bound is as good as the estimate of the correlation.
-
-The floor of the variance (`least`) is a small part of the instrument's. It only makes the ratio smaller, so the bound is kept.
-
-K. K. G. Lan, D. L. DeMets: Discrete sequential boundaries for clinical trials, Biometrika 70 (1983) 659-663.
 H. Robbins: Statistical methods related to the law of the iterated logarithm, Ann. Math. Statist. 41 (1970) 1397-1409.
 T. L. Lai: On confidence sequences, Ann. Statist. 4 (1976) 265-280.
 M. F. Pérez-Ortiz, T. Lardy, R. de Heide, P. D. Grünwald: E-statistics, group invariance and anytime-valid testing, Ann. Statist. 52
@@ -72,14 +51,10 @@ def spent_share(checks: int) -> float:
 
 
 def change_shapes(days: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the regressors of a step and of a drift after each check.
+    """Return the (n, n − 1) regressors of a step and of a drift after each check; ``days``: (n,) ascending.
 
-    Args:
-        days: (n,) dates in days, ascending.
-
-    Returns:
-        Two arrays (n, n − 1): column c − 1 belongs to a change after check c. A step is 0 before and 1 after it; a drift is the time
-        since check c in `MONTH_DAYS`, 0 before it.
+    Column c − 1 belongs to a change after check c. A step is 0 before and 1 after it; a drift is the time since check c in
+    `MONTH_DAYS`, 0 before it.
     """
     count = len(days)
     after = np.arange(count)[:, None] > np.arange(count - 1)
@@ -95,12 +70,7 @@ def remover(nuisance: np.ndarray) -> tuple[np.ndarray, int]:
 
 
 def whitening(count: int, correlation: float) -> np.ndarray:
-    """Return the matrix (n, n) that makes a first-order autoregression of unit variance independent.
-
-    Args:
-        count: number of checks.
-        correlation: from one check to the next, below 1.
-    """
+    """Return the (n, n) matrix that makes a first-order autoregression of unit variance, ``correlation`` below 1, independent."""
     scale = np.sqrt(1.0 - correlation**2)
     whitening = (np.eye(count) - correlation * np.eye(count, k=-1)) / scale
     whitening[:1, :1] = 1.0
@@ -115,18 +85,11 @@ def log_evidence(
     least: float = 0.0,
     correlation: float = 0.0,
 ) -> np.ndarray:
-    """Return the logarithm of the e-process after each check.
+    """Return the logarithm of the e-process after each check, in the shape of ``values``; 0 means that nothing is known.
 
-    Args:
-        values: (n,) or (n, series) deviations in the order of their dates.
-        days: (n,) dates in days, ascending.
-        nuisance: (n, p) columns with unknown coefficients, whose influence is eliminated; one of them is the level.
-        sd: (n,) relative standard deviations of the checks; equal if None.
-        least: floor of the variance, in units of ``sd`` squared.
-        correlation: of the deviations from one check to the next.
-
-    Returns:
-        (n,) or (n, series) logarithms; 0 means that nothing is known.
+    ``values``: (n,) or (n, series) deviations by ascending ``days``; ``nuisance``: (n, p) columns, one the level, whose influence is
+    eliminated; ``sd``: (n,) relative standard deviations, equal if None; ``least``: floor of the variance, in units of ``sd``
+    squared.
     """
     sd = np.ones(len(days)) if sd is None else sd
     white = whitening(len(days), correlation)
@@ -143,14 +106,10 @@ def log_evidence(
 def _log_ratio(
     y: np.ndarray, x: np.ndarray, shapes: list[np.ndarray], outliers: np.ndarray, least: float
 ) -> np.ndarray:
-    """Return (series,) the logarithm of the averaged likelihood ratio of the checks so far.
+    """Return (series,) the logarithm of the averaged likelihood ratio of the checks so far; all arguments are whitened.
 
-    Args:
-        y: (n, series) white deviations.
-        x: (n, p) white nuisance columns.
-        shapes: white regressors of steps and drifts.
-        outliers: (n, n) white regressors of a single check.
-        least: floor of the variance.
+    ``y``: (n, series); ``x``: (n, p) nuisance columns; ``shapes`` of steps and drifts; ``outliers``: (n, n), one a check; ``least``:
+    floor of the variance.
     """
     count = len(y)
     basis, rank = remover(x)
@@ -187,8 +146,6 @@ def _log_ratios(
     return np.stack(logs)
 
 
-# --- The change in the series of one error: step or drift, its date and size, and whether a temperature explains it
-
 Verdict = Literal["steady", "changed", "follows temperature", "undecided"]
 DATE_LIMIT: Final = 7.35
 """Largest profile likelihood ratio inside the 95 % interval of the date (Hansen 2000)."""
@@ -213,29 +170,17 @@ MOST_CORRELATION: Final = 0.6
 @final
 @dataclass(frozen=True)
 class ErrorSeries:
-    """The deviations of one error from the calibration, one for each check that determines it, in the order of their dates.
+    """The deviations of one error from the calibration, one for each check that determines it, in the order of their dates."""
 
-    Attributes:
-        name: ISO 230-1 name of the error.
-        unit: ``um``, ``urad`` or ``um/m``.
-        checks: (n,) indices of the checks in the watch.
-        days: (n,) dates in days.
-        value: (n,) deviations.
-        u: (n,) standard uncertainties from the instrument's noise.
-        kind: (n,) instruments of the check; each kind has its own level.
-        temperature_degC: by sensor, (n,); NaN where not given.
-        correlation: of the deviations from one check to the next, which is allowed for.
-    """
-
-    name: str
-    unit: str
-    checks: np.ndarray
-    days: np.ndarray
-    value: np.ndarray
-    u: np.ndarray
-    kind: np.ndarray
-    temperature_degC: Mapping[str, np.ndarray]
-    correlation: float = 0.0
+    name: str  # ISO 230-1
+    unit: str  # ``um``, ``urad`` or ``um/m``
+    checks: np.ndarray  # (n,) indices of the checks in the watch
+    days: np.ndarray  # (n,) dates in days
+    value: np.ndarray  # (n,) deviations
+    u: np.ndarray  # (n,) standard uncertainties from the instrument's noise
+    kind: np.ndarray  # (n,) instruments of the check; each kind has its own level
+    temperature_degC: Mapping[str, np.ndarray]  # by sensor, (n,); NaN where not given
+    correlation: float = 0.0  # of the deviations from one check to the next, which is allowed for
 
     @property
     def root(self) -> np.ndarray:
@@ -272,28 +217,17 @@ class ErrorSeries:
 @final
 @dataclass(frozen=True)
 class Change:
-    """A change of an error.
+    """A change of an error."""
 
-    Attributes:
-        shape: ``step``, or ``drift`` that grows in proportion to time.
-        sure_shape: whether the other shape is less likely by `BETTER_LIKELIHOOD_RATIO`.
-        after: number of the last check before the change, as an index into the series.
-        day: most likely day: halfway between two checks for a step, a check's for a drift.
-        earliest_day, latest_day: limits of its 95 % interval.
-        size: change until the last check, in the unit of the error.
-        expanded: U of it (95 %, Student).
-        per_month: rate of a drift, per 30 days; NaN for a step.
-    """
-
-    shape: Literal["step", "drift"]
-    sure_shape: bool
-    after: int
-    day: float
-    earliest_day: float
+    shape: Literal["step", "drift"]  # ``step``, or ``drift`` that grows in proportion to time
+    sure_shape: bool  # whether the other shape is less likely by `BETTER_LIKELIHOOD_RATIO`
+    after: int  # number of the last check before the change, as an index into the series
+    day: float  # most likely day: halfway between two checks for a step, a check's for a drift
+    earliest_day: float  # limits of its 95 % interval
     latest_day: float
-    size: float
-    expanded: float
-    per_month: float
+    size: float  # change until the last check, in the unit of the error
+    expanded: float  # U of it (95 %, Student)
+    per_month: float  # rate of a drift, per 30 days; NaN for a step
 
 
 @final
@@ -310,32 +244,19 @@ class TemperatureEffect:
 @final
 @dataclass(frozen=True)
 class WatchedError:
-    """An error over the checks.
-
-    Attributes:
-        verdict: ``steady``, ``changed`` (whatever a temperature did), ``follows temperature`` or ``undecided``.
-        log_evidence: (n,) of a change after each check, temperatures ignored.
-        log_evidence_apart: (n,) the same, whatever one of the temperatures explains; NaN without temperatures.
-        alarm: index into the series of the check that first passed the limit; None if none did.
-        change: the most likely change; None for a steady series.
-        temperatures: the sensors that explain a series that follows one, or is undecided; the first is the most likely.
-        repeatability: standard deviation of one check about the model of the verdict; NaN if unknown.
-        level: deviation from the calibration at the last check, by that model.
-        weights: (n,) of the checks in that level.
-        fitted: (n,) that model at every check.
-    """
+    """An error over the checks."""
 
     series: ErrorSeries
-    verdict: Verdict
-    log_evidence: np.ndarray
-    log_evidence_apart: np.ndarray
-    alarm: int | None
-    change: Change | None
-    temperatures: tuple[TemperatureEffect, ...]
-    repeatability: float
-    level: float
-    weights: np.ndarray
-    fitted: np.ndarray
+    verdict: Verdict  # ``steady``, ``changed`` (whatever a temperature did), ``follows temperature`` or ``undecided``
+    log_evidence: np.ndarray  # (n,) of a change after each check, temperatures ignored
+    log_evidence_apart: np.ndarray  # (n,) the same, whatever one of the temperatures explains; NaN without temperatures
+    alarm: int | None  # index into the series of the check that first passed the limit; None if none did
+    change: Change | None  # the most likely change; None for a steady series
+    temperatures: tuple[TemperatureEffect, ...]  # that explain a series, most likely first
+    repeatability: float  # standard deviation of one check about the model of the verdict; NaN if unknown
+    level: float  # deviation from the calibration at the last check, by that model
+    weights: np.ndarray  # (n,) of the checks in that level
+    fitted: np.ndarray  # (n,) that model at every check
 
     @property
     def alarming(self) -> bool:
@@ -346,32 +267,18 @@ class WatchedError:
 @final
 @dataclass(frozen=True)
 class _Fit:
-    """Weighted least squares.
+    """Weighted least squares."""
 
-    Attributes:
-        value: coefficients.
-        cofactor: their covariance per unit variance.
-        rss: weighted sum of squares of the residuals.
-        dof: degrees of freedom.
-        weights: (n,) of the values in the fit of the last one.
-        fitted: (n,) the fit.
-    """
-
-    value: np.ndarray
-    cofactor: np.ndarray
-    rss: float
-    dof: int
-    weights: np.ndarray
-    fitted: np.ndarray
+    value: np.ndarray  # coefficients
+    cofactor: np.ndarray  # their covariance per unit variance
+    rss: float  # weighted sum of squares of the residuals
+    dof: int  # degrees of freedom
+    weights: np.ndarray  # (n,) of the values in the fit of the last one
+    fitted: np.ndarray  # (n,) the fit
 
 
 def examine(series: ErrorSeries, limit: float) -> WatchedError:
-    """Return what a series shows.
-
-    Args:
-        series: the deviations of one error.
-        limit: logarithm of the evidence from which it is an alarm, for each of the two tests.
-    """
+    """Return what a series shows; ``limit``: logarithm of the evidence from which it is an alarm, for each of the two tests."""
     sd, sensors, levels, correlation = series.sd, series.sensors, series.levels, series.correlation
     least = float(np.min((LEAST_NOISE * series.u / sd) ** 2))
     plain = log_evidence(series.value, series.days, levels, sd, least, correlation)
@@ -395,7 +302,11 @@ def examine(series: ErrorSeries, limit: float) -> WatchedError:
     elif moved.any():
         temperatures = _temperatures(series, least)
         verdict = "follows temperature" if temperatures[0].log_ratio >= np.log(BETTER_LIKELIHOOD_RATIO) else "undecided"
-    columns = _model(series, verdict, change, temperatures)
+    columns = levels
+    if verdict in ("changed", "undecided") and change is not None:
+        columns = np.column_stack([levels, _shape(series, change.shape, change.after)])
+    elif verdict == "follows temperature":
+        columns = np.column_stack([levels, sensors[temperatures[0].sensor]])
     fit = _fit(series.value, series.root, columns)
     variance = max(fit.rss / fit.dof, least) if fit.dof > 0 else np.nan
     return WatchedError(
@@ -413,18 +324,6 @@ def examine(series: ErrorSeries, limit: float) -> WatchedError:
     )
 
 
-def _model(
-    series: ErrorSeries, verdict: Verdict, change: Change | None, temperatures: tuple[TemperatureEffect, ...]
-) -> np.ndarray:
-    """Return the columns of the model of a verdict."""
-    columns = [series.levels]
-    if verdict in ("changed", "undecided") and change is not None:
-        columns.append(_shape(series, change.shape, change.after)[:, None])
-    if verdict == "follows temperature":
-        columns.append(series.sensors[temperatures[0].sensor][:, None])
-    return np.concatenate(columns, axis=1)
-
-
 def _shape(series: ErrorSeries, shape: str, after: int) -> np.ndarray:
     step, drift = change_shapes(series.days)
     return np.asarray((step if shape == "step" else drift)[:, after])
@@ -438,12 +337,7 @@ def _fit(value: np.ndarray, root: np.ndarray, columns: np.ndarray) -> _Fit:
     residual = root @ value - x @ estimate
     dof = len(value) - int(np.linalg.matrix_rank(x, tol=1e-9 * np.abs(x).max()))
     return _Fit(
-        estimate,
-        inverse @ inverse.T,
-        float(residual @ residual),
-        dof,
-        columns[-1] @ inverse @ root,
-        columns @ estimate,
+        estimate, inverse @ inverse.T, float(residual @ residual), dof, columns[-1] @ inverse @ root, columns @ estimate
     )
 
 
@@ -483,7 +377,6 @@ def _best(rss: Mapping[str, np.ndarray]) -> str:
 
 
 def _change(series: ErrorSeries, least: float, nuisance: np.ndarray) -> Change:
-    """Return the most likely change, with its interval, beside the nuisance columns."""
     profile = {name: rss + least for name, rss in _profile(series, nuisance).items()}
     # A step and a drift in the last interval are the same change.
     shape: Literal["step", "drift"] = "step" if _best(profile) == "step" else "drift"
@@ -535,10 +428,8 @@ def lag_correlation(every: Sequence[ErrorSeries]) -> float:
     """Return the correlation of the deviations from one check to the next, estimated from the series of all errors together.
 
     It is the mean lag-1 correlation of the residuals about the most likely change beside levels and temperatures, corrected for its
-    bias, and not less than zero. Constants of the correction were fitted to drawn series.
-
-    Args:
-        every: the series; those of fewer than `FEWEST_CHECKS` do not count.
+    bias, and not less than zero. Constants of the correction were fitted to drawn series; those of fewer than `FEWEST_CHECKS` do not
+    count.
     """
     correlations = []
     for series in every:

@@ -62,41 +62,23 @@ class CheckFile:
 @final
 @dataclass(frozen=True)
 class Check:
-    """One check, as the memory keeps it.
+    """One check, as the memory keeps it."""
 
-    Attributes:
-        name: name of the file.
-        sha256: of its content.
-        date: when it was measured, UTC if the file gives a time zone, else the local time of the file.
-        dated_by: where the date comes from, in words.
-        instruments: names of the instruments, joined; checks of other instruments have a level of their own.
-        rows: number of readings used.
-        errors: names of the errors that it determines.
-        value: (k,) their deviations from the calibration, µm, µrad or µm/m.
-        covariance: (k, k) from the instrument's noise.
-        lost: combinations of constant errors that it does not determine, in words.
-        reduced_chi2: of the residuals; NaN without degrees of freedom.
-        temperature_degC: mean of each sensor.
-        simulated: whether readings were simulated.
-        notices: facts to know, among them the rows set aside.
-        read_at: when the file was read, ISO 8601.
-    """
-
-    name: str
-    sha256: str
-    date: datetime
-    dated_by: str
-    instruments: str
-    rows: int
-    errors: tuple[str, ...]
-    value: np.ndarray
-    covariance: np.ndarray
-    lost: tuple[str, ...]
-    reduced_chi2: float
-    temperature_degC: Mapping[str, float]
-    simulated: bool
-    notices: tuple[str, ...]
-    read_at: str
+    name: str  # of the file
+    sha256: str  # of its content
+    date: datetime  # when it was measured, UTC if the file gives a time zone, else the local time of the file
+    dated_by: str  # where the date comes from, in words
+    instruments: str  # names of the instruments, joined; checks of other instruments have a level of their own
+    rows: int  # number of readings used
+    errors: tuple[str, ...]  # names of the errors that it determines
+    value: np.ndarray  # (k,) their deviations from the calibration, µm, µrad or µm/m
+    covariance: np.ndarray  # (k, k) from the instrument's noise
+    lost: tuple[str, ...]  # combinations of constant errors that it does not determine, in words
+    reduced_chi2: float  # of the residuals; NaN without degrees of freedom
+    temperature_degC: Mapping[str, float]  # mean of each sensor
+    simulated: bool  # whether readings were simulated
+    notices: tuple[str, ...]  # among them the rows set aside
+    read_at: str  # when the file was read, ISO 8601
 
     @property
     def day(self) -> float:
@@ -110,11 +92,7 @@ def unit_of_constant(name: str) -> str:
 
 
 def files_of(folder: Path) -> tuple[list[CheckFile], list[Path], list[str]]:
-    """Return the measurement tables of a folder by name, the records of its control, and the names of its other files.
-
-    Raises:
-        InputError: it is not a folder that can be read, or a table cannot be read.
-    """
+    """Return the measurement tables of a folder by name, the records of its control, and the names of its other files."""
     visible = [path for path in folder_entries(folder, "the folder of checks") if not path.name.startswith(".")]
     tables = [path for path in visible if path.suffix.lower() == SUFFIX and path.is_file()]
     files, records = [], []
@@ -128,12 +106,9 @@ def files_of(folder: Path) -> tuple[list[CheckFile], list[Path], list[str]]:
 
 
 def date_of(file: CheckFile, given: Mapping[str, datetime]) -> tuple[datetime, str]:
-    """Return the date of a check, and where it comes from: a date given for the file, a comment of the table, or the file's name.
+    """Return the date of a check, and its source: a date given for the file, a comment of the table, or the file's name.
 
-    The file system's time is never used: copying a file changes it.
-
-    Raises:
-        InputError: no date, or a comment that is no date.
+    The file system's time is never used: copying a file changes it. Raises `InputError`: no date, or a comment that is no date.
     """
     if file.name in given:
         return given[file.name], "given"
@@ -156,11 +131,7 @@ def date_of(file: CheckFile, given: Mapping[str, datetime]) -> tuple[datetime, s
 
 
 def parsed_date(text: str, file: Path | None = None) -> datetime:
-    """Return a date without time zone, converted to UTC if the text gives one.
-
-    Raises:
-        InputError: the text is not an ISO 8601 date.
-    """
+    """Return a date without time zone, converted to UTC if the text gives one; `InputError` if it is not an ISO 8601 date."""
     try:
         moment = datetime.fromisoformat(text)
     except ValueError:
@@ -197,9 +168,6 @@ def read_check(
     stations, by weighted least squares about the calibration. Those of which more than a fiftieth of the prior variance remains are
     not determined. Temperatures that the table does not give, and whether the control corrected the errors, come from the records of
     the control.
-
-    Raises:
-        InputError: the file is not a measurement of this machine, no axis with a constant error moves, or a record cannot be used.
     """
     data = Measurements.load(file.path, machine)
     state = _state_during(data, dated, records)
@@ -298,7 +266,6 @@ def _solved(network: Network, setup: StationsAndTargets, calibration: Calibratio
 def _parallel(
     network: Network, setup: StationsAndTargets, calibration: Calibration, free: np.ndarray
 ) -> StationsAndTargets:
-    """Return the set-up with some stations parallel to their carriers."""
     data, targets, stations = network.data, list(setup.targets), np.array(setup.stations)
     target = np.array([targets.index(str(name)) for name in data.target])
     points = observation_of(network.machine).points_mm(calibration, data, setup.place[target] / MM)
@@ -351,13 +318,10 @@ FALSE_ALARM_SHARE: Final = 0.05
 
 
 def levels(findings: Sequence[WatchedError], checks: Sequence[Check]) -> tuple[np.ndarray, np.ndarray]:
-    """Return the deviations of the errors at the last check, and their covariance.
+    """Return the (k,) deviations of the errors at the last check, and their (k, k) covariance, µm, µrad and µm/m.
 
-    The instrument's uncertainty of one check may be common to all checks, so it is not reduced by their number. The
-    standard deviation between checks beyond it is.
-
-    Returns:
-        (k,) deviations and (k, k) covariance, µm, µrad and µm/m.
+    The instrument's uncertainty of one check may be common to all checks, so it is not reduced by their number. The standard
+    deviation between checks beyond it is.
     """
     value = np.array([finding.level for finding in findings])
     shifts = np.zeros((len(findings), len(findings)))
@@ -383,13 +347,7 @@ def remaining_error(
     tool_length_mm: float | None,
     progress: Progress = silent,
 ) -> Remaining:
-    """Return the error at the tool that remains if the calibration compensates the machine as the checks show it now.
-
-    It contains the deviations of the errors that the checks determine, and their uncertainty; not those of the other errors.
-
-    Raises:
-        InputError: no pose of the machine can be evaluated.
-    """
+    """Return the error at the tool due to the deviations that the checks determine now, if the calibration compensates."""
     value, covariance = levels(findings, checks)
     after = deviations(machine, {one.series.name: v for one, v in zip(findings, value, strict=True)}, covariance)
     names = [effect.name for effect in after.effects]
@@ -399,12 +357,7 @@ def remaining_error(
 
 
 def deviations(machine: Machine, by_name: Mapping[str, float], covariance: np.ndarray) -> Calibration:
-    """Return deviations of constant errors as a calibration.
-
-    Args:
-        by_name: deviations, µm, µrad and µm/m of a scale.
-        covariance: (k, k) in that order.
-    """
+    """Return deviations of constant errors (µm, µrad and µm/m of a scale) with their (k, k) covariance as a calibration."""
     unknowns = constant_unknowns(machine, machine.names)
     labels = [*(curve.name for curve in unknowns.curves), *unknowns.constants]
     at = [labels.index(name) for name in by_name]

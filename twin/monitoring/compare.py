@@ -17,8 +17,7 @@ from twin.model.calibration import Calibration
 from twin.model.conditions import Conditions, needed_values
 from twin.model.datum import MEAN_LINES
 from twin.model.effects import Effect, split_name
-from twin.monitoring.comparison import Changes, Culprits, ErrorChange
-from twin.monitoring.comparison_words import meaning_of
+from twin.monitoring.comparison import Changes, Culprits, ErrorChange, meaning_of
 from twin.monitoring.pairs import (
     FALSE_ALARMS_OF_A_TEST,
     NotCompared,
@@ -159,13 +158,10 @@ def _without_missing_channels(
 
 
 def _in_one_datum(first: Calibration, second: Calibration) -> tuple[Calibration, Calibration, str, set[str]]:
-    """Return both calibrations converted to mean lines, or unchanged if one cannot be converted.
+    """Return both calibrations in mean lines, or unchanged if one cannot be converted; a sentence about it; errors new to both.
 
     If neither is in mean lines, only errors that one of them contains may change: constants and slopes that only another error could
     take over stay in the curves of both.
-
-    Returns:
-        The two calibrations, a sentence about the conversion, and names of errors that neither contained before.
     """
     given = first.datum, second.datum
     named = {name for side in (first, second) for name in (*side.curves, *side.squareness, *side.location)}
@@ -191,11 +187,7 @@ def _in_one_datum(first: Calibration, second: Calibration) -> tuple[Calibration,
 
 
 def _check_tables(first: Calibration, second: Calibration) -> list[str]:
-    """Return notices on the control's compensation tables.
-
-    Raises:
-        InputError: the calibrations are not comparable, because the tables are not in both or differ.
-    """
+    """Return notices on the control's tables; `InputError` if these make the calibrations not comparable: not in both, or different."""
     for name, side in (("first", first), ("second", second)):
         require_type(name, side, Calibration)
     one, two = first.control, second.control
@@ -261,20 +253,13 @@ def _label(calibration: Calibration, otherwise: str) -> str:
 @final
 @dataclass(frozen=True)
 class _JointChange:
-    """The joint change of all known errors.
+    """The joint change of all known errors."""
 
-    Attributes:
-        p_value, dof: of its χ²; NaN and 0 without known errors.
-        culprits: the smallest set of errors that explains it.
-        without_variance: for each error, the largest change in directions without variance.
-        causes: changes of the errors of that set, as functions of the state of the machine.
-    """
-
-    p_value: float
+    p_value: float  # of its χ²; NaN and 0 without known errors
     dof: int
-    culprits: Culprits
-    without_variance: tuple[float, ...]
-    causes: Mapping[str, ActingError]
+    culprits: Culprits  # the smallest set of errors that explains it
+    without_variance: tuple[float, ...]  # for each error, the largest change in directions without variance
+    causes: Mapping[str, ActingError]  # changes of the errors of that set, as functions of the state of the machine
 
 
 def _joint_change(pairs: Sequence[Pair], first: Calibration, second: Calibration) -> _JointChange:
@@ -342,7 +327,6 @@ def _as_effect(pair: Pair, change: np.ndarray, effect: Effect) -> ActingError:
 
 
 def _change(pair: Pair, change: np.ndarray, covariance: np.ndarray) -> ErrorChange:
-    """Return the change of one error, with its uncertainty if known."""
     values = pair.shape @ change
     known, curve = pair.status == "known", pair.kind == "curve"
     u = np.full(len(values), np.nan)
@@ -386,10 +370,7 @@ def _shape_of(pair: Pair, change: np.ndarray, *, linear: bool) -> str:
     ways = (
         (("constant", [np.ones_like(u)]), ("line", [np.ones_like(u), u]), ("bow", [np.ones_like(u), u, u**2]))
         if linear
-        else (
-            ("constant", [np.ones_like(u)]),
-            ("turn", [np.ones_like(u), np.cos(angle), np.sin(angle)]),
-        )
+        else (("constant", [np.ones_like(u)]), ("turn", [np.ones_like(u), np.cos(angle), np.sin(angle)]))
     )
     for name, functions in ways:
         columns = np.stack(functions, axis=1)

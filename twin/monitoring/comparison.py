@@ -1,9 +1,11 @@
-"""The result of a comparison of two calibrations."""
+"""The result of a comparison of two calibrations, and its meaning in sentences that a technician can act on."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from textwrap import wrap
 from types import MappingProxyType
 from typing import Any, Final, Literal, final
 
@@ -12,10 +14,13 @@ import numpy as np
 from twin._common.provenance import ILLUSTRATIVE, SourceWarning, warnings_to_json
 from twin._common.records import json_form
 from twin.display import finite_or_none, first_rows, measured, note, readable, table
+from twin.display.numbers import COVERAGE_FACTOR
 from twin.display.results import Display, DisplayedResult
 from twin.machine.machine import Machine
+from twin.model.effects import split_name
 from twin.monitoring.pairs import FALSE_ALARMS, FALSE_ALARMS_OF_A_TEST, NotCompared, Status
-from twin.monitoring.tool import ToolChange
+from twin.monitoring.tool import ToolChange, ToolDisplacement
+from twin.tool.uncertainty import DEFINITION
 
 SCHEMA: Final = "twin.monitoring/1"
 Verdict = Literal["same", "unchanged", "changed", "reworded", "unknown"]
@@ -35,43 +40,24 @@ CANCELLED_RATIO: Final = 0.05
 @final
 @dataclass(frozen=True)
 class ErrorChange:
-    """The change of one error, second calibration less first.
+    """The change of one error, second calibration less first."""
 
-    Attributes:
-        name: ISO 230-1 name, or the effect's own.
-        kind: ``curve``, ``number`` (squareness, location) or ``effect``.
-        iso_class: class of ISO/TR 16907.
-        axis: the axis it belongs to.
-        unit: ``um`` or ``urad``; for an effect, the unit of the number ``label``.
-        status: ``known``; ``same``: identical numbers; ``unknown``: a calibration does not state its uncertainty.
-        label: for an effect, the number that ``largest`` belongs to: the one with the largest change in standard uncertainties.
-        rms: of a curve, over the common part of both domains; else the absolute value of ``largest``.
-        largest: the largest change of a curve with its sign, or the change of the number.
-        at: position of the axis of the largest change, mm or degrees; NaN unless a curve.
-        u: standard uncertainty (k = 1) of ``largest``; NaN if unknown.
-        band: half width at ``at`` of the simultaneous 95 % band of the whole curve; for a number 1.96 u; NaN if unknown.
-        p_value: of the χ² of the change; NaN if unknown.
-        p_adjusted: p-value corrected for the number of errors tested (Holm).
-        without_variance: largest change in directions without an uncertainty on both sides, in ``unit``; zero if none.
-        notes: assumptions made.
-    """
-
-    name: str
-    kind: Literal["curve", "number", "effect"]
-    iso_class: str
+    name: str  # ISO 230-1 name, or the effect's own
+    kind: Literal["curve", "number", "effect"]  # ``curve``, ``number`` (squareness, location) or ``effect``
+    iso_class: str  # class of ISO/TR 16907
     axis: str
-    unit: str
-    status: Status
-    label: str
-    rms: float
-    largest: float
-    at: float
-    u: float
-    band: float
-    p_value: float
-    p_adjusted: float
-    without_variance: float
-    notes: tuple[str, ...]
+    unit: str  # for an effect, that of the number ``label``
+    status: Status  # ``known``; ``same``: identical numbers; ``unknown``: a calibration does not state its uncertainty
+    label: str  # for an effect, the number that ``largest`` belongs to: the one with the largest change in standard uncertainties
+    rms: float  # of a curve, over the common part of both domains; else the absolute value of ``largest``
+    largest: float  # the largest change of a curve with its sign, or the change of the number
+    at: float  # position of the axis of the largest change, mm or degrees; NaN unless a curve
+    u: float  # standard uncertainty (k = 1) of ``largest``; NaN if unknown
+    band: float  # half width at ``at`` of the simultaneous 95 % band of the whole curve; for a number 1.96 u; NaN if unknown.
+    p_value: float  # of the χ² of the change; NaN if unknown
+    p_adjusted: float  # p-value corrected for the number of errors tested (Holm)
+    without_variance: float  # largest change in directions without an uncertainty, in ``unit``; zero if none
+    notes: tuple[str, ...]  # assumptions made
 
     @property
     def significant(self) -> bool | None:
@@ -95,60 +81,35 @@ class ErrorChange:
 @final
 @dataclass(frozen=True)
 class Culprits:
-    """The smallest set of errors that explains the change, all others taken as unchanged.
+    """The smallest set of errors that explains the change, all others taken as unchanged."""
 
-    Attributes:
-        errors: the changes estimated on this assumption, strongest first; ``p_adjusted`` is corrected for all sets tried.
-        alternatives: for each, the errors that would explain the change equally well in its place.
-        trends: for each, its shape along the axis: ``constant``, ``line``, ``bow``, ``turn`` (one wave per turn), or empty.
-        left_p_value: p-value of the change they do not explain; NaN if nothing could be tested.
-        shows_from: detection limits (name, size, unit) of squareness and locations: a change of it alone, all else unchanged, is found
-            in 19 of 20 comparisons.
-    """
-
-    errors: tuple[ErrorChange, ...]
-    alternatives: tuple[tuple[str, ...], ...]
-    trends: tuple[str, ...]
-    left_p_value: float
-    shows_from: tuple[tuple[str, float, str], ...] = ()
+    errors: tuple[ErrorChange, ...]  # strongest first; ``p_adjusted`` is corrected for all sets tried
+    alternatives: tuple[tuple[str, ...], ...]  # for each, the errors that would explain the change equally well
+    trends: tuple[str, ...]  # ``constant``, ``line``, ``bow``, ``turn`` (one wave per turn), or empty
+    left_p_value: float  # p-value of the change they do not explain; NaN if nothing could be tested
+    shows_from: tuple[tuple[str, float, str], ...] = ()  # (name, size, unit) found in 19 of 20 comparisons
 
 
 @final
 @dataclass(frozen=True, repr=False)
 class Changes(DisplayedResult):
-    """The changes between two calibrations of one machine.
-
-    Attributes:
-        first, second: names of the two (their files).
-        errors: change of each error that both contain, tested by itself.
-        not_compared: errors that could not be compared, with the reason.
-        not_identified: errors that neither contains, because they could not be determined; U of the remaining error includes their
-            plausible size.
-        joint_p_value, joint_dof: of the χ² of all known changes together; NaN and 0 if none is known.
-        culprits: the smallest set of errors that explains the change.
-        tool: the change at the tool.
-        tolerance_mm: largest error at the tool that the older calibration may leave; None if not given.
-        left_out: effects not included in the comparison at the tool, with the channels they need.
-        notices: assumptions and limits of the whole comparison.
-        meaning: the meaning of the result, in sentences.
-        warnings: on the origin of the numbers of either.
-    """
+    """The changes between two calibrations of one machine."""
 
     machine: Machine
-    first: str
+    first: str  # names of the two (their files)
     second: str
-    errors: tuple[ErrorChange, ...]
-    not_compared: tuple[NotCompared, ...]
-    not_identified: tuple[NotCompared, ...]
-    joint_p_value: float
+    errors: tuple[ErrorChange, ...]  # change of each error that both contain, tested by itself
+    not_compared: tuple[NotCompared, ...]  # errors that could not be compared, with the reason
+    not_identified: tuple[NotCompared, ...]  # in neither; U of the rest includes their plausible size
+    joint_p_value: float  # of the χ² of all known changes together; NaN and 0 if none is known
     joint_dof: int
     culprits: Culprits
     tool: ToolChange
-    tolerance_mm: float | None
-    left_out: tuple[tuple[str, str], ...]
-    notices: tuple[str, ...]
-    meaning: tuple[str, ...] = ()
-    warnings: tuple[SourceWarning, ...] = ()
+    tolerance_mm: float | None  # largest error at the tool that the older calibration may leave; None if not given
+    left_out: tuple[tuple[str, str], ...]  # effects not included at the tool, with the channels they need
+    notices: tuple[str, ...]  # assumptions and limits
+    meaning: tuple[str, ...] = ()  # in sentences
+    warnings: tuple[SourceWarning, ...] = ()  # on the origin of the numbers of either
 
     @property
     def illustrative(self) -> bool:
@@ -259,8 +220,6 @@ class Changes(DisplayedResult):
 
     def to_text(self) -> str:
         """Return the text report."""
-        from twin.monitoring.comparison_words import comparison_text  # imports this module
-
         return comparison_text(self)
 
     def display(self) -> Display:
@@ -296,3 +255,403 @@ class Changes(DisplayedResult):
         """Return the RMS at the tool of one error alone; zero if it was not tested."""
         found = self.tool.by_error.get(error.name)
         return 0.0 if found is None else found.rms_um
+
+
+MOST_NAMED: Final = 6
+
+
+def meaning_of(found: Changes) -> tuple[str, ...]:
+    """Return the sentences, the most important first."""
+    verdict = found.verdict
+    sentences: list[str] = []
+    if verdict == "same":
+        sentences.append("The two calibrations have identical numbers; there is nothing to compare.")
+    elif verdict == "unknown":
+        same = any(error.status == "same" for error in found.errors)
+        why = (
+            "the errors that both contain have identical numbers or no uncertainty"
+            if same
+            else "for no error do both calibrations state an uncertainty"
+        )
+        sentences.append(
+            f"It cannot be decided whether anything changed: {why}. The differences are listed without a test."
+        )
+    elif verdict == "unchanged":
+        sentences += _unchanged(found)
+    else:
+        sentences += _changed(found)
+    if verdict == "reworded":
+        sentences.insert(
+            0,
+            "The numbers changed but the tool did not move: changes of several errors cancel, for example if the same constant or "
+            "slope is attributed to a different error. Both calibrations compensate alike; leave the machine as it is.",
+        )
+    if found.unjudged and verdict in ("unchanged", "changed"):
+        left_out = {name for name, _ in found.left_out}
+        names = [name for name in dict.fromkeys(found.unjudged) if name not in left_out]
+        if left_out:
+            needs = ", ".join(f"{name} (needs {channel})" for name, channel in found.left_out)
+            sentences.append(f"The results at the tool do not include {needs}.")
+    else:
+        names = []
+    if names:
+        sentences.append(
+            f"This does not cover errors that could not be compared or tested: {_list(names, MOST_NAMED)}."
+        )
+    if found.not_identified:
+        sentences.append(
+            f"Nothing is known of {_list([one.name for one in found.not_identified], MOST_NAMED)}: neither calibration could determine "
+            "them. A change of them is not seen; U of the remaining error includes their plausible size."
+        )
+    sentences += _verdict_on_tolerance(found)
+    return tuple(sentences)
+
+
+def number(value: float) -> str:
+    """Return a number with three significant digits, without an exponent."""
+    if value == 0.0 or not np.isfinite(value):
+        return f"{value:g}"
+    digits = max(0, 2 - int(np.floor(np.log10(abs(value)))))
+    return f"{value:.{min(digits, 4)}f}"
+
+
+def with_sign(value: float) -> str:
+    """Return a number with three significant digits and its sign."""
+    return ("+" if value > 0.0 else "") + number(value)
+
+
+def plus_minus(value: float, half: float) -> str:
+    """Return a change with half its 95 % interval, to two digits of that."""
+    if not np.isfinite(half) or half <= 0.0:
+        return with_sign(value)
+    digits = min(max(0, 1 - int(np.floor(np.log10(half)))), 4)
+    return f"{value:+.{digits}f} ± {half:.{digits}f}"
+
+
+def place(where: Mapping[str, float]) -> str:
+    """Return positions by axis, in whole mm and degrees."""
+    return ", ".join(f"{name} {value:.0f}" for name, value in where.items())
+
+
+def _list(names: Sequence[str], most: int) -> str:
+    shown = ", ".join(names[:most])
+    return shown if len(names) <= most else f"{shown} and {len(names) - most} more"
+
+
+def _unchanged(found: Changes) -> list[str]:
+    row = found.tool.judged
+    sentences = [
+        "All changes that could be tested are within the uncertainty of the two calibrations: the older one remains valid."
+    ]
+    if row is not None and np.isfinite(row.limit_um):
+        sentences.append(
+            f"A change that moves the tool by less than about {number(row.limit_um)} µm RMS over the volume may be undetected, unless "
+            "only one or a few errors changed; these have lower detection limits."
+        )
+    if found.culprits.shows_from:
+        shown = ", ".join(f"{name} {number(size)} {readable(own)}" for name, size, own in found.culprits.shows_from)
+        sentences.append(f"Detection limits (19 of 20 comparisons, all else unchanged): {shown}.")
+    return sentences
+
+
+def _changed(found: Changes) -> list[str]:
+    culprits = found.culprits
+    sentences = []
+    if culprits.errors:
+        only = (
+            "Only "
+            if len(culprits.errors) == 1
+            and culprits.left_p_value > FALSE_ALARMS_OF_A_TEST
+            and not culprits.alternatives[0]
+            else ""
+        )
+        for error, others, trend in zip(culprits.errors, culprits.alternatives, culprits.trends, strict=True):
+            sentences.append(_changed_error(found, error, others, trend, only))
+        if culprits.left_p_value > FALSE_ALARMS_OF_A_TEST:
+            sentences.append(
+                "All other changes are within the uncertainty; the sizes are estimated with all else taken as unchanged."
+            )
+        else:
+            sentences.append(
+                "This does not explain the whole change: more has changed than can be attributed to single errors."
+            )
+        if found.verdict != "reworded":
+            sentences += _common_pattern(found)
+    else:
+        own = [error.name for error in found.errors if error.significant]
+        if own:
+            sentences.append(f"Changed by more than the uncertainty, each tested by itself: {_list(own, MOST_NAMED)}.")
+        else:
+            sentences.append(
+                "There is a change, but it cannot be attributed to single errors with these two calibrations. Detected by: "
+                f"{', '.join(found.seen_by)}."
+            )
+    return sentences
+
+
+def _changed_error(found: Changes, error: ErrorChange, others: Sequence[str], trend: str, only: str) -> str:
+    half = error.band if error.kind == "curve" else COVERAGE_FACTOR * error.u
+    axis = found.machine.by_name[error.axis]
+    size = f"{plus_minus(error.largest, half)} {readable(error.unit)}"
+    what = f"{_error_in_words(error, found.machine)} {error.name}"
+    what = what if only else what[0].upper() + what[1:]
+    if error.kind == "curve":
+        shape = {
+            "constant": f", the same all along {error.axis}",
+            "line": f", linear along {error.axis}",
+            "bow": f", parabolic along {error.axis}",
+            "turn": f", with one wave per turn of {error.axis}",
+        }.get(trend, "")
+        text = f"{only}{what} changed, by up to {size} (95 %) at {error.axis} {error.at:.0f} {axis.unit}{shape}"
+    elif error.kind == "number":
+        text = f"{only}{what} changed, by {size} (95 %)"
+    else:
+        text = f"{only}{what} changed: {error.label} by {size} (95 %)"
+    row = found.tool.by_cause.get(error.name)
+    if row is not None:
+        text += (
+            f": {number(row.max_um)} µm at the tool at {place(row.where)}, {number(row.rms_um)} µm RMS over the volume"
+        )
+    if others:
+        text += f"; a change of {_list(others, 3)} instead would explain it about equally well"
+    return text + "."
+
+
+def _error_in_words(error: ErrorChange, machine: Machine) -> str:
+    if not error.name.startswith("E_"):
+        return "the effect"
+    component, average, axis = split_name(error.name)
+    if average:
+        if machine.by_name[axis].linear:
+            return "the squareness"
+        return f"the {'position' if component < 3 else 'orientation'} of the average line of {axis},"
+    return {
+        "L-POS": "the positioning error",
+        "R-POS": "the positioning error",
+        "L-STR": "the straightness",
+        "R-RAX": "the axial or radial error motion",
+    }.get(error.iso_class, "the angular error motion")
+
+
+def _common_pattern(found: Changes) -> list[str]:
+    """Return what the changed errors have in common, and what to do, as at most one sentence or two."""
+    errors, machine = found.culprits.errors, found.machine
+    if any(found.culprits.alternatives):
+        return [
+            "Measure again, with other poses, before adjusting anything: the changed error is not identified uniquely."
+        ]
+    axes = list(dict.fromkeys(error.axis for error in errors))
+    classes = {error.iso_class for error in errors}
+    scales = [error for error in errors if error.iso_class == "L-POS" and error.kind == "curve"]
+    lines = all(trend == "line" for trend in found.culprits.trends)
+    if len(errors) == 1:
+        return [_remedy(errors[0], found.culprits.trends[0], machine)]
+    if len(scales) == len(errors) and lines and _same_slope(scales, machine):
+        rates = ", ".join(f"{e.axis} {{:+.1f}} ± {{:.1f}} µm/m".format(*_rate(e, machine)) for e in scales)
+        return [
+            f"All scales changed alike ({rates}). Likely causes are an uncorrected temperature or the scale of the instrument "
+            "(wavelength, refractive index). Check these before the machine."
+        ]
+    if len(axes) == 1:
+        at = axes[0]
+        if classes <= {"R-POR"}:
+            return [
+                f"Only the location of {at} changed: the rotary table has moved as a whole or was set up again. Check its "
+                "mounting first."
+            ]
+        return [
+            f"All changes are at one axis, {at}. Likely causes are a collision, a loose part or wear of its guide, bearing or joint. "
+            "Look there first; the numbers do not distinguish between these."
+        ]
+    if classes <= {"L-SQU"}:
+        return [
+            "Only squareness changed: the axes have moved relative to each other, as after moving or levelling the machine."
+        ]
+    return [
+        f"Changes at several axes ({', '.join(axes)}), as after a collision, after moving or levelling the machine, or if the two "
+        "measurements were made under different conditions. Check temperature and set-up before working on the machine."
+    ]
+
+
+def _remedy(error: ErrorChange, trend: str, machine: Machine) -> str:
+    newer = "compensate with the newer calibration" if machine.runs_programs else "use the newer calibration"
+    _, average, axis = split_name(error.name) if error.name.startswith("E_") else (0, False, error.axis)
+    if error.iso_class == "L-SQU":
+        return f"Re-align {axis}, or {newer}."
+    if error.name.startswith("reversal"):
+        return f"The backlash of {axis} changed: check its drive (preload, bearing, belt), or {newer}."
+    if average:
+        return f"Re-measure the location of {axis} and enter it in the control, or {newer}."
+    if trend == "constant":
+        return (
+            f"A constant change is a shift of {axis}'s zero or of the origin of the measurement: first check the reference run, and "
+            "whether both measurements were touched off alike."
+        )
+    if error.iso_class == "L-POS":
+        return f"Check the temperature at which {axis}'s scale was measured; if it was right, {newer}."
+    return f"Check {axis}'s guide or bearing, or {newer}."
+
+
+def _rate(error: ErrorChange, machine: Machine) -> tuple[float, float]:
+    """Return the slope of a linear change that is zero at mid-range, and its U (95 %), µm/m."""
+    lo, hi = machine.by_name[error.axis].domain
+    lever_mm = error.at - (lo + hi) / 2.0 or 1.0
+    return error.largest / lever_mm * 1e3, abs(COVERAGE_FACTOR * error.u / lever_mm) * 1e3
+
+
+def _same_slope(scales: Sequence[ErrorChange], machine: Machine) -> bool:
+    rates, u = np.array([_rate(error, machine) for error in scales]).T
+    if len(rates) < 2 or np.any(u <= 0.0):
+        return False
+    weight = u**-2
+    mean = float(np.sum(weight * rates) / np.sum(weight))
+    return bool(np.all(np.abs(rates - mean) <= 1.5 * u))
+
+
+def _verdict_on_tolerance(found: Changes) -> list[str]:
+    left, answer = found.tool.left, found.good_enough
+    if not left.poses:
+        return ["The error that the older calibration would leave cannot be evaluated: no pose is within reach."]
+    if found.tolerance_mm is None:
+        return []
+    limit = f"{number(found.tolerance_mm * 1e3)} µm"
+    most = f"{number(left.max_um)} µm at most"
+    if answer is True:
+        return [
+            f"The older calibration is good enough for {limit}: it leaves {most}, and no more than "
+            f"{number(left.upper_95_um)} µm with uncertainty (95 %)."
+        ]
+    if answer is False:
+        return [
+            f"The older calibration is not good enough for {limit}: it leaves {most} (at {place(left.where)}), and no less "
+            f"than {number(left.lower_95_um)} µm with uncertainty (95 %)."
+        ]
+    if np.isfinite(left.upper_95_um):
+        return [
+            f"It cannot be decided whether the older calibration is good enough for {limit}: it leaves {most}, with uncertainty "
+            f"{number(max(left.lower_95_um, 0.0))} to {number(left.upper_95_um)} µm (95 %)."
+        ]
+    return [
+        f"It cannot be decided whether the older calibration is good enough for {limit}: it leaves {most}, with unknown uncertainty."
+    ]
+
+
+# --- A comparison as text for the terminal --------------------------------------------------------
+
+WIDTH: Final = 120
+
+
+def comparison_text(found: Changes) -> str:
+    """Return the comparison in words and tables."""
+    lines = [*_verdict(found), "", *_at_tool(found), "", *_errors(found)]
+    for name, needs in found.left_out:
+        lines.append(f"not included at the tool: {name} (needs {needs})")
+    lines += [
+        "",
+        *wrap(
+            f"limit: upper limit of the RMS for an unchanged machine, from the uncertainties. {DEFINITION}. Aligned: without the "
+            "common shift and rotation that touching off removes. *: significant. An unchanged machine is called changed in "
+            f"at most {FALSE_ALARMS * 100:.0f} of 100 comparisons.",
+            WIDTH,
+        ),
+    ]
+    for notice in found.notices:
+        lines += wrap(f"note: {notice}", WIDTH, subsequent_indent="  ")
+    return "\n".join(lines) + "\n"
+
+
+def _verdict(found: Changes) -> list[str]:
+    head = {
+        "changed": "CHANGED",
+        "unchanged": "UNCHANGED, where it could be tested" if found.unjudged else "UNCHANGED",
+        "same": "IDENTICAL NUMBERS",
+        "reworded": "DIFFERENT NUMBERS, UNCHANGED AT THE TOOL",
+        "unknown": "UNKNOWN",
+    }[found.verdict]
+    lines = [f"{found.machine.name}: {found.second} less {found.first}", ""]
+    lines += [f"{warning.title} (one or both): {warning.sentence}" for warning in found.warnings]
+    lines += ["", head] if found.warnings else [head]
+    for sentence in found.meaning:
+        lines += wrap(sentence, WIDTH, initial_indent="  ", subsequent_indent="    ")
+    return lines
+
+
+def _at_tool(found: Changes) -> list[str]:
+    tool, left = found.tool, found.tool.left
+    every = "all but those not included" if found.left_out else "all errors"
+    lines = [
+        f"at the tool, length {tool.tool_length_mm:g} mm, {tool.poses} poses over the volume, µm",
+        f"  {'':<44}{'RMS':>8}{'limit':>9}{'largest':>9}{'U there':>9}   where",
+        _row(f"{every}, not aligned", tool.everything),
+        _row(f"{every}, aligned", tool.everything_aligned, star=not found.unjudged),
+    ]
+    if tool.judged is not None:
+        if found.unjudged:
+            lines.append(_row("those that could be tested, aligned", tool.judged, star=True))
+        lines += [_row(f"  {name}", row, star=True) for name, row in tool.by_class.items()]
+    if left.poses:
+        lines += [
+            f"{'compensating with' if found.machine.runs_programs else 'taking out'} {found.first} on the machine of {found.second}:",
+            f"  {'remaining, workpiece aligned':<44}{number(left.rms_um):>8}{'':>9}{number(left.max_um):>9}{_value(left.u_max_um):>9}"
+            f"   {place(left.where)}",
+            f"  {'remaining, not aligned':<44}{number(left.as_it_is.rms_um):>8}{'':>9}{number(left.as_it_is.max_um):>9}",
+        ]
+        if left.out_of_reach:
+            lines.append(
+                f"  {left.out_of_reach} of {tool.poses} poses not included: compensated, they leave a travel range or a curve's domain"
+            )
+    return lines
+
+
+def _errors(found: Changes) -> list[str]:
+    lines = [
+        "each error by itself; u: standard uncertainty (k = 1); band: 95 % for the whole curve; p: corrected for all errors (Holm)",
+        f"  {'':<28}{'class':<7}{'RMS':>8}{'largest':>10}  {'at':<12}{'u':>8}{'band':>9}{'p':>9}   tool RMS",
+    ]
+    lines += [_error(found, error) for error in found.errors]
+    for error in found.errors:
+        notes = list(error.notes)
+        if error.without_variance > 0.0:
+            notes.append(
+                f"up to {number(error.without_variance)} {readable(error.unit)} of the change are in directions without an uncertainty "
+                "(a constant, a slope): not tested"
+            )
+        lines += [f"    {error.name}: {note}" for note in notes]
+    if found.not_identified:
+        lines += ["", "in neither calibration, because not identified"]
+        lines += [f"  {one.name}: {one.why}" for one in found.not_identified]
+    if found.not_compared:
+        lines += ["", "not compared"]
+    for one in found.not_compared:
+        peak = f", up to {number(one.peak)} {readable(one.unit)}" if np.isfinite(one.peak) else ""
+        file = {"first": found.first, "second": found.second, "both": ""}[one.given_by]
+        lines.append(f"  {one.name}{f' (only in {file}{peak})' if file else ''}: {one.why}")
+    return lines
+
+
+def _row(name: str, row: ToolDisplacement, *, star: bool = False) -> str:
+    beyond = "  *" if star and np.isfinite(row.limit_um) and row.rms_um > row.limit_um else ""
+    return (
+        f"  {name:<44}{number(row.rms_um):>8}{_value(row.limit_um):>9}{number(row.max_um):>9}{_value(row.u_max_um):>9}   "
+        f"{place(row.where)}{beyond}"
+    )
+
+
+def _value(value: float) -> str:
+    return number(value) if np.isfinite(value) else "unknown"
+
+
+def _error(found: Changes, error: ErrorChange) -> str:
+    own = readable(error.unit)
+    at = f"{error.axis} {error.at:.0f}" if np.isfinite(error.at) else error.label
+    name = f"{error.name} [{own}]" if own else error.name
+    if error.status == "same":
+        return f"  {name:<28}{error.iso_class:<7}{'identical numbers':>18}"
+    judged = "  *" if error.significant else ""
+    p = f"{error.p_adjusted:.2g}" if np.isfinite(error.p_adjusted) else "unknown"
+    alone = found.tool.by_error.get(error.name)
+    tool = f"{number(alone.rms_um):>8} µm" if alone else ""
+    return (
+        f"  {name:<27} {error.iso_class:<7}{number(error.rms):>8}{with_sign(error.largest):>10}  {at:<12}{_value(error.u):>8}"
+        f"{_value(error.band):>9}{p:>9}{tool}{judged}"
+    )

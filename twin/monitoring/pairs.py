@@ -49,19 +49,12 @@ Status = Literal["same", "known", "unknown"]
 @final
 @dataclass(frozen=True)
 class Side:
-    """The parameters of one error in one of the calibrations.
+    """The parameters of one error in one of the calibrations."""
 
-    Attributes:
-        numbers: names of the parameters.
-        values: (k,) in the units of the file.
-        transform: (m, k) transformation of the parameters to coordinates common to both calibrations.
-        covariance: (k, k), or None if any parameter has no uncertainty.
-    """
-
-    numbers: tuple[str, ...]
-    values: np.ndarray
-    transform: np.ndarray
-    covariance: np.ndarray | None
+    numbers: tuple[str, ...]  # names of the parameters
+    values: np.ndarray  # (k,) in the units of the file
+    transform: np.ndarray  # (m, k) transformation of the parameters to coordinates common to both calibrations
+    covariance: np.ndarray | None  # (k, k), or None if any parameter has no uncertainty
 
     @property
     def common_covariance(self) -> np.ndarray | None:
@@ -72,34 +65,20 @@ class Side:
 @final
 @dataclass(frozen=True)
 class Pair:
-    """One error that both calibrations contain.
+    """One error that both calibrations contain."""
 
-    Attributes:
-        name: ISO 230-1 name, or the effect's own.
-        kind: ``curve``; ``number`` (squareness, location); ``effect``.
-        unit: ``um`` or ``urad``; empty for an effect of several numbers.
-        axis: the axis it belongs to.
-        iso_class: class of ISO/TR 16907.
-        first, second: the two sides.
-        change: (m,) second less first, in common coordinates.
-        positions: (g,) positions of the axis, mm or degrees; empty unless a curve.
-        shape: (g, m) value at these positions of a unit of each coordinate; the identity unless a curve.
-        labels: name and unit of every coordinate of an effect.
-        notes: assumptions made.
-    """
-
-    name: str
-    kind: Literal["curve", "number", "effect"]
-    unit: str
+    name: str  # ISO 230-1 name, or the effect's own
+    kind: Literal["curve", "number", "effect"]  # ``curve``; ``number`` (squareness, location); ``effect``
+    unit: str  # ``um`` or ``urad``; empty for an effect of several numbers
     axis: str
-    iso_class: str
+    iso_class: str  # class of ISO/TR 16907
     first: Side
     second: Side
-    change: np.ndarray
-    positions: np.ndarray
-    shape: np.ndarray
-    labels: tuple[tuple[str, str], ...] = ()
-    notes: tuple[str, ...] = ()
+    change: np.ndarray  # (m,) second less first, in common coordinates
+    positions: np.ndarray  # (g,) positions of the axis, mm or degrees; empty unless a curve
+    shape: np.ndarray  # (g, m) value at these positions of a unit of each coordinate; the identity unless a curve
+    labels: tuple[tuple[str, str], ...] = ()  # name and unit of every coordinate of an effect
+    notes: tuple[str, ...] = ()  # assumptions made
 
     @property
     def status(self) -> Status:
@@ -146,29 +125,17 @@ class Pair:
 @final
 @dataclass(frozen=True)
 class NotCompared:
-    """One error that could not be compared.
-
-    Attributes:
-        given_by: ``first`` or ``second`` if only one contains it, else ``both``.
-        why: the reason, in words.
-        peak: its largest absolute value; NaN if both contain it.
-        unit: of the peak.
-    """
+    """One error that could not be compared."""
 
     name: str
-    given_by: Literal["first", "second", "both"]
-    why: str
-    peak: float
-    unit: str
+    given_by: Literal["first", "second", "both"]  # ``first`` or ``second`` if only one contains it, else ``both``
+    why: str  # in words
+    peak: float  # its largest absolute value; NaN if both contain it
+    unit: str  # of the peak
 
 
 def pair_errors(first: Calibration, second: Calibration) -> tuple[tuple[Pair, ...], tuple[NotCompared, ...]]:
-    """Return the errors that two calibrations of one machine have in common, and those that cannot be compared.
-
-    Args:
-        first: the older calibration.
-        second: the newer calibration.
-    """
+    """Return the errors that two calibrations of one machine have in common, and those that cannot be compared."""
     one, two = ({effect.name: effect for effect in side.effects} for side in (first, second))
     covariances = first.covariance, second.covariance
     pairs: list[Pair] = []
@@ -193,10 +160,7 @@ def pair_errors(first: Calibration, second: Calibration) -> tuple[tuple[Pair, ..
 
 
 def not_identified(first: Calibration, second: Calibration) -> tuple[NotCompared, ...]:
-    """Return the errors that neither calibration contains, because they could not be determined.
-
-    An error that one of them contains is listed by `pair_errors`.
-    """
+    """Return the errors that neither calibration contains, because they could not be determined."""
     given = {effect.name for side in (first, second) for effect in side.effects}
     reasons = {
         error.name: error.why for side in (first, second) for error in side.not_identifiable if error.name not in given
@@ -205,12 +169,7 @@ def not_identified(first: Calibration, second: Calibration) -> tuple[NotCompared
 
 
 def without_rounding(covariance: np.ndarray, *, alike: bool) -> np.ndarray:
-    """Return a covariance with variances that are rounding errors set to zero.
-
-    Args:
-        covariance: (m, m).
-        alike: whether all have the same unit, so that the largest variance gives the size of rounding errors.
-    """
+    """Return an (m, m) covariance with variances that are rounding errors of others, if ``alike`` in unit, set to zero."""
     variance = np.diag(covariance)
     least = ZERO_UNCERTAINTY**2 * variance.max(initial=0.0) if alike else 0.0
     keep = variance > least
@@ -292,7 +251,6 @@ def _functions(effect: Effect, axis: str, positions: np.ndarray) -> np.ndarray:
 
 
 def _numbers(one: Effect, two: Effect, axis: str, covariances: tuple[Covariance, Covariance]) -> Pair:
-    """Pair the numbers of a squareness, a location or an effect."""
     named = one.name.startswith("E_")
     forms = [effect.normal_form for effect in (one, two)]
     sides = [
@@ -332,12 +290,7 @@ def _side(effect: Effect, transform: np.ndarray, covariance: Covariance) -> Side
 
 
 def joint_covariance(pairs: Sequence[Pair], covariances: tuple[Covariance, Covariance]) -> np.ndarray:
-    """Return the (Σm, Σm) joint covariance of all changes, with the correlations between errors.
-
-    Args:
-        pairs: errors of status ``known``.
-        covariances: of the first and of the second calibration, taken as independent of each other.
-    """
+    """Return the (Σm, Σm) covariance of all changes of status ``known``, the two calibrations taken as independent."""
     starts = np.concatenate([[0], np.cumsum([len(pair.change) for pair in pairs])])
     total = np.zeros((int(starts[-1]), int(starts[-1])))
     for covariance, which in zip(covariances, ("first", "second"), strict=True):
@@ -354,8 +307,6 @@ def joint_covariance(pairs: Sequence[Pair], covariances: tuple[Covariance, Covar
         total[:, gone] = 0.0
     return (total + total.T) / 2.0
 
-
-# --- Significance of the changes between two calibrations -----------------------------------------
 
 FALSE_ALARMS: Final = 0.05
 TESTS: Final = 4
@@ -378,19 +329,12 @@ DEPENDENT_SHARE: Final = 1e-6
 @final
 @dataclass(frozen=True)
 class Whitened:
-    """A whitened change: uncorrelated coordinates of variance one.
+    """A whitened change: uncorrelated coordinates of variance one."""
 
-    Attributes:
-        transform: (r, m) whitening transformation.
-        value: (r,) the whitened change.
-        span: (m, r) the directions with a variance, orthonormal after division by the standard uncertainties.
-        without_variance: (m,) part of the change in directions without variance; rounding errors are set to zero.
-    """
-
-    transform: np.ndarray
-    value: np.ndarray
-    span: np.ndarray
-    without_variance: np.ndarray
+    transform: np.ndarray  # (r, m) whitening transformation
+    value: np.ndarray  # (r,) the whitened change
+    span: np.ndarray  # (m, r) the directions with a variance, orthonormal after division by the standard uncertainties
+    without_variance: np.ndarray  # (m,) part of the change in directions without variance, without rounding errors
 
     @property
     def rank(self) -> int:
@@ -409,12 +353,9 @@ class Whitened:
 
 
 def whiten(change: np.ndarray, covariance: np.ndarray, exact: np.ndarray | None = None) -> Whitened:
-    """Whiten a change, for a singular covariance too; eigenvalues are those of the correlation matrix, so that units do not matter.
+    """Whiten a change (m,), for a singular covariance too; by the correlation matrix, so that units do not matter.
 
-    Args:
-        change: (m,).
-        covariance: (m, m) of the change; zero for numbers without variance.
-        exact: (m, e) columns of numbers without uncertainty; a change in directions without variance is attributed to these.
+    ``exact``: (m, e) columns of numbers without uncertainty; a change in directions without variance is attributed to these.
     """
     scale = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     typical = float(scale.max(initial=0.0)) or 1.0
@@ -453,12 +394,7 @@ def holm_adjusted(p_values: Sequence[float]) -> list[float]:
 
 
 def simultaneous_factor(shape: np.ndarray, covariance: np.ndarray) -> float:
-    """Return the coverage factor of a simultaneous 95 % band of a whole curve, by Monte Carlo with a fixed seed.
-
-    Args:
-        shape: (g, m) value of a unit of each coordinate.
-        covariance: (m, m) of the coordinates.
-    """
+    """Return the coverage factor of a simultaneous 95 % band of a curve, by Monte Carlo; ``shape``: (g, m) of unit coordinates."""
     # The coordinates are those of an arbitrary orthonormal basis: turned to be nearest to cosines, they do not depend on rounding.
     count, places = len(covariance), (np.arange(len(shape)) + 0.5) / max(len(shape), 1)
     left, _, right = np.linalg.svd(shape.T @ np.cos(np.pi * np.outer(places, np.arange(count))))
@@ -475,67 +411,39 @@ def simultaneous_factor(shape: np.ndarray, covariance: np.ndarray) -> float:
 @final
 @dataclass(frozen=True)
 class ChangeCandidate:
-    """One form in which one error may have changed.
+    """One form in which one error may have changed."""
 
-    Attributes:
-        pair: index of the error.
-        whole: whether any change of the error, or only a line or parabola over a linear axis.
-        directions: (m, k) in the coordinates of the pair.
-        columns: (r, k) orthonormal, in the whitened coordinates of all errors.
-    """
-
-    pair: int
-    whole: bool
-    directions: np.ndarray
-    columns: np.ndarray
+    pair: int  # index of the error
+    whole: bool  # whether any change of the error, or only a line or parabola over a linear axis
+    directions: np.ndarray  # (m, k) in the coordinates of the pair
+    columns: np.ndarray  # (r, k) orthonormal, in the whitened coordinates of all errors
 
 
 @final
 @dataclass(frozen=True)
 class Culprit:
-    """One error of the smallest set that explains the change.
+    """One error of the smallest set that explains the change."""
 
-    Attributes:
-        pair: index of the error.
-        change: (m,) estimate, all errors outside the set taken as unchanged.
-        covariance: (m, m) of the estimate.
-        p_value: given the others of the set, not corrected for multiple testing.
-        alternatives: indices of the errors that would explain the change in its place, within odds of 100:1.
-    """
-
-    pair: int
-    change: np.ndarray
-    covariance: np.ndarray
-    p_value: float
-    alternatives: tuple[int, ...]
+    pair: int  # index of the error
+    change: np.ndarray  # (m,) estimate, all errors outside the set taken as unchanged
+    covariance: np.ndarray  # (m, m) of the estimate
+    p_value: float  # given the others of the set, not corrected for multiple testing
+    alternatives: tuple[int, ...]  # errors that would explain the change in its place, within odds of 100:1
 
 
 @final
 @dataclass(frozen=True)
 class SmallestSet:
-    """The smallest set of errors that explains a change.
+    """The smallest set of errors that explains a change."""
 
-    Attributes:
-        culprits: strongest first; empty if no error is significant.
-        left_p_value: p-value of the change they do not explain.
-        tried: number of candidates, for which every p-value is corrected.
-        shows_from: for each error that is one number, its detection limit (19 of 20 comparisons, all else unchanged); NaN for others.
-    """
-
-    culprits: tuple[Culprit, ...]
-    left_p_value: float
-    tried: int
-    shows_from: tuple[float, ...]
+    culprits: tuple[Culprit, ...]  # strongest first; empty if no error is significant
+    left_p_value: float  # p-value of the change they do not explain
+    tried: int  # number of candidates, for which every p-value is corrected
+    shows_from: tuple[float, ...]  # detection limits of single numbers (19 of 20 comparisons); NaN for others
 
 
 def smallest_set(pairs: Sequence[Pair], white: Whitened, linear: Sequence[bool]) -> SmallestSet:
-    """Select the smallest set of errors that explains a change: stepwise, forward with removal and exchange.
-
-    Args:
-        pairs: errors of status ``known``.
-        white: their joint change, whitened.
-        linear: for each error, whether its axis is linear.
-    """
+    """Select the smallest set of errors (``known``) that explains a whitened change: stepwise, with removal and exchange."""
     candidates = _candidates(pairs, white, linear)
     if not candidates:
         return SmallestSet((), white.p_value, 0, (float("nan"),) * len(pairs))
@@ -585,13 +493,7 @@ def _candidates(pairs: Sequence[Pair], white: Whitened, linear: Sequence[bool]) 
 
 @final
 class _Search:
-    """Stepwise selection among candidates.
-
-    Attributes:
-        candidates: the forms in which single errors may have changed.
-        value: (r,) the whitened change.
-        chosen: indices of the candidates selected.
-    """
+    """Stepwise selection among candidates; ``value``: (r,) whitened change, ``chosen``: indices of those selected."""
 
     def __init__(self, candidates: Sequence[ChangeCandidate], value: np.ndarray) -> None:
         self.candidates = candidates
@@ -651,7 +553,6 @@ class _Search:
         )
 
     def _exchange(self) -> None:
-        """Exchange each selected candidate for a better one, if there is one."""
         for place, which in enumerate(list(self.chosen)):
             taken = {self.candidates[i].pair for i in self.chosen if i != which}
             gains = self._gains(self.basis(without=which))

@@ -30,24 +30,15 @@ COLUMNS: Final = ("fade", "out_of_range", "stale")
 @final
 @dataclass(frozen=True)
 class ControlState:
-    """The control during a time.
+    """The control during a time."""
 
-    Attributes:
-        rows: number of rows of the record.
-        on, off: share of them in which the correction was on, and off; between, it is faded.
-        stale: share in which a temperature had no new value, and the last one was used.
-        out_of_range: share in which a position or a channel was outside the range of its errors.
-        temperature_degC: mean of each sensor that had values.
-        lowest_degC, highest_degC: lowest and highest of them.
-    """
-
-    rows: int
-    on: float
+    rows: int  # of the record
+    on: float  # share of them in which the correction was on, and off; between, it is faded
     off: float
-    stale: float
-    out_of_range: float
-    temperature_degC: Mapping[str, float]
-    lowest_degC: Mapping[str, float]
+    stale: float  # share in which a temperature had no new value, and the last one was used
+    out_of_range: float  # share in which a position or a channel was outside the range of its errors
+    temperature_degC: Mapping[str, float]  # mean of each sensor that had values
+    lowest_degC: Mapping[str, float]  # lowest and highest of them
     highest_degC: Mapping[str, float]
 
     @property
@@ -68,29 +59,17 @@ class ControlState:
 @final
 @dataclass(frozen=True)
 class ControlRecord:
-    """The record of a day.
-
-    Attributes:
-        path: its file.
-        begin: beginning, with the time zone of the control.
-        time_s: (n,) seconds since then.
-        columns: (n,) columns ``fade``, ``out_of_range`` and ``stale``.
-        temperature_degC: (n,) by sensor; NaN where it had no new value.
-    """
+    """The record of a day."""
 
     path: Path
-    begin: datetime
-    time_s: np.ndarray
-    columns: Mapping[str, np.ndarray]
-    temperature_degC: Mapping[str, np.ndarray]
+    begin: datetime  # beginning, with the time zone of the control
+    time_s: np.ndarray  # (n,) seconds since then
+    columns: Mapping[str, np.ndarray]  # (n,) columns ``fade``, ``out_of_range`` and ``stale``
+    temperature_degC: Mapping[str, np.ndarray]  # (n,) by sensor; NaN where it had no new value
 
     @staticmethod
     def load(path: Path) -> ControlRecord:
-        """Read a record.
-
-        Raises:
-            InputError: no beginning, a missing column, a value that cannot be used.
-        """
+        """Read a record; `InputError`: no beginning, a missing column, a value that cannot be used."""
         header, rows, comments = read_table(path)
         cells = Cells(path, {name: i for i, name in enumerate(header)}, rows)
         dates = [match[1] for match in map(DATE.match, comments) if match is not None]
@@ -113,11 +92,7 @@ class ControlRecord:
         return ControlRecord(path, begin, numbers[TIME], {name: numbers[name] for name in COLUMNS}, sensors)
 
     def during(self, begin: datetime, end: datetime) -> ControlState | None:
-        """Return the state of the control between two times of the control's time zone, or of UTC; None: no rows.
-
-        Args:
-            begin, end: times without a zone (that of the control), or in UTC with it.
-        """
+        """Return the state of the control between two times without a zone (its own) or in UTC with it; None: no rows."""
         own = self.begin if begin.tzinfo is not None else self.begin.replace(tzinfo=None)
         seconds = [(one - own).total_seconds() for one in (begin, end)]
         return self._state((self.time_s >= seconds[0]) & (self.time_s <= seconds[1]))
@@ -147,14 +122,7 @@ def is_record(content: bytes) -> bool:
 
 
 def state_at(records: Sequence[Path], date: datetime, length: timedelta | None, *, utc: bool) -> ControlState | None:
-    """Return the state of the control during a check; None if no record has a row of it.
-
-    Args:
-        records: files of records; their names give their days.
-        date: beginning of the check, without a zone.
-        length: None: `UNKNOWN_LENGTH`.
-        utc: whether the date is UTC; else it is the control's local time.
-    """
+    """Return the state of the control during a check (``date``: begin, without a zone); None if no record has a row of it."""
     begin = date.replace(tzinfo=UTC) if utc else date
     end = begin + (UNKNOWN_LENGTH if length is None else length)
     days = {f"{date + timedelta(days=i):%Y-%m-%d}" for i in (-1, 0, 1)}

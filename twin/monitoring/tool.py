@@ -41,22 +41,14 @@ SEED: Final = 16907
 @final
 @dataclass(frozen=True)
 class ToolDisplacement:
-    """The displacement of the tool point over the volume.
+    """The displacement of the tool point over the volume."""
 
-    Attributes:
-        rms_um, max_um: RMS and maximum over the poses.
-        where: axis positions of the maximum.
-        u_max_um: U there (`twin.tool.uncertainty.DEFINITION`); NaN if unknown.
-        limit_um: upper limit of the RMS for an unchanged machine, at the false alarm rate of this test; NaN if unknown.
-        p_value: of the RMS for an unchanged machine; NaN if unknown.
-    """
-
-    rms_um: float
+    rms_um: float  # this and the maximum: over the poses
     max_um: float
-    where: Mapping[str, float]
-    u_max_um: float
-    limit_um: float
-    p_value: float
+    where: Mapping[str, float]  # axis positions of the maximum
+    u_max_um: float  # U there (`twin.tool.uncertainty.DEFINITION`); NaN if unknown.
+    limit_um: float  # of the RMS for an unchanged machine, at the false alarm rate of this test; NaN if unknown
+    p_value: float  # of the RMS for an unchanged machine; NaN if unknown
 
 
 @final
@@ -77,70 +69,42 @@ class DisplacementSize:
 @final
 @dataclass(frozen=True)
 class Remaining:
-    """The error that remains if the older calibration compensates the machine described by the newer one.
+    """The error that remains if the older calibration compensates the machine described by the newer one."""
 
-    Attributes:
-        rms_um, max_um, where: deviation of the tool point from its nominal position, after aligning the workpiece.
-        as_it_is: the same before aligning.
-        u_max_um: U at ``where``; NaN if unknown.
-        upper_95_um: upper 95 % limit of the largest deviation over all poses; NaN if unknown.
-        lower_95_um: lower 95 % limit of the largest deviation over all poses; NaN if unknown.
-        poses: number of poses.
-        out_of_reach: poses not included, because their compensation leaves a travel range or a curve's domain.
-    """
-
-    rms_um: float
+    rms_um: float  # deviation of the tool point from its nominal position, after aligning the workpiece
     max_um: float
     where: Mapping[str, float]
-    as_it_is: DisplacementSize
-    u_max_um: float
-    upper_95_um: float
-    lower_95_um: float
+    as_it_is: DisplacementSize  # the same before aligning
+    u_max_um: float  # U at ``where``; NaN if unknown
+    upper_95_um: float  # upper 95 % limit of the largest deviation over all poses; NaN if unknown
+    lower_95_um: float  # lower 95 % limit of the largest deviation over all poses; NaN if unknown
     poses: int
-    out_of_reach: int
+    out_of_reach: int  # poses not included, because their compensation leaves a travel range or a curve's domain
 
     def enough(self, tolerance_um: float) -> bool | None:
-        """Return whether the older calibration is still good enough; None if undecided.
-
-        Decision rule of ISO 14253-1: within the uncertainty neither conformance nor non-conformance is stated.
-        """
+        """Return whether the older calibration is still good enough (ISO 14253-1); None if undecided within the uncertainty."""
         return {"pass": True, "fail": False}.get(decide_interval(self.lower_95_um, self.upper_95_um, tolerance_um))
 
 
 @final
 @dataclass(frozen=True)
 class ToolChange:
-    """The change at the tool.
-
-    Attributes:
-        poses: number of poses.
-        everything: all errors of both calibrations, including those that only one contains, before aligning.
-        everything_aligned: the same after aligning the workpiece.
-        judged: the errors that could be tested, after aligning; None if there are none.
-        by_class: the tested errors by class of ISO/TR 16907, after aligning.
-        by_cause: each change of `JudgedErrors.causes` by itself, after aligning, without U.
-        by_error: each tested error's change by itself, after aligning.
-        left: the error that remains with the older calibration.
-    """
+    """The change at the tool."""
 
     tool_length_mm: float
     poses: int
-    everything: ToolDisplacement
-    everything_aligned: ToolDisplacement
-    judged: ToolDisplacement | None
-    by_class: Mapping[str, ToolDisplacement]
-    by_cause: Mapping[str, ToolDisplacement]
-    by_error: Mapping[str, DisplacementSize]
-    left: Remaining
+    everything: ToolDisplacement  # all errors, including those that only one contains, before aligning
+    everything_aligned: ToolDisplacement  # the same after aligning the workpiece
+    judged: ToolDisplacement | None  # the errors that could be tested, after aligning; None if there are none
+    by_class: Mapping[str, ToolDisplacement]  # the tested errors by class of ISO/TR 16907, after aligning
+    by_cause: Mapping[str, ToolDisplacement]  # each of `JudgedErrors.causes` by itself, after aligning, without U
+    by_error: Mapping[str, DisplacementSize]  # each tested error's change by itself, after aligning
+    left: Remaining  # the error that remains with the older calibration
 
 
 @final
 class Alignment:
-    """A shift and rotation of the work frame, fitted to displacements of the tool point by least squares.
-
-    Args:
-        point_mm: (n, 3) the points, in the work frame.
-    """
+    """A shift and rotation of the work frame, fitted to displacements of the (n, 3) tool points in it by least squares."""
 
     def __init__(self, point_mm: np.ndarray) -> None:
         rates = rigid_rates((point_mm - point_mm.mean(axis=0)) / max(float(np.abs(point_mm).max(initial=0.0)), 1.0))
@@ -214,21 +178,13 @@ class _CommonPoses:
 @final
 @dataclass(frozen=True)
 class JudgedErrors:
-    """The errors whose change can be tested.
+    """The errors whose change can be tested."""
 
-    Attributes:
-        classes: class of ISO/TR 16907 by name of the error.
-        drawn: names of those whose numbers differ between the two.
-        share: probability of a false alarm, for all rows together.
-        causes: changes to be evaluated each by itself, by name of the error.
-        whole_model: whether the two calibrations have all their effects; if not, U of everything is unknown.
-    """
-
-    classes: Mapping[str, str]
-    drawn: Collection[str]
-    share: float
-    causes: Mapping[str, ActingError]
-    whole_model: bool
+    classes: Mapping[str, str]  # class of ISO/TR 16907 by name of the error
+    drawn: Collection[str]  # names of those whose numbers differ between the two
+    share: float  # probability of a false alarm, for all rows together
+    causes: Mapping[str, ActingError]  # changes to be evaluated each by itself, by name of the error
+    whole_model: bool  # whether the two calibrations have all their effects; if not, U of everything is unknown
 
 
 def at_tool(
@@ -243,17 +199,7 @@ def at_tool(
 ) -> ToolChange:
     """Return the change at the tool over the part of the volume in which all curves of both calibrations are defined.
 
-    Args:
-        first: the older calibration; no effect in it may need a channel that the conditions lack.
-        second: the newer calibration, likewise.
-        known: the errors whose change can be tested.
-        tool_length_mm: tool length; None for the machine file's.
-        conditions: temperatures and time.
-        poses: number of poses, spread evenly over the ranges.
-        progress: called with the stage and the fraction done.
-
-    Raises:
-        InputError: no pose is within the domain of all curves.
+    No effect may need a channel that the conditions lack. Raises `InputError` if no pose is within the domain of all curves.
     """
     machine = first.machine
     q = inside_domains(volume(machine, poses), first, second)
@@ -294,30 +240,19 @@ def at_tool(
 @final
 @dataclass(frozen=True)
 class _Simulated:
-    """The simulated distribution of a displacement for an unchanged machine.
+    """The simulated distribution of a displacement for an unchanged machine."""
 
-    Attributes:
-        rms_um: (draws,) RMS over the poses; empty if unknown.
-        u_um: (n,) U at every pose; empty if unknown.
-        factor: multiple of U that covers all poses at once in 95 % of the draws; NaN if unknown.
-    """
-
-    rms_um: np.ndarray
-    u_um: np.ndarray
-    factor: float = float("nan")
+    rms_um: np.ndarray  # (draws,) over the poses; empty if unknown
+    u_um: np.ndarray  # (n,) U at every pose; empty if unknown
+    factor: float = float("nan")  # multiple of U that covers all poses at once in 95 % of the draws; NaN if unknown
 
 
 _UNKNOWN: Final = _Simulated(np.zeros(0), np.zeros(0))
 
 
 def _simulate_unchanged(
-    scene: _CommonPoses,
-    judged: Mapping[str, str],
-    drawn: Collection[str],
-    classes: list[str],
-    progress: Progress,
+    scene: _CommonPoses, judged: Mapping[str, str], drawn: Collection[str], classes: list[str], progress: Progress
 ) -> dict[str, _Simulated]:
-    """Simulate the displacements of an unchanged machine by draws of both calibrations' numbers."""
     owner = {
         number.name: effect.name
         for side in (scene.first, scene.second)

@@ -31,6 +31,7 @@ from twin.monitoring.check import (
     unit_of_constant,
 )
 from twin.monitoring.record import ControlRecord
+from twin.monitoring.tool import Remaining
 from twin.monitoring.watch_page import headline
 from twin.monitoring.watched import Remembered, Watch, WatchKey, WatchStatement, memory_path, recall, remember
 
@@ -130,64 +131,58 @@ def watch(
     checks = tuple(sorted((*known.checks, *new), key=lambda one: (one.date, one.name)))
     if not checks:
         raise InputError("no check in the folder", expected="measurement tables (.csv)", file=folder)
-    progress("comparing", 0.8)
-    compared = _compared(checks, machine, settings, progress)
-    compared = replace(
-        compared,
+    errors, remaining, watched, limit = _examined(checks, machine, settings, progress)
+    found = Watch(
         folder=folder,
         memory=memory,
-        calibration=key.calibration,
-        news=_news(new, known),
-        statements=known.statements,
-        notices=(*_file_notices(files, ignored, known, new), *_record_notices(records), *_check_notices(checks)),
-        warnings=merge_warnings(calibration.warnings, compared.warnings),
-    )
-    return _remembered(compared, key, new, looked)
-
-
-def _compared(checks: tuple[Check, ...], machine: Machine, settings: WatchSettings, progress: Progress) -> Watch:
-    """Return the watch of some checks, without the folder, what is new in it, and the calibration's name."""
-    constants = (
-        *(axis.name for axis in machine.axes if axis.linear),
-        *machine.squareness_names,
-        *machine.location_names,
-    )
-    limit = float(np.log(TESTS * len(constants) / settings.alarm_rate))
-    errors = _watched_errors(checks, limit)
-    remaining = None
-    if settings.tolerance_mm is not None and errors:
-        length = settings.tool_length_mm
-        remaining = remaining_error(machine, errors, checks, tool_length_mm=length, progress=progress)
-    return Watch(
-        folder=Path(),
-        memory=Path(),
         machine=machine.name,
-        calibration="",
+        calibration=key.calibration,
         checks=checks,
         errors=errors,
         not_determined=_not_determined(checks),
         alarm_rate=settings.alarm_rate,
         spent=settings.alarm_rate * spent_share(len(checks)),
-        errors_watched=len(constants),
+        errors_watched=watched,
         limit=limit,
         tolerance_mm=settings.tolerance_mm,
         remaining=remaining,
-        news=(),
-        statements=(),
-        notices=(),
-        warnings=(SIMULATED,) if any(check.simulated for check in checks) else (),
+        news=_news(new, known),
+        statements=known.statements,
+        notices=(*_file_notices(files, ignored, known, new), *_record_notices(records), *_check_notices(checks)),
+        warnings=merge_warnings(calibration.warnings, (SIMULATED,) if any(check.simulated for check in checks) else ()),
     )
+    return _remembered(found, key, new, looked) if new else found
 
 
 def _remembered(found: Watch, key: WatchKey, new: Sequence[Check], looked: str) -> Watch:
-    """Return the watch with what it says now; the memory is written if there is something new."""
-    if not new:
-        return found
-    said = WatchStatement(
-        looked, len(found.checks), found.spent, found.verdict, f"{headline(found)}.\n{found.to_text()}"
-    )
+    """Write what the watch says now into its memory, and return the watch with it."""
+    text = f"{headline(found)}.\n{found.to_text()}"
+    said = WatchStatement(looked, len(found.checks), found.spent, found.verdict, text)
     remember(found.memory, key, new, said)
     return replace(found, statements=(*found.statements, said))
+
+
+def _examined(
+    checks: Sequence[Check], machine: Machine, settings: WatchSettings, progress: Progress
+) -> tuple[tuple[WatchedError, ...], Remaining | None, int, float]:
+    """Return every error, in the order in which the checks name them, what remains at the tool, their number, the limit."""
+    progress("comparing", 0.8)
+    linear = [axis.name for axis in machine.axes if axis.linear]
+    watched = len([*linear, *machine.squareness_names, *machine.location_names])
+    every = [series_of(name, checks) for name in dict.fromkeys(name for check in checks for name in check.errors)]
+    correlation = lag_correlation(every)
+    limit = float(np.log(TESTS * watched / settings.alarm_rate))
+    errors = tuple(examine(replace(one, correlation=correlation), limit) for one in every)
+    if settings.tolerance_mm is None or not errors:
+        return errors, None, watched, limit
+    length = settings.tool_length_mm
+    remaining = remaining_error(machine, errors, checks, tool_length_mm=length, progress=progress)
+    return errors, remaining, watched, limit
+
+
+def _not_determined(checks: Sequence[Check]) -> tuple[str, ...]:
+    seen = {name for check in checks for name in check.errors}
+    return tuple(text for text in checks[0].lost if text not in seen and all(text in check.lost for check in checks))
 
 
 def _key(machine: Machine, calibration: Calibration, settings: WatchSettings) -> WatchKey:
@@ -224,14 +219,6 @@ def _new_checks(
     return new_checks
 
 
-def _watched_errors(checks: Sequence[Check], limit: float) -> tuple[WatchedError, ...]:
-    """Return the result for every error, in the order in which the checks name them."""
-    names = list(dict.fromkeys(name for check in checks for name in check.errors))
-    every = [series_of(name, checks) for name in names]
-    correlation = lag_correlation(every)
-    return tuple(examine(replace(one, correlation=correlation), limit) for one in every)
-
-
 def series_of(name: str, checks: Sequence[Check]) -> ErrorSeries:
     """Return the series of one error over the checks that determine it."""
     own = [i for i, check in enumerate(checks) if name in check.errors]
@@ -250,13 +237,6 @@ def series_of(name: str, checks: Sequence[Check]) -> ErrorSeries:
             {s: read_only(np.array([check.temperature_degC.get(s, np.nan) for check in some])) for s in sensors}
         ),
     )
-
-
-def _not_determined(checks: Sequence[Check]) -> tuple[str, ...]:
-    """Return what no check determines, in words."""
-    seen = {name for check in checks for name in check.errors}
-    common = [text for text in checks[0].lost if all(text in check.lost for check in checks)]
-    return tuple(text for text in common if text not in seen)
 
 
 def _news(new: Sequence[Check], known: Remembered) -> tuple[str, ...]:
@@ -306,7 +286,6 @@ def _file_notices(
 
 
 def _record_notices(records: Sequence[Path]) -> list[str]:
-    """Return what the last record of the control says."""
     if not records:
         return []
     last = max(map(ControlRecord.load, records[-2:]), key=lambda one: one.begin)

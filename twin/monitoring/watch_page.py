@@ -256,8 +256,6 @@ def listed(names: Sequence[str]) -> str:
     return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
 
 
-# --- The watch as one HTML file: verdict, history of every error, temperatures, checks. Needs the extra ``plots``
-
 COLOURS: Final = {"alarm": "#fbe4de", "doubt": "#fdf3d8", "none": "#e8f3ea"}
 MOST_ERRORS: Final = 24
 """Number of errors that are drawn; the table lists all."""
@@ -320,12 +318,7 @@ def watch_html(watch: Watch) -> str:
 
 
 def history(watch: Watch, findings: list[WatchedError]) -> Figure:
-    """Plot the deviations of errors over the dates, the evidence of a change beside them, and the temperatures below.
-
-    Args:
-        watch: the result.
-        findings: the errors to be drawn.
-    """
+    """Plot the deviations of errors over the dates, the evidence of a change beside them, and the temperatures below."""
     sensors = list(dict.fromkeys(name for check in watch.checks for name in check.temperature_degC))
     rows = len(findings) + bool(sensors)
     figure = new_figure(WIDTH, PANEL * rows + 0.7)
@@ -349,7 +342,6 @@ def history(watch: Watch, findings: list[WatchedError]) -> Figure:
 
 
 def _deviations(plot: Axes, found: WatchedError) -> None:
-    """Plot the deviations of one error with the band of a check, and its change."""
     series, dates = found.series, found.series.days  # matplotlib counts days since 1970 too
     style_axes(plot)
     colour = BACKWARD if found.alarming else THIRD if found.verdict == "follows temperature" else FORWARD

@@ -51,39 +51,23 @@ CREATE TABLE statements (watch TEXT, said_at TEXT, checks INTEGER, spent REAL, v
 @final
 @dataclass(frozen=True)
 class WatchKey:
-    """Identity of a watch: the same machine, calibration, alarm rate and first day.
+    """Identity of a watch: the same machine, calibration, alarm rate and first day."""
 
-    Attributes:
-        id: digest of all of them.
-        machine: name of the machine.
-        calibration: name of the calibration's file, or its source.
-        alarm_rate: probability of an alarm for an unchanged machine.
-        since: first day, ISO 8601, or empty.
-    """
-
-    id: str
+    id: str  # digest of all of them
     machine: str
-    calibration: str
+    calibration: str  # name of the calibration's file, or its source
     alarm_rate: float
-    since: str
+    since: str  # first day, ISO 8601, or empty
 
 
 @final
 @dataclass(frozen=True)
 class WatchStatement:
-    """A statement after a look.
+    """A statement after a look."""
 
-    Attributes:
-        said_at: ISO 8601.
-        checks: number of checks read until then.
-        spent: alarm rate spent until then.
-        verdict: verdict in one word.
-        text: the words.
-    """
-
-    said_at: str
-    checks: int
-    spent: float
+    said_at: str  # ISO 8601
+    checks: int  # read until then
+    spent: float  # of the alarm rate, until then
     verdict: str
     text: str
 
@@ -99,11 +83,7 @@ class Remembered:
 
 
 def memory_path(folder: Path) -> Path:
-    """Return the path of a folder's memory: beside it, ``FOLDER.watch.sqlite``.
-
-    Raises:
-        InputError: the root folder, beside which nothing is.
-    """
+    """Return the path of a folder's memory: beside it, ``FOLDER.watch.sqlite``; `InputError` for the root folder."""
     whole = folder.resolve()
     if not whole.name:
         raise InputError("the root folder cannot be watched", expected="a folder of checks", file=folder)
@@ -111,11 +91,7 @@ def memory_path(folder: Path) -> Path:
 
 
 def recall(path: Path, key: WatchKey) -> Remembered:
-    """Return what the file remembers of a watch; nothing if there is no file.
-
-    Raises:
-        InputError: the file is not a memory of a watch, or cannot be written.
-    """
+    """Return what the file remembers of a watch; nothing if there is no file; `InputError` if it is no memory or not writable."""
     check_writable([path])
     return _read(path, key)
 
@@ -136,11 +112,7 @@ def _read(path: Path, key: WatchKey) -> Remembered:
 
 
 def remember(path: Path, key: WatchKey, new: Sequence[Check], said: WatchStatement) -> None:
-    """Add checks and a statement to a watch, and replace the file.
-
-    Raises:
-        InputError: the file is not a memory of a watch, or cannot be written.
-    """
+    """Add checks and a statement to a watch, and replace the file; `InputError` as `recall`."""
     with _opened(path) as memory:
         memory.execute(
             "INSERT OR IGNORE INTO watches VALUES (?, ?, ?, ?, ?, ?)",
@@ -160,7 +132,6 @@ def remember(path: Path, key: WatchKey, new: Sequence[Check], said: WatchStateme
 
 
 def _load(memory: sqlite3.Connection, content: bytes, folder: Path) -> None:
-    """Fill a database in memory with the content of a file."""
     if SERIALIZES:
         memory.deserialize(content)
         return
@@ -172,7 +143,6 @@ def _load(memory: sqlite3.Connection, content: bytes, folder: Path) -> None:
 
 
 def _content(memory: sqlite3.Connection, folder: Path) -> bytes:
-    """Return the content of the file of a database in memory."""
     if SERIALIZES:
         return memory.serialize()
     with scratch_folder(folder) as scratch:
@@ -184,11 +154,7 @@ def _content(memory: sqlite3.Connection, folder: Path) -> bytes:
 
 @contextmanager
 def _opened(path: Path) -> Iterator[sqlite3.Connection]:
-    """Open a copy of a memory, or a new one if there is no file.
-
-    Raises:
-        InputError: the file is not a memory of a watch.
-    """
+    """Open a copy of a memory, or a new one if there is no file; `InputError` if the file is not a memory of a watch."""
     memory = sqlite3.connect(":memory:")
     try:
         try:
@@ -224,8 +190,6 @@ def _not_a_memory(path: Path, why: str) -> InputError:
     )
 
 
-# --- The result of a watch: verdict, history of every error, and whether the calibration is still good
-
 SCHEMA: Final = "twin.watch/1"
 Verdict = Literal["changed", "undecided", "steady"]
 
@@ -238,42 +202,23 @@ def date_text(day: float) -> str:
 @final
 @dataclass(frozen=True, repr=False)
 class Watch(DisplayedResult):
-    """The result of a watch.
+    """The result of a watch."""
 
-    Attributes:
-        folder, memory: the folder, and the file beside it that remembers.
-        machine: name of the machine.
-        calibration: file of the calibration that the checks are compared with, or its source.
-        checks: the checks by date.
-        errors: one for each error that a check determines.
-        not_determined: combinations of constant errors that no check determines, in words.
-        alarm_rate: probability of any alarm for an unchanged machine, whatever the number of looks.
-        spent: part of it that belongs to changes until the last check.
-        errors_watched: number of errors over which it is divided.
-        limit: logarithm of the evidence from which an error is an alarm.
-        tolerance_mm: largest permitted error at the tool; None if none is given.
-        remaining: error at the tool that the calibration leaves now; None without tolerance.
-        news: what this look found in the folder: files read, changed, vanished; empty if nothing is new.
-        statements: what was said after every look, this one included.
-        notices: facts to know before using the result.
-        warnings: where the numbers come from.
-    """
-
-    folder: Path
+    folder: Path  # the folder, and the file beside it that remembers
     memory: Path
     machine: str
-    calibration: str
-    checks: tuple[Check, ...]
-    errors: tuple[WatchedError, ...]
-    not_determined: tuple[str, ...]
-    alarm_rate: float
-    spent: float
-    errors_watched: int
-    limit: float
-    tolerance_mm: float | None
-    remaining: Remaining | None
-    news: tuple[str, ...]
-    statements: tuple[WatchStatement, ...]
+    calibration: str  # file of the calibration that the checks are compared with, or its source
+    checks: tuple[Check, ...]  # by date
+    errors: tuple[WatchedError, ...]  # each that a check determines
+    not_determined: tuple[str, ...]  # combinations of constant errors that no check determines, in words
+    alarm_rate: float  # probability of any alarm for an unchanged machine, whatever the number of looks
+    spent: float  # part of it that belongs to changes until the last check
+    errors_watched: int  # number of errors over which it is divided
+    limit: float  # logarithm of the evidence from which an error is an alarm
+    tolerance_mm: float | None  # largest permitted error at the tool; None if none is given
+    remaining: Remaining | None  # error at the tool that the calibration leaves now; None without tolerance
+    news: tuple[str, ...]  # what this look found in the folder: files read, changed, vanished; empty if nothing is new
+    statements: tuple[WatchStatement, ...]  # what was said after every look, this one included
     notices: tuple[str, ...]
     warnings: tuple[SourceWarning, ...]
 
@@ -314,11 +259,7 @@ class Watch(DisplayedResult):
         return tuple(error for error in self.errors if error.verdict == "follows temperature")
 
     def named(self, name: str) -> WatchedError:
-        """Return the finding of an error.
-
-        Raises:
-            KeyError: no check determines it.
-        """
+        """Return the finding of an error; `KeyError` if no check determines it."""
         for error in self.errors:
             if error.series.name == name:
                 return error

@@ -19,7 +19,7 @@ from twin.display.numbers import capital, listed, lower
 from twin.model.calibration import Calibration
 from twin.model.conditions import SETTINGS, needed_values
 from twin.reporting.compensation import CompensationForecast
-from twin.reporting.contributions import Budget, Contribution
+from twin.reporting.contributions import Budget
 from twin.reporting.identified import Identified, PointComparison
 from twin.tool.forward import Kinematics
 
@@ -27,21 +27,13 @@ from twin.tool.forward import Kinematics
 @final
 @dataclass(frozen=True)
 class TablesLeft:
-    """Errors that remain with the tables of one format.
+    """Errors that remain with the tables of one format."""
 
-    Attributes:
-        kind: name of the format; only formats with tables of single axes, not the volumetric ones ``isg`` and ``grid``.
-        at: positions of the other axes while one moves, by axis; mm, degrees.
-        tool_length_mm: tool length for which the tables are made.
-        remains: the error at the tool with them.
-        carried: every error of the calibration, and the part of it that the format compensates.
-    """
-
-    kind: str
-    at: Mapping[str, float]
-    tool_length_mm: float
-    remains: RemainingErrors
-    carried: tuple[CorrectedShare, ...]
+    kind: str  # name of the format: one with tables of single axes, not volumetric as ``isg`` and ``grid``
+    at: Mapping[str, float]  # positions of the other axes while one moves, by axis; mm, degrees
+    tool_length_mm: float  # tool length for which the tables are made
+    remains: RemainingErrors  # the error at the tool with them
+    carried: tuple[CorrectedShare, ...]  # every error, and the part of it that the format compensates
 
     def to_dict(self) -> dict[str, Any]:
         """Return the content for JSON."""
@@ -53,13 +45,8 @@ def tables_left(
 ) -> tuple[TablesLeft, ...]:
     """Make the tables of every format and return the remaining errors, the most effective format first.
 
-    The result is empty if the control has tables already, the estimate did not converge or there are no errors. Formats that cannot
-    hold tables of this machine are omitted.
-
-    Args:
-        real: machine, errors that can be evaluated under the conditions, tool length, conditions.
-        errors: the calibration as given.
-        missing: effects omitted for want of a channel, by channel.
+    Empty if the control has tables already, the estimate did not converge or there are no errors. Formats that cannot hold tables of
+    this machine are omitted. ``real`` has the errors that can be evaluated, ``errors`` all, ``missing`` the others by channel.
     """
     if errors.control is not None or not errors.settled or real.calibration.empty:
         return ()
@@ -78,8 +65,6 @@ def tables_left(
         tables.append(TablesLeft(form.name, made.required.at, real.tool_length_mm, account.remains, account.carried))
     return tuple(sorted(tables, key=lambda one: -one.remains.reduction))
 
-
-# --- Summary of a machine report in words: largest errors, recommended actions, measurements, and what to avoid
 
 Kind = Literal["do", "measure", "never", "unknown"]
 Rating = Literal["well", "wrong", "unknown"]
@@ -103,34 +88,21 @@ REPEATS: Final = 1e-3
 @final
 @dataclass(frozen=True)
 class Step:
-    """One recommended action, or one action to avoid.
-
-    Attributes:
-        kind: ``do``, ``measure``, ``never`` or ``unknown``.
-        title: the action, in a few words.
-        text: explanation, with numbers.
-    """
+    """One recommended action, or one action to avoid."""
 
     kind: Kind
     title: str
-    text: str
+    text: str  # with numbers
 
 
 @final
 @dataclass(frozen=True)
 class MachineAdvice:
-    """Summary at the top of the report.
+    """Summary at the top of the report."""
 
-    Attributes:
-        headline: the main result in one sentence.
-        rating: overall rating, which selects the colour.
-        largest_errors: the largest errors, one line each.
-        steps: actions to take, to measure and to avoid.
-    """
-
-    headline: str
-    rating: Rating
-    largest_errors: tuple[str, ...]
+    headline: str  # in one sentence
+    rating: Rating  # selects the colour
+    largest_errors: tuple[str, ...]  # one line each
     steps: tuple[Step, ...]
 
     def to_dict(self) -> dict[str, Any]:
@@ -147,16 +119,7 @@ def advise(
     points: Sequence[PointComparison] = (),
     tables: Sequence[TablesLeft] = (),
 ) -> MachineAdvice:
-    """Return the summary of a report in words.
-
-    Args:
-        found: the error budget.
-        outcome: errors before and after compensation.
-        identified: result of the identification, or None.
-        left_out: effects omitted for want of a channel, by channel.
-        points: measured points compared with the calibration.
-        tables: remaining errors with tables in the control, the best first; empty if tables are in use already.
-    """
+    """Return the summary of a report in words; ``left_out``: effects omitted for want of a channel; ``tables``: the best first."""
     if not found.errors and not left_out:
         steps = (
             Step(
@@ -187,7 +150,18 @@ def advise(
     return MachineAdvice(
         _headline(found, outcome, live=live),
         "well" if found.total.max_um <= SMALL_UM else "unknown" if live else "wrong",
-        tuple(_line(error) for error in found.errors[:NAMED]),
+        tuple(
+            Message(
+                "{words} ({name}): up to {peak}; effect at the tool {rms} RMS, up to {largest} (U {u})",
+                words=one.words,
+                name=one.name,
+                peak=with_half(one.peak, one.peak_half, one.unit),
+                rms=figure(one.rms_um, "µm"),
+                largest=figure(one.max_um, "µm"),
+                u=expanded(one.u_rms_um, complete=one.u_complete),
+            )
+            for one in found.errors[:NAMED]
+        ),
         tuple(sorted(every, key=lambda step: _ORDER.index(step.kind))),
     )
 
@@ -199,11 +173,13 @@ def _corrections(
     identified: Identified | None,
     tables: Sequence[TablesLeft],
 ) -> Iterator[Step]:
-    """Yield how the errors are to be corrected."""
     if calibration.corrected_in_control:
         yield from _module(calibration, found, outcome)
     elif identified is not None and identified.doubtful:
-        yield from _wait()
+        text = Message(
+            "The corrections would contain errors of another kind, with a wrong size. Find the cause of the residuals first."
+        )
+        yield Step("never", Message("Compensate or adjust with this calibration"), text)
     else:
         yield from _one_of(_compensate(calibration, found, outcome), _adjust(found), _tables(found, tables))
 
@@ -283,18 +259,6 @@ def _one_of(*ways: Iterator[Step]) -> Iterator[Step]:
         again = again or step.kind == "do"
 
 
-def _line(one: Contribution) -> Message:
-    return Message(
-        "{words} ({name}): up to {peak}; effect at the tool {rms} RMS, up to {largest} (U {u})",
-        words=one.words,
-        name=one.name,
-        peak=with_half(one.peak, one.peak_half, one.unit),
-        rms=figure(one.rms_um, "µm"),
-        largest=figure(one.max_um, "µm"),
-        u=expanded(one.u_rms_um, complete=one.u_complete),
-    )
-
-
 def _incomplete(
     calibration: Calibration, left_out: Mapping[str, tuple[str, ...]], identified: Identified | None
 ) -> Iterator[Step]:
@@ -347,16 +311,7 @@ def _incomplete(
         yield Step("measure", Message("Find the cause of the noise"), text)
 
 
-def _wait() -> Iterator[Step]:
-    """Yield the step that replaces every correction while the calibration does not describe its own readings."""
-    text = Message(
-        "The corrections would contain errors of another kind, with a wrong size. Find the cause of the residuals first."
-    )
-    yield Step("never", Message("Compensate or adjust with this calibration"), text)
-
-
 def _misfit(points: Sequence[PointComparison], calibration: Calibration) -> Iterator[Step]:
-    """Yield steps on measured points that do not fit this calibration."""
     for point in points:
         if point.far:
             text = Message(
@@ -444,7 +399,19 @@ def _compensate(calibration: Calibration, found: Budget, outcome: CompensationFo
         )
     else:
         known |= {"rms": figure(outcome.judged.rms_um, "µm"), "within": figure(outcome.judged.quantile(0.95), "µm")}
-        texts.append(_compensated(known) if outcome.complete else _at_least_compensated(known))
+        texts.append(
+            Message(
+                "`twin compensate part.nc -o part.compensated.nc{options}` reduces the error from {start} RMS to {rms}, including the "
+                "uncertainty of the calibration ({exact} for an exact one); 95 % of positions within {within}.",
+                **known,
+            )
+            if outcome.complete
+            else Message(
+                "`twin compensate part.nc -o part.compensated.nc{options}` reduces the error from {start} RMS to at least {rms}, "
+                "including the uncertainty of the calibration ({exact} for an exact one); 95 % of positions within at least {within}.",
+                **known,
+            )
+        )
         texts += _not_corrected(outcome)
     if outcome.out_of_range:
         texts.append(
@@ -471,29 +438,12 @@ def _not_corrected(outcome: CompensationForecast) -> list[Message]:
     return [text]
 
 
-def _compensated(known: Mapping[str, str]) -> str:
-    return Message(
-        "`twin compensate part.nc -o part.compensated.nc{options}` reduces the error from {start} RMS to {rms}, including the "
-        "uncertainty of the calibration ({exact} for an exact one); 95 % of positions within {within}.",
-        **known,
-    )
-
-
-def _at_least_compensated(known: Mapping[str, str]) -> str:
-    return Message(
-        "`twin compensate part.nc -o part.compensated.nc{options}` reduces the error from {start} RMS to at least {rms}, including the "
-        "uncertainty of the calibration ({exact} for an exact one); 95 % of positions within at least {within}.",
-        **known,
-    )
-
-
 def _with_measured(what: Message, calibration: Calibration) -> str:
     """Return a title; for an illustrative calibration it states that measured numbers are needed."""
     return Message("With measured numbers: {what}", what=what) if calibration.illustrative else capital(what)
 
 
 def _about(calibration: Calibration) -> str:
-    """Return the options for machine and calibration."""
     file = "" if calibration.path is None else f" --calibration {calibration.path.name}"
     return f"{calibration.machine.as_option}{file}"
 
@@ -589,7 +539,6 @@ def _remaining(one: TablesLeft) -> str:
 
 
 def _unknown(calibration: Calibration, outcome: CompensationForecast) -> Iterator[Step]:
-    """Yield a step on the errors that the readings could not determine."""
     by_reason: dict[str, list[str]] = {}
     for error in calibration.not_identifiable:
         by_reason.setdefault(error.why, []).append(error.name)
@@ -662,11 +611,7 @@ def _void(calibration: Calibration, settled: bool) -> Iterator[Step]:
 
 def _never(calibration: Calibration, found: Budget) -> Iterator[Step]:
     insignificant = [
-        Message(
-            "{words} ({size})",
-            words=lower(error.words),
-            size=with_half(error.peak, error.peak_half, error.unit),
-        )
+        Message("{words} ({size})", words=lower(error.words), size=with_half(error.peak, error.peak_half, error.unit))
         for error in found.errors
         if error.iso_class in MECHANICAL and isfinite(error.peak_half) and 0.0 < error.peak <= error.peak_half
     ]

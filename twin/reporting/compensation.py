@@ -51,17 +51,11 @@ SHARES: Final = (0.5, 0.95, 0.99)
 @final
 @dataclass(frozen=True)
 class ErrorDistribution:
-    """Distribution of the error of the tool point over the volume in one case.
-
-    Attributes:
-        name: name of the case.
-        size_um: (k,) magnitudes, ascending.
-        machines: distributions over the drawn machines of the RMS and of the largest error over the volume; None for one machine.
-    """
+    """Distribution of the error of the tool point over the volume in one case."""
 
     name: str
-    size_um: np.ndarray
-    machines: tuple[Spread, Spread] | None = None
+    size_um: np.ndarray  # (k,) magnitudes, ascending
+    machines: tuple[Spread, Spread] | None = None  # RMS and largest error over the drawn machines; None for one machine
 
     @property
     def rms_um(self) -> float:
@@ -97,49 +91,27 @@ class ErrorDistribution:
 @final
 @dataclass(frozen=True)
 class CompensationForecast:
-    """Error of the tool point before and after compensation.
+    """Error of the tool point before and after compensation."""
 
-    Attributes:
-        before: error of the machine, including the tables in its control.
-        without_tables: error without the tables in the control; None if there are none.
-        exact: error after compensation if the calibration is exact (rounding, travel limits); None if the machine runs no programs.
-        with_uncertainty: error expected after compensation: the same on machines drawn from the calibration's covariance and the
-            plausible size of errors that it could not determine; None if that is unknown or ``exact`` is None.
-        identified: the same without the errors that could not be determined; None if there are none.
-        not_identified: names of these errors.
-        complete: whether all errors have an uncertainty; if not, ``with_uncertainty`` is a lower bound.
-        poses: number of poses.
-        out_of_range: number of poses at which the correction exceeds the travel.
-        out_of_range_um: largest remaining error at these poses.
-        orientation_missed: number of poses at which the point is reached but the orientation is not.
-        tilt_before_urad, tilt_after_urad: RMS and largest tilt of the tool axis, about x and about y; after as for ``exact``.
-        uncompensated: distributions over the drawn machines of the RMS and of the largest error over the volume before compensation;
-            None if U is unknown.
-        seed: random seed of the draws.
-    """
-
-    before: ErrorDistribution
-    without_tables: ErrorDistribution | None
-    exact: ErrorDistribution | None
-    with_uncertainty: ErrorDistribution | None
-    identified: ErrorDistribution | None
+    before: ErrorDistribution  # of the machine, including the tables in its control
+    without_tables: ErrorDistribution | None  # error without the tables in the control; None if there are none
+    exact: ErrorDistribution | None  # if the calibration is exact; None if the machine runs no programs
+    with_uncertainty: ErrorDistribution | None  # on drawn machines; None if unknown
+    identified: ErrorDistribution | None  # the same without the errors that could not be determined
     not_identified: tuple[str, ...]
-    complete: bool
+    complete: bool  # whether all errors have an uncertainty; if not, ``with_uncertainty`` is a lower bound
     poses: int
-    out_of_range: int
-    out_of_range_um: float
-    orientation_missed: int
-    tilt_before_urad: tuple[tuple[float, float], tuple[float, float]]
+    out_of_range: int  # number of poses at which the correction exceeds the travel
+    out_of_range_um: float  # largest remaining error at these poses
+    orientation_missed: int  # number of poses at which the point is reached but the orientation is not
+    tilt_before_urad: tuple[tuple[float, float], tuple[float, float]]  # RMS and largest, about x and about y
     tilt_after_urad: tuple[tuple[float, float], tuple[float, float]] | None
-    uncompensated: tuple[Spread, Spread] | None
+    uncompensated: tuple[Spread, Spread] | None  # RMS and largest error over the drawn machines; None if U is unknown
     seed: int
 
     @property
     def judged(self) -> ErrorDistribution | None:
-        """Expected error after compensation that decides whether compensating is an improvement.
-
-        Errors that could not be determined are the same before and after, and are not part of it.
-        """
+        """Expected error after compensation, without the errors that could not be determined, which are the same before and after."""
         return self.with_uncertainty if self.identified is None else self.identified
 
     @property
@@ -186,10 +158,6 @@ def forecast_compensation(found: Budget, seed: int) -> CompensationForecast:
 
     The commands are those of a compensated program: rotary words are rounded to their increment, linear ones solved for the rounded
     rotary positions and then rounded; all are limited to the axis travel.
-
-    Args:
-        found: the error budget.
-        seed: random seed of the draws from the covariance.
     """
     real, q, sides = found.kinematics, found.positions, found.sides
     before = np.linalg.norm(found.error_um, axis=1)
@@ -258,16 +226,12 @@ def _commanded(found: Budget) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     low, high = np.maximum(ranges[:, 0], domains[:, 0]), np.minimum(ranges[:, 1], domains[:, 1])
     rotary, linear = list(machine.rotary), list(machine.linear)
     first = inverse.solve(meant, q, approach=approach)
-    commands = _clipped(first.positions, low, high)
-    commands[:, rotary] = _clipped(np.round(commands / increment) * increment, low, high)[:, rotary]
+    commands = np.clip(first.positions, low, high)
+    commands[:, rotary] = np.clip(np.round(commands / increment) * increment, low, high)[:, rotary]
     second = inverse.solve(meant, commands, rotary=False, approach=approach)
-    commands[:, linear] = _clipped(np.round(second.positions / increment) * increment, low, high)[:, linear]
+    commands[:, linear] = np.clip(np.round(second.positions / increment) * increment, low, high)[:, linear]
     beyond = second.where(Status.OUT_OF_RANGE)
     return commands, beyond, first.where(Status.SINGULAR) | first.where(Status.OUT_OF_RANGE)
-
-
-def _clipped(commands: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    return np.clip(commands, low, high)
 
 
 @final
@@ -281,10 +245,7 @@ class _Deviations:
         )
 
     def distribution(self, name: str, error_um: np.ndarray) -> ErrorDistribution:
-        """Return the distribution of an error (n, 3), µm, with the deviations of every drawn machine added to it.
-
-        The deviations are those of a whole machine, not of single poses: only so the largest error over the volume has a distribution.
-        """
+        """Return the distribution of an error (n, 3), µm, with the deviations of whole drawn machines, not of single poses."""
         count = len(error_um)
         size = np.empty((MACHINES, count))
         for start in range(0, MACHINES, MACHINES_A_STEP):
@@ -312,15 +273,7 @@ NO_SIDE: Final = 0
 
 
 def compare_points(data: Measurements, machine: Machine, calibration: Calibration, path: Path) -> PointComparison:
-    """Fit the set-up to measured points with a fixed calibration and return the residuals.
-
-    Args:
-        calibration: the calibration, not changed.
-        path: file of the data.
-
-    Raises:
-        InputError: data that do not fit the machine, or positions outside the curves.
-    """
+    """Fit the set-up to measured points with a fixed calibration and return the residuals; ``path`` is the file of the data."""
     given = machine_state(data, machine)
     needed = required_channels(calibration.effects, machine)
     absent = {name for channel, by in needed.items() if channel not in given for name in by}

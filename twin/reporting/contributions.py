@@ -49,35 +49,21 @@ JSON_NAMES: Final = MappingProxyType(
 @final
 @dataclass(frozen=True)
 class Contribution:
-    """Contribution of one error, or of all errors of a class, to the error of the tool point over the volume.
+    """Contribution of one error, or of all errors of a class, to the error of the tool point over the volume."""
 
-    Attributes:
-        name: ISO 230-1 name, name of the effect, or class of ISO/TR 16907.
-        words: name in words.
-        iso_class: class of ISO/TR 16907.
-        axis: the axis it belongs to; empty for a class.
-        unit: ``um`` or ``urad`` of ``peak``; empty for a class.
-        peak: largest absolute value over the range; NaN for a class.
-        peak_half: half width of the widest 95 % interval; NaN if unknown.
-        rms_um, max_um: error of the tool point from this error alone.
-        u_rms_um, u_max_um: U of the tool point from its uncertainty alone, RMS and largest over the poses; NaN if unknown.
-        u_complete: whether all its parameters have an uncertainty; if not, a known U is a lower bound.
-        illustrative: whether it is assumed, not measured.
-    """
-
-    name: str
-    words: str
-    iso_class: str
-    axis: str
-    unit: str
-    peak: float
-    peak_half: float
-    rms_um: float
+    name: str  # ISO 230-1 name, name of the effect, or class of ISO/TR 16907
+    words: str  # name in words
+    iso_class: str  # class of ISO/TR 16907
+    axis: str  # the axis it belongs to; empty for a class
+    unit: str  # ``um`` or ``urad`` of ``peak``; empty for a class
+    peak: float  # largest absolute value over the range; NaN for a class
+    peak_half: float  # half width of the widest 95 % interval; NaN if unknown
+    rms_um: float  # error of the tool point from this error alone
     max_um: float
-    u_rms_um: float
+    u_rms_um: float  # U of the tool point from its uncertainty alone, RMS and largest over the poses; NaN if unknown
     u_max_um: float
-    u_complete: bool
-    illustrative: bool
+    u_complete: bool  # whether all its parameters have an uncertainty; if not, a known U is a lower bound
+    illustrative: bool  # assumed, not measured
 
     def to_dict(self) -> dict[str, Any]:
         """Return the content for JSON; null for unknown numbers."""
@@ -88,31 +74,18 @@ class Contribution:
 @final
 @dataclass(frozen=True)
 class Budget:
-    """Error budget of a machine at the tool, over the volume.
+    """Error budget of a machine at the tool, over the volume."""
 
-    Attributes:
-        kinematics: the machine with its errors.
-        positions: (n, axes) poses, mm and degrees.
-        sides: (n, axes) directions of approach, +1 or −1.
-        error_um: (n, 3) error of the tool point in the work frame.
-        tilt_urad: (n, 2) tilt of the tool axis about the tool's x and y.
-        errors: contributions of single errors, largest at the tool first.
-        classes: contributions of classes, largest first.
-        total: contribution of all errors together.
-        without_uncertainty: names of the errors with a value but no uncertainty.
-        not_identified: names of the errors left out because they could not be determined; U of total and classes includes them.
-    """
-
-    kinematics: Kinematics
-    positions: np.ndarray
-    sides: np.ndarray
-    error_um: np.ndarray
-    tilt_urad: np.ndarray
-    errors: tuple[Contribution, ...]
-    classes: tuple[Contribution, ...]
-    total: Contribution
-    without_uncertainty: tuple[str, ...]
-    not_identified: tuple[str, ...]
+    kinematics: Kinematics  # the machine with its errors
+    positions: np.ndarray  # (n, axes) poses, mm and degrees
+    sides: np.ndarray  # (n, axes) directions of approach, +1 or −1
+    error_um: np.ndarray  # (n, 3) error of the tool point in the work frame
+    tilt_urad: np.ndarray  # (n, 2) tilt of the tool axis about the tool's x and y
+    errors: tuple[Contribution, ...]  # contributions of single errors, largest at the tool first
+    classes: tuple[Contribution, ...]  # contributions of classes, largest first
+    total: Contribution  # contribution of all errors together
+    without_uncertainty: tuple[str, ...]  # names of the errors with a value but no uncertainty
+    not_identified: tuple[str, ...]  # not determined and left out; U of total and classes includes them
 
     @property
     def worst(self) -> dict[str, float]:
@@ -126,11 +99,7 @@ class Budget:
         return {error.name: error for error in self.errors}
 
     def rms_without_um(self, name: str) -> float:
-        """Return the RMS error over the volume with one error removed, µm.
-
-        Args:
-            name: name of that error.
-        """
+        """Return the RMS error over the volume with one error removed, µm."""
         others = {effect.name for effect in self.kinematics.calibration.effects} - {name}
         ((nominal, found),) = self._partial.poses([others])
         remaining = found.point_mm - nominal.point_mm
@@ -157,14 +126,10 @@ def nominal_machine(real: Kinematics) -> Kinematics:
 
 
 def budget(kinematics: Kinematics) -> Budget:
-    """Return the error budget over the volume, with U of every contribution.
+    """Return the error budget over the volume, with U of every contribution to first order (JCGM 100, 5.2.2).
 
-    U of one error includes the uncertainty of its own parameters only; U of a class includes the covariance between its errors, and the
-    plausible size of those that could not be determined. First
-    order (JCGM 100, 5.2.2), as in `twin.tool.uncertainty`.
-
-    Args:
-        kinematics: machine, errors, tool, conditions.
+    U of one error includes the uncertainty of its own parameters only; U of a class includes the covariance between its errors, and
+    the plausible size of those that could not be determined.
     """
     machine, calibration = kinematics.machine, kinematics.calibration
     rows, classes = error_budget(
@@ -252,41 +217,23 @@ MOST: Final = 4001
 @final
 @dataclass(frozen=True)
 class Motion:
-    """One error motion of an axis over its range, with the other axes at mid-range.
+    """One error motion of an axis over its range, with the other axes at mid-range."""
 
-    Attributes:
-        name: ISO 230-1 name.
-        words: name in words.
-        axis: name of the axis.
-        linear: whether the axis is linear.
-        unit: ``um`` or ``urad``.
-        position: (k,) mm or degrees.
-        value: (k,) mean of both directions of approach.
-        half: (k,) half width of the 95 % interval; NaN if unknown.
-        ways: (2, k) value on approach from below and from above; None if they are equal.
-        corrected: (k,) value after compensation by the control's tables; None if they do not act on it.
-        order: degree, or number of harmonics, of its curve; None without a curve.
-        basis: basis of its curve, or empty.
-        source: source of its curve.
-        added: names of effects added to its curve.
-        illustrative: whether it is assumed, not measured.
-    """
-
-    name: str
-    words: str
+    name: str  # ISO 230-1 name
+    words: str  # name in words
     axis: str
-    linear: bool
-    unit: str
-    position: np.ndarray
-    value: np.ndarray
-    half: np.ndarray
-    ways: np.ndarray | None
-    corrected: np.ndarray | None
-    order: int | None
-    basis: str
-    source: str
-    added: tuple[str, ...]
-    illustrative: bool
+    linear: bool  # whether the axis is linear
+    unit: str  # ``um`` or ``urad``
+    position: np.ndarray  # (k,) mm or degrees
+    value: np.ndarray  # (k,) mean of both directions of approach
+    half: np.ndarray  # (k,) half width of the 95 % interval; NaN if unknown
+    ways: np.ndarray | None  # (2, k) value on approach from below and from above; None if they are equal
+    corrected: np.ndarray | None  # (k,) value after compensation by the control's tables; None if they do not act on it
+    order: int | None  # degree, or number of harmonics, of its curve; None without a curve
+    basis: str  # basis of its curve, or empty
+    source: str  # of its curve
+    added: tuple[str, ...]  # names of effects added to its curve
+    illustrative: bool  # assumed, not measured
 
     @property
     def peak(self) -> tuple[float, float]:
@@ -334,11 +281,7 @@ class Motion:
 
 
 def motions(kinematics: Kinematics) -> tuple[Motion, ...]:
-    """Return every error motion with a value in the calibration, in the order of the machine's names.
-
-    Args:
-        kinematics: machine, errors, conditions.
-    """
+    """Return every error motion with a value in the calibration, in the order of the machine's names."""
     return tuple(found for name in kinematics.machine.motion_names if (found := _motion(kinematics, name)) is not None)
 
 
@@ -407,23 +350,15 @@ POSES: Final = 300
 @final
 @dataclass(frozen=True)
 class Slice:
-    """One plane of the error field.
+    """One plane of the error field."""
 
-    Attributes:
-        horizontal, vertical: names of the two axes that span the plane.
-        fixed: positions of the other axes, mm and degrees.
-        across, up: (a,), (b,) positions of the two axes, mm.
-        error_um: (b, a) magnitude of the error of the tool point.
-        u_um: (b, a) U of the tool point; NaN if unknown.
-    """
-
-    horizontal: str
+    horizontal: str  # names of the two axes that span the plane
     vertical: str
-    fixed: dict[str, float]
-    across: np.ndarray
+    fixed: dict[str, float]  # positions of the other axes, mm and degrees
+    across: np.ndarray  # (a,), (b,) positions of the two axes, mm
     up: np.ndarray
-    error_um: np.ndarray
-    u_um: np.ndarray
+    error_um: np.ndarray  # (b, a) magnitude of the error of the tool point
+    u_um: np.ndarray  # (b, a) U of the tool point; NaN if unknown
 
     def to_dict(self) -> dict[str, Any]:
         """Return the content for JSON."""
@@ -433,27 +368,16 @@ class Slice:
 @final
 @dataclass(frozen=True)
 class Field:
-    """Error of the tool point at the nodes of a grid.
+    """Error of the tool point at the nodes of a grid."""
 
-    Attributes:
-        axes: names of all axes, in the order of the columns of ``positions``.
-        spread: names of the axes that vary: the linear ones, or all if there is none.
-        positions: (n, axes) commands, mm and degrees; on a grid over the linear axes, or random if there is none.
-        counts: number of grid positions of every axis of ``spread``; empty without a grid.
-        point_mm: (n, 3) nominal tool points in the work frame.
-        error_um: (n, 3) error of the tool point, mean of both directions of approach.
-        u_um: (n,) U of the tool point; NaN if unknown.
-        complete: whether all errors have an uncertainty; if not, a known U is a lower bound.
-    """
-
-    axes: tuple[str, ...]
-    spread: tuple[str, ...]
-    positions: np.ndarray
-    counts: tuple[int, ...]
-    point_mm: np.ndarray
-    error_um: np.ndarray
-    u_um: np.ndarray
-    complete: bool
+    axes: tuple[str, ...]  # in the order of the columns of ``positions``
+    spread: tuple[str, ...]  # names of the axes that vary: the linear ones, or all if there is none
+    positions: np.ndarray  # (n, axes) commands, mm and degrees; a grid over the linear axes, else random
+    counts: tuple[int, ...]  # number of grid positions of every axis of ``spread``; empty without a grid
+    point_mm: np.ndarray  # (n, 3) nominal tool points in the work frame
+    error_um: np.ndarray  # (n, 3) error of the tool point, mean of both directions of approach
+    u_um: np.ndarray  # (n,) U of the tool point; NaN if unknown
+    complete: bool  # whether all errors have an uncertainty; if not, a known U is a lower bound
 
     @property
     def standing(self) -> dict[str, float]:
@@ -560,11 +484,7 @@ class Field:
 
 
 def field(kinematics: Kinematics) -> Field:
-    """Return the error field of a machine, with the rotary axes at zero or at the end of their range nearest to zero.
-
-    Args:
-        kinematics: machine, errors, tool, conditions.
-    """
+    """Return the error field of a machine, with the rotary axes at zero or at the end of their range nearest to zero."""
     machine = kinematics.machine
     bounds = curve_ranges(kinematics)
     linear = machine.linear[:3]

@@ -50,20 +50,12 @@ class Job(BaseModel):
 
 
 def load_job(path: Path) -> Job:
-    """Read a job file (``schema: twin.job/1``).
-
-    Raises:
-        InputError: an unknown key, or a value that is not text of at most 80 characters; put numbers into quotes.
-    """
+    """Read a job file (``schema: twin.job/1``); `InputError` for an unknown key, or a value that is not text of 80 characters."""
     return load_yaml(path, Job, SCHEMA)[0]
 
 
 def logo_uri(path: Path) -> str:
-    """Return a PNG or SVG picture as a data URI, to be embedded in a page.
-
-    Raises:
-        InputError: the file is larger than 512 KiB, or not such a picture.
-    """
+    """Return a PNG or SVG picture as a data URI; raise `InputError` if the file is larger than 512 KiB, or not such a picture."""
     content = read_bytes(path, most_bytes=LOGO_BYTES)
     if content.startswith(PNG):
         return _uri("png", content)
@@ -82,8 +74,6 @@ def _uri(kind: str, content: bytes) -> str:
     return f"data:image/{kind};base64,{base64.b64encode(content).decode()}"
 
 
-# --- First page of a report: items with tolerance and verdict, the largest findings, and the facts of the test
-
 TOOL: Final = ("tool", "tool_after")
 """Names of the error of the tool point before compensation, and as expected after it."""
 FINDINGS: Final = 3
@@ -101,31 +91,17 @@ _URGENCY: Final = {"fail": 0, "undecided": 1, "pass": 2, None: 3}
 @final
 @dataclass(frozen=True)
 class FrontItem:
-    """One item of the first page.
+    """One item of the first page."""
 
-    Attributes:
-        name: ISO 230-1 name, or one of `TOOL`.
-        unit: ``um`` or ``urad``.
-        value: largest absolute value; NaN if unknown.
-        half: its expanded uncertainty U (95 %); NaN if unknown.
-        tolerance: largest permitted absolute value; None without a tolerance.
-        verdict: result; None without a tolerance.
-        reason: why there is no decision: ``unknown``, ``incomplete`` (U is a lower bound), ``assumed`` or ``unsettled``;
-            ``incomplete`` also with a fail, which no larger U of the known errors explains; empty otherwise.
-        to: for a squareness, the reference axis; else empty.
-        rms, quantile_95: of the error of the tool point over the volume, in ``unit``: RMS and value that 95 % of the positions do not
-            exceed; None for other items, or if unknown.
-    """
-
-    name: str
-    unit: str
-    value: float
-    half: float
-    tolerance: float | None
-    verdict: Verdict | None
-    reason: str
-    to: str = ""
-    rms: float | None = None
+    name: str  # ISO 230-1 name, or one of `TOOL`
+    unit: str  # ``um`` or ``urad``
+    value: float  # largest absolute value; NaN if unknown
+    half: float  # its expanded uncertainty U (95 %); NaN if unknown
+    tolerance: float | None  # largest permitted absolute value; None without a tolerance
+    verdict: Verdict | None  # None without a tolerance
+    reason: str  # of no decision: unknown, incomplete (U is a lower bound; a fail may be, too), assumed, unsettled; or empty
+    to: str = ""  # for a squareness, the reference axis; else empty
+    rms: float | None = None  # this and the next: of the error of the tool point over the volume
     quantile_95: float | None = None
 
     @property
@@ -149,17 +125,11 @@ class FrontItem:
 @final
 @dataclass(frozen=True)
 class FrontPage:
-    """Content of the first page.
-
-    Attributes:
-        job: facts of the test.
-        items: all items: the tool point, then the errors of the machine in the order of their effect at the tool.
-        findings: the errors with the largest effect at the tool.
-    """
+    """Content of the first page."""
 
     job: Job
-    items: tuple[FrontItem, ...]
-    findings: tuple[Contribution, ...]
+    items: tuple[FrontItem, ...]  # the tool point, then the errors in the order of their effect at the tool
+    findings: tuple[Contribution, ...]  # of largest effect at the tool
     logo: str = field(default="", repr=False)
 
     @property
@@ -208,16 +178,10 @@ class FrontPage:
 def front_page(
     report: MachineReport, job: Job | None = None, tolerances: Mapping[str, float] | None = None, logo: str = ""
 ) -> FrontPage:
-    """Return the content of the first page.
+    """Return the content of the first page; raise `InputError` for a tolerance of an unknown name.
 
-    Args:
-        report: result of `twin.reporting.machine_report`.
-        job: facts of the test.
-        tolerances: largest permitted absolute value, µm or µrad, by ISO 230-1 name, ``tool`` or ``tool_after``.
-        logo: data URI of `twin.reporting.front.logo_uri`; empty for none.
-
-    Raises:
-        InputError: a tolerance of an unknown name.
+    ``tolerances``: largest permitted absolute value, µm or µrad, by ISO 230-1 name, ``tool`` or ``tool_after``; ``logo``: data URI of
+    `logo_uri`.
     """
     given = dict(tolerances or {})
     check_tolerances(report.machine, given)
@@ -226,7 +190,14 @@ def front_page(
     to = {constant.name: constant.to for constant in report.constants}
     items = [
         *_tool_items(report, given),
-        *(_item(error, given.get(error.name), to.get(error.name, "")) for error in errors),
+        *(
+            _judged(
+                FrontItem(e.name, e.unit, e.peak, e.peak_half, given.get(e.name), None, "", to.get(e.name, "")),
+                e.u_complete,
+                e.illustrative,
+            )
+            for e in errors
+        ),
     ]
     missing = [name for name in given if name not in names and name not in TOOL]
     items += [FrontItem(name, unit_of(name), nan, nan, given[name], "undecided", "unknown") for name in missing]
@@ -246,14 +217,6 @@ def check_tolerances(machine: Machine, tolerances: Mapping[str, float]) -> None:
                 value=name,
                 nearest=closest_name(name, known),
             )
-
-
-def _item(one: Contribution, tolerance: float | None, to: str) -> FrontItem:
-    return _judged(
-        FrontItem(one.name, one.unit, one.peak, one.peak_half, tolerance, None, "", to),
-        one.u_complete,
-        one.illustrative,
-    )
 
 
 def _tool_items(report: MachineReport, given: Mapping[str, float]) -> list[FrontItem]:

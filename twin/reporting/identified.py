@@ -107,16 +107,11 @@ class IdentificationFile(_Model):
 @final
 @dataclass(frozen=True)
 class Identified:
-    """Result of an identification, compared with a calibration.
-
-    Attributes:
-        file: its content.
-        others: errors whose numbers differ from the calibration, because it is another one or was extended since.
-    """
+    """Result of an identification, compared with a calibration."""
 
     path: Path
     file: IdentificationFile
-    others: tuple[str, ...]
+    others: tuple[str, ...]  # whose numbers differ: another calibration, or extended since
 
     @property
     def orders(self) -> dict[str, int]:
@@ -148,15 +143,7 @@ class Identified:
 
     @classmethod
     def load(cls, path: str | Path, calibration: Calibration) -> Identified:
-        """Read the JSON file and compare it with the calibration.
-
-        Args:
-            path: file that ``twin identify --json`` wrote.
-            calibration: the calibration written by the same run.
-
-        Raises:
-            InputError: the file has another format, or belongs to another machine.
-        """
+        """Read the JSON of ``twin identify --json`` and compare it with the calibration; `InputError`: another format or machine."""
         path = Path(path)
         try:
             content = IdentificationFile.model_validate(read_json(path, "the JSON file of `twin identify`"))
@@ -207,21 +194,13 @@ def _differing(errors: tuple[IdentifiedError, ...], calibration: Calibration) ->
 @final
 @dataclass(frozen=True)
 class PositionEstimates:
-    """Estimates of one error motion from readings, at each position.
+    """Estimates of one error motion from readings, at each position."""
 
-    Attributes:
-        name: ISO 230-1 name.
-        side: direction of approach of the readings: +1 from below, −1 from above, 0 all.
-        position: (k,) mm or degrees.
-        value: (k,) µm or µrad.
-        half: (k,) half width of the 95 % interval.
-    """
-
-    name: str
-    side: int
-    position: np.ndarray
-    value: np.ndarray
-    half: np.ndarray
+    name: str  # ISO 230-1
+    side: int  # direction of approach of the readings: +1 from below, −1 from above, 0 all
+    position: np.ndarray  # (k,) mm or degrees
+    value: np.ndarray  # (k,) µm or µrad
+    half: np.ndarray  # (k,) half width of the 95 % interval
 
     def to_dict(self) -> dict[str, Any]:
         """Return the content for JSON."""
@@ -231,34 +210,20 @@ class PositionEstimates:
 @final
 @dataclass(frozen=True)
 class PointComparison:
-    """One table of measured points compared with a calibration.
+    """One table of measured points compared with a calibration."""
 
-    Attributes:
-        source: the file.
-        points: number of points, outliers included.
-        far: number of outliers with this calibration; the set-up was fitted to the other points.
-        rms_before_um: RMS residual per coordinate with the nominal machine.
-        rms_after_um: RMS residual per coordinate with the calibration.
-        noise_source: description of the measurement noise (key of the JSON).
-        before_um, after_um: (n,) distance of each point, or of its length, from the predicted one.
-        stops: estimates by error motion.
-        rows: excluded rows: line and reason.
-        notices: notices in the file.
-        left_out: effects omitted because the table lacks their channel.
-    """
-
-    source: str
-    points: int
-    far: int
-    rms_before_um: float
-    rms_after_um: float
-    noise_source: str
-    before_um: np.ndarray
+    source: str  # the file
+    points: int  # number of points, outliers included
+    far: int  # number of outliers with this calibration; the set-up was fitted to the other points
+    rms_before_um: float  # RMS residual per coordinate with the nominal machine
+    rms_after_um: float  # RMS residual per coordinate with the calibration
+    noise_source: str  # in words; key of the JSON
+    before_um: np.ndarray  # (n,) distance of each point, or of its length, from the predicted one
     after_um: np.ndarray
-    stops: Mapping[str, tuple[PositionEstimates, ...]]
-    rows: tuple[tuple[int, str], ...]
-    notices: tuple[str, ...]
-    left_out: tuple[str, ...]
+    stops: Mapping[str, tuple[PositionEstimates, ...]]  # estimates by error motion
+    rows: tuple[tuple[int, str], ...]  # excluded rows: line and reason
+    notices: tuple[str, ...]  # in the file
+    left_out: tuple[str, ...]  # effects omitted because the table lacks their channel
 
     def to_dict(self) -> dict[str, Any]:
         """Return the content for JSON."""

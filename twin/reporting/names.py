@@ -52,12 +52,7 @@ _KINDS: Final = MappingProxyType(
 
 
 def named(name: str, machine: Machine) -> str:
-    """Return an error, an effect or a class in words, or its symbol if there are no words for it.
-
-    Args:
-        name: ISO 230-1 name, ``reversal:Y``, or the class of ISO/TR 16907.
-        machine: the machine it belongs to.
-    """
+    """Return an error (ISO 230-1), an effect (``reversal:Y``) or a class of ISO/TR 16907 in words, or its symbol if there are none."""
     if name in CLASSES:
         return capital(CLASSES[name])
     if name.startswith("E_"):
@@ -72,13 +67,7 @@ def named(name: str, machine: Machine) -> str:
 
 
 def item_named(name: str, machine: Machine, to: str = "") -> str:
-    """Return an item of the first page in words: as `named`, but a squareness to its reference axis, if known.
-
-    Args:
-        name: ISO 230-1 name, name of an effect, ``tool`` or ``tool_after``.
-        machine: the machine it belongs to.
-        to: for a squareness, the reference axis; empty if unknown.
-    """
+    """Return an item of the first page in words: as `named`, but a squareness to its reference axis, if that is known."""
     if name in _ITEMS:
         return _ITEMS[name]
     if name.startswith("E_") and motion_kind(name, machine) == "square":
@@ -87,15 +76,7 @@ def item_named(name: str, machine: Machine, to: str = "") -> str:
 
 
 def motion_kind(name: str, machine: Machine) -> str:
-    """Return the kind of an error of an axis.
-
-    ``positioning``, ``straightness``, ``pitch`` (any angle), ``square``, ``displaced``, ``tilted``, ``angular_positioning``, ``tilt``,
-    ``axial`` or ``radial``.
-
-    Args:
-        name: ISO 230-1 name.
-        machine: the machine it belongs to.
-    """
+    """Return the kind of an error of an axis: a key of `_KINDS`; ``pitch`` is any angle of a linear axis."""
     component, average, axis = split_name(name)
     one = machine.by_name[axis]
     if average:
@@ -114,7 +95,6 @@ def _of_kind(kind: str, name: str, to: str = "") -> Message:
 
 
 def _title(effect: str, where: str) -> str:
-    """Return the name of a machine effect at a place; a calibration holds no effects of instruments."""
     return title_of(
         {machine_effect.name: machine_effect for machine_effect in MACHINE_EFFECTS}.get(effect), effect, where
     )

@@ -34,11 +34,7 @@ if TYPE_CHECKING:
 
 
 def optional(package: str) -> Any:
-    """Return a package of the extra ``notebook``.
-
-    Raises:
-        InputError: it is not installed.
-    """
+    """Return a package of the extra ``notebook``; raise `InputError` if it is not installed."""
     try:
         return import_module(package)
     except ModuleNotFoundError as error:
@@ -183,7 +179,6 @@ def measurements_from_frame(frame: pd.DataFrame, machine: Machine) -> Measuremen
 
 
 def _rows(calibration: Calibration) -> list[tuple[Any, ...]]:
-    """Return the rows of a calibration's frame."""
     covariance = calibration.covariance
     variance = dict(zip(covariance.names, np.diagonal(covariance.matrix), strict=True))
 
@@ -275,11 +270,7 @@ def error_field(
 
 @final
 class ErrorsAtTool:
-    """Errors of the tool of a machine, and their uncertainty.
-
-    Args:
-        kinematics: the machine with its errors, tool length and conditions.
-    """
+    """Errors of the tool of a machine with its tool length and conditions, and their uncertainty."""
 
     def __init__(self, kinematics: Kinematics) -> None:
         machine = kinematics.machine
@@ -539,7 +530,6 @@ def _png(kinematics: Kinematics, position: np.ndarray) -> bytes:
 
 
 def _error(errors: ErrorsAtTool, position: np.ndarray) -> str:
-    """Return the error at the tool in one position, in words."""
     found = {name: float(value[0]) for name, (value, _, _) in errors.at(position[None]).items()}
     if np.isnan(found["distance"]):
         return "outside the domain of the error motions: no error is known here"

@@ -89,13 +89,7 @@ SECTIONS: Final = (
 
 
 def machine_html(report: MachineReport, front: FrontPage | None = None, language: Language = Language.en) -> str:
-    """Return the page as self-contained HTML; needs matplotlib (extra ``plots``).
-
-    Args:
-        report: result of `twin.reporting.machine_report`.
-        front: content of the first page; None for one without tolerances and facts of the test.
-        language: language of the page; sentences without translation stay English and are counted.
-    """
+    """Return the page as self-contained HTML; sentences without translation stay English and are counted."""
 
     def stops_of(name: str) -> tuple[PositionEstimates, ...]:
         return tuple(stop for comparison in report.comparisons for stop in comparison.stops.get(name, ()))
@@ -174,7 +168,6 @@ def _spacing(steps_mm: Mapping[str, float]) -> Number:
 
 
 def _viewer(report: MachineReport) -> str:
-    """Return the interactive 3D field in an iframe."""
     field, rows = report.field, report.field.drawn
     inner = field_html(
         field.point_mm[rows],
@@ -207,7 +200,6 @@ def _degree(report: MachineReport, motion: Motion) -> str:
 
 
 def _numbers(report: MachineReport, effect: Effect) -> str:
-    """Return the parameters of an effect with their 95 % intervals."""
     known = report.calibration.covariance
     texts = []
     for one in effect.parameters:
@@ -218,7 +210,6 @@ def _numbers(report: MachineReport, effect: Effect) -> str:
 
 
 def _rows_of(rows: Sequence[tuple[int, str]]) -> list[str]:
-    """Return lines on excluded rows, with their reasons."""
     texts: list[str] = [Message("line {line}: {reason}", line=line, reason=reason) for line, reason in rows[:ROWS]]
     more = len(rows) - ROWS
     return [*texts, Message("and {count} more, all in the JSON", count=more)] if more > 0 else texts
@@ -251,11 +242,7 @@ OPTIONS: Final = (
 
 
 def find_browser() -> str:
-    """Return the path of a browser of the Chromium family.
-
-    Raises:
-        InputError: none is installed, or the environment variable ``TWIN_BROWSER`` names no program.
-    """
+    """Return the path of a browser of the Chromium family; `InputError` if there is none, or ``TWIN_BROWSER`` names no program."""
     named = os.environ.get(VARIABLE)
     if named:
         browser = shutil.which(named)
@@ -274,15 +261,7 @@ def find_browser() -> str:
 
 
 def page_to_pdf(page: str, browser: str) -> bytes:
-    """Return a page as PDF.
-
-    Args:
-        page: self-contained HTML.
-        browser: path of the browser.
-
-    Raises:
-        InputError: the browser failed or took longer than 120 s.
-    """
+    """Return self-contained HTML as PDF; raise `InputError` if the browser failed or took longer than `TIMEOUT_S`."""
     with tempfile.TemporaryDirectory(prefix="twin-pdf-", ignore_cleanup_errors=True) as name:
         folder = Path(name)
         source, target = folder / "page.html", folder / "page.pdf"
@@ -295,10 +274,7 @@ def page_to_pdf(page: str, browser: str) -> bytes:
             done = subprocess.run(call, capture_output=True, timeout=TIMEOUT_S, check=False)
         except (OSError, subprocess.TimeoutExpired) as error:
             raise InputError(
-                "the browser did not print the page",
-                expected=WORKING,
-                value=type(error).__name__,
-                file=browser,
+                "the browser did not print the page", expected=WORKING, value=type(error).__name__, file=browser
             ) from error
         if done.returncode or not target.is_file() or not target.read_bytes().startswith(b"%PDF"):
             raise InputError(

@@ -73,12 +73,7 @@ VIRIDIS: Final = ListedColormap(viridis(np.linspace(0.0, 1.0, 256)).tolist(), "v
 
 
 def plot_budget(rows: Sequence[Contribution], *, total: Contribution) -> Figure:
-    """Draw the error budget as horizontal bars: RMS at the tool, largest value as a marker, U as a whisker.
-
-    Args:
-        rows: contributions, largest first.
-        total: contribution of all errors together, drawn last.
-    """
+    """Draw the error budget as horizontal bars, the total last: RMS at the tool, largest value as a marker, U as a whisker."""
     shown = [*rows[:BARS], total]
     names = [
         f"{say('all') if one is total else one.name}{' *' if one.illustrative else ''}{'' if np.isfinite(one.u_rms_um) else ' ?'}"
@@ -106,22 +101,13 @@ def plot_budget(rows: Sequence[Contribution], *, total: Contribution) -> Figure:
 
 
 def plot_motion(motion: Motion, stops: Sequence[PositionEstimates] = ()) -> Figure:
-    """Draw an error motion with its 95 % interval against position, or as a polar plot for a rotary axis of up to one turn.
-
-    Args:
-        motion: the error motion.
-        stops: its estimates from readings.
-    """
+    """Draw an error motion with its 95 % interval and estimates from readings; polar for a rotary axis of up to one turn."""
     within_turn = float(motion.position[-1] - motion.position[0]) <= TURN + 1e-9
     return _polar(motion, stops) if not motion.linear and within_turn else _along(motion, stops)
 
 
 def plot_constants(found: Sequence[Constant]) -> Figure:
-    """Draw squareness and locations with their 95 % intervals, lengths and angles in separate plots.
-
-    Args:
-        found: the values, at least one.
-    """
+    """Draw squareness and locations (at least one) with their 95 % intervals, lengths and angles in separate plots."""
     groups = [[one for one in found if one.unit == unit] for unit in ("urad", "um")]
     groups = [group for group in groups if group]
     heights = np.array([len(group) + 1.2 for group in groups])
@@ -150,9 +136,7 @@ def plot_constants(found: Sequence[Constant]) -> Figure:
 def plot_squareness(one: Constant, largest_urad: float) -> Figure:
     """Draw two axes with their nominal and their actual angle, exaggerated, and its 95 % interval as a wedge; faint if not significant.
 
-    Args:
-        one: a squareness error.
-        largest_urad: largest absolute value or end of an interval of all sketches, which have one scale.
+    ``largest_urad``: largest absolute value or end of an interval of all sketches, which have one scale.
     """
     drawing = new_figure(2.3, 2.3)
     plot = drawing.subplots()
@@ -209,20 +193,15 @@ def plot_field(field: Field) -> Figure:
     if len(points) > 1:
         plot.set_box_aspect(np.maximum(np.ptp(np.concatenate([points, points + arrows]), axis=0), 1.0), zoom=0.92)
     plot.view_init(elev=24, azim=-62)
-    bar = drawing.colorbar(_scale(top), cax=drawing.add_axes((0.873, 0.156, 0.026, 0.688)))
+    bar = drawing.colorbar(
+        ScalarMappable(Normalize(0.0, top), VIRIDIS), cax=drawing.add_axes((0.873, 0.156, 0.026, 0.688))
+    )
     bar.set_label(say("error [µm]; arrows × {factor}", factor=f"{factor:,.0f}".replace(",", " ")))
     return drawing
 
 
 def plot_slice(one: Slice, values: np.ndarray, top: float, label: str) -> Figure:
-    """Draw one plane of the field as a contour map.
-
-    Args:
-        one: the plane.
-        values: (b, a) values to draw, µm.
-        top: end of the colour scale, the same for planes that are compared.
-        label: label of the colour scale.
-    """
+    """Draw (b, a) values in µm over a plane of the field as a contour map; ``top``: end of the colour scale of all planes."""
     high = float(np.ptp(one.up)) / float(np.ptp(one.across))
     wide = min(SIDE, MOST_HIGH / high)
     height = wide * high + 0.72
@@ -247,8 +226,9 @@ def plot_slice(one: Slice, values: np.ndarray, top: float, label: str) -> Figure
 def plot_compensation(outcome: CompensationForecast) -> Figure:
     """Draw the cumulative distribution of the error over the positions, before and after compensation."""
     plot = _plot(6.2, 3.3 + LINE * len(outcome.levels), legend=len(outcome.levels))
+    colours = [*([RUN] if outcome.without_tables is not None else []), BACKWARD, THIRD, FORWARD]
     smallest = [level.size_um[level.size_um > 0.0].min(initial=np.inf) for level in outcome.levels]
-    for level, colour, style in zip(outcome.levels, _styles(outcome), ("-", "--", "-.", ":"), strict=False):
+    for level, colour, style in zip(outcome.levels, colours, ("-", "--", "-.", ":"), strict=False):
         share = 100.0 * (np.arange(len(level.size_um)) + 1) / len(level.size_um)
         thin = np.unique(np.linspace(0, len(share) - 1, 600).astype(int))
         text = say("{name}: {rms}", name=level.name, rms=figure(level.rms_um, "µm RMS"))
@@ -277,10 +257,6 @@ def plot_residuals(one: PointComparison) -> Figure:
     plot.set(ylim=(0.0, 101.0), xlabel=say("residual of a point [µm]"), ylabel=say("share of points below [%]"))
     _legend(plot, columns=2)
     return cast(Figure, plot.figure)
-
-
-def _styles(outcome: CompensationForecast) -> list[str]:
-    return [*([RUN] if outcome.without_tables is not None else []), BACKWARD, THIRD, FORWARD]
 
 
 def _along(motion: Motion, stops: Sequence[PositionEstimates]) -> Figure:
@@ -351,15 +327,8 @@ def _name_rows(plot: Axes, at: np.ndarray, names: Sequence[str]) -> None:
     plot.yaxis.set_major_formatter(FixedFormatter(list(names)))
 
 
-def _scale(top: float) -> ScalarMappable:
-    return ScalarMappable(Normalize(0.0, top), VIRIDIS)
-
-
 def _plot(width: float, height: float, *, left: float = 0.72, legend: int = 1, plain: bool = False) -> Axes:
-    """Return one plot with fixed margins for labels and a legend of ``legend`` lines: automatic layout is as slow as drawing.
-
-    With ``plain``, the caller adds the axes by `draw_plain_axes`.
-    """
+    """Return one plot with fixed margins for labels and legend (automatic layout is as slow as drawing); ``plain``: without axes."""
     drawing = new_figure(width, height, layout=None)
     below = 0.52 + LINE * legend
     place = left / width, below / height, (width - left - 0.12) / width, (height - below - 0.14) / height

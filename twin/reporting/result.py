@@ -52,32 +52,21 @@ DATUM_NAMES: Final[Mapping[Datum, Message]] = {
 @final
 @dataclass(frozen=True)
 class Source:
-    """One source file.
+    """One source file."""
 
-    Attributes:
-        role: kind of file, in words.
-        sha256: SHA-256 digest of its bytes, in hexadecimal.
-    """
-
-    role: str
+    role: str  # kind of file, in words
     path: str
-    sha256: str
+    sha256: str  # SHA-256 digest of its bytes, in hexadecimal
 
 
 @final
 @dataclass(frozen=True)
 class Sources:
-    """Files, programs and seeds from which a report was made.
-
-    Attributes:
-        programs: version of every program, by name.
-        seeds: random seeds, by their use.
-        made: date and time.
-    """
+    """Files, programs and seeds from which a report was made."""
 
     files: tuple[Source, ...]
-    programs: Mapping[str, str]
-    seeds: Mapping[str, int]
+    programs: Mapping[str, str]  # version by name
+    seeds: Mapping[str, int]  # by their use
     made: datetime
 
     def to_dict(self) -> dict[str, Any]:
@@ -88,18 +77,7 @@ class Sources:
 def sources(
     calibration: Calibration, identified: Path | None, measured: Sequence[Path], seed: int, made: datetime
 ) -> Sources:
-    """Return the sources of a report.
-
-    Args:
-        calibration: the calibration, with its machine.
-        identified: JSON file of the identification, or None.
-        measured: measurement tables.
-        seed: random seed of the draws from the covariance.
-        made: date and time.
-
-    Raises:
-        InputError: a file cannot be read.
-    """
+    """Return the sources of a report; ``identified``: JSON file of the identification; ``measured``: tables; ``seed`` of the draws."""
     machine = calibration.machine
     files = [(Message("machine file"), machine.path), ("URDF", machine.urdf)]
     if calibration.path is not None:
@@ -121,10 +99,7 @@ def sources(
             versions() | {"python": platform.python_version()} | {name: _version(name) for name in MORE}
         ),
         seeds=MappingProxyType(
-            {
-                Message("poses and directions of approach"): BUDGET_SEED,
-                Message("uncertainty of the calibration"): seed,
-            }
+            {Message("poses and directions of approach"): BUDGET_SEED, Message("uncertainty of the calibration"): seed}
         ),
         made=made,
     )
@@ -137,8 +112,6 @@ def _version(name: str) -> str:
         return MISSING
 
 
-# --- Compute every number of a machine report, and its JSON ---------------------------------------
-
 SCHEMA: Final = "twin.reporting/1"
 SEED: Final = 0
 
@@ -146,31 +119,18 @@ SEED: Final = 0
 @final
 @dataclass(frozen=True)
 class Constant:
-    """A squareness error, or a location error of a rotary axis.
+    """A squareness error, or a location error of a rotary axis."""
 
-    Attributes:
-        name: ISO 230-1 name.
-        words: name in words.
-        unit: ``um`` or ``urad``.
-        value: value in ``unit``.
-        half: half width of its 95 % interval; NaN if unknown.
-        axis: name of the axis.
-        to: for squareness, the reference axis or base direction; else empty.
-        leans: direction in which a positive squareness tilts the axis: towards ``to`` (1) or away from it (−1); 0 for a location.
-        travel_mm: travel of the tilted linear axis; None for a location.
-        rms_um: RMS error at the tool from this error alone, over the volume.
-    """
-
-    name: str
-    words: str
-    unit: str
+    name: str  # ISO 230-1
+    words: str  # name in words
+    unit: str  # ``um`` or ``urad``
     value: float
-    half: float
+    half: float  # half width of its 95 % interval; NaN if unknown
     axis: str
-    to: str
-    leans: float
-    travel_mm: float | None
-    rms_um: float
+    to: str  # for squareness, the reference axis or base direction; else empty
+    leans: float  # direction in which a positive squareness tilts the axis: towards ``to`` (1) or away from it (−1); 0 for a location
+    travel_mm: float | None  # travel of the tilted linear axis; None for a location
+    rms_um: float  # RMS error at the tool from this error alone, over the volume
 
     @property
     def known(self) -> bool:
@@ -191,21 +151,13 @@ class Constant:
 @final
 @dataclass(frozen=True)
 class Gaps:
-    """Errors that the report does not cover.
+    """Errors that the report does not cover."""
 
-    Attributes:
-        absent: error motions, squareness and locations that are not in the calibration and count as zero.
-        not_identified: errors that the readings could not determine, and why.
-        without_uncertainty: errors with a value but no uncertainty.
-        left_out: effects omitted because no value was given for their channel, by channel.
-        unused: channels that were given but that no effect needs.
-    """
-
-    absent: tuple[str, ...]
-    not_identified: tuple[UnidentifiedEntry, ...]
-    without_uncertainty: tuple[str, ...]
-    left_out: Mapping[str, tuple[str, ...]]
-    unused: tuple[str, ...]
+    absent: tuple[str, ...]  # error motions, squareness and locations that are not in the calibration and count as zero
+    not_identified: tuple[UnidentifiedEntry, ...]  # which the readings could not determine
+    without_uncertainty: tuple[str, ...]  # errors with a value but no uncertainty
+    left_out: Mapping[str, tuple[str, ...]]  # effects omitted because no value was given for their channel, by channel
+    unused: tuple[str, ...]  # channels that were given but that no effect needs
 
     def to_dict(self) -> dict[str, Any]:
         """Return the content for JSON."""
@@ -216,34 +168,21 @@ class Gaps:
 @final
 @dataclass(frozen=True, repr=False)
 class MachineReport(Result):
-    """Content of the report of a machine.
-
-    Attributes:
-        calibration: in the datum of mean lines, if it can be converted.
-        datum: sentence that names the datum of the numbers.
-        kinematics: with the errors that can be evaluated under the conditions.
-        budget, motions, constants, field, compensation: sections of the report.
-        identified: result of the identification, or None.
-        comparisons: measured points compared with this calibration, one entry per table.
-        gaps: errors that the report does not cover.
-        tables: remaining errors with tables in the control, by format.
-        advice: conclusions and recommended actions, in words.
-        sources: files, versions and seeds.
-    """
+    """Content of the report of a machine."""
 
     machine: Machine
-    calibration: Calibration
-    datum: str
-    kinematics: Kinematics
+    calibration: Calibration  # in the datum of mean lines, if it can be converted
+    datum: str  # sentence that names the datum of the numbers
+    kinematics: Kinematics  # with the errors that can be evaluated under the conditions
     budget: Budget
     motions: tuple[Motion, ...]
     constants: tuple[Constant, ...]
     field: Field
     compensation: CompensationForecast
     identified: Identified | None
-    comparisons: tuple[PointComparison, ...]
+    comparisons: tuple[PointComparison, ...]  # one a table
     gaps: Gaps
-    tables: tuple[TablesLeft, ...]
+    tables: tuple[TablesLeft, ...]  # remaining errors with tables in the control, by format
     advice: MachineAdvice
     sources: Sources
 
@@ -386,7 +325,14 @@ def machine_report(  # noqa: PLR0913
     origin = sources(calibration, identified, [path for path, _ in measured], seed, made)
     known, left_out = without_missing_channels(at, calibration)
     real = Kinematics(machine, known, tool_length_mm=tool_length_mm, conditions=at)
-    error_budget, error_motions, error_field, outcome = _over_the_volume(real, seed, progress)
+    progress("budget", 0.05)
+    error_budget = budget(real)
+    progress("curves", 0.3)
+    error_motions = motions(real)
+    progress("field", 0.35)
+    error_field = field(real)
+    progress("compensation", 0.4)
+    outcome = forecast_compensation(error_budget, seed)
     comparisons = tuple(_comparisons(measured, known, progress))
     gaps = Gaps(
         _absent(known), known.not_identifiable, error_budget.without_uncertainty, left_out, at.unused(calibration)
@@ -411,19 +357,6 @@ def machine_report(  # noqa: PLR0913
         advice=advise(calibration, error_budget, outcome, identification, left_out, comparisons, tables),
         sources=origin,
     )
-
-
-def _over_the_volume(
-    real: Kinematics, seed: int, progress: Progress
-) -> tuple[Budget, tuple[Motion, ...], Field, CompensationForecast]:
-    progress("budget", 0.05)
-    error_budget = budget(real)
-    progress("curves", 0.3)
-    error_motions = motions(real)
-    progress("field", 0.35)
-    error_field = field(real)
-    progress("compensation", 0.4)
-    return error_budget, error_motions, error_field, forecast_compensation(error_budget, seed)
 
 
 def _comparisons(

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import csv
 import io
-from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -59,11 +58,5 @@ def content() -> bytes:
     return out.getvalue().encode("cp1252")
 
 
-def main() -> None:
-    """Write the table into this folder."""
-    path: Path = TABLES[0]
-    write_atomic(path, content())
-
-
 if __name__ == "__main__":
-    main()
+    write_atomic(TABLES[0], content())

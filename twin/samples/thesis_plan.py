@@ -129,10 +129,5 @@ def text() -> str:
     return plan(machine).to_csv(machine, comment=NOTE)
 
 
-def main() -> None:
-    """Write the plan into this folder."""
-    write_atomic(PLANS[0], text())
-
-
 if __name__ == "__main__":
-    main()
+    write_atomic(PLANS[0], text())

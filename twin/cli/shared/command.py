@@ -40,15 +40,10 @@ registered = typer.Typer()
 @final
 @dataclass(frozen=True)
 class Output:
-    """Marker of a path parameter that the command writes.
+    """Marker of a path parameter that the command writes."""
 
-    Attributes:
-        suffixes: permitted suffixes of the file name; empty for any.
-        folder: whether the path may be a folder; the files in it are checked once their names are known.
-    """
-
-    suffixes: tuple[str, ...] = ()
-    folder: bool = False
+    suffixes: tuple[str, ...] = ()  # permitted suffixes of the file name; empty for any
+    folder: bool = False  # whether the path may be a folder; the files in it are checked once their names are known
 
 
 HTML: Final = Output((".html", ".htm"))
@@ -71,41 +66,24 @@ JsonOption = Annotated[Path | None, typer.Option("--json", help="Write the resul
 @final
 @dataclass(frozen=True)
 class CommandResult:
-    """Result of a command, as text and as JSON.
+    """Result of a command, as text and as JSON."""
 
-    Attributes:
-        text: printed to standard output.
-        report: returns the content of the `--json` file.
-        met: whether all requirements were met; exit status 3 if not.
-        written: line that lists the files written, with ``{}`` in place of their names; empty for no line.
-        after: lines printed after that line.
-        errors: lines printed to standard error.
-        status: exit status, if not the one that follows from ``met``; None otherwise.
-        show: prints further output after the text, such as tables; None for none.
-        check_json: reads the `--json` file before it is in place, if another command reads it; None otherwise.
-    """
-
-    text: str
-    report: Callable[[], Any]
-    met: bool = True
-    written: str = "\nwritten: {}"
-    after: Sequence[str] = ()
-    errors: Sequence[str] = ()
-    status: int | None = None
-    show: Callable[[], None] | None = None
-    check_json: Callable[[Path], object] | None = None
+    text: str  # printed to standard output
+    report: Callable[[], Any]  # returns the content of the `--json` file
+    met: bool = True  # whether all requirements were met; exit status 3 if not
+    written: str = "\nwritten: {}"  # line with ``{}`` in place of the files' names; empty for no line
+    after: Sequence[str] = ()  # lines printed after that line
+    errors: Sequence[str] = ()  # lines printed to standard error
+    status: int | None = None  # exit status, if not the one that follows from ``met``; None otherwise
+    show: Callable[[], None] | None = None  # prints further output after the text, such as tables
+    check_json: Callable[[Path], object] | None = None  # reads the JSON before it is in place
 
 
 Function = TypeVar("Function", bound=Callable[..., CommandResult | None])
 
 
 def command(*examples: str, name: str | None = None) -> Callable[[Function], Function]:  # noqa: C901
-    """Register a command whose inputs, outputs and numbers are checked before it runs, and whose result is reported after it.
-
-    Args:
-        examples: example calls for its help text.
-        name: the command's name; the function's if None.
-    """
+    """Register a command, with examples for its help, whose inputs, outputs and numbers are checked, and whose result is reported."""
 
     def register(function: Function) -> Function:  # noqa: C901
         hints = {key: list(_nested_types(hint)) for key, hint in get_type_hints(function, include_extras=True).items()}
@@ -189,7 +167,6 @@ def progress_bar() -> Iterator[Any]:
 
 
 def _report(result: CommandResult, outputs: Sequence[Path], json_file: Path | None) -> None:
-    """Write the JSON file, print the text, and exit with the result's status."""
     if json_file is not None:
         write_json(json_file, result.report(), check=result.check_json)
     echo(result.text, end="")
@@ -256,9 +233,7 @@ def _check_output(path: Path, mark: Output) -> None:
         raise InputError("cannot be written", expected="a file, not a folder", file=path)
     if mark.suffixes and path.suffix.lower() not in mark.suffixes:
         raise InputError(
-            "wrong suffix of the output file",
-            expected=f"a name ending in {' or '.join(mark.suffixes)}",
-            file=path,
+            "wrong suffix of the output file", expected=f"a name ending in {' or '.join(mark.suffixes)}", file=path
         )
 
 
@@ -275,11 +250,7 @@ class Received:
         self.number: int | None = None
 
     def interrupt(self, number: int, frame: FrameType | None) -> None:
-        """Raise KeyboardInterrupt on the first signal; ignore later ones, so that the clean-up completes.
-
-        Raises:
-            KeyboardInterrupt: on the first signal.
-        """
+        """Raise KeyboardInterrupt on the first signal; ignore later ones, so that the clean-up completes."""
         if self.number is None:
             self.number = number
             raise KeyboardInterrupt
@@ -319,11 +290,7 @@ UsageError: type[Exception] = typer.BadParameter.__mro__[1]
 
 
 def usage_message(error: Any) -> str:
-    """Return the message of a usage error, in one line.
-
-    Args:
-        error: an instance of `UsageError`.
-    """
+    """Return the message of a `UsageError`, in one line."""
     context = getattr(error, "ctx", None)
     path = "twin" if context is None else str(context.command_path)
     example = _example(context) if type(error).__name__ == "MissingParameter" else None

@@ -1,10 +1,7 @@
-"""Shell completion: values of options, and files in the current folder.
+"""Shell completion (`twin --install-completion`): values of options, and files in the current folder.
 
-`twin --install-completion` installs it in the shell. Every function takes the incomplete word and returns its possible completions.
-
-Names that options list: ``{instruments}`` in the help of an option stands for the names of all instruments.
-
-They come from `twin._common.families`, which imports nothing.
+Every function takes the incomplete word and returns its possible completions. ``{instruments}`` in the help of an option stands for
+the names of all instruments, from `twin._common.families`, which imports nothing.
 """
 
 from __future__ import annotations
@@ -25,6 +22,7 @@ from twin.samples import PLANS
 if TYPE_CHECKING:
     from twin.machine.machine import Machine
 
+Completer = Callable[[str], list[str]]
 LISTS: Final[Mapping[str, Sequence[str]]] = MappingProxyType(
     {
         "classes": NAMES,
@@ -45,11 +43,7 @@ LISTS: Final[Mapping[str, Sequence[str]]] = MappingProxyType(
 
 
 def one_of(which: str) -> dict[str, Any]:
-    """Return the arguments of `typer.Option` for an option whose value is one name of a list.
-
-    Args:
-        which: one of `LISTS`.
-    """
+    """Return the arguments of `typer.Option` for an option whose value is one name of one of `LISTS`."""
 
     def checked(value: str) -> str:
         names = LISTS[which]
@@ -57,10 +51,12 @@ def one_of(which: str) -> dict[str, Any]:
             raise typer.BadParameter(f"{value!r} is not one of {', '.join(map(repr, names))}.")
         return value
 
-    def completed(incomplete: str) -> list[str]:
-        return [name for name in LISTS[which] if name.startswith(incomplete)]
+    return {"parser": checked, "metavar": f"[{{{which}}}]", "autocompletion": _listed(which)}
 
-    return {"parser": checked, "metavar": f"[{{{which}}}]", "autocompletion": completed}
+
+def _listed(which: str) -> Completer:
+    """Return a completer of the names of one of `LISTS`."""
+    return lambda incomplete: _starting_with(incomplete, LISTS[which])
 
 
 @final
@@ -78,32 +74,14 @@ class ListingCommand(TyperCommand):
         super().format_help(ctx, formatter)
 
 
-# --- Shell completion: values of options, and files in the current folder -------------------------
-
 YAML: Final = (".yaml", ".yml")
 
 Found = TypeVar("Found")
-Completer = Callable[[str], list[str]]
 
 
 def classes(incomplete: str) -> list[str]:
     """Complete a class of ISO/TR 16907."""
     return _starting_with(incomplete.upper(), LISTS["classes"])
-
-
-def instruments(incomplete: str) -> list[str]:
-    """Complete the name of an instrument."""
-    return _starting_with(incomplete, LISTS["instruments"])
-
-
-def drifts(incomplete: str) -> list[str]:
-    """Complete the name of a drift test."""
-    return _starting_with(incomplete, LISTS["drifts"])
-
-
-def sequences(incomplete: str) -> list[str]:
-    """Complete the name of a measuring sequence."""
-    return _starting_with(incomplete, LISTS["sequences"])
 
 
 def errors(ctx: Any, incomplete: str) -> list[str]:
@@ -170,7 +148,6 @@ def _samples(suffixes: tuple[str, ...]) -> list[str]:
 
 
 def _named_or_file(names: Callable[[], list[str]], suffixes: tuple[str, ...]) -> Completer:
-    """Return a completer of bundled names and of files with one of the suffixes."""
     return lambda incomplete: _starting_with(incomplete, names()) + _files(incomplete, suffixes)
 
 
@@ -198,6 +175,7 @@ def programs(incomplete: str) -> list[str]:
     return _named_or_file(lambda: _samples(suffixes), suffixes)(incomplete)
 
 
+drifts, instruments, sequences = map(_listed, ("drifts", "instruments", "sequences"))
 machines = _named_or_file(lambda: _bundled(".yaml"), YAML)
 calibrations = _named_or_file(list, YAML)
 kits = _named_or_file(lambda: _bundled(".kit.yaml"), YAML)

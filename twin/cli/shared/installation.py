@@ -66,19 +66,12 @@ LITTLE_MEMORY_GB: Final = 2.0
 @final
 @dataclass(frozen=True)
 class Finding:
-    """Result of one check.
+    """Result of one check."""
 
-    Attributes:
-        name: what was checked.
-        status: ``ok``; ``missing``: something optional is absent; ``FAILED``.
-        detail: what was found.
-        remedy: what to do; empty if nothing is needed.
-    """
-
-    name: str
-    status: Literal["ok", "missing", "FAILED"]
-    detail: str
-    remedy: str = ""
+    name: str  # what was checked
+    status: Literal["ok", "missing", "FAILED"]  # ``ok``; ``missing``: something optional is absent; ``FAILED``
+    detail: str  # what was found
+    remedy: str = ""  # what to do; empty if nothing is needed
 
 
 @cache
@@ -89,10 +82,7 @@ def imports_all() -> bool:
 
 @cache
 def broken() -> Mapping[str, str]:
-    """Return the installed packages that cannot be imported, each with the reason in one line.
-
-    Each is imported in its own process, since an import can also crash the process.
-    """
+    """Return the installed packages that cannot be imported, each with the reason; each in a process that the import may crash."""
     if imports_all():
         return {}
     from concurrent.futures import ThreadPoolExecutor
@@ -109,13 +99,7 @@ def can_start() -> bool:
 
 
 def exit_with_import_error(error: BaseException) -> NoReturn:
-    """Exit with status 2 after a failed import, and name the packages in one line.
-
-    Raises:
-        BaseException: the error itself, if all packages can be imported: then the defect is in twin.
-        KeyboardInterrupt: the import was interrupted.
-        SystemExit: otherwise.
-    """
+    """Exit with status 2 after a failed import, and name the packages; if all can be imported, the defect is twin's: raise."""
     cause: BaseException | None = error
     while cause is not None:
         if isinstance(cause, KeyboardInterrupt):  # a package that was being imported made another exception of it
@@ -134,11 +118,7 @@ def exit_with_import_error(error: BaseException) -> NoReturn:
 
 
 def exit_with_findings() -> NoReturn:
-    """Print the checks of `twin doctor` that need no packages, and exit with the status of a failed check.
-
-    Raises:
-        SystemExit: always.
-    """
+    """Print the checks of `twin doctor` that need no packages, and exit with the status of a failed check."""
     accept_any_text()
     clock = perf_counter()
     findings = [python(), *packages(), *extras(), browser(), *size()]
@@ -211,10 +191,7 @@ def browser() -> Finding:
         if path is not None:
             return Finding("Chromium", "ok", path)
     return Finding(
-        "Chromium",
-        "missing",
-        "not found",
-        "needed only for the browser test of the scene; any browser shows the pages",
+        "Chromium", "missing", "not found", "needed only for the browser test of the scene; any browser shows the pages"
     )
 
 
@@ -250,7 +227,6 @@ def _reinstall(name: str) -> str:
 
 
 def _modules() -> dict[str, str]:
-    """Return the modules to import of every installed package."""
     every = {**NEEDED, **{name: modules for name, (modules, _) in OPTIONAL.items()}}
     return {name: modules for name, modules in every.items() if _version(name) is not None}
 

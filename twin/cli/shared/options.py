@@ -14,7 +14,7 @@ from twin._common.bundled import find_program
 from twin._common.errors import InputError, closest_name
 from twin.cli.shared import complete
 from twin.cli.shared.command import EXISTING, MACHINE, POSITIVE, PROGRAM
-from twin.cli.shared.terminal import axis_values, echo, number, pairs, three_numbers
+from twin.cli.shared.terminal import axis_values, number, pairs, three_numbers
 
 if TYPE_CHECKING:
     from twin.compensation.programs.words import Setup
@@ -63,10 +63,7 @@ SubprogramsOption = Annotated[
 MachineOption = Annotated[
     str,
     typer.Option(
-        "--machine",
-        "-m",
-        help="Machine file, or the name of a bundled machine.",
-        autocompletion=complete.machines,
+        "--machine", "-m", help="Machine file, or the name of a bundled machine.", autocompletion=complete.machines
     ),
     MACHINE,
 ]
@@ -173,8 +170,7 @@ MeasuredArgument = Annotated[
     EXISTING,
 ]
 WorkersOption = Annotated[
-    int | None,
-    typer.Option("--workers", help="Number of local processes; default: one per core; 1: no child process."),
+    int | None, typer.Option("--workers", help="Number of local processes; default: one per core; 1: no child process.")
 ]
 SchedulerOption = Annotated[
     str | None,
@@ -216,24 +212,8 @@ def unused(at: Conditions, errors: Calibration) -> list[str]:
     return [f"{name} has no effect: the calibration does not need it" for name in at.unused(errors)]
 
 
-def print_unused(at: Conditions, errors: Calibration) -> None:
-    """Print the lines of `unused`."""
-    for line in unused(at, errors):
-        echo(line)
-
-
 def bundled_sample(path: Path, what: str, kind: str, known: Sequence[str]) -> Path:
-    """Return a file by its path, or a bundled file by its name.
-
-    Args:
-        path: path or bare name.
-        what: kind of file, in one word, for the message.
-        kind: kind of the user's own file, for the message.
-        known: names of the bundled files.
-
-    Raises:
-        InputError: there is no such file.
-    """
+    """Return a file by its path, or a bundled one by its name; ``what`` in one word, ``kind`` and ``known`` are for the message."""
     try:
         return find_program(path)  # finds any kind of file
     except InputError:
@@ -246,22 +226,14 @@ def bundled_sample(path: Path, what: str, kind: str, known: Sequence[str]) -> Pa
 
 
 def plan_file(path: Path) -> Path:
-    """Return a plan by its path, or a bundled plan by its name.
-
-    Raises:
-        InputError: there is no such file.
-    """
+    """Return a plan by its path, or a bundled plan by its name; `InputError` if there is none."""
     from twin.samples import PLANS
 
     return bundled_sample(path, "plan", "measurement table", [plan.name for plan in PLANS])
 
 
 def need_pictures(what: str) -> None:
-    """Raise `InputError` if matplotlib is missing, before any computation.
-
-    Raises:
-        InputError: matplotlib cannot be imported.
-    """
+    """Raise `InputError` if matplotlib is missing, before any computation."""
     try:
         import_module("matplotlib.figure")
     except ImportError as error:
@@ -277,17 +249,7 @@ def setup(
     offsets: Path | None = None,
     tools: Path | None = None,
 ) -> Setup:
-    """Return the work offsets, the work origin and the tools of a program.
-
-    Args:
-        offset: words ``AXIS=value`` of one work offset.
-        origin: text of the work origin.
-        offsets: table of work offsets.
-        tools: table of tools.
-
-    Raises:
-        InputError: an unknown axis, an axis given twice, text that is not a number; a table that cannot be read.
-    """
+    """Return work offsets (words ``AXIS=value`` or a table), work origin and tools of a program."""
     from twin.compensation.programs.words import Setup
     from twin.controls.offsets import load_offsets, load_tools
 
@@ -310,19 +272,7 @@ def conditions(
     *,
     by_block: bool = False,
 ) -> Conditions:
-    """Return the temperatures, the time, the spindle speed and the carried load of a program.
-
-    Args:
-        temperatures: words ``NAME=°C``.
-        time_s: time, s.
-        rpm: spindle speed, 1/min.
-        load_kg: carried load, kg.
-        log: record of the machine.
-        by_block: whether the program's own speed words apply where no speed is given.
-
-    Raises:
-        InputError: text that is not NAME=°C, or a name given twice; a log that cannot be read.
-    """
+    """Return temperatures (``NAME=°C``), time, speed and load of a program, or its record; ``by_block``: its S words apply."""
     from twin.model.conditions import Conditions, MachineLog
 
     words = pairs("--temperature", temperatures, "axis or sensor and °C: X=23.1")
@@ -334,11 +284,7 @@ def conditions(
 def workers(
     processes: int | None, scheduler: str | None, ca: Path | None, cert: Path | None, key: Path | None
 ) -> Workers:
-    """Return the workers: local processes or a Dask cluster.
-
-    Raises:
-        InputError: incomplete TLS files, or TLS files without a scheduler that uses TLS.
-    """
+    """Return the workers, local processes or a Dask cluster; `InputError` for incomplete TLS files, or a scheduler without TLS."""
     from twin.compute.parallel import Tls, Workers
 
     if ca is None and cert is None and key is None:

@@ -53,10 +53,7 @@ codecs.register_error("twin.readable", _readable)
 
 
 def open_closed_streams() -> None:
-    """Open standard streams that the caller closed, as by ``2>&-``, on the empty device.
-
-    Otherwise the next file that is opened, such as an output, gets the number of the closed stream, and messages end in it.
-    """
+    """Open standard streams that the caller closed, as by ``2>&-``, on the empty device, so that no output gets their number."""
     for number, name in enumerate(("stdin", "stdout", "stderr")):
         try:
             os.fstat(number)
@@ -107,11 +104,7 @@ def print_error(text: str) -> None:
 
 
 def flush() -> None:
-    """Flush the standard output.
-
-    Raises:
-        OSError: it cannot be written.
-    """
+    """Flush the standard output; `OSError` if it cannot be written."""
     if sys.stdout is not None:
         sys.stdout.flush()
 
@@ -212,10 +205,7 @@ MANY_WORDS: Final[Mapping[str, re.Pattern[str]]] = {
 BETWEEN: Final[Mapping[str, str]] = {"--spheres": r"\s+", "--subprograms": r"(?!)"}
 """Separator of several words in one argument, where it is not blanks and commas; paths may contain both."""
 MANY_WORDS_OF: Final[Mapping[str, Mapping[str, re.Pattern[str]]]] = {
-    "evaluate": {
-        "--tolerance": re.compile(r"[A-Za-z][\w:()↑↓↺↻]*=.*"),
-        "--sensors": re.compile(r"[A-Za-z][\w-]*=.*"),
-    },
+    "evaluate": {"--tolerance": re.compile(r"[A-Za-z][\w:()↑↓↺↻]*=.*"), "--sensors": re.compile(r"[A-Za-z][\w-]*=.*")},
     "report": {"--tolerance": re.compile(r"[A-Za-z]\w*=.*")},
 }
 """The same for options that take several words with one command only."""
@@ -253,11 +243,7 @@ def repeat_options(arguments: list[str]) -> list[str]:
 def pairs(
     option: str, entries: Iterable[str] | None, expected: str, *, last: bool = False
 ) -> Iterator[tuple[str, str, str]]:
-    """Yield name, text and word of each ``NAME=text``; ``last`` if a name may contain an equals sign, as a file's may.
-
-    Raises:
-        InputError: a word that is not NAME=text, or a name given twice.
-    """
+    """Yield name, text and word of each ``NAME=text``, each name once; ``last`` if a name may contain an equals sign."""
     known: set[str] = set()
     for entry in entries or ():
         name, equals, text = entry.rpartition("=") if last else entry.partition("=")
@@ -270,11 +256,7 @@ def pairs(
 
 
 def axis_values(option: str, entries: Iterable[str] | None, axes: Sequence[str]) -> dict[str, float]:
-    """Return one number for each axis of ``AXIS=number`` words.
-
-    Raises:
-        InputError: an unknown axis, an axis given twice, or text that is not a number.
-    """
+    """Return one number for each axis of ``AXIS=number`` words; `InputError` for an unknown axis, or one given twice."""
     values: dict[str, float] = {}
     for name, text, entry in pairs(option, entries, f"AXIS=number, once for each axis of {', '.join(axes)}"):
         if name not in axes:
@@ -289,7 +271,6 @@ def axis_values(option: str, entries: Iterable[str] | None, axes: Sequence[str])
 
 
 def _many_words(arguments: list[str]) -> Mapping[str, re.Pattern[str]]:
-    """Return the options of several words for the command that the arguments name."""
     own = next((MANY_WORDS_OF[word] for word in arguments[:2] if word in MANY_WORDS_OF), {})
     return {**MANY_WORDS, **own}
 
@@ -319,11 +300,7 @@ def expand_bash_line() -> None:
 
 
 def three_numbers(option: str, text: str, shown: str, expected: str) -> tuple[float, float, float]:
-    """Parse three numbers separated by commas.
-
-    Raises:
-        InputError: the text is not three usable numbers.
-    """
+    """Parse three numbers separated by commas, each as `number`."""
     parts = text.split(",")
     if len(parts) != 3:
         raise InputError(f"{option} must be three numbers", expected=expected, value=shown)
@@ -332,11 +309,7 @@ def three_numbers(option: str, text: str, shown: str, expected: str) -> tuple[fl
 
 
 def number(option: str, text: str, shown: str) -> float:
-    """Parse a number and check it with `usable_number`.
-
-    Raises:
-        InputError: the text is not a usable number.
-    """
+    """Parse a number and check it with `usable_number`."""
     try:
         value = float(text)
     except ValueError:
@@ -346,16 +319,7 @@ def number(option: str, text: str, shown: str) -> float:
 
 
 def usable_number(option: str, value: float, shown: object) -> None:
-    """Raise `InputError` unless a number is finite and its square and reciprocal can be computed.
-
-    Args:
-        option: name of the option, for the message.
-        value: the number.
-        shown: the text as typed, for the message.
-
-    Raises:
-        InputError: the number is not finite, or its magnitude is outside `SMALLEST` … `LARGEST`.
-    """
+    """Raise `InputError` unless a number is zero or its magnitude is within `SMALLEST` … `LARGEST`; ``shown``: the text as typed."""
     if not abs(value) < float("inf"):
         raise InputError(f"{option} must be a finite number", expected="digits, as in 12.5", value=shown)
     if value != 0.0 and not SMALLEST <= abs(value) <= LARGEST:
@@ -367,31 +331,19 @@ def usable_number(option: str, value: float, shown: object) -> None:
 
 
 def positive(option: str, value: float) -> None:
-    """Raise `InputError` unless a value is positive and finite.
-
-    Raises:
-        InputError: the value is not positive or not finite.
-    """
+    """Raise `InputError` unless a value is positive and finite."""
     if not 0.0 < value < float("inf"):
         raise InputError(f"{option} must be positive", expected="a number above 0", value=value)
 
 
 def not_negative(option: str, value: int) -> None:
-    """Raise `InputError` if a number is negative.
-
-    Raises:
-        InputError: it is.
-    """
+    """Raise `InputError` if a number is negative."""
     if value < 0:
         raise InputError(f"{option} must not be negative", expected="0 or more", value=value)
 
 
 def tolerances(entries: Sequence[str]) -> dict[str, float]:
-    """Return the tolerances, each given as ``SYMBOL=NUMBER``.
-
-    Raises:
-        InputError: text that is not SYMBOL=NUMBER, a negative number, or a symbol given twice.
-    """
+    """Return the tolerances, each given as ``SYMBOL=NUMBER``, a name once and no number negative."""
     limits: dict[str, float] = {}
     for name, text, entry in pairs("--tolerance", entries, "symbol and µm or µrad: A=10"):
         limits[name] = number("--tolerance", text, entry)

@@ -1,11 +1,7 @@
-"""Draw the animation of a program on its machine as one HTML page.
-
-Lengths in this module are in metres; the path and its deviations are given in mm.
-
-Meshcat's viewer as one self-contained HTML page, made without a browser, network or server.
+"""Draw the animation of a program on its machine, and the error field, each as one HTML page.
 
 The page embeds meshcat's drawing commands, like meshcat's ``static_html``, which gets them from a server process. Here they are
-collected from meshcat's classes, so that no server is started. Lengths are in metres.
+collected from meshcat's classes, without a server. Lengths are in metres; the path and its deviations are given in mm.
 """
 
 from __future__ import annotations
@@ -70,15 +66,7 @@ _WAYS: Final = np.array(list(product((-2, -1, 0, 1, 2), repeat=3)), dtype=float)
 
 
 def viewer_page(template: str, commands: Sequence[Any], data: Mapping[str, Any], top_um: float, **words: Any) -> str:
-    """Return the page's text, several megabytes.
-
-    Args:
-        template: name of the template, which extends ``viewer.html.j2``.
-        commands: meshcat's drawing commands.
-        data: numbers for the page's script.
-        top_um: end of the colour scale.
-        words: further variables of the template.
-    """
+    """Return the page from a template that extends ``viewer.html.j2``, with meshcat's commands and ``data`` for its script."""
     colours = viridis(np.linspace(0.0, 1.0, 17))
     main = importlib.resources.files("meshcat") / "viewer" / "dist" / "main.min.js"
     return render(
@@ -145,8 +133,6 @@ def _plain(data: Any) -> Any:
     return data.item() if isinstance(data, np.generic) else data
 
 
-# --- Draw the animation of a program on its machine as one HTML page ------------------------------
-
 SECONDS: Final = 20.0
 """Duration of the animation."""
 VECTORS: Final = 24
@@ -158,6 +144,9 @@ _INK: Final = (0.13, 0.14, 0.17)
 _RED: Final = (0.84, 0.10, 0.12)
 _TOOL: Final = 0xC9A227
 _CORNERS: Final = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=float)
+_BOX_EDGES: Final = np.concatenate(
+    [_CORNERS[[a, b]] for a in range(8) for b in range(a + 1, 8) if np.sum(_CORNERS[a] != _CORNERS[b]) == 1]
+)
 _LIGHTS: Final = (
     ("AmbientLight", "intensity", 0.6),
     ("FillLight", "intensity", 0.38),
@@ -179,21 +168,10 @@ def scene_html(
     warnings: Sequence[SourceWarning] = (),
     omitted: str = "",
 ) -> str:
-    """Return the page with the moving machine and the tool path, whose deviation is exaggerated and coloured.
+    """Return the page with the moving machine and the tool path, whose deviation is exaggerated and coloured; several megabytes.
 
-    Args:
-        kinematics: the machine with its errors and the tool length.
-        path: the motion; positions in mm and degrees, points in mm in the work frame.
-        title: headline, plain text.
-        exaggeration: factor of the drawn deviation; None chooses a round number.
-        warnings: warnings about the source of the calibration, shown on the page.
-        omitted: parts of the program that are not in the path, shown on the page; empty if there are none.
-
-    Returns:
-        The page's text, several megabytes.
-
-    Raises:
-        InputError: the path does not fit the machine, the factor is not positive, or the URDF has shapes that cannot be drawn.
+    ``exaggeration`` None chooses a round number; ``omitted``: parts of the program that are not in the path, as shown on the page.
+    Raises `InputError` if the path does not fit the machine, the factor is not positive, or the URDF has shapes that cannot be drawn.
     """
     machine = kinematics.machine
     path.check(len(machine.axes))
@@ -235,7 +213,6 @@ def scene_html(
 
 
 def _path_data(path: ScenePath, frames: Keyframes, factor: float) -> dict[str, Any]:
-    """Return the data of the path for the page's script."""
     worst = path.shown_mm(factor)[path.worst] * MM
     shown = np.concatenate([path.nominal_mm[path.counted], path.shown_mm(factor)[path.counted]]) * MM
     return {
@@ -251,13 +228,7 @@ def _path_data(path: ScenePath, frames: Keyframes, factor: float) -> dict[str, A
 
 
 def link_poses(kinematics: Kinematics, positions: np.ndarray, links: tuple[str, ...]) -> np.ndarray:
-    """Return (n, links, 4, 4) poses of links in the base frame of the machine with its errors, metres.
-
-    Args:
-        kinematics: the machine with its errors.
-        positions: (n, axes) commands in mm and degrees.
-        links: names of the links in the URDF.
-    """
+    """Return (n, links, 4, 4) poses of links of the URDF in the base frame of the machine with its errors, m, at (n, axes) commands."""
     machine = kinematics.machine
     model = machine.model
     data = model.createData()
@@ -304,7 +275,7 @@ def _visuals(kinematics: Kinematics) -> list[_Visual]:
         frame, shape, turn = model.frames[entry.parentFrame], entry.geometry, np.eye(4)
         if isinstance(shape, coal.Box):
             half = np.array(shape.halfSide)
-            geometry, edges = shapes.Box((2 * half).tolist()), _box_edges(half)
+            geometry, edges = shapes.Box((2 * half).tolist()), half * _BOX_EDGES
         elif isinstance(shape, coal.Cylinder):
             half = np.array([shape.radius, shape.radius, shape.halfLength])
             geometry = shapes.Cylinder(2 * shape.halfLength, shape.radius)
@@ -324,19 +295,10 @@ def _visuals(kinematics: Kinematics) -> list[_Visual]:
 
 
 def machine_edges(kinematics: Kinematics) -> dict[str, np.ndarray]:
-    """Return the edges of the machine's solids by link: (2k, 3) end points in the link's frame, metres.
-
-    Raises:
-        InputError: the URDF has shapes that cannot be drawn.
-    """
+    """Return the edges of the machine's solids by link: (2k, 3) end points in the link's frame, m; `InputError` for other shapes."""
     visuals = _visuals(kinematics)
     links = dict.fromkeys(visual.link for visual in visuals)
     return {link: np.concatenate([visual.edges for visual in visuals if visual.link == link]) for link in links}
-
-
-def _box_edges(half: np.ndarray) -> np.ndarray:
-    pairs = [(a, b) for a in range(8) for b in range(a + 1, 8) if np.sum(_CORNERS[a] != _CORNERS[b]) == 1]
-    return half * _CORNERS[np.array(pairs).ravel()]
 
 
 def _rims(radius: float, half_length: float, count: int = 40) -> np.ndarray:
@@ -461,7 +423,6 @@ def _stage_commands(box: np.ndarray) -> list[Any]:
 
 
 def _pairs(points: np.ndarray, colours: np.ndarray, pieces: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """Return the end points of all segments of all runs, and their colours."""
     ends = np.concatenate([np.repeat(piece, 2)[1:-1] for piece in pieces])
     return points[ends], colours[ends]
 
@@ -488,12 +449,7 @@ SMALLEST: Final = 0.3
 
 
 def chosen_factor(points_mm: np.ndarray, errors_um: np.ndarray) -> float:
-    """Return the exaggeration factor that draws the largest error at about `LONGEST` of the field's extent: 1, 2 or 5 · 10ⁿ, n ≥ 0.
-
-    Args:
-        points_mm: (n, 3) tool points.
-        errors_um: (n, 3) errors.
-    """
+    """Return the factor that draws the largest (n, 3) error at about `LONGEST` of the field's extent: 1, 2 or 5 · 10ⁿ, n ≥ 0."""
     extent = float(np.linalg.norm(np.ptp(points_mm, axis=0)))
     largest = float(np.linalg.norm(errors_um, axis=1).max())
     if extent <= 0.0 or largest <= 0.0:
@@ -509,17 +465,10 @@ def field_html(
     edges: tuple[tuple[str, np.ndarray, np.ndarray], ...] = (),
     illustrative: bool = False,
 ) -> str:
-    """Return the page with arrows, a labelled box and a colour bar; drag rotates it, wheel or two fingers zoom.
+    """Return the page with arrows at (n, 3) points, a labelled box and a colour bar; drag rotates it, wheel or two fingers zoom.
 
-    Args:
-        points_mm: (n, 3) nominal tool points.
-        errors_um: (n, 3) errors of the tool point.
-        title: title of the page, plain text.
-        edges: edges of the box, each with its label (or empty) and its (3,) end points, mm.
-        illustrative: state on the page that the errors are assumed, not measured.
-
-    Raises:
-        InputError: no points, too many, or arrays of different length.
+    ``edges`` of the box: label (or empty) and (3,) end points, mm. Raises `InputError`: no points, too many, or arrays of different
+    length.
     """
     count = len(points_mm)
     if points_mm.shape != (count, 3) or errors_um.shape != (count, 3) or not 1 <= count <= MOST_ARROWS:
@@ -566,15 +515,10 @@ HEIGHT_PX: Final = 600
 @final
 @dataclass(frozen=True, repr=False)
 class Scene(DisplayedResult):
-    """Animation of a machine running a program; displayed by a notebook.
+    """Animation of a machine running a program; displayed by a notebook."""
 
-    Attributes:
-        html: the self-contained page.
-        execution: the simulated execution that it shows.
-    """
-
-    html: str
-    execution: Execution
+    html: str  # the self-contained page
+    execution: Execution  # the simulated execution that it shows
 
     def save(self, path: str | Path) -> None:
         """Write the page atomically."""

@@ -33,30 +33,17 @@ _VIRIDIS = "440154 472d7b 3b528b 2c728e 21918c 28ae80 5ec962 addc30 fde725"
 @final
 @dataclass(frozen=True)
 class ScenePath:
-    """Tool path to show, point by point.
+    """Tool path to show, point by point."""
 
-    Attributes:
-        positions: (n, axes) commands, mm and degrees, command order.
-        nominal_mm: (n, 3) intended tool points in the work frame.
-        actual_mm: (n, 3) tool points reached, in the work frame.
-        cutting: (n,) whether the move that ends at a point cuts; False for rapids.
-        lines: (n,) program line numbers.
-        gaps: (n,) whether the way to a point from the one before is unknown; it is neither drawn nor animated.
-    """
-
-    positions: np.ndarray
-    nominal_mm: np.ndarray
-    actual_mm: np.ndarray
-    cutting: np.ndarray
-    lines: np.ndarray
-    gaps: np.ndarray
+    positions: np.ndarray  # (n, axes) commands, mm and degrees, command order
+    nominal_mm: np.ndarray  # (n, 3) intended tool points in the work frame
+    actual_mm: np.ndarray  # (n, 3) tool points reached, in the work frame
+    cutting: np.ndarray  # (n,) whether the move that ends at a point cuts; False for rapids
+    lines: np.ndarray  # (n,) program line numbers
+    gaps: np.ndarray  # (n,) whether the way to a point from the one before is unknown; it is neither drawn nor animated
 
     def check(self, axes: int) -> None:
-        """Raise `InputError` unless the arrays are consistent with each other and with the number of axes.
-
-        Raises:
-            InputError: no points, an array of the wrong shape, or a value that is not finite.
-        """
+        """Raise `InputError` unless there are points, all finite, and the arrays fit each other and the number of axes."""
         count = len(self.positions)
         if count == 0:
             raise InputError("nothing to show", expected="a program with at least one motion")
@@ -128,19 +115,12 @@ class ScenePath:
 @final
 @dataclass(frozen=True)
 class Keyframes:
-    """Keyframes of the animation.
+    """Keyframes of the animation."""
 
-    Attributes:
-        share: (m,) time as a share of the duration, 0 … 1, strictly increasing.
-        positions: (m, axes) commands, mm and degrees.
-        deviation_um: (m,) deviation at the tool.
-        block: (m,) index of the next point of the path.
-    """
-
-    share: np.ndarray
-    positions: np.ndarray
-    deviation_um: np.ndarray
-    block: np.ndarray
+    share: np.ndarray  # (m,) time as a share of the duration, 0 … 1, strictly increasing
+    positions: np.ndarray  # (m, axes) commands, mm and degrees
+    deviation_um: np.ndarray  # (m,) deviation at the tool
+    block: np.ndarray  # (m,) index of the next point of the path
 
 
 def keyframes(path: ScenePath, linear: tuple[int, ...], rotary: tuple[int, ...]) -> Keyframes:
@@ -172,10 +152,7 @@ def keyframes(path: ScenePath, linear: tuple[int, ...], rotary: tuple[int, ...])
 
 
 def chosen_exaggeration(path: ScenePath) -> float:
-    """Return the factor that draws the largest deviation at about `SHOWN_SHARE` of the path's extent: 1, 2 or 5 · 10ⁿ.
-
-    It is never below 1, so that no deviation looks smaller than it is.
-    """
+    """Return the factor, 1, 2 or 5 · 10ⁿ ≥ 1, that draws the largest deviation at about `SHOWN_SHARE` of the path's extent."""
     if path.max_um <= 0.0 or path.extent_mm <= 0.0:
         return 1.0
     return max(1.0, rounded_125(SHOWN_SHARE * path.extent_mm / (path.max_um * 1e-3)))
@@ -205,11 +182,7 @@ def viridis(share: np.ndarray) -> np.ndarray:
 
 
 def runs(wanted: np.ndarray) -> list[np.ndarray]:
-    """Return the point indices of every run of consecutive wanted moves, start point of the first included.
-
-    Args:
-        wanted: (n,) whether the move that ends at a point is one of them.
-    """
+    """Return the point indices of every run of moves that are (n,) wanted, the point before the first included."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], wanted[1:], [False]]).astype(int)))
     return [np.arange(start, stop + 1) for start, stop in edges.reshape(-1, 2)]
 
@@ -242,17 +215,11 @@ def arrow_blocks(path: ScenePath, count: int) -> np.ndarray:
 @final
 @dataclass(frozen=True)
 class Mesh:
-    """Triangle mesh with a colour at each vertex.
+    """Triangle mesh with a colour at each vertex."""
 
-    Attributes:
-        vertices: (v, 3) in the unit of the source points.
-        faces: (f, 3) vertex indices.
-        colours: (v, 3), 0 … 1.
-    """
-
-    vertices: np.ndarray
-    faces: np.ndarray
-    colours: np.ndarray
+    vertices: np.ndarray  # (v, 3) in the unit of the source points
+    faces: np.ndarray  # (f, 3) vertex indices
+    colours: np.ndarray  # (v, 3), 0 … 1
 
 
 def joined(meshes: list[Mesh]) -> Mesh:

@@ -1,9 +1,7 @@
-"""Command ``twin watch``."""
+"""Commands ``twin compare`` and ``twin watch``: what changed on a machine."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from datetime import datetime
 from pathlib import Path
 from typing import Annotated
 
@@ -11,9 +9,64 @@ import typer
 
 from twin._common.bundled import DEFAULT
 from twin._common.files import folder_entries, write_atomic
-from twin.cli.shared import options
-from twin.cli.shared.command import HTML, POSITIVE, CommandResult, JsonOption, command, progress_bar
+from twin.cli.shared import complete, options
+from twin.cli.shared.command import EXISTING, HTML, POSITIVE, CommandResult, JsonOption, command, progress_bar
 from twin.cli.shared.terminal import pairs
+
+
+@command(
+    "twin compare last_year.yaml this_year.yaml --tool-length 120",
+    "twin compare before.yaml after.yaml --tolerance 0.01 --json changes.json",
+)
+def compare(
+    first: Annotated[
+        Path, typer.Argument(metavar="OLDER", help="Older calibration.", autocompletion=complete.calibrations), EXISTING
+    ],
+    second: Annotated[
+        Path,
+        typer.Argument(
+            metavar="NEWER", help="Newer calibration of the same machine.", autocompletion=complete.calibrations
+        ),
+        EXISTING,
+    ],
+    machine: options.MachineOption = DEFAULT,
+    tool_length: options.ToolOption = None,
+    tolerance: Annotated[
+        float | None,
+        typer.Option(
+            "--tolerance",
+            help="Largest permitted error at the tool, mm, if programs are still compensated with the older calibration.",
+        ),
+        POSITIVE,
+    ] = None,
+    temperature: options.TemperatureOption = None,
+    time: options.TimeOption = None,
+    rpm: options.RpmOption = None,
+    load: options.LoadOption = None,
+    json_file: JsonOption = None,
+) -> CommandResult:
+    """Compare two calibrations of a machine: changes, their significance, and their effect at the tool.
+
+    The exit status is 0 whether or not anything changed, and 3 if an error could not be compared (only one calibration gives it, or one
+    gives no uncertainty), or if the older calibration is proven not to meet the tolerance.
+    """
+    from twin.model.calibration import Calibration
+    from twin.monitoring import compare as compared
+
+    loaded = options.machine(machine)
+    older, newer = (Calibration.load(path, loaded) for path in (first, second))
+    with progress_bar() as bar:
+        comparison = compared(
+            older,
+            newer,
+            tool_length_mm=tool_length,
+            conditions=options.conditions(temperature, time, rpm, load),
+            tolerance_mm=tolerance,
+            progress=bar,
+        )
+    return CommandResult(
+        comparison.to_text(), comparison.to_dict, met=not comparison.unjudged and comparison.good_enough is not False
+    )
 
 
 @command(
@@ -43,10 +96,7 @@ def watch(
     ] = None,
     date: Annotated[
         list[str] | None,
-        typer.Option(
-            "--date",
-            help="FILE=DATE of a check whose table and name give no date, ISO 8601; repeatable.",
-        ),
+        typer.Option("--date", help="FILE=DATE of a check whose table and name give no date, ISO 8601; repeatable."),
     ] = None,
     json_file: JsonOption = None,
     html_file: Annotated[Path | None, typer.Option("--html", help="Write the history to this HTML file."), HTML] = None,
@@ -65,11 +115,12 @@ def watch(
 
     if html_file is not None:
         options.need_pictures("the HTML page")
+    words = pairs("--date", date or [], "FILE=DATE: first.csv=2026-03-02", last=True)
     settings = WatchSettings(
         alarm_rate=alarm_rate,
         tolerance_mm=tolerance,
         tool_length_mm=tool_length,
-        dates=dates(date or []),
+        dates={name: parsed_date(text) for name, text, _ in words},
         since=None if since is None else parsed_date(since),
     )
     loaded = options.machine(machine)
@@ -81,15 +132,3 @@ def watch(
 
         write_atomic(html_file, watch_html(watched))
     return CommandResult(watched.to_text() + news_text(watched), watched.to_dict, met=watched.met)
-
-
-def dates(entries: Sequence[str]) -> dict[str, datetime]:
-    """Return the dates of files, each given as ``FILE=DATE``.
-
-    Raises:
-        InputError: text that is not FILE=DATE, no date, or a file given twice.
-    """
-    from twin.monitoring.check import parsed_date
-
-    words = pairs("--date", entries, "FILE=DATE: first.csv=2026-03-02", last=True)
-    return {name: parsed_date(text) for name, text, _ in words}
