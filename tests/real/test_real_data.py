@@ -20,6 +20,7 @@ from twin.identification.solve import FitSolution, Spread, solve
 from twin.identification.unknowns import Unknowns
 from twin.machine.machine import Machine
 from twin.measurement.instruments import LaserTracker, StationInstruments, default_instrument
+from twin.measurement.observation import nominal_carriers
 from twin.measurement.set_up import initial_setup
 from twin.measurement.table import Measurements
 from twin.model.calibration import Calibration
@@ -84,7 +85,9 @@ def found(robot: Robot) -> Identification:
 def fitted(machine: Machine, data: Measurements, unknowns: Unknowns) -> tuple[Network, FitSolution]:
     """Return stations, targets and some of the machine's unknowns, by least squares."""
     network = Network(machine, data, StationInstruments.same(LaserTracker(), data.station), unknowns)
-    setup, _ = initial_setup(machine, data, StationInstruments.same(default_instrument("point"), data.station))
+    setup, _ = initial_setup(
+        data, StationInstruments.same(default_instrument("point"), data.station), nominal_carriers(machine, data)
+    )
     return network, solve(network, np.zeros(len(unknowns)), setup, np.ones(len(data)))
 
 

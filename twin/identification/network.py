@@ -194,11 +194,7 @@ class Network:
         """Return (n,) station and (n,) target of each row as indices of a set-up, which may come from other rows."""
         names = setup.stations, setup.targets
         if names not in self._orders:
-            stations, targets = ({name: i for i, name in enumerate(own)} for own in names)
-            self._orders[names] = (
-                np.array([stations[name] for name in self.data.station], dtype=int),
-                np.array([targets[name] for name in self.data.target], dtype=int),
-            )
+            self._orders[names] = setup.indices(self.data)
         return self._orders[names]
 
     def errors(self, theta: np.ndarray, rows: np.ndarray) -> np.ndarray:

@@ -30,8 +30,8 @@ from twin.identification.network import Network
 from twin.identification.unknowns import UnknownNumber, Unknowns
 from twin.machine.machine import Machine
 from twin.measurement.instruments import Instrument, StationInstruments
-from twin.measurement.observation import FEWEST_REPEATS, at_origin, repeat_groups
-from twin.measurement.set_up import StationsAndTargets, nominal_carriers
+from twin.measurement.observation import FEWEST_REPEATS, at_origin, nominal_carriers, repeat_groups
+from twin.measurement.set_up import StationsAndTargets
 from twin.measurement.table import Measurements
 from twin.model.effects import unit_of
 from twin.numerics.observability import SINGULAR_VALUE_TOLERANCE, Determinability, Spectrum, Unknown, decompose

@@ -23,7 +23,8 @@ from twin.machine.machine import Axis, Machine
 from twin.measurement.checks import SYSTEMATIC_ROWS, RowNote, outside_axis_range
 from twin.measurement.columns import CARRIERS, POINT_COLUMNS
 from twin.measurement.instruments import SIDES, StationInstruments, default_instrument
-from twin.measurement.set_up import LARGEST_MISFIT_M, StationsAndTargets, initial_setup, nominal_carriers
+from twin.measurement.observation import CarriedTargets, nominal_carriers
+from twin.measurement.set_up import LARGEST_MISFIT_M, StationsAndTargets, initial_setup
 from twin.measurement.table import Measurements
 
 WRONG_COLUMN_SHARE: Final = 0.2
@@ -128,20 +129,26 @@ class Agreement(NamedTuple):
 
 
 def fit_of(
-    machine: Machine, data: Measurements, instruments: StationInstruments, *, mirrored: bool = False
+    machine: Machine,
+    data: Measurements,
+    instruments: StationInstruments,
+    carried: CarriedTargets | None = None,
+    *,
+    mirrored: bool = False,
 ) -> Agreement:
     """Return the agreement of some data; arguments and errors as `initial_setup`."""
-    setup, miss = initial_setup(machine, data, instruments, mirrored=mirrored)
-    return Agreement(setup, miss, miss_limit(data, miss), *misfit_ratio(machine, data, setup, miss))
+    carried = nominal_carriers(machine, data) if carried is None else carried
+    setup, miss = initial_setup(data, instruments, carried, mirrored=mirrored)
+    return Agreement(setup, miss, miss_limit(data, miss), *misfit_ratio(machine, data, carried, setup, miss))
 
 
 def agreeing_rows(
-    machine: Machine, data: Measurements, instruments: StationInstruments
+    machine: Machine, data: Measurements, instruments: StationInstruments, carried: CarriedTargets | None = None
 ) -> tuple[Measurements, StationsAndTargets]:
     """Return the rows whose command agrees with the measured motion, and the set-up estimated with the nominal machine.
 
     Args:
-        instruments: those of its stations.
+        carried: carriers of the rows on the nominal machine; computed if None.
 
     Raises:
         InputError: more than a fifth of the rows do not agree, or fewer that agree after one change of the columns, or readings that
@@ -149,7 +156,7 @@ def agreeing_rows(
     """
     follows = f"readings that follow the commands of {machine.name}"
     try:
-        fit = fit_of(machine, data, instruments)
+        fit = fit_of(machine, data, instruments, carried)
     except InputError:
         # Readings in a left-handed frame may be due to one wrong command column; if several would explain them, the frame is wrong.
         texts = [change.text for change in _one_change(machine, data, 1.0, np.inf, instruments)]
@@ -169,8 +176,8 @@ def agreeing_rows(
         )
     if not np.any(bad):
         return data, fit.setup
-    notes = _notes_of_disagreement(data, bad, fit.miss)
-    agreeing = replace(data.select(~bad), set_aside=(*data.set_aside, *notes))
+    set_aside = (*data.set_aside, *_notes_of_disagreement(data, bad, fit.miss))
+    agreeing = replace(data.select(~bad), set_aside=set_aside)
     if set(agreeing.target) != set(data.target) or set(agreeing.station) != set(data.station):
         without_rows = sorted({*data.target, *data.station} - {*agreeing.target, *agreeing.station})
         raise data.error(
@@ -178,7 +185,7 @@ def agreeing_rows(
             expected="readings that follow the commands",
             row=np.flatnonzero(bad)[0],
         )
-    return agreeing, initial_setup(machine, agreeing, instruments)[0]
+    return agreeing, initial_setup(agreeing, instruments, nominal_carriers(machine, agreeing))[0]
 
 
 def _notes_of_disagreement(data: Measurements, bad: np.ndarray, miss: np.ndarray) -> tuple[RowNote, ...]:
@@ -209,17 +216,15 @@ def miss_limit(data: Measurements, miss: np.ndarray) -> float:
 
 
 def misfit_ratio(
-    machine: Machine, data: Measurements, setup: StationsAndTargets, miss: np.ndarray
+    machine: Machine, data: Measurements, carried: CarriedTargets, setup: StationsAndTargets, miss: np.ndarray
 ) -> tuple[float, float]:
     """Return mean misfit over mean commanded motion of the targets (for lengths, over their change), and the largest motion.
 
     A row's misfit is limited to the largest motion, so that a lost beam does not dominate. Zero if hardly anything moves. Metres.
     """
-    carried = nominal_carriers(machine, data)
-    index = {name: i for i, name in enumerate(setup.targets)}
-    place = setup.place[[index[name] for name in data.target]]
-    points = carried.points + np.einsum("nij,nj->ni", carried.rotation, place)
-    kind = np.array([setup.reads[setup.stations.index(name)].reads for name in data.station])
+    station, target = setup.indices(data)
+    points = carried.at(setup.place[target])
+    kind = np.array([read.reads for read in setup.reads])[station]
     lengths = np.zeros_like(points)
     lengths[:, 0] = np.nan_to_num(data.point_mm[:, 0]) * MM
     points = np.where((kind == "length")[:, None], lengths, points)
@@ -290,26 +295,21 @@ def sides_of_targets(machine: Machine, data: Measurements) -> dict[str, TargetSi
         data: a table before it is checked: NaN and unknown sides are allowed. Stations ride on the base.
     """
     data = data.select(np.isfinite(data.positions).all(axis=1) & np.isfinite(data.point_mm).all(axis=1))
-    rows = {name: np.flatnonzero(data.target == name) for name in dict.fromkeys(data.target)}
-    alone = {
-        name: _side(machine, data.select(_spread(own)), np.ones(min(len(own), TRIAL_ROWS), dtype=bool))
-        for name, own in rows.items()
-    }
-    clear = {name: one for name, one in alone.items() if one.carrier}
-    found = dict(alone)
-    for name in (name for name in rows if name not in clear and clear):
-        stations = {*data.station[rows[name]]}
+    rows = {target: _spread(np.flatnonzero(data.target == target)) for target in dict.fromkeys(data.target)}
+    sides = {target: _side(machine, data.select(some), np.ones(len(some), dtype=bool)) for target, some in rows.items()}
+    clear = {target: side.carrier for target, side in sides.items() if side.carrier}
+    for target in (target for target in rows if target not in clear and clear):
+        stations = {*data.station[data.target == target]}
         others = [
-            _spread(rows[other])[:: max(1, len(clear) // 3)]
+            rows[other][:: max(1, len(clear) // 3)]
             for other in clear
-            if {*data.station[rows[other]]} & stations
+            if {*data.station[data.target == other]} & stations
         ]
-        own = _spread(rows[name])
         if others:
-            some = np.concatenate([own, *others])
-            carrier = np.array([clear[one].carrier if one in clear else "" for one in data.target[some]], dtype=object)
-            found[name] = _side(machine, replace(data.select(some), carrier=carrier), np.arange(len(some)) < len(own))
-    return found
+            tried = data.select(np.concatenate([rows[target], *others]))
+            carrier = np.array([clear.get(name, "") for name in tried.target], dtype=object)
+            sides[target] = _side(machine, replace(tried, carrier=carrier), tried.target == target)
+    return sides
 
 
 def _spread(rows: np.ndarray) -> np.ndarray:
@@ -321,8 +321,7 @@ def _side(machine: Machine, data: Measurements, own: np.ndarray) -> TargetSide:
     instruments = StationInstruments.same(default_instrument("point"), data.station)
     misfits, follows = {}, {}
     for side in CARRIERS:
-        carrier = np.array(data.carrier)
-        carrier[own] = side
+        carrier = np.where(own, side, data.carrier)
         try:
             fit = fit_of(machine, replace(data, carrier=read_only(carrier)), instruments, mirrored=True)
         except InputError:
@@ -341,21 +340,20 @@ def _other_sides(machine: Machine, data: Measurements) -> Iterator[ColumnChange]
         return
     given = dict(zip(data.target, data.carrier, strict=True))
     sides = {
-        name: one.carrier
-        for name, one in sides_of_targets(machine, data).items()
-        if one.carrier and one.carrier != given[name]
+        target: side.carrier
+        for target, side in sides_of_targets(machine, data).items()
+        if side.carrier and side.carrier != given[target]
     }
     texts = []
     for side, other in (CARRIERS, CARRIERS[::-1]):
-        names = [str(name) for name, own in sides.items() if own == side]
+        names = [str(target) for target, own in sides.items() if own == side]
         if names:
             texts.append(
                 f"{', '.join(names)} {'sit' if len(names) > 1 else 'sits'} on the {side} side, not on the {other} side"
             )
     if texts:
-        width = data.positions.shape[1]
-        order, factor = list(range(width)), [1.0] * width
-        yield ColumnChange("positions", order, factor, ("carrier",), "; ".join(texts), "which side?", sides)
+        unchanged = _scaled(data, "positions", [], 1.0, ("carrier",), "; ".join(texts), "which side?")
+        yield unchanged._replace(sides=sides)
 
 
 def _mirrored_by_range(axis: Axis, q: np.ndarray) -> str:

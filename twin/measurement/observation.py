@@ -7,7 +7,7 @@ frame of the spindle nose or the work frame. Simulating, identifying and diagnos
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import lru_cache
 from itertools import product
 from typing import Final, final
@@ -107,6 +107,24 @@ class CarriedTargets:
     rotation: np.ndarray
     ride: np.ndarray
     ride_origin: np.ndarray
+
+    def select(self, rows: np.ndarray) -> CarriedTargets:
+        """Return some rows (indices or a mask)."""
+        return CarriedTargets(*(getattr(self, part.name)[rows] for part in fields(self)))
+
+    def at(self, place: np.ndarray) -> np.ndarray:
+        """Return (n, 3) the targets, at (n, 3) places on the carriers from the points in `points`, metres."""
+        return np.asarray(self.points + np.einsum("nij,nj->ni", self.rotation, place))
+
+    def least_motion(self, place_mm: np.ndarray) -> np.ndarray:
+        """Return (n, 3) the deviation of one target from its mean, m; if its place is NaN, at the place that moves least."""
+        if np.isfinite(place_mm).all():
+            points = self.points + self.rotation @ (place_mm * MM)
+            return np.asarray(points - points.mean(axis=0))
+        turn = (self.rotation - self.rotation.mean(axis=0)).reshape(-1, 3)
+        deviation = (self.points - self.points.mean(axis=0)).reshape(-1)
+        place = np.linalg.lstsq(turn, -deviation, rcond=1e-9)[0]
+        return np.asarray((deviation + turn @ place).reshape(-1, 3))
 
 
 @final
@@ -241,3 +259,16 @@ class Observation:
 def observation_of(machine: Machine) -> Observation:
     """Return the forward model of a machine, cached: building its graph takes longer than evaluating some hundred rows."""
     return Observation(machine)
+
+
+VERTICAL_M: Final = (0.0, 0.0, 1.0)
+"""The line that turns with a level, metres."""
+
+
+def nominal_carriers(machine: Machine, data: Measurements) -> CarriedTargets:
+    """Return origin and rotation of each row's carrier on the nominal machine, in the frame on which its station rides; metres."""
+    q = np.asarray(data.positions) * machine.scale
+    errors, places = np.zeros((len(q), 6 * len(machine.frames))), np.zeros((len(q), 3))
+    angles = of_angles(data)
+    places[angles] = VERTICAL_M
+    return observation_of(machine).carried(q, errors, data.carrier, places, data.station_carrier, angles)

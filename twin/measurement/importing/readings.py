@@ -15,7 +15,7 @@ from pydantic import BaseModel, ConfigDict
 from twin._common.units import MM
 from twin.machine.machine import Machine
 from twin.measurement.columns import PLACE_COLUMNS, POINT_COLUMNS
-from twin.measurement.set_up import nominal_carriers
+from twin.measurement.observation import nominal_carriers
 from twin.measurement.table import Measurements
 
 DECIMALS: Final = 7
@@ -107,7 +107,7 @@ class DeviationEntry(BaseModel):
         nominal = np.full((len(data), 3), np.nan)
         carried = nominal_carriers(machine, data.select(usable))
         place = _floats(cells, PLACE_COLUMNS)[usable] * MM
-        nominal[usable] = (carried.points + np.einsum("nij,nj->ni", carried.rotation, place)) / MM
+        nominal[usable] = carried.at(place) / MM
         return nominal
 
 
