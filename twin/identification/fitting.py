@@ -79,10 +79,7 @@ def robust_start(network: Network, setup: StationsAndTargets, triangle: np.ndarr
     A misfit may be the effect of the outliers on the estimate. If the model fits without any row beyond the limit, these are the
     outliers; if it does not, only those that a gap separates from the other rows.
 
-    Args:
-        network: data and model.
-        setup: initial set-up with the nominal machine.
-        triangle: factor of [J | r] there.
+    ``triangle``: factor of [J | r] there.
     """
     start = _robust(network, setup, triangle, separated=False)
     if start.noise > 1.0 and start.gaps:
@@ -149,10 +146,7 @@ def without_outliers(network: Network, start: RobustStart, shrunk: ShrunkStart) 
 
     The discrepancy in the weights is estimated by restricted maximum likelihood from the residuals of these points.
 
-    Args:
-        network: data and model.
-        start: a robust estimate.
-        shrunk: priors of the machine's unknowns, and the estimate with them at which it starts.
+    ``shrunk``: priors of the machine's unknowns, and the estimate with them at which it starts.
     """
     priors, theta, setup = shrunk
     bad, discrepancy = start.weight == 0.0, start.discrepancy
@@ -205,12 +199,7 @@ class ShrunkStart(NamedTuple):
 
 
 def shrunk_start(network: Network, start: RobustStart) -> ShrunkStart:
-    """Return the prior of each unknown of the machine, and the estimate with these near a robust one.
-
-    Args:
-        network: data and the largest model.
-        start: a robust estimate of it.
-    """
+    """Return the prior of each unknown of the machine, and the estimate with these near a robust one."""
     unknowns, solution = network.unknowns, start.solution
     readings = int(np.count_nonzero(network.read[start.weight > 0.0]))
     machine = len(unknowns)
@@ -314,12 +303,9 @@ def mixed_prior(
     With the precision of the readings L, a member's estimate is C L y, so that of the mixture has the mean covariance, and its prior
     has the precision mean(C)⁻¹ − L, of which the diagonal is taken.
 
-    Args:
-        mean: (k,) their estimate under a prior.
-        covariance: (k, k) its covariance.
-        precision: (k,) precision of that prior.
-        share_of_size: (sizes,) share of the machine's curves that have each size.
-        curves: the orders of the coefficients and the conditions on them.
+    ``mean``: (k,) their estimate under a prior; ``covariance``: (k, k) its covariance; ``precision``: (k,) precision of that prior;
+    ``share_of_size``: (sizes,) share of the machine's curves that have each size; ``curves``: the orders of the coefficients and the
+    conditions on them.
     """
     inside = curves.inside
     values, vectors = np.linalg.eigh(inside.T @ covariance @ inside)

@@ -59,9 +59,8 @@ class PreparedData(NamedTuple):
 def prepare(machine: Machine, data: Measurements, instrument: Instrument | None) -> PreparedData:
     """Return the instruments, the rows whose command agrees with the readings, and the initial set-up.
 
-    Args:
-        instrument: the instrument of the stations whose instrument the table does not name; if None, the one that their readings
-            indicate (`_instruments`).
+    ``instrument``: the instrument of the stations whose instrument the table does not name; if None, the one that their readings
+    indicate (`_instruments`).
 
     Raises:
         InputError: a sensor that does not follow its target; a single column that is no coordinate and no length; readings that do
@@ -118,9 +117,7 @@ def _check_sensors(data: Measurements, carried: CarriedTargets) -> list[str]:
 def _check_signal(data: Measurements, rows: np.ndarray, motion: np.ndarray) -> list[str]:
     """Return a notice, or raise `InputError`, if nothing that a station reads of a target changes, although its carrier moves it.
 
-    Args:
-        rows: (k,) those of the station and target.
-        motion: (k, 3) least motion of the target, m.
+    ``rows``: (k,) those of the station and target; ``motion``: (k, 3) least motion of the target, m.
     """
     constant, read = _constant(data.point_mm[rows])
     if not np.any(read) or not np.array_equal(constant, read):
@@ -359,10 +356,8 @@ def reading_noise(machine: Machine, placed: PreparedData, spread: Spread, *, nam
     If the repeats of an instrument vary more than its stated noise allows, their standard deviation is taken. If it has too few repeats
     to test its noise, and nothing names it, the assumption is stated.
 
-    Args:
-        placed: rows and instruments.
-        spread: source that was asked for; with ``repeats`` they are taken in any case.
-        named: whether the user named the instrument of the stations for which the table does not.
+    ``spread``: source that was asked for; with ``repeats`` they are taken in any case; ``named``: whether the user named the instrument
+    of the stations for which the table does not.
 
     Raises:
         InputError: too few repeats for ``repeats``.

@@ -180,8 +180,7 @@ class Network:
     def with_discrepancy(self, root: np.ndarray) -> Network:
         """Return the same problem weighted by noise and discrepancy.
 
-        Args:
-            root: (n, 3, 3) symmetric square root of the covariance by the discrepancy, metres; zero where nothing was read.
+        ``root``: (n, 3, 3) symmetric square root of the covariance by the discrepancy, metres; zero where nothing was read.
         """
         if not np.any(root):
             return self

@@ -117,10 +117,7 @@ class Choice:
 def choose(network: Network, start: RobustStart, whole: Sequence[str] = ()) -> Choice:
     """Return the model that predicts held-out readings best.
 
-    Args:
-        network: data and the largest model, with the weights of the comparison.
-        start: a robust estimate of it.
-        whole: curves that keep all their functions.
+    ``network``: data and the largest model, with the weights of the comparison.
     """
     folds = Folds.of(network.data)
     triangles, count = _cells(network, start.solution, start.weight, folds)
@@ -252,9 +249,7 @@ class _Fold:
     def truncated(self, columns: list[int], widths: Sequence[int]) -> list[np.ndarray]:
         """Return the estimates (m,) with only the first few of some columns, all other unknowns being zero.
 
-        Args:
-            columns: columns, in the order in which they are added.
-            widths: number of columns of each estimate.
+        ``columns``: columns, in the order in which they are added.
         """
         lower = scipy.linalg.cholesky(self.normal[np.ix_(columns, columns)], lower=True, check_finite=False)
         right = np.concatenate([self.slope[columns, None], self.datum[:, columns].T], axis=1)
@@ -386,10 +381,7 @@ class HeldOutResiduals:
 def held_out_residuals(network: Network, solution: FitSolution, used: np.ndarray) -> HeldOutResiduals | None:
     """Return the residuals at held-out poses; None with fewer than two poses, or if the rest determines no station and target.
 
-    Args:
-        network: data and model, with the weights of the estimate.
-        solution: the estimate.
-        used: (n,) the points that were used.
+    ``network``: data and model, with the weights of the estimate; ``used``: (n,) the points that were used.
     """
     data = network.data
     poses, pose = np.unique(np.round(data.positions, 3), axis=0, return_inverse=True)

@@ -497,10 +497,7 @@ def residuals_of(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Evaluate a calibration on the rows of an estimate.
 
-    Args:
-        calibration: the calibration; it need not consist of the estimate's own unknowns.
-        network: the estimate's data, instrument and covariance.
-        setup: its stations and targets.
+    ``calibration``: the calibration; it need not consist of the estimate's own unknowns.
 
     Returns:
         (n, 3) measured minus predicted, metres, zero where nothing was read; (n, 3) the same divided by the stated standard deviations.
@@ -528,9 +525,7 @@ Verdict = Literal["consistent", "systematic", "larger", "untested"]
 def _judged(fit: FitStatistics, at_poses: HeldOutResiduals | None) -> tuple[Verdict, str]:
     """Return whether the model fits, as in a calibration file and as a sentence.
 
-    Args:
-        fit: misfit of the rows used.
-        at_poses: residuals at held-out poses; None if there are too few poses.
+    ``at_poses``: residuals at held-out poses; None if there are too few poses.
     """
     if fit.dof < 1:
         return (
@@ -566,10 +561,7 @@ def _judged(fit: FitStatistics, at_poses: HeldOutResiduals | None) -> tuple[Verd
 def misfit_entry(fit: FitStatistics, rms: float, at_poses: HeldOutResiduals | None) -> MisfitEntry:
     """Return the misfit as it is written into the calibration.
 
-    Args:
-        fit: misfit of the rows used.
-        rms: RMS of the residuals of a coordinate, µm.
-        at_poses: residuals at held-out poses; None if there are too few poses.
+    ``rms``: RMS of the residuals of a coordinate, µm; ``at_poses``: residuals at held-out poses; None if there are too few poses.
     """
     verdict, says = _judged(fit, at_poses)
     numbers = {

@@ -78,10 +78,7 @@ def determined_models(
 ) -> list[DeterminedModel]:
     """Return the unknowns that the data determine at the nominal machine, one model for each family of bases.
 
-    Args:
-        placed: rows, instrument and set-up.
-        wanted: whether an error of that name is to be estimated.
-        covariance: (n, 3, 3) of the readings, m²; the stated one if None.
+    ``wanted``: whether an error of that name is to be estimated; ``covariance``: (n, 3, 3) of the readings, m²; the stated one if None.
 
     Raises:
         InputError: no axis moved.
@@ -149,10 +146,8 @@ def _partition(unknowns: Unknowns, solution: FitSolution) -> tuple[Unknowns, lis
 def _group(name: str, entity: np.ndarray, shared: np.ndarray) -> list[str]:
     """Return an error and all errors that share null directions with it, directly or through others.
 
-    Args:
-        name: name of the error.
-        entity: (columns,) the error of each unknown.
-        shared: (columns, columns) inner products of the null directions' rows, in prior standard deviations.
+    ``entity``: (columns,) the error of each unknown; ``shared``: (columns, columns) inner products of the null directions' rows, in
+    prior standard deviations.
     """
     touched = np.diag(shared) > SHARED_VARIANCE
     group = [name]
@@ -204,11 +199,8 @@ def constant_errors(
 ) -> ConstantErrors | None:
     """Return what a measurement determines of the constant errors of the axes that it moves, linearised at the nominal machine.
 
-    Args:
-        data: the positions, targets and stations, and which coordinates are read.
-        instruments: those of the stations.
-        setup: stations and targets; those that are known are not among the unknowns.
-        covariance: (n, 3, 3) of the readings, m²; that of the table and the instruments if None.
+    ``data``: the positions, targets and stations, and which coordinates are read; ``setup``: stations and targets; those that are known
+    are not among the unknowns; ``covariance``: (n, 3, 3) of the readings, m²; that of the table and the instruments if None.
 
     Returns:
         The constant errors; None if no axis with any moves.
@@ -235,9 +227,7 @@ def constant_errors(
 def without_setup(rows: np.ndarray, machine: int) -> tuple[np.ndarray, np.ndarray]:
     """Return the strengths (machine,) and directions (machine, machine) of the machine's unknowns, the set-up eliminated.
 
-    Args:
-        rows: (n, 3, machine + set-up) whitened derivatives per plausible size.
-        machine: number of unknowns of the machine.
+    ``rows``: (n, 3, machine + set-up) whitened derivatives per plausible size.
     """
     flat, setup = rows.reshape(-1, rows.shape[-1]), rows.shape[-1] - machine
     # The prior of the set-up is so wide that it only regularises what the readings do not determine.
@@ -345,10 +335,7 @@ def held_by_prior(model: DeterminedModel, solution: FitSolution, u: np.ndarray) 
     confounded with such curves, and with no other constant, is determined if its uncertainty, in which these curves have the sizes that
     the readings give to all, is well below its prior.
 
-    Args:
-        model: the unknowns.
-        solution: the estimate.
-        u: (columns,) standard uncertainties of the machine's unknowns, µm and µrad.
+    ``u``: (columns,) standard uncertainties of the machine's unknowns, µm and µrad.
     """
     unknowns = model.network.unknowns
     unseen = solution.unseen[: len(unknowns)] > NOT_DETERMINED
@@ -387,11 +374,7 @@ def unidentified(
 ) -> tuple[Unidentified, ...]:
     """Return the errors to be estimated that are not determined, and why.
 
-    Args:
-        model: the unknowns that they determine.
-        wanted: whether an error of that name is to be estimated.
-        setup: stations and targets.
-        held: names of the errors held by a prior (`held_by_prior`).
+    ``wanted``: whether an error of that name is to be estimated; ``held``: names of the errors held by a prior (`held_by_prior`).
     """
     unidentified, parts = [], _parts(setup, data)
     for name in (*machine.motion_names, *machine.squareness_names, *machine.location_names):
@@ -554,12 +537,8 @@ def instrument_shares(
 ) -> tuple[InstrumentShare, ...]:
     """Return the part of each instrument; empty if there is only one.
 
-    Args:
-        network: all readings and their instruments.
-        setup: the estimated set-up.
-        used: (n,) rows that were used.
-        residual_mm: (n, 3) residuals, NaN where nothing was read.
-        whitened: (n, 3) the same divided by the stated standard deviations.
+    ``used``: (n,) rows that were used; ``residual_mm``: (n, 3) residuals, NaN where nothing was read; ``whitened``: (n, 3) the same
+    divided by the stated standard deviations.
     """
     data, instrument_shares = network.data, []
     if len(network.instruments.every) == 1:

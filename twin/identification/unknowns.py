@@ -130,10 +130,7 @@ class Unknowns:
     def restricted(self, unseen: np.ndarray, dropped: Sequence[str], whole: Sequence[str]) -> Unknowns:
         """Return these without some errors, and each curve below its first undetermined order; the same object if nothing is left out.
 
-        Args:
-            unseen: (columns,) whether a column is undetermined.
-            dropped: names of the errors left out.
-            whole: names of the curves that keep all orders.
+        ``unseen``: (columns,) whether a column is undetermined.
         """
         curves = [
             curve if curve.name in whole else curve.below(unseen[self.of(curve.name)])
@@ -148,8 +145,7 @@ class Unknowns:
     def shapes(self, positions: np.ndarray) -> list[list[tuple[int, np.ndarray]]]:
         """Return the change of the error frames per unit (µm or µrad) of each column.
 
-        Args:
-            positions: (n, axes) mm and degrees.
+        ``positions``: (n, axes) mm and degrees.
 
         Returns:
             A list for each column: (component among 6·frames, (n,) metres or radians).
@@ -204,11 +200,8 @@ class Unknowns:
     ) -> tuple[Calibration, np.ndarray]:
         """Return the calibration of an estimate.
 
-        Args:
-            theta: (columns,) µm and µrad.
-            kept: columns that are reported; a curve without any is left out.
-            source: origin of the values.
-            covariance: (columns, columns), or None.
+        ``theta``: (columns,) µm and µrad; ``kept``: columns that are reported; a curve without any is left out; ``covariance``:
+        (columns, columns), or None.
 
         Returns:
             The calibration, and the (parameters, columns) matrix from these unknowns to its parameters.
@@ -268,11 +261,7 @@ def spaces_for(
 ) -> tuple[list[CurveSpace], list[str]]:
     """Return the largest function spaces that these positions can determine, and the constants of the axes that moved.
 
-    Args:
-        positions: (n, axes) commanded, mm and degrees.
-        bases: family by axis name.
-        most: largest number of functions of a curve.
-        wanted: whether an error of that name is to be estimated.
+    ``positions``: (n, axes) commanded, mm and degrees; ``wanted``: whether an error of that name is to be estimated.
 
     Returns:
         The spaces, and names of squareness and locations.
@@ -312,9 +301,7 @@ def least_determined_offset(unknowns: Unknowns, unseen: np.ndarray) -> str | Non
 
     Stations, locations or another constant can compensate it. One at a time: of two confounded constants, one may stay.
 
-    Args:
-        unknowns: unknowns of the machine.
-        unseen: (columns and more,) share of each unknown's prior variance that remains (`Spectrum.unseen`).
+    ``unseen``: (columns and more,) share of each unknown's prior variance that remains (`Spectrum.unseen`).
     """
     of = {name: float(unseen[unknowns.index[UnknownNumber(offset_name(name), 0)]]) for name in unknowns.offsets}
     worst = max(of, key=lambda name: round(of[name], 6), default=None)

@@ -147,8 +147,7 @@ def agreeing_rows(
 ) -> tuple[Measurements, StationsAndTargets]:
     """Return the rows whose command agrees with the measured motion, and the set-up estimated with the nominal machine.
 
-    Args:
-        carried: carriers of the rows on the nominal machine; computed if None.
+    ``carried``: carriers of the rows on the nominal machine; computed if None.
 
     Raises:
         InputError: more than a fifth of the rows do not agree, or fewer that agree after one change of the columns, or readings that
@@ -255,8 +254,7 @@ def other_unit(machine: Machine, data: Measurements, instruments: StationInstrum
 def wrong_columns(machine: Machine, data: Measurements) -> list[ColumnChange]:
     """Return a change for each sign, order or unit of columns that seems to be wrong; empty if the data show none.
 
-    Args:
-        data: a table before it is checked: NaN, unknown sides and positions outside the ranges of their axes are allowed.
+    ``data``: a table before it is checked: NaN, unknown sides and positions outside the ranges of their axes are allowed.
     """
     wrong = [
         _scaled(data, "positions", [i], -1.0, (_columns(machine)[i],), text, "sign: -1?")
@@ -291,8 +289,7 @@ class TargetSide(NamedTuple):
 def sides_of_targets(machine: Machine, data: Measurements) -> dict[str, TargetSide]:
     """Return the side on which each target follows the commands: of both, each tried alone and then with the targets that are clear.
 
-    Args:
-        data: a table before it is checked: NaN and unknown sides are allowed. Stations ride on the base.
+    ``data``: a table before it is checked: NaN and unknown sides are allowed; Stations ride on the base.
     """
     data = data.select(np.isfinite(data.positions).all(axis=1) & np.isfinite(data.point_mm).all(axis=1))
     rows = {target: _spread(np.flatnonzero(data.target == target)) for target in dict.fromkeys(data.target)}
@@ -399,8 +396,7 @@ def _wrong_columns_of_station(machine: Machine, data: Measurements) -> list[Colu
 def _mirror(after: Agreement) -> ColumnChange:
     """Return the change that mirrors readings, named by its column if the station is then aligned with the machine's axes.
 
-    Args:
-        after: the fit of the readings with −x.
+    ``after``: the fit of the readings with −x.
     """
     agreeing = np.count_nonzero(after.miss <= after.limit)
     rows = f"{agreeing} of {count_with_noun(len(after.miss), 'row')} agree"
@@ -432,11 +428,7 @@ def _one_change(
 ) -> list[ColumnChange]:
     """Return the changes that make the readings agree, the best first: commands swapped or of opposite sign, columns in another unit.
 
-    Args:
-        share: share of rows that do not agree.
-        ratio: misfit over motion.
-        instruments: those of its stations.
-        families: changes, each family tried if none before explains the readings; `_swapped_or_mirrored` if there are none.
+    ``families``: changes, each family tried if none before explains the readings; `_swapped_or_mirrored` if there are none.
     """
 
     def explains(fit: Agreement) -> bool:

@@ -65,13 +65,7 @@ def assumptions(notices: Iterable[str]) -> list[str]:
 
 
 def overstated_noise(rms_um: float, chi2: float, dof: float) -> tuple[str, ...]:
-    """Return a notice if the residuals are far smaller than the stated noise: its unit may be wrong, and it would hide errors.
-
-    Args:
-        rms_um: RMS residual.
-        chi2: sum of squared whitened residuals.
-        dof: its degrees of freedom.
-    """
+    """Return a notice if the residuals are far smaller than the stated noise: its unit may be wrong, and it would hide errors."""
     if dof < FEWEST_DOF or chi2 > OVERSTATED * dof:
         return ()
     times = float(np.sqrt(dof / chi2)) if chi2 > 0.0 else np.inf
@@ -84,8 +78,7 @@ def overstated_noise(rms_um: float, chi2: float, dof: float) -> tuple[str, ...]:
 def grouped_notes(notes: Iterable[RowNote]) -> list[str]:
     """Return one line of text for each reason: the number of rows, the first line numbers and the worst row.
 
-    Args:
-        notes: notes of any kind. A single note keeps its own text; groups keep the order in which their reasons first appear.
+    ``notes``: notes of any kind; A single note keeps its own text; groups keep the order in which their reasons first appear.
     """
     groups: dict[str, list[RowNote]] = {}
     for note in notes:
@@ -116,12 +109,9 @@ def copied_rows(
     copies only if the expected number of equal readings, estimated from the sensor's resolution and the noise of repeats, is below
     `FALSE_ALARM`.
 
-    Args:
-        point_mm: (n, 3) readings; NaN where not read.
-        state: (n) key of all other columns of a row.
-        series: (n) key of station and target.
-        point_of: (n) key of the measured point: series, command and direction of approach.
-        time_s: (n,) NaN where not given.
+    ``point_mm``: (n, 3) readings; NaN where not read; ``state``: (n) key of all other columns of a row; ``series``: (n) key of station
+    and target; ``point_of``: (n) key of the measured point: series, command and direction of approach; ``time_s``: (n,) NaN where not
+    given.
     """
     readings = [(row + 0.0).tobytes() for row in point_mm]
     first: dict[bytes, int] = {}
@@ -203,11 +193,7 @@ def _resolution(values: np.ndarray) -> float:
 def check_ranges(axes: Sequence[Axis], positions: np.ndarray, lines: np.ndarray, source: str) -> None:
     """Raise `InputError` if a column of commands has a constant offset or is in micrometres.
 
-    Args:
-        axes: axes of the machine, in command order.
-        positions: (n, axes) commands, mm and degrees.
-        lines: (n,) lines of the rows.
-        source: the file.
+    ``positions``: (n, axes) commands, mm and degrees; ``lines``: (n,) lines of the rows.
 
     Raises:
         InputError: many positions of an axis are outside its range, and all would be inside after subtracting one constant, or if they
@@ -269,10 +255,8 @@ def _roundest_between(low: float, high: float) -> float:
 def unused_names(what: str, names: np.ndarray, reasons: Mapping[int, str]) -> list[str]:
     """Return a notice for each station or target that has no usable row.
 
-    Args:
-        what: ``station`` or ``target``.
-        names: (n,) name of the station or target of every row.
-        reasons: reason why a row is set aside, by row.
+    ``what``: ``station`` or ``target``; ``names``: (n,) name of the station or target of every row; ``reasons``: reason why a row is
+    set aside, by row.
     """
     unused_names = []
     for name in dict.fromkeys(names):
@@ -287,10 +271,7 @@ def unused_names(what: str, names: np.ndarray, reasons: Mapping[int, str]) -> li
 def missing_rounds(target: np.ndarray, names: np.ndarray, positions: np.ndarray) -> list[str]:
     """Return a notice for each round that lacks points which the other rounds of the same target contain.
 
-    Args:
-        target: (n,) names of targets.
-        names: (n,) names of rounds.
-        positions: (n, axes) commands.
+    ``target``: (n,) names of targets; ``names``: (n,) names of rounds; ``positions``: (n, axes) commands.
     """
     points: dict[tuple[str, str], set[bytes]] = {}
     for reflector, name, position in zip(target, names, positions, strict=True):
@@ -325,13 +306,8 @@ def place_by_name(
 ) -> np.ndarray:
     """Return (n, k) the place of each row's target or station, taken from any row that gives it; NaN where no row does.
 
-    Args:
-        what: ``target`` or ``station``.
-        names: (n,) name of the target or station of every row.
-        columns: (k) names of the columns of the place.
-        values: (n, k) cells of these columns.
-        lines: (n,) lines of the rows.
-        source: the file.
+    ``what``: ``target`` or ``station``; ``names``: (n,) name of the target or station of every row; ``columns``: (k) names of the
+    columns of the place; ``values``: (n, k) cells of these columns; ``lines``: (n,) lines of the rows.
 
     Raises:
         InputError: an incomplete place, a number that is not finite or too large, or two places for one target or station.

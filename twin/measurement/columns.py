@@ -92,13 +92,7 @@ def table_columns(machine: Machine) -> tuple[TableColumns, ...]:
 
 
 def refuse_contacts(header: Sequence[str], needed: Sequence[str], path: Path, line: int) -> None:
-    """Raise `InputError` if a table lacks columns because its rows are single contacts of a probe.
-
-    Args:
-        header: names of its columns.
-        needed: names of the columns that it must have.
-        line: line of the header.
-    """
+    """Raise `InputError` if a table lacks columns because its rows are single contacts of a probe."""
     if not set(needed) <= set(header) and not {*CONTACT_COLUMNS}.isdisjoint(header):
         raise InputError(
             "these are single contacts of a probe, not measured points",
@@ -137,9 +131,7 @@ def simulated_comments(comments: Sequence[str]) -> list[str]:
 def comment_lines(text: str, *, simulated: bool) -> str:
     """Return the comment lines that precede a table.
 
-    Args:
-        text: the comments.
-        simulated: whether the readings were simulated; a comment that states it is then added if missing.
+    ``simulated``: whether the readings were simulated; a comment that states it is then added if missing.
     """
     lines = text.splitlines()
     if simulated and not simulated_comments([line.lstrip("# ") for line in lines]):
@@ -150,9 +142,7 @@ def comment_lines(text: str, *, simulated: bool) -> str:
 def with_angles(cells: Cells, values: Mapping[str, Any]) -> dict[str, Any]:
     """Return the fields of a table with angles: tilts (a, b) of a target as the shift (b, −a) of the end of a line of 1 m.
 
-    Args:
-        cells: cells of the file.
-        values: the fields read so far: ``point_mm``, ``u_mm`` and ``instrument``, whose name is ``level`` where angles are given.
+    ``values``: the fields read so far: ``point_mm``, ``u_mm`` and ``instrument``, whose name is ``level`` where angles are given.
     """
     angle, u = (np.stack([cells.numbers(f"{p}{name}") for name in ANGLE_COLUMNS], axis=1) for p in ("", "u_"))
     rows = np.isfinite(angle).any(axis=1)

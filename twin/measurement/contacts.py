@@ -220,14 +220,9 @@ def probe_table(
 ) -> Measurements:
     """Return sphere centres in the form of the measurement table for a probe.
 
-    Args:
-        positions: (n, axes) positions at which the tip was at the centre.
-        source: the file.
-        lines: (n,) lines.
-        target: (n,) names of the spheres.
-        round_name: (n,) names of the rounds.
-        u_mm: (n, 3) standard uncertainties of the reading, NaN where unknown.
-        simulated: whether the contacts were simulated.
+    ``positions``: (n, axes) positions at which the tip was at the centre; ``lines``: (n,) lines; ``target``: (n,) names of the spheres;
+    ``round_name``: (n,) names of the rounds; ``u_mm``: (n, 3) standard uncertainties of the reading, NaN where unknown; ``simulated``:
+    whether the contacts were simulated.
     """
     n = len(positions)
 
@@ -252,9 +247,8 @@ def probe_table(
 def approach_of(machine: Machine, positions: np.ndarray, *, linear: bool) -> np.ndarray:
     """Return the direction of approach (n, axes) of positions in their order: +1, −1, or 0 for an axis that never moves.
 
-    Args:
-        positions: (n, axes) mm and degrees; the first is approached in the direction in which each axis continues.
-        linear: whether the linear axes have one; a probe touches the sphere from both sides.
+    ``positions``: (n, axes) mm and degrees; the first is approached in the direction in which each axis continues; ``linear``: whether
+    the linear axes have one; a probe touches the sphere from both sides.
     """
     sign = np.sign(np.diff(positions, axis=0, prepend=positions[:1]))
     approach = np.zeros(positions.shape)
@@ -472,10 +466,8 @@ def numbered_rounds(sphere: np.ndarray, poses: np.ndarray, per_sphere: int | Non
 
     A pose that a sphere was already probed in begins a new round for that sphere and pose.
 
-    Args:
-        sphere: (n,) names.
-        poses: (n, k) positions of the other axes.
-        per_sphere: number of contacts that belong together; None for all consecutive ones of one sphere and pose.
+    ``sphere``: (n,) names; ``poses``: (n, k) positions of the other axes; ``per_sphere``: number of contacts that belong together; None
+    for all consecutive ones of one sphere and pose.
     """
     n = len(sphere)
     same = [bool(a == b) and bool(np.array_equal(p, q)) for (a, p), (b, q) in pairwise(zip(sphere, poses, strict=True))]

@@ -141,10 +141,8 @@ class Observation:
     def points_mm(self, calibration: Calibration, data: Measurements, places_mm: np.ndarray) -> np.ndarray:
         """Return the reflectors in the frames on which their stations ride.
 
-        Args:
-            calibration: the machine's errors.
-            data: commands, carriers, and every channel an effect needs; its coordinates are not used.
-            places_mm: (n, 3) place of each reflector on its carrier.
+        ``data``: commands, carriers, and every channel an effect needs; its coordinates are not used; ``places_mm``: (n, 3) place of
+        each reflector on its carrier.
 
         Returns:
             (n, 3) mm.
@@ -158,10 +156,7 @@ class Observation:
     def errors(self, calibration: Calibration, data: Measurements, *, check: bool = True) -> np.ndarray:
         """Return (n, 6·frames) all error frames at the rows of a table, metres and radians.
 
-        Args:
-            calibration: the machine's errors.
-            data: commands and channels.
-            check: whether a position outside the domain of a curve is refused; otherwise the curve is extrapolated (overtravel).
+        ``check``: whether a position outside the domain of a curve is refused; otherwise the curve is extrapolated (overtravel).
 
         Raises:
             InputError: as `points_mm`.
@@ -200,13 +195,10 @@ class Observation:
     ) -> CarriedTargets:
         """Return the reflectors and their derivatives, unchecked, in metres and radians.
 
-        Args:
-            q: (n, axes) metres and radians.
-            errors: (n, 6·frames) all error frames, metres and radians.
-            carrier: (n,) ``tool`` or ``work``: the side on which each reflector sits.
-            places: (n, 3) metres.
-            station_carrier: (n,) ``base``, ``tool`` or ``work``: side of the station, in whose frame the result is; base if None.
-            angles: (n,) rows of angles: the place is a line that only turns with its carrier; none if None.
+        ``q``: (n, axes) metres and radians; ``errors``: (n, 6·frames) all error frames, metres and radians; ``carrier``: (n,) ``tool``
+        or ``work``: the side on which each reflector sits; ``places``: (n, 3) metres; ``station_carrier``: (n,) ``base``, ``tool`` or
+        ``work``: side of the station, in whose frame the result is; base if None; ``angles``: (n,) rows of angles: the place is a line
+        that only turns with its carrier; none if None.
         """
         n = len(q)
         points, by_error, rotation = np.empty((n, 3)), np.empty((n, errors.shape[1], 3)), np.empty((n, 3, 3))

@@ -214,9 +214,8 @@ def initial_setup(
 
     Stations that read points, lengths and angles are estimated each from their own rows.
 
-    Args:
-        carried: the carriers of the rows on the nominal machine.
-        mirrored: whether readings in a left-handed frame are accepted; they agree poorly.
+    ``carried``: the carriers of the rows on the nominal machine; ``mirrored``: whether readings in a left-handed frame are accepted;
+    they agree poorly.
 
     Raises:
         InputError: a station with fewer than three points, or one whose readings are in a left-handed frame.

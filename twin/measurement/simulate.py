@@ -280,12 +280,9 @@ def at_centres(
 ) -> Measurements:
     """Return a plan with the positions of the linear axes at which the tips of probes are at the centres of their spheres.
 
-    Args:
-        calibration: its errors.
-        plan: the plan; its linear positions are the initial values.
-        setting: tips (the stations' origins) and spheres (the places).
-        off_mm: (n, 3) position of the sphere in the frame of the tip that counts as its centre (noise).
-        rows: (n,) which rows are probed; the others remain unchanged.
+    ``plan``: the plan; its linear positions are the initial values; ``setting``: tips (the stations' origins) and spheres (the places);
+    ``off_mm``: (n, 3) position of the sphere in the frame of the tip that counts as its centre (noise); ``rows``: (n,) which rows are
+    probed; the others remain unchanged.
 
     Raises:
         InputError: a sphere that the axes do not reach, or that is on the side of the probe.

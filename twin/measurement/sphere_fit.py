@@ -64,11 +64,6 @@ class Sphere:
     def check_determined(self, noise_mm: float, *, file: str | Path | None = None, line: int | None = None) -> None:
         """Raise `InputError` if the contacts hardly determine the centre.
 
-        Args:
-            noise_mm: standard deviation of a contact.
-            file: file of the contacts, for the message.
-            line: their first line.
-
         Raises:
             InputError: a standard uncertainty of the centre above `UNDETERMINED` times the radius.
         """
@@ -87,11 +82,7 @@ def fit_sphere(
 ) -> Sphere:
     """Return the sphere with the smallest sum of squared orthogonal distances from the points.
 
-    Args:
-        points_mm: (n, 3).
-        radius_mm: known radius; None to fit it.
-        file: file of the points, for messages.
-        line: their first line.
+    ``points_mm``: (n, 3); ``radius_mm``: known radius; None to fit it.
 
     Raises:
         InputError: fewer than `FEWEST` points, a point that is not finite, points in one plane or that do not determine the centre

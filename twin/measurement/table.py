@@ -92,8 +92,7 @@ def stated_length_mm(comments: Sequence[str], path: Path) -> float | None:
 def length_comment(bar_mm: np.ndarray) -> list[str]:
     """Return the comment that states the length of a table's ball bar, as a list; empty if it has none.
 
-    Args:
-        bar_mm: (n,) nominal lengths, mm; NaN where there is none.
+    ``bar_mm``: (n,) nominal lengths, mm; NaN where there is none.
 
     Raises:
         InputError: rows with different lengths.
@@ -112,9 +111,7 @@ def with_length(values: Mapping[str, Any], length_mm: float) -> tuple[dict[str, 
     The rows of the ball bar are those that name it, and those without an instrument that read a length alone from a station on the
     tool or work side. Readings below half of the length are deviations from it, to which it is added.
 
-    Args:
-        values: the fields ``point_mm``, ``instrument``, ``station_carrier`` and ``bar_mm`` (NaN or absent where no length is known).
-        length_mm: the nominal length.
+    ``values``: the fields ``point_mm``, ``instrument``, ``station_carrier`` and ``bar_mm`` (NaN or absent where no length is known).
 
     Raises:
         InputError: a row that already has another length.
@@ -547,9 +544,7 @@ def _with_known_places(table: Measurements) -> Measurements:
 def without_unusable_rows(table: Measurements, machine: Machine, unknown_cells: Sequence[str] = ()) -> Measurements:
     """Return the table without the rows that cannot be used, which are listed with their reasons in `Measurements.set_aside`.
 
-    Args:
-        table: all rows.
-        unknown_cells: cells of the unknown columns, one string per row; empty if there are no such columns.
+    ``unknown_cells``: cells of the unknown columns, one string per row; empty if there are no such columns.
 
     Raises:
         InputError: no usable row; commands with a constant offset or in another unit.

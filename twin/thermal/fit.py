@@ -52,12 +52,7 @@ def named_terms(
 ) -> tuple[ThermalTerm, ...]:
     """Return the terms of a displacement, by falling contribution.
 
-    Args:
-        displacement: its name.
-        candidates: all candidates.
-        x: candidates over the fitted rows (n, candidates).
-        draws: the models drawn for its group.
-        factor: factor of the standard uncertainties, from held-out data.
+    ``x``: candidates over the fitted rows (n, candidates); ``factor``: factor of the standard uncertainties, from held-out data.
     """
     families: dict[tuple[str, str], list[int]] = {}
     for j, term in enumerate(candidates):

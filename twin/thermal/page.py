@@ -97,11 +97,7 @@ HOUR: Final = 3600.0
 
 
 def thermal_html(model: ThermalModel, shown: Sequence[tuple[ThermalRecord, ThermalPrediction]]) -> str:
-    """Return one self-contained HTML page.
-
-    Args:
-        shown: records with their predictions, drawn one after the other.
-    """
+    """Return one self-contained HTML page; ``shown``: records with their predictions, drawn one after the other."""
     listed = sum(len(displacement.listed) for displacement in model.displacements)
     return render(
         "thermal/templates/thermal.html.j2",

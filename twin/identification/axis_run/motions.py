@@ -102,10 +102,7 @@ class Motions:
 def error_motions(layout: AxisLayout, readings: BeamReadings, *, spread: Spread = "stated") -> Motions:
     """Estimate six error motions at every measured position.
 
-    Args:
-        layout: layout of the interferometer.
-        readings: readings of the run.
-        spread: the readings' stated noise, or the standard deviation of repeats of the same state. Both include the installation.
+    ``spread``: the readings' stated noise, or the standard deviation of repeats of the same state; both include the installation.
 
     Raises:
         InputError: beams that do not determine six motions; too few or too many readings; no convergence.
@@ -238,10 +235,7 @@ def axis_curves(
     common influence of the installation. Constants, slopes of straightness and reversal values are estimated as well but
     are not part of the curves.
 
-    Args:
-        motions: as measured.
-        source: origin of the values, in words.
-        wanted: whether a curve of that name is to be fitted.
+    ``wanted``: whether a curve of that name is to be fitted.
 
     Raises:
         InputError: fewer than `FEWEST` positions; no curve to fit.

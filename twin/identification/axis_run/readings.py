@@ -263,9 +263,6 @@ class BeamReadings:
 def load_readings(path: str | Path, layout: AxisLayout) -> BeamReadings:
     """Read and check a table of readings.
 
-    Args:
-        layout: layout of the interferometer.
-
     Raises:
         InputError: with file, line and value: no header, a missing column, a cell that is not a number, no usable row.
     """
@@ -343,11 +340,7 @@ def carriage_poses(
 ) -> np.ndarray:
     """Return the true poses of the carriage; the other axes are in the middle of their ranges.
 
-    Args:
-        layout: layout in whose coordinates they are.
-        calibration: its errors.
-        positions_mm: (n,) commanded.
-        approach: (n,) +1, −1, 0 of that axis; unknown if None. The reference position has none.
+    ``positions_mm``: (n,) commanded; ``approach``: (n,) +1, −1, 0 of that axis; unknown if None; the reference position has none.
 
     Returns:
         (n, 6) relative to the pose at the reference position: translation of its origin, metres, and rotation vector, radians.
@@ -388,15 +381,9 @@ def simulate_run(  # noqa: PLR0913
 ) -> tuple[BeamReadings, np.ndarray]:
     """Simulate the readings of a run.
 
-    Args:
-        layout: nominal, with its standard uncertainties.
-        calibration: its errors.
-        positions_mm: (n,) commanded.
-        rng: random generator for the noise and the installation.
-        rounds: (n,) names; one round if None.
-        approach: (n,) +1, −1, 0 of that axis; unknown if None.
-        installation: (p,) true deviations from the layout; drawn with its standard uncertainties if None.
-        noise: whether measurement noise is added.
+    ``positions_mm``: (n,) commanded; ``rounds``: (n,) names; one round if None; ``approach``: (n,) +1, −1, 0 of that axis; unknown if
+    None; ``installation``: (p,) true deviations from the layout; drawn with its standard uncertainties if None; ``noise``: whether
+    measurement noise is added.
 
     Returns:
         The readings, and the installation.

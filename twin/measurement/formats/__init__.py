@@ -111,9 +111,6 @@ def format_named(name: str) -> MeasuredFormat:
 def other_format(path: Path, *, most_bytes: int = MAX_BYTES) -> str | None:
     """Return the title of the format of a file that is not a table with a header of its own; None if it is a table.
 
-    Args:
-        most_bytes: size beyond which it is refused.
-
     Raises:
         InputError: it cannot be read.
     """

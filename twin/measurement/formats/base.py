@@ -78,9 +78,6 @@ class Given:
     def positions(self, machine: Machine, known: Sequence[str]) -> np.ndarray:
         """Return (axes,) the given positions; zero for axes that the file itself gives.
 
-        Args:
-            known: names of the axes that the file gives.
-
         Raises:
             InputError: an axis is given neither by the file nor by the caller.
         """
@@ -147,10 +144,7 @@ class MeasuredFormat(ABC):
     def read(self, path: Path, machine: Machine, given: Given, round_name: str) -> Conversion:
         """Return the measurement table of one file.
 
-        Args:
-            machine: the machine that was measured.
-            given: what the file does not say.
-            round_name: name of the round, where the file has none.
+        ``round_name``: name of the round, where the file has none.
 
         Raises:
             InputError: with file, line, value and what was expected: the file is malformed, truncated, or has an element or a unit that
@@ -183,11 +177,8 @@ def reduced(
 ) -> Conversion:
     """Return the conversion of single contacts into sphere centres.
 
-    Args:
-        rows: the contacts, in the order in which they were made.
-        path: their file.
-        given: offsets, positions of axes that the file does not contain, radii and noise.
-        simulated: whether the contacts were simulated.
+    ``rows``: the contacts, in the order in which they were made; ``given``: offsets, positions of axes that the file does not contain,
+    radii and noise; ``simulated``: whether the contacts were simulated.
 
     Raises:
         InputError: no contacts, an axis without a position, or as `reduce_contacts`.

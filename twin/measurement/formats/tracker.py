@@ -35,12 +35,8 @@ def load_export(
 ) -> Measurements:
     """Read the thesis's tracker export: lines ``name, x, y, z``, one block of lines for each target, one line for each position.
 
-    Args:
-        path: the file; mm, no header.
-        positions: (p, axes) commanded positions of the lines of every block, mm and degrees.
-        targets: names of the targets in the order of the blocks.
-        carrier: the side on which they sit.
-        round_name: name of the round that this file contains.
+    ``path``: the file; mm, no header; ``positions``: (p, axes) commanded positions of the lines of every block, mm and degrees;
+    ``targets``: names of the targets in the order of the blocks.
 
     Raises:
         InputError: a number of lines that is not blocks times positions, or a line that is not a name and three numbers.

@@ -304,13 +304,8 @@ def _in_rows(
 ) -> _Matrix | None:
     """Return one row for each reading, run by run, below the title rows of the file.
 
-    Args:
-        titles: number of rows above the header.
-        line: line of the header.
-        title: title of the targets.
-        unit: unit of the readings; empty if the matrix gives none.
-        runs: number and direction of each run, by its key in the readings.
-        readings: line, target, and the cells of the runs.
+    ``unit``: unit of the readings; empty if the matrix gives none; ``runs``: number and direction of each run, by its key in the
+    readings.
     """
     if len(readings) < FEWEST:
         return None

@@ -99,10 +99,8 @@ class RawTable:
 def read_cells(path: Path, *, sheet: str | None = None, encoding: str = "", delimiter: str = "") -> RawTable:
     """Return the cells of a text file or of one sheet of an Excel workbook.
 
-    Args:
-        sheet: sheet of a workbook; None for the only one that is not empty.
-        encoding: encoding of a text file; empty to find it from the content.
-        delimiter: name of the delimiter (`DELIMITERS`); empty to find it from the content.
+    ``sheet``: sheet of a workbook; None for the only one that is not empty; ``encoding``: encoding of a text file; empty to find it
+    from the content; ``delimiter``: name of the delimiter (`DELIMITERS`); empty to find it from the content.
 
     Raises:
         InputError: the file cannot be read, is too large, is a damaged or old workbook, has several sheets and none is named, has no
@@ -482,8 +480,7 @@ class Layout:
 def layout_of(raw: RawTable, given: Sequence[str] = ()) -> Layout:
     """Return the parts of a raw table.
 
-    Args:
-        given: names of the columns, in place of the header.
+    ``given``: names of the columns, in place of the header.
 
     Raises:
         InputError: no row with two numbers or more; a row with more cells than the header.
@@ -552,12 +549,7 @@ def _with_merged(rows: Sequence[Row], merged: Sequence[tuple[int, int, int]]) ->
 
 
 def _header(above: Sequence[Row], numbers: int, width: int) -> tuple[list[str], list[str], Sequence[Row]]:
-    """Return the names of columns, their units, and the rows above, from the rows before the first measured point.
-
-    Args:
-        numbers: number of columns of numbers.
-        width: number of columns.
-    """
+    """Return the names of columns, their units, and the rows above, from the rows before the first measured point."""
     units: list[str] = []
     rest = list(above)
     if rest and _is_units(rest[-1][1]):

@@ -335,8 +335,7 @@ class PlanPoints:
     ) -> np.ndarray:
         """Return (n,) the row of the plan for each row of a file.
 
-        Args:
-            cells: the columns of the measurement table that the file gives.
+        ``cells``: the columns of the measurement table that the file gives.
 
         Raises:
             InputError: the number of rows differs, or a row has a name that the plan does not have at its place.
@@ -442,8 +441,7 @@ class PlanPoints:
     ) -> None:
         """Raise `InputError` for the first row whose commanded position or target differs from the plan's.
 
-        Args:
-            rounded: columns whose positions are rounded to the digits written, as in names.
+        ``rounded``: columns whose positions are rounded to the digits written, as in names.
         """
         compared = given.keys() & {"target", *(f"{axis.name}_{axis.unit}" for axis in machine.axes)}
         for row, (line, _) in enumerate(layout.rows):

@@ -47,8 +47,7 @@ UNCERTAIN_ANGLE: Final = "grad"
 def proposed(layout: Layout, machine: Machine, plan: PlanPoints | None, given: ColumnsFile | None = None) -> Proposal:
     """Return the proposed mapping of a file.
 
-    Args:
-        given: lines of a mapping file that hold already.
+    ``given``: lines of a mapping file that hold already.
 
     Raises:
         InputError: decimal commas and points in one file; no commanded positions; no header; units that contradict each other.

@@ -93,8 +93,7 @@ _BY_WORD: Final[Mapping[str, tuple[Unit, ...]]] = MappingProxyType(_by_word())
 def unit_named(text: str, column: str = "") -> Unit | None:
     """Return the unit of that spelling, in any case; None if there is none.
 
-    Args:
-        column: column of a measurement table into whose unit it must convert: ``"`` is an inch or an arc second. Empty for any.
+    ``column``: column of a measurement table into whose unit it must convert: ``"`` is an inch or an arc second; Empty for any.
     """
     units = _BY_WORD.get(text.strip().casefold(), ())
     return next((unit for unit in units if not column or unit.table_unit == table_unit(column)), None)
@@ -222,8 +221,7 @@ class CellNumber(NamedTuple):
     def to_table(self, column: str, unit: str | None) -> Decimal | None:
         """Return the number in the unit of a column of the measurement table; None if the cell's unit is not the one given.
 
-        Args:
-            unit: unit of the whole column; None for that of each cell, and of the table where a cell has none.
+        ``unit``: unit of the whole column; None for that of each cell, and of the table where a cell has none.
         """
         stated = "deg" if self.unit == SEXAGESIMAL else self.unit
         own = unit_named(stated, column) if stated else None
@@ -274,11 +272,7 @@ def decimal_text(value: Decimal) -> str:
 
 
 def decimal_sign(cells: Iterable[str]) -> DecimalSign:
-    """Return the decimal sign of cells: the one that a clear cell has; a sign followed by three digits alone is ambiguous.
-
-    Args:
-        cells: cells of the rows that hold measured points.
-    """
+    """Return the decimal sign of cells: the one that a clear cell has; a sign followed by three digits alone is ambiguous."""
     clear: dict[str, str] = {}
     unclear: dict[str, str] = {}
     for cell in cells:

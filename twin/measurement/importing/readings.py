@@ -84,11 +84,7 @@ class DeviationEntry(BaseModel):
         return tuple(name for name in (self.x, self.y, self.z, *self.nominal) if name is not None)
 
     def points(self, numbers: Numbers, cells: Mapping[str, Sequence[str]], machine: Machine) -> dict[str, list[str]]:
-        """Return the cells of x_mm, y_mm, z_mm: nominal point plus deviation, empty where a deviation is not given.
-
-        Args:
-            cells: the other columns of the measurement table.
-        """
+        """Return the cells of x_mm, y_mm, z_mm: nominal point plus deviation, empty where a deviation is not given."""
         by = [
             [""] * len(next(iter(cells.values()))) if name is None else numbers(name, LENGTH, self.unit)
             for name in (self.x, self.y, self.z)

@@ -47,9 +47,7 @@ class Columns(Protocol):
 def unit_by_size(found: Columns, sources: Mapping[str, tuple[str, str]]) -> dict[str, str]:
     """Return the unit of every column, and add an assumption for each one that the file does not state.
 
-    Args:
-        found: the proposal.
-        sources: column of the file and unit in its header (empty if none), by column of the measurement table.
+    ``sources``: column of the file and unit in its header (empty if none), by column of the measurement table.
     """
     units: dict[str, str] = {}
     missing: dict[str, str] = {}
@@ -137,11 +135,7 @@ def _check_contradiction(
 ) -> None:
     """Raise `InputError` if header, titles and cells of a column state different units.
 
-    Args:
-        header: units that the header and the row of units state.
-        title: unit of the titles.
-        in_cells: units in the cells, as spelt, with their first lines.
-        cells: names of these units.
+    ``header``: units that the header and the row of units state; ``in_cells``: units in the cells, as spelt, with their first lines.
     """
     given = found.given is not None and bool(found.given.length if table_unit(column) == "mm" else found.given.angle)
     if header and title is not None and header[0] != title and not given:

@@ -53,13 +53,7 @@ def instrument_named(name: str) -> Instrument:
 
 
 def default_instrument(reads: Reads, side: str = SIDES[0], largest_mm: float = np.inf) -> Instrument:
-    """Return the instrument for readings of a kind: the one of the smallest range that includes them, the first of several.
-
-    Args:
-        reads: what is read.
-        side: side on which the station rides.
-        largest_mm: largest reading.
-    """
+    """Return the instrument for readings of a kind: the one of the smallest range that includes them, the first of several."""
     fitting = [
         instrument
         for instrument in INSTRUMENTS

@@ -289,12 +289,7 @@ STANDARD_AIR: Final = Air()
 
 
 def refractive_index(air: Air, wavelength_um: float = HELIUM_NEON_UM) -> float:
-    """Return the phase refractive index of air.
-
-    Args:
-        air: temperature, pressure, humidity.
-        wavelength_um: vacuum wavelength, µm (visible).
-    """
+    """Return the phase refractive index of air; ``wavelength_um``: vacuum wavelength, µm (visible)."""
     t, p = air.temperature_degC, air.pressure_hPa * 100.0
     s = 1.0 / wavelength_um**2
     standard = 1e-8 * (8342.54 + 2406147.0 / (130.0 - s) + 15998.0 / (38.9 - s))
