@@ -5,177 +5,44 @@ from __future__ import annotations
 import re
 import unicodedata
 from collections.abc import Mapping
+from pathlib import Path
 from types import MappingProxyType
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
+
+import yaml
 
 from twin.machine.machine import Machine
 from twin.measurement.columns import ANGLE_COLUMNS, PLACE_COLUMNS, STATION_COLUMNS, table_columns
 from twin.measurement.importing.quantities import unit_named
 from twin.measurement.table import CHANNEL
 
-ROLES: Final[Mapping[str, frozenset[str]]] = MappingProxyType(
-    {
-        "command": frozenset(
-            "soll sollwert sollwerte sollposition nominal nom nominals nominalwert nenn nennwert nennmass command commanded cmd set "
-            "setpoint programmed prog target ref reference theo theoretical theor vorgabe vorgegeben angefahren "
-            "anfahrposition mks mcs sollpos consigne theorique nominale nominales programme programmee commande commandee "
-            "cible visee".split()
-        ),
-        "measured": frozenset(
-            "ist istwert istwerte actual act actuals meas measured measurement measure gemessen messwert messwerte mess istmass mp "
-            "aktuell reading tracker lasertracker laser misurato medido mesure mesuree mesures mesurees reel reelle lu lue "
-            "releve relevee".split()
-        ),
-        "readback": frozenset(
-            "readback istpos istposition encoder control reported display anzeige steuerung rueckmeldung geber massstab nc".split()
-        ),
-        "deviation": frozenset(
-            "dev deviation deviations abw abweichung abweichungen delta diff difference differenz error err fehler residual tol "
-            "toleranz tolerance d utol ltol otol utl ltl out outtol dx dy dz dmag mag dist distance ecart ecarts erreur erreurs".split()
-        ),
-        "uncertainty": frozenset(
-            "u uncertainty unc uncert unsicherheit messunsicherheit standardunsicherheit sigma std stdabw stdev stddev stabw "
-            "standardabweichung incertitude incertitudes".split()
-        ),
-        "approach": frozenset(
-            "approach anfahrrichtung anfahrt direction dir richtung fahrtrichtung verfahrrichtung messrichtung sens approche".split()
-        ),
-        "temperature": frozenset("t temp temperature temperatur temps".split()),
-    }
-)
+Words = frozenset[str]
+
+
+def _words_of(part: Any) -> Any:
+    """Return a part of the vocabulary with its words, which are separated by commas, as sets."""
+    if isinstance(part, dict):
+        return MappingProxyType({name: _words_of(words) for name, words in part.items()})
+    return frozenset(word.strip() for word in part.split(","))
+
+
+_VOCABULARY: Final = _words_of(yaml.safe_load(Path(__file__).with_name("vocabulary.yaml").read_text(encoding="utf-8")))
+ROLES: Final[Mapping[str, Words]] = _VOCABULARY["roles"]
 """Role of a column, by its words beside the name of an axis."""
-
-NOISE: Final = frozenset(
-    "pos position positions achse axis axes koordinate koordinaten coordinate coordinates coord wert value values der die das the of "
-    "des in for von und and linear rotary machine maschine maschinen tool tip drehtisch "
-    "tisch table rundtisch schwenkachse drehachse linearachse de du la le les axe coordonnee coordonnees valeur".split()
+NAMES: Final[Mapping[str, Words]] = MappingProxyType(
+    {kind: words | {""} if kind == "index" else words for kind, words in _VOCABULARY["names"].items()}
 )
-"""Words without a meaning of their own in the name of a column."""
-
+"""Meaning of a column without the name of an axis, by its words; a column without a name is an index."""
+CARRIER_WORDS: Final[Mapping[str, str]] = MappingProxyType(
+    {word: side for side, words in _VOCABULARY["carriers"].items() for word in words}
+)
+"""Sides of the machine, by the words of a cell."""
+UP_WORDS, DOWN_WORDS, UNKNOWN_WORDS = (_VOCABULARY["directions"][name] for name in ("up", "down", "unknown"))
+"""Words of a cell that give the direction of approach: towards larger positions, towards smaller ones, unknown."""
 GEODETIC: Final[Mapping[str, str]] = MappingProxyType(
     {"easting": "x", "rechtswert": "x", "northing": "y", "hochwert": "y", "height": "z", "hoehe": "z"}
 )
 """Coordinates of geodetic instruments: east, north and up are a right-handed frame."""
-NUMBERING: Final = frozenset("name nom nr no n id nummer number numero index".split())
-"""Words beside the name of a thing that do not change it: its name or number."""
-NAMES: Final[Mapping[str, frozenset[str]]] = MappingProxyType(
-    {
-        "target": frozenset(
-            {
-                "target", "target name", "reflector", "reflektor", "smr", "ball", "kugel", "sphere", "prism", "nest", "reflector name",
-                "reflecteur", "riflettore", "prisme", "prisma", "bille", "mire", "nom reflecteur", "reflektor name",
-                "zielmarke", "zielmarke nr",
-            }
-        ),
-        "position": frozenset(
-            {"position", "pos", "target position", "zielposition", "nominal position", "soll position", "axis position",
-             "position cible", "position nominale", "position soll", "position target", "position nominal", "achsposition",
-             "target pos", "nominal", "soll", "sollposition", "sollwert", "cible", "nominale", "consigne"}
-        ),
-        "horizontal": frozenset(
-            {"hz", "horizontal", "horizontal angle", "horizontalwinkel", "hz winkel", "hz angle", "azimuth", "azimut", "ha", "theta",
-             "hor angle", "angle horizontal", "horizontalrichtung", "azimuth angle", "az"}
-        ),
-        "vertical": frozenset(
-            {"v", "vertical", "vertical angle", "vertikalwinkel", "v winkel", "v angle", "zenith", "zenith angle", "zenit",
-            "zenitwinkel",
-             "zenitdistanz", "zenith distance", "elevation", "elevation angle", "hoehenwinkel", "va", "phi", "angle vertical",
-             "vert angle",
-             "angle zenithal", "el"}
-        ),
-        "distance": frozenset(
-            {"distance", "distanz", "strecke", "slope distance", "schraegdistanz", "schraegstrecke", "range", "dist", "sd",
-             "entfernung", "distance inclinee", "d", "raumstrecke", "radius", "r"}
-        ),
-        "point": frozenset(
-            {
-                "point", "point name", "point id", "pt", "punkt", "punktname", "punkt name", "punkt nr", "punktnummer", "messpunkt",
-                "messpunkt nr", "name", "id", "label", "bezeichnung", "feature", "feature name", "feature id", "merkmal", "element",
-                "object", "objekt", "messstelle", "measuring point", "punkt id", "point no", "point number", "target id", "p",
-                "nom", "nom point", "nom du point", "repere", "designation", "libelle", "point de mesure",
-            }
-        ),
-        "index": frozenset(
-            {"nr", "no", "lfd nr", "lfd", "nummer", "number", "index", "row", "zeile", "line", "i", "n",
-             "messung nr", "seq", "satz", "numero", "ligne", ""}
-        ),
-        "carrier": frozenset({"carrier", "traeger", "seite", "side", "mounted on", "montiert an", "befestigt an", "sits on", "cote",
-                              "porteur", "support"}),
-        "station": frozenset(
-            {"station", "standpunkt", "aufstellung", "instrument station", "station name", "geraetestandpunkt", "setup", "standort"}
-        ),
-        "round": frozenset(
-            {
-                "round", "runde", "durchgang", "lauf", "run", "serie", "series", "cycle", "zyklus", "wiederholung", "repeat",
-                "repetition", "messreihe", "pass", "essai", "passe", "run no", "run nr", "lauf nr", "run number", "messlauf",
-                "laufnummer",
-            }
-        ),
-        "datetime": frozenset(
-            {"timestamp", "zeitstempel", "date time", "datetime", "datum zeit", "datum uhrzeit", "date and time", "time stamp",
-            "date heure", "date et heure", "horodatage"}
-        ),
-        "date": frozenset({"date", "datum", "tag", "day", "jour"}),
-        "time": frozenset({"time", "zeit", "uhrzeit", "clock", "t", "messzeit", "elapsed", "elapsed time", "time of day",
-        "heure", "temps"}),
-        "spindle_rpm": frozenset({"spindle speed", "spindle", "speed", "drehzahl", "spindeldrehzahl", "rpm", "spindle rpm",
-        "vitesse broche", "vitesse de broche"}),
-        "feed_mm_min": frozenset({"feed", "feed rate", "feedrate", "vorschub", "f", "bahnvorschub", "avance"}),
-        "load_kg": frozenset({"load", "last", "beladung", "zuladung", "gewicht", "mass", "masse", "payload", "charge"}),
-        "ignored": frozenset({"remark", "bemerkung", "bemerkungen", "comment", "kommentar", "note",
-             "notiz", "operator", "pruefer", "bediener", "remarque", "commentaire", "operateur"}),
-    }
-)  # fmt: skip
-"""Meaning of a column without the name of an axis, by its words."""
-
-CARRIER_WORDS: Final[Mapping[str, str]] = MappingProxyType(
-    {
-        **dict.fromkeys(
-            (
-                "tool",
-                "werkzeug",
-                "spindel",
-                "spindle",
-                "head",
-                "kopf",
-                "werkzeugseite",
-                "tool side",
-                "outil",
-                "broche",
-                "tete",
-            ),
-            "tool",
-        ),
-        **dict.fromkeys(
-            (
-                "work",
-                "werkstueck",
-                "workpiece",
-                "tisch",
-                "table",
-                "drehtisch",
-                "rotary table",
-                "werkstueckseite",
-                "work side",
-                "piece",
-                "plateau",
-            ),
-            "work",
-        ),
-    }
-)
-"""Sides of the machine, by the words of a cell."""
-
-UP_WORDS: Final = frozenset(
-    "+ 1 +1 up pos positive positiv vor vorwaerts forward forwards fwd hin aufwaerts auf > plus aller avant montant steigend".split()
-)
-DOWN_WORDS: Final = frozenset(
-    "- -1 down neg negative negativ zurueck rueckwaerts backward backwards bwd back rueck abwaerts ab < minus reverse retour "
-    "arriere descendant fallend".split()
-)
-UNKNOWN_WORDS: Final = frozenset("0 none unknown unbekannt ? n/a".split())
-"""Words of a cell that give the direction of approach: towards larger positions, towards smaller ones, unknown."""
-
 _LETTERS: Final = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "ß": "ss"})
 _ARROWS: Final = str.maketrans({"−": "-", "–": "-", "↑": "+", "→": "+", "↓": "-", "←": "-"})
 
@@ -244,14 +111,14 @@ def meaning_of(header: str, machine: Machine) -> Meaning:
     text, unit = without_unit(header)
     words = _words(text, machine)
     joined = " ".join(words)
-    short = " ".join(word for word in words if word not in NUMBERING) or joined
+    short = " ".join(word for word in words if word not in _VOCABULARY["numbering"]) or joined
     for kind, phrases in NAMES.items():
         is_named = joined in phrases or (kind in ("target", "station", "round") and short in phrases)
         if is_named and not (joined in ("", "t") and unit.casefold() in ("°c", "degc", "k", "c")):
             return Meaning(kind, kind, unit)
     axes = {axis.casefold(): axis for axis in machine.names}
     meant = [word for word in words if word in axes or word in ("x", "y", "z")]
-    rest = [word for word in words if word not in meant and word not in NOISE]
+    rest = [word for word in words if word not in meant and word not in _VOCABULARY["noise"]]
     known = unit_named(unit)
     temperature = ROLES["temperature"] & {*rest} or (known is not None and known.table_unit == "degC")
     if temperature:
@@ -279,7 +146,9 @@ def meaning_of(header: str, machine: Machine) -> Meaning:
 def other_axis(header: str, machine: Machine) -> str:
     """Return the letter of a rotary axis A, B or C that a header names as a position and the machine does not have; empty if none."""
     text = header.removesuffix("_deg") if re.fullmatch("[A-C]_deg", header) else without_unit(header)[0]
-    words = [word for word in _words(text, machine) if word not in NOISE and word not in ROLES["command"]]
+    words = [
+        word for word in _words(text, machine) if word not in _VOCABULARY["noise"] and word not in ROLES["command"]
+    ]
     letter = words[0].upper() if len(words) == 1 else ""
     return letter if letter in ("A", "B", "C") and letter not in machine.by_name else ""
 
