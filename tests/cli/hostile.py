@@ -24,15 +24,8 @@ from twin.compensation.fewer_blocks.emit import points_program
 from twin.controls import ControlCurve, ControlTerm, TableSum, format_named, read_tables
 from twin.controls.kinematics import kinematics_formats, kinematics_named, linear_shift
 from twin.controls.volumetric import AxisErrors, CorrectionGrid, VolumetricCorrection
-from twin.identification.axis_run import (
-    AxisLayout,
-    axis_curves,
-    error_motions,
-    load_readings,
-    simulate_run,
-    to_dict,
-    to_text,
-)
+from twin.identification.axis_layout import AxisLayout, load_readings, simulate_run
+from twin.identification.axis_run import axis_curves, error_motions, to_dict, to_text
 from twin.measurement.formats import convert
 from twin.measurement.formats.tracker import load_export
 from twin.measurement.importing import ImportedTable

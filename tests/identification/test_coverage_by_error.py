@@ -23,10 +23,9 @@ from twin.identification import identify
 from twin.identification.discrepancy import covariance_of
 from twin.identification.fitting import RobustStart, robust_start, shrunk_start
 from twin.identification.inputs import prepare
-from twin.identification.network import Network
+from twin.identification.network import Network, Unknowns
 from twin.identification.solve import Spread, solve
 from twin.identification.unidentified import DeterminedModel, determined_models
-from twin.identification.unknowns import Unknowns
 from twin.machine.machine import Machine
 from twin.measurement.instruments import LaserTracker, StationInstruments
 from twin.measurement.observation import nominal_carriers

@@ -24,11 +24,10 @@ from twin.identification import Identification, identify
 from twin.identification.discrepancy import RowAssessment, assess_rows
 from twin.identification.fitting import DECAYS, SIZES, TiedCurves, mixed_prior, robust_start
 from twin.identification.inputs import prepare
-from twin.identification.network import Network, stated_covariance
+from twin.identification.network import Network, Unknowns, stated_covariance
 from twin.identification.orders import _Fold, choose
 from twin.identification.solve import covariance_from_repeats, misfit, repeats_of
 from twin.identification.unidentified import determined_models
-from twin.identification.unknowns import Unknowns
 from twin.machine.machine import Machine
 from twin.measurement.instruments import (
     Instrument,

@@ -15,9 +15,8 @@ from twin._common.errors import InputError
 from twin.display.numbers import COVERAGE_FACTOR
 from twin.identification import Identification, identify
 from twin.identification.discrepancy import covariance_of
-from twin.identification.network import Network
+from twin.identification.network import Network, Unknowns
 from twin.identification.solve import FitSolution, Spread, solve
-from twin.identification.unknowns import Unknowns
 from twin.machine.machine import Machine
 from twin.measurement.instruments import LaserTracker, StationInstruments, default_instrument
 from twin.measurement.observation import nominal_carriers

@@ -118,7 +118,7 @@ MODULE_OFF = "  the machine is simulated with the kinematics module in its contr
 
 def _notes(planned: Measurements) -> list[str]:
     """Return the lines on excluded rows and notices of a plan."""
-    from twin.measurement.checks import grouped_notes
+    from twin.measurement.columns import grouped_notes
 
     excluded = (f"  set aside, {text}" for text in grouped_notes(planned.set_aside))
     return [*excluded, *(f"  {text}" for text in planned.notices)]

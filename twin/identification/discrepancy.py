@@ -36,7 +36,7 @@ from twin._common.distributions import chi2_isf, chi2_sf
 from twin._common.units import MM, count_with_noun
 from twin.identification.network import Network
 from twin.identification.solve import FitSolution, Spread
-from twin.measurement.checks import RowNote
+from twin.measurement.columns import RowNote
 from twin.measurement.observation import repeat_groups
 from twin.measurement.table import Measurements
 

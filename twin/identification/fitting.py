@@ -33,9 +33,8 @@ from twin.identification.discrepancy import (
     settled,
     updated,
 )
-from twin.identification.network import Network
+from twin.identification.network import Network, Unknowns
 from twin.identification.solve import FitSolution, Priors, solve
-from twin.identification.unknowns import Unknowns
 from twin.measurement.set_up import StationsAndTargets
 
 ROUNDS: Final = 8

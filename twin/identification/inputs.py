@@ -14,8 +14,7 @@ from twin.identification.network import stated_covariance
 from twin.identification.solve import Repeats, Spread, covariance_from_repeats, noise_text, repeats_of
 from twin.machine.machine import Machine
 from twin.measurement.agreement import WRONG_COLUMN_SHARE, agreeing_rows, fit_of, other_unit
-from twin.measurement.checks import ASSUMED
-from twin.measurement.columns import POINT_COLUMNS
+from twin.measurement.columns import ASSUMED, POINT_COLUMNS
 from twin.measurement.instruments import (
     SIDES,
     Instrument,

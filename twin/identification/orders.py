@@ -29,9 +29,8 @@ import scipy
 from twin._common.arrays import read_only
 from twin._common.resources import map_chunks
 from twin.identification.fitting import RobustStart
-from twin.identification.network import Network
+from twin.identification.network import Network, Unknowns
 from twin.identification.solve import FitSolution
-from twin.identification.unknowns import Unknowns
 from twin.measurement.table import Measurements
 from twin.numerics.curves import CurveSpace
 from twin.numerics.observability import SINGULAR_VALUE_TOLERANCE

@@ -19,13 +19,12 @@ from twin.display.numbers import COVERAGE_FACTOR
 from twin.display.results import Display, DisplayedResult
 from twin.identification.discrepancy import Discrepancy
 from twin.identification.inputs import NoiseOfReadings
-from twin.identification.network import Network
+from twin.identification.network import Network, Unknowns
 from twin.identification.orders import Choice, HeldOutResiduals
 from twin.identification.solve import FitSolution, FitStatistics, Spread, misfit
 from twin.identification.unidentified import ConstantErrors, InstrumentShare, Unidentified
-from twin.identification.unknowns import Unknowns
 from twin.machine.chain import frame_pose
-from twin.measurement.checks import RowNote, assumptions, grouped_notes
+from twin.measurement.columns import RowNote, assumptions, grouped_notes
 from twin.measurement.set_up import StationsAndTargets
 from twin.measurement.table import Measurements
 from twin.model.calibration import Calibration

@@ -26,8 +26,7 @@ from twin._common.arrays import read_only
 from twin._common.distributions import chi2_isf, chi2_sf, f_sf
 from twin._common.resources import map_chunks
 from twin._common.units import MM, URAD
-from twin.identification.network import Network
-from twin.identification.unknowns import UnknownNumber, Unknowns
+from twin.identification.network import Network, UnknownNumber, Unknowns
 from twin.machine.machine import Machine
 from twin.measurement.instruments import Instrument, StationInstruments
 from twin.measurement.observation import FEWEST_REPEATS, at_origin, nominal_carriers, repeat_groups

@@ -17,9 +17,8 @@ import numpy as np
 
 from twin._common.units import count_with_noun
 from twin.identification.inputs import PreparedData
-from twin.identification.network import Network
+from twin.identification.network import Network, Unknowns
 from twin.identification.solve import FitSolution, solve
-from twin.identification.unknowns import Unknowns
 from twin.machine.machine import Machine
 from twin.measurement.instruments import StationInstruments
 from twin.measurement.instruments.base import SetUpWords

@@ -20,8 +20,7 @@ from twin._common.arrays import read_only
 from twin._common.errors import InputError
 from twin._common.units import MM, count_with_noun
 from twin.machine.machine import Axis, Machine
-from twin.measurement.checks import SYSTEMATIC_ROWS, RowNote, outside_axis_range
-from twin.measurement.columns import CARRIERS, POINT_COLUMNS
+from twin.measurement.columns import CARRIERS, POINT_COLUMNS, SYSTEMATIC_ROWS, RowNote, outside_axis_range
 from twin.measurement.instruments import SIDES, StationInstruments, default_instrument
 from twin.measurement.observation import CarriedTargets, nominal_carriers
 from twin.measurement.set_up import LARGEST_MISFIT_M, StationsAndTargets, initial_setup

@@ -14,7 +14,7 @@ from twin._common.errors import InputError
 from twin._common.units import DEG, MM, UM
 from twin.display.results import Result
 from twin.machine.machine import Machine
-from twin.measurement.checks import outside_axis_range
+from twin.measurement.columns import outside_axis_range
 from twin.measurement.instruments import SIDES, STANDARD_AIR, Air, Instrument, instrument_named, length_scale
 from twin.measurement.observation import Observation
 from twin.measurement.table import Measurements

@@ -24,34 +24,32 @@ from twin._common.units import count_with_noun
 from twin.display import Cell, note, spans
 from twin.display.results import Display, DisplayedResult
 from twin.machine.machine import Machine
-from twin.measurement.checks import (
-    LARGEST_MM,
-    RowNote,
-    check_ranges,
-    copied_rows,
-    grouped_notes,
-    missing_rounds,
-    outside_axis_range,
-    place_by_name,
-    unused_names,
-)
 from twin.measurement.columns import (
     ANGLE_COLUMNS,
     ANGULAR,
     CARRIERS,
+    LARGEST_MM,
     PLACE_COLUMNS,
     PLANNED,
     POINT_COLUMNS,
     STATION_COLUMNS,
+    RowNote,
     TableColumns,
     angle_columns,
+    check_ranges,
     comment_lines,
+    copied_rows,
     csv_text,
+    grouped_notes,
+    missing_rounds,
     number_cells,
+    outside_axis_range,
+    place_by_name,
     printed,
     refuse_contacts,
     simulated_comments,
     table_columns,
+    unused_names,
     with_angles,
 )
 from twin.measurement.instruments import INSTRUMENTS, SIDES

@@ -13,7 +13,7 @@ from twin._common.provenance import warning_texts
 from twin._common.units import count_with_noun
 from twin.display import Html, figure, readable, render
 from twin.display.figures import BACKWARD, FORWARD, THIRD, embedded, new_figure, style_axes
-from twin.measurement.checks import grouped_notes
+from twin.measurement.columns import grouped_notes
 from twin.standards.drift.iso230_3 import DriftSeries
 from twin.standards.iso230_1 import AngularError, Straightness
 from twin.standards.iso230_2 import Positioning, UnidirectionalPositioning

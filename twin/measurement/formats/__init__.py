@@ -21,7 +21,7 @@ from twin._common.provenance import SIMULATED, SourceWarning, warning_texts, war
 from twin._common.units import count_with_noun
 from twin.display.results import Result
 from twin.machine.machine import Machine
-from twin.measurement.checks import check_ranges
+from twin.measurement.columns import check_ranges
 from twin.measurement.contacts import SphereCentre
 from twin.measurement.formats.base import MAX_BYTES, Conversion, FormatSpecification, Given, MeasuredFormat
 from twin.measurement.formats.tracker import TrackerExport

@@ -13,23 +13,21 @@ from dataclasses import replace
 from typing import Final, NamedTuple, final
 
 from twin.measurement.importing.cells import Layout, RawTable, Row, layout_of
-from twin.measurement.importing.headers import (
+from twin.measurement.importing.quantities import (
+    COMMA,
     DOWN_WORDS,
+    MINUS,
     NAMES,
+    POINT,
     ROLES,
     UP_WORDS,
     direction_of,
-    plain_words,
-    without_unit,
-)
-from twin.measurement.importing.quantities import (
-    COMMA,
-    MINUS,
-    POINT,
     is_no_value,
     looks_like_number,
+    plain_words,
     quantity_in,
     unit_named,
+    without_unit,
 )
 
 FEWEST: Final = 2

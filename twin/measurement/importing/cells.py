@@ -54,7 +54,7 @@ _WORKBOOK_ERRORS: Final = (
 """Exceptions that openpyxl and zipfile raise for damaged workbooks."""
 
 
-def listed(names: Iterable[str]) -> str:
+def yaml_list(names: Iterable[str]) -> str:
     """Return names as a list of YAML."""
     return f"[{', '.join(map(quoted, names))}]"
 
@@ -521,7 +521,7 @@ def layout_of(raw: RawTable, given: Sequence[str] = ()) -> Layout:
             file=raw.path,
             line=line,
             value=" | ".join(row),
-            cure=f"names: {listed([*header, *extra])}",
+            cure=f"names: {yaml_list([*header, *extra])}",
         )
     names = _unique([header[i] if i < len(header) and header[i] else f"column {i + 1}" for i in range(width)])
     return Layout(

@@ -18,17 +18,15 @@ from twin._common.units import count_with_noun
 from twin.display.results import Result
 from twin.machine.machine import Machine
 from twin.measurement.agreement import ColumnChange, wrong_columns
-from twin.measurement.checks import RowNote, grouped_notes
-from twin.measurement.columns import POINT_COLUMNS, comment_lines, csv_text, table_columns
+from twin.measurement.columns import POINT_COLUMNS, RowNote, comment_lines, csv_text, grouped_notes, table_columns
 from twin.measurement.columns import SIMULATED as SIMULATED_WORD
 from twin.measurement.formats import other_format
-from twin.measurement.importing.apply import TIME, Applied, moment_in
+from twin.measurement.importing.apply import TIME, Applied, PlanPoints, moment_in
 from twin.measurement.importing.arrangement import table_layout
 from twin.measurement.importing.cells import MAX_BYTES, Layout, read_cells
 from twin.measurement.importing.columns import Proposal, quoted
-from twin.measurement.importing.mapping import ColumnMapping, OriginEntry, PlanPoints
+from twin.measurement.importing.mapping import ColumnMapping, OriginEntry, unchecked
 from twin.measurement.importing.propose import proposed
-from twin.measurement.importing.readings import unchecked
 from twin.measurement.instruments import default_instrument, others_alike
 from twin.measurement.observation import FEWEST_REPEATS, repeats_dof
 from twin.measurement.table import Measurements

@@ -13,9 +13,9 @@ from twin._common.errors import InputError
 from twin.machine.machine import Axis, Machine
 from twin.measurement.agreement import sides_of_targets
 from twin.measurement.columns import PLACE_COLUMNS, POINT_COLUMNS
-from twin.measurement.importing.apply import Applied
+from twin.measurement.importing.apply import Applied, PlanPoints
 from twin.measurement.importing.arrangement import DIRECTION, HEADING, RUN
-from twin.measurement.importing.cells import Layout, listed
+from twin.measurement.importing.cells import Layout, yaml_list
 from twin.measurement.importing.columns import (
     Proposal,
     add_directions,
@@ -28,13 +28,30 @@ from twin.measurement.importing.columns import (
     is_number_column,
     meanings_of,
     quoted,
+    stated_units,
     without_header,
 )
-from twin.measurement.importing.headers import ROLES, Meaning, direction_of, other_axis, plain_words
-from twin.measurement.importing.mapping import ColumnsFile, PlanEntry, PlanPoints, column_line, entry_of
-from twin.measurement.importing.quantities import SEXAGESIMAL, table_unit, unit_named
-from twin.measurement.importing.readings import ANGLE, LENGTH, DeviationEntry, SphericalEntry, unchecked
-from twin.measurement.importing.units import stated_units
+from twin.measurement.importing.mapping import (
+    ANGLE,
+    LENGTH,
+    ColumnsFile,
+    DeviationEntry,
+    PlanEntry,
+    SphericalEntry,
+    column_line,
+    entry_of,
+    unchecked,
+)
+from twin.measurement.importing.quantities import (
+    ROLES,
+    SEXAGESIMAL,
+    Meaning,
+    direction_of,
+    other_axis,
+    plain_words,
+    table_unit,
+    unit_named,
+)
 
 CLEAR: Final = 5.0
 """Ratio of misfits from which the readings prove a convention."""
@@ -106,7 +123,7 @@ def _check_axes(found: Proposal) -> None:
                 line=layout.header_line or layout.rows[0][0],
                 value=name,
                 setting="machine",
-                cure=f"names: {listed(renamed)}" if name not in layout.derived else None,
+                cure=f"names: {yaml_list(renamed)}" if name not in layout.derived else None,
             )
 
 

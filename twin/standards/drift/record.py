@@ -21,8 +21,7 @@ from twin._common.csv_tables import Cells, read_table, unused_column_note
 from twin._common.errors import InputError, closest_name
 from twin._common.records import SPEED, TIME, check_course, is_temperature, read_record, sensor_of
 from twin.machine.machine import Machine
-from twin.measurement.checks import RowNote
-from twin.measurement.columns import simulated_comments
+from twin.measurement.columns import RowNote, simulated_comments
 from twin.standards.drift.iso230_3 import AxisDesign, tilt_urad
 
 PLACES: Final = ("X", "X1", "X2", "Y", "Y1", "Y2", "Z")

@@ -22,8 +22,17 @@ from twin._common.files import write_atomic
 from twin._common.units import MM, UM, URAD
 from twin._common.yaml_files import EntryPath, line_of, load_yaml
 from twin.machine.machine import Axis, Machine
-from twin.measurement.checks import LARGEST_MM, RowNote, outside_axis_range
-from twin.measurement.columns import comment_lines, csv_text, number_cells, printed, refuse_contacts, simulated_comments
+from twin.measurement.columns import (
+    LARGEST_MM,
+    RowNote,
+    comment_lines,
+    csv_text,
+    number_cells,
+    outside_axis_range,
+    printed,
+    refuse_contacts,
+    simulated_comments,
+)
 from twin.measurement.instruments.multi_axis import MultiAxis
 from twin.model.calibration import Calibration
 from twin.model.effects import assemble

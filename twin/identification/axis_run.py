@@ -1,7 +1,7 @@
 """Six error motions of a linear axis at every position, and its curves, from the readings of a multi-axis interferometer.
 
 They are relative to the reference position, as the counters are: constants and slopes of straightness depend on the layout's pose.
-The same holds in a calibration (`twin.identification.unknowns`), whose curves have no constant and whose straightness has no slope.
+The same holds in a calibration (`twin.identification.network`), whose curves have no constant and whose straightness has no slope.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ from twin._common.errors import InputError
 from twin._common.provenance import warning_texts, warnings_to_json
 from twin._common.records import json_form
 from twin._common.units import UM, URAD, count_with_noun
-from twin.identification.axis_run.readings import AxisLayout, BeamReadings
-from twin.identification.unknowns import Unknowns, spaces_for
+from twin.identification.axis_layout import AxisLayout, BeamReadings
+from twin.identification.network import Unknowns, spaces_for
 from twin.machine.machine import Machine
-from twin.measurement.checks import grouped_notes
+from twin.measurement.columns import grouped_notes
 from twin.measurement.instruments.multi_axis import Displacement, measure, rotation_and_jacobian
 from twin.model.calibration import Calibration
 from twin.model.calibration_file import MeasuredWith, MisfitEntry
