@@ -105,12 +105,9 @@ class AxisLayout:
     interferometer is at rest, the mirrors move.
 
     Attributes:
-        name: its name in the file.
-        beams: the nominal layout.
         reference_mm: commanded position at which the counters were set to zero.
         place: (3,) the carriage's point, from the origin of the axis's error frame.
         halved: whether a reading is half the change of path.
-        noise: standard uncertainty of a change of path.
         installation_u: (p,) standard uncertainties in the order of `MultiAxis.installation`.
     """
 
@@ -126,11 +123,7 @@ class AxisLayout:
 
     @classmethod
     def load(cls, path: str | Path, machine: Machine) -> AxisLayout:
-        """Read and check a layout file.
-
-        Raises:
-            InputError: with file, line, value and what was expected.
-        """
+        """Read and check a layout file. Raises `InputError`: with file, line, value and what was expected."""
         path = Path(path)
         entries, lines = load_yaml(path, _LayoutFile, SCHEMA)
         check = _Entries(path, lines)
@@ -229,7 +222,6 @@ class BeamReadings:
         approach: (n,) +1, −1, 0 unknown.
         time_s: (n,) NaN where not given.
         set_aside: rows of the file that are not used, and why.
-        notices: facts to know before using a result.
         simulated: whether they were simulated, not measured on a machine.
     """
 
@@ -272,8 +264,7 @@ class BeamReadings:
 def load_readings(path: str | Path, layout: AxisLayout) -> BeamReadings:
     """Read and check a table of readings.
 
-    Raises:
-        InputError: with file, line and value: no header, a missing column, a cell that is not a number, no usable row.
+    Raises `InputError`: with file, line and value: no header, a missing column, a cell that is not a number, no usable row.
     """
     path = Path(path)
     header, rows, comments = read_table(path)

@@ -260,9 +260,8 @@ class DiscrepancyPart:
 class Discrepancy:
     """The discrepancy of a model.
 
-    Attributes:
-        parts: the components that are not zero.
-        root: (n, 3, 3) symmetric square root of each reading's covariance by it, metres; zero where nothing was read.
+    ``parts``: the components that are not zero; ``root``: (n, 3, 3) symmetric square root of each reading's covariance by it, metres;
+    zero where nothing was read.
     """
 
     parts: tuple[DiscrepancyPart, ...]
@@ -307,11 +306,8 @@ def no_discrepancy(network: Network) -> Discrepancy:
 class _Group:
     """Rows that share their variances: one for each direction.
 
-    Attributes:
-        of: their (target, station) pairs.
-        rows: (k,) their numbers.
-        directions: names of the directions.
-        projections: (directions, k, 3, 3) projection of a reading on each.
+    ``of``: their (target, station) pairs; ``rows``: (k,) their numbers; ``projections``: (directions, k, 3, 3) projection of a reading
+    on each.
     """
 
     of: tuple[tuple[str, str], ...]
@@ -512,8 +508,7 @@ def covariance_of(
     ``network``: data and model, with the weights of the estimate; ``weight``: (n,) weight of each point; zero for one that was not
     used; ``discrepancy``: the discrepancy in these weights; none if None.
 
-    Raises:
-        InputError: fewer rounds than parameters determined.
+    Raises `InputError`: fewer rounds than parameters determined.
     """
     data = network.data
     if spread == "between poses":

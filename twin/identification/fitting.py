@@ -50,7 +50,6 @@ class RobustStart(NamedTuple):
     """A robust estimate.
 
     Attributes:
-        solution: the estimate.
         weight: (n,) the final weights of the points: zero for an outlier.
         discrepancy: residuals of most rows beyond the noise, isotropic (`RowAssessment.size_m`).
         noise: size of the residuals of most rows, as in `RowAssessment`; one if the model fits.
@@ -186,10 +185,7 @@ FREE: Final = 1.0
 class ShrunkStart(NamedTuple):
     """The priors of the machine's unknowns, and a linear estimate with them: weak directions have no values of the noise.
 
-    Attributes:
-        priors: of the machine's unknowns, about zero.
-        theta: (columns,) µm and µrad.
-        setup: stations and targets.
+    ``priors``: of the machine's unknowns, about zero; ``theta``: (columns,) µm and µrad.
     """
 
     priors: Priors
@@ -250,10 +246,8 @@ def _noise(solution: FitSolution, readings: int) -> float:
 class TiedCurves(NamedTuple):
     """Curves that conditions of the datum tie to each other, mostly one.
 
-    Attributes:
-        columns: (k,) of their coefficients.
-        orders: (k,) order of each within its curve, from 0.
-        inside: (k, f) orthonormal directions that fulfil the conditions.
+    ``columns``: (k,) of their coefficients; ``orders``: (k,) order of each within its curve, from 0; ``inside``: (k, f) orthonormal
+    directions that fulfil the conditions.
     """
 
     columns: np.ndarray
@@ -282,10 +276,8 @@ def _tied_curves(unknowns: Unknowns, free: np.ndarray) -> list[TiedCurves]:
 class Mixture(NamedTuple):
     """The prior of a curve's k coefficients, a mixture of sizes and decays.
 
-    Attributes:
-        precision: (k,) of the one Gaussian prior that shrinks them as the mixture does.
-        variance: (k,) of the mixture in which each size has the same share.
-        share_of_size: (sizes,) probability of each size of this curve.
+    ``precision``: (k,) of the one Gaussian prior that shrinks them as the mixture does; ``variance``: (k,) of the mixture in which each
+    size has the same share; ``share_of_size``: (sizes,) probability of each size of this curve.
     """
 
     precision: np.ndarray

@@ -61,9 +61,8 @@ def prepare(machine: Machine, data: Measurements, instrument: Instrument | None)
     ``instrument``: the instrument of the stations whose instrument the table does not name; if None, the one that their readings
     indicate (`_instruments`).
 
-    Raises:
-        InputError: a sensor that does not follow its target; a single column that is no coordinate and no length; readings that do
-            not belong to the instrument; commands that do not agree with the readings (`agreeing_rows`).
+    Raises `InputError`: a sensor that does not follow its target; a single column that is no coordinate and no length; readings that do
+    not belong to the instrument; commands that do not agree with the readings (`agreeing_rows`).
     """
     carried = nominal_carriers(machine, data)
     sensors = _check_sensors(data, carried)
@@ -97,9 +96,8 @@ def prepare(machine: Machine, data: Measurements, instrument: Instrument | None)
 def _check_sensors(data: Measurements, carried: CarriedTargets) -> list[str]:
     """Return a notice for each coordinate that never changes.
 
-    Raises:
-        InputError: a target of which no coordinate ever changes, although the commands move it wherever it sits on its carrier; a
-            sphere that is not at the tip of its probe.
+    Raises `InputError`: a target of which no coordinate ever changes, although the commands move it wherever it sits on its carrier; a
+    sphere that is not at the tip of its probe.
     """
     probed, notices = at_origin(data), []
     for station in dict.fromkeys(data.station):
@@ -256,8 +254,7 @@ def _instrument(
     An empty field is a coordinate that was not measured: a scale parallel to a stage reads x alone. The length of a tracking
     interferometer is also in x_mm; the motion shows which of the two it is.
 
-    Raises:
-        InputError: readings that do not belong to the instrument; a single column that does not follow the commands.
+    Raises `InputError`: readings that do not belong to the instrument; a single column that does not follow the commands.
     """
     read = [i for i in range(3) if np.isfinite(data.point_mm[:, i]).any()]
     if instrument is not None and instrument.specification.columns == ("x_mm",):
@@ -329,7 +326,6 @@ class NoiseOfReadings:
         spread: noise on which the covariance of the estimate is based; ``repeats`` where they contradict the stated noise.
         contradicted: names of the instruments whose stated noise the repeats contradict.
         assumed: names of the instruments that nothing but the kind of the readings indicates, and no repeats test.
-        notices: what to know of it.
     """
 
     covariance: np.ndarray
@@ -358,8 +354,7 @@ def reading_noise(machine: Machine, placed: PreparedData, spread: Spread, *, nam
     ``spread``: source that was asked for; with ``repeats`` they are taken in any case; ``named``: whether the user named the instrument
     of the stations for which the table does not.
 
-    Raises:
-        InputError: too few repeats for ``repeats``.
+    Raises `InputError`: too few repeats for ``repeats``.
     """
     data, instruments = placed.data, placed.instruments
     stated = stated_covariance(data, instruments)

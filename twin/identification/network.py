@@ -49,9 +49,7 @@ from twin.numerics.spatial import cross_matrix
 class UnknownNumber:
     """One unknown parameter.
 
-    Attributes:
-        entity: ``E_XX``, ``E_C0Y``, ``E_X0C``.
-        index: of the orthonormal function; 0 for a squareness or location.
+    ``entity``: ``E_XX``, ``E_C0Y``, ``E_X0C``; ``index``: of the orthonormal function; 0 for a squareness or location.
     """
 
     entity: str
@@ -62,15 +60,14 @@ class UnknownNumber:
 class Unknowns:
     """The unknowns of a machine, in a fixed order of columns.
 
+    ``plausible``: (columns,) prior standard deviations, µm or µrad (`Machine.plausible`).
+
     Args:
         curves: function spaces of its error motions.
         constants: names of squareness and locations.
         fixed_axes: axes next to a carrier on which all targets' places are known. Nothing else can compensate a constant or a
             rotating pattern there, so their curves have one.
         offsets: names of the curves that do; all of those axes' if None.
-
-    Attributes:
-        plausible: (columns,) prior standard deviations, µm or µrad (`Machine.plausible`).
     """
 
     def __init__(
@@ -378,7 +375,6 @@ class LinearisedReadings:
     """Some points in their stations' frames; metres, derivatives whitened.
 
     Attributes:
-        rows: rows in the data.
         residual: (k, 3) whitened.
         carried: (k, 3) the targets in the frames on which their stations ride.
         seen: (k, 3) the points in their stations' frames.

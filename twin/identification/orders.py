@@ -53,10 +53,8 @@ give functions that do not exist.
 class Folds:
     """Groups of points that are held out together.
 
-    Attributes:
-        round_of: (n,) group of rounds.
-        pose_of: (n,) group of positions; −1 for those never held out (end points of an axis's travel).
-        rounds, poses: number of groups.
+    ``round_of``: (n,) group of rounds; ``pose_of``: (n,) group of positions; −1 for those never held out (end points of an axis's
+    travel).
     """
 
     round_of: np.ndarray
@@ -357,12 +355,8 @@ FOLDS: Final = 5
 class HeldOutResiduals:
     """Residuals at held-out poses.
 
-    Attributes:
-        rms_um: RMS per coordinate.
-        whitened_rms: the same in standard deviations of the weights, about one if the model holds.
-        folds: number of folds.
-        poses: number of different poses.
-        readings: number of coordinates that were held out.
+    ``whitened_rms``: the same in standard deviations of the weights, about one if the model holds; ``readings``: number of coordinates
+    that were held out.
     """
 
     rms_um: float

@@ -67,9 +67,8 @@ step would be a thousandth of it or less, and the remainder 1e-7 of a standard u
 class Priors(NamedTuple):
     """Gaussian priors of the machine's unknowns about zero.
 
-    Attributes:
-        precision: (columns,) in the estimate, one over µm² or µrad²; zero without a prior.
-        variance: (columns,) µm² or µrad², for the covariance: how far the unknowns that the estimate holds back may be from zero.
+    ``precision``: (columns,) in the estimate, one over µm² or µrad²; zero without a prior; ``variance``: (columns,) µm² or µrad², for
+    the covariance: how far the unknowns that the estimate holds back may be from zero.
     """
 
     precision: np.ndarray
@@ -83,13 +82,11 @@ class FitSolution:
 
     Attributes:
         theta: (columns,) µm and µrad.
-        setup: stations and targets.
         triangle: (p + 1, p + 1) factor of [J | r] at the estimate.
         spectrum: directions (machine and set-up, scaled by their priors) that the data determine, their singular values, and null
             directions; all of them fulfil the datum's conditions.
         determined: number of parameters determined by the readings: the trace of their share in the estimate.
         converged: whether the iteration converged.
-        steps: number of steps.
         incomplete: whether the model does not fit, so that the prior acts on every direction.
         priors: further priors of the machine's unknowns about zero.
         free: (p, f) orthonormal directions that fulfil the datum's conditions.
@@ -281,7 +278,6 @@ class _Problem:
 
     Attributes:
         incomplete: see `solve`.
-        priors: priors of the machine's unknowns.
         root: (columns, columns) root of their precision.
         free: (p, f) orthonormal directions that fulfil the datum's conditions.
         scale: (p,) prior standard deviations.
@@ -391,10 +387,8 @@ def _append_rows(triangle: np.ndarray, rows: np.ndarray) -> np.ndarray:
 class _Newton:
     """Gauss-Newton steps from one iterate, for readings and prior.
 
-    Attributes:
-        basis: (p, d) directions, the null directions last.
-        right: (d,) gradient along them.
-        stiffness: (d,) curvature along them.
+    ``basis``: (p, d) directions, the null directions last; ``right``: (d,) gradient along them; ``stiffness``: (d,) curvature along
+    them.
     """
 
     basis: np.ndarray
@@ -543,7 +537,6 @@ class Repeats:
     Attributes:
         rows: (k,) its rows in the data.
         covariance: (k, 3, 3) of all its readings, from the repeats, m²: the instrument's model, pooled.
-        dof: degrees of freedom of one coordinate.
         reduced_chi2: mean square of the repeats in units of the stated covariance.
         p_value: probability of one at least as large if the stated covariance holds.
     """
@@ -636,8 +629,7 @@ def covariance_from_repeats(
 ) -> np.ndarray:
     """Return (n, 3, 3) the covariance of the readings from repeats, m²: each instrument's model, pooled over all its points.
 
-    Raises:
-        InputError: fewer than ten degrees of freedom of repeats of an instrument.
+    Raises `InputError`: fewer than ten degrees of freedom of repeats of an instrument.
     """
     covariance_from_repeats = np.zeros((len(data), 3, 3))
     by_instrument = {id(repeat.instrument): repeat for repeat in repeats}

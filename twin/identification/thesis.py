@@ -143,9 +143,8 @@ class PointwiseMotion:
 class ThesisIdentification(Result):
     """Result of the thesis's method.
 
-    Attributes:
-        calibration: its curves and squareness, without uncertainty.
-        motions: the points to which the curves were fitted, by ISO 230-1 name.
+    ``calibration``: its curves and squareness, without uncertainty; ``motions``: the points to which the curves were fitted, by ISO
+    230-1 name.
     """
 
     calibration: Calibration

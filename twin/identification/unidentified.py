@@ -42,12 +42,10 @@ class DeterminedModel:
     """The unknowns that the data determine.
 
     Attributes:
-        network: data and these unknowns.
         triangle: factor of [J | r] of the nominal machine for these unknowns and the set-up.
         left_out: names of the errors left out, which only stations, targets and other errors left out can compensate.
         confounded: names of the errors among the unknowns that are confounded with each other.
         determinability: determinability of all errors that were considered.
-        considered: all of these unknowns.
     """
 
     network: Network
@@ -79,8 +77,7 @@ def determined_models(
 
     ``wanted``: whether an error of that name is to be estimated; ``covariance``: (n, 3, 3) of the readings, m²; the stated one if None.
 
-    Raises:
-        InputError: no axis moved.
+    Raises `InputError`: no axis moved.
     """
     families = _families(machine, placed, wanted)
     return [_determined_model(machine, placed, bases, wanted, covariance) for bases in families]
@@ -172,10 +169,8 @@ EQUAL: Final = 0.05
 class ConstantErrors:
     """The constant errors of a machine's moved axes, and what a measurement tells about them.
 
-    Attributes:
-        u: standard uncertainty of each by name, µm/m of a scale, µm or µrad of the others; NaN where it is not determined.
-        determined: number of independent combinations that are determined.
-        lost: the other combinations, in words, one each.
+    ``u``: standard uncertainty of each by name, µm/m of a scale, µm or µrad of the others; NaN where it is not determined;
+    ``determined``: number of independent combinations that are determined.
     """
 
     u: Mapping[str, float]
@@ -308,10 +303,8 @@ TOO_FEW: Final = "{axis} has too few different positions for a straightness curv
 class Unidentified:
     """An error that these data do not determine.
 
-    Attributes:
-        name: ISO 230-1 name.
-        reason: why, and which measurement would change it.
-        direction: the null direction: changes of this error and of others that together change no reading; empty if there is none.
+    ``name``: ISO 230-1 name; ``reason``: why, and which measurement would change it; ``direction``: the null direction: changes of this
+    error and of others that together change no reading; empty if there is none.
     """
 
     name: str
@@ -507,9 +500,7 @@ class InstrumentShare:
     """One instrument's part in an estimate.
 
     Attributes:
-        instrument: its name.
         readings: number of coordinates or lengths that were used.
-        rms_um: RMS of their residuals.
         reduced_chi2: mean square of their whitened residuals; about 1 if their stated uncertainty is right.
         alone: which constant errors its readings alone determine; None if it moved no axis that has any.
     """

@@ -70,7 +70,6 @@ class ColumnChange(NamedTuple):
     Attributes:
         field: ``positions`` or ``point_mm``.
         order: index of the column from which each column is taken.
-        factor: of each column.
         columns: names of the columns that change.
         text: what seems to be wrong with them.
         advice: comment for the entries of these columns in a mapping file.
@@ -97,12 +96,8 @@ class ColumnChange(NamedTuple):
 class Agreement(NamedTuple):
     """Agreement of readings with commands on the nominal machine.
 
-    Attributes:
-        setup: the estimated set-up.
-        miss: (n,) misfit of each reading, metres.
-        limit: misfit above which a row is wrong, metres.
-        ratio: mean misfit over mean motion.
-        motion: largest motion of a target, metres.
+    ``miss``: (n,) misfit of each reading, metres; ``limit``: misfit above which a row is wrong, metres; ``motion``: largest motion of a
+    target, metres.
     """
 
     setup: StationsAndTargets
@@ -148,9 +143,8 @@ def agreeing_rows(
 
     ``carried``: carriers of the rows on the nominal machine; computed if None.
 
-    Raises:
-        InputError: more than a fifth of the rows do not agree, or fewer that agree after one change of the columns, or readings that
-            do not follow the commands; with the change that would make them agree, if there is one.
+    Raises `InputError`: more than a fifth of the rows do not agree, or fewer that agree after one change of the columns, or readings
+    that do not follow the commands; with the change that would make them agree, if there is one.
     """
     follows = f"readings that follow the commands of {machine.name}"
     try:
@@ -274,10 +268,8 @@ def wrong_columns(machine: Machine, data: Measurements) -> list[ColumnChange]:
 class TargetSide(NamedTuple):
     """Side of the machine on which a target follows the commands.
 
-    Attributes:
-        carrier: the side; empty if the readings do not show it.
-        misfit_mm: mean misfit on this side; the smaller one if they do not.
-        other_misfit_mm: mean misfit on the other side.
+    ``carrier``: the side; empty if the readings do not show it; ``misfit_mm``: mean misfit on this side; the smaller one if they do
+    not.
     """
 
     carrier: str

@@ -42,12 +42,8 @@ ONE_DIMENSIONAL: Final = ("time_s", "feed_mm_min")
 class TableColumns(NamedTuple):
     """Columns of the file that make up one field of `Measurements`.
 
-    Attributes:
-        field: name of the field.
-        columns: names of the columns; one for a one-dimensional field.
-        kind: kind of the cells.
-        default: word that stands for an empty cell.
-        needed: whether the columns are always written.
+    ``columns``: names of the columns; one for a one-dimensional field; ``default``: word that stands for an empty cell; ``needed``:
+    whether the columns are always written.
     """
 
     field: str
@@ -349,9 +345,8 @@ def check_ranges(axes: Sequence[Axis], positions: np.ndarray, lines: np.ndarray,
 
     ``positions``: (n, axes) commands, mm and degrees; ``lines``: (n,) lines of the rows.
 
-    Raises:
-        InputError: many positions of an axis are outside its range, and all would be inside after subtracting one constant, or if they
-            were micrometres.
+    Raises `InputError`: many positions of an axis are outside its range, and all would be inside after subtracting one constant, or if
+    they were micrometres.
     """
     for axis, column in zip(axes, positions.T, strict=True):
         beyond = outside_axis_range(axis, column)
@@ -463,8 +458,7 @@ def place_by_name(
     ``what``: ``target`` or ``station``; ``names``: (n,) name of the target or station of every row; ``columns``: (k) names of the
     columns of the place; ``values``: (n, k) cells of these columns; ``lines``: (n,) lines of the rows.
 
-    Raises:
-        InputError: an incomplete place, a number that is not finite or too large, or two places for one target or station.
+    Raises `InputError`: an incomplete place, a number that is not finite or too large, or two places for one target or station.
     """
     given = ~np.isnan(values)
     for row in np.flatnonzero(given.any(axis=1) & ~(np.abs(values) <= LARGEST_MM).all(axis=1)):

@@ -50,7 +50,6 @@ class Sphere:
 
     Attributes:
         centre_mm: (3,).
-        radius_mm: fitted or known radius.
         residuals_mm: (n,) distances of the points from the sphere, positive outside.
         leverage: (n,) share of each point in its own fitted value, 0 … 1.
         cofactor: (p, p) covariance of centre and radius (p = 4), or of the centre (p = 3, known radius), for a noise of 1 mm.
@@ -79,8 +78,7 @@ class Sphere:
     def check_determined(self, noise_mm: float, *, file: str | Path | None = None, line: int | None = None) -> None:
         """Raise `InputError` if the contacts hardly determine the centre.
 
-        Raises:
-            InputError: a standard uncertainty of the centre above `UNDETERMINED` times the radius.
+        Raises `InputError`: a standard uncertainty of the centre above `UNDETERMINED` times the radius.
         """
         variances, directions = np.linalg.eigh(self.covariance_mm2(noise_mm))
         u = float(np.sqrt(variances[-1]))
@@ -99,9 +97,8 @@ def fit_sphere(
 
     ``points_mm``: (n, 3); ``radius_mm``: known radius; None to fit it.
 
-    Raises:
-        InputError: fewer than `FEWEST` points, a point that is not finite, points in one plane or that do not determine the centre
-            otherwise, or a fit that does not converge.
+    Raises `InputError`: fewer than `FEWEST` points, a point that is not finite, points in one plane or that do not determine the centre
+    otherwise, or a fit that does not converge.
     """
     points = np.asarray(points_mm, dtype=float)
     if points.ndim != 2 or points.shape[1] != 3 or len(points) < FEWEST:
@@ -195,7 +192,6 @@ class Contacts:
     """Contacts of a probe, n rows; arrays are read-only.
 
     Attributes:
-        source: the file.
         lines: (n,) lines in the file.
         positions: (n, axes) positions of all axes at the contact, mm and degrees, command order.
         sphere: (n,) names.
@@ -239,14 +235,8 @@ class Probing:
 class SphereCentre:
     """One sphere in one pose.
 
-    Attributes:
-        sphere, round: names.
-        line: line of its first contact.
-        contacts: number of contacts.
-        positions: (axes,) positions at which the tip was at the centre, mm and degrees.
-        covariance_mm2: (3, 3) of the positions of X, Y, Z.
-        radius_mm: radius of the fit: of the tip's centre around the sphere's, or of the sphere (see `Probing`).
-        rms_mm: RMS of the residuals.
+    ``positions``: (axes,) positions at which the tip was at the centre, mm and degrees; ``covariance_mm2``: (3, 3) of the positions of
+    X, Y, Z; ``radius_mm``: radius of the fit: of the tip's centre around the sphere's, or of the sphere (see `Probing`).
     """
 
     sphere: str
@@ -269,11 +259,8 @@ class SphereCentre:
 class ReducedContacts:
     """Sphere centres of a file of contacts.
 
-    Attributes:
-        measurements: one row for each sphere and pose.
-        centres: the same with their covariances.
-        u_contact_mm: standard uncertainty of a contact that the covariances are computed from.
-        notes: assumptions and findings, one sentence each.
+    ``centres``: the same with their covariances; ``u_contact_mm``: standard uncertainty of a contact that the covariances are computed
+    from.
     """
 
     measurements: Measurements
@@ -283,11 +270,7 @@ class ReducedContacts:
 
 
 def linear_columns(machine: Machine) -> tuple[int, ...]:
-    """Return the indices of X, Y and Z among the machine's axes.
-
-    Raises:
-        InputError: the linear axes are not X, Y and Z.
-    """
+    """Return the indices of X, Y and Z among the machine's axes. Raises `InputError`: the linear axes are not X, Y and Z."""
     names = [machine.axes[i].name for i in machine.linear]
     if sorted(names) != list(CARTESIAN):
         raise InputError(
@@ -299,10 +282,9 @@ def linear_columns(machine: Machine) -> tuple[int, ...]:
 def reduce_contacts(contacts: Contacts, machine: Machine, probing: Probing) -> ReducedContacts:
     """Return the sphere centres of all spheres and poses.
 
-    Raises:
-        InputError: with the line: fewer than four contacts with a sphere in a pose, contacts that do not determine its centre, an
-            outlier, a direction that is not a unit vector; no residuals to estimate the noise from, and none stated; a known radius
-            without that of the tip; a machine whose linear axes are not X, Y, Z.
+    Raises `InputError`: with the line: fewer than four contacts with a sphere in a pose, contacts that do not determine its centre, an
+    outlier, a direction that is not a unit vector; no residuals to estimate the noise from, and none stated; a known radius without
+    that of the tip; a machine whose linear axes are not X, Y, Z.
     """
     columns = linear_columns(machine)
     points, radius, notes = _surface(contacts, contacts.positions[:, columns], probing)
@@ -583,8 +565,7 @@ def _table(
 def _reading_by_axis(machine: Machine, positions: np.ndarray, columns: Sequence[int]) -> np.ndarray:
     """Return (n, 3, 3) the derivative of a point of the work side, seen from the tool, with respect to X, Y and Z.
 
-    Raises:
-        InputError: the linear axes are not orthogonal, so that contacts in axis coordinates do not lie on a sphere.
+    Raises `InputError`: the linear axes are not orthogonal, so that contacts in axis coordinates do not lie on a sphere.
     """
     n, observation = len(positions), Observation(machine)
 

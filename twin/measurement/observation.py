@@ -158,8 +158,7 @@ class Observation:
 
         ``check``: whether a position outside the domain of a curve is refused; otherwise the curve is extrapolated (overtravel).
 
-        Raises:
-            InputError: as `points_mm`.
+        Raises `InputError`: as `points_mm`.
         """
         state = machine_state(data, self.machine)
         if check:

@@ -33,10 +33,7 @@ TURN_PLAUSIBLE: Final = 1.0
 class Slot(NamedTuple):
     """Unknown parameters of one kind of one station or target.
 
-    Attributes:
-        kind: ``turn``, ``origin`` and ``dead path`` of a station, ``place`` of a target.
-        number: index of the station or target.
-        at: their slice of the set-up's unknowns.
+    ``kind``: ``turn``, ``origin`` and ``dead path`` of a station, ``place`` of a target.
     """
 
     kind: Literal["turn", "origin", "dead path", "place"]
@@ -50,14 +47,11 @@ class StationsAndTargets:
     """Poses of stations and places of targets; metres and radians, in the frame on which each station rides (usually the base frame).
 
     Attributes:
-        stations: names.
         rotation: (stations, 3, 3) station frame in that frame.
         origin: (stations, 3).
         dead: (stations,) dead path of an interferometer, at which its counter was zeroed; zero where lengths are absolute.
-        targets: names.
         place: (targets, 3) on their carriers.
         station_known, target_known: whether the table gives the pose or place.
-        reads: what the instrument of each station reads.
         lines: (targets,) whether a target is a line of 1 m that turns with a level; its unknowns are x and y of its end.
         shift: (unknowns,) change of each parameter by `moved` since its initial value, metres and radians; None for zero.
     """
@@ -94,8 +88,7 @@ class StationsAndTargets:
     def of(self, data: Measurements) -> StationsAndTargets:
         """Return the stations and targets of other data, with the values of this set-up.
 
-        Raises:
-            KeyError: a station or target that is not in this set-up.
+        Raises `KeyError`: a station or target that is not in this set-up.
         """
         named = dict.fromkeys(data.station.tolist()), dict.fromkeys(data.target.tolist())
         for name in (*(set(named[0]) - set(self.stations)), *(set(named[1]) - set(self.targets))):
@@ -217,8 +210,7 @@ def initial_setup(
     ``carried``: the carriers of the rows on the nominal machine; ``mirrored``: whether readings in a left-handed frame are accepted;
     they agree poorly.
 
-    Raises:
-        InputError: a station with fewer than three points, or one whose readings are in a left-handed frame.
+    Raises `InputError`: a station with fewer than three points, or one whose readings are in a left-handed frame.
     """
     setup = StationsAndTargets.from_table(data, instruments)
     kinds = np.array([read.reads if read.reads in ("length", "angle") else "point" for read in setup.reads])
@@ -454,8 +446,7 @@ def _nearest_rotations(
 ) -> np.ndarray:
     """Return (stations, 3, 3) the rotations nearest to the estimated entries; known rotations unchanged.
 
-    Raises:
-        InputError: a station whose readings are in a left-handed frame, if these are not accepted.
+    Raises `InputError`: a station whose readings are in a left-handed frame, if these are not accepted.
     """
     rotation = np.array(setup.rotation)
     for i in np.flatnonzero(~setup.station_known):

@@ -29,12 +29,7 @@ STATION_DISTANCE_MM: Final = 1800.0
 @final
 @dataclass(frozen=True)
 class Station:
-    """Pose of an instrument's station.
-
-    Attributes:
-        origin_mm: its origin in the base frame.
-        rotation_rad: rotation vector of its frame in the base frame.
-    """
+    """Pose of an instrument's station. ``rotation_rad``: rotation vector of its frame in the base frame."""
 
     origin_mm: tuple[float, float, float]
     rotation_rad: tuple[float, float, float]
@@ -284,8 +279,7 @@ def at_centres(
     ``off_mm``: (n, 3) position of the sphere in the frame of the tip that counts as its centre (noise); ``rows``: (n,) which rows are
     probed; the others remain unchanged.
 
-    Raises:
-        InputError: a sphere that the axes do not reach, or that is on the side of the probe.
+    Raises `InputError`: a sphere that the axes do not reach, or that is on the side of the probe.
     """
     wrong = np.flatnonzero(rows & ((plan.station_carrier == plan.carrier) | (plan.station_carrier == SIDES[0])))
     if len(wrong):

@@ -64,8 +64,7 @@ BARS: Final = tuple(one.name for one in INSTRUMENTS if one.specification.nominal
 def stated_length_mm(comments: Sequence[str], path: Path) -> float | None:
     """Return the length that the comments of a table state, mm; None if they state none.
 
-    Raises:
-        InputError: a length that cannot be read, or two different lengths.
+    Raises `InputError`: a length that cannot be read, or two different lengths.
     """
     found: dict[float, str] = {}
     for text in comments:
@@ -92,8 +91,7 @@ def length_comment(bar_mm: np.ndarray) -> list[str]:
 
     ``bar_mm``: (n,) nominal lengths, mm; NaN where there is none.
 
-    Raises:
-        InputError: rows with different lengths.
+    Raises `InputError`: rows with different lengths.
     """
     lengths = np.unique(bar_mm[np.isfinite(bar_mm)]).tolist()
     if len(lengths) > 1:
@@ -111,8 +109,7 @@ def with_length(values: Mapping[str, Any], length_mm: float) -> tuple[dict[str, 
 
     ``values``: the fields ``point_mm``, ``instrument``, ``station_carrier`` and ``bar_mm`` (NaN or absent where no length is known).
 
-    Raises:
-        InputError: a row that already has another length.
+    Raises `InputError`: a row that already has another length.
     """
     point, names = np.array(values["point_mm"]), np.asarray(values["instrument"]).astype(str)
     alone = np.isnan(point[:, 1:]).all(axis=1) & (values["station_carrier"] != SIDES[0])
@@ -527,8 +524,7 @@ def _check_names(table: Measurements) -> None:
 def _with_known_places(table: Measurements) -> Measurements:
     """Return the table with the place of its target and the pose of its station in every row, taken from any row that gives it.
 
-    Raises:
-        InputError: an incomplete place, a number that is not finite, or two places for one target or station.
+    Raises `InputError`: an incomplete place, a number that is not finite, or two places for one target or station.
     """
     return replace(
         table,
@@ -544,8 +540,7 @@ def without_unusable_rows(table: Measurements, machine: Machine, unknown_cells: 
 
     ``unknown_cells``: cells of the unknown columns, one string per row; empty if there are no such columns.
 
-    Raises:
-        InputError: no usable row; commands with a constant offset or in another unit.
+    Raises `InputError`: no usable row; commands with a constant offset or in another unit.
     """
     check_ranges(machine.axes, table.positions, table.lines, table.source)
     reasons: dict[int, RowNote] = {}

@@ -58,10 +58,8 @@ class TermCandidate:
 class Inputs:
     """Reference values of the inputs.
 
-    Attributes:
-        reference_degC: temperature of each sensor at the start of the fitted record.
-        highest_rpm: highest speed of the fitted record; 0 without speeds.
-        start_s: time of the first row.
+    ``reference_degC``: temperature of each sensor at the start of the fitted record; ``highest_rpm``: highest speed of the fitted
+    record; 0 without speeds.
     """
 
     reference_degC: dict[str, float]
@@ -191,10 +189,7 @@ DENSE_SIZES: Final = (0.01, 0.03, 0.1, 0.3)
 class Average:
     """Average over models, for one displacement; the last coefficient is the constant.
 
-    Attributes:
-        mean: (terms + 1,), µm/K or µm.
-        covariance: (terms + 1, terms + 1), within and between models.
-        residual_um: standard deviation of the correlated residual.
+    ``mean``: (terms + 1,), µm/K or µm; ``covariance``: (terms + 1, terms + 1), within and between models.
     """
 
     mean: np.ndarray
@@ -216,12 +211,7 @@ class Average:
 @final
 @dataclass(frozen=True)
 class DrawnModels:
-    """Drawn models of a group of displacements.
-
-    Attributes:
-        models: indices of the candidates of every drawn model.
-        averages: one for each displacement of the group.
-    """
+    """Drawn models of a group of displacements. ``models``: indices of the candidates of every drawn model."""
 
     models: tuple[tuple[int, ...], ...]
     averages: tuple[Average, ...]

@@ -71,10 +71,8 @@ class DisplacementModel:
     """The model of one displacement and the error that it leaves.
 
     Attributes:
-        name: name of the displacement.
         terms: by falling contribution.
         coefficients: (candidates + 1,), the constant last: their sum over the candidates is the prediction.
-        residual_um: standard deviation of the correlated residual.
         held_out_um: RMS error on blocks of time that were not fitted; NaN if not validated.
         forward_um: RMS error on what follows the fitted part, for each share of `FORWARD`; empty if not validated.
         calibration: factor from the uncertainty computed to the error found on held-out data, at least 1.
@@ -413,11 +411,7 @@ class ModelFile(ModelEntry):
 
 
 def save_model(model: ThermalModel, path: str | Path) -> None:
-    """Write a model atomically.
-
-    Raises:
-        InputError: it cannot be written.
-    """
+    """Write a model atomically. Raises `InputError`: it cannot be written."""
     data = {
         "schema": SCHEMA,
         "source": model.source,

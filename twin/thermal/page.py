@@ -78,8 +78,7 @@ def prediction_lines(path: str, prediction: ThermalPrediction) -> list[str]:
 def save_prediction(prediction: ThermalPrediction, path: str | Path) -> None:
     """Write a table with ``time_s`` and, for each displacement, the prediction ``<name>_um`` and ``u_<name>_um``, atomically.
 
-    Raises:
-        InputError: it cannot be written.
+    Raises `InputError`: it cannot be written.
     """
     header = ["time_s"]
     columns = [prediction.time_s]

@@ -186,8 +186,7 @@ def _reading(words: list[str], path: Path, line: int) -> tuple[int, int, int, fl
 def _check_complete(parts: _File, path: Path) -> list[np.ndarray]:
     """Return the readings' indices of every run, in the order of the file.
 
-    Raises:
-        InputError: a count that is missing or not met, a target given twice in a run, a run that goes back and forth.
+    Raises `InputError`: a count that is missing or not met, a target given twice in a run, a run that goes back and forth.
     """
     counts = {}
     for section, name, found in (

@@ -45,23 +45,14 @@ FIELDS: Final = ("positions", "target", "carrier", "station", "station_carrier",
 @final
 @dataclass(frozen=True)
 class PlanPoints:
-    """A plan with the names of its points.
-
-    Attributes:
-        table: its rows.
-        points: (n) name of each point; empty if the plan has no such column.
-    """
+    """A plan with the names of its points. ``points``: (n) name of each point; empty if the plan has no such column."""
 
     table: Measurements
     points: tuple[str, ...]
 
     @classmethod
     def load(cls, path: Path, machine: Machine) -> PlanPoints:
-        """Read a plan.
-
-        Raises:
-            InputError: it is not a plan, or some of its rows cannot be used.
-        """
+        """Read a plan. Raises `InputError`: it is not a plan, or some of its rows cannot be used."""
         table = Measurements.load(path, machine, plan=True)
         if table.set_aside:
             first = table.set_aside[0]
@@ -83,8 +74,7 @@ class PlanPoints:
 
         ``cells``: the columns of the measurement table that the file gives.
 
-        Raises:
-            InputError: the number of rows differs, or a row has a name that the plan does not have at its place.
+        Raises `InputError`: the number of rows differs, or a row has a name that the plan does not have at its place.
         """
         if entry.match == "order":
             return self._by_order(layout)
@@ -227,12 +217,7 @@ MOST_EMPTY: Final = 0.2
 @final
 @dataclass(frozen=True)
 class Applied:
-    """Application of a mapping to a file.
-
-    Attributes:
-        layout: the file.
-        machine: the machine that was measured.
-    """
+    """Application of a mapping to a file. ``machine``: the machine that was measured."""
 
     layout: Layout
     mapping: ColumnMapping
@@ -241,8 +226,7 @@ class Applied:
     def table(self, plan: PlanPoints | None) -> dict[str, list[str]]:
         """Return the cells of the measurement table by its columns, with those of the plan and the readings that are computed.
 
-        Raises:
-            InputError: as `columns`; the rows are not those of the plan.
+        Raises `InputError`: as `columns`; the rows are not those of the plan.
         """
         entries, cells = self.mapping.entries, self.columns()
         if plan is not None and entries.plan is not None:
@@ -262,8 +246,7 @@ class Applied:
     def columns(self) -> dict[str, list[str]]:
         """Return the cells of the columns that the mapping names, by their names in the measurement table.
 
-        Raises:
-            InputError: a column of the mapping is not in the file; a cell that is not a number, direction, side or date.
+        Raises `InputError`: a column of the mapping is not in the file; a cell that is not a number, direction, side or date.
         """
         return {name: self.column(name, entry) for name, entry in self.mapping.entries.columns.items()}
 
@@ -293,11 +276,7 @@ class Applied:
         return needed + [(source, POINT_COLUMNS[0]) for sources in computed for source in sources]
 
     def column(self, name: str, entry: OriginEntry) -> list[str]:
-        """Return the cells of one column.
-
-        Raises:
-            InputError: as `columns`.
-        """
+        """Return the cells of one column. Raises `InputError`: as `columns`."""
         if entry.source is None:
             value = "" if entry.value is None else entry.value
             if isinstance(value, str) and value and name not in WORD_COLUMNS:

@@ -50,10 +50,8 @@ class Proposal:
     """A mapping in the making.
 
     Attributes:
-        layout: the file.
         plan: the plan that gives positions, or None.
         entries: origin of each column of the measurement table.
-        assumptions: what was assumed, one sentence each.
         remarks: comment for an entry of the mapping file, by its column.
         notes: facts that need no confirmation.
         given: lines of a mapping file that hold already; None for none.
@@ -275,11 +273,7 @@ def meanings_of(layout: Layout, machine: Machine) -> dict[str, Meaning]:
 
 
 def choose_sign(found: Proposal, *, exact: bool) -> None:
-    """Choose the decimal sign: the one given, else that of the cells.
-
-    Raises:
-        InputError: the cells have both.
-    """
+    """Choose the decimal sign: the one given, else that of the cells. Raises `InputError`: the cells have both."""
     layout = found.layout
     is_sheet, own = bool(layout.raw.sheet), len(layout.names) - len(layout.derived)
     cells = [cell for _, row in layout.rows for cell in row[:own] if not is_sheet or COMMA in cell]
@@ -313,8 +307,7 @@ def choose_sign(found: Proposal, *, exact: bool) -> None:
 def without_header(found: Proposal) -> dict[str, Meaning]:
     """Return meanings of the columns of a file without header: a name and three coordinates.
 
-    Raises:
-        InputError: other columns, or no plan.
+    Raises `InputError`: other columns, or no plan.
     """
     layout = found.layout
     own = [name for name in layout.names if name not in layout.derived]
@@ -502,8 +495,7 @@ def unit_by_size(found: Proposal, sources: Mapping[str, tuple[str, str]]) -> dic
 def stated_units(found: Proposal) -> dict[str, str]:
     """Return the units of lengths and angles that titles and comments state, by the unit of a measurement table (mm, deg).
 
-    Raises:
-        InputError: they state two units of lengths, or of angles.
+    Raises `InputError`: they state two units of lengths, or of angles.
     """
     stated: dict[str, tuple[str, str]] = {}
     for text in (*found.layout.titles, *found.layout.raw.comments):

@@ -378,8 +378,7 @@ def _read_back(
 ) -> Measurements:
     """Return the table as the project's reader reads it, with the lines and the name of the file.
 
-    Raises:
-        InputError: about the file, as `Measurements.load`.
+    Raises `InputError`: about the file, as `Measurements.load`.
     """
     head = comment_lines("\n".join(comments), simulated=False)
     first = head.count("\n") + 2

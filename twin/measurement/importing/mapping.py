@@ -40,9 +40,8 @@ Numbers = Callable[[str, str, str | None], list[str]]
 class SphericalEntry(BaseModel):
     """Columns of angles and distances, and their conventions.
 
-    Attributes:
-        clockwise: whether the horizontal angle grows clockwise seen from above, as on geodetic instruments.
-        vertical_from: ``zenith`` if the vertical angle is 90° in the horizontal plane, ``horizon`` if it is 0° there.
+    ``clockwise``: whether the horizontal angle grows clockwise seen from above, as on geodetic instruments; ``vertical_from``:
+    ``zenith`` if the vertical angle is 90° in the horizontal plane, ``horizon`` if it is 0° there.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -74,9 +73,8 @@ class SphericalEntry(BaseModel):
 class DeviationEntry(BaseModel):
     """Columns of deviations, measured less nominal.
 
-    Attributes:
-        along: column of the axis that an interferometer follows, such as ``X_mm``: ``x`` is then the deviation of its length.
-        nominal: columns of the nominal coordinates, mm; empty for those of the nominal machine at the commanded position.
+    ``along``: column of the axis that an interferometer follows, such as ``X_mm``: ``x`` is then the deviation of its length;
+    ``nominal``: columns of the nominal coordinates, mm; empty for those of the nominal machine at the commanded position.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)

@@ -66,8 +66,7 @@ def proposed(layout: Layout, machine: Machine, plan: PlanPoints | None, given: C
 
     ``given``: lines of a mapping file that hold already.
 
-    Raises:
-        InputError: decimal commas and points in one file; no commanded positions; no header; units that contradict each other.
+    Raises `InputError`: decimal commas and points in one file; no commanded positions; no header; units that contradict each other.
     """
     found = Proposal(layout, machine, plan, given)
     meanings = meanings_of(layout, machine)
@@ -277,8 +276,7 @@ def _ask_for_places(found: Proposal) -> None:
 def _add_one_axis(found: Proposal, meanings: Mapping[str, Meaning]) -> bool:
     """Add the columns of a positioning test of one axis (targets, runs, directions, deviations); return whether it is one.
 
-    Raises:
-        InputError: the axis is a rotary one: the measurement table holds no angles about it.
+    Raises `InputError`: the axis is a rotary one: the measurement table holds no angles about it.
     """
     layout, machine = found.layout, found.machine
     lettered = {one.name for one in meanings.values() if one.name in machine.by_name or one.name in ("x", "y", "z")}

@@ -30,12 +30,8 @@ _DEG_PER_RAD: Final = Decimal("57.29577951308232087679815481410517")
 class Unit:
     """A unit.
 
-    Attributes:
-        name: its name in a mapping file.
-        table_unit: unit of a measurement table into which it converts: the end of a column's name.
-        factor: number of table units in one of it.
-        zero: its zero in table units.
-        words: further spellings, in lower case.
+    ``table_unit``: unit of a measurement table into which it converts: the end of a column's name; ``factor``: number of table units in
+    one of it; ``zero``: its zero in table units.
     """
 
     name: str
@@ -167,9 +163,8 @@ NO_VALUE: Final = frozenset(
 class DecimalSign(NamedTuple):
     """Decimal sign of a file.
 
-    Attributes:
-        ambiguous: a cell with a sign that could be a decimal sign or a sign of thousands; empty if there is none.
-        contrary: a cell that is clear and has the other sign; empty otherwise.
+    ``ambiguous``: a cell with a sign that could be a decimal sign or a sign of thousands; empty if there is none; ``contrary``: a cell
+    that is clear and has the other sign; empty otherwise.
     """
 
     sign: str
@@ -217,11 +212,7 @@ def is_no_value(cell: str, words: Iterable[str] = ()) -> bool:
 
 
 class CellNumber(NamedTuple):
-    """Number of a cell.
-
-    Attributes:
-        unit: unit behind the number, as spelt; empty if there is none.
-    """
+    """Number of a cell. ``unit``: unit behind the number, as spelt; empty if there is none."""
 
     value: Decimal
     unit: str
@@ -375,7 +366,6 @@ class Meaning(NamedTuple):
     Attributes:
         kind: ``exact`` (a column of a measurement table), a role (`twin.measurement.importing.quantities.ROLES`), ``bare`` (an axis
             without a role), a name (`NAMES`), ``sensor`` (a temperature), or empty if unknown.
-        name: name of the column, axis or sensor.
         unit: unit that the header gives; empty if none.
         certain: whether all words are known.
     """

@@ -43,11 +43,7 @@ INSTRUMENTS: Final[tuple[Instrument, ...]] = families.members(__name__, families
 
 
 def instrument_named(name: str) -> Instrument:
-    """Return the instrument of a name.
-
-    Raises:
-        InputError: an unknown name.
-    """
+    """Return the instrument of a name. Raises `InputError`: an unknown name."""
     require_name("instrument", name, families.INSTRUMENTS)
     return next(instrument for instrument in INSTRUMENTS if instrument.name == name)
 

@@ -315,7 +315,6 @@ class _Run:
     """Readings of a run, with their weights and the prior of the installation.
 
     Attributes:
-        layout: nominal.
         readings: (n, m) metres, zero where nothing was read.
         weight: (n, m) one over the standard uncertainty, zero where nothing was read.
         free: indices of the installation's parameters that are not known exactly.
