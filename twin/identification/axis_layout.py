@@ -274,12 +274,7 @@ def load_readings(path: str | Path, layout: AxisLayout) -> BeamReadings:
     refuse_contacts(header, needed, path, line)
     for name in needed:
         if name not in header:
-            raise InputError(
-                f"column {name} is missing",
-                expected=f"columns {', '.join(needed)}",
-                file=path,
-                line=line,
-            )
+            raise InputError(f"column {name} is missing", expected=f"columns {', '.join(needed)}", file=path, line=line)
     if not rows:
         raise InputError("no reading", expected="one row for each position below the header", file=path)
     known = {*needed, "round", "approach", "time_s"}

@@ -259,12 +259,7 @@ class Unknowns:
 
 
 def spaces_for(
-    machine: Machine,
-    positions: np.ndarray,
-    *,
-    bases: Mapping[str, Basis],
-    most: int,
-    wanted: Callable[[str], bool],
+    machine: Machine, positions: np.ndarray, *, bases: Mapping[str, Basis], most: int, wanted: Callable[[str], bool]
 ) -> tuple[list[CurveSpace], list[str]]:
     """Return the largest function spaces that these positions can determine, and the constants of the axes that moved.
 

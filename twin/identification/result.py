@@ -407,11 +407,7 @@ class Identification(DisplayedResult):
                 f"discrepancy of the model beyond the noise: {self.discrepancy.text}; the readings are weighted with it"
             )
         lines += [f"  {share.text}" for share in self.shares]
-        lines += [
-            self.verdict,
-            "",
-            f"error motions (95 % intervals from {self._based_on}):",
-        ]
+        lines += [self.verdict, "", f"error motions (95 % intervals from {self._based_on}):"]
         lines += [_row_text(row) for row in self.rows()]
         table = TableTilt.of(self.calibration)
         lines += [] if table is None else [f"  {table.to_text(COVERAGE_FACTOR)}"]

@@ -183,11 +183,7 @@ class _Frame:
 
 
 def identify_as_thesis(  # noqa: C901, PLR0912
-    measurements: Measurements,
-    machine: Machine,
-    *,
-    degrees: Mapping[str, int] | None = None,
-    constant: bool = False,
+    measurements: Measurements, machine: Machine, *, degrees: Mapping[str, int] | None = None, constant: bool = False
 ) -> ThesisIdentification:
     """Identify error motions by the thesis's method; see the module.
 

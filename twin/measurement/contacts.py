@@ -87,11 +87,7 @@ class Sphere:
 
 
 def fit_sphere(
-    points_mm: np.ndarray,
-    radius_mm: float | None = None,
-    *,
-    file: str | Path | None = None,
-    line: int | None = None,
+    points_mm: np.ndarray, radius_mm: float | None = None, *, file: str | Path | None = None, line: int | None = None
 ) -> Sphere:
     """Return the sphere with the smallest sum of squared orthogonal distances from the points.
 

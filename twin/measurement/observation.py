@@ -212,12 +212,7 @@ class Observation:
         return CarriedTargets(points, by_error.transpose(0, 2, 1), rotation.transpose(0, 2, 1), ride, ride_origin)
 
     def _functions(
-        self,
-        carrier: np.ndarray,
-        station_carrier: np.ndarray | None,
-        angles: np.ndarray | None,
-        *,
-        derivatives: bool,
+        self, carrier: np.ndarray, station_carrier: np.ndarray | None, angles: np.ndarray | None, *, derivatives: bool
     ) -> Iterator[tuple[BatchFunction, np.ndarray]]:
         """Yield the compiled function of each pair of sides that occurs, of points and of angles, and its rows."""
         turned = np.zeros(len(carrier), dtype=bool) if angles is None else angles

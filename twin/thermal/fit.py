@@ -169,11 +169,7 @@ class HeldOutErrors:
 
 
 def fit_thermal(
-    record: ThermalRecord,
-    *,
-    validate: bool = True,
-    seed: int = 0,
-    progress: Callable[[str, float], None] = silent,
+    record: ThermalRecord, *, validate: bool = True, seed: int = 0, progress: Callable[[str, float], None] = silent
 ) -> ThermalModel:
     """Fit a thermal model with few terms.
 

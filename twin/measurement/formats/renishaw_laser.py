@@ -46,16 +46,7 @@ from twin.measurement.formats.base import (
 from twin.measurement.table import Measurements
 
 SECTION: Final = re.compile(r"([A-Z][A-Z -]*)::")
-SECTIONS: Final = (
-    "HEADER",
-    "TARGET DATA",
-    "USER-TEXT",
-    "RUNS",
-    "DEVIATIONS",
-    "ENVIRONMENT",
-    "EQUIPMENT",
-    "EOF",
-)
+SECTIONS: Final = ("HEADER", "TARGET DATA", "USER-TEXT", "RUNS", "DEVIATIONS", "ENVIRONMENT", "EQUIPMENT", "EOF")
 KNOWN: Final[Mapping[str, tuple[str, ...]]] = {
     "HEADER": ("File type", "File Type", "Owner", "Version no"),
     "TARGET DATA": ("Filetype", "Target-count", "Targets", "Flags"),
