@@ -80,7 +80,8 @@ class TableTilt:
         angles = fused_angles(turned @ nominal.T)
         rates = ca.Function("table", [e], [angles, ca.jacobian(angles, e)])
         value, rate = rates(ca.evalf(error_vector(machine, lines.effects, q)))
-        slots = [6 * _location(calibration, name) + split_name(name)[0] for name in locations]
+        frames = [(frame.axis, frame.role) for frame in machine.frames]
+        slots = [6 * frames.index((split_name(name)[2], "location")) + split_name(name)[0] for name in locations]
         jacobian = np.asarray(rate)[:, slots]
         known = set(locations) <= set(calibration.covariance.names)
         matrix = (
@@ -113,12 +114,6 @@ class TableTilt:
 
 def _range(lower: float | None, upper: float | None) -> tuple[float, float]:
     return -np.inf if lower is None else lower, np.inf if upper is None else upper
-
-
-def _location(calibration: Calibration, name: str) -> int:
-    axis = split_name(name)[2]
-    frames = calibration.machine.frames
-    return next(i for i, frame in enumerate(frames) if frame.axis == axis and frame.role == "location")
 
 
 # --- Result of an identification: values, report and JSON -----------------------------------------

@@ -26,7 +26,7 @@ from twin._common.arrays import read_only
 from twin._common.distributions import chi2_isf, chi2_sf, f_sf
 from twin._common.resources import map_chunks
 from twin._common.units import MM, URAD
-from twin.identification.network import Network, UnknownNumber, Unknowns
+from twin.identification.network import Network, Unknowns
 from twin.machine.machine import Machine
 from twin.measurement.instruments import Instrument, StationInstruments
 from twin.measurement.observation import FEWEST_REPEATS, at_origin, nominal_carriers, repeat_groups
@@ -165,10 +165,10 @@ def all_unknowns(unknowns: Unknowns, setup: StationsAndTargets) -> tuple[Unknown
 
     ``unknowns``: unknowns of the machine: µm and µrad; ``setup``: stations and targets: metres and radians inside, mm and µrad outside.
     """
-    of_machine = [
-        Unknown(_name(column, unknowns), unit_of(column.entity), size)
-        for column, size in zip(unknowns.columns, unknowns.plausible.tolist(), strict=True)
-    ]
+    curves, of_machine = {curve.name for curve in unknowns.curves}, []
+    for column, size in zip(unknowns.columns, unknowns.plausible.tolist(), strict=True):
+        name = f"{column.entity} order {column.index}" if column.entity in curves else column.entity
+        of_machine.append(Unknown(name, unit_of(column.entity), size))
     return (*of_machine, *setup_unknowns(setup))
 
 
@@ -179,11 +179,6 @@ def setup_unknowns(setup: StationsAndTargets) -> tuple[Unknown, ...]:
         unit, factor = ("urad", URAD) if " turn " in name else ("mm", MM)
         setup_unknowns.append(Unknown(name, unit, float(size) / factor, factor))
     return tuple(setup_unknowns)
-
-
-def _name(column: UnknownNumber, unknowns: Unknowns) -> str:
-    curve = any(one.name == column.entity for one in unknowns.curves)
-    return f"{column.entity} order {column.index}" if curve else column.entity
 
 
 def solve(

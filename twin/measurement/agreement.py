@@ -20,7 +20,7 @@ from twin._common.arrays import read_only
 from twin._common.errors import InputError
 from twin._common.units import MM, count_with_noun
 from twin.machine.machine import Axis, Machine
-from twin.measurement.columns import CARRIERS, POINT_COLUMNS, SYSTEMATIC_ROWS, RowNote, outside_axis_range
+from twin.measurement.columns import CARRIERS, POINT_COLUMNS, SYSTEMATIC_ROWS, RowNote, axis_columns, outside_axis_range
 from twin.measurement.instruments import SIDES, StationInstruments, default_instrument
 from twin.measurement.observation import CarriedTargets, nominal_carriers
 from twin.measurement.set_up import LARGEST_MISFIT_M, StationsAndTargets, initial_setup
@@ -65,23 +65,24 @@ RADIANS: Final = ("radians", "rad", 180.0 / np.pi)
 
 
 class ColumnChange(NamedTuple):
-    """A change of the columns of a table: another order of them, and a factor for each.
+    """A change of the columns of a table: two exchanged, some multiplied by a factor, targets on the other side.
 
     Attributes:
         field: ``positions`` or ``point_mm``.
-        order: index of the column from which each column is taken.
         columns: names of the columns that change.
         text: what seems to be wrong with them.
         advice: comment for the entries of these columns in a mapping file.
+        exchanged: indices of the two columns that are exchanged; empty for none.
+        factors: factor of each column that is multiplied, by its index.
         sides: side of the machine for targets that sit on another.
     """
 
     field: str
-    order: list[int]
-    factor: list[float]
-    columns: tuple[str, ...]
-    text: str
-    advice: str
+    columns: tuple[str, ...] = ()
+    text: str = ""
+    advice: str = ""
+    exchanged: tuple[int, ...] = ()
+    factors: Mapping[int, float] = MappingProxyType({})
     sides: Mapping[str, str] = MappingProxyType({})
 
     def of(self, data: Measurements) -> Measurements:
@@ -89,7 +90,11 @@ class ColumnChange(NamedTuple):
         if self.sides:
             carrier = [self.sides.get(name, own) for name, own in zip(data.target, data.carrier, strict=True)]
             data = replace(data, carrier=read_only(np.array(carrier, dtype=object)))
-        changed: dict[str, Any] = {self.field: read_only(getattr(data, self.field)[:, self.order] * self.factor)}
+        values = np.array(getattr(data, self.field))
+        values[:, self.exchanged] = values[:, self.exchanged[::-1]]
+        for i, factor in self.factors.items():
+            values[:, i] *= factor
+        changed: dict[str, Any] = {self.field: read_only(values)}
         return replace(data, **changed)
 
 
@@ -249,8 +254,9 @@ def wrong_columns(machine: Machine, data: Measurements) -> list[ColumnChange]:
 
     ``data``: a table before it is checked: NaN, unknown sides and positions outside the ranges of their axes are allowed.
     """
+    names = [*axis_columns(machine)]
     wrong = [
-        _scaled(data, "positions", [i], -1.0, (_columns(machine)[i],), text, "sign: -1?")
+        ColumnChange("positions", (names[i],), text, "sign: -1?", factors={i: -1.0})
         for i, q in enumerate(data.positions.T)
         if (text := _mirrored_by_range(machine.axes[i], q))
     ]
@@ -340,8 +346,7 @@ def _other_sides(machine: Machine, data: Measurements) -> Iterator[ColumnChange]
                 f"{', '.join(names)} {'sit' if len(names) > 1 else 'sits'} on the {side} side, not on the {other} side"
             )
     if texts:
-        unchanged = _scaled(data, "positions", [], 1.0, ("carrier",), "; ".join(texts), "which side?")
-        yield unchanged._replace(sides=sides)
+        yield ColumnChange("positions", ("carrier",), "; ".join(texts), "which side?", sides=sides)
 
 
 def _mirrored_by_range(axis: Axis, q: np.ndarray) -> str:
@@ -367,7 +372,7 @@ def _wrong_columns_of_station(machine: Machine, data: Measurements) -> list[Colu
             break
         if not before.is_suspect:
             break
-        mirror = _scaled(data, "point_mm", [0], -1.0)
+        mirror = ColumnChange("point_mm", factors={0: -1.0})
         tried = _other_sides(machine, data), [mirror], _swapped_or_mirrored(machine, data), _two_mirrored(machine, data)
         changes = _one_change(machine, data, before.share, before.ratio, instruments, tried)
         negated = not changes
@@ -393,20 +398,19 @@ def _mirror(after: Agreement) -> ColumnChange:
     rows = f"{agreeing} of {count_with_noun(len(after.miss), 'row')} agree"
     turn = after.setup.rotation[0] @ np.diag([-1.0, 1.0, 1.0])
     for i, name in enumerate("xyz"):
-        sign = np.where(np.arange(3) == i, -1.0, 1.0)
-        if np.max(np.abs(turn * sign - np.eye(3))) < ALIGNED:
+        if np.max(np.abs(turn * np.where(np.arange(3) == i, -1.0, 1.0) - np.eye(3))) < ALIGNED:
             text = f"{name} seems to be mirrored: {rows} with −{name}"
-            return ColumnChange("point_mm", [0, 1, 2], sign.tolist(), (POINT_COLUMNS[i],), text, "sign: -1?")
+            return ColumnChange("point_mm", (POINT_COLUMNS[i],), text, "sign: -1?", factors={i: -1.0})
     for i, j in combinations(range(3), 2):
-        order = _exchanged(3, i, j)
+        order = [j if k == i else i if k == j else k for k in range(3)]
         if np.max(np.abs(turn[:, order] - np.eye(3))) < ALIGNED:
             text = f"{'xyz'[i]} and {'xyz'[j]} seem to be exchanged: {rows} with exchanged columns"
-            return ColumnChange("point_mm", order, [1.0] * 3, (POINT_COLUMNS[i], POINT_COLUMNS[j]), text, "exchanged?")
+            return ColumnChange("point_mm", (POINT_COLUMNS[i], POINT_COLUMNS[j]), text, "exchanged?", (i, j))
     text = (
         f"the coordinates seem to be mirrored: {rows} in a frame of the other hand. The data do not show which one: one "
         "of x, y, z (or of the commanded linear axes) has the opposite sign, or two are exchanged"
     )
-    return ColumnChange("point_mm", [0, 1, 2], [-1.0, 1.0, 1.0], POINT_COLUMNS, text, "sign: -1 on one of them?")
+    return ColumnChange("point_mm", POINT_COLUMNS, text, "sign: -1 on one of them?", factors={0: -1.0})
 
 
 def _one_change(
@@ -460,7 +464,7 @@ def _explaining(
 ) -> list[tuple[float, ColumnChange]]:
     """Return the changes after which some rows agree, each with misfit over motion."""
     explaining = []
-    rows = data.select(np.linspace(0, len(data) - 1, min(len(data), TRIAL_ROWS)).astype(int))
+    rows = data.select(_spread(np.arange(len(data))))
     for change in changes:
         try:
             fit = fit_of(machine, change.of(rows), instruments)
@@ -474,28 +478,27 @@ def _explaining(
 
 def _swapped_or_mirrored(machine: Machine, data: Measurements) -> Iterator[ColumnChange]:
     """Yield the changes that swap two command columns, and those that reverse the sign of one."""
-    names, moving = _columns(machine), _moving(data)
+    names, moving = [*axis_columns(machine)], _moving(data)
     for i, j in combinations(range(len(names)), 2):
         if i in moving or j in moving:
             text = f"columns {names[i]} and {names[j]} look swapped"
-            order = _exchanged(len(names), i, j)
-            yield ColumnChange("positions", order, [1.0] * len(names), (names[i], names[j]), text, "exchanged?")
+            yield ColumnChange("positions", (names[i], names[j]), text, "exchanged?", (i, j))
     for i in moving:
         text = f"column {names[i]} appears to have the wrong sign"
-        yield _scaled(data, "positions", [i], -1.0, (names[i],), text, "sign: -1?")
+        yield ColumnChange("positions", (names[i],), text, "sign: -1?", factors={i: -1.0})
 
 
 def _two_mirrored(machine: Machine, data: Measurements) -> Iterator[ColumnChange]:
     """Yield the changes that reverse the signs of two rotary axes."""
-    names = _columns(machine)
+    names = [*axis_columns(machine)]
     for i, j in combinations([i for i in _moving(data) if not machine.axes[i].linear], 2):
         text = f"columns {names[i]} and {names[j]} appear to have the wrong sign"
-        yield _scaled(data, "positions", [i, j], -1.0, (names[i], names[j]), text, "sign: -1?")
+        yield ColumnChange("positions", (names[i], names[j]), text, "sign: -1?", factors={i: -1.0, j: -1.0})
 
 
 def _units(machine: Machine, data: Measurements, *, single: bool) -> Iterator[ColumnChange]:
     """Yield the changes that convert commands or readings from another unit: single columns, or all columns."""
-    names, moving = _columns(machine), _moving(data)
+    names, moving = [*axis_columns(machine)], _moving(data)
     linear = [i for i in moving if machine.axes[i].linear]
     rotary = [i for i in moving if not machine.axes[i].linear]
     read = [i for i in range(3) if np.isfinite(data.point_mm[:, i]).any()]
@@ -515,30 +518,7 @@ def _units(machine: Machine, data: Measurements, *, single: bool) -> Iterator[Co
             look = f"columns {', '.join(named)} look" if len(named) > 1 else f"column {named[0]} looks"
             meant = "degrees" if unit == RADIANS[0] else "millimetres"
             text = f"{look} like {unit}, not {meant} (factor {factor:.4g})"
-            yield _scaled(data, field, some, factor, named, text, f"unit: {word}?")
-
-
-def _scaled(
-    data: Measurements,
-    field: str,
-    some: Sequence[int],
-    factor: float,
-    columns: tuple[str, ...] = (),
-    text: str = "",
-    advice: str = "",
-) -> ColumnChange:
-    """Return the change that multiplies some columns of a field by a factor."""
-    count = getattr(data, field).shape[1]
-    return ColumnChange(
-        field, list(range(count)), [factor if i in some else 1.0 for i in range(count)], columns, text, advice
-    )
-
-
-def _exchanged(count: int, i: int, j: int) -> list[int]:
-    """Return the order of columns in which two are exchanged."""
-    order = list(range(count))
-    order[i], order[j] = j, i
-    return order
+            yield ColumnChange(field, named, text, f"unit: {word}?", factors=dict.fromkeys(some, factor))
 
 
 def _description(machine: Machine, data: Measurements, fit: Agreement) -> str:
@@ -548,12 +528,8 @@ def _description(machine: Machine, data: Measurements, fit: Agreement) -> str:
     by_axis = [
         (float(np.median(fit.miss[data.positions[:, i] != np.median(data.positions[:, i])])), i) for i in _moving(data)
     ]
-    axis = _columns(machine)[max(by_axis, default=(0.0, 0))[1]]
+    axis = [*axis_columns(machine)][max(by_axis, default=(0.0, 0))[1]]
     return f"{fit.share:.0%} of the readings deviate by more than {fit.limit / MM:.2g} mm, mostly where {axis} changes"
-
-
-def _columns(machine: Machine) -> list[str]:
-    return [f"{axis.name}_{axis.unit}" for axis in machine.axes]
 
 
 def _moving(data: Measurements) -> list[int]:

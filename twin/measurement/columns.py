@@ -69,9 +69,14 @@ class TableColumns(NamedTuple):
         return {name: number_cells(c) for name, c in by_name.items() if self.needed or np.isfinite(c).any()}
 
 
+def axis_columns(machine: Machine) -> dict[str, Axis]:
+    """Return the columns of commanded positions, each with its axis."""
+    return {f"{axis.name}_{axis.unit}": axis for axis in machine.axes}
+
+
 def table_columns(machine: Machine) -> tuple[TableColumns, ...]:
     """Return the columns of a table except temperatures, channels and places, in the order in which they are written."""
-    axes = tuple(f"{axis.name}_{axis.unit}" for axis in machine.axes)
+    axes = tuple(axis_columns(machine))
     return (
         TableColumns("positions", axes, needed=True),
         TableColumns("readback", tuple(f"readback_{name}" for name in axes)),

@@ -196,7 +196,10 @@ class ThermalModel(Result):
         rows = self._shifted(record, goes_on and continues is True)
         values = self._values(rows, goes_on)
         warnings = [] if goes_on else self._start_warning(rows)
-        doubt = np.zeros_like(values) if not warnings else self._start_doubt(rows)
+        doubt = np.zeros_like(values)
+        if warnings:
+            tau = np.array([max(term.time_constant_s, 1e-9) for term in self.candidates])
+            doubt = self.unsettled * np.exp(-(rows.time_s - rows.time_s[0])[:, None] / tau)
         beyond, range_warnings = self._beyond(rows)
         found, u = [], []
         for displacement in self.displacements:
@@ -279,10 +282,6 @@ class ThermalModel(Result):
             "the record does not continue the fitted one: lags start in steady state, and the uncertainty is larger until they settle; "
             "displacements count from the start of the fitted record"
         ]
-
-    def _start_doubt(self, record: ThermalRecord) -> np.ndarray:
-        tau = np.array([max(term.time_constant_s, 1e-9) for term in self.candidates])
-        return self.unsettled * np.exp(-(record.time_s - record.time_s[0])[:, None] / tau)
 
     def _beyond(self, record: ThermalRecord) -> tuple[np.ndarray, list[str]]:
         """Return how far each row lies outside the fitted ranges, in widths of the range, and warnings on it."""

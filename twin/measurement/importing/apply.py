@@ -17,7 +17,7 @@ from twin._common.errors import InputError, closest_name
 from twin._common.units import count_with_noun
 from twin._common.yaml_files import quoted
 from twin.machine.machine import Machine
-from twin.measurement.columns import CARRIERS, POINT_COLUMNS, table_columns
+from twin.measurement.columns import CARRIERS, POINT_COLUMNS, axis_columns, table_columns
 from twin.measurement.importing.cells import Layout, yaml_list
 from twin.measurement.importing.mapping import ColumnMapping, OriginEntry, PlanEntry, column_line
 from twin.measurement.importing.quantities import (
@@ -121,11 +121,7 @@ class PlanPoints:
         A file in another order is matched where no position occurs twice.
         """
         count, wanted = len(layout.rows), len(self.table)
-        given = [
-            (i, cells[f"{axis.name}_{axis.unit}"])
-            for i, axis in enumerate(machine.axes)
-            if f"{axis.name}_{axis.unit}" in cells
-        ]
+        given = [(i, cells[name]) for i, name in enumerate(axis_columns(machine)) if name in cells]
 
         def fits(row: int, start: int) -> np.ndarray:
             fitting = np.ones(wanted - start, dtype=bool)
@@ -179,7 +175,7 @@ class PlanPoints:
 
         ``rounded``: columns whose positions are rounded to the digits written, as in names.
         """
-        compared = given.keys() & {"target", *(f"{axis.name}_{axis.unit}" for axis in machine.axes)}
+        compared = given.keys() & {"target", *axis_columns(machine)}
         for row, (line, _) in enumerate(layout.rows):
             for name in (name for name in own if name in compared):
                 mine, planned = own[name][row], given[name][row]
@@ -268,7 +264,7 @@ class Applied:
     def _needed(self) -> list[tuple[str, str]]:
         """Return the columns of the file that give commanded positions and readings, each with what it gives."""
         entries = self.mapping.entries
-        names = [*(f"{axis.name}_{axis.unit}" for axis in self.machine.axes), *POINT_COLUMNS]
+        names = [*axis_columns(self.machine), *POINT_COLUMNS]
         needed = [
             (source, name) for name in names if name in entries.columns for source in entries.columns[name].sources
         ]

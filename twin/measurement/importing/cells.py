@@ -275,7 +275,8 @@ def _sheet_rows(data: bytes, path: Path, wanted: str | None) -> tuple[str, list[
         if unpacked <= MAX_UNPACKED_BYTES:
             book = load_workbook(io.BytesIO(data), read_only=True, data_only=True)
             sheets = {sheet.title: sheet for sheet in book.worksheets}
-            filled = [name for name, sheet in sheets.items() if _is_filled(sheet)]
+            first = {name: islice(sheet.iter_rows(values_only=True), 200) for name, sheet in sheets.items()}
+            filled = [name for name, rows in first.items() if any(value is not None for row in rows for value in row)]
             name = wanted if wanted is not None else filled[0] if len(filled) == 1 else None
             rows = [] if name not in sheets else _cells_of(sheets[name], path)
             _check_formulas(data, name, rows, path)
@@ -371,10 +372,6 @@ def _merged_cells(data: bytes, name: str) -> Merged:
     sheet = load_workbook(io.BytesIO(data))[name]
     bounds = [range_boundaries(str(one)) for one in sheet.merged_cells.ranges]
     return tuple((top, bottom, left - 1) for left, top, _, bottom in bounds if bottom > top)
-
-
-def _is_filled(sheet: Any) -> bool:
-    return any(value is not None for row in islice(sheet.iter_rows(values_only=True), 200) for value in row)
 
 
 def _count_numbers(sheets: Mapping[str, Any]) -> Callable[[str], int]:

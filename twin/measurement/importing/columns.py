@@ -11,7 +11,7 @@ import numpy as np
 
 from twin._common.errors import InputError
 from twin.machine.machine import Axis, Machine
-from twin.measurement.columns import POINT_COLUMNS, RANGE_SLACK
+from twin.measurement.columns import POINT_COLUMNS, RANGE_SLACK, axis_columns
 from twin.measurement.importing.apply import WORD_COLUMNS, PlanPoints, moment_in, slack_of
 from twin.measurement.importing.arrangement import NAME, RUN
 from twin.measurement.importing.cells import Layout, yaml_list
@@ -137,11 +137,6 @@ class Proposal:
 def quoted(names: Sequence[str]) -> str:
     """Return names in quotes, separated by commas."""
     return ", ".join(f"'{name}'" for name in names)
-
-
-def axis_columns(machine: Machine) -> dict[str, Axis]:
-    """Return the columns of commanded positions, each with its axis."""
-    return {f"{axis.name}_{axis.unit}": axis for axis in machine.axes}
 
 
 # --- Proposal of the columns that are not numbers: names, sides, directions of approach, dates and times
@@ -350,18 +345,14 @@ def _role(meaning: Meaning, name: str, found: Proposal, roles: set[tuple[str, st
     if not linear or meaning.name not in machine.by_name:
         return "command" if meaning.name in machine.by_name else "measured" if linear else ""
     letter = meaning.name.casefold()
-    if any(kind == "bare" and other == "x" for kind, other in roles) and _has_both_cases(found.layout.names, machine):
+    bare = {own.lstrip()[:1] for own in found.layout.names if meaning_of(own, machine).kind == "bare"}
+    if {"x", "X"} <= bare:  # both cases: capital letters are commands
         return "measured" if name.lstrip()[:1].islower() else "command"
     if ("measured", letter) in roles:
         return "command"
     if ("command", letter) in roles or found.plan is not None:
         return "measured"
     return "bare"
-
-
-def _has_both_cases(names: Sequence[str], machine: Machine) -> bool:
-    first = [name.lstrip()[:1] for name in names if meaning_of(name, machine).kind == "bare"]
-    return "x" in first and "X" in first
 
 
 def add_numbers(found: Proposal, meanings: dict[str, Meaning]) -> None:
@@ -466,7 +457,8 @@ def unit_by_size(found: Proposal, sources: Mapping[str, tuple[str, str]]) -> dic
             unit.name for text in (stated, found.layout.units[place]) if text and (unit := unit_named(text, column))
         ]
         cells = list(dict.fromkeys(unit.name for text in in_cells if (unit := unit_named(text, column))))
-        title = by_title.get(table_unit(column)) if _is_coordinate(column, found.machine) else None
+        is_coordinate = column in POINT_COLUMNS or _kind(column, found.machine) == "command"
+        title = by_title.get(table_unit(column)) if is_coordinate else None  # titles state the unit of coordinates
         header = header or ([table_unit(column)] if name == column and table_unit(column) and not cells else [])
         _check_contradiction(found, column, name, header, title, in_cells, cells)
         if len(cells) > 1:
@@ -525,11 +517,6 @@ def stated_units(found: Proposal) -> dict[str, str]:
     return units
 
 
-def _is_coordinate(column: str, machine: Machine) -> bool:
-    """Return whether a column is a position or a coordinate, for which the unit of the titles holds."""
-    return column in POINT_COLUMNS or _kind(column, machine) == "command"
-
-
 def _check_contradiction(
     found: Proposal,
     column: str,
@@ -570,13 +557,12 @@ def _families(missing: Mapping[str, str], machine: Machine) -> list[list[str]]:
     """Return the columns without a unit in groups that have the same one."""
     families: dict[str, list[str]] = {}
     for column in missing:
-        family = f"{_kind(column, machine)} {table_unit(column)}"
-        families.setdefault(family, []).append(column)
+        families.setdefault(f"{_kind(column, machine)} {table_unit(column)}", []).append(column)
     return list(families.values())
 
 
 def _kind(column: str, machine: Machine) -> str:
-    axes = {f"{axis.name}_{axis.unit}" for axis in machine.axes}
+    axes = axis_columns(machine)
     return (
         "command"
         if column.removeprefix("readback_") in axes
@@ -590,7 +576,7 @@ def _likely(
     found: Proposal, columns: Sequence[str], names: Mapping[str, str], known: Mapping[str, str]
 ) -> tuple[str, str]:
     """Return the likely unit of columns of one kind, and the reason."""
-    axes = {f"{axis.name}_{axis.unit}": axis for axis in found.machine.axes}
+    axes = axis_columns(found.machine)
     own = table_unit(columns[0])
     if columns[0] in axes:
         return _by_range([(axes[column], found.values(names[column])) for column in columns if column in axes])

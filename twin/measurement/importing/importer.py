@@ -288,7 +288,9 @@ def _finished(applied: Applied, plan: PlanPoints | None, proposal: Proposal | No
             f"no usable row: {why}", expected="a row with all of its values", file=applied.layout.raw.path, line=line
         )
     layout = replace(applied.layout, rows=tuple(applied.layout.rows[row] for row in kept))
-    cells = _in_order({name: [column[row] for row in kept] for name, column in cells.items()}, machine)
+    order = [name for part in table_columns(machine) for name in part.columns]
+    order += sorted(cells.keys() - {*order})
+    cells = {name: [cells[name][row] for row in kept] for name in order if name in cells}
     notices = wrong_columns(machine, unchecked(cells, machine))
     comments = _comments(layout, mapping, cells)
     assumptions = () if proposal is None else tuple(proposal.assumptions)
@@ -339,12 +341,6 @@ def _remarks(proposal: Proposal, found: Sequence[ColumnChange]) -> dict[str, str
         for name in one.columns:
             remarks[name] = f"{remarks[name]}; {one.advice}" if name in remarks else one.advice
     return remarks
-
-
-def _in_order(cells: dict[str, list[str]], machine: Machine) -> dict[str, list[str]]:
-    """Return columns in the order of a measurement table, the others after them, sorted."""
-    order = [name for part in table_columns(machine) for name in part.columns]
-    return {name: cells[name] for name in (*order, *sorted(cells.keys() - {*order})) if name in cells}
 
 
 def _comments(layout: Layout, mapping: ColumnMapping, cells: Mapping[str, Sequence[str]]) -> list[str]:

@@ -21,7 +21,7 @@ from twin._common.errors import InputError, closest_name
 from twin._common.units import MM
 from twin._common.yaml_files import EntryPath, line_of, load_yaml, quoted, yaml_text
 from twin.machine.machine import Machine
-from twin.measurement.columns import ANGLE_COLUMNS, PLACE_COLUMNS, POINT_COLUMNS
+from twin.measurement.columns import ANGLE_COLUMNS, PLACE_COLUMNS, POINT_COLUMNS, axis_columns
 from twin.measurement.importing.cells import DELIMITERS, yaml_list
 from twin.measurement.importing.quantities import SIGNS, UNITS, is_table_column, table_names, unit_named, units_of
 from twin.measurement.observation import nominal_carriers
@@ -143,7 +143,7 @@ def unchecked(cells: Mapping[str, Sequence[str]], machine: Machine) -> Measureme
     return Measurements(
         source="",
         lines=np.arange(count),
-        positions=_floats(cells, [f"{axis.name}_{axis.unit}" for axis in machine.axes]),
+        positions=_floats(cells, [*axis_columns(machine)]),
         point_mm=_floats(cells, POINT_COLUMNS),
         carrier=words("carrier", ""),
         station_carrier=words("station_carrier", "base"),
@@ -231,7 +231,7 @@ class ColumnsFile(BaseModel):
 
     def is_complete(self, machine: Machine) -> bool:
         """Return whether the mapping gives all that a measurement table needs, and is applied exactly; others are completed."""
-        needed = {"target", "carrier", *(f"{axis.name}_{axis.unit}" for axis in machine.axes)}
+        needed = {"target", "carrier", *axis_columns(machine)}
         return self.gives_readings and (self.plan is not None or needed <= {*self.columns})
 
 
@@ -287,7 +287,7 @@ class ColumnMapping:
             ]
         if deviations is not None:
             stated.append((("deviations", "unit"), deviations.unit, LENGTH))
-            axes = [f"{axis.name}_{axis.unit}" for axis in machine.axes if axis.linear]
+            axes = [name for name, axis in axis_columns(machine).items() if axis.linear]
             if deviations.along is not None and deviations.along not in axes:
                 expected = f"one of {', '.join(axes)}"
                 raise self.error(

@@ -12,7 +12,7 @@ import numpy as np
 from twin._common.errors import InputError
 from twin.machine.machine import Axis, Machine
 from twin.measurement.agreement import sides_of_targets
-from twin.measurement.columns import PLACE_COLUMNS, POINT_COLUMNS
+from twin.measurement.columns import PLACE_COLUMNS, POINT_COLUMNS, axis_columns
 from twin.measurement.importing.apply import Applied, PlanPoints
 from twin.measurement.importing.arrangement import DIRECTION, HEADING, RUN
 from twin.measurement.importing.cells import Layout, yaml_list
@@ -22,7 +22,6 @@ from twin.measurement.importing.columns import (
     add_names,
     add_numbers,
     add_times,
-    axis_columns,
     choose_sign,
     commands_of,
     is_number_column,
