@@ -310,17 +310,17 @@ def _spread(rows: np.ndarray) -> np.ndarray:
     return rows[np.linspace(0, len(rows) - 1, min(len(rows), TRIAL_ROWS)).astype(int)]
 
 
-def _side(machine: Machine, data: Measurements, own: np.ndarray) -> TargetSide:
+def _side(machine: Machine, data: Measurements, rows: np.ndarray) -> TargetSide:
     """Return the side of some rows: that on which their mean misfit is several times smaller, and smaller than a wrong row's."""
     instruments = StationInstruments.same(default_instrument("point"), data.station)
     misfits, follows = {}, {}
     for side in CARRIERS:
-        carrier = np.where(own, side, data.carrier)
+        tried = replace(data, carrier=read_only(np.where(rows, side, data.carrier)))
         try:
-            fit = fit_of(machine, replace(data, carrier=read_only(carrier)), instruments, mirrored=True)
+            fit = fit_of(machine, tried, instruments, mirrored=True)
         except InputError:
             return TargetSide("", np.inf, np.inf)
-        misfits[side] = float(np.mean(fit.miss[own])) / MM
+        misfits[side] = float(np.mean(fit.miss[rows])) / MM
         # A target that stands still must be read so: readings in metres stand still as well, nearly.
         follows[side] = fit.ratio < GOOD_RATIO if fit.motion > CLEAR_MOTION_M else misfits[side] < STILL_MM
     best, other = sorted(CARRIERS, key=lambda side: misfits[side])
