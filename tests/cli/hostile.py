@@ -25,15 +25,8 @@ from twin.controls import ControlCurve, ControlTerm, TableSum, format_named, rea
 from twin.controls.correction import AxisErrors, CorrectionGrid, VolumetricCorrection
 from twin.controls.kinematics import kinematics_formats, kinematics_named
 from twin.controls.kinematics.format import linear_shift
-from twin.identification.axis_run import (
-    AxisLayout,
-    axis_curves,
-    error_motions,
-    load_readings,
-    simulate_run,
-    to_dict,
-    to_text,
-)
+from twin.identification.axis_layout import AxisLayout, load_readings, simulate_run
+from twin.identification.axis_run import axis_curves, error_motions, to_dict, to_text
 from twin.measurement.formats import convert
 from twin.measurement.formats.tracker import load_export
 from twin.measurement.importing import ImportedTable

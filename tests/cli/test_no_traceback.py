@@ -29,7 +29,7 @@ from twin.compute.parallel import Workers
 from twin.controls import read_tables
 from twin.diagnosis import text as words
 from twin.diagnosis.candidates.candidate import flaw
-from twin.identification.axis_run import AxisLayout, load_readings
+from twin.identification.axis_layout import AxisLayout, load_readings
 from twin.identification.solve import FitStatistics
 from twin.machine.machine import Machine
 from twin.measurement.table import Measurements

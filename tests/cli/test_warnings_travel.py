@@ -25,7 +25,8 @@ from twin._common.provenance import (
     merge_warnings,
 )
 from twin.identification import identify
-from twin.identification.axis_run import AxisLayout, axis_curves, error_motions, load_readings, simulate_run
+from twin.identification.axis_layout import AxisLayout, load_readings, simulate_run
+from twin.identification.axis_run import axis_curves, error_motions
 from twin.identification.thesis import identify_as_thesis
 from twin.machine.machine import Machine
 from twin.measurement.instruments import LaserTracker

@@ -24,8 +24,8 @@ from tests.model.errors import random_calibration
 from twin._common.arrays import first_largest, read_only
 from twin._common.families import INSTRUMENTS as FAMILY
 from twin.machine.machine import Machine
+from twin.measurement.contacts import _direction
 from twin.measurement.instruments import INSTRUMENTS, Instrument
-from twin.measurement.sphere_fit import _direction
 from twin.monitoring.pairs import simultaneous_factor
 from twin.numerics.covariance import Covariance, symmetric_root
 from twin.numerics.observability import Unknown, determinability

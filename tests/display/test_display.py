@@ -38,7 +38,7 @@ from twin.display.numbers import p_value_text
 from twin.display.results import LONGEST, DisplayedResult, Result
 from twin.identification import Identification, identify
 from twin.machine.machine import Machine
-from twin.measurement.checks import RowNote
+from twin.measurement.columns import RowNote
 from twin.measurement.instruments import LaserTracker
 from twin.measurement.simulate import Placement, simulate
 from twin.measurement.table import Measurements

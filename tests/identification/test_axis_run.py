@@ -13,16 +13,8 @@ import pytest
 
 from twin import cli
 from twin._common.errors import InputError
-from twin.identification.axis_run import (
-    AxisLayout,
-    BeamReadings,
-    axis_curves,
-    carriage_poses,
-    error_motions,
-    load_readings,
-    simulate_run,
-    to_text,
-)
+from twin.identification.axis_layout import AxisLayout, BeamReadings, carriage_poses, load_readings, simulate_run
+from twin.identification.axis_run import axis_curves, error_motions, to_text
 from twin.identification.thesis import three_point
 from twin.machine.machine import Machine
 from twin.model.calibration import Calibration

@@ -23,12 +23,12 @@ from twin.identification import identify
 from twin.identification.discrepancy import covariance_of
 from twin.identification.fitting import RobustStart, robust_start, shrunk_start
 from twin.identification.inputs import prepare
-from twin.identification.network import Network
+from twin.identification.network import Network, Unknowns
 from twin.identification.solve import Spread, solve
 from twin.identification.unidentified import DeterminedModel, determined_models
-from twin.identification.unknowns import Unknowns
 from twin.machine.machine import Machine
 from twin.measurement.instruments import LaserTracker, StationInstruments
+from twin.measurement.observation import nominal_carriers
 from twin.measurement.set_up import initial_setup
 from twin.measurement.simulate import simulate
 from twin.measurement.table import Measurements
@@ -160,7 +160,7 @@ def test_the_covariance_between_groups_is_that_of_their_scores(dmu50: Machine, s
     data, _ = simulate(plan, dmu50, Calibration.zero(dmu50), LaserTracker(), rng)
     instruments = StationInstruments.same(LaserTracker(), data.station)
     network = Network(dmu50, data, instruments, Unknowns(dmu50, [], ["E_C0Y", "E_A0Z"]))
-    setup, _ = initial_setup(dmu50, data, instruments)
+    setup, _ = initial_setup(data, instruments, nominal_carriers(dmu50, data))
     weight = np.ones(24)
     weight[5] = 0.0
     solution = solve(network, np.zeros(2), setup, weight)

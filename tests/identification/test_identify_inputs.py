@@ -22,7 +22,7 @@ from twin.identification.inputs import prepare
 from twin.identification.orders import HeldOutResiduals
 from twin.identification.result import misfit_entry
 from twin.machine.machine import Machine
-from twin.measurement.checks import ASSUMED
+from twin.measurement.columns import ASSUMED
 from twin.measurement.instruments import Instrument, LaserTracker, TrackingInterferometer
 from twin.measurement.simulate import simulate
 from twin.measurement.table import Measurements

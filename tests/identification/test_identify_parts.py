@@ -24,11 +24,10 @@ from twin.identification import Identification, identify
 from twin.identification.discrepancy import RowAssessment, assess_rows
 from twin.identification.fitting import DECAYS, SIZES, TiedCurves, mixed_prior, robust_start
 from twin.identification.inputs import prepare
-from twin.identification.network import Network, stated_covariance
+from twin.identification.network import Network, Unknowns, stated_covariance
 from twin.identification.orders import _Fold, choose
 from twin.identification.solve import covariance_from_repeats, misfit, repeats_of
 from twin.identification.unidentified import determined_models
-from twin.identification.unknowns import Unknowns
 from twin.machine.machine import Machine
 from twin.measurement.instruments import (
     Instrument,
@@ -36,7 +35,7 @@ from twin.measurement.instruments import (
     StationInstruments,
     TrackingInterferometer,
 )
-from twin.measurement.observation import repeat_groups
+from twin.measurement.observation import nominal_carriers, repeat_groups
 from twin.measurement.set_up import initial_setup
 from twin.measurement.simulate import simulate
 from twin.measurement.table import Measurements
@@ -417,7 +416,7 @@ def test_a_table_of_many_rows_is_read_row_by_row(dmu50: Machine, monkeypatch: py
     data, _ = simulate(volumetric(dmu50, rng, 30), dmu50, random_calibration(dmu50, rng, 50.0), LaserTracker(), rng)
     instruments = StationInstruments.same(LaserTracker(), data.station)
     network = Network(dmu50, data, instruments, Unknowns(dmu50, [], ["E_C0Y", "E_X0C"]))
-    setup, _ = initial_setup(dmu50, data, instruments)
+    setup, _ = initial_setup(data, instruments, nominal_carriers(dmu50, data))
     theta = np.array([12.0, -30.0])
     monkeypatch.setattr("twin.identification.network.VIEW_CHUNK", 8)
     view = network.view(theta, setup, np.arange(30))

@@ -18,8 +18,7 @@ from tests.truth.reference import about, dmu50_pose
 from twin._common.errors import InputError
 from twin.identification import identify
 from twin.machine.machine import Machine
-from twin.measurement.contacts import Contacts, Probing, ReducedContacts, numbered_rounds, reduce_contacts
-from twin.measurement.sphere_fit import fit_sphere
+from twin.measurement.contacts import Contacts, Probing, ReducedContacts, fit_sphere, numbered_rounds, reduce_contacts
 
 MACHINE = Machine.load("dmu50")
 RADIUS, TOOL = 13.0, 150.0

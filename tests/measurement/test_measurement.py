@@ -13,7 +13,7 @@ from scipy import stats
 
 from twin._common.errors import InputError
 from twin.machine.machine import Machine
-from twin.measurement.checks import RowNote, grouped_notes, overstated_noise
+from twin.measurement.columns import RowNote, grouped_notes, overstated_noise
 from twin.measurement.formats.tracker import load_export
 from twin.measurement.table import Measurements
 

@@ -13,7 +13,7 @@ from tests.truth.few_axes import write_drill
 from twin._common.arrays import read_only
 from twin._common.errors import InputError
 from twin.machine.machine import Machine
-from twin.measurement.checks import copied_rows, overstated_noise
+from twin.measurement.columns import copied_rows, overstated_noise
 from twin.measurement.instruments import LaserTracker
 from twin.measurement.simulate import simulate
 from twin.measurement.table import Measurements

@@ -9,7 +9,7 @@ from scipy.stats import binom, chi2, f
 
 from tests.measurement.formats.cases.tf5245 import CENTRE, CONTACTS
 from twin._common.errors import InputError
-from twin.measurement.sphere_fit import fit_sphere
+from twin.measurement.contacts import fit_sphere
 from twin.numerics.spatial import algebraic_sphere
 
 HEMISPHERE = np.array(

@@ -24,7 +24,7 @@ from tests.benchmarks.curves import exact as exact_least_squares
 from tests.truth import hidden
 from twin._common.errors import InputError
 from twin.diagnosis import diagnose
-from twin.identification.unknowns import Unknowns
+from twin.identification.network import Unknowns
 from twin.machine.machine import Machine
 from twin.measurement.table import Measurements
 from twin.model.calibration import Calibration

@@ -15,11 +15,11 @@ from twin._common.errors import InputError
 from twin.display.numbers import COVERAGE_FACTOR
 from twin.identification import Identification, identify
 from twin.identification.discrepancy import covariance_of
-from twin.identification.network import Network
+from twin.identification.network import Network, Unknowns
 from twin.identification.solve import FitSolution, Spread, solve
-from twin.identification.unknowns import Unknowns
 from twin.machine.machine import Machine
 from twin.measurement.instruments import LaserTracker, StationInstruments, default_instrument
+from twin.measurement.observation import nominal_carriers
 from twin.measurement.set_up import initial_setup
 from twin.measurement.table import Measurements
 from twin.model.calibration import Calibration
@@ -84,7 +84,9 @@ def found(robot: Robot) -> Identification:
 def fitted(machine: Machine, data: Measurements, unknowns: Unknowns) -> tuple[Network, FitSolution]:
     """Return stations, targets and some of the machine's unknowns, by least squares."""
     network = Network(machine, data, StationInstruments.same(LaserTracker(), data.station), unknowns)
-    setup, _ = initial_setup(machine, data, StationInstruments.same(default_instrument("point"), data.station))
+    setup, _ = initial_setup(
+        data, StationInstruments.same(default_instrument("point"), data.station), nominal_carriers(machine, data)
+    )
     return network, solve(network, np.zeros(len(unknowns)), setup, np.ones(len(data)))
 
 

@@ -20,7 +20,7 @@ from twin.cli.simulate import simulated_by
 if TYPE_CHECKING:
     import numpy as np
 
-    from twin.identification.axis_run import AxisLayout
+    from twin.identification.axis_layout import AxisLayout
 
 MOST_ROWS = 30_000
 """Largest number of rows of a simulated run, as many as `twin axis-run` can evaluate."""
@@ -64,7 +64,8 @@ def axis_run(
     json_file: JsonOption = None,
 ) -> CommandResult:
     """Determine the six error motions of a linear axis, with uncertainties, from readings of a multi-axis interferometer."""
-    from twin.identification.axis_run import AxisLayout, axis_curves, error_motions, load_readings, to_dict, to_text
+    from twin.identification.axis_layout import AxisLayout, load_readings
+    from twin.identification.axis_run import axis_curves, error_motions, to_dict, to_text
 
     loaded = options.machine(machine)
     axis_layout = AxisLayout.load(_layout_file(layout), loaded)
@@ -99,7 +100,7 @@ def simulate_axis_run(
     """Simulate a run of one linear axis with the errors of a calibration, measured by a multi-axis interferometer."""
     import numpy as np
 
-    from twin.identification.axis_run import AxisLayout, simulate_run
+    from twin.identification.axis_layout import AxisLayout, simulate_run
 
     loaded = options.machine(machine)
     axis_layout = AxisLayout.load(_layout_file(layout), loaded)

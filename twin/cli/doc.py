@@ -111,7 +111,7 @@ def _listed(page: str) -> dict[str, list[str]]:
             ],
         }
     if page == "import":
-        from twin.measurement.importing.headers import NAMES, ROLES
+        from twin.measurement.importing.quantities import NAMES, ROLES
 
         phrases = {**ROLES, **NAMES}
         return {

@@ -411,7 +411,7 @@ class _SequenceRequest:
 
 def _judged_sequence(plan: Path, machine: Machine, kit: Kit, table: Measurements) -> CommandResult:
     """Evaluate a given measuring sequence: duration, and what it determines of the constant errors."""
-    from twin.measurement.checks import grouped_notes
+    from twin.measurement.columns import grouped_notes
     from twin.planning import judge_sequence
     from twin.planning.sequences.specification import minutes_of
 
@@ -430,7 +430,7 @@ def _judged(
     plan: Path, machine: Machine, kit: Kit, errors: Calibration, named: str | None, tool_length_mm: float | None
 ) -> CommandResult:
     """Evaluate a given plan: expected uncertainties and duration."""
-    from twin.measurement.checks import grouped_notes
+    from twin.measurement.columns import grouped_notes
     from twin.measurement.instruments import INSTRUMENTS, instrument_named
     from twin.measurement.table import Measurements
     from twin.planning import duration, judge

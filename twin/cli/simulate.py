@@ -65,7 +65,7 @@ def simulate(
     source = options.plan_file(plan)
     from numpy.random import default_rng
 
-    from twin.measurement.checks import grouped_notes
+    from twin.measurement.columns import grouped_notes
     from twin.measurement.instruments import instrument_named
     from twin.measurement.simulate import simulate as run_simulation
     from twin.measurement.table import Measurements

@@ -37,8 +37,7 @@ from twin.display.results import Display, DisplayedResult
 from twin.identification.network import Network
 from twin.identification.result import FEWEST_DOF
 from twin.identification.solve import setup_unknowns
-from twin.measurement.checks import overstated_noise
-from twin.measurement.columns import CARRIERS
+from twin.measurement.columns import CARRIERS, overstated_noise
 from twin.measurement.observation import has_times
 from twin.model.calibration import Calibration
 from twin.model.calibration_file import MeasuredWith, MisfitEntry, UnidentifiedEntry

@@ -45,7 +45,7 @@ from twin.diagnosis.structure import Findings
 from twin.identification.discrepancy import Discrepancy
 from twin.identification.network import Network
 from twin.machine.machine import Machine
-from twin.measurement.checks import ASSUMED
+from twin.measurement.columns import ASSUMED
 from twin.measurement.table import Measurements
 from twin.model.calibration import Calibration
 from twin.model.effects import Effect, Payload

@@ -19,7 +19,7 @@ from twin.diagnosis.text import column
 from twin.display import Html, render
 from twin.display.figures import embedded
 from twin.display.numbers import listed, lower
-from twin.measurement.checks import assumptions, grouped_notes
+from twin.measurement.columns import assumptions, grouped_notes
 from twin.model.effects.specification import NOTHING
 
 UNLISTED_P_VALUE: Final = 0.5

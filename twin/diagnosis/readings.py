@@ -24,11 +24,10 @@ from twin.diagnosis.problem import Problem
 from twin.diagnosis.signature_products import signatures_of
 from twin.identification.discrepancy import Discrepancy, no_discrepancy, outlier_notes, outliers
 from twin.identification.inputs import prepare
-from twin.identification.network import LinearisedReadings, Network, stated_covariance
+from twin.identification.network import LinearisedReadings, Network, Unknowns, stated_covariance
 from twin.identification.solve import SIGNIFICANCE, repeats_of, solve
-from twin.identification.unknowns import Unknowns
 from twin.machine.machine import Machine
-from twin.measurement.checks import RowNote
+from twin.measurement.columns import RowNote
 from twin.measurement.instruments import Instrument
 from twin.measurement.instruments.base import along_and_across
 from twin.measurement.observation import repeat_groups

@@ -208,7 +208,7 @@ def _excesses_of(
 def _split(candidates: Candidates, forms: list[Form]) -> list[Form]:
     """Split curves with a constant or a slope into constants of the machine and the remaining curves.
 
-    By the datum, a curve has neither (`twin.identification.unknowns`). If they are the smaller part of the curve, one cause is the
+    By the datum, a curve has neither (`twin.identification.network`). If they are the smaller part of the curve, one cause is the
     simpler description; if they are the larger part, the error is the constant, and the curves that share it hide it.
     """
     remainder = {

@@ -20,7 +20,7 @@ from twin.diagnosis.result import Cause, DiagnosisResult, Extension, Unexplained
 from twin.display import note, table
 from twin.display.numbers import COVERAGE_FACTOR, capital, figure, listed, lower, p_value_text, with_joined_units
 from twin.display.results import Display
-from twin.measurement.checks import assumptions, grouped_notes
+from twin.measurement.columns import assumptions, grouped_notes
 from twin.model.effects.base import axis_of
 from twin.model.effects.specification import Advice, Kind, title_of
 

@@ -36,7 +36,7 @@ from twin._common.distributions import chi2_isf, chi2_sf
 from twin._common.units import MM, count_with_noun
 from twin.identification.network import Network
 from twin.identification.solve import FitSolution, Spread
-from twin.measurement.checks import RowNote
+from twin.measurement.columns import RowNote
 from twin.measurement.observation import repeat_groups
 from twin.measurement.table import Measurements
 
@@ -89,9 +89,7 @@ def outliers(network: Network, whitened: np.ndarray) -> np.ndarray:
 def assess_rows(network: Network, whitened: np.ndarray) -> RowAssessment:
     """Assess all rows by the residuals of an estimate.
 
-    Args:
-        network: data and model.
-        whitened: (n, 3) residuals of a robust estimate divided by the stated standard deviations.
+    ``whitened``: (n, 3) residuals of a robust estimate divided by the stated standard deviations.
     """
     count = np.count_nonzero(network.read, axis=1)
     median = np.array([chi2_isf(0.5, k) if k else 1.0 for k in range(4)])[count]
@@ -162,10 +160,8 @@ def row_groups(network: Network) -> tuple[np.ndarray, list[list[tuple[str, str]]
 def _misfit(squares: np.ndarray, values: np.ndarray, median: np.ndarray) -> float:
     """Return the isotropic misfit, metres, that makes the median of squared distances equal to that of chi²; zero if none is needed.
 
-    Args:
-        squares: (k, 3) squared whitened residuals along the eigenvectors.
-        values: (k, 3) increase of the variance along each by a misfit of one metre.
-        median: (k,) of chi².
+    ``squares``: (k, 3) squared whitened residuals along the eigenvectors; ``values``: (k, 3) increase of the variance along each by a
+    misfit of one metre; ``median``: (k,) of chi².
     """
 
     def excess(size: float) -> float:
@@ -264,9 +260,8 @@ class DiscrepancyPart:
 class Discrepancy:
     """The discrepancy of a model.
 
-    Attributes:
-        parts: the components that are not zero.
-        root: (n, 3, 3) symmetric square root of each reading's covariance by it, metres; zero where nothing was read.
+    ``parts``: the components that are not zero; ``root``: (n, 3, 3) symmetric square root of each reading's covariance by it, metres;
+    zero where nothing was read.
     """
 
     parts: tuple[DiscrepancyPart, ...]
@@ -311,11 +306,8 @@ def no_discrepancy(network: Network) -> Discrepancy:
 class _Group:
     """Rows that share their variances: one for each direction.
 
-    Attributes:
-        of: their (target, station) pairs.
-        rows: (k,) their numbers.
-        directions: names of the directions.
-        projections: (directions, k, 3, 3) projection of a reading on each.
+    ``of``: their (target, station) pairs; ``rows``: (k,) their numbers; ``projections``: (directions, k, 3, 3) projection of a reading
+    on each.
     """
 
     of: tuple[tuple[str, str], ...]
@@ -348,12 +340,9 @@ def updated(
 ) -> Discrepancy:
     """Return the discrepancy that the residuals of an estimate show.
 
-    Args:
-        network: data and model, with their noise alone.
-        discrepancy: the discrepancy with which the estimate was weighted.
-        residual: (n, 3) residuals of the estimate, metres; zero where nothing was read.
-        taken_up: (n, 3, 3) covariance that the estimate takes up of each reading, m².
-        used: (n,) the points that were used.
+    ``network``: data and model, with their noise alone; ``discrepancy``: the discrepancy with which the estimate was weighted;
+    ``residual``: (n, 3) residuals of the estimate, metres; zero where nothing was read; ``taken_up``: (n, 3, 3) covariance that the
+    estimate takes up of each reading, m²; ``used``: (n,) the points that were used.
     """
     weighted = network.with_discrepancy(discrepancy.root)
     every = list(_groups(network))
@@ -437,12 +426,8 @@ class _Scores:
     ) -> _Scores:
         """Return the scores at an estimate.
 
-        Args:
-            noise: as above.
-            projections: as above.
-            residual: as above.
-            taken_up: (k, 3, 3) covariance that the estimate takes up of each reading, m².
-            weighted: (k, 3, 3) covariance of the readings in the weights of the estimate, m².
+        ``taken_up``: (k, 3, 3) covariance that the estimate takes up of each reading, m²; ``weighted``: (k, 3, 3) covariance of the
+        readings in the weights of the estimate, m².
         """
         weight = np.linalg.inv(weighted)
         both = projections @ weight
@@ -484,11 +469,8 @@ def _shared_score(network: Network, discrepancy: Discrepancy, solution: FitSolut
 
     All readings of a pose share its discrepancy (one vector in the machine's frame), so that repeats and targets do not average it.
 
-    Args:
-        network: data and model with the weights of the estimate, discrepancy included.
-        discrepancy: the discrepancy in these weights.
-        solution: the estimate.
-        weight: (n,) weight of each point; zero for one that was not used.
+    ``network``: data and model with the weights of the estimate, discrepancy included; ``weight``: (n,) weight of each point; zero for
+    one that was not used.
     """
     j = solution.triangle[:, :-1]
     shared_score = j.T @ j
@@ -523,15 +505,10 @@ def covariance_of(
     represent those of later use. If neighbouring poses were measured together, their misfits are correlated, and ``between rounds`` is
     valid: the points of a round share the influence (poses near one place, one warm-up).
 
-    Args:
-        network: data and model, with the weights of the estimate.
-        solution: the estimate.
-        weight: (n,) weight of each point; zero for one that was not used.
-        spread: noise on which it is based.
-        discrepancy: the discrepancy in these weights; none if None.
+    ``network``: data and model, with the weights of the estimate; ``weight``: (n,) weight of each point; zero for one that was not
+    used; ``discrepancy``: the discrepancy in these weights; none if None.
 
-    Raises:
-        InputError: fewer rounds than parameters determined.
+    Raises `InputError`: fewer rounds than parameters determined.
     """
     data = network.data
     if spread == "between poses":

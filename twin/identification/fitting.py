@@ -33,9 +33,8 @@ from twin.identification.discrepancy import (
     settled,
     updated,
 )
-from twin.identification.network import Network
+from twin.identification.network import Network, Unknowns
 from twin.identification.solve import FitSolution, Priors, solve
-from twin.identification.unknowns import Unknowns
 from twin.measurement.set_up import StationsAndTargets
 
 ROUNDS: Final = 8
@@ -51,7 +50,6 @@ class RobustStart(NamedTuple):
     """A robust estimate.
 
     Attributes:
-        solution: the estimate.
         weight: (n,) the final weights of the points: zero for an outlier.
         discrepancy: residuals of most rows beyond the noise, isotropic (`RowAssessment.size_m`).
         noise: size of the residuals of most rows, as in `RowAssessment`; one if the model fits.
@@ -79,10 +77,7 @@ def robust_start(network: Network, setup: StationsAndTargets, triangle: np.ndarr
     A misfit may be the effect of the outliers on the estimate. If the model fits without any row beyond the limit, these are the
     outliers; if it does not, only those that a gap separates from the other rows.
 
-    Args:
-        network: data and model.
-        setup: initial set-up with the nominal machine.
-        triangle: factor of [J | r] there.
+    ``triangle``: factor of [J | r] there.
     """
     start = _robust(network, setup, triangle, separated=False)
     if start.noise > 1.0 and start.gaps:
@@ -149,10 +144,7 @@ def without_outliers(network: Network, start: RobustStart, shrunk: ShrunkStart) 
 
     The discrepancy in the weights is estimated by restricted maximum likelihood from the residuals of these points.
 
-    Args:
-        network: data and model.
-        start: a robust estimate.
-        shrunk: priors of the machine's unknowns, and the estimate with them at which it starts.
+    ``shrunk``: priors of the machine's unknowns, and the estimate with them at which it starts.
     """
     priors, theta, setup = shrunk
     bad, discrepancy = start.weight == 0.0, start.discrepancy
@@ -193,10 +185,7 @@ FREE: Final = 1.0
 class ShrunkStart(NamedTuple):
     """The priors of the machine's unknowns, and a linear estimate with them: weak directions have no values of the noise.
 
-    Attributes:
-        priors: of the machine's unknowns, about zero.
-        theta: (columns,) µm and µrad.
-        setup: stations and targets.
+    ``priors``: of the machine's unknowns, about zero; ``theta``: (columns,) µm and µrad.
     """
 
     priors: Priors
@@ -205,12 +194,7 @@ class ShrunkStart(NamedTuple):
 
 
 def shrunk_start(network: Network, start: RobustStart) -> ShrunkStart:
-    """Return the prior of each unknown of the machine, and the estimate with these near a robust one.
-
-    Args:
-        network: data and the largest model.
-        start: a robust estimate of it.
-    """
+    """Return the prior of each unknown of the machine, and the estimate with these near a robust one."""
     unknowns, solution = network.unknowns, start.solution
     readings = int(np.count_nonzero(network.read[start.weight > 0.0]))
     machine = len(unknowns)
@@ -262,10 +246,8 @@ def _noise(solution: FitSolution, readings: int) -> float:
 class TiedCurves(NamedTuple):
     """Curves that conditions of the datum tie to each other, mostly one.
 
-    Attributes:
-        columns: (k,) of their coefficients.
-        orders: (k,) order of each within its curve, from 0.
-        inside: (k, f) orthonormal directions that fulfil the conditions.
+    ``columns``: (k,) of their coefficients; ``orders``: (k,) order of each within its curve, from 0; ``inside``: (k, f) orthonormal
+    directions that fulfil the conditions.
     """
 
     columns: np.ndarray
@@ -294,10 +276,8 @@ def _tied_curves(unknowns: Unknowns, free: np.ndarray) -> list[TiedCurves]:
 class Mixture(NamedTuple):
     """The prior of a curve's k coefficients, a mixture of sizes and decays.
 
-    Attributes:
-        precision: (k,) of the one Gaussian prior that shrinks them as the mixture does.
-        variance: (k,) of the mixture in which each size has the same share.
-        share_of_size: (sizes,) probability of each size of this curve.
+    ``precision``: (k,) of the one Gaussian prior that shrinks them as the mixture does; ``variance``: (k,) of the mixture in which each
+    size has the same share; ``share_of_size``: (sizes,) probability of each size of this curve.
     """
 
     precision: np.ndarray
@@ -314,12 +294,9 @@ def mixed_prior(
     With the precision of the readings L, a member's estimate is C L y, so that of the mixture has the mean covariance, and its prior
     has the precision mean(C)⁻¹ − L, of which the diagonal is taken.
 
-    Args:
-        mean: (k,) their estimate under a prior.
-        covariance: (k, k) its covariance.
-        precision: (k,) precision of that prior.
-        share_of_size: (sizes,) share of the machine's curves that have each size.
-        curves: the orders of the coefficients and the conditions on them.
+    ``mean``: (k,) their estimate under a prior; ``covariance``: (k, k) its covariance; ``precision``: (k,) precision of that prior;
+    ``share_of_size``: (sizes,) share of the machine's curves that have each size; ``curves``: the orders of the coefficients and the
+    conditions on them.
     """
     inside = curves.inside
     values, vectors = np.linalg.eigh(inside.T @ covariance @ inside)

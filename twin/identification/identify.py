@@ -14,7 +14,7 @@ from twin._common.units import MM
 from twin.identification.discrepancy import covariance_of, many_outliers_notice, outlier_notes
 from twin.identification.fitting import FinalEstimate, RobustStart, robust_start, shrunk_start, without_outliers
 from twin.identification.inputs import NoiseOfReadings, PreparedData, implausible_tips, prepare, reading_noise
-from twin.identification.network import Network
+from twin.identification.network import Network, Unknowns
 from twin.identification.orders import Choice, choose, held_out_residuals
 from twin.identification.result import Identification, misfit_entry, residuals_of, rms_um
 from twin.identification.solve import FitSolution, Spread, misfit
@@ -28,10 +28,8 @@ from twin.identification.unidentified import (
     unidentified,
     unknown_reference,
 )
-from twin.identification.unknowns import Unknowns
 from twin.machine.machine import Machine
-from twin.measurement.checks import overstated_noise
-from twin.measurement.columns import CARRIERS
+from twin.measurement.columns import CARRIERS, overstated_noise
 from twin.measurement.instruments import Instrument
 from twin.measurement.table import Measurements
 from twin.model.calibration_file import MeasuredWith, UnidentifiedEntry
@@ -59,7 +57,7 @@ def identify(
     """Identify a machine's error motions, squareness and locations together with stations and targets.
 
     Whitened nonlinear least squares with analytic derivatives of all readings with respect to all unknowns. The datum is the machine's
-    own (`twin.identification.unknowns`); the covariance is propagated from that of the readings and never scaled by chi².
+    own (`twin.identification.network`); the covariance is propagated from that of the readings and never scaled by chi².
 
     Args:
         data: the measurements.

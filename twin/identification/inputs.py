@@ -14,8 +14,7 @@ from twin.identification.network import stated_covariance
 from twin.identification.solve import Repeats, Spread, covariance_from_repeats, noise_text, repeats_of
 from twin.machine.machine import Machine
 from twin.measurement.agreement import WRONG_COLUMN_SHARE, agreeing_rows, fit_of, other_unit
-from twin.measurement.checks import ASSUMED
-from twin.measurement.columns import POINT_COLUMNS
+from twin.measurement.columns import ASSUMED, POINT_COLUMNS
 from twin.measurement.instruments import (
     SIDES,
     Instrument,
@@ -24,8 +23,8 @@ from twin.measurement.instruments import (
     instrument_named,
     others_alike,
 )
-from twin.measurement.observation import CarriedTargets, at_origin
-from twin.measurement.set_up import StationsAndTargets, least_motion, nominal_carriers
+from twin.measurement.observation import CarriedTargets, at_origin, nominal_carriers
+from twin.measurement.set_up import StationsAndTargets
 from twin.measurement.table import Measurements
 
 FEWEST_ROWS: Final = 3
@@ -59,19 +58,18 @@ class PreparedData(NamedTuple):
 def prepare(machine: Machine, data: Measurements, instrument: Instrument | None) -> PreparedData:
     """Return the instruments, the rows whose command agrees with the readings, and the initial set-up.
 
-    Args:
-        instrument: the instrument of the stations whose instrument the table does not name; if None, the one that their readings
-            indicate (`_instruments`).
+    ``instrument``: the instrument of the stations whose instrument the table does not name; if None, the one that their readings
+    indicate (`_instruments`).
 
-    Raises:
-        InputError: a sensor that does not follow its target; a single column that is no coordinate and no length; readings that do
-            not belong to the instrument; commands that do not agree with the readings (`agreeing_rows`).
+    Raises `InputError`: a sensor that does not follow its target; a single column that is no coordinate and no length; readings that do
+    not belong to the instrument; commands that do not agree with the readings (`agreeing_rows`).
     """
-    data = _check_sensors(machine, data)
+    carried = nominal_carriers(machine, data)
+    sensors = _check_sensors(data, carried)
     instruments, notices = _instruments(machine, data, instrument)
     assumed = any(text.startswith(ASSUMED) for text in notices)
     try:
-        agreeing, setup = agreeing_rows(machine, data, instruments)
+        agreeing, setup = agreeing_rows(machine, data, instruments, carried)
     except InputError as error:
         if not assumed:
             raise
@@ -90,66 +88,65 @@ def prepare(machine: Machine, data: Measurements, instrument: Instrument | None)
             expected="x_mm, y_mm and z_mm, or an interferometer's lengths in x_mm",
             row=0,
         )
-    all_notices = (
-        *notices,
-        *agreeing.notices,
-        *_unobserved_axes(machine, agreeing),
-        *_mirrored_planes(agreeing, setup),
-    )
+    plane = _mirrored_planes(agreeing, setup)
+    all_notices = (*notices, *data.notices, *sensors, *_unobserved_axes(machine, agreeing), *plane)
     return PreparedData(instruments, replace(agreeing, notices=all_notices), setup)
 
 
-def _check_sensors(machine: Machine, data: Measurements) -> Measurements:
-    """Return the data with a notice for each coordinate that never changes.
+def _check_sensors(data: Measurements, carried: CarriedTargets) -> list[str]:
+    """Return a notice for each coordinate that never changes.
 
-    Raises:
-        InputError: a target of which no coordinate ever changes, although the commands move it wherever it sits on its carrier; a
-            sphere that is not at the tip of its probe.
+    Raises `InputError`: a target of which no coordinate ever changes, although the commands move it wherever it sits on its carrier; a
+    sphere that is not at the tip of its probe.
     """
-    points, probed = nominal_carriers(machine, data), at_origin(data)
-    notices = []
+    probed, notices = at_origin(data), []
     for station in dict.fromkeys(data.station):
-        at = data.station == station
-        if np.all(probed[at]):
-            _check_spheres(data, points, station)
-            continue
-        for target in dict.fromkeys(data.target[at]):
-            rows = np.flatnonzero(at & (data.target == target))
-            constant = _constant(data, rows)
-            read = np.isfinite(data.point_mm[rows]).any(axis=0)
-            if not np.any(read) or not np.array_equal(constant, read):
-                continue
-            off = least_motion(points.points[rows], points.rotation[rows], data.place_mm[rows[0]] * MM)
-            far = int(np.argmax(np.linalg.norm(off - off[0], axis=1)))
-            moved = float(np.linalg.norm(off[far] - off[0]))
-            value = ", ".join(f"{POINT_COLUMNS[i]} {data.point_mm[rows[0], i]:g}" for i in np.flatnonzero(read))
-            message = f"readings of target {target} from station {station} are equal in all {len(rows)} rows, but it was moved by"
-            if moved > LEAST_MOTION_M:
-                raise data.error(
-                    f"sensor without signal: {message} {moved / MM:.3g} mm",
-                    expected="readings that follow the commands; check the sensor, its cable and its column",
-                    row=rows[far],
-                    value=value,
-                )
-            if moved > NOTICEABLE_MOTION_M:
-                notices.append(f"{message} {moved / MM:.2g} mm: the sensor is dead or its resolution is coarse")
-        notices += _constant_coordinates(data, points.points, station)
-    return replace(data, notices=(*data.notices, *notices)) if notices else data
+        of_station = data.station == station
+        check = _check_sphere if np.all(probed[of_station]) else _check_signal
+        for target in dict.fromkeys(data.target[of_station]):
+            rows = np.flatnonzero(of_station & (data.target == target))
+            notices += check(data, rows, carried.select(rows).least_motion(data.place_mm[rows[0]]))
+        if check is _check_signal:
+            notices += _constant_coordinates(data, np.flatnonzero(of_station), carried)
+    return notices
 
 
-def _check_spheres(data: Measurements, points: CarriedTargets, station: str) -> None:
-    """Raise `InputError` if a sphere moves in the frame of its probe, wherever it sits on its carrier."""
-    at = data.station == station
-    for target in dict.fromkeys(data.target[at]):
-        rows = np.flatnonzero(at & (data.target == target))
-        off = least_motion(points.points[rows], points.rotation[rows], data.place_mm[rows[0]] * MM)
-        distance = np.linalg.norm(off, axis=1)
-        if distance.max() > NOT_PROBED_M:
-            raise data.error(
-                f"with these positions, sphere {target} moves by {distance.max() / MM:.3g} mm in the frame of probe {station}",
-                expected="the positions of the linear axes at which the tip was at the centre of the sphere",
-                row=rows[int(np.argmax(distance))],
-            )
+def _check_signal(data: Measurements, rows: np.ndarray, motion: np.ndarray) -> list[str]:
+    """Return a notice, or raise `InputError`, if nothing that a station reads of a target changes, although its carrier moves it.
+
+    ``rows``: (k,) those of the station and target; ``motion``: (k, 3) least motion of the target, m.
+    """
+    constant, read = _constant(data.point_mm[rows])
+    if not np.any(read) or not np.array_equal(constant, read):
+        return []
+    far = int(np.argmax(np.linalg.norm(motion - motion[0], axis=1)))
+    moved = float(np.linalg.norm(motion[far] - motion[0]))
+    target, station = data.target[rows[0]], data.station[rows[0]]
+    message = (
+        f"readings of target {target} from station {station} are equal in all {len(rows)} rows, but it was moved by"
+    )
+    if moved > LEAST_MOTION_M:
+        raise data.error(
+            f"sensor without signal: {message} {moved / MM:.3g} mm",
+            expected="readings that follow the commands; check the sensor, its cable and its column",
+            row=rows[far],
+            value=", ".join(f"{POINT_COLUMNS[i]} {data.point_mm[rows[0], i]:g}" for i in np.flatnonzero(read)),
+        )
+    coarse = f"{message} {moved / MM:.2g} mm: the sensor is dead or its resolution is coarse"
+    return [coarse] if moved > NOTICEABLE_MOTION_M else []
+
+
+def _check_sphere(data: Measurements, rows: np.ndarray, motion: np.ndarray) -> list[str]:
+    """Raise `InputError` if a sphere moves in the frame of its probe; arguments as `_check_signal`."""
+    distance = np.linalg.norm(motion, axis=1)
+    if distance.max() > NOT_PROBED_M:
+        target, probe = data.target[rows[0]], data.station[rows[0]]
+        raise data.error(
+            f"with these positions, sphere {target} moves by {distance.max() / MM:.3g} mm in the frame of probe {probe}",
+            expected="the positions of the linear axes at which the tip was at the centre of the sphere",
+            row=rows[int(np.argmax(distance))],
+        )
+    return []
 
 
 def implausible_tips(data: Measurements, setup: StationsAndTargets) -> tuple[str, ...]:
@@ -166,24 +163,23 @@ def implausible_tips(data: Measurements, setup: StationsAndTargets) -> tuple[str
     return tuple(implausible_tips)
 
 
-def _constant(data: Measurements, rows: np.ndarray) -> np.ndarray:
-    """Return (3,) whether a coordinate was read in several of the rows and is the same in all of them."""
-    point = data.point_mm[rows]
-    low = np.min(np.where(np.isfinite(point), point, np.inf), axis=0)
-    high = np.max(np.where(np.isfinite(point), point, -np.inf), axis=0)
-    return (np.isfinite(point).sum(axis=0) >= FEWEST_ROWS) & (low == high)
+def _constant(point_mm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return (3,) whether a coordinate is the same in all rows that have it, and (3,) whether any has it."""
+    read = np.isfinite(point_mm)
+    low = np.min(np.where(read, point_mm, np.inf), axis=0)
+    high = np.max(np.where(read, point_mm, -np.inf), axis=0)
+    return (read.sum(axis=0) >= FEWEST_ROWS) & (low == high), read.any(axis=0)
 
 
-def _constant_coordinates(data: Measurements, points: np.ndarray, station: str) -> list[str]:
-    """Return a notice for each coordinate of a station that never changes while others do."""
-    rows = np.flatnonzero(data.station == station)
-    constant = _constant(data, rows)
-    read = np.isfinite(data.point_mm[rows]).any(axis=0)
-    moved = float(np.linalg.norm(np.ptp(points[rows], axis=0)))
+def _constant_coordinates(data: Measurements, rows: np.ndarray, carried: CarriedTargets) -> list[str]:
+    """Return a notice for each coordinate of a station, read in some rows, that never changes while others do."""
+    point_mm = data.point_mm[rows]
+    constant, read = _constant(point_mm)
+    moved = float(np.linalg.norm(np.ptp(carried.points[rows], axis=0)))
     if moved <= LEAST_MOTION_M or np.array_equal(constant, read):
         return []
     return [
-        f"{POINT_COLUMNS[i]} of station {station} is {data.point_mm[rows, i][np.isfinite(data.point_mm[rows, i])][0]:g} in every row "
+        f"{POINT_COLUMNS[i]} of station {data.station[rows[0]]} is {point_mm[np.isfinite(point_mm[:, i]), i][0]:g} in every row "
         f"while its targets move by {moved / MM:.3g} mm: a dead channel, unless they move in a plane and are noise-free"
         for i in np.flatnonzero(constant)
     ]
@@ -258,8 +254,7 @@ def _instrument(
     An empty field is a coordinate that was not measured: a scale parallel to a stage reads x alone. The length of a tracking
     interferometer is also in x_mm; the motion shows which of the two it is.
 
-    Raises:
-        InputError: readings that do not belong to the instrument; a single column that does not follow the commands.
+    Raises `InputError`: readings that do not belong to the instrument; a single column that does not follow the commands.
     """
     read = [i for i in range(3) if np.isfinite(data.point_mm[:, i]).any()]
     if instrument is not None and instrument.specification.columns == ("x_mm",):
@@ -306,13 +301,13 @@ def _follows_as_coordinate(machine: Machine, data: Measurements) -> bool:
 
 def _may_be_length(machine: Machine, data: Measurements) -> bool:
     """Return whether x_mm changes by a sufficient share of the motion of some target."""
-    points = nominal_carriers(machine, data)
+    carried = nominal_carriers(machine, data)
     for station, target in dict.fromkeys(zip(data.station, data.target, strict=True)):
         rows = (data.station == station) & (data.target == target) & np.isfinite(data.point_mm[:, 0])
         if np.count_nonzero(rows) < 2:
             continue
-        off = least_motion(points.points[rows], points.rotation[rows], data.place_mm[rows][0] * MM)
-        moved = float(np.linalg.norm(np.ptp(off, axis=0)))
+        motion = carried.select(rows).least_motion(data.place_mm[rows][0])
+        moved = float(np.linalg.norm(np.ptp(motion, axis=0)))
         if np.ptp(data.point_mm[rows, 0]) * MM >= LENGTH_SHARE * moved:
             return True
     return False
@@ -331,7 +326,6 @@ class NoiseOfReadings:
         spread: noise on which the covariance of the estimate is based; ``repeats`` where they contradict the stated noise.
         contradicted: names of the instruments whose stated noise the repeats contradict.
         assumed: names of the instruments that nothing but the kind of the readings indicates, and no repeats test.
-        notices: what to know of it.
     """
 
     covariance: np.ndarray
@@ -357,13 +351,10 @@ def reading_noise(machine: Machine, placed: PreparedData, spread: Spread, *, nam
     If the repeats of an instrument vary more than its stated noise allows, their standard deviation is taken. If it has too few repeats
     to test its noise, and nothing names it, the assumption is stated.
 
-    Args:
-        placed: rows and instruments.
-        spread: source that was asked for; with ``repeats`` they are taken in any case.
-        named: whether the user named the instrument of the stations for which the table does not.
+    ``spread``: source that was asked for; with ``repeats`` they are taken in any case; ``named``: whether the user named the instrument
+    of the stations for which the table does not.
 
-    Raises:
-        InputError: too few repeats for ``repeats``.
+    Raises `InputError`: too few repeats for ``repeats``.
     """
     data, instruments = placed.data, placed.instruments
     stated = stated_covariance(data, instruments)

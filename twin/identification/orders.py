@@ -29,9 +29,8 @@ import scipy
 from twin._common.arrays import read_only
 from twin._common.resources import map_chunks
 from twin.identification.fitting import RobustStart
-from twin.identification.network import Network
+from twin.identification.network import Network, Unknowns
 from twin.identification.solve import FitSolution
-from twin.identification.unknowns import Unknowns
 from twin.measurement.table import Measurements
 from twin.numerics.curves import CurveSpace
 from twin.numerics.observability import SINGULAR_VALUE_TOLERANCE
@@ -54,10 +53,8 @@ give functions that do not exist.
 class Folds:
     """Groups of points that are held out together.
 
-    Attributes:
-        round_of: (n,) group of rounds.
-        pose_of: (n,) group of positions; −1 for those never held out (end points of an axis's travel).
-        rounds, poses: number of groups.
+    ``round_of``: (n,) group of rounds; ``pose_of``: (n,) group of positions; −1 for those never held out (end points of an axis's
+    travel).
     """
 
     round_of: np.ndarray
@@ -117,10 +114,7 @@ class Choice:
 def choose(network: Network, start: RobustStart, whole: Sequence[str] = ()) -> Choice:
     """Return the model that predicts held-out readings best.
 
-    Args:
-        network: data and the largest model, with the weights of the comparison.
-        start: a robust estimate of it.
-        whole: curves that keep all their functions.
+    ``network``: data and the largest model, with the weights of the comparison.
     """
     folds = Folds.of(network.data)
     triangles, count = _cells(network, start.solution, start.weight, folds)
@@ -252,9 +246,7 @@ class _Fold:
     def truncated(self, columns: list[int], widths: Sequence[int]) -> list[np.ndarray]:
         """Return the estimates (m,) with only the first few of some columns, all other unknowns being zero.
 
-        Args:
-            columns: columns, in the order in which they are added.
-            widths: number of columns of each estimate.
+        ``columns``: columns, in the order in which they are added.
         """
         lower = scipy.linalg.cholesky(self.normal[np.ix_(columns, columns)], lower=True, check_finite=False)
         right = np.concatenate([self.slope[columns, None], self.datum[:, columns].T], axis=1)
@@ -363,12 +355,8 @@ FOLDS: Final = 5
 class HeldOutResiduals:
     """Residuals at held-out poses.
 
-    Attributes:
-        rms_um: RMS per coordinate.
-        whitened_rms: the same in standard deviations of the weights, about one if the model holds.
-        folds: number of folds.
-        poses: number of different poses.
-        readings: number of coordinates that were held out.
+    ``whitened_rms``: the same in standard deviations of the weights, about one if the model holds; ``readings``: number of coordinates
+    that were held out.
     """
 
     rms_um: float
@@ -386,10 +374,7 @@ class HeldOutResiduals:
 def held_out_residuals(network: Network, solution: FitSolution, used: np.ndarray) -> HeldOutResiduals | None:
     """Return the residuals at held-out poses; None with fewer than two poses, or if the rest determines no station and target.
 
-    Args:
-        network: data and model, with the weights of the estimate.
-        solution: the estimate.
-        used: (n,) the points that were used.
+    ``network``: data and model, with the weights of the estimate; ``used``: (n,) the points that were used.
     """
     data = network.data
     poses, pose = np.unique(np.round(data.positions, 3), axis=0, return_inverse=True)

@@ -385,7 +385,7 @@ def _in_datum(truth: Mapping[str, Curve], axis: Axis) -> dict[str, tuple[np.ndar
 def _excluded_by_datum(
     axis: Axis, lines: Mapping[str, tuple[np.ndarray, np.ndarray]]
 ) -> dict[str, Callable[[np.ndarray], np.ndarray]]:
-    """Return the components that the datum of `twin.identification.unknowns` excludes, by least squares over the points.
+    """Return the components that the datum of `twin.identification.network` excludes, by least squares over the points.
 
     For a linear axis: the line of a straightness, otherwise the mean. For a rotary axis: the mean and, in pairs across the axis, the
     effect of a shift or tilt of everything that rotates with it.

@@ -19,13 +19,12 @@ from twin.display.numbers import COVERAGE_FACTOR
 from twin.display.results import Display, DisplayedResult
 from twin.identification.discrepancy import Discrepancy
 from twin.identification.inputs import NoiseOfReadings
-from twin.identification.network import Network
+from twin.identification.network import Network, Unknowns
 from twin.identification.orders import Choice, HeldOutResiduals
 from twin.identification.solve import FitSolution, FitStatistics, Spread, misfit
 from twin.identification.unidentified import ConstantErrors, InstrumentShare, Unidentified
-from twin.identification.unknowns import Unknowns
 from twin.machine.chain import frame_pose
-from twin.measurement.checks import RowNote, assumptions, grouped_notes
+from twin.measurement.columns import RowNote, assumptions, grouped_notes
 from twin.measurement.set_up import StationsAndTargets
 from twin.measurement.table import Measurements
 from twin.model.calibration import Calibration
@@ -81,7 +80,8 @@ class TableTilt:
         angles = fused_angles(turned @ nominal.T)
         rates = ca.Function("table", [e], [angles, ca.jacobian(angles, e)])
         value, rate = rates(ca.evalf(error_vector(machine, lines.effects, q)))
-        slots = [6 * _location(calibration, name) + split_name(name)[0] for name in locations]
+        frames = [(frame.axis, frame.role) for frame in machine.frames]
+        slots = [6 * frames.index((split_name(name)[2], "location")) + split_name(name)[0] for name in locations]
         jacobian = np.asarray(rate)[:, slots]
         known = set(locations) <= set(calibration.covariance.names)
         matrix = (
@@ -114,12 +114,6 @@ class TableTilt:
 
 def _range(lower: float | None, upper: float | None) -> tuple[float, float]:
     return -np.inf if lower is None else lower, np.inf if upper is None else upper
-
-
-def _location(calibration: Calibration, name: str) -> int:
-    axis = split_name(name)[2]
-    frames = calibration.machine.frames
-    return next(i for i, frame in enumerate(frames) if frame.axis == axis and frame.role == "location")
 
 
 # --- Result of an identification: values, report and JSON -----------------------------------------
@@ -408,11 +402,7 @@ class Identification(DisplayedResult):
                 f"discrepancy of the model beyond the noise: {self.discrepancy.text}; the readings are weighted with it"
             )
         lines += [f"  {share.text}" for share in self.shares]
-        lines += [
-            self.verdict,
-            "",
-            f"error motions (95 % intervals from {self._based_on}):",
-        ]
+        lines += [self.verdict, "", f"error motions (95 % intervals from {self._based_on}):"]
         lines += [_row_text(row) for row in self.rows()]
         table = TableTilt.of(self.calibration)
         lines += [] if table is None else [f"  {table.to_text(COVERAGE_FACTOR)}"]
@@ -497,10 +487,7 @@ def residuals_of(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Evaluate a calibration on the rows of an estimate.
 
-    Args:
-        calibration: the calibration; it need not consist of the estimate's own unknowns.
-        network: the estimate's data, instrument and covariance.
-        setup: its stations and targets.
+    ``calibration``: the calibration; it need not consist of the estimate's own unknowns.
 
     Returns:
         (n, 3) measured minus predicted, metres, zero where nothing was read; (n, 3) the same divided by the stated standard deviations.
@@ -528,9 +515,7 @@ Verdict = Literal["consistent", "systematic", "larger", "untested"]
 def _judged(fit: FitStatistics, at_poses: HeldOutResiduals | None) -> tuple[Verdict, str]:
     """Return whether the model fits, as in a calibration file and as a sentence.
 
-    Args:
-        fit: misfit of the rows used.
-        at_poses: residuals at held-out poses; None if there are too few poses.
+    ``at_poses``: residuals at held-out poses; None if there are too few poses.
     """
     if fit.dof < 1:
         return (
@@ -566,10 +551,7 @@ def _judged(fit: FitStatistics, at_poses: HeldOutResiduals | None) -> tuple[Verd
 def misfit_entry(fit: FitStatistics, rms: float, at_poses: HeldOutResiduals | None) -> MisfitEntry:
     """Return the misfit as it is written into the calibration.
 
-    Args:
-        fit: misfit of the rows used.
-        rms: RMS of the residuals of a coordinate, µm.
-        at_poses: residuals at held-out poses; None if there are too few poses.
+    ``rms``: RMS of the residuals of a coordinate, µm; ``at_poses``: residuals at held-out poses; None if there are too few poses.
     """
     verdict, says = _judged(fit, at_poses)
     numbers = {

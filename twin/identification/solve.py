@@ -26,12 +26,11 @@ from twin._common.arrays import read_only
 from twin._common.distributions import chi2_isf, chi2_sf, f_sf
 from twin._common.resources import map_chunks
 from twin._common.units import MM, URAD
-from twin.identification.network import Network
-from twin.identification.unknowns import UnknownNumber, Unknowns
+from twin.identification.network import Network, Unknowns
 from twin.machine.machine import Machine
 from twin.measurement.instruments import Instrument, StationInstruments
-from twin.measurement.observation import FEWEST_REPEATS, at_origin, repeat_groups
-from twin.measurement.set_up import StationsAndTargets, nominal_carriers
+from twin.measurement.observation import FEWEST_REPEATS, at_origin, nominal_carriers, repeat_groups
+from twin.measurement.set_up import StationsAndTargets
 from twin.measurement.table import Measurements
 from twin.model.effects import unit_of
 from twin.numerics.observability import SINGULAR_VALUE_TOLERANCE, Determinability, Spectrum, Unknown, decompose
@@ -68,9 +67,8 @@ step would be a thousandth of it or less, and the remainder 1e-7 of a standard u
 class Priors(NamedTuple):
     """Gaussian priors of the machine's unknowns about zero.
 
-    Attributes:
-        precision: (columns,) in the estimate, one over µm² or µrad²; zero without a prior.
-        variance: (columns,) µm² or µrad², for the covariance: how far the unknowns that the estimate holds back may be from zero.
+    ``precision``: (columns,) in the estimate, one over µm² or µrad²; zero without a prior; ``variance``: (columns,) µm² or µrad², for
+    the covariance: how far the unknowns that the estimate holds back may be from zero.
     """
 
     precision: np.ndarray
@@ -84,13 +82,11 @@ class FitSolution:
 
     Attributes:
         theta: (columns,) µm and µrad.
-        setup: stations and targets.
         triangle: (p + 1, p + 1) factor of [J | r] at the estimate.
         spectrum: directions (machine and set-up, scaled by their priors) that the data determine, their singular values, and null
             directions; all of them fulfil the datum's conditions.
         determined: number of parameters determined by the readings: the trace of their share in the estimate.
         converged: whether the iteration converged.
-        steps: number of steps.
         incomplete: whether the model does not fit, so that the prior acts on every direction.
         priors: further priors of the machine's unknowns about zero.
         free: (p, f) orthonormal directions that fulfil the datum's conditions.
@@ -132,8 +128,7 @@ class FitSolution:
 
         A⁻¹ (M + P) A⁻¹ with the estimator's matrix A, the covariance M of the normal equations' right side, and the priors' part P.
 
-        Args:
-            score_covariance: (p, p) M in the derivatives' units; if None, that of readings with the covariance of the weights, JᵀJ.
+        ``score_covariance``: (p, p) M in the derivatives' units; if None, that of readings with the covariance of the weights, JᵀJ.
         """
         scale = self.spectrum.scale
         j = self.triangle[:, :-1]
@@ -161,26 +156,19 @@ class FitSolution:
         return int(np.count_nonzero(np.linalg.svd(whole, compute_uv=False) > SINGULAR_VALUE_TOLERANCE))
 
     def determinability(self, unknowns: Unknowns, readings: int) -> Determinability:
-        """Return what the readings determine, with names and the user's units.
-
-        Args:
-            unknowns: unknowns of the machine.
-            readings: number of readings.
-        """
+        """Return what the readings determine, with names and the user's units."""
         return Determinability(all_unknowns(unknowns, self.setup), self.spectrum, SINGULAR_VALUE_TOLERANCE, readings)
 
 
 def all_unknowns(unknowns: Unknowns, setup: StationsAndTargets) -> tuple[Unknown, ...]:
     """Return every unknown of a machine and its set-up with a name for the user.
 
-    Args:
-        unknowns: unknowns of the machine: µm and µrad.
-        setup: stations and targets: metres and radians inside, mm and µrad outside.
+    ``unknowns``: unknowns of the machine: µm and µrad; ``setup``: stations and targets: metres and radians inside, mm and µrad outside.
     """
-    of_machine = [
-        Unknown(_name(column, unknowns), unit_of(column.entity), size)
-        for column, size in zip(unknowns.columns, unknowns.plausible.tolist(), strict=True)
-    ]
+    curves, of_machine = {curve.name for curve in unknowns.curves}, []
+    for column, size in zip(unknowns.columns, unknowns.plausible.tolist(), strict=True):
+        name = f"{column.entity} order {column.index}" if column.entity in curves else column.entity
+        of_machine.append(Unknown(name, unit_of(column.entity), size))
     return (*of_machine, *setup_unknowns(setup))
 
 
@@ -191,11 +179,6 @@ def setup_unknowns(setup: StationsAndTargets) -> tuple[Unknown, ...]:
         unit, factor = ("urad", URAD) if " turn " in name else ("mm", MM)
         setup_unknowns.append(Unknown(name, unit, float(size) / factor, factor))
     return tuple(setup_unknowns)
-
-
-def _name(column: UnknownNumber, unknowns: Unknowns) -> str:
-    curve = any(one.name == column.entity for one in unknowns.curves)
-    return f"{column.entity} order {column.index}" if curve else column.entity
 
 
 def solve(
@@ -211,15 +194,10 @@ def solve(
 ) -> FitSolution:
     """Return the Gauss-Newton estimate from an initial value that fulfils the datum's conditions.
 
-    Args:
-        network: data and model.
-        theta: initial values of the machine's unknowns, µm and µrad.
-        setup: initial stations and targets; their deviation from the prior is in it (`StationsAndTargets.shift`).
-        weight: (n,) weight of each point.
-        priors: priors of the machine's unknowns; none if None.
-        incomplete: whether the model does not fit within the noise; see the module.
-        steps: largest number of steps.
-        triangle: factor of [J | r] at the initial value; computed if None.
+    ``theta``: initial values of the machine's unknowns, µm and µrad; ``setup``: initial stations and targets; their deviation from the
+    prior is in it (`StationsAndTargets.shift`); ``weight``: (n,) weight of each point; ``priors``: priors of the machine's unknowns;
+    none if None; ``incomplete``: whether the model does not fit within the noise; see the module; ``triangle``: factor of [J | r] at
+    the initial value; computed if None.
     """
     problem = _Problem.of(network, setup, priors, incomplete=incomplete)
     iterate = _Iterate(theta, setup)
@@ -295,7 +273,6 @@ class _Problem:
 
     Attributes:
         incomplete: see `solve`.
-        priors: priors of the machine's unknowns.
         root: (columns, columns) root of their precision.
         free: (p, f) orthonormal directions that fulfil the datum's conditions.
         scale: (p,) prior standard deviations.
@@ -328,9 +305,7 @@ class _Problem:
     def decomposed(self, triangle: np.ndarray, scale: np.ndarray) -> tuple[np.ndarray, Spectrum]:
         """Return the left singular vectors of all directions that contribute to the step, and the spectrum split at the noise.
 
-        Args:
-            triangle: factor of [J | r].
-            scale: (p,) prior standard deviations.
+        ``triangle``: factor of [J | r]; ``scale``: (p,) prior standard deviations.
         """
         prior = np.zeros((len(self.root), len(scale)))
         prior[:, : len(self.root)] = self.root
@@ -375,11 +350,7 @@ def _with_prior(strength: np.ndarray, *, incomplete: bool) -> np.ndarray:
 def factor(network: Network, theta: np.ndarray, setup: StationsAndTargets, weight: np.ndarray) -> np.ndarray:
     """Return the (p + 1, p + 1) triangular factor of [J | r], rows weighted, which contains all that a least-squares step needs.
 
-    Args:
-        network: data and model.
-        theta: machine's unknowns.
-        setup: stations and targets.
-        weight: (n,) weight of each point; zero leaves it out.
+    ``weight``: (n,) weight of each point; zero leaves it out.
     """
     size = len(theta) + len(setup) + 1
 
@@ -411,10 +382,8 @@ def _append_rows(triangle: np.ndarray, rows: np.ndarray) -> np.ndarray:
 class _Newton:
     """Gauss-Newton steps from one iterate, for readings and prior.
 
-    Attributes:
-        basis: (p, d) directions, the null directions last.
-        right: (d,) gradient along them.
-        stiffness: (d,) curvature along them.
+    ``basis``: (p, d) directions, the null directions last; ``right``: (d,) gradient along them; ``stiffness``: (d,) curvature along
+    them.
     """
 
     basis: np.ndarray
@@ -427,12 +396,9 @@ class _Newton:
     ) -> _Newton:
         """Return the steps from an iterate.
 
-        Args:
-            spectrum: spectrum of the derivatives, with the null directions.
-            along: (d,) residuals along the directions that contribute, strongest first.
-            deviation: (p,) deviation of every unknown from its prior mean, in prior standard deviations.
-            weakest: strength up to which a direction keeps its value, if the model fits.
-            incomplete: see `solve`.
+        ``along``: (d,) residuals along the directions that contribute, strongest first; ``deviation``: (p,) deviation of every unknown
+        from its prior mean, in prior standard deviations; ``weakest``: strength up to which a direction keeps its value, if the model
+        fits; ``incomplete``: see `solve`.
         """
         basis = np.concatenate([spectrum.directions, spectrum.null_space], axis=1)
         values = spectrum.values
@@ -464,10 +430,9 @@ def _anderson_step(
 ) -> np.ndarray:
     """Return the Anderson-accelerated step from the last few steps (Anderson 1965; Walker and Ni 2011).
 
-    Args:
-        newton_steps: (p,) each, Gauss-Newton steps at the last iterates and at this one.
-        steps_taken: (p,) each, the steps taken between these iterates.
-        spectrum: at this iterate; directions times strength give the change of the whitened residuals by a step.
+    ``newton_steps``: (p,) each, Gauss-Newton steps at the last iterates and at this one; ``steps_taken``: (p,) each, the steps taken
+    between these iterates; ``spectrum``: at this iterate; directions times strength give the change of the whitened residuals by a
+    step.
     """
     last = list(newton_steps)[-MEMORY - 1 :]
     more = np.stack([after - before for before, after in pairwise(last)], axis=1)
@@ -537,11 +502,7 @@ def misfit(
 ) -> FitStatistics:
     """Return the misfit of an estimate.
 
-    Args:
-        whitened: (n, 3) whitened residuals.
-        read: (n, 3) which coordinates were read.
-        determined: number of parameters determined by the readings.
-        used: (n,) which points were used.
+    ``whitened``: (n, 3) whitened residuals; ``read``: (n, 3) which coordinates were read; ``used``: (n,) which points were used.
     """
     chi2 = float(np.sum(whitened[used] ** 2))
     dof = float(np.count_nonzero(read[used])) - determined
@@ -571,7 +532,6 @@ class Repeats:
     Attributes:
         rows: (k,) its rows in the data.
         covariance: (k, 3, 3) of all its readings, from the repeats, m²: the instrument's model, pooled.
-        dof: degrees of freedom of one coordinate.
         reduced_chi2: mean square of the repeats in units of the stated covariance.
         p_value: probability of one at least as large if the stated covariance holds.
     """
@@ -597,9 +557,7 @@ class Repeats:
 def noise_text(instrument: Instrument, readings: np.ndarray, covariance: np.ndarray) -> str:
     """Return the median standard deviations of an instrument's readings in words.
 
-    Args:
-        readings: (k, 3) metres; NaN where nothing was read.
-        covariance: (k, 3, 3) of them, m².
+    ``readings``: (k, 3) metres; NaN where nothing was read; ``covariance``: (k, 3, 3) of them, m².
     """
     read = np.isfinite(readings)
     variance = np.where(read, np.einsum("nii->ni", covariance), 0.0)
@@ -616,12 +574,7 @@ def noise_text(instrument: Instrument, readings: np.ndarray, covariance: np.ndar
 def repeats_of(
     machine: Machine, data: Measurements, instruments: StationInstruments, stated: np.ndarray
 ) -> tuple[Repeats, ...]:
-    """Return the repeats of each instrument that has any.
-
-    Args:
-        instruments: those of their stations.
-        stated: (n, 3, 3) stated covariance of the readings, m².
-    """
+    """Return the repeats of each instrument that has any; ``stated``: (n, 3, 3) stated covariance of the readings, m²."""
     points = np.where(np.isfinite(data.point_mm), data.point_mm, 0.0) * MM
     # A probe reads zero: its repeats differ in the axis positions.
     points = np.where(at_origin(data)[:, None], nominal_carriers(machine, data).points, points)
@@ -671,12 +624,7 @@ def covariance_from_repeats(
 ) -> np.ndarray:
     """Return (n, 3, 3) the covariance of the readings from repeats, m²: each instrument's model, pooled over all its points.
 
-    Args:
-        instruments: those of their stations.
-        repeats: their repeats.
-
-    Raises:
-        InputError: fewer than ten degrees of freedom of repeats of an instrument.
+    Raises `InputError`: fewer than ten degrees of freedom of repeats of an instrument.
     """
     covariance_from_repeats = np.zeros((len(data), 3, 3))
     by_instrument = {id(repeat.instrument): repeat for repeat in repeats}

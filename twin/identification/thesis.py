@@ -73,11 +73,9 @@ def three_point(
 ) -> np.ndarray:
     """Return six error motions at every position.
 
-    Args:
-        deviations: (m, 3, 3) measured minus nominal of reflectors K, P, Q, metres, along the axis's error frame.
-        places: (m, 3, 3) or (3, 3) the reflectors' nominal places in the error frame, metres; rotated with a rotary axis.
-        axis: selects the six equations.
-        equations: ``six`` as the thesis, ``nine`` by least squares.
+    ``deviations``: (m, 3, 3) measured minus nominal of reflectors K, P, Q, metres, along the axis's error frame; ``places``: (m, 3, 3)
+    or (3, 3) the reflectors' nominal places in the error frame, metres; rotated with a rotary axis; ``equations``: ``six`` as the
+    thesis, ``nine`` by least squares.
 
     Returns:
         (m, 6) translations and rotations, metres and radians.
@@ -145,9 +143,8 @@ class PointwiseMotion:
 class ThesisIdentification(Result):
     """Result of the thesis's method.
 
-    Attributes:
-        calibration: its curves and squareness, without uncertainty.
-        motions: the points to which the curves were fitted, by ISO 230-1 name.
+    ``calibration``: its curves and squareness, without uncertainty; ``motions``: the points to which the curves were fitted, by ISO
+    230-1 name.
     """
 
     calibration: Calibration
@@ -186,11 +183,7 @@ class _Frame:
 
 
 def identify_as_thesis(  # noqa: C901, PLR0912
-    measurements: Measurements,
-    machine: Machine,
-    *,
-    degrees: Mapping[str, int] | None = None,
-    constant: bool = False,
+    measurements: Measurements, machine: Machine, *, degrees: Mapping[str, int] | None = None, constant: bool = False
 ) -> ThesisIdentification:
     """Identify error motions by the thesis's method; see the module.
 
@@ -382,10 +375,7 @@ def _closest(first: tuple[np.ndarray, np.ndarray], second: tuple[np.ndarray, np.
 def _linear(run: _AxisPoints, machine: Machine, turn: np.ndarray, origin: np.ndarray | None, source: str) -> np.ndarray:
     """Return (rounds, m, 6) the error motions of a linear axis.
 
-    Args:
-        turn: the base frame's axes in the station's frame.
-        origin: the base frame's origin there, or None if only the table gives the places of the targets.
-        source: for messages.
+    ``origin``: the base frame's origin there, or None if only the table gives the places of the targets.
     """
     nominal = _nominal(machine, run.start)
     frame = nominal[run.axis]

@@ -17,9 +17,8 @@ import numpy as np
 
 from twin._common.units import count_with_noun
 from twin.identification.inputs import PreparedData
-from twin.identification.network import Network
+from twin.identification.network import Network, Unknowns
 from twin.identification.solve import FitSolution, solve
-from twin.identification.unknowns import Unknowns
 from twin.machine.machine import Machine
 from twin.measurement.instruments import StationInstruments
 from twin.measurement.instruments.base import SetUpWords
@@ -43,12 +42,10 @@ class DeterminedModel:
     """The unknowns that the data determine.
 
     Attributes:
-        network: data and these unknowns.
         triangle: factor of [J | r] of the nominal machine for these unknowns and the set-up.
         left_out: names of the errors left out, which only stations, targets and other errors left out can compensate.
         confounded: names of the errors among the unknowns that are confounded with each other.
         determinability: determinability of all errors that were considered.
-        considered: all of these unknowns.
     """
 
     network: Network
@@ -78,13 +75,9 @@ def determined_models(
 ) -> list[DeterminedModel]:
     """Return the unknowns that the data determine at the nominal machine, one model for each family of bases.
 
-    Args:
-        placed: rows, instrument and set-up.
-        wanted: whether an error of that name is to be estimated.
-        covariance: (n, 3, 3) of the readings, m²; the stated one if None.
+    ``wanted``: whether an error of that name is to be estimated; ``covariance``: (n, 3, 3) of the readings, m²; the stated one if None.
 
-    Raises:
-        InputError: no axis moved.
+    Raises `InputError`: no axis moved.
     """
     families = _families(machine, placed, wanted)
     return [_determined_model(machine, placed, bases, wanted, covariance) for bases in families]
@@ -149,10 +142,8 @@ def _partition(unknowns: Unknowns, solution: FitSolution) -> tuple[Unknowns, lis
 def _group(name: str, entity: np.ndarray, shared: np.ndarray) -> list[str]:
     """Return an error and all errors that share null directions with it, directly or through others.
 
-    Args:
-        name: name of the error.
-        entity: (columns,) the error of each unknown.
-        shared: (columns, columns) inner products of the null directions' rows, in prior standard deviations.
+    ``entity``: (columns,) the error of each unknown; ``shared``: (columns, columns) inner products of the null directions' rows, in
+    prior standard deviations.
     """
     touched = np.diag(shared) > SHARED_VARIANCE
     group = [name]
@@ -178,10 +169,8 @@ EQUAL: Final = 0.05
 class ConstantErrors:
     """The constant errors of a machine's moved axes, and what a measurement tells about them.
 
-    Attributes:
-        u: standard uncertainty of each by name, µm/m of a scale, µm or µrad of the others; NaN where it is not determined.
-        determined: number of independent combinations that are determined.
-        lost: the other combinations, in words, one each.
+    ``u``: standard uncertainty of each by name, µm/m of a scale, µm or µrad of the others; NaN where it is not determined;
+    ``determined``: number of independent combinations that are determined.
     """
 
     u: Mapping[str, float]
@@ -204,11 +193,8 @@ def constant_errors(
 ) -> ConstantErrors | None:
     """Return what a measurement determines of the constant errors of the axes that it moves, linearised at the nominal machine.
 
-    Args:
-        data: the positions, targets and stations, and which coordinates are read.
-        instruments: those of the stations.
-        setup: stations and targets; those that are known are not among the unknowns.
-        covariance: (n, 3, 3) of the readings, m²; that of the table and the instruments if None.
+    ``data``: the positions, targets and stations, and which coordinates are read; ``setup``: stations and targets; those that are known
+    are not among the unknowns; ``covariance``: (n, 3, 3) of the readings, m²; that of the table and the instruments if None.
 
     Returns:
         The constant errors; None if no axis with any moves.
@@ -235,9 +221,7 @@ def constant_errors(
 def without_setup(rows: np.ndarray, machine: int) -> tuple[np.ndarray, np.ndarray]:
     """Return the strengths (machine,) and directions (machine, machine) of the machine's unknowns, the set-up eliminated.
 
-    Args:
-        rows: (n, 3, machine + set-up) whitened derivatives per plausible size.
-        machine: number of unknowns of the machine.
+    ``rows``: (n, 3, machine + set-up) whitened derivatives per plausible size.
     """
     flat, setup = rows.reshape(-1, rows.shape[-1]), rows.shape[-1] - machine
     # The prior of the set-up is so wide that it only regularises what the readings do not determine.
@@ -319,10 +303,8 @@ TOO_FEW: Final = "{axis} has too few different positions for a straightness curv
 class Unidentified:
     """An error that these data do not determine.
 
-    Attributes:
-        name: ISO 230-1 name.
-        reason: why, and which measurement would change it.
-        direction: the null direction: changes of this error and of others that together change no reading; empty if there is none.
+    ``name``: ISO 230-1 name; ``reason``: why, and which measurement would change it; ``direction``: the null direction: changes of this
+    error and of others that together change no reading; empty if there is none.
     """
 
     name: str
@@ -345,10 +327,7 @@ def held_by_prior(model: DeterminedModel, solution: FitSolution, u: np.ndarray) 
     confounded with such curves, and with no other constant, is determined if its uncertainty, in which these curves have the sizes that
     the readings give to all, is well below its prior.
 
-    Args:
-        model: the unknowns.
-        solution: the estimate.
-        u: (columns,) standard uncertainties of the machine's unknowns, µm and µrad.
+    ``u``: (columns,) standard uncertainties of the machine's unknowns, µm and µrad.
     """
     unknowns = model.network.unknowns
     unseen = solution.unseen[: len(unknowns)] > NOT_DETERMINED
@@ -387,11 +366,7 @@ def unidentified(
 ) -> tuple[Unidentified, ...]:
     """Return the errors to be estimated that are not determined, and why.
 
-    Args:
-        model: the unknowns that they determine.
-        wanted: whether an error of that name is to be estimated.
-        setup: stations and targets.
-        held: names of the errors held by a prior (`held_by_prior`).
+    ``wanted``: whether an error of that name is to be estimated; ``held``: names of the errors held by a prior (`held_by_prior`).
     """
     unidentified, parts = [], _parts(setup, data)
     for name in (*machine.motion_names, *machine.squareness_names, *machine.location_names):
@@ -525,9 +500,7 @@ class InstrumentShare:
     """One instrument's part in an estimate.
 
     Attributes:
-        instrument: its name.
         readings: number of coordinates or lengths that were used.
-        rms_um: RMS of their residuals.
         reduced_chi2: mean square of their whitened residuals; about 1 if their stated uncertainty is right.
         alone: which constant errors its readings alone determine; None if it moved no axis that has any.
     """
@@ -554,12 +527,8 @@ def instrument_shares(
 ) -> tuple[InstrumentShare, ...]:
     """Return the part of each instrument; empty if there is only one.
 
-    Args:
-        network: all readings and their instruments.
-        setup: the estimated set-up.
-        used: (n,) rows that were used.
-        residual_mm: (n, 3) residuals, NaN where nothing was read.
-        whitened: (n, 3) the same divided by the stated standard deviations.
+    ``used``: (n,) rows that were used; ``residual_mm``: (n, 3) residuals, NaN where nothing was read; ``whitened``: (n, 3) the same
+    divided by the stated standard deviations.
     """
     data, instrument_shares = network.data, []
     if len(network.instruments.every) == 1:

@@ -20,10 +20,10 @@ from twin._common.arrays import read_only
 from twin._common.errors import InputError
 from twin._common.units import MM, count_with_noun
 from twin.machine.machine import Axis, Machine
-from twin.measurement.checks import SYSTEMATIC_ROWS, RowNote, outside_axis_range
-from twin.measurement.columns import CARRIERS, POINT_COLUMNS
+from twin.measurement.columns import CARRIERS, POINT_COLUMNS, SYSTEMATIC_ROWS, RowNote, axis_columns, outside_axis_range
 from twin.measurement.instruments import SIDES, StationInstruments, default_instrument
-from twin.measurement.set_up import LARGEST_MISFIT_M, StationsAndTargets, initial_setup, nominal_carriers
+from twin.measurement.observation import CarriedTargets, nominal_carriers
+from twin.measurement.set_up import LARGEST_MISFIT_M, StationsAndTargets, initial_setup
 from twin.measurement.table import Measurements
 
 WRONG_COLUMN_SHARE: Final = 0.2
@@ -65,24 +65,24 @@ RADIANS: Final = ("radians", "rad", 180.0 / np.pi)
 
 
 class ColumnChange(NamedTuple):
-    """A change of the columns of a table: another order of them, and a factor for each.
+    """A change of the columns of a table: two exchanged, some multiplied by a factor, targets on the other side.
 
     Attributes:
         field: ``positions`` or ``point_mm``.
-        order: index of the column from which each column is taken.
-        factor: of each column.
         columns: names of the columns that change.
         text: what seems to be wrong with them.
         advice: comment for the entries of these columns in a mapping file.
+        exchanged: indices of the two columns that are exchanged; empty for none.
+        factors: factor of each column that is multiplied, by its index.
         sides: side of the machine for targets that sit on another.
     """
 
     field: str
-    order: list[int]
-    factor: list[float]
-    columns: tuple[str, ...]
-    text: str
-    advice: str
+    columns: tuple[str, ...] = ()
+    text: str = ""
+    advice: str = ""
+    exchanged: tuple[int, ...] = ()
+    factors: Mapping[int, float] = MappingProxyType({})
     sides: Mapping[str, str] = MappingProxyType({})
 
     def of(self, data: Measurements) -> Measurements:
@@ -90,19 +90,19 @@ class ColumnChange(NamedTuple):
         if self.sides:
             carrier = [self.sides.get(name, own) for name, own in zip(data.target, data.carrier, strict=True)]
             data = replace(data, carrier=read_only(np.array(carrier, dtype=object)))
-        changed: dict[str, Any] = {self.field: read_only(getattr(data, self.field)[:, self.order] * self.factor)}
+        values = np.array(getattr(data, self.field))
+        values[:, self.exchanged] = values[:, self.exchanged[::-1]]
+        for i, factor in self.factors.items():
+            values[:, i] *= factor
+        changed: dict[str, Any] = {self.field: read_only(values)}
         return replace(data, **changed)
 
 
 class Agreement(NamedTuple):
     """Agreement of readings with commands on the nominal machine.
 
-    Attributes:
-        setup: the estimated set-up.
-        miss: (n,) misfit of each reading, metres.
-        limit: misfit above which a row is wrong, metres.
-        ratio: mean misfit over mean motion.
-        motion: largest motion of a target, metres.
+    ``miss``: (n,) misfit of each reading, metres; ``limit``: misfit above which a row is wrong, metres; ``motion``: largest motion of a
+    target, metres.
     """
 
     setup: StationsAndTargets
@@ -128,28 +128,32 @@ class Agreement(NamedTuple):
 
 
 def fit_of(
-    machine: Machine, data: Measurements, instruments: StationInstruments, *, mirrored: bool = False
+    machine: Machine,
+    data: Measurements,
+    instruments: StationInstruments,
+    carried: CarriedTargets | None = None,
+    *,
+    mirrored: bool = False,
 ) -> Agreement:
     """Return the agreement of some data; arguments and errors as `initial_setup`."""
-    setup, miss = initial_setup(machine, data, instruments, mirrored=mirrored)
-    return Agreement(setup, miss, miss_limit(data, miss), *misfit_ratio(machine, data, setup, miss))
+    carried = nominal_carriers(machine, data) if carried is None else carried
+    setup, miss = initial_setup(data, instruments, carried, mirrored=mirrored)
+    return Agreement(setup, miss, miss_limit(data, miss), *misfit_ratio(machine, data, carried, setup, miss))
 
 
 def agreeing_rows(
-    machine: Machine, data: Measurements, instruments: StationInstruments
+    machine: Machine, data: Measurements, instruments: StationInstruments, carried: CarriedTargets | None = None
 ) -> tuple[Measurements, StationsAndTargets]:
     """Return the rows whose command agrees with the measured motion, and the set-up estimated with the nominal machine.
 
-    Args:
-        instruments: those of its stations.
+    ``carried``: carriers of the rows on the nominal machine; computed if None.
 
-    Raises:
-        InputError: more than a fifth of the rows do not agree, or fewer that agree after one change of the columns, or readings that
-            do not follow the commands; with the change that would make them agree, if there is one.
+    Raises `InputError`: more than a fifth of the rows do not agree, or fewer that agree after one change of the columns, or readings
+    that do not follow the commands; with the change that would make them agree, if there is one.
     """
     follows = f"readings that follow the commands of {machine.name}"
     try:
-        fit = fit_of(machine, data, instruments)
+        fit = fit_of(machine, data, instruments, carried)
     except InputError:
         # Readings in a left-handed frame may be due to one wrong command column; if several would explain them, the frame is wrong.
         texts = [change.text for change in _one_change(machine, data, 1.0, np.inf, instruments)]
@@ -169,8 +173,8 @@ def agreeing_rows(
         )
     if not np.any(bad):
         return data, fit.setup
-    notes = _notes_of_disagreement(data, bad, fit.miss)
-    agreeing = replace(data.select(~bad), set_aside=(*data.set_aside, *notes))
+    set_aside = (*data.set_aside, *_notes_of_disagreement(data, bad, fit.miss))
+    agreeing = replace(data.select(~bad), set_aside=set_aside)
     if set(agreeing.target) != set(data.target) or set(agreeing.station) != set(data.station):
         without_rows = sorted({*data.target, *data.station} - {*agreeing.target, *agreeing.station})
         raise data.error(
@@ -178,7 +182,7 @@ def agreeing_rows(
             expected="readings that follow the commands",
             row=np.flatnonzero(bad)[0],
         )
-    return agreeing, initial_setup(machine, agreeing, instruments)[0]
+    return agreeing, initial_setup(agreeing, instruments, nominal_carriers(machine, agreeing))[0]
 
 
 def _notes_of_disagreement(data: Measurements, bad: np.ndarray, miss: np.ndarray) -> tuple[RowNote, ...]:
@@ -209,17 +213,15 @@ def miss_limit(data: Measurements, miss: np.ndarray) -> float:
 
 
 def misfit_ratio(
-    machine: Machine, data: Measurements, setup: StationsAndTargets, miss: np.ndarray
+    machine: Machine, data: Measurements, carried: CarriedTargets, setup: StationsAndTargets, miss: np.ndarray
 ) -> tuple[float, float]:
     """Return mean misfit over mean commanded motion of the targets (for lengths, over their change), and the largest motion.
 
     A row's misfit is limited to the largest motion, so that a lost beam does not dominate. Zero if hardly anything moves. Metres.
     """
-    carried = nominal_carriers(machine, data)
-    index = {name: i for i, name in enumerate(setup.targets)}
-    place = setup.place[[index[name] for name in data.target]]
-    points = carried.points + np.einsum("nij,nj->ni", carried.rotation, place)
-    kind = np.array([setup.reads[setup.stations.index(name)].reads for name in data.station])
+    station, target = setup.indices(data)
+    points = carried.at(setup.place[target])
+    kind = np.array([read.reads for read in setup.reads])[station]
     lengths = np.zeros_like(points)
     lengths[:, 0] = np.nan_to_num(data.point_mm[:, 0]) * MM
     points = np.where((kind == "length")[:, None], lengths, points)
@@ -250,11 +252,11 @@ def other_unit(machine: Machine, data: Measurements, instruments: StationInstrum
 def wrong_columns(machine: Machine, data: Measurements) -> list[ColumnChange]:
     """Return a change for each sign, order or unit of columns that seems to be wrong; empty if the data show none.
 
-    Args:
-        data: a table before it is checked: NaN, unknown sides and positions outside the ranges of their axes are allowed.
+    ``data``: a table before it is checked: NaN, unknown sides and positions outside the ranges of their axes are allowed.
     """
+    names = [*axis_columns(machine)]
     wrong = [
-        _scaled(data, "positions", [i], -1.0, (_columns(machine)[i],), text, "sign: -1?")
+        ColumnChange("positions", (names[i],), text, "sign: -1?", factors={i: -1.0})
         for i, q in enumerate(data.positions.T)
         if (text := _mirrored_by_range(machine.axes[i], q))
     ]
@@ -272,10 +274,8 @@ def wrong_columns(machine: Machine, data: Measurements) -> list[ColumnChange]:
 class TargetSide(NamedTuple):
     """Side of the machine on which a target follows the commands.
 
-    Attributes:
-        carrier: the side; empty if the readings do not show it.
-        misfit_mm: mean misfit on this side; the smaller one if they do not.
-        other_misfit_mm: mean misfit on the other side.
+    ``carrier``: the side; empty if the readings do not show it; ``misfit_mm``: mean misfit on this side; the smaller one if they do
+    not.
     """
 
     carrier: str
@@ -286,48 +286,41 @@ class TargetSide(NamedTuple):
 def sides_of_targets(machine: Machine, data: Measurements) -> dict[str, TargetSide]:
     """Return the side on which each target follows the commands: of both, each tried alone and then with the targets that are clear.
 
-    Args:
-        data: a table before it is checked: NaN and unknown sides are allowed. Stations ride on the base.
+    ``data``: a table before it is checked: NaN and unknown sides are allowed; Stations ride on the base.
     """
     data = data.select(np.isfinite(data.positions).all(axis=1) & np.isfinite(data.point_mm).all(axis=1))
-    rows = {name: np.flatnonzero(data.target == name) for name in dict.fromkeys(data.target)}
-    alone = {
-        name: _side(machine, data.select(_spread(own)), np.ones(min(len(own), TRIAL_ROWS), dtype=bool))
-        for name, own in rows.items()
-    }
-    clear = {name: one for name, one in alone.items() if one.carrier}
-    found = dict(alone)
-    for name in (name for name in rows if name not in clear and clear):
-        stations = {*data.station[rows[name]]}
+    rows = {target: _spread(np.flatnonzero(data.target == target)) for target in dict.fromkeys(data.target)}
+    sides = {target: _side(machine, data.select(some), np.ones(len(some), dtype=bool)) for target, some in rows.items()}
+    clear = {target: side.carrier for target, side in sides.items() if side.carrier}
+    for target in (target for target in rows if target not in clear and clear):
+        stations = {*data.station[data.target == target]}
         others = [
-            _spread(rows[other])[:: max(1, len(clear) // 3)]
+            rows[other][:: max(1, len(clear) // 3)]
             for other in clear
-            if {*data.station[rows[other]]} & stations
+            if {*data.station[data.target == other]} & stations
         ]
-        own = _spread(rows[name])
         if others:
-            some = np.concatenate([own, *others])
-            carrier = np.array([clear[one].carrier if one in clear else "" for one in data.target[some]], dtype=object)
-            found[name] = _side(machine, replace(data.select(some), carrier=carrier), np.arange(len(some)) < len(own))
-    return found
+            tried = data.select(np.concatenate([rows[target], *others]))
+            carrier = np.array([clear.get(name, "") for name in tried.target], dtype=object)
+            sides[target] = _side(machine, replace(tried, carrier=carrier), tried.target == target)
+    return sides
 
 
 def _spread(rows: np.ndarray) -> np.ndarray:
     return rows[np.linspace(0, len(rows) - 1, min(len(rows), TRIAL_ROWS)).astype(int)]
 
 
-def _side(machine: Machine, data: Measurements, own: np.ndarray) -> TargetSide:
+def _side(machine: Machine, data: Measurements, rows: np.ndarray) -> TargetSide:
     """Return the side of some rows: that on which their mean misfit is several times smaller, and smaller than a wrong row's."""
     instruments = StationInstruments.same(default_instrument("point"), data.station)
     misfits, follows = {}, {}
     for side in CARRIERS:
-        carrier = np.array(data.carrier)
-        carrier[own] = side
+        tried = replace(data, carrier=read_only(np.where(rows, side, data.carrier)))
         try:
-            fit = fit_of(machine, replace(data, carrier=read_only(carrier)), instruments, mirrored=True)
+            fit = fit_of(machine, tried, instruments, mirrored=True)
         except InputError:
             return TargetSide("", np.inf, np.inf)
-        misfits[side] = float(np.mean(fit.miss[own])) / MM
+        misfits[side] = float(np.mean(fit.miss[rows])) / MM
         # A target that stands still must be read so: readings in metres stand still as well, nearly.
         follows[side] = fit.ratio < GOOD_RATIO if fit.motion > CLEAR_MOTION_M else misfits[side] < STILL_MM
     best, other = sorted(CARRIERS, key=lambda side: misfits[side])
@@ -341,21 +334,19 @@ def _other_sides(machine: Machine, data: Measurements) -> Iterator[ColumnChange]
         return
     given = dict(zip(data.target, data.carrier, strict=True))
     sides = {
-        name: one.carrier
-        for name, one in sides_of_targets(machine, data).items()
-        if one.carrier and one.carrier != given[name]
+        target: side.carrier
+        for target, side in sides_of_targets(machine, data).items()
+        if side.carrier and side.carrier != given[target]
     }
     texts = []
     for side, other in (CARRIERS, CARRIERS[::-1]):
-        names = [str(name) for name, own in sides.items() if own == side]
+        names = [str(target) for target, own in sides.items() if own == side]
         if names:
             texts.append(
                 f"{', '.join(names)} {'sit' if len(names) > 1 else 'sits'} on the {side} side, not on the {other} side"
             )
     if texts:
-        width = data.positions.shape[1]
-        order, factor = list(range(width)), [1.0] * width
-        yield ColumnChange("positions", order, factor, ("carrier",), "; ".join(texts), "which side?", sides)
+        yield ColumnChange("positions", ("carrier",), "; ".join(texts), "which side?", sides=sides)
 
 
 def _mirrored_by_range(axis: Axis, q: np.ndarray) -> str:
@@ -381,7 +372,7 @@ def _wrong_columns_of_station(machine: Machine, data: Measurements) -> list[Colu
             break
         if not before.is_suspect:
             break
-        mirror = _scaled(data, "point_mm", [0], -1.0)
+        mirror = ColumnChange("point_mm", factors={0: -1.0})
         tried = _other_sides(machine, data), [mirror], _swapped_or_mirrored(machine, data), _two_mirrored(machine, data)
         changes = _one_change(machine, data, before.share, before.ratio, instruments, tried)
         negated = not changes
@@ -401,27 +392,25 @@ def _wrong_columns_of_station(machine: Machine, data: Measurements) -> list[Colu
 def _mirror(after: Agreement) -> ColumnChange:
     """Return the change that mirrors readings, named by its column if the station is then aligned with the machine's axes.
 
-    Args:
-        after: the fit of the readings with −x.
+    ``after``: the fit of the readings with −x.
     """
     agreeing = np.count_nonzero(after.miss <= after.limit)
     rows = f"{agreeing} of {count_with_noun(len(after.miss), 'row')} agree"
     turn = after.setup.rotation[0] @ np.diag([-1.0, 1.0, 1.0])
     for i, name in enumerate("xyz"):
-        sign = np.where(np.arange(3) == i, -1.0, 1.0)
-        if np.max(np.abs(turn * sign - np.eye(3))) < ALIGNED:
+        if np.max(np.abs(turn * np.where(np.arange(3) == i, -1.0, 1.0) - np.eye(3))) < ALIGNED:
             text = f"{name} seems to be mirrored: {rows} with −{name}"
-            return ColumnChange("point_mm", [0, 1, 2], sign.tolist(), (POINT_COLUMNS[i],), text, "sign: -1?")
+            return ColumnChange("point_mm", (POINT_COLUMNS[i],), text, "sign: -1?", factors={i: -1.0})
     for i, j in combinations(range(3), 2):
-        order = _exchanged(3, i, j)
+        order = [j if k == i else i if k == j else k for k in range(3)]
         if np.max(np.abs(turn[:, order] - np.eye(3))) < ALIGNED:
             text = f"{'xyz'[i]} and {'xyz'[j]} seem to be exchanged: {rows} with exchanged columns"
-            return ColumnChange("point_mm", order, [1.0] * 3, (POINT_COLUMNS[i], POINT_COLUMNS[j]), text, "exchanged?")
+            return ColumnChange("point_mm", (POINT_COLUMNS[i], POINT_COLUMNS[j]), text, "exchanged?", (i, j))
     text = (
         f"the coordinates seem to be mirrored: {rows} in a frame of the other hand. The data do not show which one: one "
         "of x, y, z (or of the commanded linear axes) has the opposite sign, or two are exchanged"
     )
-    return ColumnChange("point_mm", [0, 1, 2], [-1.0, 1.0, 1.0], POINT_COLUMNS, text, "sign: -1 on one of them?")
+    return ColumnChange("point_mm", POINT_COLUMNS, text, "sign: -1 on one of them?", factors={0: -1.0})
 
 
 def _one_change(
@@ -434,11 +423,7 @@ def _one_change(
 ) -> list[ColumnChange]:
     """Return the changes that make the readings agree, the best first: commands swapped or of opposite sign, columns in another unit.
 
-    Args:
-        share: share of rows that do not agree.
-        ratio: misfit over motion.
-        instruments: those of its stations.
-        families: changes, each family tried if none before explains the readings; `_swapped_or_mirrored` if there are none.
+    ``families``: changes, each family tried if none before explains the readings; `_swapped_or_mirrored` if there are none.
     """
 
     def explains(fit: Agreement) -> bool:
@@ -479,7 +464,7 @@ def _explaining(
 ) -> list[tuple[float, ColumnChange]]:
     """Return the changes after which some rows agree, each with misfit over motion."""
     explaining = []
-    rows = data.select(np.linspace(0, len(data) - 1, min(len(data), TRIAL_ROWS)).astype(int))
+    rows = data.select(_spread(np.arange(len(data))))
     for change in changes:
         try:
             fit = fit_of(machine, change.of(rows), instruments)
@@ -493,28 +478,27 @@ def _explaining(
 
 def _swapped_or_mirrored(machine: Machine, data: Measurements) -> Iterator[ColumnChange]:
     """Yield the changes that swap two command columns, and those that reverse the sign of one."""
-    names, moving = _columns(machine), _moving(data)
+    names, moving = [*axis_columns(machine)], _moving(data)
     for i, j in combinations(range(len(names)), 2):
         if i in moving or j in moving:
             text = f"columns {names[i]} and {names[j]} look swapped"
-            order = _exchanged(len(names), i, j)
-            yield ColumnChange("positions", order, [1.0] * len(names), (names[i], names[j]), text, "exchanged?")
+            yield ColumnChange("positions", (names[i], names[j]), text, "exchanged?", (i, j))
     for i in moving:
         text = f"column {names[i]} appears to have the wrong sign"
-        yield _scaled(data, "positions", [i], -1.0, (names[i],), text, "sign: -1?")
+        yield ColumnChange("positions", (names[i],), text, "sign: -1?", factors={i: -1.0})
 
 
 def _two_mirrored(machine: Machine, data: Measurements) -> Iterator[ColumnChange]:
     """Yield the changes that reverse the signs of two rotary axes."""
-    names = _columns(machine)
+    names = [*axis_columns(machine)]
     for i, j in combinations([i for i in _moving(data) if not machine.axes[i].linear], 2):
         text = f"columns {names[i]} and {names[j]} appear to have the wrong sign"
-        yield _scaled(data, "positions", [i, j], -1.0, (names[i], names[j]), text, "sign: -1?")
+        yield ColumnChange("positions", (names[i], names[j]), text, "sign: -1?", factors={i: -1.0, j: -1.0})
 
 
 def _units(machine: Machine, data: Measurements, *, single: bool) -> Iterator[ColumnChange]:
     """Yield the changes that convert commands or readings from another unit: single columns, or all columns."""
-    names, moving = _columns(machine), _moving(data)
+    names, moving = [*axis_columns(machine)], _moving(data)
     linear = [i for i in moving if machine.axes[i].linear]
     rotary = [i for i in moving if not machine.axes[i].linear]
     read = [i for i in range(3) if np.isfinite(data.point_mm[:, i]).any()]
@@ -534,30 +518,7 @@ def _units(machine: Machine, data: Measurements, *, single: bool) -> Iterator[Co
             look = f"columns {', '.join(named)} look" if len(named) > 1 else f"column {named[0]} looks"
             meant = "degrees" if unit == RADIANS[0] else "millimetres"
             text = f"{look} like {unit}, not {meant} (factor {factor:.4g})"
-            yield _scaled(data, field, some, factor, named, text, f"unit: {word}?")
-
-
-def _scaled(
-    data: Measurements,
-    field: str,
-    some: Sequence[int],
-    factor: float,
-    columns: tuple[str, ...] = (),
-    text: str = "",
-    advice: str = "",
-) -> ColumnChange:
-    """Return the change that multiplies some columns of a field by a factor."""
-    count = getattr(data, field).shape[1]
-    return ColumnChange(
-        field, list(range(count)), [factor if i in some else 1.0 for i in range(count)], columns, text, advice
-    )
-
-
-def _exchanged(count: int, i: int, j: int) -> list[int]:
-    """Return the order of columns in which two are exchanged."""
-    order = list(range(count))
-    order[i], order[j] = j, i
-    return order
+            yield ColumnChange(field, named, text, f"unit: {word}?", factors=dict.fromkeys(some, factor))
 
 
 def _description(machine: Machine, data: Measurements, fit: Agreement) -> str:
@@ -567,12 +528,8 @@ def _description(machine: Machine, data: Measurements, fit: Agreement) -> str:
     by_axis = [
         (float(np.median(fit.miss[data.positions[:, i] != np.median(data.positions[:, i])])), i) for i in _moving(data)
     ]
-    axis = _columns(machine)[max(by_axis, default=(0.0, 0))[1]]
+    axis = [*axis_columns(machine)][max(by_axis, default=(0.0, 0))[1]]
     return f"{fit.share:.0%} of the readings deviate by more than {fit.limit / MM:.2g} mm, mostly where {axis} changes"
-
-
-def _columns(machine: Machine) -> list[str]:
-    return [f"{axis.name}_{axis.unit}" for axis in machine.axes]
 
 
 def _moving(data: Measurements) -> list[int]:

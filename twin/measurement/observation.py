@@ -7,7 +7,7 @@ frame of the spindle nose or the work frame. Simulating, identifying and diagnos
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import lru_cache
 from itertools import product
 from typing import Final, final
@@ -108,6 +108,24 @@ class CarriedTargets:
     ride: np.ndarray
     ride_origin: np.ndarray
 
+    def select(self, rows: np.ndarray) -> CarriedTargets:
+        """Return some rows (indices or a mask)."""
+        return CarriedTargets(*(getattr(self, part.name)[rows] for part in fields(self)))
+
+    def at(self, place: np.ndarray) -> np.ndarray:
+        """Return (n, 3) the targets, at (n, 3) places on the carriers from the points in `points`, metres."""
+        return np.asarray(self.points + np.einsum("nij,nj->ni", self.rotation, place))
+
+    def least_motion(self, place_mm: np.ndarray) -> np.ndarray:
+        """Return (n, 3) the deviation of one target from its mean, m; if its place is NaN, at the place that moves least."""
+        if np.isfinite(place_mm).all():
+            points = self.points + self.rotation @ (place_mm * MM)
+            return np.asarray(points - points.mean(axis=0))
+        turn = (self.rotation - self.rotation.mean(axis=0)).reshape(-1, 3)
+        deviation = (self.points - self.points.mean(axis=0)).reshape(-1)
+        place = np.linalg.lstsq(turn, -deviation, rcond=1e-9)[0]
+        return np.asarray((deviation + turn @ place).reshape(-1, 3))
+
 
 @final
 class Observation:
@@ -123,10 +141,8 @@ class Observation:
     def points_mm(self, calibration: Calibration, data: Measurements, places_mm: np.ndarray) -> np.ndarray:
         """Return the reflectors in the frames on which their stations ride.
 
-        Args:
-            calibration: the machine's errors.
-            data: commands, carriers, and every channel an effect needs; its coordinates are not used.
-            places_mm: (n, 3) place of each reflector on its carrier.
+        ``data``: commands, carriers, and every channel an effect needs; its coordinates are not used; ``places_mm``: (n, 3) place of
+        each reflector on its carrier.
 
         Returns:
             (n, 3) mm.
@@ -140,13 +156,9 @@ class Observation:
     def errors(self, calibration: Calibration, data: Measurements, *, check: bool = True) -> np.ndarray:
         """Return (n, 6·frames) all error frames at the rows of a table, metres and radians.
 
-        Args:
-            calibration: the machine's errors.
-            data: commands and channels.
-            check: whether a position outside the domain of a curve is refused; otherwise the curve is extrapolated (overtravel).
+        ``check``: whether a position outside the domain of a curve is refused; otherwise the curve is extrapolated (overtravel).
 
-        Raises:
-            InputError: as `points_mm`.
+        Raises `InputError`: as `points_mm`.
         """
         state = machine_state(data, self.machine)
         if check:
@@ -182,13 +194,10 @@ class Observation:
     ) -> CarriedTargets:
         """Return the reflectors and their derivatives, unchecked, in metres and radians.
 
-        Args:
-            q: (n, axes) metres and radians.
-            errors: (n, 6·frames) all error frames, metres and radians.
-            carrier: (n,) ``tool`` or ``work``: the side on which each reflector sits.
-            places: (n, 3) metres.
-            station_carrier: (n,) ``base``, ``tool`` or ``work``: side of the station, in whose frame the result is; base if None.
-            angles: (n,) rows of angles: the place is a line that only turns with its carrier; none if None.
+        ``q``: (n, axes) metres and radians; ``errors``: (n, 6·frames) all error frames, metres and radians; ``carrier``: (n,) ``tool``
+        or ``work``: the side on which each reflector sits; ``places``: (n, 3) metres; ``station_carrier``: (n,) ``base``, ``tool`` or
+        ``work``: side of the station, in whose frame the result is; base if None; ``angles``: (n,) rows of angles: the place is a line
+        that only turns with its carrier; none if None.
         """
         n = len(q)
         points, by_error, rotation = np.empty((n, 3)), np.empty((n, errors.shape[1], 3)), np.empty((n, 3, 3))
@@ -203,12 +212,7 @@ class Observation:
         return CarriedTargets(points, by_error.transpose(0, 2, 1), rotation.transpose(0, 2, 1), ride, ride_origin)
 
     def _functions(
-        self,
-        carrier: np.ndarray,
-        station_carrier: np.ndarray | None,
-        angles: np.ndarray | None,
-        *,
-        derivatives: bool,
+        self, carrier: np.ndarray, station_carrier: np.ndarray | None, angles: np.ndarray | None, *, derivatives: bool
     ) -> Iterator[tuple[BatchFunction, np.ndarray]]:
         """Yield the compiled function of each pair of sides that occurs, of points and of angles, and its rows."""
         turned = np.zeros(len(carrier), dtype=bool) if angles is None else angles
@@ -241,3 +245,16 @@ class Observation:
 def observation_of(machine: Machine) -> Observation:
     """Return the forward model of a machine, cached: building its graph takes longer than evaluating some hundred rows."""
     return Observation(machine)
+
+
+VERTICAL_M: Final = (0.0, 0.0, 1.0)
+"""The line that turns with a level, metres."""
+
+
+def nominal_carriers(machine: Machine, data: Measurements) -> CarriedTargets:
+    """Return origin and rotation of each row's carrier on the nominal machine, in the frame on which its station rides; metres."""
+    q = np.asarray(data.positions) * machine.scale
+    errors, places = np.zeros((len(q), 6 * len(machine.frames))), np.zeros((len(q), 3))
+    angles = of_angles(data)
+    places[angles] = VERTICAL_M
+    return observation_of(machine).carried(q, errors, data.carrier, places, data.station_carrier, angles)

@@ -15,11 +15,10 @@ from typing import Final, Literal, NamedTuple, final
 
 import numpy as np
 
-from twin._common.arrays import read_only
 from twin._common.units import DEG, MM
 from twin.machine.machine import Machine
 from twin.measurement.instruments import InstrumentSpecification, StationInstruments
-from twin.measurement.observation import CarriedTargets, observation_of, of_angles
+from twin.measurement.observation import VERTICAL_M, CarriedTargets, nominal_carriers, of_angles
 from twin.measurement.table import Measurements
 from twin.numerics.spatial import cross_matrix, rotation_exp
 
@@ -27,8 +26,6 @@ PLACE_PLAUSIBLE: Final = 0.2
 """Prior standard deviation of a target's place on its carrier if it is not given, m."""
 STATION_PLAUSIBLE: Final = 10.0
 """Prior standard deviation of a station's position, m."""
-VERTICAL_M: Final = (0.0, 0.0, 1.0)
-"""The line that turns with a level, metres."""
 TURN_PLAUSIBLE: Final = 1.0
 """Prior standard deviation of a station's rotation about its initial value, rad."""
 
@@ -36,10 +33,7 @@ TURN_PLAUSIBLE: Final = 1.0
 class Slot(NamedTuple):
     """Unknown parameters of one kind of one station or target.
 
-    Attributes:
-        kind: ``turn``, ``origin`` and ``dead path`` of a station, ``place`` of a target.
-        number: index of the station or target.
-        at: their slice of the set-up's unknowns.
+    ``kind``: ``turn``, ``origin`` and ``dead path`` of a station, ``place`` of a target.
     """
 
     kind: Literal["turn", "origin", "dead path", "place"]
@@ -53,14 +47,11 @@ class StationsAndTargets:
     """Poses of stations and places of targets; metres and radians, in the frame on which each station rides (usually the base frame).
 
     Attributes:
-        stations: names.
         rotation: (stations, 3, 3) station frame in that frame.
         origin: (stations, 3).
         dead: (stations,) dead path of an interferometer, at which its counter was zeroed; zero where lengths are absolute.
-        targets: names.
         place: (targets, 3) on their carriers.
         station_known, target_known: whether the table gives the pose or place.
-        reads: what the instrument of each station reads.
         lines: (targets,) whether a target is a line of 1 m that turns with a level; its unknowns are x and y of its end.
         shift: (unknowns,) change of each parameter by `moved` since its initial value, metres and radians; None for zero.
     """
@@ -85,9 +76,7 @@ class StationsAndTargets:
         pose, place = data.station_pose[first], data.place_mm[first_target] * MM
         station_known = np.asarray(np.isfinite(pose).all(axis=1))
         target_known = np.asarray(np.isfinite(place).all(axis=1))
-        rotation = np.tile(np.eye(3), (len(stations), 1, 1))
-        for i in np.flatnonzero(station_known):
-            rotation[i] = rotation_exp(pose[i, 3:] * DEG)
+        rotation = rotation_exp(np.where(station_known[:, None], pose[:, 3:] * DEG, 0.0))
         origin = np.where(station_known[:, None], pose[:, :3] * MM, 0.0)
         place = np.where(target_known[:, None], place, 0.0)
         dead = np.zeros(len(stations))
@@ -99,8 +88,7 @@ class StationsAndTargets:
     def of(self, data: Measurements) -> StationsAndTargets:
         """Return the stations and targets of other data, with the values of this set-up.
 
-        Raises:
-            KeyError: a station or target that is not in this set-up.
+        Raises `KeyError`: a station or target that is not in this set-up.
         """
         named = dict.fromkeys(data.station.tolist()), dict.fromkeys(data.target.tolist())
         for name in (*(set(named[0]) - set(self.stations)), *(set(named[1]) - set(self.targets))):
@@ -120,6 +108,14 @@ class StationsAndTargets:
             station_known=self.station_known[stations],
             target_known=self.target_known[targets],
             shift=None,
+        )
+
+    def indices(self, data: Measurements) -> tuple[np.ndarray, np.ndarray]:
+        """Return (n,) station and (n,) target of each row of some data, as indices."""
+        stations, targets = ({name: i for i, name in enumerate(names)} for names in (self.stations, self.targets))
+        return (
+            np.array([stations[name] for name in data.station], dtype=int),
+            np.array([targets[name] for name in data.target], dtype=int),
         )
 
     def __len__(self) -> int:
@@ -205,39 +201,28 @@ LEAST_ROTATION: Final = 1e-10
 
 
 def initial_setup(
-    machine: Machine, data: Measurements, instruments: StationInstruments, *, mirrored: bool = False
+    data: Measurements, instruments: StationInstruments, carried: CarriedTargets, *, mirrored: bool = False
 ) -> tuple[StationsAndTargets, np.ndarray]:
-    """Return the set-up estimated with the nominal machine, and (n,) the misfit of each reading, metres.
+    """Return the set-up with which the readings follow their nominal carriers, and (n,) the misfit of each reading, metres.
 
-    Args:
-        instruments: those of its stations. Stations that read lengths and others are estimated independently.
-        mirrored: whether readings in a left-handed frame are accepted; they agree poorly.
+    Stations that read points, lengths and angles are estimated each from their own rows.
 
-    Raises:
-        InputError: a station with fewer than three points, or one whose readings are in a left-handed frame.
+    ``carried``: the carriers of the rows on the nominal machine; ``mirrored``: whether readings in a left-handed frame are accepted;
+    they agree poorly.
+
+    Raises `InputError`: a station with fewer than three points, or one whose readings are in a left-handed frame.
     """
-    initial = StationsAndTargets.from_table(data, instruments)
-    kinds = np.array([read.reads if read.reads in ("length", "angle") else "point" for read in initial.reads])
+    setup = StationsAndTargets.from_table(data, instruments)
+    kinds = np.array([read.reads if read.reads in ("length", "angle") else "point" for read in setup.reads])
     if len(set(kinds)) > 1:
-        return _by_kind(machine, data, instruments, initial, kinds)
-    carried = nominal_carriers(machine, data)
-    station = np.array([initial.stations.index(name) for name in data.station])
-    target = np.array([initial.targets.index(name) for name in data.target])
+        return _by_kind(data, instruments, carried, setup, kinds)
+    station, target = setup.indices(data)
     if kinds[0] == "angle":
-        return _by_angles(initial, carried, data, station)
+        return _by_angles(setup, carried, data, station)
     if kinds[0] == "length":
         length = np.where(np.isfinite(data.point_mm[:, 0]), data.point_mm[:, 0], 0.0) * MM
-        return _by_lengths(initial, _Lengths(carried.points, carried.rotation, length, station, target))
-    return _by_points(initial, carried, data, station, target, mirrored=mirrored)
-
-
-def nominal_carriers(machine: Machine, data: Measurements) -> CarriedTargets:
-    """Return origin and rotation of each row's carrier on the nominal machine, in the frame on which its station rides; metres."""
-    q = np.asarray(data.positions) * machine.scale
-    errors, places = np.zeros((len(q), 6 * len(machine.frames))), np.zeros((len(q), 3))
-    angles = of_angles(data)
-    places[angles] = VERTICAL_M
-    return observation_of(machine).carried(q, errors, data.carrier, places, data.station_carrier, angles)
+        return _by_lengths(setup, carried, length, station, target)
+    return _by_points(setup, carried, data, station, target, mirrored=mirrored)
 
 
 def turned_about_the_axis(
@@ -279,59 +264,41 @@ def turned_about_the_axis(
     return turned
 
 
-def least_motion(points: np.ndarray, rotation: np.ndarray, place: np.ndarray) -> np.ndarray:
-    """Return (n, 3) the deviation of a target from its mean, m; for an unknown place, the one on the carrier that moves least.
-
-    Args:
-        points: (n, 3) origin of the carrier.
-        rotation: (n, 3, 3) of the carrier.
-        place: (3,) of the target; NaN where unknown.
-    """
-    if np.isfinite(place).all():
-        found = points + rotation @ place
-        return np.asarray(found - found.mean(axis=0))
-    turn = (rotation - rotation.mean(axis=0)).reshape(-1, 3)
-    off = (points - points.mean(axis=0)).reshape(-1)
-    best = np.linalg.lstsq(turn, -off, rcond=1e-9)[0]
-    return np.asarray((off + turn @ best).reshape(-1, 3))
-
-
 def _by_kind(
-    machine: Machine,
     data: Measurements,
     instruments: StationInstruments,
-    initial: StationsAndTargets,
+    carried: CarriedTargets,
+    setup: StationsAndTargets,
     kinds: np.ndarray,
 ) -> tuple[StationsAndTargets, np.ndarray]:
-    """Return the set-up of stations that read points, lengths and angles, each kind estimated from its own rows."""
-    rotation, origin = np.array(initial.rotation), np.array(initial.origin)
-    dead, place = np.array(initial.dead), np.array(initial.place)
+    rotation, origin = np.array(setup.rotation), np.array(setup.origin)
+    dead, place = np.array(setup.dead), np.array(setup.place)
     miss, placed = np.zeros(len(data)), set()
     for kind in ("point", "length", "angle"):
-        names = np.array(initial.stations)[kinds == kind]
+        names = np.array(setup.stations)[kinds == kind]
         if not len(names):
             continue
         rows = np.flatnonzero(np.isin(data.station.astype(str), names))
-        of_kind, miss[rows] = initial_setup(machine, data.select(rows), instruments)
-        at = [initial.stations.index(name) for name in of_kind.stations]
+        of_kind, miss[rows] = initial_setup(data.select(rows), instruments, carried.select(rows))
+        at = [setup.stations.index(name) for name in of_kind.stations]
         rotation[at], origin[at], dead[at] = of_kind.rotation, of_kind.origin, of_kind.dead
         for target, name in enumerate(of_kind.targets):
             if name not in placed:
-                place[initial.targets.index(name)] = of_kind.place[target]
+                place[setup.targets.index(name)] = of_kind.place[target]
                 placed.add(name)
-    return replace(initial, rotation=rotation, origin=origin, dead=dead, place=place), miss
+    return replace(setup, rotation=rotation, origin=origin, dead=dead, place=place), miss
 
 
 def _by_angles(
-    initial: StationsAndTargets, carried: CarriedTargets, data: Measurements, station: np.ndarray
+    setup: StationsAndTargets, carried: CarriedTargets, data: Measurements, station: np.ndarray
 ) -> tuple[StationsAndTargets, np.ndarray]:
     """Return the set-up of levels: vertical lines on their carriers, and the mean reading as the origin of each station."""
     y = np.nan_to_num(data.point_mm) * MM
     off = carried.points - y
-    origin = np.array([off[station == i].mean(axis=0) for i in range(len(initial.stations))])
-    origin = np.where(initial.station_known[:, None], initial.origin, origin)
+    origin = np.array([off[station == i].mean(axis=0) for i in range(len(setup.stations))])
+    origin = np.where(setup.station_known[:, None], setup.origin, origin)
     miss = np.linalg.norm(np.where(np.isfinite(data.point_mm), off - origin[station], 0.0), axis=1)
-    return replace(initial, origin=read_only(origin)), miss
+    return replace(setup, origin=origin), miss
 
 
 @final
@@ -339,7 +306,7 @@ class _Equations:
     """Equations R·y + o − A·t = b of all rows, linear in the unknowns of the set-up: R and o of each station, t of each target.
 
     Args:
-        initial: set-up with the poses and places that are given.
+        setup: set-up with the poses and places that are given.
         point: (n, 3) readings, metres; zero for incomplete rows.
         whole: (n,) rows with every coordinate.
         carried: the carriers of the targets.
@@ -348,31 +315,31 @@ class _Equations:
 
     def __init__(
         self,
-        initial: StationsAndTargets,
+        setup: StationsAndTargets,
         point: np.ndarray,
         whole: np.ndarray,
         carried: CarriedTargets,
         station: np.ndarray,
         target: np.ndarray,
     ) -> None:
-        self.initial, self.whole, self.station, self.b = initial, whole, station, carried.points
-        stations, rows = len(initial.stations), np.arange(len(point))
+        self.setup, self.whole, self.station, self.b = setup, whole, station, carried.points
+        stations, rows = len(setup.stations), np.arange(len(point))
         # Centred by station, so that the position of points in a plane or line does not affect the rotation.
         self.centre = np.zeros((stations, 3))
         for i in range(stations):
             of = whole & (station == i)
             self.centre[i] = point[of].mean(axis=0) if np.any(of) else 0.0
         self.y = np.where(whole[:, None], point - self.centre[station], 0.0)
-        self.matrix = np.zeros((len(point), 3, 12 * stations + 3 * len(initial.targets)))
+        self.matrix = np.zeros((len(point), 3, 12 * stations + 3 * len(setup.targets)))
         for i in range(3):
             for j in range(3):
                 self.matrix[rows, i, 12 * station + 3 * i + j] = self.y[:, j]
                 self.matrix[rows, i, 12 * stations + 3 * target + j] = -carried.rotation[:, i, j]
             self.matrix[rows, i, 12 * station + 9 + i] = 1.0
-        self.known = np.concatenate([np.repeat(initial.station_known, 12), np.repeat(initial.target_known, 3)])
-        origin = initial.origin + _rotate_each(initial.rotation, self.centre)
-        poses = np.concatenate([initial.rotation.reshape(stations, 9), origin], axis=1)
-        self.values = np.where(self.known, np.concatenate([poses.ravel(), initial.place.ravel()]), 0.0)
+        self.known = np.concatenate([np.repeat(setup.station_known, 12), np.repeat(setup.target_known, 3)])
+        origin = setup.origin + _rotate_each(setup.rotation, self.centre)
+        poses = np.concatenate([setup.rotation.reshape(stations, 9), origin], axis=1)
+        self.values = np.where(self.known, np.concatenate([poses.ravel(), setup.place.ravel()]), 0.0)
         self.station_unknowns = 12 * stations
 
     def solve(self) -> tuple[np.ndarray, np.ndarray]:
@@ -411,12 +378,12 @@ class _Equations:
 
         The nearest rotation is not the best fit, and it is far from it where a motion along one line leaves entries undetermined.
         """
-        initial, matrix, y, station = self.initial, self.matrix, self.y, self.station
+        setup, matrix, y, station = self.setup, self.matrix, self.y, self.station
         index = np.arange(matrix.shape[2])
         in_rotation = (index < self.station_unknowns) & (index % 12 < 9)
         linear = ~in_rotation & ~self.known
         values = np.where(in_rotation | linear, 0.0, self.values)
-        free = np.flatnonzero(~initial.station_known)
+        free = np.flatnonzero(~setup.station_known)
         of_station = np.concatenate(
             [np.ones(3 * len(free), dtype=bool), np.flatnonzero(linear) < self.station_unknowns]
         )
@@ -445,15 +412,13 @@ class _Equations:
         values[linear] = solved
         of_stations, place = np.split(values, [self.station_unknowns])
         origin = of_stations.reshape(-1, 12)[:, 9:] - _rotate_each(rotation, self.centre)
-        origin = np.where(initial.station_known[:, None], initial.origin, origin)
-        setup = replace(
-            initial, rotation=read_only(rotation), origin=read_only(origin), place=read_only(place.reshape(-1, 3))
-        )
-        return setup, np.where(self.whole, misfit, 0.0)
+        origin = np.where(setup.station_known[:, None], setup.origin, origin)
+        fitted = replace(setup, rotation=rotation, origin=origin, place=place.reshape(-1, 3))
+        return fitted, np.where(self.whole, misfit, 0.0)
 
 
 def _by_points(
-    initial: StationsAndTargets,
+    setup: StationsAndTargets,
     carried: CarriedTargets,
     data: Measurements,
     station: np.ndarray,
@@ -461,36 +426,35 @@ def _by_points(
     *,
     mirrored: bool,
 ) -> tuple[StationsAndTargets, np.ndarray]:
-    point = _zero_for_unread(initial, data.point_mm, station)
+    point = _zero_for_unread(setup, data.point_mm, station)
     whole = np.isfinite(point).all(axis=1)
-    for i, name in enumerate(initial.stations):
-        if not initial.station_known[i] and np.count_nonzero(whole & (station == i)) < 3:
+    for i, name in enumerate(setup.stations):
+        if not setup.station_known[i] and np.count_nonzero(whole & (station == i)) < 3:
             raise data.error(
                 f"station {name} has fewer than 3 points with all three coordinates, or with the same two",
                 expected="more points of this station, or its pose in the station columns",
                 row=int(np.flatnonzero(station == i)[0]),
             )
-    equations = _Equations(initial, np.where(whole[:, None], point, 0.0) * MM, whole, carried, station, target)
+    equations = _Equations(setup, np.where(whole[:, None], point, 0.0) * MM, whole, carried, station, target)
     estimate, weight = equations.solve()
-    rotation = _nearest_rotations(initial, estimate, data, station, mirrored=mirrored)
+    rotation = _nearest_rotations(setup, estimate, data, station, mirrored=mirrored)
     return equations.with_fitted_rotations(rotation, weight)
 
 
 def _nearest_rotations(
-    initial: StationsAndTargets, estimate: np.ndarray, data: Measurements, station: np.ndarray, *, mirrored: bool
+    setup: StationsAndTargets, estimate: np.ndarray, data: Measurements, station: np.ndarray, *, mirrored: bool
 ) -> np.ndarray:
     """Return (stations, 3, 3) the rotations nearest to the estimated entries; known rotations unchanged.
 
-    Raises:
-        InputError: a station whose readings are in a left-handed frame, if these are not accepted.
+    Raises `InputError`: a station whose readings are in a left-handed frame, if these are not accepted.
     """
-    rotation = np.array(initial.rotation)
-    for i in np.flatnonzero(~initial.station_known):
+    rotation = np.array(setup.rotation)
+    for i in np.flatnonzero(~setup.station_known):
         raw = estimate[12 * i : 12 * i + 9].reshape(3, 3)
         u, s, v = np.linalg.svd(raw)
         if not mirrored and np.linalg.det(raw) < 0.0 and s[2] > 0.5:
             raise data.error(
-                f"readings of station {initial.stations[i]} are in a left-handed frame",
+                f"readings of station {setup.stations[i]} are in a left-handed frame",
                 expected="right-handed x_mm, y_mm, z_mm; two of the columns may be swapped, or one has the wrong sign",
                 row=int(np.flatnonzero(station == i)[0]),
             )
@@ -502,77 +466,60 @@ def _rotate_each(rotation: np.ndarray, vectors: np.ndarray) -> np.ndarray:
     return np.array([turn @ vector for turn, vector in zip(rotation, vectors, strict=True)])
 
 
-def _zero_for_unread(initial: StationsAndTargets, point_mm: np.ndarray, station: np.ndarray) -> np.ndarray:
+def _zero_for_unread(setup: StationsAndTargets, point_mm: np.ndarray, station: np.ndarray) -> np.ndarray:
     """Return (n, 3) points, mm, with zero for coordinates that a station never read (readings in a plane or on a line)."""
     point = np.array(point_mm)
-    for i in np.flatnonzero(~initial.station_known):
+    for i in np.flatnonzero(~setup.station_known):
         of = np.flatnonzero(station == i)
         never = ~np.isfinite(point[of]).any(axis=0)
         point[np.ix_(of, np.flatnonzero(never))] = 0.0
     return point
 
 
-@final
-@dataclass(frozen=True)
-class _Lengths:
-    """Lengths of n rows: (n, 3) origin and (n, 3, 3) rotation of the carrier, (n,) length in metres, station and target indices."""
-
-    base: np.ndarray
-    rotation: np.ndarray
-    length: np.ndarray
-    station: np.ndarray
-    target: np.ndarray
-
-    def points(self, setup: StationsAndTargets) -> np.ndarray:
-        """Return (n, 3) the targets."""
-        return np.asarray(self.base + np.einsum("nij,nj->ni", self.rotation, setup.place[self.target]))
-
-    def step(self, setup: StationsAndTargets) -> tuple[StationsAndTargets, float, np.ndarray]:
-        """Return the set-up after a damped, robust Gauss-Newton step, its largest change, and (n,) the misfit of the readings."""
-        beam = self.points(setup) - setup.origin[self.station]
+def _by_lengths(
+    setup: StationsAndTargets, carried: CarriedTargets, length: np.ndarray, station: np.ndarray, target: np.ndarray
+) -> tuple[StationsAndTargets, np.ndarray]:
+    origin, dead, points = np.array(setup.origin), np.array(setup.dead), carried.at(setup.place[target])
+    for i in range(len(setup.stations)):
+        rows = np.flatnonzero(station == i)
+        if setup.station_known[i]:
+            if setup.reads[i].free_start:
+                dead[i] = np.median(np.linalg.norm(points[rows] - origin[i], axis=1) - length[rows])
+            continue
+        # From one target, so that on the tool side its unknown place only shifts the station.
+        rows = rows[target[rows] == np.bincount(target[rows]).argmax()]
+        origin[i], dead[i] = _multilateration(points[rows], length[rows], free_start=setup.reads[i].free_start)
+    setup = replace(setup, origin=origin, dead=dead)
+    for _ in range(SWEEPS):
+        # A damped, robust Gauss-Newton step.
+        beam = carried.at(setup.place[target]) - setup.origin[station]
         far = np.linalg.norm(beam, axis=1)
         unit = beam / far[:, None]
-        misfit = self.length - (far - setup.dead[self.station])
+        misfit = length - (far - setup.dead[station])
         weight = np.sqrt(FLOOR / np.maximum(np.abs(misfit), FLOOR))
-        along = np.einsum("ni,nij->nj", unit, self.rotation)
+        along = np.einsum("ni,nij->nj", unit, carried.rotation)
         derivative = {"origin": -unit, "dead path": -np.ones((len(unit), 1)), "place": along}
-        jacobian = np.zeros((len(self.length), len(setup)))
+        jacobian = np.zeros((len(length), len(setup)))
         for kind, i, at in setup.slots:
-            of = (self.target if kind == "place" else self.station) == i
-            jacobian[of, at] = derivative[kind][of]
+            rows = (target if kind == "place" else station) == i
+            jacobian[rows, at] = derivative[kind][rows]
         scale = setup.plausible
         damped = np.concatenate([jacobian * weight[:, None] * scale, 1e-6 * np.eye(len(setup))])
         step = np.linalg.lstsq(damped, np.concatenate([misfit * weight, np.zeros(len(setup))]), rcond=None)[0] * scale
-        return setup.moved(step), float(np.abs(step).max(initial=0.0)), np.abs(misfit)
-
-
-def _by_lengths(initial: StationsAndTargets, lengths: _Lengths) -> tuple[StationsAndTargets, np.ndarray]:
-    origin, dead, points = np.array(initial.origin), np.array(initial.dead), lengths.points(initial)
-    for i in range(len(initial.stations)):
-        of = np.flatnonzero(lengths.station == i)
-        if initial.station_known[i]:
-            if initial.reads[i].free_start:
-                dead[i] = np.median(np.linalg.norm(points[of] - origin[i], axis=1) - lengths.length[of])
-            continue
-        # From one target, so that on the tool side its unknown place only shifts the station.
-        of = of[lengths.target[of] == np.bincount(lengths.target[of]).argmax()]
-        origin[i], dead[i] = _multilateration(points[of], lengths.length[of], free_start=initial.reads[i].free_start)
-    setup = replace(initial, origin=read_only(origin), dead=read_only(dead))
-    for _ in range(SWEEPS):
-        setup, change, misfit = lengths.step(setup)
-        if change < 1e-9:
+        setup = setup.moved(step)
+        if float(np.abs(step).max(initial=0.0)) < 1e-9:
             break
-    return replace(setup, shift=None), misfit
+    return replace(setup, shift=None), np.abs(misfit)
 
 
-def _multilateration(p: np.ndarray, l: np.ndarray, *, free_start: bool) -> tuple[np.ndarray, float]:
-    """Return the station and its dead path from (n, 3) points and (n,) lengths, metres.
+def _multilateration(points: np.ndarray, length: np.ndarray, *, free_start: bool) -> tuple[np.ndarray, float]:
+    """Return the station and its dead path from (n, 3) points p and (n,) lengths l, metres.
 
     (l + d)² = |p − o|², so l² + 2·l·d = |p|² − 2 p·o + (|o|² − d²): linear in o, d and the last bracket.
     """
     # Centred, so that points in a plane give the station in that plane, not one near the frame's origin.
-    centre = p.mean(axis=0)
-    p = p - centre
+    centre = points.mean(axis=0)
+    p, l = points - centre, length
     matrix = np.concatenate([2.0 * p, 2.0 * float(free_start) * l[:, None], -np.ones((len(p), 1))], axis=1)
     right = np.sum(p * p, axis=1) - l * l
     weight = np.ones(len(p))

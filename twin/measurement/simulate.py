@@ -14,7 +14,7 @@ from twin._common.errors import InputError
 from twin._common.units import DEG, MM, UM
 from twin.display.results import Result
 from twin.machine.machine import Machine
-from twin.measurement.checks import outside_axis_range
+from twin.measurement.columns import outside_axis_range
 from twin.measurement.instruments import SIDES, STANDARD_AIR, Air, Instrument, instrument_named, length_scale
 from twin.measurement.observation import Observation
 from twin.measurement.table import Measurements
@@ -29,12 +29,7 @@ STATION_DISTANCE_MM: Final = 1800.0
 @final
 @dataclass(frozen=True)
 class Station:
-    """Pose of an instrument's station.
-
-    Attributes:
-        origin_mm: its origin in the base frame.
-        rotation_rad: rotation vector of its frame in the base frame.
-    """
+    """Pose of an instrument's station. ``rotation_rad``: rotation vector of its frame in the base frame."""
 
     origin_mm: tuple[float, float, float]
     rotation_rad: tuple[float, float, float]
@@ -280,15 +275,11 @@ def at_centres(
 ) -> Measurements:
     """Return a plan with the positions of the linear axes at which the tips of probes are at the centres of their spheres.
 
-    Args:
-        calibration: its errors.
-        plan: the plan; its linear positions are the initial values.
-        setting: tips (the stations' origins) and spheres (the places).
-        off_mm: (n, 3) position of the sphere in the frame of the tip that counts as its centre (noise).
-        rows: (n,) which rows are probed; the others remain unchanged.
+    ``plan``: the plan; its linear positions are the initial values; ``setting``: tips (the stations' origins) and spheres (the places);
+    ``off_mm``: (n, 3) position of the sphere in the frame of the tip that counts as its centre (noise); ``rows``: (n,) which rows are
+    probed; the others remain unchanged.
 
-    Raises:
-        InputError: a sphere that the axes do not reach, or that is on the side of the probe.
+    Raises `InputError`: a sphere that the axes do not reach, or that is on the side of the probe.
     """
     wrong = np.flatnonzero(rows & ((plan.station_carrier == plan.carrier) | (plan.station_carrier == SIDES[0])))
     if len(wrong):

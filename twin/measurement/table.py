@@ -24,34 +24,32 @@ from twin._common.units import count_with_noun
 from twin.display import Cell, note, spans
 from twin.display.results import Display, DisplayedResult
 from twin.machine.machine import Machine
-from twin.measurement.checks import (
-    LARGEST_MM,
-    RowNote,
-    check_ranges,
-    copied_rows,
-    grouped_notes,
-    missing_rounds,
-    outside_axis_range,
-    place_by_name,
-    unused_names,
-)
 from twin.measurement.columns import (
     ANGLE_COLUMNS,
     ANGULAR,
     CARRIERS,
+    LARGEST_MM,
     PLACE_COLUMNS,
     PLANNED,
     POINT_COLUMNS,
     STATION_COLUMNS,
+    RowNote,
     TableColumns,
     angle_columns,
+    check_ranges,
     comment_lines,
+    copied_rows,
     csv_text,
+    grouped_notes,
+    missing_rounds,
     number_cells,
+    outside_axis_range,
+    place_by_name,
     printed,
     refuse_contacts,
     simulated_comments,
     table_columns,
+    unused_names,
     with_angles,
 )
 from twin.measurement.instruments import INSTRUMENTS, SIDES
@@ -66,8 +64,7 @@ BARS: Final = tuple(one.name for one in INSTRUMENTS if one.specification.nominal
 def stated_length_mm(comments: Sequence[str], path: Path) -> float | None:
     """Return the length that the comments of a table state, mm; None if they state none.
 
-    Raises:
-        InputError: a length that cannot be read, or two different lengths.
+    Raises `InputError`: a length that cannot be read, or two different lengths.
     """
     found: dict[float, str] = {}
     for text in comments:
@@ -92,11 +89,9 @@ def stated_length_mm(comments: Sequence[str], path: Path) -> float | None:
 def length_comment(bar_mm: np.ndarray) -> list[str]:
     """Return the comment that states the length of a table's ball bar, as a list; empty if it has none.
 
-    Args:
-        bar_mm: (n,) nominal lengths, mm; NaN where there is none.
+    ``bar_mm``: (n,) nominal lengths, mm; NaN where there is none.
 
-    Raises:
-        InputError: rows with different lengths.
+    Raises `InputError`: rows with different lengths.
     """
     lengths = np.unique(bar_mm[np.isfinite(bar_mm)]).tolist()
     if len(lengths) > 1:
@@ -112,12 +107,9 @@ def with_length(values: Mapping[str, Any], length_mm: float) -> tuple[dict[str, 
     The rows of the ball bar are those that name it, and those without an instrument that read a length alone from a station on the
     tool or work side. Readings below half of the length are deviations from it, to which it is added.
 
-    Args:
-        values: the fields ``point_mm``, ``instrument``, ``station_carrier`` and ``bar_mm`` (NaN or absent where no length is known).
-        length_mm: the nominal length.
+    ``values``: the fields ``point_mm``, ``instrument``, ``station_carrier`` and ``bar_mm`` (NaN or absent where no length is known).
 
-    Raises:
-        InputError: a row that already has another length.
+    Raises `InputError`: a row that already has another length.
     """
     point, names = np.array(values["point_mm"]), np.asarray(values["instrument"]).astype(str)
     alone = np.isnan(point[:, 1:]).all(axis=1) & (values["station_carrier"] != SIDES[0])
@@ -532,8 +524,7 @@ def _check_names(table: Measurements) -> None:
 def _with_known_places(table: Measurements) -> Measurements:
     """Return the table with the place of its target and the pose of its station in every row, taken from any row that gives it.
 
-    Raises:
-        InputError: an incomplete place, a number that is not finite, or two places for one target or station.
+    Raises `InputError`: an incomplete place, a number that is not finite, or two places for one target or station.
     """
     return replace(
         table,
@@ -547,12 +538,9 @@ def _with_known_places(table: Measurements) -> Measurements:
 def without_unusable_rows(table: Measurements, machine: Machine, unknown_cells: Sequence[str] = ()) -> Measurements:
     """Return the table without the rows that cannot be used, which are listed with their reasons in `Measurements.set_aside`.
 
-    Args:
-        table: all rows.
-        unknown_cells: cells of the unknown columns, one string per row; empty if there are no such columns.
+    ``unknown_cells``: cells of the unknown columns, one string per row; empty if there are no such columns.
 
-    Raises:
-        InputError: no usable row; commands with a constant offset or in another unit.
+    Raises `InputError`: no usable row; commands with a constant offset or in another unit.
     """
     check_ranges(machine.axes, table.positions, table.lines, table.source)
     reasons: dict[int, RowNote] = {}

@@ -20,12 +20,11 @@ from twin._common.resources import Progress, one_blas_thread, silent
 from twin._common.units import MM
 from twin.compensation.live import errors_while_on
 from twin.identification.inputs import prepare
-from twin.identification.network import Network
+from twin.identification.network import Network, Unknowns
 from twin.identification.solve import FitSolution, solve
 from twin.identification.unidentified import NEGLIGIBLE, constant_errors, constant_unknowns, scale_unit
-from twin.identification.unknowns import Unknowns
 from twin.machine.machine import Machine
-from twin.measurement.checks import grouped_notes
+from twin.measurement.columns import grouped_notes
 from twin.measurement.observation import observation_of
 from twin.measurement.set_up import StationsAndTargets
 from twin.measurement.table import Measurements

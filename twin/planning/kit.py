@@ -27,9 +27,15 @@ from twin._common.units import DEG, MM
 from twin._common.yaml_files import EntryPath, load_yaml
 from twin.display.numbers import listed
 from twin.display.results import Result
-from twin.identification.network import CHUNK, Network
+from twin.identification.network import (
+    CHUNK,
+    Network,
+    Unknowns,
+    axes_with_known_places,
+    least_determined_offset,
+    spaces_for,
+)
 from twin.identification.solve import all_unknowns, free_directions
-from twin.identification.unknowns import Unknowns, axes_with_known_places, least_determined_offset, spaces_for
 from twin.machine.machine import Machine
 from twin.measurement.instruments import INSTRUMENTS, Instrument, StationInstruments
 from twin.measurement.set_up import StationsAndTargets

@@ -25,8 +25,7 @@ from twin.diagnosis.candidates.candidate import Candidate, Variant
 from twin.diagnosis.candidates.catalogue import SPECIFICATIONS, catalogue
 from twin.diagnosis.nuisance import RANK_TOLERANCE
 from twin.diagnosis.problem import Problem
-from twin.identification.network import Network
-from twin.identification.unknowns import Unknowns
+from twin.identification.network import Network, Unknowns
 from twin.machine.machine import Machine
 from twin.measurement.agreement import agreeing_rows
 from twin.measurement.instruments import Instrument, Reads, StationInstruments, default_instrument

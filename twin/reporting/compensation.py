@@ -23,9 +23,8 @@ from twin._common.units import UM
 from twin.diagnosis.candidates.candidate import first_component
 from twin.diagnosis.plots import group_means, group_numbers
 from twin.diagnosis.readings import readings
-from twin.identification.network import Network
+from twin.identification.network import Network, Unknowns
 from twin.identification.solve import solve
-from twin.identification.unknowns import Unknowns
 from twin.machine.machine import Machine
 from twin.measurement.observation import machine_state
 from twin.measurement.set_up import StationsAndTargets

@@ -24,8 +24,7 @@ from twin._common.records import SPEED
 from twin._common.units import DEG, MM, UM
 from twin.machine.machine import Machine
 from twin.measurement.instruments import Instrument
-from twin.measurement.observation import of_angles
-from twin.measurement.set_up import nominal_carriers
+from twin.measurement.observation import nominal_carriers, of_angles
 from twin.measurement.table import Measurements
 from twin.standards.iso230_3 import (
     FIRST_S,

@@ -30,8 +30,7 @@ from twin._common.errors import InputError, closest_name
 from twin._common.records import SPEED, TIME, check_course, is_temperature, read_record, sensor_of
 from twin._common.units import MM
 from twin.machine.machine import Axis, Machine
-from twin.measurement.checks import RowNote
-from twin.measurement.columns import CARRIERS, simulated_comments
+from twin.measurement.columns import CARRIERS, RowNote, simulated_comments
 from twin.measurement.observation import Observation
 from twin.measurement.table import Measurements
 from twin.standards.iso230_1 import check_same_length, finite_array

@@ -30,7 +30,7 @@ from twin.display.figures import (
     style_axes,
     text_box_style,
 )
-from twin.measurement.checks import grouped_notes
+from twin.measurement.columns import grouped_notes
 from twin.standards.iso230_1 import AngularError, Straightness
 from twin.standards.iso230_2 import Positioning, UnidirectionalPositioning
 from twin.standards.iso230_3 import DriftSeries

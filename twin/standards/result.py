@@ -17,7 +17,7 @@ from twin._common.units import count_with_noun
 from twin.display import figure, note, readable, table
 from twin.display.numbers import COVERAGE_FACTOR, with_joined_units
 from twin.display.results import Display, DisplayedResult
-from twin.measurement.checks import RowNote, grouped_notes
+from twin.measurement.columns import RowNote, grouped_notes
 from twin.standards.iso230_1 import AngularError, SquarenessError, Straightness
 from twin.standards.iso230_2 import Positioning, UnidirectionalPositioning
 from twin.standards.iso230_3 import DriftSeries

@@ -18,7 +18,7 @@ import scipy
 from twin._common.errors import InputError
 from twin._common.units import DEG, MM, UM, URAD
 from twin.machine.machine import Axis, Machine
-from twin.measurement.set_up import least_motion, nominal_carriers
+from twin.measurement.observation import nominal_carriers
 from twin.numerics.spatial import algebraic_sphere
 from twin.standards.iso230_4 import WIDEST_GAP_DEG, CircularTest, RotaryMotion, circular_test, error_motion
 from twin.standards.linear_axes import positioning
@@ -37,8 +37,7 @@ def kinematic_test(run: MeasuredRun, machine: Machine, u_mm: np.ndarray) -> Stan
     turning = [i for i in run.axes if not machine.axes[i].linear]
     if max(float(np.ptp(data.positions[:, i])) for i in turning) < LEAST_TURN_DEG:
         return None
-    carried = nominal_carriers(machine, data)
-    nominal = least_motion(carried.points, carried.rotation, data.place_mm[0] * MM) / MM
+    nominal = nominal_carriers(machine, data).least_motion(data.place_mm[0]) / MM
     if float(np.abs(nominal).max()) > STANDS_STILL_MM:
         return None
     if not run.read.any():

@@ -4,8 +4,7 @@ Manual: `twin doc thermal`.
 """
 
 from twin.thermal.fit import fit_thermal
-from twin.thermal.model import ThermalModel, ThermalPrediction, ThermalTerm
-from twin.thermal.model_file import load_model, save_model
+from twin.thermal.model import ThermalModel, ThermalPrediction, ThermalTerm, load_model, save_model
 from twin.thermal.record import ThermalRecord
 
 __all__ = [

@@ -58,10 +58,8 @@ class TermCandidate:
 class Inputs:
     """Reference values of the inputs.
 
-    Attributes:
-        reference_degC: temperature of each sensor at the start of the fitted record.
-        highest_rpm: highest speed of the fitted record; 0 without speeds.
-        start_s: time of the first row.
+    ``reference_degC``: temperature of each sensor at the start of the fitted record; ``highest_rpm``: highest speed of the fitted
+    record; 0 without speeds.
     """
 
     reference_degC: dict[str, float]
@@ -127,11 +125,8 @@ def candidates(groups: Sequence[tuple[str, ...]], speeds: bool, duration_s: floa
 def lagged(values: np.ndarray, time_s: np.ndarray, time_constant_s: float, state: float | None = None) -> np.ndarray:
     """Return the first-order lag of an input that is linear between rows; (n,).
 
-    Args:
-        values: the input (n,).
-        time_s: times (n,).
-        time_constant_s: 0 returns the input.
-        state: state at the first row; the first value (steady state) if None.
+    ``values``: the input (n,); ``time_s``: times (n,); ``time_constant_s``: 0 returns the input; ``state``: state at the first row; the
+    first value (steady state) if None.
     """
     if time_constant_s == 0.0:
         return np.array(values, dtype=float)
@@ -157,10 +152,7 @@ def features(
 ) -> np.ndarray:
     """Return the value of every term for coefficient 1, (n, terms).
 
-    Args:
-        record: the rows.
-        inputs: what they are relative to.
-        states: state of every lag at the first row; steady state if None.
+    ``states``: state of every lag at the first row; steady state if None.
     """
     features = drivers(record, terms, inputs)
     for j, term in enumerate(terms):
@@ -197,10 +189,7 @@ DENSE_SIZES: Final = (0.01, 0.03, 0.1, 0.3)
 class Average:
     """Average over models, for one displacement; the last coefficient is the constant.
 
-    Attributes:
-        mean: (terms + 1,), µm/K or µm.
-        covariance: (terms + 1, terms + 1), within and between models.
-        residual_um: standard deviation of the correlated residual.
+    ``mean``: (terms + 1,), µm/K or µm; ``covariance``: (terms + 1, terms + 1), within and between models.
     """
 
     mean: np.ndarray
@@ -222,12 +211,7 @@ class Average:
 @final
 @dataclass(frozen=True)
 class DrawnModels:
-    """Drawn models of a group of displacements.
-
-    Attributes:
-        models: indices of the candidates of every drawn model.
-        averages: one for each displacement of the group.
-    """
+    """Drawn models of a group of displacements. ``models``: indices of the candidates of every drawn model."""
 
     models: tuple[tuple[int, ...], ...]
     averages: tuple[Average, ...]
@@ -247,13 +231,8 @@ class Evidence:
     ) -> None:
         """Prepare the normal equations for every size and correlation time of the residual.
 
-        Args:
-            x: candidates (n, terms).
-            y: displacements (n, m) in µm.
-            time_s: (n,).
-            terms: the candidates.
-            noise_um: white noise of the displacements (m,).
-            duration_s: duration of the record.
+        ``x``: candidates (n, terms); ``y``: displacements (n, m) in µm; ``time_s``: (n,); ``noise_um``: white noise of the
+        displacements (m,).
         """
         self.scale = np.r_[[term.prior for term in terms], CONSTANT_UM]
         self.count = x.shape[1]
@@ -303,9 +282,7 @@ class Evidence:
         The common size and the kind of residual are those of the largest evidence. Where many sensors warm up together, it predicts
         what follows better than any few of them.
 
-        Args:
-            displacement: which of the group.
-            sizes: (terms,) coefficients that are alike, µm/K or µm.
+        ``sizes``: (terms,) coefficients that are alike, µm/K or µm.
         """
         every, factor = range(self.count), sizes / self.scale[:-1]
         tried = [(times * factor, kind) for times in DENSE_SIZES for kind in range(len(self.residual_um[displacement]))]

@@ -52,12 +52,7 @@ def named_terms(
 ) -> tuple[ThermalTerm, ...]:
     """Return the terms of a displacement, by falling contribution.
 
-    Args:
-        displacement: its name.
-        candidates: all candidates.
-        x: candidates over the fitted rows (n, candidates).
-        draws: the models drawn for its group.
-        factor: factor of the standard uncertainties, from held-out data.
+    ``x``: candidates over the fitted rows (n, candidates); ``factor``: factor of the standard uncertainties, from held-out data.
     """
     families: dict[tuple[str, str], list[int]] = {}
     for j, term in enumerate(candidates):
@@ -174,11 +169,7 @@ class HeldOutErrors:
 
 
 def fit_thermal(
-    record: ThermalRecord,
-    *,
-    validate: bool = True,
-    seed: int = 0,
-    progress: Callable[[str, float], None] = silent,
+    record: ThermalRecord, *, validate: bool = True, seed: int = 0, progress: Callable[[str, float], None] = silent
 ) -> ThermalModel:
     """Fit a thermal model with few terms.
 

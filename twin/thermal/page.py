@@ -78,8 +78,7 @@ def prediction_lines(path: str, prediction: ThermalPrediction) -> list[str]:
 def save_prediction(prediction: ThermalPrediction, path: str | Path) -> None:
     """Write a table with ``time_s`` and, for each displacement, the prediction ``<name>_um`` and ``u_<name>_um``, atomically.
 
-    Raises:
-        InputError: it cannot be written.
+    Raises `InputError`: it cannot be written.
     """
     header = ["time_s"]
     columns = [prediction.time_s]
@@ -97,11 +96,7 @@ HOUR: Final = 3600.0
 
 
 def thermal_html(model: ThermalModel, shown: Sequence[tuple[ThermalRecord, ThermalPrediction]]) -> str:
-    """Return one self-contained HTML page.
-
-    Args:
-        shown: records with their predictions, drawn one after the other.
-    """
+    """Return one self-contained HTML page; ``shown``: records with their predictions, drawn one after the other."""
     listed = sum(len(displacement.listed) for displacement in model.displacements)
     return render(
         "thermal/templates/thermal.html.j2",

@@ -9,8 +9,7 @@ import pytest
 
 import twin
 from twin.measurement.importing.cells import layout_of, read_cells
-from twin.measurement.importing.headers import direction_of, meaning_of
-from twin.measurement.importing.quantities import decimal_sign, decimal_value, unit_named
+from twin.measurement.importing.quantities import decimal_sign, decimal_value, direction_of, meaning_of, unit_named
 
 
 @pytest.mark.parametrize(

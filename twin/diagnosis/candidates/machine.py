@@ -238,7 +238,7 @@ def _positions(inputs: CandidateInputs, axis: Axis, domain: tuple[float, float])
 def _fixed_by_datum(axis: Axis, component: int) -> int:
     """Return the number of coefficients that the datum fixes: the constant, and the slope of a straightness.
 
-    See `twin.identification.unknowns`.
+    See `twin.identification.network`.
     """
     return 2 if specification_of(axis, component) is STRAIGHTNESS else 1
 

@@ -21,7 +21,7 @@ from twin._common.provenance import SIMULATED, SourceWarning, warning_texts, war
 from twin._common.units import count_with_noun
 from twin.display.results import Result
 from twin.machine.machine import Machine
-from twin.measurement.checks import check_ranges
+from twin.measurement.columns import check_ranges
 from twin.measurement.contacts import SphereCentre
 from twin.measurement.formats.base import MAX_BYTES, Conversion, FormatSpecification, Given, MeasuredFormat
 from twin.measurement.formats.tracker import TrackerExport
@@ -36,12 +36,8 @@ FORMATS: Final[tuple[MeasuredFormat, ...]] = families.members("twin.measurement.
 class ConvertedFiles(Result):
     """A measurement table made from files of another program.
 
-    Attributes:
-        specification: format of the files.
-        measurements: the table.
-        notes: assumptions (they begin with ``assumed``) and findings, one sentence each.
-        centres: sphere centres with their covariances, if the files have single contacts.
-        origins: names, sizes and SHA-256 of the files.
+    ``notes``: assumptions (they begin with ``assumed``) and findings, one sentence each; ``centres``: sphere centres with their
+    covariances, if the files have single contacts; ``origins``: names, sizes and SHA-256 of the files.
     """
 
     specification: FormatSpecification
@@ -98,11 +94,7 @@ class ConvertedFiles(Result):
 
 
 def format_named(name: str) -> MeasuredFormat:
-    """Return the format of that name.
-
-    Raises:
-        InputError: there is no such format.
-    """
+    """Return the format of that name. Raises `InputError`: there is no such format."""
     names = [form.name for form in FORMATS]
     require_name("format of measured data", name, names)
     return FORMATS[names.index(name)]
@@ -111,11 +103,7 @@ def format_named(name: str) -> MeasuredFormat:
 def other_format(path: Path, *, most_bytes: int = MAX_BYTES) -> str | None:
     """Return the title of the format of a file that is not a table with a header of its own; None if it is a table.
 
-    Args:
-        most_bytes: size beyond which it is refused.
-
-    Raises:
-        InputError: it cannot be read.
+    Raises `InputError`: it cannot be read.
     """
     text = read_bytes(path, most_bytes=most_bytes).decode("latin-1").removeprefix("\xef\xbb\xbf")
     fitting = [form.specification for form in FORMATS if form.recognises(text)]
@@ -125,8 +113,7 @@ def other_format(path: Path, *, most_bytes: int = MAX_BYTES) -> str | None:
 def format_of(path: Path) -> MeasuredFormat:
     """Return the format of a file, by its content and, where several fit, by its suffix.
 
-    Raises:
-        InputError: it cannot be read, or no format or several fit.
+    Raises `InputError`: it cannot be read, or no format or several fit.
     """
     text = read_bytes(path, most_bytes=MAX_BYTES).decode("latin-1").removeprefix("\xef\xbb\xbf")
     fitting = [form for form in FORMATS if form.recognises(text)]

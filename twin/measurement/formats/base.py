@@ -26,9 +26,6 @@ class FormatSpecification:
 
     Attributes:
         name: name that selects it.
-        title: its full name.
-        suffixes: suffixes of its files, in lower case.
-        gives: what the rows of the table are.
         instrument: name of the instrument, in the table's column of that name.
         needs: what the file does not contain and the caller must give, in words.
         source: public description that it was written from.
@@ -54,7 +51,6 @@ class Given:
         at: positions of axes that the file does not contain, mm and degrees, by axis.
         offset: added to the coordinates of the file to give axis positions, by axis.
         axis: axis that was measured.
-        probing: radii and noise of contacts.
         contacts: number of consecutive contacts with each sphere; None: all in one pose.
         plan: commanded positions, row by row, of an export without them.
         trace: element of the file that holds the readings.
@@ -78,11 +74,7 @@ class Given:
     def positions(self, machine: Machine, known: Sequence[str]) -> np.ndarray:
         """Return (axes,) the given positions; zero for axes that the file itself gives.
 
-        Args:
-            known: names of the axes that the file gives.
-
-        Raises:
-            InputError: an axis is given neither by the file nor by the caller.
+        Raises `InputError`: an axis is given neither by the file nor by the caller.
         """
         missing = [name for name in machine.names if name not in self.at and name not in known]
         if missing:
@@ -110,10 +102,8 @@ class Given:
 class Conversion:
     """A measurement table made from a file of another program.
 
-    Attributes:
-        measurements: the table.
-        notes: assumptions (they begin with ``assumed``) and findings, one sentence each.
-        centres: sphere centres with their covariances, if the file has single contacts.
+    ``notes``: assumptions (they begin with ``assumed``) and findings, one sentence each; ``centres``: sphere centres with their
+    covariances, if the file has single contacts.
     """
 
     measurements: Measurements
@@ -126,11 +116,7 @@ class Conversion:
 
 
 class MeasuredFormat(ABC):
-    """One format of measured data.
-
-    Attributes:
-        specification: its description.
-    """
+    """One format of measured data."""
 
     specification: ClassVar[FormatSpecification]
 
@@ -147,14 +133,10 @@ class MeasuredFormat(ABC):
     def read(self, path: Path, machine: Machine, given: Given, round_name: str) -> Conversion:
         """Return the measurement table of one file.
 
-        Args:
-            machine: the machine that was measured.
-            given: what the file does not say.
-            round_name: name of the round, where the file has none.
+        ``round_name``: name of the round, where the file has none.
 
-        Raises:
-            InputError: with file, line, value and what was expected: the file is malformed, truncated, or has an element or a unit that
-                is not known; something is missing in ``given``.
+        Raises `InputError`: with file, line, value and what was expected: the file is malformed, truncated, or has an element or a unit
+        that is not known; something is missing in ``given``.
         """
 
 
@@ -163,12 +145,8 @@ class MeasuredFormat(ABC):
 class ContactRow:
     """One contact read from a file.
 
-    Attributes:
-        line: line in the file.
-        positions: positions by axis, mm and degrees.
-        sphere: name of the sphere.
-        direction: probing direction along X, Y, Z; NaN where unknown.
-        round: name of the round; None: from the order of the contacts.
+    ``positions``: positions by axis, mm and degrees; ``direction``: probing direction along X, Y, Z; NaN where unknown; ``round``: name
+    of the round; None: from the order of the contacts.
     """
 
     line: int
@@ -183,14 +161,10 @@ def reduced(
 ) -> Conversion:
     """Return the conversion of single contacts into sphere centres.
 
-    Args:
-        rows: the contacts, in the order in which they were made.
-        path: their file.
-        given: offsets, positions of axes that the file does not contain, radii and noise.
-        simulated: whether the contacts were simulated.
+    ``rows``: the contacts, in the order in which they were made; ``given``: offsets, positions of axes that the file does not contain,
+    radii and noise; ``simulated``: whether the contacts were simulated.
 
-    Raises:
-        InputError: no contacts, an axis without a position, or as `reduce_contacts`.
+    Raises `InputError`: no contacts, an axis without a position, or as `reduce_contacts`.
     """
     if not rows:
         raise InputError("no contacts", expected="one or more contacts of a probe", file=path)
@@ -232,8 +206,7 @@ MAX_NUMBER: Final = 1e9
 def file_text(path: Path) -> str:
     """Return the text of a file; text that is not UTF-8 is read as Latin-1 (names and remarks in other programs' files).
 
-    Raises:
-        InputError: it cannot be read, is larger than `MAX_BYTES`, or has NUL characters.
+    Raises `InputError`: it cannot be read, is larger than `MAX_BYTES`, or has NUL characters.
     """
     data = read_bytes(path, most_bytes=MAX_BYTES)
     if b"\0" in data:
@@ -246,21 +219,13 @@ def file_text(path: Path) -> str:
 
 
 def file_lines(path: Path) -> list[tuple[int, str]]:
-    """Return the lines of a file that are not blank, stripped, with their numbers.
-
-    Raises:
-        InputError: as `file_text`.
-    """
+    """Return the lines of a file that are not blank, stripped, with their numbers. Raises `InputError`: as `file_text`."""
     text = file_text(path).replace("\r\n", "\n").replace("\r", "\n")
     return [(number, line.strip()) for number, line in enumerate(text.split("\n"), start=1) if line.strip()]
 
 
 def number_in(text: str, what: str, path: Path, line: int) -> float:
-    """Return a number with a decimal point.
-
-    Raises:
-        InputError: it is not a number, not finite, or exceeds `MAX_NUMBER`.
-    """
+    """Return a number with a decimal point. Raises `InputError`: it is not a number, not finite, or exceeds `MAX_NUMBER`."""
     try:
         value = float(text) if "_" not in text else math.nan
     except ValueError:
@@ -273,11 +238,7 @@ def number_in(text: str, what: str, path: Path, line: int) -> float:
 
 
 def whole_number_in(text: str, what: str, path: Path, line: int, most: int) -> int:
-    """Return a whole number from 1 to ``most``.
-
-    Raises:
-        InputError: it is not one.
-    """
+    """Return a whole number from 1 to ``most``. Raises `InputError`: it is not one."""
     value = number_in(text, what, path, line)
     if value != int(value) or not 1 <= value <= most:
         raise InputError(
@@ -287,20 +248,12 @@ def whole_number_in(text: str, what: str, path: Path, line: int, most: int) -> i
 
 
 def numbers_in(words: Sequence[str], what: str, path: Path, line: int) -> list[float]:
-    """Return several numbers.
-
-    Raises:
-        InputError: as `number_in`.
-    """
+    """Return several numbers. Raises `InputError`: as `number_in`."""
     return [number_in(word, what, path, line) for word in words]
 
 
 def code_in(text: str, known: Mapping[str, str], what: str, path: Path, line: int) -> str:
-    """Return the meaning of a code.
-
-    Raises:
-        InputError: it is unknown.
-    """
+    """Return the meaning of a code. Raises `InputError`: it is unknown."""
     if text not in known:
         raise InputError(f"unknown {what}", expected=" or ".join(known), file=path, line=line, value=text)
     return known[text]

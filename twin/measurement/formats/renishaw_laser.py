@@ -46,16 +46,7 @@ from twin.measurement.formats.base import (
 from twin.measurement.table import Measurements
 
 SECTION: Final = re.compile(r"([A-Z][A-Z -]*)::")
-SECTIONS: Final = (
-    "HEADER",
-    "TARGET DATA",
-    "USER-TEXT",
-    "RUNS",
-    "DEVIATIONS",
-    "ENVIRONMENT",
-    "EQUIPMENT",
-    "EOF",
-)
+SECTIONS: Final = ("HEADER", "TARGET DATA", "USER-TEXT", "RUNS", "DEVIATIONS", "ENVIRONMENT", "EQUIPMENT", "EOF")
 KNOWN: Final[Mapping[str, tuple[str, ...]]] = {
     "HEADER": ("File type", "File Type", "Owner", "Version no"),
     "TARGET DATA": ("Filetype", "Target-count", "Targets", "Flags"),
@@ -186,8 +177,7 @@ def _reading(words: list[str], path: Path, line: int) -> tuple[int, int, int, fl
 def _check_complete(parts: _File, path: Path) -> list[np.ndarray]:
     """Return the readings' indices of every run, in the order of the file.
 
-    Raises:
-        InputError: a count that is missing or not met, a target given twice in a run, a run that goes back and forth.
+    Raises `InputError`: a count that is missing or not met, a target given twice in a run, a run that goes back and forth.
     """
     counts = {}
     for section, name, found in (

@@ -35,15 +35,10 @@ def load_export(
 ) -> Measurements:
     """Read the thesis's tracker export: lines ``name, x, y, z``, one block of lines for each target, one line for each position.
 
-    Args:
-        path: the file; mm, no header.
-        positions: (p, axes) commanded positions of the lines of every block, mm and degrees.
-        targets: names of the targets in the order of the blocks.
-        carrier: the side on which they sit.
-        round_name: name of the round that this file contains.
+    ``path``: the file; mm, no header; ``positions``: (p, axes) commanded positions of the lines of every block, mm and degrees;
+    ``targets``: names of the targets in the order of the blocks.
 
-    Raises:
-        InputError: a number of lines that is not blocks times positions, or a line that is not a name and three numbers.
+    Raises `InputError`: a number of lines that is not blocks times positions, or a line that is not a name and three numbers.
     """
     path = Path(path)
     commands = np.atleast_2d(np.asarray(positions, dtype=float))
@@ -131,8 +126,7 @@ class TrackerExport(MeasuredFormat):
 def _blocks(plan: Measurements) -> tuple[list[str], str, np.ndarray]:
     """Return the targets of a plan, their side, and (p, axes) the positions that all of them share.
 
-    Raises:
-        InputError: the targets are not in blocks of the same positions, or sit on both sides.
+    Raises `InputError`: the targets are not in blocks of the same positions, or sit on both sides.
     """
     targets = list(dict.fromkeys(map(str, plan.target)))
     first = np.asarray(plan.positions[plan.target == targets[0]])

@@ -13,23 +13,21 @@ from dataclasses import replace
 from typing import Final, NamedTuple, final
 
 from twin.measurement.importing.cells import Layout, RawTable, Row, layout_of
-from twin.measurement.importing.headers import (
+from twin.measurement.importing.quantities import (
+    COMMA,
     DOWN_WORDS,
+    MINUS,
     NAMES,
+    POINT,
     ROLES,
     UP_WORDS,
     direction_of,
-    plain_words,
-    without_unit,
-)
-from twin.measurement.importing.quantities import (
-    COMMA,
-    MINUS,
-    POINT,
     is_no_value,
     looks_like_number,
+    plain_words,
     quantity_in,
     unit_named,
+    without_unit,
 )
 
 FEWEST: Final = 2
@@ -304,13 +302,8 @@ def _in_rows(
 ) -> _Matrix | None:
     """Return one row for each reading, run by run, below the title rows of the file.
 
-    Args:
-        titles: number of rows above the header.
-        line: line of the header.
-        title: title of the targets.
-        unit: unit of the readings; empty if the matrix gives none.
-        runs: number and direction of each run, by its key in the readings.
-        readings: line, target, and the cells of the runs.
+    ``unit``: unit of the readings; empty if the matrix gives none; ``runs``: number and direction of each run, by its key in the
+    readings.
     """
     if len(readings) < FEWEST:
         return None

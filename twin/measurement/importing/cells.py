@@ -54,7 +54,7 @@ _WORKBOOK_ERRORS: Final = (
 """Exceptions that openpyxl and zipfile raise for damaged workbooks."""
 
 
-def listed(names: Iterable[str]) -> str:
+def yaml_list(names: Iterable[str]) -> str:
     """Return names as a list of YAML."""
     return f"[{', '.join(map(quoted, names))}]"
 
@@ -70,7 +70,6 @@ class RawTable:
 
     Attributes:
         digest: SHA-256 of the file, hexadecimal.
-        size: its size, bytes.
         rows: rows with their 1-based lines, cells without surrounding blanks; empty rows are left out.
         comments: text of the comment lines, without their mark.
         encoding: encoding of a text file; empty for a workbook.
@@ -99,14 +98,11 @@ class RawTable:
 def read_cells(path: Path, *, sheet: str | None = None, encoding: str = "", delimiter: str = "") -> RawTable:
     """Return the cells of a text file or of one sheet of an Excel workbook.
 
-    Args:
-        sheet: sheet of a workbook; None for the only one that is not empty.
-        encoding: encoding of a text file; empty to find it from the content.
-        delimiter: name of the delimiter (`DELIMITERS`); empty to find it from the content.
+    ``sheet``: sheet of a workbook; None for the only one that is not empty; ``encoding``: encoding of a text file; empty to find it
+    from the content; ``delimiter``: name of the delimiter (`DELIMITERS`); empty to find it from the content.
 
-    Raises:
-        InputError: the file cannot be read, is too large, is a damaged or old workbook, has several sheets and none is named, has no
-            cells.
+    Raises `InputError`: the file cannot be read, is too large, is a damaged or old workbook, has several sheets and none is named, has
+    no cells.
     """
     data = read_bytes(path, most_bytes=MAX_BYTES)
     digest = sha256(data).hexdigest()
@@ -134,8 +130,7 @@ def read_cells(path: Path, *, sheet: str | None = None, encoding: str = "", deli
 def _bounded(rows: Iterable[tuple[int, Sequence[Any]]], path: Path) -> Iterator[tuple[int, Sequence[Any]]]:
     """Yield the rows of a table; refuse it at the row where it becomes larger than any measurement.
 
-    Raises:
-        InputError: too many rows, or too many cells in a row or in all.
+    Raises `InputError`: too many rows, or too many cells in a row or in all.
     """
     widest = count = cells = 0
     for line, row in rows:
@@ -154,11 +149,7 @@ def _bounded(rows: Iterable[tuple[int, Sequence[Any]]], path: Path) -> Iterator[
 
 
 def _decoded(data: bytes, path: Path, encoding: str) -> tuple[str, str]:
-    """Return a text and the name of its encoding.
-
-    Raises:
-        InputError: it is not text, or not of the encoding given.
-    """
+    """Return a text and the name of its encoding. Raises `InputError`: it is not text, or not of the encoding given."""
     coding = encoding or _encoding(data)
     try:
         text = data.decode(coding).removeprefix("\ufeff")
@@ -272,8 +263,7 @@ def _without_comments(
 def _sheet_rows(data: bytes, path: Path, wanted: str | None) -> tuple[str, list[tuple[int, list[str]]], Merged]:
     """Return the name of a workbook's sheet, its rows, and its merged cells of several rows.
 
-    Raises:
-        InputError: the workbook is damaged or too large, or the sheet is not known.
+    Raises `InputError`: the workbook is damaged or too large, or the sheet is not known.
     """
     from openpyxl import load_workbook  # slow to import, and needed for workbooks only
 
@@ -285,7 +275,8 @@ def _sheet_rows(data: bytes, path: Path, wanted: str | None) -> tuple[str, list[
         if unpacked <= MAX_UNPACKED_BYTES:
             book = load_workbook(io.BytesIO(data), read_only=True, data_only=True)
             sheets = {sheet.title: sheet for sheet in book.worksheets}
-            filled = [name for name, sheet in sheets.items() if _is_filled(sheet)]
+            first = {name: islice(sheet.iter_rows(values_only=True), 200) for name, sheet in sheets.items()}
+            filled = [name for name, rows in first.items() if any(value is not None for row in rows for value in row)]
             name = wanted if wanted is not None else filled[0] if len(filled) == 1 else None
             rows = [] if name not in sheets else _cells_of(sheets[name], path)
             _check_formulas(data, name, rows, path)
@@ -318,8 +309,7 @@ def _sheet_rows(data: bytes, path: Path, wanted: str | None) -> tuple[str, list[
 def _check_cells(parts: zipfile.ZipFile, path: Path) -> None:
     """Refuse a workbook with a sheet of too many cells before openpyxl, which is a hundred times slower than counting, reads any.
 
-    Raises:
-        InputError: it has one.
+    Raises `InputError`: it has one.
     """
     for part in parts.infolist():
         if not _SHEET_PART.fullmatch(part.filename):
@@ -342,8 +332,7 @@ def _check_cells(parts: zipfile.ZipFile, path: Path) -> None:
 def _check_formulas(data: bytes, name: str | None, rows: Sequence[tuple[int, Sequence[str]]], path: Path) -> None:
     """Refuse a sheet with a formula whose value is not stored: programs that write workbooks do not compute them.
 
-    Raises:
-        InputError: it has one.
+    Raises `InputError`: it has one.
     """
     from openpyxl import load_workbook
     from openpyxl.utils import get_column_letter
@@ -383,10 +372,6 @@ def _merged_cells(data: bytes, name: str) -> Merged:
     sheet = load_workbook(io.BytesIO(data))[name]
     bounds = [range_boundaries(str(one)) for one in sheet.merged_cells.ranges]
     return tuple((top, bottom, left - 1) for left, top, _, bottom in bounds if bottom > top)
-
-
-def _is_filled(sheet: Any) -> bool:
-    return any(value is not None for row in islice(sheet.iter_rows(values_only=True), 200) for value in row)
 
 
 def _count_numbers(sheets: Mapping[str, Any]) -> Callable[[str], int]:
@@ -434,12 +419,10 @@ class Layout:
     """A raw table with its parts identified.
 
     Attributes:
-        raw: the raw cells.
         header_line: line of the header; 0 if the file has none.
         names: names of the columns, each one once: as in the header, or ``column 1`` and so on.
         units: unit of each column from the row of units; empty where it gives none.
         rows: rows of measured points with their lines, each with as many cells as there are names.
-        titles: rows above the header, as text.
         left_out: rows below the header that hold no number, with their text.
         derived: names of the columns that were made from others (positions in names); their numbers have decimal points.
     """
@@ -482,11 +465,9 @@ class Layout:
 def layout_of(raw: RawTable, given: Sequence[str] = ()) -> Layout:
     """Return the parts of a raw table.
 
-    Args:
-        given: names of the columns, in place of the header.
+    ``given``: names of the columns, in place of the header.
 
-    Raises:
-        InputError: no row with two numbers or more; a row with more cells than the header.
+    Raises `InputError`: no row with two numbers or more; a row with more cells than the header.
     """
     numeric = [[looks_like_number(cell) for cell in row] for _, row in raw.rows]
     candidates = [mask for mask in numeric if sum(mask) >= 2]
@@ -524,7 +505,7 @@ def layout_of(raw: RawTable, given: Sequence[str] = ()) -> Layout:
             file=raw.path,
             line=line,
             value=" | ".join(row),
-            cure=f"names: {listed([*header, *extra])}",
+            cure=f"names: {yaml_list([*header, *extra])}",
         )
     names = _unique([header[i] if i < len(header) and header[i] else f"column {i + 1}" for i in range(width)])
     return Layout(
@@ -552,12 +533,7 @@ def _with_merged(rows: Sequence[Row], merged: Sequence[tuple[int, int, int]]) ->
 
 
 def _header(above: Sequence[Row], numbers: int, width: int) -> tuple[list[str], list[str], Sequence[Row]]:
-    """Return the names of columns, their units, and the rows above, from the rows before the first measured point.
-
-    Args:
-        numbers: number of columns of numbers.
-        width: number of columns.
-    """
+    """Return the names of columns, their units, and the rows above, from the rows before the first measured point."""
     units: list[str] = []
     rest = list(above)
     if rest and _is_units(rest[-1][1]):

@@ -18,17 +18,15 @@ from twin._common.units import count_with_noun
 from twin.display.results import Result
 from twin.machine.machine import Machine
 from twin.measurement.agreement import ColumnChange, wrong_columns
-from twin.measurement.checks import RowNote, grouped_notes
-from twin.measurement.columns import POINT_COLUMNS, comment_lines, csv_text, table_columns
+from twin.measurement.columns import POINT_COLUMNS, RowNote, comment_lines, csv_text, grouped_notes, table_columns
 from twin.measurement.columns import SIMULATED as SIMULATED_WORD
 from twin.measurement.formats import other_format
-from twin.measurement.importing.apply import TIME, Applied, moment_in
+from twin.measurement.importing.apply import TIME, Applied, PlanPoints, moment_in
 from twin.measurement.importing.arrangement import table_layout
 from twin.measurement.importing.cells import MAX_BYTES, Layout, read_cells
 from twin.measurement.importing.columns import Proposal, quoted
-from twin.measurement.importing.mapping import ColumnMapping, OriginEntry, PlanPoints
+from twin.measurement.importing.mapping import ColumnMapping, OriginEntry, unchecked
 from twin.measurement.importing.propose import proposed
-from twin.measurement.importing.readings import unchecked
 from twin.measurement.instruments import default_instrument, others_alike
 from twin.measurement.observation import FEWEST_REPEATS, repeats_dof
 from twin.measurement.table import Measurements
@@ -290,7 +288,9 @@ def _finished(applied: Applied, plan: PlanPoints | None, proposal: Proposal | No
             f"no usable row: {why}", expected="a row with all of its values", file=applied.layout.raw.path, line=line
         )
     layout = replace(applied.layout, rows=tuple(applied.layout.rows[row] for row in kept))
-    cells = _in_order({name: [column[row] for row in kept] for name, column in cells.items()}, machine)
+    order = [name for part in table_columns(machine) for name in part.columns]
+    order += sorted(cells.keys() - {*order})
+    cells = {name: [cells[name][row] for row in kept] for name in order if name in cells}
     notices = wrong_columns(machine, unchecked(cells, machine))
     comments = _comments(layout, mapping, cells)
     assumptions = () if proposal is None else tuple(proposal.assumptions)
@@ -343,12 +343,6 @@ def _remarks(proposal: Proposal, found: Sequence[ColumnChange]) -> dict[str, str
     return remarks
 
 
-def _in_order(cells: dict[str, list[str]], machine: Machine) -> dict[str, list[str]]:
-    """Return columns in the order of a measurement table, the others after them, sorted."""
-    order = [name for part in table_columns(machine) for name in part.columns]
-    return {name: cells[name] for name in (*order, *sorted(cells.keys() - {*order})) if name in cells}
-
-
 def _comments(layout: Layout, mapping: ColumnMapping, cells: Mapping[str, Sequence[str]]) -> list[str]:
     """Return the comments of the measurement table: origin, mapping, and comments and titles of the file."""
     says = [_stated(text, text) for text in layout.raw.comments[:MAX_COMMENTS]]
@@ -380,8 +374,7 @@ def _read_back(
 ) -> Measurements:
     """Return the table as the project's reader reads it, with the lines and the name of the file.
 
-    Raises:
-        InputError: about the file, as `Measurements.load`.
+    Raises `InputError`: about the file, as `Measurements.load`.
     """
     head = comment_lines("\n".join(comments), simulated=False)
     first = head.count("\n") + 2

@@ -1,10 +1,14 @@
-"""The mapping from a table's columns to those of a measurement table: a commented YAML file (``schema: twin.columns/1``)."""
+"""The mapping from a table's columns to those of a measurement table: a commented YAML file (``schema: twin.columns/1``).
+
+A file may give readings not as coordinates but as horizontal angle, vertical angle and distance, or as deviations: measured less
+nominal, in the directions of the machine. The nominal point of a reflector is that of the nominal machine at the commanded position,
+for the place of the reflector on its carrier: without that place, deviations say nothing of angular errors.
+"""
 
 from __future__ import annotations
 
 import json
-from collections import Counter
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
@@ -13,17 +17,142 @@ from typing import Annotated, Final, Literal, final
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from twin._common.csv_tables import read_table
 from twin._common.errors import InputError, closest_name
-from twin._common.units import count_with_noun
+from twin._common.units import MM
 from twin._common.yaml_files import EntryPath, line_of, load_yaml, quoted, yaml_text
 from twin.machine.machine import Machine
-from twin.measurement.columns import ANGLE_COLUMNS, POINT_COLUMNS, table_columns
-from twin.measurement.importing.cells import DELIMITERS, Layout, listed
-from twin.measurement.importing.headers import is_table_column, meaning_of, table_names
-from twin.measurement.importing.quantities import SIGNS, UNITS, unit_named, units_of
-from twin.measurement.importing.readings import ANGLE, LENGTH, DeviationEntry, SphericalEntry
+from twin.measurement.columns import ANGLE_COLUMNS, PLACE_COLUMNS, POINT_COLUMNS, axis_columns
+from twin.measurement.importing.cells import DELIMITERS, yaml_list
+from twin.measurement.importing.quantities import SIGNS, UNITS, is_table_column, table_names, unit_named, units_of
+from twin.measurement.observation import nominal_carriers
 from twin.measurement.table import Measurements
+
+DECIMALS: Final = 7
+"""Decimals of a computed coordinate in mm: below the resolution of any instrument."""
+ANGLE: Final = "angle_deg"
+LENGTH: Final = "distance_mm"
+"""Names that carry the units into which angles and distances are converted."""
+Numbers = Callable[[str, str, str | None], list[str]]
+"""Function that returns the numbers of a column of the file, from its name, a name that carries the unit, and the unit in the file."""
+
+
+@final
+class SphericalEntry(BaseModel):
+    """Columns of angles and distances, and their conventions.
+
+    ``clockwise``: whether the horizontal angle grows clockwise seen from above, as on geodetic instruments; ``vertical_from``:
+    ``zenith`` if the vertical angle is 90° in the horizontal plane, ``horizon`` if it is 0° there.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    horizontal: str
+    vertical: str
+    distance: str
+    angle: str | None = None
+    length: str | None = None
+    clockwise: bool = False
+    vertical_from: Literal["zenith", "horizon"] = "zenith"
+
+    @property
+    def sources(self) -> tuple[str, ...]:
+        """Columns of the file."""
+        return self.horizontal, self.vertical, self.distance
+
+    def points(self, numbers: Numbers) -> dict[str, list[str]]:
+        """Return the cells of x_mm, y_mm, z_mm in the instrument's frame: z up, x at horizontal angle zero."""
+        cells = [numbers(name, ANGLE, self.angle) for name in self.sources[:2]]
+        cells.append(numbers(self.distance, LENGTH, self.length))
+        hz, v, distance = (np.array([float(cell or "nan") for cell in column]) for column in cells)
+        hz, v = np.radians(-hz if self.clockwise else hz), np.radians(v)
+        zenith = v if self.vertical_from == "zenith" else np.pi / 2.0 - v
+        flat = distance * np.sin(zenith)
+        return _point_cells(np.stack([flat * np.cos(hz), flat * np.sin(hz), distance * np.cos(zenith)], axis=1))
+
+
+@final
+class DeviationEntry(BaseModel):
+    """Columns of deviations, measured less nominal.
+
+    ``along``: column of the axis that an interferometer follows, such as ``X_mm``: ``x`` is then the deviation of its length;
+    ``nominal``: columns of the nominal coordinates, mm; empty for those of the nominal machine at the commanded position.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    x: str | None = None
+    y: str | None = None
+    z: str | None = None
+    unit: str | None = None
+    along: str | None = None
+    nominal: tuple[str, ...] = ()
+
+    @property
+    def sources(self) -> tuple[str, ...]:
+        """Columns of the file."""
+        return tuple(name for name in (self.x, self.y, self.z, *self.nominal) if name is not None)
+
+    def points(self, numbers: Numbers, cells: Mapping[str, Sequence[str]], machine: Machine) -> dict[str, list[str]]:
+        """Return the cells of x_mm, y_mm, z_mm: nominal point plus deviation, empty where a deviation is not given."""
+        by = [
+            [""] * len(next(iter(cells.values()))) if name is None else numbers(name, LENGTH, self.unit)
+            for name in (self.x, self.y, self.z)
+        ]
+        deviation = np.array([[float(cell or "nan") for cell in column] for column in by]).T
+        return _point_cells(self._nominal_mm(numbers, cells, machine) + deviation)
+
+    def _nominal_mm(self, numbers: Numbers, cells: Mapping[str, Sequence[str]], machine: Machine) -> np.ndarray:
+        if self.along is not None:
+            return np.tile(_floats(cells, [self.along]), (1, 3))
+        if self.nominal:
+            given = [numbers(name, LENGTH, None) for name in self.nominal]
+            return np.array([[float(cell or "nan") for cell in column] for column in given]).T
+        data = unchecked(cells, machine)
+        usable = np.isfinite(data.positions).all(axis=1)
+        nominal = np.full((len(data), 3), np.nan)
+        carried = nominal_carriers(machine, data.select(usable))
+        place = _floats(cells, PLACE_COLUMNS)[usable] * MM
+        nominal[usable] = carried.at(place) / MM
+        return nominal
+
+
+def _floats(cells: Mapping[str, Sequence[str]], names: Sequence[str]) -> np.ndarray:
+    """Return (n, names) numbers of columns, NaN where a cell holds none."""
+    empty = [""] * len(next(iter(cells.values())))
+    return np.array([[_number(cell) for cell in cells.get(name, empty)] for name in names], dtype=float).T
+
+
+def _number(cell: str) -> float:
+    try:
+        value = float(cell)
+    except ValueError:
+        return np.nan
+    return value if abs(value) < 1e9 else np.nan
+
+
+def _point_cells(point_mm: np.ndarray) -> dict[str, list[str]]:
+    texts = [["" if np.isnan(value) else f"{value + 0.0:.{DECIMALS}f}" for value in column] for column in point_mm.T]
+    return dict(zip(POINT_COLUMNS, texts, strict=True))
+
+
+def unchecked(cells: Mapping[str, Sequence[str]], machine: Machine) -> Measurements:
+    """Return commands and readings of a table before it is checked, NaN where a cell holds no number."""
+    count = len(next(iter(cells.values())))
+
+    def words(name: str, default: str) -> np.ndarray:
+        return np.array([cell or default for cell in cells.get(name, [""] * count)], dtype=object)
+
+    return Measurements(
+        source="",
+        lines=np.arange(count),
+        positions=_floats(cells, [*axis_columns(machine)]),
+        point_mm=_floats(cells, POINT_COLUMNS),
+        carrier=words("carrier", ""),
+        station_carrier=words("station_carrier", "base"),
+        station=words("station", "1"),
+        target=words("target", ""),
+    )
+
+
+# --- The mapping file ----------------------------------------------------------------------------
 
 SCHEMA: Final = "twin.columns/1"
 _Number = Annotated[float, Field(ge=-1e9, le=1e9)]
@@ -102,7 +231,7 @@ class ColumnsFile(BaseModel):
 
     def is_complete(self, machine: Machine) -> bool:
         """Return whether the mapping gives all that a measurement table needs, and is applied exactly; others are completed."""
-        needed = {"target", "carrier", *(f"{axis.name}_{axis.unit}" for axis in machine.axes)}
+        needed = {"target", "carrier", *axis_columns(machine)}
         return self.gives_readings and (self.plan is not None or needed <= {*self.columns})
 
 
@@ -158,7 +287,7 @@ class ColumnMapping:
             ]
         if deviations is not None:
             stated.append((("deviations", "unit"), deviations.unit, LENGTH))
-            axes = [f"{axis.name}_{axis.unit}" for axis in machine.axes if axis.linear]
+            axes = [name for name, axis in axis_columns(machine).items() if axis.linear]
             if deviations.along is not None and deviations.along not in axes:
                 expected = f"one of {', '.join(axes)}"
                 raise self.error(
@@ -222,7 +351,7 @@ class ColumnMapping:
             lines.append(f"delimiter: {own.delimiter}    # {', '.join(DELIMITERS.values())}")
         lines.append(f"decimal: {own.decimal}    # {' or '.join(SIGNS.values())}{_remark(remarks, 'decimal', '; ')}")
         lines += [
-            f"{name}: {listed(words)}" for name, words in (("names", own.names), ("missing", own.missing)) if words
+            f"{name}: {yaml_list(words)}" for name, words in (("names", own.names), ("missing", own.missing)) if words
         ]
         lines += [f"{name}: {unit}" for name, unit in (("length", own.length), ("angle", own.angle)) if unit]
         lines += [
@@ -286,187 +415,3 @@ def _entry(entry: OriginEntry | SphericalEntry | DeviationEntry) -> str:
             text = value if key in ("unit", "angle", "length", "along", "vertical_from") else _quoted(value)
         parts.append(f"{key}: {text}")
     return ", ".join(parts)
-
-
-# --- Rows of a plan for the rows of a file: matched by the names of points, or by their order -----
-
-SLACK: Final = 0.002
-"""Difference of a position from that of the plan up to which they are the same; mm or degrees."""
-FIELDS: Final = ("positions", "target", "carrier", "station", "station_carrier", "instrument", "round", "approach")
-"""Fields of a measurement table that a plan gives."""
-
-
-@final
-@dataclass(frozen=True)
-class PlanPoints:
-    """A plan with the names of its points.
-
-    Attributes:
-        table: its rows.
-        points: (n) name of each point; empty if the plan has no such column.
-    """
-
-    table: Measurements
-    points: tuple[str, ...]
-
-    @classmethod
-    def load(cls, path: Path, machine: Machine) -> PlanPoints:
-        """Read a plan.
-
-        Raises:
-            InputError: it is not a plan, or some of its rows cannot be used.
-        """
-        table = Measurements.load(path, machine, plan=True)
-        if table.set_aside:
-            first = table.set_aside[0]
-            raise InputError(
-                f"a row of the plan cannot be used: {first.text}", expected="a usable row", file=path, line=first.line
-            )
-        header, rows, _ = read_table(path)
-        place = next((i for i, name in enumerate(header) if meaning_of(name, machine).kind == "point"), None)
-        return cls(table, () if place is None else tuple(cells[place] for _, cells in rows))
-
-    def matches(self, names: list[str]) -> bool:
-        """Return whether every name is a point of the plan, and these are unique."""
-        return bool(self.points) and len(set(self.points)) == len(self.points) and {*names} <= {*self.points}
-
-    def rows_for(
-        self, layout: Layout, entry: PlanEntry, cells: Mapping[str, Sequence[str]], machine: Machine
-    ) -> np.ndarray:
-        """Return (n,) the row of the plan for each row of a file.
-
-        Args:
-            cells: the columns of the measurement table that the file gives.
-
-        Raises:
-            InputError: the number of rows differs, or a row has a name that the plan does not have at its place.
-        """
-        if entry.match == "order":
-            return self._by_order(layout)
-        if entry.match == "positions":
-            return self._by_positions(layout, cells, machine)
-        names = layout.column(entry.point) if entry.point in layout.names else []
-        if not names or not self.points:
-            whose = layout.raw.path if not names else self.table.source
-            raise InputError("no names of points", expected="a column with the name of each point", file=whose)
-        twice = next((name for name, count in Counter(self.points).items() if count > 1), None)
-        if twice is not None:
-            raise InputError(
-                "two points of one name", expected="a name for each point", file=self.table.source, value=twice
-            )
-        known = {name: row for row, name in enumerate(self.points)}
-        for (line, _), name in zip(layout.rows, names, strict=True):
-            if name not in known:
-                raise InputError(
-                    "a point that the plan does not have",
-                    expected=f"a point of {self.table.source}",
-                    file=layout.raw.path,
-                    line=line,
-                    value=name,
-                    nearest=closest_name(name, known),
-                )
-        return np.array([known[name] for name in names], dtype=int)
-
-    def _by_order(self, layout: Layout) -> np.ndarray:
-        count, wanted = len(layout.rows), len(self.table)
-        if count != wanted:
-            line = layout.rows[min(count, wanted + 1) - 1][0]
-            last = "the file ends with this row" if count < wanted else "this row has no row in the plan"
-            raise InputError(
-                f"{count_with_noun(count, 'measured point')}, and {self.table.source} has {wanted:,}: {last}",
-                expected="one row for each row of the plan, in its order, or names of points in both",
-                file=layout.raw.path,
-                line=line,
-            )
-        return np.arange(wanted)
-
-    def _by_positions(self, layout: Layout, cells: Mapping[str, Sequence[str]], machine: Machine) -> np.ndarray:
-        """Return the rows with the positions and targets of the file: in the order of the plan, some of which may be missing.
-
-        A file in another order is matched where no position occurs twice.
-        """
-        count, wanted = len(layout.rows), len(self.table)
-        given = [
-            (i, cells[f"{axis.name}_{axis.unit}"])
-            for i, axis in enumerate(machine.axes)
-            if f"{axis.name}_{axis.unit}" in cells
-        ]
-
-        def fits(row: int, start: int) -> np.ndarray:
-            fitting = np.ones(wanted - start, dtype=bool)
-            if "target" in cells:
-                fitting &= self.table.target[start:] == cells["target"][row]
-            for i, own in given:
-                if own[row]:  # a row without a number fits, and is set aside
-                    fitting &= np.abs(self.table.positions[start:, i] - float(own[row])) <= slack_of(own[row])
-            return np.flatnonzero(fitting) + start
-
-        rows: list[int] = []
-        for row in range(count):
-            later = fits(row, rows[-1] + 1 if rows else 0)
-            if not len(later):
-                break
-            rows.append(int(later[0]))
-        if len(rows) == count:
-            return np.array(rows)
-        every = [fits(row, 0) for row in range(count)]
-        if all(len(found) == 1 for found in every) and len({int(found[0]) for found in every}) == count:
-            return np.concatenate(every)
-        if count == wanted:
-            return np.arange(wanted)  # the first row that differs is named
-        line, own_cells = layout.rows[len(rows)]
-        raise InputError(
-            "a position or target that is not one of the next rows of the plan",
-            expected=f"the positions and targets of {self.table.source}, in its order",
-            file=layout.raw.path,
-            line=line,
-            value=" | ".join(own_cells),
-        )
-
-    def columns(self, rows: np.ndarray, machine: Machine) -> dict[str, list[str]]:
-        """Return the cells of the columns that the plan gives, for some of its rows."""
-        columns: dict[str, list[str]] = {}
-        for part in table_columns(machine):
-            if part.field in FIELDS:
-                cells = part.written(getattr(self.table, part.field))
-                columns |= {name: [values[row] for row in rows] for name, values in cells.items()}
-        return columns
-
-    @staticmethod
-    def check_commands(
-        own: Mapping[str, Sequence[str]],
-        given: Mapping[str, Sequence[str]],
-        layout: Layout,
-        machine: Machine,
-        rounded: Collection[str] = (),
-    ) -> None:
-        """Raise `InputError` for the first row whose commanded position or target differs from the plan's.
-
-        Args:
-            rounded: columns whose positions are rounded to the digits written, as in names.
-        """
-        compared = given.keys() & {"target", *(f"{axis.name}_{axis.unit}" for axis in machine.axes)}
-        for row, (line, _) in enumerate(layout.rows):
-            for name in (name for name in own if name in compared):
-                mine, planned = own[name][row], given[name][row]
-                if mine and mine != planned and (name == "target" or _differ(mine, planned, name in rounded)):
-                    raise InputError(
-                        f"{name} is not that of the plan",
-                        expected=f"{planned}, as in the plan",
-                        file=layout.raw.path,
-                        line=line,
-                        value=mine,
-                    )
-
-
-def slack_of(cell: str) -> float:
-    """Return the largest difference of a position from that of the plan if it is rounded to its last digit; mm or degrees."""
-    return SLACK + 0.5 * 10.0 ** -len(cell.partition(".")[2])
-
-
-def _differ(own: str, planned: str, rounded: bool) -> bool:
-    """Return whether two cells are numbers that differ by more than a rounded digit."""
-    try:
-        return abs(float(own) - float(planned)) > (slack_of(own) if rounded else SLACK)
-    except ValueError:
-        return False

@@ -12,29 +12,45 @@ import numpy as np
 from twin._common.errors import InputError
 from twin.machine.machine import Axis, Machine
 from twin.measurement.agreement import sides_of_targets
-from twin.measurement.columns import PLACE_COLUMNS, POINT_COLUMNS
-from twin.measurement.importing.apply import Applied
+from twin.measurement.columns import PLACE_COLUMNS, POINT_COLUMNS, axis_columns
+from twin.measurement.importing.apply import Applied, PlanPoints
 from twin.measurement.importing.arrangement import DIRECTION, HEADING, RUN
-from twin.measurement.importing.cells import Layout, listed
+from twin.measurement.importing.cells import Layout, yaml_list
 from twin.measurement.importing.columns import (
     Proposal,
     add_directions,
     add_names,
     add_numbers,
     add_times,
-    axis_columns,
     choose_sign,
     commands_of,
     is_number_column,
     meanings_of,
     quoted,
+    stated_units,
     without_header,
 )
-from twin.measurement.importing.headers import ROLES, Meaning, direction_of, other_axis, plain_words
-from twin.measurement.importing.mapping import ColumnsFile, PlanEntry, PlanPoints, column_line, entry_of
-from twin.measurement.importing.quantities import SEXAGESIMAL, table_unit, unit_named
-from twin.measurement.importing.readings import ANGLE, LENGTH, DeviationEntry, SphericalEntry, unchecked
-from twin.measurement.importing.units import stated_units
+from twin.measurement.importing.mapping import (
+    ANGLE,
+    LENGTH,
+    ColumnsFile,
+    DeviationEntry,
+    PlanEntry,
+    SphericalEntry,
+    column_line,
+    entry_of,
+    unchecked,
+)
+from twin.measurement.importing.quantities import (
+    ROLES,
+    SEXAGESIMAL,
+    Meaning,
+    direction_of,
+    other_axis,
+    plain_words,
+    table_unit,
+    unit_named,
+)
 
 CLEAR: Final = 5.0
 """Ratio of misfits from which the readings prove a convention."""
@@ -47,11 +63,9 @@ UNCERTAIN_ANGLE: Final = "grad"
 def proposed(layout: Layout, machine: Machine, plan: PlanPoints | None, given: ColumnsFile | None = None) -> Proposal:
     """Return the proposed mapping of a file.
 
-    Args:
-        given: lines of a mapping file that hold already.
+    ``given``: lines of a mapping file that hold already.
 
-    Raises:
-        InputError: decimal commas and points in one file; no commanded positions; no header; units that contradict each other.
+    Raises `InputError`: decimal commas and points in one file; no commanded positions; no header; units that contradict each other.
     """
     found = Proposal(layout, machine, plan, given)
     meanings = meanings_of(layout, machine)
@@ -107,7 +121,7 @@ def _check_axes(found: Proposal) -> None:
                 line=layout.header_line or layout.rows[0][0],
                 value=name,
                 setting="machine",
-                cure=f"names: {listed(renamed)}" if name not in layout.derived else None,
+                cure=f"names: {yaml_list(renamed)}" if name not in layout.derived else None,
             )
 
 
@@ -261,8 +275,7 @@ def _ask_for_places(found: Proposal) -> None:
 def _add_one_axis(found: Proposal, meanings: Mapping[str, Meaning]) -> bool:
     """Add the columns of a positioning test of one axis (targets, runs, directions, deviations); return whether it is one.
 
-    Raises:
-        InputError: the axis is a rotary one: the measurement table holds no angles about it.
+    Raises `InputError`: the axis is a rotary one: the measurement table holds no angles about it.
     """
     layout, machine = found.layout, found.machine
     lettered = {one.name for one in meanings.values() if one.name in machine.by_name or one.name in ("x", "y", "z")}

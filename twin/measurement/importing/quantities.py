@@ -1,14 +1,22 @@
-"""Numbers and units of cells: decimal signs, units behind a number, angles in degrees, minutes and seconds, words for no value."""
+"""Quantities of other programs' tables: the number and unit of a cell, and which quantity a header names, by the vocabulary."""
 
 from __future__ import annotations
 
 import re
+import unicodedata
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from decimal import Decimal
 from functools import lru_cache
+from pathlib import Path
 from types import MappingProxyType
-from typing import Final, NamedTuple, final
+from typing import Any, Final, NamedTuple, final
+
+import yaml
+
+from twin.machine.machine import Machine
+from twin.measurement.columns import ANGLE_COLUMNS, PLACE_COLUMNS, STATION_COLUMNS, table_columns
+from twin.measurement.table import CHANNEL
 
 # --- Units of imported columns, and their conversion into the units of a measurement table --------
 
@@ -22,12 +30,8 @@ _DEG_PER_RAD: Final = Decimal("57.29577951308232087679815481410517")
 class Unit:
     """A unit.
 
-    Attributes:
-        name: its name in a mapping file.
-        table_unit: unit of a measurement table into which it converts: the end of a column's name.
-        factor: number of table units in one of it.
-        zero: its zero in table units.
-        words: further spellings, in lower case.
+    ``table_unit``: unit of a measurement table into which it converts: the end of a column's name; ``factor``: number of table units in
+    one of it; ``zero``: its zero in table units.
     """
 
     name: str
@@ -93,8 +97,7 @@ _BY_WORD: Final[Mapping[str, tuple[Unit, ...]]] = MappingProxyType(_by_word())
 def unit_named(text: str, column: str = "") -> Unit | None:
     """Return the unit of that spelling, in any case; None if there is none.
 
-    Args:
-        column: column of a measurement table into whose unit it must convert: ``"`` is an inch or an arc second. Empty for any.
+    ``column``: column of a measurement table into whose unit it must convert: ``"`` is an inch or an arc second; Empty for any.
     """
     units = _BY_WORD.get(text.strip().casefold(), ())
     return next((unit for unit in units if not column or unit.table_unit == table_unit(column)), None)
@@ -160,9 +163,8 @@ NO_VALUE: Final = frozenset(
 class DecimalSign(NamedTuple):
     """Decimal sign of a file.
 
-    Attributes:
-        ambiguous: a cell with a sign that could be a decimal sign or a sign of thousands; empty if there is none.
-        contrary: a cell that is clear and has the other sign; empty otherwise.
+    ``ambiguous``: a cell with a sign that could be a decimal sign or a sign of thousands; empty if there is none; ``contrary``: a cell
+    that is clear and has the other sign; empty otherwise.
     """
 
     sign: str
@@ -210,11 +212,7 @@ def is_no_value(cell: str, words: Iterable[str] = ()) -> bool:
 
 
 class CellNumber(NamedTuple):
-    """Number of a cell.
-
-    Attributes:
-        unit: unit behind the number, as spelt; empty if there is none.
-    """
+    """Number of a cell. ``unit``: unit behind the number, as spelt; empty if there is none."""
 
     value: Decimal
     unit: str
@@ -222,8 +220,7 @@ class CellNumber(NamedTuple):
     def to_table(self, column: str, unit: str | None) -> Decimal | None:
         """Return the number in the unit of a column of the measurement table; None if the cell's unit is not the one given.
 
-        Args:
-            unit: unit of the whole column; None for that of each cell, and of the table where a cell has none.
+        ``unit``: unit of the whole column; None for that of each cell, and of the table where a cell has none.
         """
         stated = "deg" if self.unit == SEXAGESIMAL else self.unit
         own = unit_named(stated, column) if stated else None
@@ -274,11 +271,7 @@ def decimal_text(value: Decimal) -> str:
 
 
 def decimal_sign(cells: Iterable[str]) -> DecimalSign:
-    """Return the decimal sign of cells: the one that a clear cell has; a sign followed by three digits alone is ambiguous.
-
-    Args:
-        cells: cells of the rows that hold measured points.
-    """
+    """Return the decimal sign of cells: the one that a clear cell has; a sign followed by three digits alone is ambiguous."""
     clear: dict[str, str] = {}
     unclear: dict[str, str] = {}
     for cell in cells:
@@ -308,3 +301,172 @@ def decimal_sign(cells: Iterable[str]) -> DecimalSign:
         sign, cell = next(iter(unclear.items()))
         return DecimalSign(sign, ambiguous=cell)
     return DecimalSign(POINT, ambiguous=unclear.get(COMMA, ""))
+
+
+# --- Meaning of a column's header ----------------------------------------------------------------
+
+Words = frozenset[str]
+
+
+def _words_of(part: Any) -> Any:
+    """Return a part of the vocabulary with its words, which are separated by commas, as sets."""
+    if isinstance(part, dict):
+        return MappingProxyType({name: _words_of(words) for name, words in part.items()})
+    return frozenset(word.strip() for word in part.split(","))
+
+
+_VOCABULARY: Final = _words_of(yaml.safe_load(Path(__file__).with_name("vocabulary.yaml").read_text(encoding="utf-8")))
+ROLES: Final[Mapping[str, Words]] = _VOCABULARY["roles"]
+"""Role of a column, by its words beside the name of an axis."""
+NAMES: Final[Mapping[str, Words]] = MappingProxyType(
+    {kind: words | {""} if kind == "index" else words for kind, words in _VOCABULARY["names"].items()}
+)
+"""Meaning of a column without the name of an axis, by its words; a column without a name is an index."""
+CARRIER_WORDS: Final[Mapping[str, str]] = MappingProxyType(
+    {word: side for side, words in _VOCABULARY["carriers"].items() for word in words}
+)
+"""Sides of the machine, by the words of a cell."""
+UP_WORDS, DOWN_WORDS, UNKNOWN_WORDS = (_VOCABULARY["directions"][name] for name in ("up", "down", "unknown"))
+"""Words of a cell that give the direction of approach: towards larger positions, towards smaller ones, unknown."""
+GEODETIC: Final[Mapping[str, str]] = MappingProxyType(
+    {"easting": "x", "rechtswert": "x", "northing": "y", "hochwert": "y", "height": "z", "hoehe": "z"}
+)
+"""Coordinates of geodetic instruments: east, north and up are a right-handed frame."""
+_LETTERS: Final = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "ß": "ss"})
+_ARROWS: Final = str.maketrans({"−": "-", "–": "-", "↑": "+", "→": "+", "↓": "-", "←": "-"})
+
+
+def plain_words(text: str) -> str:
+    """Return a text in lower case with German letters written as two, and other letters without accents."""
+    plain = text.casefold().translate(_LETTERS).strip()
+    return "".join(sign for sign in unicodedata.normalize("NFD", plain) if not unicodedata.combining(sign))
+
+
+def direction_of(cell: str) -> int | None:
+    """Return +1, −1 or 0 (unknown) for a cell that gives a direction of approach; None if it gives none."""
+    word = plain_words(cell).translate(_ARROWS).strip("() ") if cell.strip("() ") else ""
+    word = word.rstrip(".") or word
+    if word in UP_WORDS:
+        return 1
+    if word in DOWN_WORDS:
+        return -1
+    return 0 if not word or word in UNKNOWN_WORDS else None
+
+
+# --- Meaning of a column's header: which quantity of a measurement table it gives, and in which unit
+
+_BRACKETS: Final = re.compile(r"\s*[\[({<]\s*([^\])}>]*?)\s*[\])}>]\s*$")
+_SUFFIX: Final = re.compile(r"(?:\s+in\s+|\s*[/,]\s*|\s+|_)([^\s_,/]+(?:/min)?)$")
+_CAMEL: Final = re.compile(r"(?<=[a-zäöü])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-zäöü])")
+
+
+class Meaning(NamedTuple):
+    """Meaning of a header.
+
+    Attributes:
+        kind: ``exact`` (a column of a measurement table), a role (`twin.measurement.importing.quantities.ROLES`), ``bare`` (an axis
+            without a role), a name (`NAMES`), ``sensor`` (a temperature), or empty if unknown.
+        unit: unit that the header gives; empty if none.
+        certain: whether all words are known.
+    """
+
+    kind: str = ""
+    name: str = ""
+    unit: str = ""
+    certain: bool = True
+
+
+def table_names(machine: Machine) -> tuple[str, ...]:
+    """Return the columns that a measurement table of this machine can have, without temperatures and channels."""
+    angles = tuple(f"{prefix}{name}" for prefix in ("", "u_") for name in ANGLE_COLUMNS)
+    return (
+        *(name for part in table_columns(machine) for name in part.columns),
+        *angles,
+        *PLACE_COLUMNS,
+        *STATION_COLUMNS,
+    )
+
+
+def is_table_column(name: str, machine: Machine) -> bool:
+    """Return whether a measurement table of this machine can have a column of this name."""
+    return name in table_names(machine) or bool(re.fullmatch(r"T_.+_degC", name) or CHANNEL.fullmatch(name))
+
+
+def meaning_of(header: str, machine: Machine) -> Meaning:
+    """Return the meaning of a header."""
+    if is_table_column(header, machine):
+        return Meaning("exact", header)
+    text, unit = without_unit(header)
+    words = _words(text, machine)
+    joined = " ".join(words)
+    short = " ".join(word for word in words if word not in _VOCABULARY["numbering"]) or joined
+    for kind, phrases in NAMES.items():
+        is_named = joined in phrases or (kind in ("target", "station", "round") and short in phrases)
+        if is_named and not (joined in ("", "t") and unit.casefold() in ("°c", "degc", "k", "c")):
+            return Meaning(kind, kind, unit)
+    axes = {axis.casefold(): axis for axis in machine.names}
+    meant = [word for word in words if word in axes or word in ("x", "y", "z")]
+    rest = [word for word in words if word not in meant and word not in _VOCABULARY["noise"]]
+    known = unit_named(unit)
+    temperature = ROLES["temperature"] & {*rest} or (known is not None and known.table_unit == "degC")
+    if temperature:
+        name = "_".join(word for word in [*meant, *rest] if word not in ROLES["temperature"]) or "air"
+        return Meaning("temperature", axes.get(name, name), unit)
+    if len(meant) != 1:
+        order = ("approach", "deviation", "measured", "command") if not meant else ("approach", "deviation")
+        return Meaning(next((role for role in order if {*rest} & ROLES[role]), ""), "", unit)
+    axis = axes.get(meant[0], meant[0])
+    if not rest:
+        return Meaning("bare", axis, unit)
+    roles = [
+        role
+        for role in ("deviation", "uncertainty", "approach", "readback", "command", "measured")
+        if ROLES[role] & {*rest}
+    ]
+    if not roles:
+        # Few programs give anything but the position of a rotary axis; a linear axis has offsets, corrections and more.
+        is_rotary = axis in machine.by_name and not machine.by_name[axis].linear
+        return Meaning("bare" if is_rotary else "", axis, unit, certain=not is_rotary)
+    role = roles[0]
+    return Meaning(role, axis, unit, certain=len(roles) == 1 and all(word in ROLES[role] for word in rest))
+
+
+def other_axis(header: str, machine: Machine) -> str:
+    """Return the letter of a rotary axis A, B or C that a header names as a position and the machine does not have; empty if none."""
+    text = header.removesuffix("_deg") if re.fullmatch("[A-C]_deg", header) else without_unit(header)[0]
+    words = [
+        word for word in _words(text, machine) if word not in _VOCABULARY["noise"] and word not in ROLES["command"]
+    ]
+    letter = words[0].upper() if len(words) == 1 else ""
+    return letter if letter in ("A", "B", "C") and letter not in machine.by_name else ""
+
+
+def without_unit(header: str) -> tuple[str, str]:
+    """Return a header without its unit, and the unit; empty if it gives none."""
+    for pattern in (_BRACKETS, _SUFFIX):
+        match = pattern.search(header)
+        if match and match.start() and unit_named(match[1]) is not None and len(match[1]) + (pattern is _BRACKETS) > 1:
+            return header[: match.start()], match[1]
+    match = re.fullmatch(r"(.*\S)\s*([°µ\"]\S*)", header)
+    if match and unit_named(match[2]) is not None:
+        return match[1], match[2]
+    return header, ""
+
+
+def _words(text: str, machine: Machine) -> list[str]:
+    """Return the words of a name in lower case; ``XIst``, ``x_ist`` and ``Xist`` give two words."""
+    split = _CAMEL.sub(" ", text)
+    words = [word for word in re.split(r"[^a-z0-9+]+", plain_words(split)) if word]
+    axes = {"x", "y", "z", *(axis.casefold() for axis in machine.names)}
+    roles = frozenset().union(*ROLES.values())
+    found = []
+    for word in (GEODETIC.get(word, word) for word in words):
+        axis = next((axis for axis in axes if word.startswith(axis) and word[len(axis) :] in roles - {"t", "u"}), None)
+        last = next((axis for axis in axes if word.endswith(axis) and word[: -len(axis)] in roles - {"t"}), None)
+        if word in roles or word in axes or (axis is None and last is None):
+            found.append(word)
+        elif axis is not None:
+            found += [axis, word[len(axis) :]]
+        elif last is not None:
+            found += [word[: -len(last)], last]
+    return found

@@ -43,23 +43,13 @@ INSTRUMENTS: Final[tuple[Instrument, ...]] = families.members(__name__, families
 
 
 def instrument_named(name: str) -> Instrument:
-    """Return the instrument of a name.
-
-    Raises:
-        InputError: an unknown name.
-    """
+    """Return the instrument of a name. Raises `InputError`: an unknown name."""
     require_name("instrument", name, families.INSTRUMENTS)
     return next(instrument for instrument in INSTRUMENTS if instrument.name == name)
 
 
 def default_instrument(reads: Reads, side: str = SIDES[0], largest_mm: float = np.inf) -> Instrument:
-    """Return the instrument for readings of a kind: the one of the smallest range that includes them, the first of several.
-
-    Args:
-        reads: what is read.
-        side: side on which the station rides.
-        largest_mm: largest reading.
-    """
+    """Return the instrument for readings of a kind: the one of the smallest range that includes them, the first of several."""
     fitting = [
         instrument
         for instrument in INSTRUMENTS

@@ -35,9 +35,7 @@ BALL_BAR: Final = InstrumentSpecification(
 class BallBar(LengthReading):
     """A ball bar: the absolute length from the pivot to the ball, in the table's ``x_mm``.
 
-    Attributes:
-        length_um: expanded uncertainty (k = 2) of a length.
-        specification: see `Instrument`.
+    ``length_um``: expanded uncertainty (k = 2) of a length; ``specification``: see `Instrument`.
     """
 
     length_um: float = 0.7

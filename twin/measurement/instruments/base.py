@@ -36,10 +36,8 @@ line of 1 m that turns with the target about the station's origin."""
 class SetUpWords:
     """Words for the parts of an instrument's set-up: the columns ``station`` and ``target`` of the table name them.
 
-    Attributes:
-        station, target: what precedes the name of a station or target.
-        station_place: what to enter so that the station's place is known; empty if that is not practical.
-        target_place: what to enter so that the targets' places are known.
+    ``station``, ``target``: what precedes the name of a station or target; ``station_place``: what to enter so that the station's place
+    is known; empty if that is not practical; ``target_place``: what to enter so that the targets' places are known.
     """
 
     station: str = "station"
@@ -160,12 +158,7 @@ class LengthReading(Instrument):
 
 
 class IsotropicNoise(Instrument):
-    """An instrument whose coordinates have the same, independent uncertainty.
-
-    Attributes:
-        sigma_um: standard uncertainty of a coordinate.
-        sees: which coordinates it reads.
-    """
+    """An instrument whose coordinates have the same, independent uncertainty. ``sees``: which coordinates it reads."""
 
     sigma_um: float
     sees: ClassVar[tuple[bool, bool, bool]] = (True, True, True)
@@ -194,11 +187,7 @@ class IsotropicNoise(Instrument):
 @final
 @dataclass(frozen=True, eq=False)
 class StationInstruments:
-    """The instruments of the stations of a table.
-
-    Attributes:
-        by_station: the instrument of each station, by name.
-    """
+    """The instruments of the stations of a table. ``by_station``: the instrument of each station, by name."""
 
     by_station: Mapping[str, Instrument]
 
@@ -262,9 +251,7 @@ HELIUM_NEON_UM: Final = 0.6329908
 class Air:
     """State of the air along the beam.
 
-    Attributes:
-        temperature_degC, pressure_hPa: temperature and pressure.
-        humidity: relative, 0 to 1.
+    ``humidity``: relative, 0 to 1.
 
     Raises:
         InputError: a value that does not occur in a workshop.
@@ -289,12 +276,7 @@ STANDARD_AIR: Final = Air()
 
 
 def refractive_index(air: Air, wavelength_um: float = HELIUM_NEON_UM) -> float:
-    """Return the phase refractive index of air.
-
-    Args:
-        air: temperature, pressure, humidity.
-        wavelength_um: vacuum wavelength, µm (visible).
-    """
+    """Return the phase refractive index of air; ``wavelength_um``: vacuum wavelength, µm (visible)."""
     t, p = air.temperature_degC, air.pressure_hPa * 100.0
     s = 1.0 / wavelength_um**2
     standard = 1e-8 * (8342.54 + 2406147.0 / (130.0 - s) + 15998.0 / (38.9 - s))

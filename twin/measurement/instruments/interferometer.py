@@ -31,10 +31,7 @@ class TrackingInterferometer(LengthReading):
 
     Its reading is the distance minus the dead path. An evaluation has to identify the dead path; a simulation sets it.
 
-    Attributes:
-        length_um, length_um_per_m: expanded uncertainty of a length.
-        dead_path_m: length at which the counter was set to zero.
-        specification: see `Instrument`.
+    ``dead_path_m``: length at which the counter was set to zero; ``specification``: see `Instrument`.
     """
 
     length_um: float = 0.2

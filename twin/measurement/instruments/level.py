@@ -28,9 +28,7 @@ class Level(IsotropicNoise):
     Rotations (a, b) move the end of a vertical line of 1 m by (b, −a): that is the point which it reads here. A
     rotation about the vertical does not move it.
 
-    Attributes:
-        sigma_um: standard uncertainty, µm/m.
-        specification: see `Instrument`.
+    ``sigma_um``: standard uncertainty, µm/m; ``specification``: see `Instrument`.
     """
 
     sigma_um: float = 1.0

@@ -30,10 +30,8 @@ class LinearInterferometer(LengthReading):
     The Abbe offset is the reflector's place on its carrier: enter it, or the angular errors of the axis are taken for its positioning
     error (ISO 230-2, 4.2; ISO 230-1, 3.4.3).
 
-    Attributes:
-        floor_um: standard uncertainty at zero length.
-        ppm: expanded uncertainty (k = 2) that grows with the length.
-        specification: see `Instrument`.
+    ``floor_um``: standard uncertainty at zero length; ``ppm``: expanded uncertainty (k = 2) that grows with the length;
+    ``specification``: see `Instrument`.
     """
 
     floor_um: float = 0.1

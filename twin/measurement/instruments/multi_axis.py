@@ -217,8 +217,7 @@ class MultiAxis:
 def rotation_and_jacobian(vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return rotations of rotation vectors and their left Jacobians: Exp(w + δ) = Exp(J δ)·Exp(w) to first order.
 
-    Args:
-        vectors: (n, 3) radians.
+    ``vectors``: (n, 3) radians.
 
     Returns:
         (n, 3, 3) and (n, 3, 3).
@@ -256,10 +255,7 @@ def tilt_axes(vectors: np.ndarray, *, planar: bool) -> np.ndarray:
 def tilted(vectors: np.ndarray, axes: np.ndarray, angles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return vectors rotated by small angles about axes across them, and the derivatives.
 
-    Args:
-        vectors: (m, 3).
-        axes: (m, 3, k) of `tilt_axes`.
-        angles: (m, k) radians.
+    ``vectors``: (m, 3); ``axes``: (m, 3, k) of `tilt_axes`; ``angles``: (m, k) radians.
 
     Returns:
         (m, 3), and (m, 3, k) derivatives with respect to the angles.
@@ -319,7 +315,6 @@ class _Run:
     """Readings of a run, with their weights and the prior of the installation.
 
     Attributes:
-        layout: nominal.
         readings: (n, m) metres, zero where nothing was read.
         weight: (n, m) one over the standard uncertainty, zero where nothing was read.
         free: indices of the installation's parameters that are not known exactly.

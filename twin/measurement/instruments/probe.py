@@ -33,9 +33,7 @@ class TouchProbe(IsotropicNoise):
 
     The reading is zero. Its noise is that of the centre, from five or more contacts, in the directions of the spindle nose.
 
-    Attributes:
-        sigma_um: standard uncertainty of a coordinate of the centre.
-        specification: see `Instrument`.
+    ``sigma_um``: standard uncertainty of a coordinate of the centre; ``specification``: see `Instrument`.
     """
 
     sigma_um: float = 1.5

@@ -32,9 +32,7 @@ R_TEST: Final = InstrumentSpecification(
 class RTest(IsotropicNoise):
     """An R-test: x, y and z of the ball's centre in the frame of the nest, within a few millimetres of its zero.
 
-    Attributes:
-        sigma_um: standard uncertainty of a coordinate.
-        specification: see `Instrument`.
+    ``specification``: see `Instrument`.
     """
 
     sigma_um: float = 0.7

@@ -1,7 +1,7 @@
 """Six error motions of a linear axis at every position, and its curves, from the readings of a multi-axis interferometer.
 
 They are relative to the reference position, as the counters are: constants and slopes of straightness depend on the layout's pose.
-The same holds in a calibration (`twin.identification.unknowns`), whose curves have no constant and whose straightness has no slope.
+The same holds in a calibration (`twin.identification.network`), whose curves have no constant and whose straightness has no slope.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ from twin._common.errors import InputError
 from twin._common.provenance import warning_texts, warnings_to_json
 from twin._common.records import json_form
 from twin._common.units import UM, URAD, count_with_noun
-from twin.identification.axis_run.readings import AxisLayout, BeamReadings
-from twin.identification.unknowns import Unknowns, spaces_for
+from twin.identification.axis_layout import AxisLayout, BeamReadings
+from twin.identification.network import Unknowns, spaces_for
 from twin.machine.machine import Machine
-from twin.measurement.checks import grouped_notes
+from twin.measurement.columns import grouped_notes
 from twin.measurement.instruments.multi_axis import Displacement, measure, rotation_and_jacobian
 from twin.model.calibration import Calibration
 from twin.model.calibration_file import MeasuredWith, MisfitEntry
@@ -52,7 +52,6 @@ class Motions:
     """Error motions at g states (a position and its side of approach), µm and µrad, in the axis's error frame.
 
     Attributes:
-        axis: name.
         position_mm: (g,) commanded.
         approach: (g,) +1, −1, 0 unknown.
         count: (g,) number of rows of which each is the mean.
@@ -60,12 +59,8 @@ class Motions:
         covariance: (6g, 6g) joint, state after state.
         u_installation: (g, 6) the part of the standard uncertainty due to the installation, which repeats do not reduce.
         repeatability: (6,) standard deviation of one row about the mean of its state; NaN without repeats.
-        chi2: of readings and installation together.
-        dof: its degrees of freedom.
         spread: noise on which the covariance is based.
         displacement: the carriage's motions row by row, and the estimated installation.
-        instrument: name of the interferometer's layout.
-        mirrors: number of its mirrors.
         simulated: whether the readings were simulated.
     """
 
@@ -102,13 +97,9 @@ class Motions:
 def error_motions(layout: AxisLayout, readings: BeamReadings, *, spread: Spread = "stated") -> Motions:
     """Estimate six error motions at every measured position.
 
-    Args:
-        layout: layout of the interferometer.
-        readings: readings of the run.
-        spread: the readings' stated noise, or the standard deviation of repeats of the same state. Both include the installation.
+    ``spread``: the readings' stated noise, or the standard deviation of repeats of the same state; both include the installation.
 
-    Raises:
-        InputError: beams that do not determine six motions; too few or too many readings; no convergence.
+    Raises `InputError`: beams that do not determine six motions; too few or too many readings; no convergence.
     """
     keys = np.stack([np.round(readings.position_mm, 4), readings.approach], axis=1)
     state, group = np.unique(keys, axis=0, return_inverse=True)
@@ -164,8 +155,7 @@ def error_motions(layout: AxisLayout, readings: BeamReadings, *, spread: Spread 
 def _displacement(layout: AxisLayout, readings: BeamReadings) -> Displacement:
     """Estimate the carriage's poses row by row, starting at the nominal travel.
 
-    Raises:
-        InputError: beams that do not determine six motions; no convergence.
+    Raises `InputError`: beams that do not determine six motions; no convergence.
     """
     start = np.concatenate([layout.travel(readings.position_mm), np.zeros((len(readings), 3))], axis=1)
     displacement = measure(
@@ -212,8 +202,6 @@ class AxisCurves:
         held_out: name → RMS prediction error at positions held out, µm or µrad.
         reversal: name → reversal value (mean of positive minus negative approach) and standard uncertainty, µm or µrad; empty if only
             one side was measured.
-        chi2: of the motions about the curves.
-        dof: its degrees of freedom.
     """
 
     calibration: Calibration
@@ -238,13 +226,9 @@ def axis_curves(
     common influence of the installation. Constants, slopes of straightness and reversal values are estimated as well but
     are not part of the curves.
 
-    Args:
-        motions: as measured.
-        source: origin of the values, in words.
-        wanted: whether a curve of that name is to be fitted.
+    ``wanted``: whether a curve of that name is to be fitted.
 
-    Raises:
-        InputError: fewer than `FEWEST` positions; no curve to fit.
+    Raises `InputError`: fewer than `FEWEST` positions; no curve to fit.
     """
     index = machine.names.index(motions.axis)
     positions = np.zeros((len(motions), len(machine.axes)))

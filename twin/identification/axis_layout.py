@@ -22,8 +22,17 @@ from twin._common.files import write_atomic
 from twin._common.units import MM, UM, URAD
 from twin._common.yaml_files import EntryPath, line_of, load_yaml
 from twin.machine.machine import Axis, Machine
-from twin.measurement.checks import LARGEST_MM, RowNote, outside_axis_range
-from twin.measurement.columns import comment_lines, csv_text, number_cells, printed, refuse_contacts, simulated_comments
+from twin.measurement.columns import (
+    LARGEST_MM,
+    RowNote,
+    comment_lines,
+    csv_text,
+    number_cells,
+    outside_axis_range,
+    printed,
+    refuse_contacts,
+    simulated_comments,
+)
 from twin.measurement.instruments.multi_axis import MultiAxis
 from twin.model.calibration import Calibration
 from twin.model.effects import assemble
@@ -96,12 +105,9 @@ class AxisLayout:
     interferometer is at rest, the mirrors move.
 
     Attributes:
-        name: its name in the file.
-        beams: the nominal layout.
         reference_mm: commanded position at which the counters were set to zero.
         place: (3,) the carriage's point, from the origin of the axis's error frame.
         halved: whether a reading is half the change of path.
-        noise: standard uncertainty of a change of path.
         installation_u: (p,) standard uncertainties in the order of `MultiAxis.installation`.
     """
 
@@ -117,11 +123,7 @@ class AxisLayout:
 
     @classmethod
     def load(cls, path: str | Path, machine: Machine) -> AxisLayout:
-        """Read and check a layout file.
-
-        Raises:
-            InputError: with file, line, value and what was expected.
-        """
+        """Read and check a layout file. Raises `InputError`: with file, line, value and what was expected."""
         path = Path(path)
         entries, lines = load_yaml(path, _LayoutFile, SCHEMA)
         check = _Entries(path, lines)
@@ -220,7 +222,6 @@ class BeamReadings:
         approach: (n,) +1, −1, 0 unknown.
         time_s: (n,) NaN where not given.
         set_aside: rows of the file that are not used, and why.
-        notices: facts to know before using a result.
         simulated: whether they were simulated, not measured on a machine.
     """
 
@@ -263,11 +264,7 @@ class BeamReadings:
 def load_readings(path: str | Path, layout: AxisLayout) -> BeamReadings:
     """Read and check a table of readings.
 
-    Args:
-        layout: layout of the interferometer.
-
-    Raises:
-        InputError: with file, line and value: no header, a missing column, a cell that is not a number, no usable row.
+    Raises `InputError`: with file, line and value: no header, a missing column, a cell that is not a number, no usable row.
     """
     path = Path(path)
     header, rows, comments = read_table(path)
@@ -277,12 +274,7 @@ def load_readings(path: str | Path, layout: AxisLayout) -> BeamReadings:
     refuse_contacts(header, needed, path, line)
     for name in needed:
         if name not in header:
-            raise InputError(
-                f"column {name} is missing",
-                expected=f"columns {', '.join(needed)}",
-                file=path,
-                line=line,
-            )
+            raise InputError(f"column {name} is missing", expected=f"columns {', '.join(needed)}", file=path, line=line)
     if not rows:
         raise InputError("no reading", expected="one row for each position below the header", file=path)
     known = {*needed, "round", "approach", "time_s"}
@@ -343,11 +335,7 @@ def carriage_poses(
 ) -> np.ndarray:
     """Return the true poses of the carriage; the other axes are in the middle of their ranges.
 
-    Args:
-        layout: layout in whose coordinates they are.
-        calibration: its errors.
-        positions_mm: (n,) commanded.
-        approach: (n,) +1, −1, 0 of that axis; unknown if None. The reference position has none.
+    ``positions_mm``: (n,) commanded; ``approach``: (n,) +1, −1, 0 of that axis; unknown if None; the reference position has none.
 
     Returns:
         (n, 6) relative to the pose at the reference position: translation of its origin, metres, and rotation vector, radians.
@@ -388,15 +376,9 @@ def simulate_run(  # noqa: PLR0913
 ) -> tuple[BeamReadings, np.ndarray]:
     """Simulate the readings of a run.
 
-    Args:
-        layout: nominal, with its standard uncertainties.
-        calibration: its errors.
-        positions_mm: (n,) commanded.
-        rng: random generator for the noise and the installation.
-        rounds: (n,) names; one round if None.
-        approach: (n,) +1, −1, 0 of that axis; unknown if None.
-        installation: (p,) true deviations from the layout; drawn with its standard uncertainties if None.
-        noise: whether measurement noise is added.
+    ``positions_mm``: (n,) commanded; ``rounds``: (n,) names; one round if None; ``approach``: (n,) +1, −1, 0 of that axis; unknown if
+    None; ``installation``: (p,) true deviations from the layout; drawn with its standard uncertainties if None; ``noise``: whether
+    measurement noise is added.
 
     Returns:
         The readings, and the installation.
