@@ -51,14 +51,10 @@ RUNNERS_UP: Final = 2
 
 
 def equivalent(findings: Findings, form: Form, others: Sequence[Form]) -> tuple[tuple[str, str], ...]:
-    """Return the causes that a cause is confounded with, the other causes kept.
+    """Return the causes that one of ``findings.given_patterns`` is confounded with, the other causes kept.
 
     With unnamed patterns, an alternative may fit only because the patterns take over the difference. It is kept only if, without the
     patterns, it explains less than the cause by no more than the patterns explain.
-
-    Args:
-        form: the cause, of ``findings.given_patterns``.
-        others: the other causes, likewise.
     """
     keys = _in_place(findings.given_patterns, form, others)
     if not findings.structure.pattern_tests or not keys:
@@ -142,14 +138,10 @@ def together(candidates: Candidates, form: Form, others: Sequence[Form]) -> tupl
 
 
 def rest_on_the_instrument(problem: Problem, signature: np.ndarray, machine: np.ndarray) -> np.ndarray:
-    """Return (k,) whether an error of the instrument that no one looks for would fit in place of a cause of the machine.
+    """Return (k,) whether an error of the instrument that no one looks for would fit in place of a cause of the ``machine`` (k,).
 
     Tried for all causes of the machine together and for each alone, the others kept: the readings do not show the difference, and the
-    error spans most of it.
-
-    Args:
-        signature: (3n, k) contribution of each cause to the whitened readings.
-        machine: (k,) whether a cause is one of the machine.
+    error spans most of the (3n, k) signatures.
     """
     assumed = problem.signature(assumed_zero(problem.network.data))
     columns = np.concatenate([signature, assumed], axis=1)
@@ -227,12 +219,7 @@ LEAST_POSE_DISTANCE: Final = 0.15
 def _separating(
     problem: Problem, form: Form, prediction: np.ndarray | None, rival: Form, others: Sequence[Form], plan: Measurements
 ) -> list[Next]:
-    """Return the points at which the predictions of a cause and an alternative differ most.
-
-    Args:
-        prediction: that of all causes at the candidate points (`_prediction`).
-        plan: the candidate points.
-    """
+    """Return the points of a plan at which the predictions (`_prediction`) of a cause and an alternative differ most."""
     network, axes = problem.network, problem.network.machine.axes
     of_rival = _prediction(problem, [rival, *others], plan)
     separates = [f"{cause.candidate.effect} {cause.candidate.where}" for cause in (form, rival)]

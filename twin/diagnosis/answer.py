@@ -80,11 +80,7 @@ VERDICTS: Final = ("consistent", "untested", "larger", "systematic")
 
 
 def with_limits(diagnosis: Diagnosis, network: Network) -> Diagnosis:
-    """Return the diagnosis with the limits of its extended calibration stated in the calibration.
-
-    Args:
-        network: the readings and their instruments.
-    """
+    """Return the diagnosis with the limits of its extended calibration stated in the calibration."""
     extended, data = diagnosis.extended, network.data
     given = {error.name for error in extended.not_identifiable}
     unknown = {name: why for name, why in _unknown(diagnosis) if name not in given}
@@ -185,11 +181,7 @@ MOST_RANKED: Final = 12
 
 
 def conclude(sized: SizedCauses, calibration: Calibration, *, empirical: bool = False) -> Diagnosis:
-    """Return the complete diagnosis: the causes with their alternatives, what they leave, and what modelling them gains.
-
-    Args:
-        empirical: whether unexplained patterns extend the calibration as well.
-    """
+    """Return the complete diagnosis: the causes with their alternatives, what they leave, and what modelling them gains."""
     sized, all_sized = only_predicting(sized), sized
     findings, forms = sized.findings, sized.forms
     task, candidates, problem = findings.task, findings.candidates, findings.problem

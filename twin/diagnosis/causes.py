@@ -58,23 +58,14 @@ from twin.numerics.covariance import Covariance
 @final
 @dataclass(frozen=True, eq=False)
 class SizedCauses:
-    """The selected causes with their sizes.
-
-    Attributes:
-        findings: the selected causes and patterns.
-        forms: the causes that are significant.
-        estimate: their sizes, fitted without the patterns.
-        dropped: causes that are not significant against the variation between groups of readings.
-        doubts: for each cause, why it is not promised: not valid between the measured positions, or impossible; empty if it is.
-        discrepancy: what the causes leave beyond the noise; it is in the weights of their sizes.
-    """
+    """The selected causes with their sizes."""
 
     findings: Findings
-    forms: tuple[Form, ...]
-    estimate: Estimate
-    dropped: tuple[Form, ...]
-    doubts: tuple[str, ...]
-    discrepancy: Discrepancy
+    forms: tuple[Form, ...]  # those that are significant
+    estimate: Estimate  # fitted without the patterns
+    dropped: tuple[Form, ...]  # not significant against the variation between groups of readings
+    doubts: tuple[str, ...]  # why each is not promised: not valid between positions, or impossible; empty if it is
+    discrepancy: Discrepancy  # what the causes leave beyond the noise, in the weights of their sizes
 
     @property
     def excess(self) -> float:
@@ -219,12 +210,7 @@ def causes_with_alternatives(sized: SizedCauses, calibration: Calibration) -> tu
 
 
 def notices(sized: SizedCauses, comparison: Comparison, undecided: Sequence[str]) -> tuple[str, ...]:
-    """Return what was assumed, and which causes are not named, with the reason.
-
-    Args:
-        comparison: of the causes with the second method.
-        undecided: notices of `readback_causes`.
-    """
+    """Return what was assumed, and which causes are not named, with the reason; ``undecided`` are notices of `readback_causes`."""
     candidates, structure = sized.findings.candidates, sized.findings.structure
     insignificant = [
         f"{' '.join(form.key)} ({100.0 * float(candidates.scores(sized.forms, [form.index])[0, 0]) / sized.excess:.2g} %)"
@@ -258,11 +244,7 @@ def notices(sized: SizedCauses, comparison: Comparison, undecided: Sequence[str]
 
 
 def _below_increment(network: Network, signature: np.ndarray) -> bool:
-    """Return whether a cause shifts every reading by less than the least increment of every linear axis; False without one.
-
-    Args:
-        signature: (3n,) its contribution to the whitened readings.
-    """
+    """Return whether a cause (3n,) shifts every reading by less than the least increment of every linear axis; False without one."""
     increments_um = [axis.increment * MM / UM for axis in network.machine.axes if axis.linear]
     size = np.linalg.norm(np.nan_to_num(in_um(network, signature)), axis=1).max(initial=0.0)
     return bool(increments_um) and bool(size < min(increments_um))
@@ -432,11 +414,7 @@ def reversal_doubt(data: Measurements, machine: Machine, where: str) -> str:
 def causes_with_payloads(
     candidates: Candidates, forms: Sequence[Form], causes: Sequence[Cause]
 ) -> tuple[list[Cause], list[Cause]]:
-    """Return the causes with uncertainties that include that of the payloads, and the payloads as causes.
-
-    Args:
-        causes: the causes, with uncertainties for exactly known payloads.
-    """
+    """Return the causes with uncertainties that include that of the payloads, and the payloads as causes."""
     causes, load_causes = list(causes), []
     for side in SIDES:
         load = loaded_joints(candidates, forms, side)

@@ -33,12 +33,7 @@ GROUPS_FOR_AN_INTERVAL: Final = 6
 
 
 def predicted_pattern_shift(likelihood: Likelihood, forms: Sequence[Form], written: Collection[int]) -> np.ndarray:
-    """Return the (3n,) prediction for all readings of some patterns, fitted with the causes to a part of the readings.
-
-    Args:
-        likelihood: the patterns on that part.
-        written: numbers of the patterns.
-    """
+    """Return the (3n,) prediction for all readings of the written patterns, fitted with the causes to a part of the readings."""
     which, values, _ = likelihood.most_likely(likelihood.fit(forms), likelihood.slope_beside(forms))
     in_file = np.isin(likelihood.group[which] // 3, list(written))
     return likelihood.effect_on_readings(which[in_file], values[in_file])
@@ -55,9 +50,7 @@ def predicted_shift(problem: Problem, part: Candidates, forms: Sequence[Form]) -
 
 
 def jackknife_interval(table: np.ndarray) -> tuple[float, float] | None:
-    """Return the 95 % confidence interval of the difference of two RMS values by the jackknife.
-
-    None for fewer than `GROUPS_FOR_AN_INTERVAL` groups.
+    """Return the 95 % confidence interval of the difference of two RMS values; None for fewer than `GROUPS_FOR_AN_INTERVAL` groups.
 
     One group is left out at a time; pseudo-values with Student's t (Tukey 1958). Groups, not readings, are independent.
 
@@ -108,11 +101,7 @@ def lines_that_predict(candidates: Candidates, kept: Sequence[Form], forms: Sequ
     """Return the straight lines of error motions that predict cells of positions which were left out.
 
     A pattern takes up a straight line as well as any other smooth function, whatever the line's size. Over the whole range a line is
-    one number of the machine: it comes first, and the pattern is what it leaves.
-
-    Args:
-        kept: causes in the model.
-        forms: causes selected without patterns; of those that are not kept the lines are tried.
+    one number of the machine: it comes first, and the pattern is what it leaves. The lines of ``forms`` that are not kept are tried.
     """
     problem = candidates.problem
     axes, data = problem.network.machine.axes, problem.network.data
@@ -175,17 +164,11 @@ HeldOutOf = Literal["rounds", "positions", "poses", "blocks"]
 @final
 @dataclass(frozen=True)
 class HeldOutFolds:
-    """Folds of a cross-validation.
+    """Folds of a cross-validation."""
 
-    Attributes:
-        of: ``rounds``, ``positions`` of the one axis that moved, ``poses``, or ``blocks`` of time.
-        group: (n,) independent group of each reading.
-        fold: (n,) fold of each reading: whole groups, drawn at random.
-    """
-
-    of: HeldOutOf
-    group: np.ndarray
-    fold: np.ndarray
+    of: HeldOutOf  # ``positions`` of the one axis that moved, ``poses`` of several, ``blocks`` of time
+    group: np.ndarray  # (n,) independent group of each reading
+    fold: np.ndarray  # (n,) whole groups, drawn at random
 
 
 def choose_folds(data: Measurements, machine: Machine, causes: Sequence[Candidate]) -> HeldOutFolds | None:
@@ -216,11 +199,7 @@ def blocks_of_time(data: Measurements) -> HeldOutFolds | None:
 
 
 def folds_at_positions(data: Measurements, axes: Sequence[int]) -> HeldOutFolds | None:
-    """Return folds of positions of one axis, or of poses of several; None if there is only one.
-
-    Args:
-        axes: numbers of the axes that moved.
-    """
+    """Return folds of positions of one axis, or of poses of several (numbers of those that moved); None if there is only one."""
     _, group = np.unique(np.round(data.positions[:, list(axes)], 3), axis=0, return_inverse=True)
     group = group.reshape(-1)
     return _drawn("positions" if len(axes) == 1 else "poses", group) if group.max() > 0 else None

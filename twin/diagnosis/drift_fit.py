@@ -27,17 +27,12 @@ INTEGRATED_SIGMA: Final = 5.0
 @final
 @dataclass(frozen=True)
 class FittedDrift:
-    """Maximum-likelihood fit of a drift.
+    """Maximum-likelihood fit of a drift."""
 
-    Attributes:
-        time_constant: s; `STRAIGHT_LINE` for a straight line.
-        values: (w,) linear parameters.
-        moments: (w + 1, w + 1) second moments of these and the time constant about the best values, under the profile likelihood;
-            None for a straight line, and where the likelihood is treated as normal.
-    """
-
-    time_constant: float
-    values: np.ndarray
+    time_constant: float  # s; `STRAIGHT_LINE` for a straight line
+    values: np.ndarray  # (w,) linear parameters
+    # second moments (w + 1, w + 1) of values and time constant about the best, under the profile likelihood; None for a straight
+    # line, or where the likelihood is treated as normal
     moments: np.ndarray | None
 
 
@@ -47,10 +42,6 @@ def fit_drift(problem: Problem, drift: Drift, others: Sequence[Column]) -> Fitte
     Where the time constant is as long as the record, amplitude and time constant are strongly correlated and the curvature at the
     optimum does not describe their uncertainty. Their second moments under the profile likelihood do; they are taken over the time
     constants tried, with a prior uniform in the logarithm.
-
-    Args:
-        drift: columns of the drift.
-        others: columns of the other causes.
     """
     tried = np.geomspace(drift.constants[0], drift.constants[-1], TIME_CONSTANT_GRID)
     gain, values, covariance = _profile(
@@ -91,12 +82,7 @@ def fit_drift(problem: Problem, drift: Drift, others: Sequence[Column]) -> Fitte
 
 
 def over_forms(problem: Problem, forms: Sequence[Sequence[Column]], others: Sequence[Column]) -> np.ndarray:
-    """Return second moments (w, w) of the parameters about those of the first form, the forms weighted by their likelihood.
-
-    Args:
-        forms: columns of each form the cause may have, the selected one first.
-        others: columns of the other causes.
-    """
+    """Return second moments (w, w) of the parameters about those of the first form, the forms weighted by their likelihood."""
     gain, values, covariance = _profile(problem, forms, others)
     likelihood = np.exp((gain - gain.max()) / 2.0)
     likelihood /= likelihood.sum()

@@ -54,13 +54,7 @@ def groups(problem: Problem) -> np.ndarray:
 
 
 def lacks_fit(problem: Problem, residual: np.ndarray, parameters: int, noise_dof: float) -> bool:
-    """Return whether the residuals exceed the noise, overall or in the means of repeats (test of lack of fit).
-
-    Args:
-        residual: (3n,) whitened residual of the fit.
-        parameters: number of parameters fitted besides the set-up.
-        noise_dof: degrees of freedom of the noise variance.
-    """
+    """Return whether (3n,) residuals of a fit exceed the noise, overall or in the means of repeats (test of lack of fit)."""
     projected = problem.project(residual)
     dof = problem.dof - parameters
     tests = [(float(residual @ projected), dof)]
@@ -83,12 +77,7 @@ def robust_covariance(
 ) -> tuple[np.ndarray, float]:
     """Return the cluster-robust covariance of an estimate, in no direction below that due to noise, and the number of groups.
 
-    With too few groups: the covariance due to noise, and infinity.
-
-    Args:
-        columns: (3n, k) signatures that were fitted.
-        residual: (3n,) whitened residual of the fit.
-        covariance: (k, k) covariance due to noise.
+    With too few groups: the covariance (k, k) due to noise, and infinity. ``columns`` are the (3n, k) signatures that were fitted.
     """
     group = groups(problem)
     count = int(group.max()) + 1
@@ -109,12 +98,7 @@ def robust_covariance(
 
 
 def upper_bound(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Return a covariance (k, k) that is an upper bound of two covariances: the larger of them along each common eigenvector.
-
-    Args:
-        first: (k, k).
-        second: (k, k), zero where the first is zero.
-    """
+    """Return a covariance (k, k) that is an upper bound of two: the larger along each common eigenvector; zero where the first is."""
     size = np.sqrt(np.maximum(np.diag(first), 0.0))
     scale = np.where(size > 0.0, size, 1.0)
     values, vectors = np.linalg.eigh(first / np.outer(scale, scale))
@@ -139,63 +123,38 @@ BLOCK_COLUMNS: Final = 64
 @final
 @dataclass(frozen=True)
 class RandomEffects:
-    """Patterns without a name as random effects, and the noise estimated with them.
+    """Patterns without a name as random effects, and the noise estimated with them."""
 
-    Attributes:
-        random: their columns, each with its standard deviation in the column's unit.
-        variance_factor: factor on the stated noise variances.
-    """
-
-    random: Sequence[tuple[Column, float]]
-    variance_factor: float
+    random: Sequence[tuple[Column, float]]  # columns, each with its standard deviation in the column's unit
+    variance_factor: float  # on the stated noise variances
 
 
 @final
 @dataclass(frozen=True)
 class Estimate:
-    """Estimated parameters of some causes.
+    """Estimated parameters of some causes."""
 
-    Attributes:
-        quantities: reported parameters of each cause.
-        effects: effects of each cause; empty for a cause in the instrument.
-        covariance: covariance of the parameters of all effects, under their names in a calibration.
-        signature: (3n, k) contribution of each of k causes to the whitened readings, held out or not.
-        explained: reduction of chi².
-        wald: for each cause the Wald statistic of its parameters, their number, and the number of groups that their covariance is
-            estimated from (infinite where it is due to the stated noise).
-    """
-
-    quantities: tuple[tuple[Quantity, ...], ...]
-    effects: tuple[tuple[Effect, ...], ...]
-    covariance: Covariance
-    signature: np.ndarray
-    explained: float
+    quantities: tuple[tuple[Quantity, ...], ...]  # reported parameters of each cause
+    effects: tuple[tuple[Effect, ...], ...]  # of each cause; none for one in the instrument
+    covariance: Covariance  # of the parameters of all effects, by their names in a calibration
+    signature: np.ndarray  # (3n, k) contribution of each cause to the whitened readings, held out or not
+    explained: float  # reduction of chi²
+    # of each cause: Wald statistic, number of its parameters, and of groups that the covariance is from (infinite for stated noise)
     wald: tuple[tuple[float, int, float], ...] = ()
 
 
 @dataclass
 class _Part:
-    """One cause during the joint fit.
-
-    Attributes:
-        form: the cause.
-        fixed: non-linear parameters that are not fitted with the others.
-        scales: (w,) plausible sizes of its parameters.
-        columns: (3n, w) derivatives of the whitened readings by its parameters, at the current values.
-        values: (w,) its parameters.
-        effects: effects with these parameters; none for a cause in the instrument.
-        nonlinear: whether the columns depend on the parameters.
-        moments: second moments of the parameters of a drift whose likelihood is not normal.
-    """
+    """One cause during the joint fit."""
 
     form: Form
-    fixed: dict[str, float]
-    scales: np.ndarray
-    columns: np.ndarray
-    values: np.ndarray
-    effects: tuple[Effect, ...]
-    nonlinear: bool
-    moments: np.ndarray | None = None
+    fixed: dict[str, float]  # non-linear parameters that are not fitted with the others
+    scales: np.ndarray  # (w,) plausible sizes of its parameters
+    columns: np.ndarray  # (3n, w) derivatives of the whitened readings at the current values
+    values: np.ndarray  # (w,)
+    effects: tuple[Effect, ...]  # with these parameters; none for a cause in the instrument
+    nonlinear: bool  # the columns depend on the parameters
+    moments: np.ndarray | None = None  # of the parameters of a drift whose likelihood is not normal
 
     def set_values(self, values: np.ndarray, longest: float) -> None:
         """Set the parameters, within the effect's limits; ``longest`` is the longest period or time constant tried."""
@@ -265,11 +224,7 @@ def estimate(
 
 
 def fitted_effects(problem: Problem, forms: Sequence[Form]) -> tuple[list[tuple[Effect, ...]], np.ndarray]:
-    """Return the effects of each of k causes with their parameters as `estimate` finds them, and the (3n, k) signatures.
-
-    Args:
-        forms: the causes, at least one.
-    """
+    """Return the effects of each of k ≥ 1 causes with their parameters as `estimate` finds them, and the (3n, k) signatures."""
     parts, _, signature = _fitted(problem, forms, machine_state(problem.network.data, problem.network.machine))
     return [part.effects for part in parts], signature
 
@@ -560,10 +515,7 @@ def remaining_discrepancy(
 ) -> Discrepancy:
     """Return the discrepancy of the residuals that causes, and patterns if any, leave.
 
-    Args:
-        task: the data, with the weights of the estimate.
-        estimated: their estimate.
-        patterned: the same problem with the patterns projected out (`Problem.with_random_effects`); None to count them as discrepancy.
+    Without the problem ``patterned``, with the patterns projected out, they count as discrepancy.
     """
     network, problem = task.by_noise.network, task.problem if patterned is None else patterned
     residual = problem.residual - rewhitened(estimated.signature.sum(axis=1), task.problem.network, problem.network)
@@ -581,11 +533,6 @@ def reweighted(
     """Return the estimate with all that the causes leave in its weights, patterns too, and this discrepancy.
 
     The same estimate where the causes fit. The reduction of chi² and the Wald statistics stay as they are: they are tests.
-
-    Args:
-        task: the data, with the weights of the estimate.
-        estimated: their estimate.
-        random_effects: patterns without a name (`estimate`).
     """
     by_noise = task.by_noise
     whitened_residual = by_noise.residual - rewhitened(

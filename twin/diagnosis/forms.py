@@ -54,21 +54,13 @@ BATCH: Final = 48
 @final
 @dataclass(frozen=True, eq=False)
 class Form:
-    """One variant of one candidate, with the indices of its columns in the search.
-
-    Attributes:
-        candidate: the cause.
-        variant: the form the cause takes.
-        columns: indices of the variant's columns among all columns of the search.
-        log_tests: natural log of the number of tests that the p-value is corrected for.
-        index: index in `Candidates.forms`.
-    """
+    """One variant of one candidate, with the indices of its columns in the search."""
 
     candidate: Candidate
     variant: Variant
-    columns: np.ndarray
-    log_tests: float
-    index: int
+    columns: np.ndarray  # indices among all columns of the search
+    log_tests: float  # natural log of the number of tests that the p-value is corrected for
+    index: int  # in `Candidates.forms`
 
     @property
     def key(self) -> tuple[str, str]:
@@ -99,10 +91,6 @@ class Candidates:
         dof: degrees of freedom of the noise variance; infinite where the variance is given.
         parts: (n,) number of the part each point belongs to, where parts are to be held out.
         level: p-value, corrected for multiple testing, below which a form is accepted; set by `calibrate` if None.
-
-    Attributes:
-        further_periods: whether an axis may have several periods. What one between two tabulated periods leaves looks like another, so
-            this is for a search whose periods are refined; undone by `set_problem`.
     """
 
     further_periods = False
@@ -239,12 +227,7 @@ class Candidates:
         )
 
     def exclude(self, keys: Collection[tuple[str, str]], why: str = "") -> None:
-        """Exclude all forms of the candidates with these keys until `set_problem` is called.
-
-        Args:
-            keys: effect and place of each.
-            why: the reason, in words, if the readings speak for them nevertheless.
-        """
+        """Exclude all forms of some effects and places until `set_problem`; ``why``, if the readings speak for them nevertheless."""
         self.exclude_forms([form for form in self.forms if form.key in keys])
         if why:
             self._reasons |= dict.fromkeys(keys, why)
@@ -321,12 +304,7 @@ class Candidates:
         return other
 
     def refine(self, form: Form, variant: Variant) -> None:
-        """Replace the variant of a form by one with fitted non-linear parameters, until `set_problem` is called.
-
-        Args:
-            form: the form to change.
-            variant: the new variant, with as many columns.
-        """
+        """Replace the variant of a form by one as wide, with fitted non-linear parameters, until `set_problem` is called."""
         self._refined.setdefault(form.index, self.forms[form.index])
         self._replace_form(replace(form, variant=variant))
         self._project(self.problem)
@@ -383,9 +361,7 @@ class Candidates:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return the reduction of chi² by every form given some others, and its degrees of freedom; (forms,) each.
 
-        Args:
-            beside: further directions of unit weight that are given: their (r, all) inner products with all columns, and (r,) with
-                the residual.
+        ``beside``: further directions of unit weight, by their inner products (r, all) with all columns and (r,) with the residual.
         """
         key = frozenset(form.index for form in forms)
         if beside is None and key in self._scans:
@@ -408,17 +384,12 @@ class Candidates:
     def along(self, columns: Sequence[Column], basis: np.ndarray) -> np.ndarray:
         """Return the projected inner products (columns, all) of any columns with those of the forms.
 
-        Args:
-            basis: (k, columns) their inner products with the nuisance basis, made orthonormal on these data (`Problem.root`).
+        ``basis``: their inner products (k, columns) with the nuisance basis, made orthonormal on these data (`Problem.root`).
         """
         return self.products.with_columns(columns) - basis.T @ self._on_basis
 
     def scores(self, forms: Sequence[Form], tried: Sequence[int]) -> np.ndarray:
-        """Return (tried, 3) reduction of chi², degrees of freedom and corrected log p of some forms, given others.
-
-        Args:
-            tried: indices of the forms.
-        """
+        """Return (tried, 3) reduction of chi², degrees of freedom and corrected log p of some forms (indices), given others."""
         explained, dof = (values[list(tried)] for values in self.scan(forms))
         log_tests = np.array([self.forms[i].log_tests for i in tried])
         log_p = np.where(dof > 0, log_p_value(explained, np.maximum(dof, 1), self.dof) + log_tests, 0.0)
@@ -495,11 +466,7 @@ class Candidates:
     def _given(
         self, forms: Sequence[Form], beside: tuple[np.ndarray, np.ndarray] | None = None
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return the factor (all, r) of the matrix to subtract from the inner products given some forms, and the slope left (all,).
-
-        Args:
-            beside: further directions, as in `scan`.
-        """
+        """Return the factor (all, r) of the matrix to subtract from the inner products given some forms, and the slope left (all,)."""
         columns = columns_of(forms)
         rows = self.cross(columns)
         if beside is None:
@@ -527,10 +494,7 @@ class Candidates:
 def _fit_blocks(whole: np.ndarray, blocks: np.ndarray, slope: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the reduction of chi² (n,) and the number of identifiable directions (n,) of forms.
 
-    Args:
-        whole: (n, w, w) inner products before other forms are given.
-        blocks: (n, w, w) inner products given these.
-        slope: (n, w) inner products with the residual, likewise.
+    ``whole``: inner products (n, w, w) before other forms are given; ``blocks`` and ``slope`` (n, w), with the residual, after.
     """
     if blocks.shape[1] == 1:
         values, along = blocks[:, :, 0], slope
@@ -608,9 +572,7 @@ def pseudo_inverse(gram: np.ndarray, least: float = LEAST_NONCENTRALITY) -> np.n
 def inverse_root(gram: np.ndarray, least: float = LEAST_NONCENTRALITY) -> np.ndarray:
     """Return a root R (n, n) with RRᵀ the pseudo-inverse of inner products (n, n) over the identifiable directions.
 
-    Args:
-        gram: inner products.
-        least: noncentrality at the largest plausible size below which a direction is not identifiable; rounding is excluded always.
+    A direction is not if its noncentrality is below ``least``; rounding is excluded always.
     """
     if len(gram) == 0:
         return gram

@@ -52,13 +52,9 @@ from twin.tool.uncertainty import volume
 
 
 def held_out(sized: SizedCauses, written: Collection[int] = ()) -> HeldOut | None:
-    """Return the residuals of held-out readings, without and with the written causes, their sizes fitted to the other readings.
+    """Return the residuals of held-out readings, without and with the written causes and patterns, fitted to the other readings.
 
     Periods and other numbers that are not linear stay as fitted to all readings. None if nothing can be held out.
-
-    Args:
-        sized: the causes with their sizes; they decide what is held out (`twin.diagnosis.cross_validation`).
-        written: numbers of the patterns that are in the file as well.
     """
     findings, problem = sized.findings, sized.findings.problem
     named = [form for form, doubt in zip(sized.forms, sized.doubts, strict=True) if not doubt]
@@ -109,12 +105,7 @@ def _folds_of(sized: SizedCauses) -> HeldOutFolds | None:
 
 
 def held_out_patterns(findings: Findings, forms: Sequence[Form], written: Collection[int]) -> HeldOut | None:
-    """Return the residuals of held-out readings, with the causes alone and with some patterns added, fitted to the other readings.
-
-    Args:
-        forms: the causes; the same on every part.
-        written: numbers of the patterns added.
-    """
+    """Return the residuals of held-out readings, with the causes alone and with the written patterns, fitted to the other readings."""
     problem, structure, network = findings.problem, findings.structure, findings.problem.network
     names = {name for k in written for name in structure.pattern_tests[k].pattern.names}
     # The approach direction of an axis is held out by the positions of that axis.
@@ -150,21 +141,13 @@ DIRECTIONS: Final = 3
 @final
 @dataclass(frozen=True, eq=False)
 class EmpiricalExtension:
-    """Empirical effects fitted to the unexplained patterns.
+    """Empirical effects fitted to the unexplained patterns."""
 
-    Attributes:
-        extension: their description in the result.
-        effects: those that are written; empty if held-out readings do not confirm them.
-        covariance: of their parameters.
-        written: numbers of their patterns.
-        left_um: RMS per coordinate of the patterns that are not written.
-    """
-
-    extension: Extension
-    effects: tuple[Empirical, ...]
-    covariance: Covariance
-    written: tuple[int, ...]
-    left_um: float
+    extension: Extension  # their description in the result
+    effects: tuple[Empirical, ...]  # written; empty if held-out readings do not confirm them
+    covariance: Covariance  # of their parameters
+    written: tuple[int, ...]  # numbers of their patterns
+    left_um: float  # RMS per coordinate of the patterns that are not written
 
 
 def extend(sized: SizedCauses, calibration: Calibration) -> EmpiricalExtension:
@@ -247,14 +230,7 @@ def _along(pattern_test: PatternTest) -> Literal["base", "tool", "work"]:
 def _effect(
     term: Term, machine: Machine, likelihood: Likelihood, k: int, which: np.ndarray, values: np.ndarray
 ) -> Empirical:
-    """Return the empirical effect of the k-th pattern.
-
-    Args:
-        term: side, columns and ranges of the effect.
-        likelihood: of all patterns.
-        which: numbers of the pattern's columns with a coefficient.
-        values: their coefficients, µm.
-    """
+    """Return the empirical effect of the k-th pattern: ``values`` in µm of its columns with a coefficient (``which``)."""
     pattern_test = likelihood.pattern_tests[k]
     columns, along = pattern_test.pattern.waves(pattern_test.level), _along(pattern_test)
     # Columns are sorted by direction, then by function.
@@ -292,12 +268,7 @@ def gain(
     unexplained: Unexplained | None,
     extension: EmpiricalExtension | None,
 ) -> Gain:
-    """Return the gain of the extended calibration.
-
-    Args:
-        residuals: (n, 3) µm with the given and with the extended calibration.
-        extension: the empirical effects fitted to them; None if not requested.
-    """
+    """Return the gain of the extended calibration: ``residuals`` (n, 3), µm, are those with the given and with the extended one."""
     network = sized.findings.problem.network
     data, machine = network.data, network.machine
     held = held_out(sized, () if extension is None else extension.written)
@@ -361,11 +332,7 @@ def error_at_tool(
     """Return the RMS error at the tool over the volume with the given and with the extended calibration, on the extended machine.
 
     With the given calibration the effects themselves remain, to first order; with the extended one their uncertainty. The volume is
-    limited to the ranges of empirical effects.
-
-    Args:
-        data: the measurements, for their temperatures and times.
-        covariance: of their parameters.
+    limited to the ranges of empirical effects; temperatures and times are those of the measurements.
     """
     if not effects:
         return 0.0, 0.0

@@ -40,25 +40,15 @@ DIRECTIONS: Final[tuple[tuple[int, ...], ...]] = ((0,), (1,), (2,), (0, 1, 2))
 @final
 @dataclass(frozen=True, eq=False)
 class PatternTest:
-    """One test of one pattern.
-
-    Attributes:
-        pattern: the pattern tested.
-        level: highest order of its functions.
-        directions: directions of its frame.
-        log_p: natural log of the p-value, not corrected for multiple testing.
-        log_price: natural log of the number of tests.
-        explained: χ² explained beyond the expectation from noise.
-        rivals: columns of patterns about as likely, which these readings do not rule out.
-    """
+    """One test of one pattern."""
 
     pattern: Pattern
-    level: int
-    directions: tuple[int, ...]
-    log_p: float
-    log_price: float
-    explained: float
-    rivals: tuple[tuple[str, ...], ...] = ()
+    level: int  # highest order of its functions
+    directions: tuple[int, ...]  # of its frame
+    log_p: float  # natural log of the p-value, not corrected for multiple testing
+    log_price: float  # natural log of the number of tests
+    explained: float  # χ² beyond the expectation from noise
+    rivals: tuple[tuple[str, ...], ...] = ()  # columns of patterns about as likely
 
     @property
     def found(self) -> bool:
@@ -72,12 +62,7 @@ class PatternTest:
 
 
 def scan_patterns(problem: Problem, tried: Sequence[Pattern], forms: Sequence[Form], dof: float) -> list[PatternTest]:
-    """Return the most significant test of each pattern, most significant first.
-
-    Args:
-        forms: causes that are projected out.
-        dof: degrees of freedom of the noise estimate.
-    """
+    """Return the most significant test of each pattern, causes projected out, most significant first; ``dof`` is that of the noise."""
     if not tried:
         return []
     scores = PatternScores(problem, forms, tried)
@@ -148,14 +133,9 @@ def _two_moments(score: np.ndarray, mean: np.ndarray, variance: np.ndarray) -> n
 
 
 def log_tail(weights: np.ndarray, value: float, dof: float = np.inf) -> float:
-    """Return the log probability that Σ wᵢχ²₁ exceeds a value times χ²/dof of an estimated noise variance.
+    """Return the log probability that Σ wᵢχ²₁ (wᵢ ≥ 0) exceeds a value times χ²/dof of an estimated noise variance.
 
     Saddlepoint approximation of Kuonen (1999), in the form of Barndorff-Nielsen (1990), whose logarithm is finite for any probability.
-
-    Args:
-        weights: weights of the sum, not negative.
-        value: value of the sum.
-        dof: degrees of freedom of the noise estimate; infinite if the noise is known.
     """
     w = weights[weights > ZERO_SHARE * max(float(weights.max(initial=0.0)), 1e-300)]
     if len(w) == 0 or value <= 0.0:
@@ -211,27 +191,16 @@ IMITATED_SHARE: Final = 0.5
 @final
 @dataclass(frozen=True, eq=False)
 class Model:
-    """Causes with patterns, at the most likely variances.
+    """Causes with patterns, at the most likely variances."""
 
-    Attributes:
-        twice_log_ratio: twice the log likelihood ratio wald noise as stated without causes and patterns.
-        variances: of each group of the patterns' columns, relative to the noise, µm².
-        variance_factor: s², the variance factor of the noise, at least one.
-        explained: χ² explained by causes and patterns together.
-        values: (columns,) coefficients of the causes, in the order of `together`.
-        random: coefficients of the patterns' rotated columns, µm.
-        covariance: (columns, columns) of the causes' coefficients at these variances, in units of the noise variance.
-        effective_dof: effective degrees of freedom of the patterns.
-    """
-
-    twice_log_ratio: float
-    variances: np.ndarray
-    variance_factor: float
-    explained: float
-    values: np.ndarray
-    random: np.ndarray
-    covariance: np.ndarray
-    effective_dof: float
+    twice_log_ratio: float  # to noise as stated, without causes and patterns
+    variances: np.ndarray  # of each group of the patterns' columns, relative to the noise, µm²
+    variance_factor: float  # s² of the noise, at least one
+    explained: float  # χ² by causes and patterns together
+    values: np.ndarray  # (columns,) of the causes, as in `columns_of`
+    random: np.ndarray  # coefficients of the patterns' rotated columns, µm
+    covariance: np.ndarray  # (columns, columns) of ``values`` at these variances, in units of the noise variance
+    effective_dof: float  # of the patterns
 
 
 @final
@@ -269,12 +238,7 @@ class Likelihood:
         self._chi2, self._dof = problem.chi2, max(problem.dof, 1)
 
     def fit(self, forms: Sequence[Form], start: Model | None = None, without: int | None = None) -> Model:
-        """Return the model at the most likely variances, for some causes.
-
-        Args:
-            start: model whose variances are the initial ones.
-            without: number of a pattern to omit.
-        """
+        """Return the model at the most likely variances for some causes, sought from those of ``start``; ``without`` one pattern."""
         first = np.where(self._size > 0.0, FIRST_NONCENTRALITY / np.maximum(self._size, 1e-300), 0.0)
         variances, variance_factor = first, 1.0
         if start is not None:
@@ -406,7 +370,6 @@ class Likelihood:
         """Return the most likely coefficients of the patterns at given variances, with the causes fixed.
 
         Args:
-            model: the variances.
             slope: result of `slope_beside` or `slope_with`.
 
         Returns:
@@ -426,12 +389,7 @@ class Likelihood:
         return np.flatnonzero((model.variances * self._size)[self.group] > LEAST_NONCENTRALITY)
 
     def effect_on_readings(self, which: np.ndarray, values: np.ndarray) -> np.ndarray:
-        """Return the (3n,) effect of some columns of the patterns on the whitened readings, held out or not.
-
-        Args:
-            which: (k,) column numbers.
-            values: (k,) coefficients, µm.
-        """
+        """Return the (3n,) effect of some columns of the patterns, µm each, on the whitened readings, held out or not."""
         problem = self.candidates.problem
         effect_on_readings = np.zeros(len(problem.residual))
         for start in range(0, len(which), COLUMNS_AT_ONCE):
@@ -458,15 +416,9 @@ class Likelihood:
 
 
 def _orthogonal(gram: np.ndarray, group: np.ndarray, size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return a rotation that makes the columns of each group orthogonal in the readings, without undetermined columns.
+    """Return a rotation (columns, k) that makes the columns of each group orthogonal in the readings, and (k,) their groups.
 
-    Args:
-        gram: (columns, columns) inner products.
-        group: (columns,) group of each column.
-        size: (groups,) sum of squares of each group; zero for a group that is not measured.
-
-    Returns:
-        (columns, k) the rotation, and (k,) the group of each rotated column.
+    Undetermined columns are left out; ``size`` is the sum of squares of each group, zero for one that is not measured.
     """
     rotation = np.zeros((len(group), len(group)))
     kept: list[int] = []

@@ -40,15 +40,12 @@ class Nuisance:
         triangle: (s, set-up) coordinates in it of the derivatives by the set-up.
         on_setup: (s, p) inner products QᵀJ.
         remaining: (p, p) inner products J̃ᵀJ̃.
-        extended: the nuisance parameters without random effects, and the square root of the factor on the weights; these parameters
-            and no factor if None.
+        extended: the parameters without random effects, and the square root of the factor on the weights; itself and one if None.
 
     Attributes:
         coordinates: (directions, set-up + k) coordinates in the basis of the derivatives by the set-up and of one standard deviation of
             each direction of the covariance.
         prior: (k, directions) the prior's part of the basis.
-        base: the nuisance parameters without random effects.
-        scale: factor on the whitening, relative to that of the base.
         known: inner products with `raw` of the base, kept by those who need them again.
     """
 
@@ -79,13 +76,11 @@ class Nuisance:
     def of(
         cls, view: LinearisedReadings, by_setup: np.ndarray, columns: Sequence[Column], root: np.ndarray
     ) -> Nuisance:
-        """Return the basis of set-up and uncertain parameters.
+        """Return the basis of set-up and uncertain parameters at all points.
 
         Args:
-            view: linearisation at all points.
             by_setup: (3n, set-up) derivatives by the set-up, in plausible sizes; overwritten, as in `setup_basis`.
-            columns: columns of the p parameters.
-            root: (p, k) square root of their covariance.
+            root: (p, k) square root of the covariance of the p parameters.
         """
         columns, root = _with_orthonormal_functions([_in_units(column) for column in columns], root)
         signatures = Signatures(view, _with_shared_functions(columns))
@@ -136,14 +131,7 @@ class Nuisance:
     def extended(
         self, view: LinearisedReadings, scale: float, columns: Sequence[Column], deviations: np.ndarray
     ) -> Nuisance:
-        """Return the basis with independent random effects added.
-
-        Args:
-            view: linearisation at all points, whitened by the base's whitening times ``scale``.
-            scale: that factor.
-            columns: columns of the random effects.
-            deviations: (r,) their standard deviations, in units of the parameter.
-        """
+        """Return the basis with independent random effects (r,) of given standard deviations, for weights times ``scale``."""
         own = Signatures(view, [*self.signatures.columns, *(_in_units(column) for column in columns)])
         more = Signatures(self.signatures.view, own.columns[len(self.signatures.columns) :])
         by_setup, by_columns = np.split(self.along_signatures(more, None), [self._setup.shape[1]])
@@ -171,15 +159,7 @@ class Nuisance:
         return side_by_side(self._setup_at(block.rows), self.signatures.at(block))
 
     def from_raw(self, products: np.ndarray, root: np.ndarray | None = None) -> np.ndarray:
-        """Return inner products with the basis from those with `raw`.
-
-        Args:
-            products: (raw, …) inner products with `raw`.
-            root: (directions, k) coordinates of the vectors wanted instead of the basis; the basis itself if None.
-
-        Returns:
-            (k, …) inner products with these vectors.
-        """
+        """Return inner products (k, …) with the basis, or with coordinates ``root`` in it (directions, k), from those with `raw`."""
         by_setup, by_columns = np.split(products, [self._setup.shape[1]])
         left = by_columns - self._on_setup.T @ by_setup
         if root is None:
@@ -247,8 +227,7 @@ class Nuisance:
 def setup_basis(by_setup: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return an orthonormal basis (3n, s) of the derivatives by the set-up, and their coordinates (s, set-up) in it.
 
-    Args:
-        by_setup: (3n, set-up) derivatives; overwritten if its columns are contiguous in memory.
+    Derivatives whose columns are contiguous in memory are overwritten.
     """
     orthonormal, triangle = scipy.linalg.qr(by_setup, mode="economic", overwrite_a=True, check_finite=False)
     left, values, right = np.linalg.svd(triangle, full_matrices=False)
@@ -291,10 +270,6 @@ def _with_orthonormal_functions(columns: Sequence[Column], root: np.ndarray) -> 
 
     The coefficients of powers are strongly correlated: their effects are hundreds of times larger than the uncertainty of the curve,
     and cancel. Those of orthonormal functions are not. Sets of functions that are used in any other way stay as they are.
-
-    Args:
-        columns: columns of the p parameters.
-        root: (p, k) square root of their covariance.
     """
     sets: dict[Functions, list[int]] = {}
     factors: dict[bytes, tuple[Functions, np.ndarray]] = {}

@@ -50,17 +50,12 @@ PERIODIC_RANGE_DEG: Final = 300.0
 @final
 @dataclass(frozen=True, eq=False)
 class Channel:
-    """One column that patterns may depend on.
+    """One column that patterns may depend on."""
 
-    Attributes:
-        waves: functions of the column.
-        column: (n,) its values; those of the functions are computed where they are needed, as they would take much memory.
-        paired: highest order in a pair.
-    """
-
-    waves: Waves
+    waves: Waves  # functions of the column
+    # (n,) values; those of the functions are computed where they are needed: they would take much memory
     column: np.ndarray
-    paired: int
+    paired: int  # highest order in a pair
 
     @property
     def name(self) -> str:
@@ -76,21 +71,13 @@ class Channel:
 @final
 @dataclass(frozen=True, eq=False)
 class Pattern:
-    """Functions of one or two columns, on one side of the machine.
+    """Functions of one or two columns, on one side of the machine."""
 
-    Attributes:
-        side: ``tool`` or ``work``.
-        field: ``base`` or ``place``: shifts along the axes of the base frame, or of the frame of that side.
-        channels: one or two.
-        own: (n,) which readings a shift of that side changes.
-        highest: highest order of the functions.
-    """
-
-    side: str
-    field: str
-    channels: tuple[Channel, ...]
-    own: np.ndarray
-    highest: int
+    side: str  # ``tool`` or ``work``
+    field: str  # along the axes of the ``base`` frame, or of that side's own (``place``)
+    channels: tuple[Channel, ...]  # one or two
+    own: np.ndarray  # (n,) which readings a shift of that side changes
+    highest: int  # order of the functions
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -165,15 +152,7 @@ class Pattern:
 
 @final
 class ChannelFunctions:
-    """The functions of several patterns of one side, made from those of their columns.
-
-    Args:
-        patterns: patterns with the same readings.
-
-    Attributes:
-        own: functions of each pattern among all.
-        count: number m of all functions.
-    """
+    """The m functions of several patterns of one side, made from those of their columns."""
 
     def __init__(self, patterns: Sequence[Pattern]) -> None:
         self._channels = list(dict.fromkeys(channel for pattern in patterns for channel in pattern.channels))
@@ -280,12 +259,7 @@ READINGS_AT_ONCE: Final = 512
 
 
 def _orthonormal_root(columns: np.ndarray, own: np.ndarray) -> np.ndarray:
-    """Return the coefficients (k, r) of an orthonormal basis in projected columns.
-
-    Args:
-        columns: (3n, k) columns.
-        own: the same, projected; any rows held out are zero.
-    """
+    """Return the coefficients (k, r) of an orthonormal basis in projected (3n, k) columns; rows held out are zero."""
     gram = columns.T @ own
     values, vectors = np.linalg.eigh((gram + gram.T) / 2.0)
     seen = values > ZERO_SHARE * values.max(initial=0.0)
@@ -295,30 +269,19 @@ def _orthonormal_root(columns: np.ndarray, own: np.ndarray) -> np.ndarray:
 @final
 @dataclass(frozen=True)
 class _Side:
-    """Inner products of all patterns of one side and frame with a total of m functions.
+    """Inner products of all patterns of one side and frame with a total of m functions."""
 
-    Attributes:
-        own: functions of each pattern among all.
-        slope: (3, m) inner products with the residual along each direction.
-        lost: (3, m, k) inner products with an orthonormal basis of nuisance and causes, over the sample.
-        grams: of each pattern the Gram matrices (3, own, own) over the sample, or one (1, own, own) if they are equal.
-        share: share of the side's readings in the sample.
-    """
-
-    own: dict[Pattern, slice]
-    slope: np.ndarray
-    lost: np.ndarray
+    own: dict[Pattern, slice]  # functions of each pattern among all
+    slope: np.ndarray  # (3, m) inner products with the residual along each direction
+    lost: np.ndarray  # (3, m, k) inner products with an orthonormal basis of nuisance and causes, over the sample
+    # (3, own, own) of each pattern over the sample, or one (1, own, own) if they are equal
     grams: dict[Pattern, np.ndarray]
-    share: float
+    share: float  # of the side's readings in the sample
 
 
 @final
 class PatternScores:
-    """Scores of patterns with set-up and causes projected out.
-
-    Args:
-        forms: causes that are projected out.
-    """
+    """Scores of patterns with set-up and causes projected out."""
 
     def __init__(self, problem: Problem, forms: Sequence[Form], tried: Sequence[Pattern]) -> None:
         n = len(problem.view.rows)
@@ -490,8 +453,7 @@ class PatternScores:
 
         Args:
             whole: (r, 3, used) vectors V at the sample.
-            change: (used, directions) coefficients in these of an orthonormal basis over all rows.
-            count: number of all rows.
+            change: (used, directions) coefficients in these of an orthonormal basis over all ``count`` rows.
         """
         root = np.asarray(np.linalg.qr(change.T, mode="r")).T
         if len(whole) == count:

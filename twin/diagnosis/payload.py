@@ -59,23 +59,15 @@ class Load:
 
     The loads are four numbers here, or eight if the readings carry different loads: the payload's mass as a share of the heaviest, its
     centre as shares of the farthest; whether the load is carried (`CARRIED_INDEX`), and its centre as shares of the farthest.
-
-    Attributes:
-        side: ``tool`` or ``work``.
-        heaviest: largest mass considered, kg.
-        joints: the forms of the deflecting joints.
-        free: for each joint the form with free loads, of five or nine columns: own weight, mass, three first moments; the same four of
-            the carried load.
-        gram: (wk, wk) inner products of these w columns of k joints, the other causes projected out, in units of the parameters.
-        slope: (wk,) inner products with the residual.
     """
 
     side: Side
-    heaviest: float
-    joints: tuple[Form, ...]
+    heaviest: float  # largest mass considered, kg
+    joints: tuple[Form, ...]  # those that deflect
+    # of each joint with free loads: own weight, mass, three first moments; the same four of a carried load
     free: tuple[Form, ...]
-    gram: np.ndarray
-    slope: np.ndarray
+    gram: np.ndarray  # (wk, wk) inner products of these w columns of k joints, in units of the parameters
+    slope: np.ndarray  # (wk,) inner products with the residual
 
     @property
     def nothing(self) -> np.ndarray:
@@ -116,11 +108,7 @@ class Load:
         return np.asarray(fits[first_largest(np.array([-float(fit.fun) for fit in fits]))].x)
 
     def significant(self, critical: Callable[[float], float]) -> tuple[np.ndarray, float]:
-        """Return the shares of the loads that are significant, and the χ² that the carried load explains; 0 if it is not significant.
-
-        Args:
-            critical: degrees of freedom → critical value.
-        """
+        """Return the shares of the loads beyond the critical value, and the χ² that the carried load explains; 0 if not significant."""
         tried = {
             (payload, carried): self.best(payload=payload, carried=carried)
             for payload in (False, True)
@@ -158,9 +146,7 @@ class Load:
     def covariances(self, shares: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return (k,) factors on the uncertainties of the compliances due to the loads, and the variances of the shares.
 
-        Args:
-            shares: the loads, as shares of their bounds.
-            u: (k,) standard uncertainties of the compliances under exactly these loads.
+        ``u`` are the (k,) standard uncertainties of the compliances under exactly these loads.
         """
         _, values = self.explained_under(shares)
         present = (
@@ -196,9 +182,7 @@ def weights(shares: np.ndarray) -> np.ndarray:
 def select_with_payload(candidates: Candidates, before: Sequence[Form] = ()) -> Selection:
     """Return the best set of possible causes, with one payload per side in the load of all deflecting joints.
 
-    Args:
-        candidates: the forms; a payload that is found is added to the load of its joints.
-        before: the best set before forms were refined; the search starts from it if it has a payload, which a new search may miss.
+    The search starts from the set ``before`` forms were refined if that has a payload, which a new search may miss.
     """
     anew = not any(MASS in form.variant.fixed for form in before)
     best = select(candidates, () if anew else [candidates.forms[form.index] for form in before])
@@ -256,10 +240,7 @@ def _projected(candidates: Candidates, forms: Sequence[Form], others: Sequence[F
 def _bounded_centre(gram: np.ndarray, slope: np.ndarray, heaviest: float) -> tuple[np.ndarray, float]:
     """Return the centre (3,), mm, and the mass within their bounds that explain most.
 
-    Args:
-        gram: (4, 4) inner products of mass and first moments, per kg and kg·m.
-        slope: (4,) inner products with the residual.
-        heaviest: largest mass.
+    ``gram`` (4, 4) and ``slope`` (4,) are inner products of mass and first moments, per kg and kg·m.
     """
 
     def mass_of(shares: np.ndarray) -> tuple[float, float]:

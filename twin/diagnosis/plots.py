@@ -56,67 +56,41 @@ UNMEASURED_SHARE: Final = 0.02
 @final
 @dataclass(frozen=True)
 class Scale:
-    """The horizontal axis of a panel.
+    """The horizontal axis of a panel."""
 
-    Attributes:
-        label: in words with the unit.
-        values: (n,) value of each reading.
-        ticks: values with their names, if they are not numbers.
-    """
-
-    label: str
-    values: np.ndarray
-    ticks: tuple[tuple[float, str], ...] = ()
+    label: str  # in words with the unit
+    values: np.ndarray  # (n,) of each reading
+    ticks: tuple[tuple[float, str], ...] = ()  # values with their names, if they are not numbers
 
 
 @final
 @dataclass(frozen=True)
 class Series:
-    """One set of readings in a panel.
+    """One set of readings in a panel."""
 
-    Attributes:
-        name: in the legend.
-        x, y: (k,).
-        weight: (k,) of each reading in a mean.
-        predicted: (k,) prediction of the cause; None for residuals.
-        smooth: whether the prediction depends on x alone, so that it is drawn as a line and not averaged.
-    """
-
-    name: str
-    x: np.ndarray
-    y: np.ndarray
-    weight: np.ndarray
-    predicted: np.ndarray | None = None
-    smooth: bool = False
+    name: str  # in the legend
+    x: np.ndarray  # (k,)
+    y: np.ndarray  # (k,)
+    weight: np.ndarray  # (k,) in a mean
+    predicted: np.ndarray | None = None  # (k,) by the cause; None for residuals
+    smooth: bool = False  # the prediction depends on x alone: it is drawn as a line and not averaged
 
 
 @final
 @dataclass(frozen=True)
 class Panel:
-    """The contents of one plot.
-
-    Attributes:
-        title: of the plot.
-        x, y: labels of the axes, with units.
-        series: the sets of readings.
-        ticks: named values along x.
-        limit: smallest half range of y; None for automatic.
-    """
+    """The contents of one plot."""
 
     title: str
-    x: str
-    y: str
+    x: str  # label, with unit
+    y: str  # label, with unit
     series: tuple[Series, ...]
-    ticks: tuple[tuple[float, str], ...] = ()
-    limit: float | None = None
+    ticks: tuple[tuple[float, str], ...] = ()  # named values along x
+    limit: float | None = None  # smallest half range of y; None for automatic
 
 
 def residual_panels(diagnosis: DiagnosisResult, *, after: bool = False) -> list[Panel]:
-    """Return the residuals against the columns they depend on, clearest first, or against every axis if they depend on none.
-
-    Args:
-        after: residuals with the causes in the model, on the scale of those without.
-    """
+    """Return the residuals against the columns they depend on, clearest first, or against every axis if they depend on none."""
     scales, data = scales_of(diagnosis), diagnosis.data
     before = directed(diagnosis, diagnosis.residual_um)
     values = directed(diagnosis, diagnosis.after_um) if after else before
@@ -171,11 +145,7 @@ def _correlated(a: Scale, b: Scale) -> bool:
 
 
 def cause_panels(diagnosis: DiagnosisResult, cause: Cause) -> list[Panel]:
-    """Return a cause against the columns it depends on: in its own unit if it is one error motion, else as shifts of the targets.
-
-    Args:
-        cause: one of its causes.
-    """
+    """Return a cause against the columns it depends on: in its own unit if it is one error motion, else as shifts of the targets."""
     effect = cause.effects[0] if len(cause.effects) == 1 else None
     parts = _single(effect, diagnosis) if effect is not None else None
     if effect is not None and parts is not None:
@@ -542,12 +512,7 @@ def plot_panel(panel: Panel) -> Figure:
 
 
 def draw(plot: Axes, panel: Panel, *, titled: bool = True) -> None:
-    """Draw a panel on existing axes.
-
-    Args:
-        panel: what to draw.
-        titled: whether its title is drawn too.
-    """
+    """Draw a panel on existing axes."""
     style_axes(plot)
     plot.axhline(0.0, color=RUN, linewidth=0.8)
     entries = [entry for k in range(len(panel.series)) for entry in _draw_series(plot, panel, k)]

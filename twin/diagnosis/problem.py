@@ -33,33 +33,21 @@ UNDETERMINED_SHARE: Final = 1e-12
 @final
 @dataclass(frozen=True)
 class InnerProducts:
-    """Inner products of k columns.
+    """Inner products of k columns."""
 
-    Attributes:
-        gram: (k, k) with the set-up and the calibration's uncertainty projected out.
-        slope: (k,) with the residual, likewise projected.
-        basis: (directions, k) with the nuisance basis.
-        by_nuisance: (raw, k) with the nuisance derivatives (`Nuisance.raw`).
-        raw: (k, k) without projection.
-        with_residual: (k,) with the residual, without projection.
-    """
-
-    gram: np.ndarray
-    slope: np.ndarray
-    basis: np.ndarray
-    by_nuisance: np.ndarray
-    raw: np.ndarray
-    with_residual: np.ndarray
+    gram: np.ndarray  # (k, k), set-up and calibration's uncertainty projected out
+    slope: np.ndarray  # (k,) with the residual, likewise projected
+    basis: np.ndarray  # (directions, k) with the nuisance basis
+    by_nuisance: np.ndarray  # (raw, k) with the nuisance derivatives (`Nuisance.raw`)
+    raw: np.ndarray  # (k, k) without projection
+    with_residual: np.ndarray  # (k,) without projection
 
 
 @final
 class Problem:
     """Readings, set-up and calibration of one data set, linearised at the fitted set-up.
 
-    Args:
-        network: data and calibration (as ``base``), no unknowns.
-        setup: the fitted set-up.
-        calibration: the calibration whose covariance is taken into account; none if None.
+    The calibration's covariance is taken into account; none if None. The network has no unknowns.
     """
 
     def __init__(self, network: Network, setup: StationsAndTargets, calibration: Calibration | None) -> None:
@@ -84,12 +72,7 @@ class Problem:
         self.readings = int(np.count_nonzero(self.network.read))
 
     def with_random_effects(self, random: Sequence[tuple[Column, float]], variance_factor: float = 1.0) -> Problem:
-        """Return the same readings with random effects added to the nuisance parameters, and with scaled noise variances.
-
-        Args:
-            random: columns, each with its standard deviation in units of the parameter.
-            variance_factor: factor on the stated variances.
-        """
+        """Return the same readings with random effects (columns with standard deviations) added, and with scaled noise variances."""
         problem, scale = copy(self), 1.0 / float(np.sqrt(variance_factor))
         problem.network = self.network.with_variance_factor(variance_factor)
         problem.view = self.view.with_weights(scale)
@@ -102,11 +85,7 @@ class Problem:
         return problem
 
     def without(self, points: np.ndarray) -> Problem | None:
-        """Return the problem with some points held out; None if the rest does not determine every station and target.
-
-        Args:
-            points: (n,) booleans, the points to hold out.
-        """
+        """Return the problem with some points (n,) held out; None if the rest does not determine every station and target."""
         part = copy(self)
         part.held_out = np.flatnonzero(points)
         gone = self.nuisances.gram(part.held_out)
@@ -154,12 +133,7 @@ class Problem:
         return np.asarray(at_points - explained.reshape(at_points.shape))
 
     def fitted(self, within: np.ndarray, points: np.ndarray | None = None) -> np.ndarray:
-        """Return what the nuisance parameters explain at some points or all, (3n, …).
-
-        Args:
-            within: (directions, …) inner products of a residual with the basis.
-            points: numbers of the points, in ascending order; all if None.
-        """
+        """Return (3n, …) what the nuisance parameters explain of (directions, …) inner products with the basis, at points or all."""
         return self.nuisances.combined(self.root @ (self.root.T @ within), points)
 
     def setup_step(self, residual: np.ndarray) -> np.ndarray:
@@ -354,13 +328,7 @@ class Products:
         self.by_raw, self.by_residual = self._by_raw.sum(axis=0), self._by_residual.sum(axis=0)
 
     def without(self, points: np.ndarray) -> Products:
-        """Return the inner products without some points.
-
-        Only these points are evaluated, and none where they are exactly one of the parts.
-
-        Args:
-            points: their numbers, in ascending order.
-        """
+        """Return the inner products without some points (ascending): only these are evaluated, none if they are one of the parts."""
         other = copy(self)
         part = None if self._parts is None else int(self._parts[points[0]])
         # Sums by part do not hold for columns that were refined since.
@@ -382,11 +350,7 @@ class Products:
         return other
 
     def for_problem(self, problem: Problem) -> Products:
-        """Return the inner products for the same readings with random effects and a factor on the weights; no pass over the points.
-
-        Args:
-            problem: `Problem.with_random_effects` of the problem of these products.
-        """
+        """Return the inner products for the same readings with random effects and a factor on the weights; no pass over the points."""
         other, nuisances = copy(self), problem.nuisances
         random = nuisances.signatures.columns[len(nuisances.base.signatures.columns) :]
         whitened = nuisances.scale**2
@@ -536,12 +500,7 @@ class Products:
         return np.asarray((self._row if self._parent is None else self._parent[0]._row) >= 0)
 
     def replace(self, at: np.ndarray, columns: Sequence[Column]) -> None:
-        """Replace the columns of one group.
-
-        Args:
-            at: indices of the group's columns, in order.
-            columns: the new columns, as many.
-        """
+        """Replace the columns of one group, whose indices ``at`` are in order, by as many."""
         self.signatures.replace(at.tolist(), columns)
         new = self._problem.products(columns)
         self.by_raw[:, at], self.by_residual[at] = new.by_nuisance, new.with_residual

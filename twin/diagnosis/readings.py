@@ -47,17 +47,11 @@ ROUNDING: Final = 1e-9
 @final
 @dataclass(frozen=True)
 class ReadingNoise:
-    """Noise covariance of the readings.
+    """Noise covariance of the readings."""
 
-    Attributes:
-        covariance: (n, 3, 3) m².
-        dof: degrees of freedom of the estimate; infinite where the covariance is given.
-        source: where it comes from, in words.
-    """
-
-    covariance: np.ndarray
-    dof: float
-    source: str
+    covariance: np.ndarray  # (n, 3, 3) m²
+    dof: float  # of the estimate; infinite where the covariance is given
+    source: str  # in words
 
 
 def from_repeats(
@@ -100,16 +94,10 @@ def from_residuals(
     known: tuple[Candidate, ...],
     seen: np.ndarray,
 ) -> ReadingNoise | None:
-    """Return the noise along and across the beam from the residuals of a regression on the main form of every cause.
+    """Return the noise along and across the beam from the residuals of a regression on set-up and main form of every cause.
 
     For readings without uncertainties, instrument or repeats. If an effect has none of these forms the noise is overestimated, so
-    that causes are missed rather than invented. None if too few degrees of freedom remain.
-
-    Args:
-        network: data and model.
-        setup: the fitted set-up; its unknowns are among the regressors.
-        view: linearisation of the points used, with any isotropic whitening, which is undone here.
-        seen: (m, 3) the points, in their stations' frames, whose covariance is returned.
+    that causes are missed rather than invented. None if too few degrees of freedom remain. Arguments as for `from_repeats`.
     """
     columns = [column for candidate in known for column in _main_columns(candidate)]
     by_setup = np.zeros((len(view.rows), 3, len(setup)))
@@ -142,9 +130,6 @@ def _estimated(
     Args:
         values: (n, 3, k) m: the deviations, then the regressors.
         dof_each: degrees of freedom in each direction before the regression.
-        view: linearisation of the points.
-        read: (n, 3) whether a coordinate was measured.
-        seen: (m, 3) the points whose covariance is returned.
         source: where the deviations come from, in words.
     """
     if not read[:, 1:].any():
@@ -231,21 +216,13 @@ TURNS: Final = (
 @final
 @dataclass(frozen=True, eq=False)
 class DiagnosisTask:
-    """One diagnosis: data, candidate causes and noise.
+    """One diagnosis: data, candidate causes and noise."""
 
-    Attributes:
-        problem: the rows used, whitened by noise and discrepancy.
-        catalogue: the candidate causes.
-        noise: noise of these rows.
-        by_noise: the same rows, whitened by their noise alone, for tests of consistency.
-        discrepancy: what the causes selected before leave beyond the noise; none at first.
-    """
-
-    problem: Problem
+    problem: Problem  # the rows used, whitened by noise and discrepancy
     catalogue: Catalogue
-    noise: ReadingNoise
-    by_noise: Problem
-    discrepancy: Discrepancy
+    noise: ReadingNoise  # of these rows
+    by_noise: Problem  # the same rows, whitened by their noise alone, for tests of consistency
+    discrepancy: Discrepancy  # what the causes selected before leave beyond the noise; none at first
 
     def with_discrepancy(self, discrepancy: Discrepancy) -> DiagnosisTask:
         """Return the same task with another discrepancy in the weights."""
@@ -257,29 +234,16 @@ class DiagnosisTask:
 @final
 @dataclass(frozen=True, eq=False)
 class Readings:
-    """All rows, with the set-up fitted to the good ones.
+    """All rows, with the set-up fitted to the good ones."""
 
-    Attributes:
-        network: data and model, whitened by this noise.
-        setup: stations and targets.
-        noise: noise of all rows.
-        calibration: the model under test.
-        bad: (n,) whether a row is an outlier if the model is right and there is only noise.
-    """
-
-    network: Network
-    setup: StationsAndTargets
-    noise: ReadingNoise
-    calibration: Calibration
-    bad: np.ndarray
+    network: Network  # whitened by this noise
+    setup: StationsAndTargets  # stations and targets
+    noise: ReadingNoise  # of all rows
+    calibration: Calibration  # the model under test
+    bad: np.ndarray  # (n,) whether a row is an outlier if the model is right and there is only noise
 
     def select_rows(self, rows: np.ndarray, notes: Sequence[RowNote] = ()) -> Readings:
-        """Return some of the rows, with the set-up fitted to all.
-
-        Args:
-            rows: their numbers.
-            notes: notes on the rows that are left out.
-        """
+        """Return some of the rows, with the set-up fitted to all, and notes on those left out."""
         network = self.network
         covariance = read_only(np.array(self.noise.covariance[rows]))
         data = network.data.select(rows)
@@ -294,11 +258,7 @@ class Readings:
         return Readings(fewer, self.setup, replace(self.noise, covariance=covariance), self.calibration, self.bad[rows])
 
     def without(self, bad: np.ndarray) -> DiagnosisTask:
-        """Return the diagnosis task without some rows, which are listed in its data with the reason.
-
-        Args:
-            bad: (n,) rows to leave out.
-        """
+        """Return the diagnosis task without some rows (n,), which are listed in its data with the reason."""
         kept, network = self, self.network
         if np.any(bad):
             difference = network.residuals_m(np.zeros(0), self.setup, np.arange(len(network.data)))
@@ -314,9 +274,7 @@ def readings(
 ) -> Readings:
     """Fit stations and targets, and determine the measurement noise and the outliers.
 
-    Args:
-        instrument: instrument whose noise model is used; None to take the table's uncertainties, or to estimate from repeats. If
-            repeats contradict either, they decide.
+    Without an instrument the table's uncertainties are taken, or estimated from repeats. If repeats contradict either, they decide.
 
     Raises:
         InputError: data that cannot be a measurement of this machine.

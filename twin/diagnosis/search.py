@@ -58,22 +58,16 @@ FORMS_AT_ONCE: Final = 12
 @final
 @dataclass(frozen=True)
 class Selection:
-    """A set of causes.
-
-    Attributes:
-        forms: the causes.
-        worth: the χ² they explain less the χ² that each must explain.
-    """
+    """A set of causes."""
 
     forms: tuple[Form, ...]
-    worth: float
+    worth: float  # the χ² they explain less the χ² that each must explain
 
 
 def select(candidates: Candidates, begun: Sequence[Form] = ()) -> Selection:
     """Return the best set of causes: forward selection from several starts, with removal and exchange after each step.
 
-    Args:
-        begun: a set to start from instead, whose causes stay if each is significant.
+    A set that is begun with stays if each of its causes is significant.
     """
     if not candidates.forms:
         return Selection((), 0.0)
@@ -115,11 +109,9 @@ def largest_causes(candidates: Candidates, most: int) -> tuple[Form, ...]:
 
 
 def within_limits(candidates: Candidates, best: Selection, anew: bool) -> Selection:
-    """Return the best set in which no cause is larger than possible (`excess_ratio`).
+    """Return the best set, from one of any size, in which no cause is larger than possible (`excess_ratio`).
 
-    Args:
-        best: the best set, whatever its size (`select`).
-        anew: whether to search from the start without a cause that is too large, or to continue with the others.
+    ``anew``: search from the start without a cause that is too large, not on with the others.
     """
     allowed = candidates.critical_table
     while True:
@@ -151,14 +143,7 @@ def excess_ratio(candidates: Candidates, form: Form, forms: Sequence[Form]) -> f
 
 
 def excess_ratio_of(form: Form, values: np.ndarray, u: np.ndarray, gram: np.ndarray, explained: float) -> float:
-    """Return the ratio of `excess_ratio` for given values, in plausible sizes, with their standard uncertainties.
-
-    Args:
-        values: (w,) of its columns.
-        u: (w,) standard uncertainties.
-        gram: (w, w) inner products of its columns.
-        explained: χ² explained by all causes together.
-    """
+    """Return the ratio of `excess_ratio` for given values (w,), in plausible sizes; ``explained`` is the χ² by all causes together."""
     return max(ratio for ratio, _ in _excesses_of(form, values, u, gram, explained))
 
 
@@ -239,13 +224,7 @@ def _split(candidates: Candidates, forms: list[Form]) -> list[Form]:
 def forward_selection(
     candidates: Candidates, forms: Sequence[Form], allowed: np.ndarray | bool = True, most: int = MAX_CAUSES
 ) -> list[Form]:
-    """Add forms as long as each is significant.
-
-    Args:
-        forms: the forms to start with.
-        allowed: (forms,) which may be added.
-        most: largest number of forms.
-    """
+    """Add forms, of those ``allowed`` (forms,), as long as each is significant."""
     forms = _exchanged(candidates, list(forms), allowed)
     while len(forms) < most:
         now = candidates.penalised_gain(forms)
@@ -342,11 +321,7 @@ SEED: Final = 1964
 
 
 def exclude_outliers(placed: Readings) -> DiagnosisTask:
-    """Return the problem without outliers: whitened rows and the causes to test.
-
-    Args:
-        placed: all rows, with the stations placed.
-    """
+    """Return the problem without outliers: whitened rows and the causes to test."""
     few = np.count_nonzero(placed.bad) < LEAST_OUTLIERS
     return placed.without(placed.bad if few else _outliers_beside_causes(placed))
 

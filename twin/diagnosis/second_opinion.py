@@ -53,45 +53,27 @@ SWEEPS: Final = 100
 @final
 @dataclass(frozen=True, eq=False)
 class Alternatives:
-    """Forms with the same number of columns.
+    """Forms with the same number of columns."""
 
-    Attributes:
-        forms: (n,) number of each form.
-        columns: (n, w) column numbers of each form.
-        inner: (n, w, w) inner products of these columns.
-        prior: (n,) prior probability, not normalised.
-        largest: (n, w) coefficients of the largest size that is possible.
-        centre: (n, w) prior mean of the coefficients; zero unless the size is known beforehand.
-        width: (n,) relative prior standard deviation of a size that is known beforehand; unused elsewhere.
-    """
-
-    forms: np.ndarray
-    columns: np.ndarray
-    inner: np.ndarray
-    prior: np.ndarray
-    largest: np.ndarray
-    centre: np.ndarray
-    width: np.ndarray
+    forms: np.ndarray  # (n,) number of each form
+    columns: np.ndarray  # (n, w) column numbers of each form
+    inner: np.ndarray  # (n, w, w) inner products of these columns
+    prior: np.ndarray  # (n,) probability, not normalised
+    largest: np.ndarray  # (n, w) coefficients of the largest size that is possible
+    centre: np.ndarray  # (n, w) prior mean of the coefficients; zero unless the size is known beforehand
+    width: np.ndarray  # (n,) relative prior standard deviation of a size that is known beforehand
 
 
 @final
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """Posterior of one effect.
+    """Posterior of one effect."""
 
-    Attributes:
-        log_odds: natural log of the odds of an effect of any form against none.
-        posterior: (forms,) probability of each form, given that there is an effect.
-        coefficients: (columns,) posterior mean.
-        slope: (columns,) its contribution to the inner products with the residual.
-        along: product of the coefficients with the residual to which the effect was fitted.
-    """
-
-    log_odds: float
-    posterior: np.ndarray
-    coefficients: np.ndarray
-    slope: np.ndarray
-    along: float = 0.0
+    log_odds: float  # natural log of the odds of an effect of any form against none
+    posterior: np.ndarray  # (forms,) probability of each, given that there is an effect
+    coefficients: np.ndarray  # (columns,) posterior mean
+    slope: np.ndarray  # (columns,) contribution to the inner products with the residual
+    along: float = 0.0  # product of the coefficients with the residual to which the effect was fitted
 
     @property
     def found(self) -> bool:
@@ -131,11 +113,9 @@ class SingleEffects:
         self._log_prior = [np.log(kind.prior / total) for kind in self._kinds]
 
     def fitted(self, most: int, start: Sequence[int] = ()) -> tuple[Fit, ...]:
-        """Return the effects in the order of entry; the last one was not found, unless there are ``most``.
+        """Return at most ``most`` effects in the order of entry, else with one more that was not found.
 
-        Args:
-            most: largest number of effects.
-            start: forms to start from, in addition to a start without effects.
+        The iteration starts without effects and, in addition, from the forms of ``start``.
         """
         if not self._kinds:
             return ()
@@ -309,19 +289,13 @@ Key = tuple[str, str]
 @final
 @dataclass(frozen=True)
 class SingleEffect:
-    """One effect with the posterior distribution over its possible causes.
+    """One effect with the posterior distribution over its possible causes."""
 
-    Attributes:
-        log_odds: natural log of the odds of an effect against none.
-        posterior: probability of each cause given that there is an effect, all forms of the cause together; the likeliest first.
-        credible: the smallest set of causes that has `CREDIBLE_PROBABILITY` of the probability, the likeliest first.
-        sum_of: causes of the search that together, and not without one of them, are this effect; empty if they are not.
-    """
-
-    log_odds: float
+    log_odds: float  # natural log of the odds of an effect against none
+    # of each cause given that there is an effect, all its forms together; the likeliest first
     posterior: Mapping[Key, float]
-    credible: tuple[Key, ...]
-    sum_of: tuple[Key, ...] = ()
+    credible: tuple[Key, ...]  # the fewest causes that have `CREDIBLE_PROBABILITY` together, the likeliest first
+    sum_of: tuple[Key, ...] = ()  # causes of the search that together, and not without one of them, are this effect
 
     @property
     def found(self) -> bool:
@@ -344,19 +318,12 @@ def probability_of_any(effects: Sequence[SingleEffect], keys: Collection[Key]) -
 @final
 @dataclass(frozen=True)
 class Comparison:
-    """Comparison of the search with the second method.
+    """Comparison of the search with the second method."""
 
-    Attributes:
-        probability: of each cause of the search, that it, or one that it is equivalent to, exists.
-        credible: of each the credible set of the effect that corresponds to it; empty if no effect does.
-        instead: of each the credible set of the effect found in its place; empty if there is none.
-        further: effects found that correspond to no cause of the search and replace none.
-    """
-
-    probability: tuple[float, ...] = ()
-    credible: tuple[tuple[Key, ...], ...] = ()
-    instead: tuple[tuple[Key, ...], ...] = ()
-    further: tuple[SingleEffect, ...] = ()
+    probability: tuple[float, ...] = ()  # of each cause of the search, that it or an equivalent exists
+    credible: tuple[tuple[Key, ...], ...] = ()  # of each the credible set of the effect that corresponds to it
+    instead: tuple[tuple[Key, ...], ...] = ()  # of each the credible set of the effect found in its place
+    further: tuple[SingleEffect, ...] = ()  # effects found that correspond to no cause of the search
 
     @property
     def disagree(self) -> bool:
@@ -371,10 +338,10 @@ def second_opinion(candidates: Candidates, start: Sequence[Form] = ()) -> tuple[
     """Return independent single effects: those found, the strongest first, followed by one that was not.
 
     The prior of a form follows the search's correction for multiple testing: effects share it as they share the rate of false alarms,
-    the places of an effect in proportion to their number of independent forms. A known or bounded size is part of the prior.
+    the places of an effect in proportion to their number of independent forms. A known or bounded size is part of the prior. Forms
+    forbidden to the search are included with their own prior.
 
     Args:
-        candidates: the data and the forms; forms forbidden to the search are included with their own prior.
         start: forms selected by the search; the iteration starts from them as well as from no effect. An effect can be the sum of
             several: a lean of X in the machine is the same as one of Y and one of the rotary axis that Y carries.
     """
@@ -409,15 +376,11 @@ def _sum_of(effect: Fit, candidates: Candidates, named: Sequence[Form]) -> tuple
 
 
 def compare_with_search(effects: Sequence[SingleEffect], groups: Sequence[Collection[Key]]) -> Comparison:
-    """Compare the causes of the search with the second method.
+    """Compare the causes of the search, each in a group with those equivalent to it, with the second method.
 
     Each effect is assigned to at most one group, maximising the joint posterior probability. An unassigned effect disagrees with the
     search if a group has no effect, which it then replaces, or if its credible set has no cause in common with any group. Two effects
     with the same likeliest cause count as one cause in two forms.
-
-    Args:
-        effects: result of the second method on the same data.
-        groups: for each cause of the search, the cause and those equivalent to it.
     """
     common = np.array([[effect.probability(group) for effect in effects] for group in groups])
     pairs = zip(*_assigned(common), strict=True) if len(groups) else ()

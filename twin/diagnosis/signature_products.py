@@ -22,10 +22,7 @@ from twin.numerics.functions import Functions, Interpolation, Rows, pieces
 class PointBlock:
     """Derivatives and functions of the state at a block of points, each computed once.
 
-    Args:
-        view: linearisation at some or all points of the data.
-        rows: the block's rows in the view.
-        kept: values of functions that are kept for further passes, and the functions to keep; none if None.
+    ``kept`` holds values of functions for further passes, and the functions to keep.
     """
 
     def __init__(
@@ -77,27 +74,18 @@ Terms = tuple[np.ndarray, np.ndarray, np.ndarray]
 @final
 @dataclass(frozen=True)
 class ProductPlan:
-    """Terms of the inner products that come from one pair of function sets.
+    """Terms of the inner products that come from one pair of function sets."""
 
-    Attributes:
-        first: (p,) index in the first set of each product of two functions.
-        second: (p,) index in the second set.
-        derivatives: pairs of derivatives that these products are multiplied by.
-        entries: indices of inner product, product of functions and pair of derivatives, and the weight; (e,) each.
-    """
-
-    first: np.ndarray
-    second: np.ndarray
-    derivatives: tuple[tuple[Freedom, Freedom], ...]
+    first: np.ndarray  # (p,) index in the first set of each product of two functions
+    second: np.ndarray  # (p,) index in the second set
+    derivatives: tuple[tuple[Freedom, Freedom], ...]  # pairs that these products are multiplied by
+    # indices of inner product, product of functions and pair of derivatives, and the weight; (e,) each
     entries: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
 
 @final
 class SummedTerms:
-    """Inner products of functions times derivatives with some vectors, summed over blocks of points.
-
-    Args:
-        used: (r,) numbers of the vectors.
+    """Inner products of functions times derivatives with r vectors (numbers ``used``), summed over blocks of points.
 
     Attributes:
         large: by functions, derivative and number of the first of a few vectors: (few, functions).
@@ -150,11 +138,7 @@ PairCodes = tuple[np.ndarray, np.ndarray, list[np.ndarray], np.ndarray]
 
 
 def pair_codes(groups: Sequence[np.ndarray], count: int) -> PairCodes:
-    """Return the pairs of columns within groups, each once.
-
-    Args:
-        groups: indices of columns, (groups, w) each.
-        count: number of columns.
+    """Return the pairs of columns within groups (groups, w), each once.
 
     Returns:
         The codes of the pairs (first · count + second); whether first ≤ second; for each array of groups, the positions of its
@@ -189,9 +173,7 @@ LARGEST_CACHE: Final = 2**25
 class Signatures:
     """Signatures of many columns in plausible sizes, never held at all points at once.
 
-    Args:
-        view: linearisation at the points.
-        parts: (n,) number of the part each point belongs to, from 0; a single part if None.
+    Each point belongs to one of ``parts`` (n,), from 0; all to a single part if None.
     """
 
     def __init__(self, view: LinearisedReadings, columns: Sequence[Column], parts: np.ndarray | None = None) -> None:
@@ -213,12 +195,9 @@ class Signatures:
     def along(
         self, vectors: Callable[[PointBlock], np.ndarray], rows: np.ndarray | None = None, *, by_part: bool = True
     ) -> np.ndarray:
-        """Return inner products (parts, columns, r) with r vectors.
+        """Return inner products (parts, columns, r) with r vectors (points, 3, r), given by a function of a block of points.
 
-        Args:
-            vectors: function that returns the vectors (points, 3, r) at a block of points.
-            rows: the points to sum over, as one part; all points, by part, if None.
-            by_part: whether all points are summed by part, not as one part.
+        Over ``rows``, as one part, or over all points: by part, or not.
         """
         runs, part_of, count = self._runs_of(rows)
         if not self.columns:
@@ -337,11 +316,7 @@ class Signatures:
                 yield freedom, along_derivative(block.derivatives[freedom], some, buffers), few.start
 
     def _small_terms(self, block: PointBlock) -> tuple[tuple[tuple[Functions, Freedom], ...], np.ndarray]:
-        """Return the terms with few functions of a derivative that are not zero in a block, and their values.
-
-        Returns:
-            Functions and derivative of the terms, and (3, points, terms) derivative times function times weight.
-        """
+        """Return the terms with few functions of a derivative that are not zero in a block, and their (3, points, terms) values."""
         acting = tuple(
             (functions, freedom)
             for functions, freedom in self._small
@@ -361,14 +336,10 @@ class Signatures:
         return acting, terms
 
     def within(self, groups: Sequence[np.ndarray], rows: np.ndarray | None = None) -> list[np.ndarray]:  # noqa: C901
-        """Return the inner products within groups of columns: (parts, groups, w, w) for each array (groups, w).
+        """Return the inner products within groups of columns: (parts, groups, w, w) for each array of indices (groups, w).
 
         An inner product is a sum of products of two functions times products of two derivatives; each product of functions is
         computed once.
-
-        Args:
-            groups: indices of the columns of each group, one array (groups, w) for each width w.
-            rows: as in `along`.
         """
         if self._planned is None or self._planned[0] is not groups:
             codes = pair_codes(groups, len(self.columns))
@@ -465,11 +436,7 @@ class Signatures:
         return block.values(functions)[:, index]  # type: ignore[index]
 
     def combined(self, coefficients: np.ndarray, points: np.ndarray | None = None) -> np.ndarray:
-        """Return linear combinations (n, 3, r) of the signatures, from coefficients (columns, r).
-
-        Args:
-            points: numbers of the points, in ascending order; all if None.
-        """
+        """Return linear combinations (n, 3, r) of the signatures, of coefficients (columns, r), at some points (ascending) or all."""
         width, runs = coefficients.shape[1], self._runs_of(points)[0]
         combined = np.empty((len(self.view.rows) if points is None else len(points), 3, width))
 

@@ -68,24 +68,15 @@ PARTS_PER_PATTERN: Final = 2
 @final
 @dataclass(frozen=True, eq=False)
 class Structure:
-    """The selected causes and patterns.
+    """The selected causes and patterns."""
 
-    Attributes:
-        forms: the causes.
-        problem: the data with patterns and set-up projected out.
-        likelihood: of causes with the patterns; None without patterns.
-        model: causes and patterns at the most likely variances; None without patterns.
-        rejected: causes selected at first that are not kept with the patterns.
-        patterned: whether the selection started from the patterns, not from the causes.
-        impossible: causes that would improve the fit with the patterns, but only with a size that is impossible.
-    """
-
-    forms: tuple[Form, ...]
-    problem: Problem
-    likelihood: Likelihood | None = None
-    model: Model | None = None
-    rejected: tuple[Form, ...] = ()
-    patterned: bool = False
+    forms: tuple[Form, ...]  # the causes
+    problem: Problem  # with patterns and set-up projected out
+    likelihood: Likelihood | None = None  # of causes with the patterns; None without patterns
+    model: Model | None = None  # at the most likely variances; None without patterns
+    rejected: tuple[Form, ...] = ()  # causes selected at first that are not kept with the patterns
+    patterned: bool = False  # the selection started from the patterns, not from the causes
+    # causes that would improve the fit with the patterns, but only with a size that is impossible
     impossible: tuple[Form, ...] = ()
 
     @property
@@ -122,25 +113,15 @@ class Structure:
 @final
 @dataclass(frozen=True, eq=False)
 class Findings:
-    """The result of the selection, with the problem it belongs to.
-
-    Attributes:
-        task: the problem without outliers, and the causes tested.
-        patterns: the unnamed patterns tested.
-        candidates: the causes, with the set-up projected out.
-        given_patterns: the same with the patterns found projected out as well; ``candidates`` itself without patterns.
-        structure: the selected causes and patterns.
-        by_noise: the causes evaluated with the weights of the noise alone, as the first search left them.
-        refuted: causes that fit the readings but do not predict held-out ones (`twin.diagnosis.cross_validation`).
-    """
+    """The result of the selection, with the problem it belongs to."""
 
     task: DiagnosisTask
-    patterns: Sequence[Pattern]
-    candidates: Candidates
-    given_patterns: Candidates
-    structure: Structure
-    by_noise: Candidates
-    refuted: tuple[Form, ...] = ()
+    patterns: Sequence[Pattern]  # those tested
+    candidates: Candidates  # with the set-up projected out
+    given_patterns: Candidates  # with the patterns found projected out as well
+    structure: Structure  # the selected causes and patterns
+    by_noise: Candidates  # evaluated with the weights of the noise alone, as the first search left them
+    refuted: tuple[Form, ...] = ()  # causes that fit the readings but do not predict held-out ones
 
     @property
     def problem(self) -> Problem:
@@ -153,11 +134,7 @@ class Findings:
 
 
 def joint_selection(candidates: Candidates, forms: Sequence[Form], tried: Sequence[Pattern]) -> Structure:
-    """Return the given causes, or, if patterns explain more than a small part, the joint selection of causes and patterns.
-
-    Args:
-        forms: the causes selected without patterns.
-    """
+    """Return the causes selected without patterns, or, if patterns explain more than a small part, a joint selection of both."""
     structure = with_patterns(candidates, forms, tried)
     patterned = False
     if structure.pattern_tests or len(forms) >= PARTS_PER_PATTERN:
@@ -256,11 +233,6 @@ def _further_pattern(
 
     The test finds patterns fast, at one plausible variance; which columns they depend on is decided by the likelihood at the most
     likely variances, for fewer columns where more are not clearly likelier.
-
-    Args:
-        structure: the causes, and the data with patterns projected out.
-        present: patterns already in the model.
-        seen: keys of patterns that are not chosen again.
     """
     tests = [
         test
@@ -310,10 +282,9 @@ def _one_pattern(candidates: Candidates, tried: Sequence[Pattern]) -> Structure:
 
 
 def _from_patterns(candidates: Candidates, tried: Sequence[Pattern], alone: Structure) -> Structure:
-    """Return the selection that starts from one pattern: causes are added, further patterns tested, unneeded patterns dropped.
+    """Return the selection that starts from one pattern, or the pattern alone if that is likelier.
 
-    Args:
-        alone: the pattern, which is returned if it is likelier than what the search ends with.
+    Causes are added, further patterns tested, unneeded patterns dropped.
     """
     if not alone.pattern_tests:
         return alone
@@ -360,8 +331,7 @@ def _stepwise(
 ) -> tuple[list[Form], Model, tuple[Form, ...]]:
     """Add causes while they are significant with the patterns in the model, and drop those that no longer are.
 
-    Returns:
-        The causes; the model; causes that are significant in addition, but only with an impossible size.
+    Returns the causes; the model; causes that are significant in addition, but only with an impossible size.
     """
     impossible: list[Form] = []
     candidates = likelihood.candidates
@@ -525,9 +495,6 @@ def select_causes(task: DiagnosisTask) -> Findings:
     """Return the causes and the unnamed patterns that explain the residuals.
 
     If they leave more than the noise, the search is repeated with noise and discrepancy in the weights.
-
-    Args:
-        task: the problem without outliers, and the causes to test; with the weights of the noise.
     """
     selected = _select(task)
     for _ in range(MOST_RESELECTIONS):
@@ -611,11 +578,7 @@ def _complexity(forms: Sequence[Form]) -> tuple[int, int]:
 
 @final
 class Searcher:
-    """Search in the catalogue of causes and in the unnamed patterns, on one data set.
-
-    Args:
-        task: the problem without outliers, and the causes to test.
-    """
+    """Search in the catalogue of causes and in the unnamed patterns, on one data set."""
 
     def __init__(self, task: DiagnosisTask) -> None:
         self.task = task

@@ -92,11 +92,7 @@ def grouped(keys: Iterable[tuple[str, str]]) -> list[str]:
 
 
 def missing(entries: Iterable[tuple[str, str, str]]) -> list[str]:
-    """Return one line per missing column with the effects that need it.
-
-    Args:
-        entries: (effect, where, missing column).
-    """
+    """Return one line per missing column with the effects that need it, from (effect, where, missing column)."""
     by_column: dict[str, dict[str, list[str]]] = {}
     for effect, where, wanted in entries:
         by_column.setdefault(wanted, {}).setdefault(effect, []).append(where)
@@ -124,26 +120,16 @@ def measured(value: float, u: float, unit: str) -> str:
 @final
 @dataclass(frozen=True)
 class SeparatingPoints:
-    """Two confounded causes and the points whose measurement separates them.
+    """Two confounded causes and the points whose measurement separates them."""
 
-    Attributes:
-        names: of the two, in words with their symbols.
-        rows: position, approach directions, target, station, and the difference between the two predictions there.
-        verdict: whether and how they can be separated, one or two sentences.
-    """
-
-    names: tuple[str, str]
+    names: tuple[str, str]  # in words with their symbols
+    # position, approach directions, target, station, and the difference between the two predictions
     rows: tuple[tuple[str, str, str, str, str], ...]
-    verdict: str
+    verdict: str  # whether and how they can be separated
 
 
 def separating_points(wanted: Iterable[Mapping[str, Any]], sigma_um: float) -> list[SeparatingPoints]:
-    """Return the points of `Diagnosis.next_measurement`, grouped by the pair of causes they separate.
-
-    Args:
-        wanted: entries of `Diagnosis.next_measurement`; those without a pair of causes are ignored.
-        sigma_um: standard deviation of the noise of a coordinate.
-    """
+    """Return the points of `Diagnosis.next_measurement` by the pair of causes they separate; ``sigma_um`` is the noise's."""
     by_pair: dict[tuple[str, str], list[Mapping[str, Any]]] = {}
     for entry in wanted:
         if "separates" in entry:
@@ -531,11 +517,7 @@ HARD_SPACE: Final = "\u00a0"
 
 
 def diagnosis_text(diagnosis: DiagnosisResult) -> str:  # noqa: C901, PLR0912
-    """Return the verdict, each cause, what to do, the gain and what to measure next, in lines of at most `WIDTH` characters.
-
-    Args:
-        diagnosis: the result of `twin.diagnosis.diagnose`.
-    """
+    """Return the verdict, each cause, what to do, the gain and what to measure next, in lines of at most `WIDTH` characters."""
     lines = _wrapped(
         f"{diagnosis.verdict.upper()}. {headline(diagnosis)[0].removesuffix(' Found:').removesuffix('.')}."
     )
@@ -589,11 +571,7 @@ def diagnosis_text(diagnosis: DiagnosisResult) -> str:  # noqa: C901, PLR0912
 
 
 def diagnosis_display(diagnosis: DiagnosisResult) -> Display:
-    """Return the verdict, a table of the causes and the advice, for a notebook.
-
-    Args:
-        diagnosis: the result of `twin.diagnosis.diagnose`.
-    """
+    """Return the verdict, a table of the causes and the advice, for a notebook."""
     title, mood = headline(diagnosis)
     rows = [
         (

@@ -83,12 +83,7 @@ def strain_displacements(points: np.ndarray) -> np.ndarray:
 
 @final
 class ReadingDerivatives:
-    """Derivatives of some readings by the degrees of freedom, each computed once.
-
-    Args:
-        view: linearisation of the readings.
-        rows: the readings wanted.
-    """
+    """Derivatives of some readings of a view by the degrees of freedom, each computed once."""
 
     def __init__(self, view: LinearisedReadings, rows: Rows) -> None:
         self._view = view
@@ -110,42 +105,25 @@ class ReadingDerivatives:
 @final
 @dataclass(frozen=True, eq=False)
 class SignatureTerm:
-    """One term of a signature: a derivative times a function of the state.
-
-    Attributes:
-        freedom: degree of freedom of the derivative.
-        functions: functions of the state.
-        index: index of the function among them.
-        weight: metres or radians for each unit of the function.
-    """
+    """One term of a signature: a derivative times a function of the state."""
 
     freedom: Freedom
-    functions: Functions
-    index: int
-    weight: float
+    functions: Functions  # of the state
+    index: int  # of the function among them
+    weight: float  # metres or radians for each unit of the function
 
 
 @final
 @dataclass(frozen=True, eq=False)
 class Column:
-    """One column of a signature, linear in one parameter.
+    """One column of a signature, linear in one parameter."""
 
-    Attributes:
-        terms: their sum is the effect of one unit of the parameter.
-        scale: the largest plausible value of the parameter, in its unit.
-    """
-
-    terms: tuple[SignatureTerm, ...]
-    scale: float
+    terms: tuple[SignatureTerm, ...]  # their sum is the effect of one unit of the parameter
+    scale: float  # the largest plausible value of the parameter, in its unit
 
 
 def effect_columns(effect: Effect, machine: Machine, state: Mapping[str, Any]) -> list[Column]:
-    """Return the columns of a machine effect, one for each parameter.
-
-    Args:
-        effect: the effect, linearised at its parameters' values.
-        state: positions and channels of all points.
-    """
+    """Return the columns of a machine effect, linearised at its parameters' values, one for each parameter."""
     return _of_shapes([effect], machine, state, effect.derivatives)
 
 
@@ -183,11 +161,7 @@ def along_command(machine: Machine, axis: Axis) -> list[tuple[int, float]]:
 
 
 def component_column(parts: Sequence[tuple[int, Functions, int, float]]) -> Column:
-    """Return a column from functions of the state in error components.
-
-    Args:
-        parts: component, functions, index of the function, and µm or µrad for each unit of it.
-    """
+    """Return a column from (error component, functions, index of the function, µm or µrad for each unit of it)."""
     return scaled_column(
         [SignatureTerm(("error", at), functions, k, weight * UM) for at, functions, k, weight in parts]
     )
@@ -207,14 +181,7 @@ def tabulated_column(parts: Mapping[int, np.ndarray]) -> Column:
 def masked_columns(
     freedoms: Sequence[Freedom], mask: np.ndarray, weight: float, scale: float = LARGEST_ERROR
 ) -> tuple[Column, ...]:
-    """Return one column for each degree of freedom, active where a mask is set.
-
-    Args:
-        freedoms: the degrees of freedom.
-        mask: (n,) the readings that are affected.
-        weight: metres or radians for each unit of the parameter.
-        scale: largest plausible value of the parameter.
-    """
+    """Return one column for each degree of freedom, active where a mask (n,) is set; ``weight`` metres or radians a unit."""
     function = tabulated(mask[:, None].astype(float))
     return tuple(Column((SignatureTerm(freedom, function, 0, weight),), scale) for freedom in freedoms)
 
@@ -255,8 +222,7 @@ def flaw(space: CurveSpace, curve: Curve, correction: np.ndarray, covariance: np
     """Return the mistake in words; empty if none explains the correction, or the curve has more coefficients than functions.
 
     Args:
-        space: functions of the correction.
-        curve: the calibration's curve, of the same basis and domain.
+        space: functions of the correction, of the basis and domain of the curve.
         correction: (k,) coefficients of the first functions, µm or µrad.
         covariance: (k, k) of these; zero for directions that are not identifiable.
     """
@@ -319,13 +285,7 @@ def constant_dropped(curve: Curve, size: float) -> str:
 
 
 def without_constant(space: CurveSpace, degree: int, stops: int) -> np.ndarray | None:
-    """Return coefficients (count,) of 1 less its fit by q, q² … qⁿ at evenly spaced stops; None if the fit is exact or impossible.
-
-    Args:
-        space: the functions; the stops span its domain.
-        degree: degree n of the polynomial.
-        stops: number of stops.
-    """
+    """Return coefficients (count,) of 1 less its fit by q, q² … qⁿ at evenly spaced stops; None if the fit is exact or impossible."""
     lo, hi = space.domain
     if not lo <= 0.0 <= hi or degree < 2 or degree >= space.count or stops <= degree:
         return None
@@ -395,12 +355,7 @@ STRAIGHT_LINE: Final = np.inf
 @final
 @dataclass(frozen=True)
 class Variant:
-    """One variant of a candidate: columns at fixed values of its non-linear parameters.
-
-    Attributes:
-        columns: columns of its signature.
-        fixed: non-linear parameters by name.
-    """
+    """One variant of a candidate: columns at fixed values of its non-linear parameters."""
 
     columns: tuple[Column, ...]
     fixed: Mapping[str, float] = field(default_factory=dict)
@@ -409,19 +364,12 @@ class Variant:
 @final
 @dataclass(frozen=True)
 class Drift:
-    """Columns of a drift as a function of its time constant.
+    """Columns of a drift as a function of its time constant."""
 
-    Attributes:
-        columns: function from time constant (s; `STRAIGHT_LINE` for a straight line) to columns, one for each linear parameter.
-        constants: time constants tried, s, ascending.
-        straight: whether a straight line is the usual form: an exponential is reported only where it fits significantly better.
-        name: name of the time constant among the fixed parameters of a variant; a straight line has none.
-    """
-
-    columns: Callable[[float], tuple[Column, ...]]
-    constants: tuple[float, ...]
-    straight: bool
-    name: str
+    columns: Callable[[float], tuple[Column, ...]]  # of a time constant, s; one column for each linear parameter
+    constants: tuple[float, ...]  # tried, s, ascending
+    straight: bool  # the usual form is a straight line; an exponential must fit significantly better
+    name: str  # of the time constant among the fixed parameters of a variant
 
     @property
     def variants(self) -> tuple[Variant, ...]:
@@ -436,34 +384,22 @@ class Drift:
 @final
 @dataclass(frozen=True)
 class Candidate:
-    """A candidate cause: one effect at one place.
-
-    Attributes:
-        specification: the effect.
-        where: the place, as in contract §5.
-        names: (name, unit) of its linear parameters; a variant with fewer columns has the first of them.
-        variants: the forms it can take.
-        tests: number of independent variants, for the correction for multiple testing.
-        build: function from linear and fixed parameters to the effects that extend the model; None for instrument effects.
-        units: function from fixed parameters to one effect for each linear parameter, with that parameter equal to one; None where
-            the columns are not made from effects.
-        space: functions of the columns, if the candidate is a curve.
-        drift: columns at any time constant, if it is a drift.
-        reported: linear parameters → the parameters reported, if they are others; ``names`` are those of the latter.
-        event: what happened at the moment of this candidate: at another moment it is the same event, and no alternative. Each of its
-            n variants is one of n moments, and n times less likely.
-    """
+    """A candidate cause: one effect at one place (contract §5)."""
 
     specification: Specification
     where: str
+    # and units of the linear parameters; a variant with fewer columns has the first of them
     names: tuple[tuple[str, str], ...]
     variants: tuple[Variant, ...]
-    tests: float
-    build: Build | None = None
-    units: Units | None = None
-    space: CurveSpace | None = None
+    tests: float  # number of independent variants, for the correction for multiple testing
+    build: Build | None = None  # linear and fixed parameters → effects that extend the model; None for an instrument
+    units: Units | None = None  # fixed parameters → one effect for each linear parameter, of size one
+    space: CurveSpace | None = None  # functions of the columns of a curve
     drift: Drift | None = None
+    # linear parameters → those reported, which have the ``names``
     reported: Callable[[np.ndarray], np.ndarray] | None = None
+    # what happened at its moment: at another moment it is the same event, and no alternative. Each of its n variants is one of n
+    # moments, and n times less likely
     event: str = ""
 
     @property
@@ -503,29 +439,20 @@ class Candidate:
 @final
 @dataclass(frozen=True)
 class Catalogue:
-    """The candidates that these data allow to be tested, and those that lack data.
-
-    Attributes:
-        candidates: the candidates to test.
-        not_evaluated: (effect, place, missing column) of the others.
-    """
+    """The candidates that these data allow to be tested, and those that lack data."""
 
     candidates: tuple[Candidate, ...]
-    not_evaluated: tuple[Missing, ...] = ()
+    not_evaluated: tuple[Missing, ...] = ()  # those that lack data
 
 
 @final
 @dataclass(frozen=True)
 class CandidateInputs:
-    """Inputs that candidates are generated from.
-
-    Attributes:
-        calibration: the model under test.
-    """
+    """Inputs that candidates are generated from."""
 
     machine: Machine
     data: Measurements
-    calibration: Calibration
+    calibration: Calibration  # the model under test
 
     @cached_property
     def state(self) -> Mapping[str, Any]:
@@ -536,12 +463,7 @@ class CandidateInputs:
 @final
 @dataclass(frozen=True)
 class CandidateSource:
-    """A generator of candidates.
-
-    Attributes:
-        specifications: the effects it generates.
-        candidates: function from the inputs to the candidates, and those for which data are missing.
-    """
+    """A generator of candidates, and the effects it generates."""
 
     specifications: tuple[Specification, ...]
     candidates: Callable[[CandidateInputs], Catalogue]

@@ -54,11 +54,9 @@ SPECIFICATIONS: Final[dict[str, Specification]] = {
 def catalogue(
     machine: Machine, data: Measurements, calibration: Calibration, instruments: StationInstruments | None = None
 ) -> Catalogue:
-    """Return every effect of contract §5 that the machine, the columns of the data and the instruments allow.
+    """Return every effect of contract §5 that the machine, the columns of the data and the instruments (None: not known) allow.
 
-    Args:
-        calibration: the model under test; the curve of a rotary axis is a candidate only where it is a polynomial.
-        instruments: those of the stations; errors that none of them can have are left out. None: not known.
+    The curve of a rotary axis is a candidate only where the calibration's is a polynomial.
     """
     inputs = CandidateInputs(machine, data, calibration)
     by_source = [source.candidates(inputs) for source in SOURCES]

@@ -152,12 +152,7 @@ def alignments(inputs: CandidateInputs) -> Catalogue:
 
 
 def of_a_jumped_side(data: Measurements, chosen: Sequence[tuple[Candidate, Variant]]) -> set[tuple[str, str]]:
-    """Return effect and place of displaced targets that are all targets of a side, at one time: then the side jumped, and no target.
-
-    Args:
-        data: the readings.
-        chosen: causes with their forms.
-    """
+    """Return effect and place of displaced targets that are all targets of a side, at one time: then the side jumped, and no target."""
     rank = np.empty(len(data), dtype=int)
     rank[order_in_time(data)] = np.arange(len(data))
     shifted = []
@@ -181,12 +176,11 @@ def of_a_jumped_side(data: Measurements, chosen: Sequence[tuple[Candidate, Varia
 def _within_rounds(
     data: Measurements, of: Specification, where: str, own: np.ndarray, freedoms: Sequence[Freedom]
 ) -> list[Candidate]:
-    """Return a candidate for each round in the middle of which a station or a target may have been displaced, from a line on.
+    """Return a candidate for each round in the middle of which a station or target may have been displaced, from a line on.
 
     Args:
         where: the beginning of the place.
         own: (n,) the readings of that station or target.
-        freedoms: of the displacement.
     """
     order = order_in_time(data)
     read, candidates = order[own[order]], []

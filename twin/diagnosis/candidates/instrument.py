@@ -409,13 +409,9 @@ def station_drifts(inputs: CandidateInputs) -> Catalogue:
 
 
 def drift_of_station(time_s: np.ndarray, mask: np.ndarray) -> Drift:
-    """Return a drift of a station along the axes of the base; the parameters are its initial rates, µm/h.
+    """Return a drift of a station along the axes of the base, where a mask (n,) is set; the parameters are its initial rates, µm/h.
 
     The functions of time are the same as for a drift of the machine, so that their shape never decides between the two.
-
-    Args:
-        time_s: (n,) times of all readings.
-        mask: (n,) whether a reading was taken from the station.
     """
     hours = (time_s - time_s.min()) / 3600.0
     tried = drift_time_constants(time_s)

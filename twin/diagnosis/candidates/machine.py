@@ -117,13 +117,7 @@ def _single(specification: Specification, where: str, inputs: CandidateInputs) -
 
 
 def variant_at(candidate: Candidate, fixed: Mapping[str, float], machine: Machine, state: Mapping[str, Any]) -> Variant:
-    """Return the variant of a candidate at given values of its non-linear parameters.
-
-    Args:
-        candidate: the candidate; it has ``units`` or ``drift``.
-        fixed: values of the non-linear parameters, by name.
-        state: positions and channels of all readings.
-    """
+    """Return the variant of a candidate, which has ``units`` or ``drift``, at given values of its non-linear parameters."""
     if candidate.drift is not None:
         return candidate.drift.variant(fixed.get(candidate.drift.name, STRAIGHT_LINE))
     if candidate.units is None:
@@ -262,11 +256,9 @@ def _curve_candidate(
 
 
 def _domain_and_degree(axis: Axis, known: Curve | None, curve: Curve | None) -> tuple[tuple[float, float], int] | None:
-    """Return the domain and largest degree of the correction of a curve; None if it cannot be corrected.
+    """Return domain and largest degree of the correction of a known curve; None if it cannot be corrected.
 
-    Args:
-        known: the calibration's curve; None if there is none.
-        curve: the same in powers; None if it is not a polynomial.
+    ``curve`` is the same in powers; None if it is not a polynomial.
     """
     if curve is not None:
         return curve.domain, max(MOST_DEGREES, len(curve.coefficients) - 1)
@@ -292,13 +284,7 @@ def _builder(space: CurveSpace, patterns: Mapping[float, np.ndarray], *, wrapped
 
 
 def _functions_with_sums(space: CurveSpace, at: np.ndarray, patterns: Sequence[np.ndarray]) -> Functions:
-    """Return a curve's orthonormal functions, followed by linear combinations of them.
-
-    Args:
-        space: the functions.
-        at: (n,) positions.
-        patterns: coefficients (count,) of each combination.
-    """
+    """Return a curve's orthonormal functions at (n,) positions, followed by linear combinations of them with coefficients (count,)."""
     sums = np.stack(patterns, axis=1) if patterns else np.zeros((space.count, 0))
 
     def values(rows: Rows) -> np.ndarray:
@@ -405,12 +391,7 @@ def first_moments(fixed: Mapping[str, float]) -> np.ndarray:
 
 
 def with_centre(candidate: Candidate, centre_mm: Sequence[float] | np.ndarray) -> Variant:
-    """Return the variant of an added load with a given centre: its only coefficient is the mass.
-
-    Args:
-        candidate: an added load.
-        centre_mm: centre in the frame that carries it.
-    """
+    """Return the variant of an added load with a given centre in the frame that carries it: its only coefficient is the mass."""
     fixed = dict(zip(NUMBERS[1:], map(float, centre_mm), strict=True))
     parts = list(zip(candidate.variants[-1].columns, first_moments(fixed), strict=True))
     terms = [replace(term, weight=term.weight * weight) for column, weight in parts for term in column.terms]
@@ -491,9 +472,7 @@ def reversal_spikes(inputs: CandidateInputs) -> Catalogue:
 def time_since_reversal(data: Measurements, velocity: np.ndarray) -> tuple[np.ndarray, float]:
     """Return (n,) the time in s since an axis reversed, infinite before the first reversal of a round, and the interval between rows.
 
-    Args:
-        data: the measurements; rows of a round follow each other, at a known feed or at known times.
-        velocity: (n,) of the axis; a reversal is taken in the middle between two rows of opposite sign.
+    Rows follow each other at a known feed or at known times; a reversal is in the middle between two rows of opposite velocity.
     """
     timed, order = has_times(data), order_in_time(data)
     q, rounds = data.positions[order], data.round[order]

@@ -78,19 +78,12 @@ MISPLACED: Final = Specification(
 @final
 @dataclass(frozen=True, eq=False)
 class _Curves:
-    """The calibration's curves.
-
-    Attributes:
-        inputs: inputs that candidates are generated from.
-        motions: the curves.
-        functions: functions of the state, one for each curve.
-        index: index of each axis's first error component.
-    """
+    """The calibration's curves."""
 
     inputs: CandidateInputs
     motions: Sequence[ErrorMotion]
-    functions: Functions
-    index: Mapping[str, int]
+    functions: Functions  # one for each curve
+    index: Mapping[str, int]  # of each axis's first error component
 
     def of(self, axis: Axis) -> dict[int, int]:
         """Return component → index of the curve, for one axis."""
@@ -232,13 +225,7 @@ def _renamed(motion: ErrorMotion, name: str, calibration: Calibration) -> Build 
 
 
 def _in_base_frame(own: Mapping[int, int], curves: Functions, carried: np.ndarray) -> list[SignatureTerm]:
-    """Return an axis's errors as translations and rotations, about the base frame's origin, of everything its side carries.
-
-    Args:
-        own: component → index of its curve.
-        curves: functions of all curves.
-        carried: (n,) whether the target of a reading is on that side.
-    """
+    """Return an axis's errors (component → curve) as movements, about the base's origin, of all that its side carries (n,)."""
     masked = Functions(curves.points, curves.count, lambda rows: curves.values(rows) * carried[rows, None])
     return [SignatureTerm(("base", i) if i < 3 else ("base turn", i - 3), masked, k, UM) for i, k in own.items()]
 
