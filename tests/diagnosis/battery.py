@@ -31,7 +31,7 @@ from twin._common.arrays import read_only
 from twin._common.errors import InputError
 from twin.compute.parallel import Workers, map_in_order
 from twin.diagnosis.alternatives import equivalent, together
-from twin.diagnosis.candidates.candidate import Candidate, unit_column
+from twin.diagnosis.candidates.candidate import Candidate, unit_columns
 from twin.diagnosis.estimate import estimate
 from twin.diagnosis.forms import Form
 from twin.diagnosis.problem import Problem
@@ -179,7 +179,7 @@ def some_effect(rng: np.random.Generator, problem: Problem, families: dict[str, 
             fixed["period"] = float(1.0 / rng.uniform(min(spacing), max(spacing)))
             axis = machine.by_name[candidate.where]
             columns = [
-                unit_column(PitchError(axis, 1.0, fixed["period"], phase), machine, state)
+                unit_columns([PitchError(axis, 1.0, fixed["period"], phase)], machine, state)[0]
                 for phase in (0.0, np.pi / 2.0)
             ]
         if effect == "thermal_drift":
@@ -187,7 +187,7 @@ def some_effect(rng: np.random.Generator, problem: Problem, families: dict[str, 
             fixed["time_constant"] = float(np.exp(rng.uniform(np.log(min(constants)), np.log(max(constants)))))
             built = candidate.build(np.ones(1), fixed)[0] if candidate.build else None
             if isinstance(built, ThermalDrift):
-                columns = [unit_column(built, machine, state)]
+                columns = unit_columns([built], machine, state)
         raw = problem.signature(columns)
         seen = np.diag(problem.inner(raw)) > 25.0
         values = rng.standard_normal(raw.shape[1]) * seen

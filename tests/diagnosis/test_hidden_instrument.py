@@ -20,7 +20,7 @@ from tests.truth.hidden import Hidden, Plan
 from twin.diagnosis import Diagnosis, diagnose
 from twin.diagnosis.candidates.instrument import velocities
 from twin.diagnosis.causes import one_for_each_number
-from twin.diagnosis.drift_fit import over_forms
+from twin.diagnosis.estimate import over_forms
 from twin.diagnosis.readings import readings
 from twin.diagnosis.search import candidates_of
 from twin.machine.machine import Machine

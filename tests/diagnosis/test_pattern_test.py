@@ -11,7 +11,7 @@ from scipy import stats
 from tests.real import plates
 from tests.truth import hidden
 from tests.truth.hidden import Hidden
-from twin.diagnosis.candidates.candidate import base_column
+from twin.diagnosis.candidates.candidate import SignatureTerm, scaled_column
 from twin.diagnosis.likelihood import Likelihood, _two_moments, log_tail, scan_patterns
 from twin.diagnosis.patterns import Pattern, patterns
 from twin.diagnosis.problem import Problem
@@ -206,7 +206,7 @@ def test_columns_along_the_base_are_the_patterns_own(searched: Searcher) -> None
     """µm per unit of a function, along an axis of the base frame."""
     pattern = next(p for p in searched.patterns if p.names == ("X_mm",) and p.side == "tool" and p.field == "base")
     (first, *_) = pattern.columns(2, [1])
-    same = base_column(1, first.terms[0].functions, first.terms[0].index)
+    same = scaled_column([SignatureTerm(("base", 1), first.terms[0].functions, first.terms[0].index, 1e-6)])
     found, expected = (searched.problem.signature([column])[:, 0] / column.scale for column in (first, same))
     np.testing.assert_allclose(found, expected, rtol=1e-12)
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from twin._common.arrays import first_largest, largest_first, read_only
 from twin._common.units import MM
-from twin.diagnosis.candidates.candidate import ITSELF, constant_dropped, flaw, times
+from twin.diagnosis.candidates.calibration import ITSELF, constant_dropped, flaw, times
 from twin.diagnosis.candidates.instrument import assumed_zero
 from twin.diagnosis.cross_validation import predicts_held_out
 from twin.diagnosis.estimate import Estimate, fitted_effects
@@ -36,8 +36,7 @@ from twin.model.effects.specification import FittedCause
 from twin.numerics.functions import SHORTEST_PERIOD, sampling_frequency
 from twin.tool.uncertainty import volume
 
-ALTERNATIVES_SEPARATED: Final = 2
-"""Number of alternatives of a cause for which points are suggested."""
+ALTERNATIVES_SEPARATED: Final = 2  # number of alternatives of a cause for which points are suggested
 MOST_TOGETHER: Final = 6
 """Number of causes of one effect that are tried together: one for each axis. Many more would imitate anything."""
 SPANNED: Final = 0.01
@@ -46,8 +45,7 @@ FIELD: Final = "with the frame"
 """`Specification.varies` of an error of the instrument that is a field in its frame: scales, shears, bent beams."""
 IMITATED: Final = 0.2
 """Share of a cause's effect on the readings that an error of the instrument may leave and still replace it."""
-RUNNERS_UP: Final = 2
-"""Number of alternatives that are ruled out and listed with a cause."""
+RUNNERS_UP: Final = 2  # number of alternatives that are ruled out and listed with a cause
 
 
 def equivalent(findings: Findings, form: Form, others: Sequence[Form]) -> tuple[tuple[str, str], ...]:
@@ -207,13 +205,10 @@ def points_to_measure(candidates: Candidates, named: Sequence[Form], causes: Seq
     return tuple(points)
 
 
-POSES: Final = 400
-"""Number of candidate poses."""
+POSES: Final = 400  # number of candidate poses
 SEED: Final = 1975
-POINTS_PER_PAIR: Final = 3
-"""Number of points suggested per pair of causes."""
-LEAST_POSE_DISTANCE: Final = 0.15
-"""Smallest distance of two suggested poses, relative to the ranges of the axes."""
+POINTS_PER_PAIR: Final = 3  # number of points suggested per pair of causes
+LEAST_POSE_DISTANCE: Final = 0.15  # smallest distance of two suggested poses, relative to the ranges of the axes
 
 
 def _separating(
@@ -301,8 +296,7 @@ def _well_separated(positions: np.ndarray, gain: np.ndarray) -> list[int]:
 
 ARC_COVERED: Final = 0.8
 """Share of an axis's travel, one turn at most, from which on it counts as measured: the last position is one step short of a turn."""
-ALIAS_CHI2: Final = 9.0
-"""χ² (three standard deviations) by which a period must fit worse than the best to be ruled out."""
+ALIAS_CHI2: Final = 9.0  # χ² (three standard deviations) by which a period must fit worse than the best to be ruled out
 
 
 def evidence(form: Form, estimated: Estimate, k: int) -> str:

@@ -75,8 +75,7 @@ class Diagnosis(DisplayedResult, DiagnosisResult):
 
 # --- The limits of the extended calibration, as it states them: errors that remain unknown, residuals, instruments and set-up
 
-VERDICTS: Final = ("consistent", "untested", "larger", "systematic")
-"""Verdicts on the residuals, the best first."""
+VERDICTS: Final = ("consistent", "untested", "larger", "systematic")  # verdicts on the residuals, the best first
 
 
 def with_limits(diagnosis: Diagnosis, network: Network) -> Diagnosis:
@@ -174,10 +173,8 @@ def _verdict_within_limits(
 
 # --- From the causes to the result: unexplained residuals, the extended calibration, its gain, and the causes that are not id
 
-MOSTLY_EXPLAINED: Final = 0.1
-"""Share of the excess that may remain unexplained for the verdict ``explained``."""
-MOST_RANKED: Final = 12
-"""Largest number of causes in the ranking."""
+MOSTLY_EXPLAINED: Final = 0.1  # share of the excess that may remain unexplained for the verdict ``explained``
+MOST_RANKED: Final = 12  # largest number of causes in the ranking
 
 
 def conclude(sized: SizedCauses, calibration: Calibration, *, empirical: bool = False) -> Diagnosis:
@@ -311,10 +308,8 @@ def _ranking(candidates: Candidates) -> tuple[tuple[str, str, float, float], ...
     return tuple((*key, explained, candidates.p_value(log_p)) for key, (explained, log_p) in ranked)
 
 
-SEEN_AT: Final = 0.05
-"""p-value below which a trend of the residuals with a column is reported."""
-NOISE_P_VALUE: Final = 1e-4
-"""p-value of the residuals from which on they count as noise."""
+SEEN_AT: Final = 0.05  # p-value below which a trend of the residuals with a column is reported
+NOISE_P_VALUE: Final = 1e-4  # p-value of the residuals from which on they count as noise
 NEGLIGIBLE_EXCESS: Final = 0.01
 """Share of the excess below which unexplained residuals are not a finding: real machines always have some."""
 

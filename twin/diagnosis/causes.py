@@ -30,9 +30,8 @@ from twin.diagnosis.alternatives import (
     ruled_out,
     together,
 )
-from twin.diagnosis.candidates.catalogue import SPECIFICATIONS
-from twin.diagnosis.candidates.displaced import of_a_jumped_side
-from twin.diagnosis.candidates.instrument import ASSUMED_OF_INSTRUMENT
+from twin.diagnosis.candidates import SPECIFICATIONS
+from twin.diagnosis.candidates.instrument import ASSUMED_OF_INSTRUMENT, of_a_jumped_side
 from twin.diagnosis.candidates.machine import FOLLOWING_ERROR, READ_BACK
 from twin.diagnosis.estimate import MANY_ROUNDS, Estimate, estimate, reweighted
 from twin.diagnosis.forms import DEVIANCE_RULED_OUT, Candidates, Form, log_p_value
@@ -167,8 +166,7 @@ JUMPED: Final = "; all targets of its side moved alike"
 ONLY_A_PART: Final = "they explain only part of a pattern that no known effect explains as a whole"
 OVERFITTED: Final = "they increase the residuals of held-out readings: too few readings for this number of causes"
 """Reasons for which causes are left out, in words."""
-AT_BOUND: Final = 0.99
-"""Ratio of a parameter to its bound from which on it counts as bounded."""
+AT_BOUND: Final = 0.99  # ratio of a parameter to its bound from which on it counts as bounded
 COLLINEAR: Final = 1e-4
 """Share of a cause's squared norm outside the span of the other causes below which it has no number of its own in the data."""
 UNDETERMINED_SHARE: Final = 0.9 / np.sqrt(CENTRE_PRIOR)

@@ -28,8 +28,7 @@ from twin.model.effects.base import axis_of
 
 DENSE_POSITIONS: Final = 20
 """Number of positions of an axis above which a curve through them is taken to be valid between them."""
-GROUPS_FOR_AN_INTERVAL: Final = 6
-"""Smallest number of independent groups for a confidence interval."""
+GROUPS_FOR_AN_INTERVAL: Final = 6  # smallest number of independent groups for a confidence interval
 
 
 def predicted_pattern_shift(likelihood: Likelihood, forms: Sequence[Form], written: Collection[int]) -> np.ndarray:
@@ -151,13 +150,10 @@ def held_out_squares(
     return table
 
 
-FOLDS: Final = 8
-"""Largest number of folds."""
-CELLS: Final = 8
-"""Number of contiguous cells of positions, at least, of which a part is left out at a time."""
+FOLDS: Final = 8  # largest number of folds
+CELLS: Final = 8  # number of contiguous cells of positions, at least, of which a part is left out at a time
 SEED: Final = 2001
-BLOCKS: Final = 8
-"""Number of blocks of time of a single round."""
+BLOCKS: Final = 8  # number of blocks of time of a single round
 HeldOutOf = Literal["rounds", "positions", "poses", "blocks"]
 
 
@@ -226,10 +222,8 @@ def _drawn(of: HeldOutOf, group: np.ndarray) -> HeldOutFolds:
     return HeldOutFolds(of, group, (np.random.default_rng(SEED).permutation(count) % min(count, FOLDS))[group])
 
 
-AMPLE_FREEDOM: Final = 20
-"""Degrees of freedom per parameter above which overfitting is negligible."""
-OVERFITTED_RATIO: Final = 1.25
-"""Ratio of held-out to fitted RMS residual above which the number of causes is reduced."""
+AMPLE_FREEDOM: Final = 20  # degrees of freedom per parameter above which overfitting is negligible
+OVERFITTED_RATIO: Final = 1.25  # ratio of held-out to fitted RMS residual above which the number of causes is reduced
 
 
 def without_overfitting(candidates: Candidates, forms: Sequence[Form]) -> list[Form]:

@@ -31,8 +31,7 @@ ADDITIONAL_CAUSE_PENALTY: Final = 2.5
 """Amount subtracted for each cause after the first (as chi²): several causes at once are rarer than one."""
 CALIBRATION_QUANTILE: Final = 0.15
 """Quantile of the smallest p-value in these data sets; smaller false-alarm rates are extrapolated in proportion."""
-TAIL_FACTOR: Final = 0.8
-"""Factor on that extrapolation: correlated tests are less dependent further out in the tail."""
+TAIL_FACTOR: Final = 0.8  # factor on that extrapolation: correlated tests are less dependent further out in the tail
 SEED: Final = 4711
 LEAST_NONCENTRALITY: Final = 25.0
 """Noncentrality at the largest plausible size below which a direction is not identifiable from the data."""
@@ -41,14 +40,12 @@ DEVIANCE_RULED_OUT: Final = 9.21
 # Of n waves, the best follows about 2·ln(n) / positions of any error: with some 40 positions and 300 waves a quarter.
 LEAST_SHORT_SHARE: Final = 0.25
 """Smallest share of the excess of waves that are shorter than the mean distance of the measured positions."""
-SAMPLED_POINTS: Final = 4096
-"""Points that suffice to estimate the correlation between forms."""
+SAMPLED_POINTS: Final = 4096  # points that suffice to estimate the correlation between forms
 TIE: Final = 1e-6
 """Added to a critical value for each column: of forms that explain the same, the one with the fewest columns is preferred."""
 RESOLVED: Final = 1.0
 """Difference of two periods, in waves over the measured span, from which on they are errors of their own."""
-BATCH: Final = 48
-"""Columns whose inner products with all others are computed in one pass over the data, at least."""
+BATCH: Final = 48  # columns whose inner products with all others are computed in one pass over the data, at least
 
 
 @final

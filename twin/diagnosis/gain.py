@@ -258,8 +258,7 @@ def _unproven(held: HeldOut | None) -> str | None:
 
 LARGEST_UM: Final = 1e5
 """Error at the tool above which none is stated: small rotations and compliances do not describe a machine that is 100 mm off."""
-DEFAULT_TOOL_MM: Final = 100.0
-"""Tool length assumed if the machine file has none."""
+DEFAULT_TOOL_MM: Final = 100.0  # tool length assumed if the machine file has none
 
 
 def gain(

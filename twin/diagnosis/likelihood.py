@@ -31,8 +31,7 @@ PATTERN_ALARM_RATE: Final = 0.01
 """Rate of false alarms: share of data sets without an error in which a pattern is found."""
 EXACT_P_VALUES: Final = 24
 """Number of tests, the most significant ones by two moments, whose p-value is evaluated exactly by eigenvalues."""
-AT_ONCE: Final = 32
-"""Tests with equally many functions whose moments are computed at once."""
+AT_ONCE: Final = 32  # tests with equally many functions whose moments are computed at once
 DIRECTIONS: Final[tuple[tuple[int, ...], ...]] = ((0,), (1,), (2,), (0, 1, 2))
 """Directions of the frame that are tested: each alone, and all together."""
 
@@ -168,24 +167,16 @@ def log_tail(weights: np.ndarray, value: float, dof: float = np.inf) -> float:
 
 # --- Likelihood of causes together with unnamed patterns, whose variances are estimated -----------
 
-STEPS: Final = 40
-"""Largest number of iterations."""
-CONVERGED_LOG_VARIANCE: Final = 0.02
-"""Change of the logarithm of a variance below which the iteration has converged."""
-LEAST_NONCENTRALITY: Final = 1e-3
-"""Noncentrality of a pattern along a direction below which that direction is dropped."""
-NO_NONCENTRALITY: Final = 1e-6
-"""Noncentrality below which a function of a pattern has no effect on the likelihood."""
-UNREAD_SHARE: Final = 1e-9
-"""Share of the best measured direction below which a direction counts as not measured."""
+STEPS: Final = 40  # largest number of iterations
+CONVERGED_LOG_VARIANCE: Final = 0.02  # change of the logarithm of a variance below which the iteration has converged
+LEAST_NONCENTRALITY: Final = 1e-3  # noncentrality of a pattern along a direction below which that direction is dropped
+NO_NONCENTRALITY: Final = 1e-6  # noncentrality below which a function of a pattern has no effect on the likelihood
+UNREAD_SHARE: Final = 1e-9  # share of the best measured direction below which a direction counts as not measured
 NEARLY_DEPENDENT: Final = 1e-8
 """Eigenvalue of a pattern's inner products, relative to the largest, below which a pattern imitates nothing along a direction."""
-FIRST_NONCENTRALITY: Final = 10.0
-"""Initial noncentrality of a direction of a pattern."""
+FIRST_NONCENTRALITY: Final = 10.0  # initial noncentrality of a direction of a pattern
 COLUMNS_AT_ONCE: Final = 64
-"""Columns evaluated at once."""
-IMITATED_SHARE: Final = 0.5
-"""Share of the effect of a cause that a pattern must reproduce to count as imitating it."""
+IMITATED_SHARE: Final = 0.5  # share of the effect of a cause that a pattern must reproduce to count as imitating it
 
 
 @final

@@ -22,8 +22,7 @@ from twin.display.numbers import listed, lower
 from twin.measurement.checks import assumptions, grouped_notes
 from twin.model.effects.specification import NOTHING
 
-UNLISTED_P_VALUE: Final = 0.5
-"""p-value above which a cause tested is not listed."""
+UNLISTED_P_VALUE: Final = 0.5  # p-value above which a cause tested is not listed
 COLOURS: Final = {"well": "#e8f3ea", "wrong": "#fdf2df", "unknown": "#fbe4de", "disturbed": "#e6eff8"}
 
 

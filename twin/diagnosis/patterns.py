@@ -35,16 +35,12 @@ from twin.model.effects.harmonic import APPROACH, Waves
 from twin.model.effects.harmonic import terms as products_of
 from twin.numerics.functions import Functions, Rows, pieces
 
-ORDER_ALONE: Final = 16
-"""Highest order of a single column."""
-ORDER_IN_PAIRS: Final = 8
-"""Highest order of an axis in a pair."""
+ORDER_ALONE: Final = 16  # highest order of a single column
+ORDER_IN_PAIRS: Final = 8  # highest order of an axis in a pair
 ORDER_OF_SLOW_COLUMNS: Final = 4
 """Highest order of a slowly changing column in a pair: time, temperatures, rounds, other channels."""
-ORDERS_TESTED: Final = (2, 4, 8, 16)
-"""Orders up to which the functions of a pattern are tested together."""
-PERIODIC_RANGE_DEG: Final = 300.0
-"""Range of a rotary axis, degrees, from which on its functions are periodic."""
+ORDERS_TESTED: Final = (2, 4, 8, 16)  # orders up to which the functions of a pattern are tested together
+PERIODIC_RANGE_DEG: Final = 300.0  # range of a rotary axis, degrees, from which on its functions are periodic
 
 
 @final
@@ -254,8 +250,7 @@ ZERO_SHARE: Final = 1e-10
 the projection must leave of each: what is less is rounding. So is all of a direction that was not read."""
 TESTED_NONCENTRALITY: Final = 100.0
 """Noncentrality along a direction for which the test is most powerful: the score is taken at that variance, not at zero."""
-READINGS_AT_ONCE: Final = 512
-"""Readings at which the functions of all patterns of a side are evaluated at once."""
+READINGS_AT_ONCE: Final = 512  # readings at which the functions of all patterns of a side are evaluated at once
 
 
 def _orthonormal_root(columns: np.ndarray, own: np.ndarray) -> np.ndarray:

@@ -2,7 +2,7 @@
 
 A joint's deflection is its compliance times its load: its own weight plus the payload. It is linear in the compliance, and in the
 products of compliance with mass and first moments of the payload. The search treats these products as free for every joint
-(`twin.diagnosis.candidates.catalogue`). If it finds any, they are replaced by one payload, the same for all joints and not heavier
+(`twin.diagnosis.candidates`). If it finds any, they are replaced by one payload, the same for all joints and not heavier
 than possible, and the search is repeated. A carried load has a known mass (channel `load_kg`); which side carries it, and where its
 centre of gravity is, follows in the same way. (Khalil and Dombre 2002, Modeling, Identification and Control of Robots, ch. 12: the
 torques, and so the deflections here, are linear in the base parameters.)
@@ -34,22 +34,16 @@ from twin.model.effects.gravity_compliance import (
     refined_form,
 )
 
-ROUNDS: Final = 4
-"""Largest number of repeated searches."""
-FIRST_MASS_SHARES: Final = (0.03, 0.2, 1.0)
-"""Initial masses of a fit, as shares of the heaviest payload."""
-CONVERGED_SHARE: Final = 0.01
-"""Change of the payload, as a share of the largest, below which it has converged."""
-CENTRE_PRIOR: Final = 3.0
-"""Inverse prior variance of a mass or centre as a share of its bound: uniform within ±1."""
+ROUNDS: Final = 4  # largest number of repeated searches
+FIRST_MASS_SHARES: Final = (0.03, 0.2, 1.0)  # initial masses of a fit, as shares of the heaviest payload
+CONVERGED_SHARE: Final = 0.01  # change of the payload, as a share of the largest, below which it has converged
+CENTRE_PRIOR: Final = 3.0  # inverse prior variance of a mass or centre as a share of its bound: uniform within ±1
 CARRIED_INDEX: Final = 4
 """Index of a share: 1 if the side carries the load of the readings, else 0. Shares of a payload are before it, of the centre behind."""
-STEPS: Final = 200
-"""Largest number of iterations of a fit."""
+STEPS: Final = 200  # largest number of iterations of a fit
 NO_MASS: Final = "they fit only with a mass that is not positive, or a centre of mass beyond its range"
 """Reason for which a load is left out, in words."""
-UNDETERMINED_SIZE: Final = 1e-9
-"""Relative size below which a direction is not determined."""
+UNDETERMINED_SIZE: Final = 1e-9  # relative size below which a direction is not determined
 
 
 @final

@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from twin._common.errors import InputError
-from twin.diagnosis.candidates.catalogue import SPECIFICATIONS
+from twin.diagnosis.candidates import SPECIFICATIONS
 from twin.diagnosis.result import Cause, DiagnosisResult
 from twin.diagnosis.text import cause_title, column, side
 from twin.display.figures import BACKWARD, BOTH, FORWARD, RUN, THIRD, heading, new_figure, style_axes
@@ -29,28 +29,18 @@ from twin.model.effects.base import axis_of, motion_in_words
 from twin.model.effects.harmonic import APPROACH
 from twin.model.effects.specification import Drawing
 
-MOST_POSITIONS: Final = 24
-"""Number of distinct positions up to which each forms a group."""
-BINS: Final = 16
-"""Number of groups, equally filled, for more positions."""
-LEAST_READINGS: Final = 2
-"""Smallest number of readings whose mean is drawn."""
-ALIKE_CORRELATION: Final = 0.9
-"""Rank correlation of two columns above which only one of them is plotted."""
-LEAST_CHI2_SHARE: Final = 0.2
-"""Columns whose χ² is below this share of that of the clearest column are not plotted."""
-SIDES: Final = ((-1.0, "moving −"), (0.0, "unknown"), (1.0, "moving +"))
-"""Names of the approach directions."""
-MAX_PANELS: Final = 3
-"""Largest number of panels of residuals."""
+MOST_POSITIONS: Final = 24  # number of distinct positions up to which each forms a group
+BINS: Final = 16  # number of groups, equally filled, for more positions
+LEAST_READINGS: Final = 2  # smallest number of readings whose mean is drawn
+ALIKE_CORRELATION: Final = 0.9  # rank correlation of two columns above which only one of them is plotted
+LEAST_CHI2_SHARE: Final = 0.2  # columns whose χ² is below this share of that of the clearest column are not plotted
+SIDES: Final = ((-1.0, "moving −"), (0.0, "unknown"), (1.0, "moving +"))  # names of the approach directions
+MAX_PANELS: Final = 3  # largest number of panels of residuals
 LEAST_CAUSE_SHARE: Final = 0.02
 """Readings at which the cause is below this share of its largest value are not plotted in its unit."""
-MANY_TURNS: Final = 4
-"""Periods in the range from which on a periodic error is plotted over one period."""
-WIDEST_INTERVAL: Final = 4.0
-"""Directions whose intervals are wider than this multiple of the narrowest are not plotted."""
-UNMEASURED_SHARE: Final = 0.02
-"""Share of the largest mean square below which a direction counts as not measured."""
+MANY_TURNS: Final = 4  # periods in the range from which on a periodic error is plotted over one period
+WIDEST_INTERVAL: Final = 4.0  # directions whose intervals are wider than this multiple of the narrowest are not plotted
+UNMEASURED_SHARE: Final = 0.02  # share of the largest mean square below which a direction counts as not measured
 
 
 @final
@@ -394,14 +384,10 @@ def _reach(x: np.ndarray, y: np.ndarray) -> tuple[float, float]:
 # --- Plots of a diagnosis: the residuals, a cause with the readings that show it, the ranking of causes. Needs the extra ``pl
 
 PANELS_IN_A_ROW: Final = 3
-"""Panels in a row."""
 TICKS: Final = 6
-CELLS: Final = 6
-"""Cells along each side of a map."""
-PLOT_DIRECTIONS: Final = ("in x", "in y", "in z")
-"""Each direction keeps its style, whichever directions are drawn."""
-COLOUR_WITHOUT_READING: Final = "#dddddd"
-"""Colour of cells without a reading; the middle of the colour scale is white."""
+CELLS: Final = 6  # cells along each side of a map
+PLOT_DIRECTIONS: Final = ("in x", "in y", "in z")  # each direction keeps its style, whichever directions are drawn
+COLOUR_WITHOUT_READING: Final = "#dddddd"  # colour of cells without a reading; the middle of the colour scale is white
 LEGEND_ABOVE: Final[dict[str, Any]] = {
     "fontsize": 8, "frameon": False, "ncols": 3, "loc": "lower left", "bbox_to_anchor": (-0.02, 0.99), "borderaxespad": 0.0,
     "columnspacing": 1.2, "handletextpad": 0.4,

@@ -26,8 +26,7 @@ from twin.model.calibration import Calibration
 from twin.numerics.covariance import symmetric_root
 from twin.numerics.functions import Rows, pieces
 
-UNDETERMINED_SHARE: Final = 1e-12
-"""Share of a direction in the remaining points below which they do not determine it."""
+UNDETERMINED_SHARE: Final = 1e-12  # share of a direction in the remaining points below which they do not determine it
 
 
 @final

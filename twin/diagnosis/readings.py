@@ -18,8 +18,8 @@ from twin._common.arrays import read_only
 from twin._common.distributions import chi2_isf, chi2_sf
 from twin._common.messages import Message
 from twin._common.units import MM
+from twin.diagnosis.candidates import catalogue
 from twin.diagnosis.candidates.candidate import Candidate, Catalogue, Column
-from twin.diagnosis.candidates.catalogue import catalogue
 from twin.diagnosis.problem import Problem
 from twin.diagnosis.signature_products import signatures_of
 from twin.identification.discrepancy import Discrepancy, no_discrepancy, outlier_notes, outliers
@@ -36,12 +36,9 @@ from twin.measurement.set_up import StationsAndTargets, turned_about_the_axis
 from twin.measurement.table import Measurements
 from twin.model.calibration import Calibration
 
-LEAST_DOF: Final = 20
-"""Degrees of freedom below which no noise is estimated."""
-ITERATIONS: Final = 3
-"""Iterations of the weights along and across the beam."""
-ROUNDING: Final = 1e-9
-"""Share of a regressor's norm below which its variation between repeats is rounding."""
+LEAST_DOF: Final = 20  # degrees of freedom below which no noise is estimated
+ITERATIONS: Final = 3  # iterations of the weights along and across the beam
+ROUNDING: Final = 1e-9  # share of a regressor's norm below which its variation between repeats is rounding
 
 
 @final
@@ -203,8 +200,7 @@ def _regressed(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 # --- The readings of a diagnosis: with fitted set-up, measurement noise and outliers --------------
 
 PLACING_ITERATIONS: Final = 4
-TURN_STEPS: Final = 15
-"""Steps of the fit from each turn of the set-up: which is the best shows soon."""
+TURN_STEPS: Final = 15  # steps of the fit from each turn of the set-up: which is the best shows soon
 TURNS: Final = (
     tuple(np.arange(1, 8) * np.pi / 4.0),
     *((-width, width) for width in np.pi / 2.0 ** np.arange(3, 10)),

@@ -23,24 +23,16 @@ FAMILY_POWER: Final = 0.25
 """A family's share of `FALSE_ALARM_RATE` grows with its number of forms to this power, less than proportionally."""
 RARE_FACTOR: Final = 0.1
 """Factor on the share of `FALSE_ALARM_RATE` of mistakes in the calibration, which are rare and easily recognised."""
-MAX_CAUSES: Final = 30
-"""Largest number of causes: about the number of error curves of a machine."""
+MAX_CAUSES: Final = 30  # largest number of causes: about the number of error curves of a machine
 MAX_EXCHANGED_CAUSES: Final = 6
 """Number of causes up to which every step is followed by exchanges and several starts are tried; above, only the whole set once."""
-MAX_FIRST_CAUSES: Final = 4
-"""Number of first causes to start from."""
-EQUAL_CHI2: Final = 0.01
-"""Relative difference of explained χ² up to which two sets of forms count as equal."""
-MAX_EXCHANGES_EVALUATED: Final = 3
-"""Number of exchanges evaluated in full."""
-MAX_EXCHANGE_ROUNDS: Final = 8
-"""Number of removals and exchanges after a step."""
-LIMIT_SIGMA: Final = 3.0
-"""Standard uncertainties by which a value may exceed its physical limit."""
-MAX_CHI2_RATIO: Final = 10.0
-"""Largest sum of squares of one cause relative to all that the causes explain."""
-NOISE_CHI2: Final = 25.0
-"""χ² added to the explained one in this comparison, for the contribution of noise."""
+MAX_FIRST_CAUSES: Final = 4  # number of first causes to start from
+EQUAL_CHI2: Final = 0.01  # relative difference of explained χ² up to which two sets of forms count as equal
+MAX_EXCHANGES_EVALUATED: Final = 3  # number of exchanges evaluated in full
+MAX_EXCHANGE_ROUNDS: Final = 8  # number of removals and exchanges after a step
+LIMIT_SIGMA: Final = 3.0  # standard uncertainties by which a value may exceed its physical limit
+MAX_CHI2_RATIO: Final = 10.0  # largest sum of squares of one cause relative to all that the causes explain
+NOISE_CHI2: Final = 25.0  # χ² added to the explained one in this comparison, for the contribution of noise
 ALL_OR_NOTHING_TOLERANCE: Final = 0.2
 """Deviation from one allowed for the parameter of an effect that is either completely present or absent."""
 LEAST_FLEXIBLE_SHARE: Final = 0.01
@@ -51,8 +43,7 @@ TOO_LARGE: Final = "they fit only with a size that is physically impossible"
 FIT_ONLY_NEGATIVE: Final = "they fit only with a negative size, which is physically impossible"
 FIT_ONLY_IN_PART: Final = "they are either there completely or not at all, and fit only in part"
 """Reasons for which causes are left out, in words."""
-FORMS_AT_ONCE: Final = 12
-"""Number of forms whose inner products with all others are evaluated together."""
+FORMS_AT_ONCE: Final = 12  # number of forms whose inner products with all others are evaluated together
 
 
 @final
@@ -309,14 +300,11 @@ def candidates_of(task: DiagnosisTask) -> Candidates:
 
 # --- Selection of rows: outliers are set aside, unless causes that the other rows show explain them
 
-LEAST_OUTLIERS: Final = 3
-"""Number of outliers below which no cause is sought for them."""
-MAX_OUTLIER_CAUSES: Final = 3
-"""Largest number of causes sought to explain outliers."""
+LEAST_OUTLIERS: Final = 3  # number of outliers below which no cause is sought for them
+MAX_OUTLIER_CAUSES: Final = 3  # largest number of causes sought to explain outliers
 RETESTED_SHARES: Final = (1.0, 0.9, 0.5)
 """Shares of the outliers, smallest first, that are tested again: all, or without the largest (a lost beam, for example)."""
-OUTLIER_SAMPLE: Final = 20_000
-"""Number of rows used to test whether causes explain the outliers."""
+OUTLIER_SAMPLE: Final = 20_000  # number of rows used to test whether causes explain the outliers
 SEED: Final = 1964
 
 

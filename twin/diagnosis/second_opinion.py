@@ -31,8 +31,7 @@ from twin._common.arrays import first_largest, largest_first
 from twin.diagnosis.forms import DEVIANCE_RULED_OUT, LEAST_NONCENTRALITY, Candidates, Form
 from twin.diagnosis.search import ALL_OR_NOTHING_TOLERANCE
 
-FOUND_ODDS: Final = 20.0
-"""Odds of an effect against none at which it counts as found."""
+FOUND_ODDS: Final = 20.0  # odds of an effect against none at which it counts as found
 PRIOR_NONCENTRALITIES: Final = 30.0 * 10.0 ** np.arange(9)
 """Expected noncentrality of an effect under its prior: the variance grid."""
 SIZE_PRIOR: Final = 1.0 / (
@@ -43,8 +42,7 @@ NEGLECTED_CHANGE: Final = 1e-2
 """Change of the residual, in standard deviations, by forms neglected in an expected contribution."""
 CONVERGED_CONTRIBUTION: Final = 0.1
 """Standard deviations of an expected contribution, from one sweep to the next, below which the iteration ends."""
-NEGLECTED_PROBABILITY: Final = 1e-6
-"""Posterior probability below which forms are always neglected."""
+NEGLECTED_PROBABILITY: Final = 1e-6  # posterior probability below which forms are always neglected
 CONVERGED_PROBABILITY: Final = 1e-3
 """Change of any posterior probability, from one sweep to the next, below which the iteration ends."""
 SWEEPS: Final = 100
@@ -276,14 +274,10 @@ def _sum(effects: Sequence[Fit]) -> np.ndarray | float:
 
 # --- A second, Bayesian method: probabilities of the causes, and 95 % credible sets ---------------
 
-CREDIBLE_PROBABILITY: Final = 0.95
-"""Smallest posterior probability of a credible set."""
-SUM_REMAINDER: Final = 0.05
-"""Largest share of an effect's χ² that causes leave which together are the same."""
-MAX_EFFECTS: Final = 12
-"""Largest number of effects."""
-Key = tuple[str, str]
-"""Effect and place."""
+CREDIBLE_PROBABILITY: Final = 0.95  # smallest posterior probability of a credible set
+SUM_REMAINDER: Final = 0.05  # largest share of an effect's χ² that causes leave which together are the same
+MAX_EFFECTS: Final = 12  # largest number of effects
+Key = tuple[str, str]  # effect and place
 
 
 @final

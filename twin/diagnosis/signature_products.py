@@ -157,16 +157,12 @@ def pair_codes(groups: Sequence[np.ndarray], count: int) -> PairCodes:
 
 BLOCK_WIDTH: Final = 64
 """Vectors, or products of two functions, processed at a time, so that they stay in the processor's cache."""
-FEW_VECTORS: Final = 16
-"""Number of vectors below which every derivative is multiplied by the vectors first."""
+FEW_VECTORS: Final = 16  # number of vectors below which every derivative is multiplied by the vectors first
 FEW_FUNCTIONS: Final = 20
 """Number of functions of a derivative up to which it is multiplied by these, which are fewer than the vectors."""
-LEAST_FUNCTIONS: Final = 16
-"""Sets of fewer functions than this are merged into one set."""
-MOST_SUMS: Final = 4
-"""Number of sets of vectors that are not zero, besides that of all, for which sums are kept."""
-LARGEST_CACHE: Final = 2**25
-"""Number of function values (256 MB) up to which they are cached between passes."""
+LEAST_FUNCTIONS: Final = 16  # sets of fewer functions than this are merged into one set
+MOST_SUMS: Final = 4  # number of sets of vectors that are not zero, besides that of all, for which sums are kept
+LARGEST_CACHE: Final = 2**25  # number of function values (256 MB) up to which they are cached between passes
 
 
 @final

@@ -37,8 +37,7 @@ from twin.diagnosis.search import MAX_CAUSES, MAX_EXCHANGED_CAUSES, Selection, c
 from twin.identification.discrepancy import settled
 from twin.measurement.observation import machine_state
 
-MAX_PATTERNS: Final = 3
-"""Largest number of patterns."""
+MAX_PATTERNS: Final = 3  # largest number of patterns
 MAX_PATTERNS_EVALUATED: Final = 8
 """Number of patterns, those with the smallest p-values, whose likelihood is evaluated before one is chosen."""
 MAX_CAUSES_EVALUATED: Final = 5
@@ -58,11 +57,9 @@ KEPT_CHI2_SHARE: Final = 0.9
 LEAST_IMITATED_RATIO: Final = 1.0
 """Smallest ratio of the χ² explained by a cause to that explained in addition by patterns that can imitate it."""
 # A pattern has a handful of variances; two causes are no more complex than that.
-CAUSES_PER_PATTERN: Final = 3
-"""Number of causes that one pattern must replace to be the simpler model."""
+CAUSES_PER_PATTERN: Final = 3  # number of causes that one pattern must replace to be the simpler model
 # A function of X and Y has parts that are functions of X alone and of Y alone: each imitates an error motion of its axis.
-PARTS_PER_PATTERN: Final = 2
-"""The same for causes that the pattern itself can imitate, every one of them."""
+PARTS_PER_PATTERN: Final = 2  # the same for causes that the pattern itself can imitate, every one of them
 
 
 @final
@@ -478,15 +475,12 @@ def _possible(candidates: Candidates, forms: Sequence[Form], model: Model) -> bo
 
 # --- Search for the best set of causes together with unnamed patterns -----------------------------
 
-MOST_RESELECTIONS: Final = 4
-"""Largest number of searches with other weights."""
+MOST_RESELECTIONS: Final = 4  # largest number of searches with other weights
 TIME: Final = "time_s"
-NOT_PREDICTED: Final = "they do not predict held-out positions"
-"""Reason for which variants are left out, in words."""
+NOT_PREDICTED: Final = "they do not predict held-out positions"  # reason for which variants are left out, in words
 REFINED_CHI2: Final = 100.0
 """χ² of a cause above which its residual between two tabulated periods or time constants could look like another cause."""
-MAX_REFINEMENTS: Final = 2
-"""Largest number of refinements of periods and time constants."""
+MAX_REFINEMENTS: Final = 2  # largest number of refinements of periods and time constants
 REFINED_SIGMA: Final = 0.2
 """Change of a period or time constant, in standard uncertainties, below which it is not refined again."""
 

@@ -15,7 +15,7 @@ from typing import Any, Final, Literal, final
 import numpy as np
 
 from twin._common.provenance import CORRECTED_IN_CONTROL, warning_texts
-from twin.diagnosis.candidates.catalogue import SPECIFICATIONS
+from twin.diagnosis.candidates import SPECIFICATIONS
 from twin.diagnosis.result import Cause, DiagnosisResult, Extension, Unexplained, readable_unit
 from twin.display import note, table
 from twin.display.numbers import COVERAGE_FACTOR, capital, figure, listed, lower, p_value_text, with_joined_units
@@ -24,15 +24,12 @@ from twin.measurement.checks import assumptions, grouped_notes
 from twin.model.effects.base import axis_of
 from twin.model.effects.specification import Advice, Kind, title_of
 
-RULED_OUT_CHI2: Final = 25.0
-"""Expected χ² between the predictions of two causes that rules one of them out."""
-INSTEAD_DESCRIBED: Final = 3
-"""Number of other sets of columns that are described in a sentence."""
+RULED_OUT_CHI2: Final = 25.0  # expected χ² between the predictions of two causes that rules one of them out
+INSTEAD_DESCRIBED: Final = 3  # number of other sets of columns that are described in a sentence
 BELOW_INCREMENT: Final = (
     "Nothing: the error is below the least increment of the axes, so no command and no compensation can correct it."
 )
-MOST_READINGS: Final = 1000.0
-"""Number of readings at one position above which the measurement is not suggested."""
+MOST_READINGS: Final = 1000.0  # number of readings at one position above which the measurement is not suggested
 
 
 def micrometres(value: float) -> str:
@@ -215,14 +212,11 @@ def likelihood_words(probability: float, alone: bool) -> str:
 # --- The verdict of a diagnosis in a few sentences for whoever runs the machine, shared by page, text and notebook
 
 Mood = Literal["well", "wrong", "unknown", "disturbed"]
-CAUSES_DESCRIBED: Final = 4
-"""Causes described one by one; the rest are counted."""
-WELL_BELOW: Final = 0.8
-"""Share of the expected RMS residual below which the residuals are called less than expected."""
+CAUSES_DESCRIBED: Final = 4  # causes described one by one; the rest are counted
+WELL_BELOW: Final = 0.8  # share of the expected RMS residual below which the residuals are called less than expected
 COVERED_RATIO: Final = 0.9
 """Ratio of the RMS residual with and without the calibration's uncertainty below which that uncertainty makes it consistent."""
-DOUBTED_NOISE_RATIO: Final = 1.2
-"""Ratio of the residual to the stated noise above which the stated noise is doubted."""
+DOUBTED_NOISE_RATIO: Final = 1.2  # ratio of the residual to the stated noise above which the stated noise is doubted
 COMPENSATE: Final = "Compensate with the present calibration."
 KEEP: Final = (
     "Switch the correction in the control on for machining: it holds this calibration, and programs run as they are."

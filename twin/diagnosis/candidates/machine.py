@@ -26,12 +26,12 @@ from typing import Any, Final
 import numpy as np
 
 from twin._common.units import UM
+from twin.diagnosis.candidates.calibration import mistakes
 from twin.diagnosis.candidates.candidate import (
     STRAIGHT_LINE,
     Build,
     Candidate,
     CandidateInputs,
-    CandidateSource,
     Catalogue,
     Column,
     Drift,
@@ -40,7 +40,6 @@ from twin.diagnosis.candidates.candidate import (
     along_command,
     component_column,
     first_component,
-    mistakes,
     tabulated_column,
     unit_columns,
 )
@@ -53,9 +52,6 @@ from twin.model.calibration import Calibration
 from twin.model.effects import MACHINE_EFFECTS, Effect, ErrorMotion, GravityCompliance, Payload, Specification, unit_of
 from twin.model.effects.base import LOAD, LOAD_NUMBERS, NUMBERS, SIDES, Side, along, channel, is_carrying, side_of
 from twin.model.effects.error_motion import (
-    ANGULAR_ERROR_MOTION,
-    POSITIONING,
-    ROTARY_ERROR_MOTION,
     STRAIGHTNESS,
     specification_of,
 )
@@ -165,14 +161,10 @@ def _drift(forms: Forms, name: str, inputs: CandidateInputs) -> Drift:
     return Drift(columns, tried, straight=False, name=name)
 
 
-MACHINE_EFFECTS_SOURCE: Final = CandidateSource(TESTED_EFFECTS, machine_effects)
-
 # --- Candidates: an error motion whose curve in the calibration is wrong or missing ---------------
 
-CORRECTION_DEGREE: Final = 3
-"""Degree of the correction of a curve that is not a polynomial."""
-MOST_DEGREES: Final = 8
-"""Largest degree tried, unless the calibration's curve has a larger one."""
+CORRECTION_DEGREE: Final = 3  # degree of the correction of a curve that is not a polynomial
+MOST_DEGREES: Final = 8  # largest degree tried, unless the calibration's curve has a larger one
 
 
 def curves(inputs: CandidateInputs) -> Catalogue:
@@ -294,12 +286,9 @@ def _functions_with_sums(space: CurveSpace, at: np.ndarray, patterns: Sequence[n
     return Functions(len(at), space.count + sums.shape[1], values)
 
 
-CURVES_SOURCE: Final = CandidateSource((POSITIONING, STRAIGHTNESS, ANGULAR_ERROR_MOTION, ROTARY_ERROR_MOTION), curves)
-
 # --- Candidates: a load that is missing from the machine description, or is known for each reading, where joints have a known
 
-LOADS: Final = 4
-"""Mass and three first moments."""
+LOADS: Final = 4  # mass and three first moments
 
 
 def added_payloads(inputs: CandidateInputs) -> Catalogue:
@@ -426,8 +415,6 @@ def _mass_and_centre(values: np.ndarray) -> np.ndarray:
     return np.concatenate([values[:1], 1e3 * values[1:] / values[0]])
 
 
-ADDED_PAYLOAD_SOURCE: Final = CandidateSource((PAYLOAD, CARRIED_LOAD), added_payloads)
-
 # --- Candidate: an axis that sticks at its reversal while the others move on, and catches up: the spikes of a ball bar's circ
 
 TIME_CONSTANTS_IN_ROWS: Final = (1.0, 2.0, 4.0, 8.0)
@@ -494,12 +481,9 @@ def time_since_reversal(data: Measurements, velocity: np.ndarray) -> tuple[np.nd
     return since, float(np.median(passed[passed > 0.0])) if np.any(passed > 0.0) else 1.0
 
 
-REVERSAL_SPIKE_SOURCE: Final = CandidateSource((REVERSAL_SPIKE,), reversal_spikes)
-
 # --- Candidate: positions reported by the control differ from the command, due to following error or because they were read t
 
-LEAST_UM: Final = 1e-3
-"""µm or µrad: smaller differences between report and command are ignored."""
+LEAST_UM: Final = 1e-3  # µm or µrad: smaller differences between report and command are ignored
 
 FOLLOWING_ERROR: Final = Specification(
     name="following_error",
@@ -543,6 +527,3 @@ def following_errors(inputs: CandidateInputs) -> Catalogue:
             column = tabulated_column({i: difference * part for i, part in along_command(inputs.machine, axis)})
             candidates.append(Candidate(FOLLOWING_ERROR, axis.name, (("share", "1"),), (Variant((column,)),), 1.0))
     return Catalogue(tuple(candidates), tuple(missing))
-
-
-FOLLOWING_ERROR_SOURCE: Final = CandidateSource((FOLLOWING_ERROR, READ_BACK), following_errors)
