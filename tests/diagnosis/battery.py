@@ -34,9 +34,11 @@ from twin.diagnosis.alternatives import equivalent, together
 from twin.diagnosis.candidates.candidate import Candidate, unit_columns
 from twin.diagnosis.estimate import estimate
 from twin.diagnosis.forms import Form
+from twin.diagnosis.patterns import patterns
 from twin.diagnosis.problem import Problem
-from twin.diagnosis.readings import readings
-from twin.diagnosis.structure import Findings, Searcher, Structure, without_variants_in_time
+from twin.diagnosis.readings import DiagnosisTask, readings
+from twin.diagnosis.search import candidates_of
+from twin.diagnosis.structure import Findings, Structure, search, without_variants_in_time
 from twin.machine.machine import Machine
 from twin.measurement.instruments import LaserTracker
 from twin.measurement.observation import machine_state
@@ -64,6 +66,18 @@ Truth = tuple[Key, np.ndarray, Candidate, dict[str, float], np.ndarray]
 
 UNHIDDEN = ("misplaced", "error_motion")
 """Families that are not of the contract's table: mistakes in the calibration have separate tests."""
+
+
+class Searcher:
+    """What a search of one data set needs."""
+
+    def __init__(self, task: DiagnosisTask) -> None:
+        network = task.problem.network
+        self.task, self.problem = task, task.problem
+        self.candidates, self.patterns = candidates_of(task), patterns(network.machine, network.data)
+
+    def run(self) -> Findings:
+        return search(self.task, self.candidates, self.patterns)
 
 
 class Finding:

@@ -34,6 +34,7 @@ from tests.diagnosis.battery import (
     DataSet,
     Finding,
     Key,
+    Searcher,
     Truth,
     matched,
     parsed,
@@ -44,7 +45,6 @@ from twin.compute.parallel import Workers, map_in_order
 from twin.diagnosis.candidates.candidate import Candidate, Column
 from twin.diagnosis.forms import LEAST_NONCENTRALITY
 from twin.diagnosis.problem import Problem
-from twin.diagnosis.structure import Searcher
 
 ALIKE = 0.95
 """Cosine of the angle between a hidden signature and a candidate's from which on the candidate counts as equivalent."""

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from tests.benchmarks.diagnosis import measured
+from tests.diagnosis.battery import Searcher
 from twin._common.arrays import read_only
 from twin.diagnosis.candidates.candidate import Column
 from twin.diagnosis.problem import Problem, Products
 from twin.diagnosis.readings import readings
-from twin.diagnosis.structure import Searcher
 from twin.machine.machine import Machine
 from twin.model.calibration import Calibration
 from twin.numerics.covariance import Covariance

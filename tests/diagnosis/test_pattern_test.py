@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from tests.diagnosis.battery import Searcher
 from tests.real import plates
 from tests.truth import hidden
 from tests.truth.hidden import Hidden
@@ -16,7 +17,7 @@ from twin.diagnosis.likelihood import Likelihood, _two_moments, log_tail, scan_p
 from twin.diagnosis.patterns import Pattern, patterns
 from twin.diagnosis.problem import Problem
 from twin.diagnosis.readings import readings
-from twin.diagnosis.structure import Searcher, without_variants_in_time
+from twin.diagnosis.structure import without_variants_in_time
 from twin.machine.machine import Machine
 from twin.measurement.table import Measurements
 from twin.model.calibration import Calibration

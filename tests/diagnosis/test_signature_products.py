@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.diagnosis.battery import _doubted
+from tests.diagnosis.battery import Searcher, _doubted
 from tests.truth import hidden
 from tests.truth.hidden import Hidden
 from twin._common.arrays import read_only
@@ -24,7 +24,6 @@ from twin.diagnosis.patterns import Pattern, PatternScores
 from twin.diagnosis.problem import Problem, Products
 from twin.diagnosis.readings import readings
 from twin.diagnosis.signature_products import PointBlock, Signatures
-from twin.diagnosis.structure import Searcher
 from twin.machine.machine import Machine
 from twin.measurement.observation import machine_state
 from twin.measurement.table import Measurements

@@ -292,8 +292,6 @@ def _well_separated(positions: np.ndarray, gain: np.ndarray) -> list[int]:
     return taken
 
 
-# --- Evidence for a cause in a sentence, and likely mistakes in the making of the calibration -----
-
 ARC_COVERED: Final = 0.8
 """Share of an axis's travel, one turn at most, from which on it counts as measured: the last position is one step short of a turn."""
 ALIAS_CHI2: Final = 9.0  # χ² (three standard deviations) by which a period must fit worse than the best to be ruled out
@@ -369,17 +367,12 @@ def equal_orders(candidates: Candidates, forms: Sequence[Form], form: Form) -> s
     ]
     if not orders:
         return ""
-    beyond = ": beyond the measured arc the error is unknown" if _turns_beyond(candidates, form) else ""
-    return f"; orders {listed([f'{order:g}' for order in sorted(orders)])} fit equally well at these angles{beyond}"
-
-
-def _turns_beyond(candidates: Candidates, form: Form) -> bool:
-    """Return whether the axis of a cause turns further than it was measured."""
     network = candidates.problem.network
     axis = network.machine.by_name[axis_of(form.candidate.where)]
     arc = float(np.ptp(network.data.positions[:, network.machine.names.index(axis.name)]))
     travel = TURN_DEG if axis.lower is None or axis.upper is None else min(axis.upper - axis.lower, TURN_DEG)
-    return arc < ARC_COVERED * travel
+    beyond = ": beyond the measured arc the error is unknown" if arc < ARC_COVERED * travel else ""
+    return f"; orders {listed([f'{order:g}' for order in sorted(orders)])} fit equally well at these angles{beyond}"
 
 
 def _other_periods(candidates: Candidates, forms: Sequence[Form], form: Form) -> list[float]:

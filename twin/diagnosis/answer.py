@@ -73,8 +73,6 @@ class Diagnosis(DisplayedResult, DiagnosisResult):
         return diagnosis_display(self)
 
 
-# --- The limits of the extended calibration, as it states them: errors that remain unknown, residuals, instruments and set-up
-
 VERDICTS: Final = ("consistent", "untested", "larger", "systematic")  # verdicts on the residuals, the best first
 
 
@@ -170,8 +168,6 @@ def _verdict_within_limits(
         return "larger", text
     return ("untested" if diagnosis.dof < FEWEST_DOF else "consistent"), text
 
-
-# --- From the causes to the result: unexplained residuals, the extended calibration, its gain, and the causes that are not id
 
 MOSTLY_EXPLAINED: Final = 0.1  # share of the excess that may remain unexplained for the verdict ``explained``
 MOST_RANKED: Final = 12  # largest number of causes in the ranking

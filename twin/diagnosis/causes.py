@@ -157,8 +157,6 @@ def _log_p_of_groups(against: tuple[float, int, float]) -> float:
     return float(f_log_sf(statistic / width * free / (count - 1.0), width, free)) if free > 0 else 0.0
 
 
-# --- The causes as they are reported: with alternatives, probabilities and notices ----------------
-
 IMPOSSIBLE: Final = "; this size is physically impossible, so the readings do not determine it"
 BELOW_INCREMENT: Final = "; it is below the least increment of the axes, so no command can correct it"
 JUMPED: Final = "; all targets of its side moved alike"
@@ -466,7 +464,15 @@ def _load_cause(
     columns = [column for form in load.free for column in form.variant.columns]
     size = np.array([column.scale for column in columns])
     shape = np.kron(compliances, weights(shares) - weights(without))
-    specification = CARRIED_LOAD if payload.carried else PAYLOAD
+    specification, heaviest = CARRIED_LOAD if payload.carried else PAYLOAD, _is_heaviest(load, payload)
+    text = f"the {load.side} side carries a mass that is not in the URDF: joints deflect under it"
+    if payload.carried:
+        text = f"joints of the {load.side} side deflect under the mass in the column {LOAD}"
+    elif heaviest:
+        text += (
+            f". The mass is at its upper bound ({load.heaviest:.3g} kg): the effect of the machine's own weight is smaller than the "
+            "URDF implies, as if the control corrected it; only the products of mass and compliance are known"
+        )
     return Cause(
         effect=specification.name,
         where=load.side,
@@ -475,21 +481,9 @@ def _load_cause(
         p_value=candidates.p_value(min(log_p, 0.0)),
         share=float(np.clip((explained - by_others) / excess, 0.0, 1.0)),
         equivalent=(),
-        evidence=_load_evidence(load, payload),
+        evidence=text,
         pattern_um=read_only(in_um(candidates.problem.network, (candidates.problem.signature(columns) / size) @ shape)),
-        bounded=_is_heaviest(load, payload),
-    )
-
-
-def _load_evidence(load: Load, payload: Payload) -> str:
-    if payload.carried:
-        return f"joints of the {load.side} side deflect under the mass in the column {LOAD}"
-    text = f"the {load.side} side carries a mass that is not in the URDF: joints deflect under it"
-    if not _is_heaviest(load, payload):
-        return text
-    return (
-        f"{text}. The mass is at its upper bound ({load.heaviest:.3g} kg): the effect of the machine's own weight is smaller than the "
-        "URDF implies, as if the control corrected it; only the products of mass and compliance are known"
+        bounded=heaviest,
     )
 
 

@@ -103,8 +103,6 @@ def upper_bound(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     return np.asarray((rotated * np.maximum(share, 1.0)) @ rotated.T)
 
 
-# --- Fit of a cause with several forms: a drift over its time constant, an affine error over its centre ---
-
 TIME_CONSTANT_GRID: Final = 81  # number of time constants at which the likelihood of a drift is evaluated
 NOT_IDENTIFIABLE: Final = 1e-6
 """Share of a drift's squared norm, given other causes, below which it is not identifiable."""
@@ -116,20 +114,10 @@ INTEGRATED_SIGMA: Final = 5.0
 """Standard deviations on either side of the best time constant over which a narrow likelihood is integrated."""
 
 
-@final
-@dataclass(frozen=True)
-class FittedDrift:
-    """Maximum-likelihood fit of a drift."""
+def fit_drift(problem: Problem, drift: Drift, others: Sequence[Column]) -> tuple[float, np.ndarray, np.ndarray | None]:
+    """Return time constant, linear parameters (w,) and second moments (w + 1, w + 1) of a drift given other causes.
 
-    time_constant: float  # s; `STRAIGHT_LINE` for a straight line
-    values: np.ndarray  # (w,) linear parameters
-    # second moments (w + 1, w + 1) of values and time constant about the best, under the profile likelihood; None for a straight
-    # line, or where the likelihood is treated as normal
-    moments: np.ndarray | None
-
-
-def fit_drift(problem: Problem, drift: Drift, others: Sequence[Column]) -> FittedDrift:
-    """Return the maximum-likelihood drift given other causes, and the uncertainty of its parameters.
+    Those of maximum likelihood; no moments for a straight line, and where the likelihood is treated as normal.
 
     Where the time constant is as long as the record, amplitude and time constant are strongly correlated and the curvature at the
     optimum does not describe their uncertainty. Their second moments under the profile likelihood do; they are taken over the time
@@ -142,13 +130,13 @@ def fit_drift(problem: Problem, drift: Drift, others: Sequence[Column]) -> Fitte
     best = int(np.argmax(gain[:-1]))
     ahead = gain[best] - gain[-1]
     if not np.isfinite(gain).all() or ahead < (DECISIVE_CHI2 if drift.straight else -DECISIVE_CHI2):
-        return FittedDrift(STRAIGHT_LINE, values[-1], None)
+        return STRAIGHT_LINE, values[-1], None
     likelihood = np.exp((gain[:-1] - gain[best]) / 2.0)
     likelihood /= likelihood.sum()
     relative = float(np.sqrt(likelihood @ np.log(tried / tried[best]) ** 2))
     if relative < NARROW_LIKELIHOOD and likelihood[0] + likelihood[-1] < 1e-3:
         if not drift.straight:
-            return FittedDrift(float(tried[best]), values[best], None)
+            return float(tried[best]), values[best], None
         # Refine the grid around the best value, over the width of the likelihood.
         step = float(np.log(tried[1] / tried[0]))
         reach = max(INTEGRATED_SIGMA * relative, 2.0 * step)
@@ -170,7 +158,7 @@ def fit_drift(problem: Problem, drift: Drift, others: Sequence[Column]) -> Fitte
     deviations = np.concatenate([values - values[best], (tried - tried[best])[:, None]], axis=1)
     moments = (deviations * likelihood[:, None]).T @ deviations
     moments[:-1, :-1] += np.einsum("k,kij->ij", likelihood, covariance)
-    return FittedDrift(float(tried[best]), values[best], moments)
+    return float(tried[best]), values[best], moments
 
 
 def over_forms(problem: Problem, forms: Sequence[Sequence[Column]], others: Sequence[Column]) -> np.ndarray:
@@ -212,8 +200,6 @@ def _profile(
         covariance[k] = root @ root.T / size**2
     return gain, values, covariance
 
-
-# --- Estimate of all parameters of the causes, non-linear ones included, together with the set-up -
 
 STEPS: Final = 12  # Gauss-Newton steps, at most
 CONVERGED_STEP: Final = 1e-6  # step, in standard deviations, below which the iteration has converged
@@ -267,15 +253,15 @@ class _Part:
             self.effects = (constrain(self.effects[0], [float(value) for value in values], longest),)
         self.values = np.array([parameter.value for parameter in self.effects[0].parameters])
 
-    def set_drift(self, problem: Problem, drift: Drift, fitted: FittedDrift) -> None:
+    def set_drift(self, problem: Problem, drift: Drift, others: Sequence[Column]) -> None:
         """Set a drift to its maximum-likelihood fit given the other causes."""
-        variant = drift.variant(fitted.time_constant)
+        time_constant, self.values, self.moments = fit_drift(problem, drift, others)
+        variant = drift.variant(time_constant)
         self.fixed = dict(variant.fixed)
         self.scales = np.array([column.scale for column in variant.columns])
-        self.columns, self.values = problem.signature(variant.columns) / self.scales, fitted.values
-        self.effects = _effects(self.form, fitted.values, self.fixed)
-        self.moments = fitted.moments
-        self.nonlinear = fitted.moments is None and fitted.time_constant != STRAIGHT_LINE
+        self.columns = problem.signature(variant.columns) / self.scales
+        self.effects = _effects(self.form, self.values, self.fixed)
+        self.nonlinear = self.moments is None and time_constant != STRAIGHT_LINE
 
     def linearise(self, problem: Problem, state: Mapping[str, Any]) -> None:
         """Evaluate the columns at the current parameters."""
@@ -351,21 +337,13 @@ def _initial_parts(problem: Problem, forms: Sequence[Form], least: float) -> lis
     for form, sizes, signature, start_values in zip(forms, scales, columns, values, strict=True):
         fixed = dict(form.variant.fixed)
         effects = _effects(form, start_values, fixed)
-        part = _Part(
-            form,
-            fixed,
-            sizes,
-            signature,
-            start_values,
-            effects,
-            form.candidate.drift is None and _is_nonlinear(form, effects),
-        )
-        parts.append(part)
+        nonlinear = form.candidate.drift is None and _is_nonlinear(form, effects)
+        parts.append(_Part(form, fixed, sizes, signature, start_values, effects, nonlinear))
     for part in parts:
         drift = part.form.candidate.drift
         if drift is not None:
             others = [column for form in forms if form is not part.form for column in form.variant.columns]
-            part.set_drift(problem, drift, fit_drift(problem, drift, others))
+            part.set_drift(problem, drift, others)
     return parts
 
 
@@ -601,8 +579,6 @@ def _estimated(
         estimated.append(Quantity(drift.name, fixed[drift.name], "s", float(u[-1])))
     return estimated
 
-
-# --- Weights of noise and discrepancy where the causes leave more than the noise ------------------
 
 REWEIGHTINGS: Final = 4  # number of estimates with other weights, at most
 LOST: Final = 1e-6

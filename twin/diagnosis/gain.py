@@ -133,8 +133,6 @@ def _held_out(
     return HeldOut(split.of, len(table), float(before), float(after), jackknife_interval(table))
 
 
-# --- Empirical effects, without a known cause, fitted to the patterns that no named cause explains
-
 DIRECTIONS: Final = 3
 
 
@@ -253,8 +251,6 @@ def _unproven(held: HeldOut | None) -> str | None:
         )
     return None
 
-
-# --- The gain of the extended calibration as written: on all readings, on held-out readings, and at the tool
 
 LARGEST_UM: Final = 1e5
 """Error at the tool above which none is stated: small rotations and compliances do not describe a machine that is 100 mm off."""

@@ -165,8 +165,6 @@ def log_tail(weights: np.ndarray, value: float, dof: float = np.inf) -> float:
     return float(scipy.special.log_ndtr(-(first + np.log(second / first) / first)))
 
 
-# --- Likelihood of causes together with unnamed patterns, whose variances are estimated -----------
-
 STEPS: Final = 40  # largest number of iterations
 CONVERGED_LOG_VARIANCE: Final = 0.02  # change of the logarithm of a variance below which the iteration has converged
 LEAST_NONCENTRALITY: Final = 1e-3  # noncentrality of a pattern along a direction below which that direction is dropped
@@ -398,6 +396,10 @@ class Likelihood:
             signature = problem.signature([self.candidates.products.columns[i] for i in columns])
             effect -= signature @ (back @ (self._cross[:, columns].T @ model.random))
         return problem.project(effect)
+
+    def problem_given(self, model: Model) -> Problem:
+        """Return the data with the patterns projected out as well, at the variances of a model."""
+        return self.candidates.problem.with_random_effects(self.random(model), model.variance_factor)
 
     def random(self, model: Model) -> list[tuple[Column, float]]:
         """Return the patterns' columns with their standard deviations, µm."""

@@ -81,7 +81,9 @@ def diagnosis_html(diagnosis: DiagnosisResult) -> str:
         embedded=embedded,
         grouped_notes=grouped_notes,
         alternatives=_alternatives,
-        picture=_picture,
+        picture=lambda panel, caption: embedded(
+            plot_panel(panel), f"{panel.title}: {panel.y} against {panel.x}", caption
+        ),
         readable_unit=readable_unit,
     )
 
@@ -97,10 +99,6 @@ def _ranked(diagnosis: DiagnosisResult) -> list[_Ranked]:
         if p < UNLISTED_P_VALUE or of == "found":
             ranked.append(_Ranked(effect, where, explains, p, of, key in doubted))
     return ranked
-
-
-def _picture(panel: plots.Panel, caption: str) -> Html:
-    return embedded(plot_panel(panel), f"{panel.title}: {panel.y} against {panel.x}", caption)
 
 
 def _alternatives(cause: Cause) -> Html:

@@ -238,8 +238,6 @@ def _waves(name: str, axis: Axis | None, values: np.ndarray, distinct: int) -> W
     return Waves(column, "half_waves", min(ORDER_ALONE, distinct - 1), span, wrapped)
 
 
-# --- Scores of unnamed patterns: inner products of their functions with the residual and each other, set-up and causes projec
-
 READINGS_SAMPLED: Final = 2048
 """Readings of a side from which the distribution of its scores for noise alone is estimated, where there are more: enough to find the
 most significant tests. The scores themselves are those of all readings.
@@ -251,14 +249,6 @@ the projection must leave of each: what is less is rounding. So is all of a dire
 TESTED_NONCENTRALITY: Final = 100.0
 """Noncentrality along a direction for which the test is most powerful: the score is taken at that variance, not at zero."""
 READINGS_AT_ONCE: Final = 512  # readings at which the functions of all patterns of a side are evaluated at once
-
-
-def _orthonormal_root(columns: np.ndarray, own: np.ndarray) -> np.ndarray:
-    """Return the coefficients (k, r) of an orthonormal basis in projected (3n, k) columns; rows held out are zero."""
-    gram = columns.T @ own
-    values, vectors = np.linalg.eigh((gram + gram.T) / 2.0)
-    seen = values > ZERO_SHARE * values.max(initial=0.0)
-    return np.asarray(vectors[:, seen] / np.sqrt(values[seen]))
 
 
 @final
@@ -287,7 +277,11 @@ class PatternScores:
         columns = problem.zero_held_out(problem.signature(self._columns))
         on_basis = problem.nuisances.along(columns)
         projected = problem.zero_held_out(columns - problem.fitted(on_basis))
-        root = _orthonormal_root(columns, projected)
+        gram = columns.T @ projected
+        values, vectors = np.linalg.eigh((gram + gram.T) / 2.0)
+        seen = values > ZERO_SHARE * values.max(initial=0.0)
+        # Coefficients of an orthonormal basis in the projected columns.
+        root = vectors[:, seen] / np.sqrt(values[seen])
         self._causes = projected @ root
         # Coefficients of the orthonormal basis of nuisance and causes in the nuisance derivatives and the columns of the causes.
         change, absorbed = problem.nuisances.change @ problem.root, problem.root.T @ on_basis @ root

@@ -185,7 +185,7 @@ def select_with_payload(candidates: Candidates, before: Sequence[Form] = ()) -> 
         moved = [_refine_side(candidates, side, *payloads) for side, payloads in loads.items()]
         if not any(moved):
             break
-        _exclude_free_payloads(candidates)
+        candidates.exclude_forms([form for form in candidates.forms if UNKNOWN_PAYLOAD in form.variant.fixed])
         known = {form.key: form for form in candidates.forms if MASS in form.variant.fixed}
         best, anew = select(candidates, [known.get(form.key, form) for form in best.forms]), False
     for _ in range(ROUNDS):
@@ -296,11 +296,6 @@ def _added_loads(candidates: Candidates, forms: Sequence[Form], of: Sequence[For
         built = () if form.candidate.build is None else form.candidate.build(values[at] * scale, form.variant.fixed)
         added_loads += [effect.payload for effect in built[:1] if isinstance(effect, AddedLoad) and effect.weights[0]]
     return added_loads
-
-
-def _exclude_free_payloads(candidates: Candidates) -> None:
-    """Exclude the forms with a free payload for each joint."""
-    candidates.exclude_forms([form for form in candidates.forms if UNKNOWN_PAYLOAD in form.variant.fixed])
 
 
 def loaded_joints(candidates: Candidates, forms: Sequence[Form], side: Side) -> Load | None:

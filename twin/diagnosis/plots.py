@@ -311,7 +311,11 @@ def _scales_of_cause(diagnosis: DiagnosisResult, cause: Cause) -> list[Scale]:
     period = drawn.period({q.name: q.value for q in cause.parameters})
     if period and axes:
         unit = "mm" if machine.by_name[axes[0]].linear else "°"
-        return [_folded(scales_shown[0], axes[0], period, unit)]
+        whole = scales_shown[0]
+        if float(np.ptp(whole.values)) >= MANY_TURNS * period:
+            folded = np.mod(whole.values, period)
+            whole = Scale(f"{axes[0]} within its period of {period:.4g} {unit} [{unit}]", folded)
+        return [whole]
     return scales_shown
 
 
@@ -338,13 +342,6 @@ def _columns_of(diagnosis: DiagnosisResult, cause: Cause) -> list[str]:
 def _named(names: Iterable[str], machine: Machine) -> list[str]:
     """Return names of columns of the table; names of axes get their unit."""
     return [f"{name}_{machine.by_name[name].unit}" if name in machine.by_name else name for name in names]
-
-
-def _folded(whole: Scale, name: str, period: float, unit: str) -> Scale:
-    """Return the position within one period if the range covers at least `MANY_TURNS` periods."""
-    if float(np.ptp(whole.values)) < MANY_TURNS * period:
-        return whole
-    return Scale(f"{name} within its period of {period:.4g} {unit} [{unit}]", np.mod(whole.values, period))
 
 
 def group_numbers(x: np.ndarray) -> np.ndarray:
@@ -380,8 +377,6 @@ def _reach(x: np.ndarray, y: np.ndarray) -> tuple[float, float]:
     _, mean, half = group_means(x[keep], y[keep], np.ones(np.count_nonzero(keep)), group_numbers(x[keep]))
     return float(np.max(np.abs(mean) + half, initial=0.0)), float(np.median(half)) if len(half) else np.inf
 
-
-# --- Plots of a diagnosis: the residuals, a cause with the readings that show it, the ranking of causes. Needs the extra ``pl
 
 PANELS_IN_A_ROW: Final = 3
 TICKS: Final = 6

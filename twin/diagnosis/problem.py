@@ -282,9 +282,6 @@ def rms(values: np.ndarray, read: np.ndarray) -> float:
     return float(np.sqrt(np.mean(values[read] ** 2)))
 
 
-# --- Inner products of the candidates' columns before projection: cached, and updated where only a few columns or points chan
-
-
 @final
 class Products:
     """Inner products of columns within groups, with a problem's basis and residual, and on demand with each other.

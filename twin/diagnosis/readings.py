@@ -197,8 +197,6 @@ def _regressed(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return residual.reshape(len(values), 3), basis.reshape(len(values), 3, basis.shape[1])
 
 
-# --- The readings of a diagnosis: with fitted set-up, measurement noise and outliers --------------
-
 PLACING_ITERATIONS: Final = 4
 TURN_STEPS: Final = 15  # steps of the fit from each turn of the set-up: which is the best shows soon
 TURNS: Final = (

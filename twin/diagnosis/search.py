@@ -133,22 +133,18 @@ def excess_ratio(candidates: Candidates, form: Form, forms: Sequence[Form]) -> f
     return max(ratio for ratio, _ in _excesses(candidates, form, forms))
 
 
-def excess_ratio_of(form: Form, values: np.ndarray, u: np.ndarray, gram: np.ndarray, explained: float) -> float:
-    """Return the ratio of `excess_ratio` for given values (w,), in plausible sizes; ``explained`` is the χ² by all causes together."""
-    return max(ratio for ratio, _ in _excesses_of(form, values, u, gram, explained))
-
-
 def _excesses(candidates: Candidates, form: Form, forms: Sequence[Form]) -> list[tuple[float, str]]:
     """Return the ratios of a form's size to each of its limits, each with the words for a size beyond it."""
     columns, values, inverse = candidates.fitted(forms)
     at = np.searchsorted(columns, form.columns)
     u = np.sqrt(np.maximum(np.diag(inverse)[at], 0.0))
-    return _excesses_of(form, values[at], u, candidates.gram([form]), float(candidates.slope[columns] @ values))
+    return excesses_of(form, values[at], u, candidates.gram([form]), float(candidates.slope[columns] @ values))
 
 
-def _excesses_of(
+def excesses_of(
     form: Form, values: np.ndarray, u: np.ndarray, gram: np.ndarray, explained: float
 ) -> list[tuple[float, str]]:
+    """Return the ratios of `excess_ratio`, with words, for values (w,) in plausible sizes; ``explained`` is the χ² by all causes."""
     chi2, specification = float(values @ gram @ values), form.candidate.specification
     excesses = [(chi2 / (MAX_CHI2_RATIO * (explained + NOISE_CHI2)), FIT_ONLY_TOGETHER)]
     if specification.flexible and chi2 < LEAST_FLEXIBLE_SHARE * explained:
@@ -297,8 +293,6 @@ def candidates_of(task: DiagnosisTask) -> Candidates:
     folds = choose_folds(network.data, network.machine, ())
     return Candidates(task.problem, forms, task.noise.dof, None if folds is None else folds.fold)
 
-
-# --- Selection of rows: outliers are set aside, unless causes that the other rows show explain them
 
 LEAST_OUTLIERS: Final = 3  # number of outliers below which no cause is sought for them
 MAX_OUTLIER_CAUSES: Final = 3  # largest number of causes sought to explain outliers

@@ -272,8 +272,6 @@ def _sum(effects: Sequence[Fit]) -> np.ndarray | float:
     return np.sum([effect.slope for effect in effects], axis=0) if effects else 0.0
 
 
-# --- A second, Bayesian method: probabilities of the causes, and 95 % credible sets ---------------
-
 CREDIBLE_PROBABILITY: Final = 0.95  # smallest posterior probability of a credible set
 SUM_REMAINDER: Final = 0.05  # largest share of an effect's χ² that causes leave which together are the same
 MAX_EFFECTS: Final = 12  # largest number of effects

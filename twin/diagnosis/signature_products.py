@@ -65,8 +65,6 @@ class PointBlock:
         return self._weights[functions]
 
 
-# --- Terms of signatures, a derivative times a function each, and how their inner products are put together
-
 Terms = tuple[np.ndarray, np.ndarray, np.ndarray]
 """Positions among the columns, indices of functions, and weights; (e,) each."""
 
@@ -152,8 +150,6 @@ def pair_codes(groups: Sequence[np.ndarray], count: int) -> PairCodes:
     own = [place.reshape(code.shape) for place, code in zip(np.split(places, ends), codes, strict=True)]
     return pairs, lower, own, transposed
 
-
-# --- Signatures of many columns and their inner products, computed in blocks of points to limit the memory
 
 BLOCK_WIDTH: Final = 64
 """Vectors, or products of two functions, processed at a time, so that they stay in the processor's cache."""

@@ -209,8 +209,6 @@ def likelihood_words(probability: float, alone: bool) -> str:
     return f"probability that {what}: {size} (second, Bayesian method)"
 
 
-# --- The verdict of a diagnosis in a few sentences for whoever runs the machine, shared by page, text and notebook
-
 Mood = Literal["well", "wrong", "unknown", "disturbed"]
 CAUSES_DESCRIBED: Final = 4  # causes described one by one; the rest are counted
 WELL_BELOW: Final = 0.8  # share of the expected RMS residual below which the residuals are called less than expected
@@ -501,8 +499,6 @@ def _when_ambiguous(diagnosis: DiagnosisResult) -> list[tuple[str, str]]:
     when_ambiguous.append(("Caution", caution))
     return when_ambiguous
 
-
-# --- A diagnosis as text for the terminal, and as a short table for a notebook --------------------
 
 WIDTH: Final = 100
 ABSORBED_RATIO: Final = 0.9

@@ -239,8 +239,6 @@ def _in_base_frame(own: Mapping[int, int], curves: Functions, carried: np.ndarra
     return [SignatureTerm(("base", i) if i < 3 else ("base turn", i - 3), masked, k, UM) for i, k in own.items()]
 
 
-# --- A single mistake in making a curve -----------------------------------------------------------
-
 MISTAKE_REJECTED_P: Final = 1e-3  # p-value below which a mistake is rejected: the rest of the correction is not noise
 MAIN_SHARE: Final = 0.97
 """Share of the correction's chi² above which a mistake is named even if rejected: the curve's other errors are small."""
@@ -331,15 +329,9 @@ def without_constant(space: CurveSpace, degree: int, stops: int) -> np.ndarray |
     return np.asarray(functions.T @ (weight * values))
 
 
-def of_curve(space: CurveSpace, curve: Curve) -> np.ndarray | None:
-    """Return the curve's coefficients (count,) in the functions; None if it has more coefficients than functions, or is zero."""
-    if len(curve.coefficients) > space.count or not np.any(curve.coefficients):
-        return None
-    return _coefficients(space, curve)
-
-
 def _coefficients(space: CurveSpace, curve: Curve) -> np.ndarray:
-    return np.asarray(np.linalg.solve(space.transform, _padded(curve.coefficients, space.count)))
+    padded = np.concatenate([curve.coefficients, np.zeros(space.count - len(curve.coefficients))])
+    return np.asarray(np.linalg.solve(space.transform, padded))
 
 
 def mistakes(space: CurveSpace, curve: Curve | None) -> dict[float, np.ndarray]:
@@ -347,7 +339,8 @@ def mistakes(space: CurveSpace, curve: Curve | None) -> dict[float, np.ndarray]:
     if curve is None:
         return {}
     shapes = {float(n): without_constant(space, len(curve.coefficients) - 1, n) for n in CURVE_STOPS}
-    shapes[ITSELF] = of_curve(space, curve)
+    if len(curve.coefficients) <= space.count and np.any(curve.coefficients):
+        shapes[ITSELF] = _coefficients(space, curve)
     return {stops: shape for stops, shape in shapes.items() if shape is not None}
 
 
@@ -358,10 +351,6 @@ def times(factor: float) -> str:
     if abs(factor + 1.0) < 0.1:
         return "the calibration's curve has the wrong sign"
     return f"the machine's error motion is {factor:.2g} times the calibration's curve"
-
-
-def _padded(values: Sequence[float], count: int) -> np.ndarray:
-    return np.concatenate([np.asarray(values, dtype=float), np.zeros(count - len(values))])
 
 
 def _inverse(covariance: np.ndarray) -> tuple[np.ndarray, int]:

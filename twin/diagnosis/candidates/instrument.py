@@ -137,8 +137,6 @@ def _columns(mask: np.ndarray, kept: list[int], centre: np.ndarray) -> tuple[Col
     )
 
 
-# --- Candidate: a beam that is not straight ---------------------------------------------------------
-
 BEND: Final[tuple[Freedom, ...]] = tuple(("bend", i) for i in range(3))
 LARGEST_BEND: Final = 10.0  # µm/m²: a gradient of the air's temperature of 20 K/m bends a beam so
 
@@ -171,8 +169,6 @@ def beam_bendings(inputs: CandidateInputs) -> Catalogue:
             )
     return Catalogue(tuple(candidates))
 
-
-# --- Candidate: linearity of a sensor that reads one coordinate ------------------------------------
 
 LARGEST_SENSOR_RANGE_MM: Final = 100.0
 """mm: longer runs are read by a laser interferometer, which has no such error (data sheets of triangulation and inductive sensors)."""
@@ -244,8 +240,6 @@ def _largest_deviation(values: np.ndarray) -> np.ndarray:
     return np.array([np.abs(deviation).max()])
 
 
-# --- What is assumed of an instrument where no candidate tests it ------------------------------
-
 ASSUMED_OF_INSTRUMENT: Final = (
     "assumes that the instrument reads to scale, at right angles and along straight beams: such an error of its own would fit as "
     "well: a calibrated length on the table, or the same points from a station on another side, would show it"
@@ -260,8 +254,6 @@ def assumed_zero(data: Measurements) -> tuple[Column, ...]:
     every = np.ones(len(data), dtype=bool)
     return (*_columns(every, list(range(len(STRAINS))), np.zeros(3)), *masked_columns(BEND, every, UM, LARGEST_BEND))
 
-
-# --- Candidate: lobing of a touch probe, whose pre-travel depends on the direction of the contact in the probe's own frame
 
 LOBES: Final = 3  # number of supports of a kinematic probe
 UPRIGHT_COSINE: Final = 0.9
@@ -311,8 +303,6 @@ def probe_lobings(inputs: CandidateInputs) -> Catalogue:
     return Catalogue(tuple(candidates))
 
 
-# --- Candidate: a scale error of all lengths, because the instrument uses a wrong refractive index
-
 PPM: Final = 1e-6
 LARGEST_PPM: Final = 20.0  # corresponds to air 20 K away from the temperature set on the instrument
 REFRACTION_SCALE_PLAUSIBLE: Final = 100.0  # ppm: scale of the column
@@ -338,8 +328,6 @@ def refraction_scale(inputs: CandidateInputs) -> Catalogue:
     columns = masked_columns([("length", 0)], np.ones(len(inputs.data)), PPM, REFRACTION_SCALE_PLAUSIBLE)
     return Catalogue((Candidate(REFRACTION_SCALE, "—", (("scale", "ppm"),), (Variant(columns),), 1.0),))
 
-
-# --- Candidate: drift of a station during the measurement -----------------------------------------
 
 STATION_DRIFT: Final = Specification(
     name="station_drift",
@@ -403,8 +391,6 @@ def drift_of_station(time_s: np.ndarray, mask: np.ndarray) -> Drift:
         name=STATION_DRIFT.nonlinear[0],
     )
 
-
-# --- Candidate: a delay between positions and readings of a moving axis, with velocities from the feed or from the times of r
 
 IN_MOTION: Final = 1.0  # s: rows at shorter intervals, while an axis moves, count as sampled in motion
 
@@ -487,8 +473,6 @@ def time_skews(inputs: CandidateInputs) -> Catalogue:
             missing.append((TIME_SKEW.name, axis.name, "feed_mm_min"))
     return Catalogue(tuple(candidates), tuple(missing))
 
-
-# --- Frame of the instrument or a target displaced, from a round on, in one round, or in the middle of one ---
 
 FRAME: Final[tuple[Freedom, ...]] = tuple((name, i) for name in ("station", "station turn") for i in range(3))
 FEWEST_READINGS: Final = 2

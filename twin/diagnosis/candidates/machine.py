@@ -48,7 +48,6 @@ from twin.machine.error_names import DIRECTIONS
 from twin.machine.machine import Axis, Machine
 from twin.measurement.observation import has_times, order_in_time
 from twin.measurement.table import Measurements
-from twin.model.calibration import Calibration
 from twin.model.effects import MACHINE_EFFECTS, Effect, ErrorMotion, GravityCompliance, Payload, Specification, unit_of
 from twin.model.effects.base import LOAD, LOAD_NUMBERS, NUMBERS, SIDES, Side, along, channel, is_carrying, side_of
 from twin.model.effects.error_motion import (
@@ -89,8 +88,12 @@ def _effect_candidate(
 ) -> Candidate:
     if specification.forms is not None:
         forms = specification.forms(inputs.machine, where, inputs.state, payloads)
+    elif specification.make is None:
+        raise TypeError(f"{specification.name} has neither forms nor a constructor")
     else:
-        forms = _single(specification, where, inputs)
+        make, (name,) = specification.make, specification.parameters
+        unit = make(inputs.machine, where, {name: 1.0}, ()).parameters[0].unit
+        forms = single_parameter_form((name, unit), lambda value: make(inputs.machine, where, {name: value}, ()))
     if forms.is_drift:
         drift = _drift(forms, specification.nonlinear[0], inputs)
         return Candidate(
@@ -101,15 +104,6 @@ def _effect_candidate(
     )
     tests = float(max(len(variants), 1)) if forms.tests is None else forms.tests
     return Candidate(specification, where, forms.names, variants, tests, forms.build, forms.units, forms.space)
-
-
-def _single(specification: Specification, where: str, inputs: CandidateInputs) -> Forms:
-    """Return the forms of an effect of one parameter."""
-    make, (name,) = specification.make, specification.parameters
-    if make is None:
-        raise TypeError(f"{specification.name} has neither forms nor a constructor")
-    unit = make(inputs.machine, where, {name: 1.0}, ()).parameters[0].unit
-    return single_parameter_form((name, unit), lambda value: make(inputs.machine, where, {name: value}, ()))
 
 
 def variant_at(candidate: Candidate, fixed: Mapping[str, float], machine: Machine, state: Mapping[str, Any]) -> Variant:
@@ -160,8 +154,6 @@ def _drift(forms: Forms, name: str, inputs: CandidateInputs) -> Drift:
 
     return Drift(columns, tried, straight=False, name=name)
 
-
-# --- Candidates: an error motion whose curve in the calibration is wrong or missing ---------------
 
 CORRECTION_DEGREE: Final = 3  # degree of the correction of a curve that is not a polynomial
 MOST_DEGREES: Final = 8  # largest degree tried, unless the calibration's curve has a larger one
@@ -286,8 +278,6 @@ def _functions_with_sums(space: CurveSpace, at: np.ndarray, patterns: Sequence[n
     return Functions(len(at), space.count + sums.shape[1], values)
 
 
-# --- Candidates: a load that is missing from the machine description, or is known for each reading, where joints have a known
-
 LOADS: Final = 4  # mass and three first moments
 
 
@@ -347,7 +337,10 @@ def _payload_candidate(
         return along_axis
 
     rigid = _rigid(inputs.machine, side, compliant)
-    doubt = _standard_uncertainties(inputs.calibration, compliant)
+    known = inputs.calibration.covariance
+    deviations = dict(zip(known.names, np.sqrt(np.diag(known.matrix)), strict=True))
+    # 0 where the calibration gives no uncertainty of a compliance.
+    doubt = [float(deviations.get(joint.parameters[0].name, 0.0)) for joint in compliant]
 
     def build(values: np.ndarray, fixed: Mapping[str, float]) -> tuple[AddedLoad, ...]:
         weights = values if len(values) == LOADS else values[0] * first_moments(fixed)
@@ -389,13 +382,6 @@ def with_centre(candidate: Candidate, centre_mm: Sequence[float] | np.ndarray) -
     return Variant((Column(tuple(terms), float(scale)),), fixed)
 
 
-def _standard_uncertainties(calibration: Calibration, compliant: Sequence[GravityCompliance]) -> list[float]:
-    """Return the standard uncertainty of each compliance in the calibration; 0 where it gives none."""
-    known = calibration.covariance
-    deviations = dict(zip(known.names, np.sqrt(np.diag(known.matrix)), strict=True))
-    return [float(deviations.get(joint.parameters[0].name, 0.0)) for joint in compliant]
-
-
 def _rigid(machine: Machine, side: Side, compliant: Sequence[GravityCompliance]) -> list[GravityCompliance]:
     """Return the axes of a side without a known compliance, as if they gave way as much as the known ones do (RMS, same kind of axis).
 
@@ -414,8 +400,6 @@ def _mass_and_centre(values: np.ndarray) -> np.ndarray:
     """Return mass, kg, and centre, mm, from mass and first moments, kg·m; of the mass alone the mass."""
     return np.concatenate([values[:1], 1e3 * values[1:] / values[0]])
 
-
-# --- Candidate: an axis that sticks at its reversal while the others move on, and catches up: the spikes of a ball bar's circ
 
 TIME_CONSTANTS_IN_ROWS: Final = (1.0, 2.0, 4.0, 8.0)
 """Time constants tried, in intervals between rows: shorter ones fall between the readings, longer ones are backlash."""
@@ -480,8 +464,6 @@ def time_since_reversal(data: Measurements, velocity: np.ndarray) -> tuple[np.nd
     since[order] = by_row
     return since, float(np.median(passed[passed > 0.0])) if np.any(passed > 0.0) else 1.0
 
-
-# --- Candidate: positions reported by the control differ from the command, due to following error or because they were read t
 
 LEAST_UM: Final = 1e-3  # µm or µrad: smaller differences between report and command are ignored
 
