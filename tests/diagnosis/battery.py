@@ -80,6 +80,17 @@ class Searcher:
         return search(self.task, self.candidates, self.patterns)
 
 
+def basis_of(problem: Problem) -> np.ndarray:
+    """Return (3n, directions) the readings' part of the nuisance basis at all points."""
+    rows = problem.nuisances.rows(slice(None))
+    return rows.reshape(3 * len(rows), rows.shape[2])
+
+
+def nuisance_of(problem: Problem) -> np.ndarray:
+    """Return (3n, k) derivatives by the nuisance parameters: set-up (plausible sizes), calibration (root of its covariance)."""
+    return np.asarray(basis_of(problem) @ problem.nuisances.coordinates)
+
+
 class Finding:
     """The hidden effects of one draw, and the causes named."""
 
@@ -168,9 +179,8 @@ def _doubted(calibration: Calibration) -> Calibration:
 def noise_of(rng: np.random.Generator, problem: Problem, root: np.ndarray) -> np.ndarray:
     """Return (3n,) new noise, with a new error of the calibration if it has a covariance."""
     found = np.einsum("nij,nj->ni", root, rng.standard_normal((len(root), 3))).reshape(-1)
-    return found + problem.basis @ (
-        problem.calibration_directions @ rng.standard_normal(problem.calibration_directions.shape[1])
-    )
+    uncertain = problem.nuisances.coordinates[:, len(problem.setup) :]
+    return found + basis_of(problem) @ (uncertain @ rng.standard_normal(uncertain.shape[1]))
 
 
 def some_effect(rng: np.random.Generator, problem: Problem, families: dict[str, list[Candidate]], size: float) -> Truth:

@@ -163,7 +163,7 @@ def test_the_size_of_an_affine_error_allows_for_its_centre(
         value *= np.sqrt(30.0 / (value @ np.linalg.inv(covariances[1]) @ value))
         residual = problem.project(columns[1] @ value + rng.standard_normal(len(problem.residual)))
         problem.set_residual(residual)
-        slopes = [problem.along(own, residual) for own in columns]
+        slopes = [own.T @ residual for own in columns]
         best = int(np.argmax([slope @ own @ slope for slope, own in zip(slopes, covariances, strict=True)]))
         off = covariances[best] @ slopes[best] - value
         spread = over_forms(problem, [forms[best], forms[1 - best]], [])

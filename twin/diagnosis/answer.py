@@ -413,11 +413,11 @@ def looks_like(problem: Problem, forms: Sequence[Form]) -> dict[tuple[str, str],
             strongest[key] = size, i
     clearest = [i for _, i in strongest.values()]
     setup = setup_unknowns(problem.setup)
-    count, doubt = len(setup), len(problem.prior)
+    count, doubt = len(setup), len(problem.nuisances.prior)
     # The whole in the directions of the basis, and the part of the causes orthogonal to it.
     values, vectors = np.linalg.eigh(products.gram[np.ix_(clearest, clearest)])
     beside = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
-    coordinates = problem.nuisance_coordinates
+    coordinates = problem.nuisances.coordinates
     whole = np.zeros((len(coordinates) + len(clearest), doubt + count + len(clearest)))
     whole[: len(coordinates)] = np.hstack([coordinates[:, count:], coordinates[:, :count], products.basis[:, clearest]])
     whole[len(coordinates) :, doubt + count :] = beside

@@ -37,15 +37,6 @@ MANY_ROUNDS: Final = 20
 LEAST_GROUPS: Final = 6  # number of groups below which no covariance is estimated from them
 
 
-def groups(problem: Problem) -> np.ndarray:
-    """Return the group (n,) of each row: its round, or its commanded pose where there are few rounds."""
-    data = problem.network.data
-    names, group = np.unique(data.round.astype(str), return_inverse=True)
-    if len(names) < MANY_ROUNDS:
-        _, group = np.unique(np.round(data.positions, 3), axis=0, return_inverse=True)
-    return np.asarray(group.reshape(-1))
-
-
 def lacks_fit(problem: Problem, residual: np.ndarray, parameters: int, noise_dof: float) -> bool:
     """Return whether (3n,) residuals of a fit exceed the noise, overall or in the means of repeats (test of lack of fit)."""
     projected = problem.project(residual)
@@ -72,7 +63,12 @@ def robust_covariance(
 
     With too few groups: the covariance (k, k) due to noise, and infinity. ``columns`` are the (3n, k) signatures that were fitted.
     """
-    group = groups(problem)
+    data = problem.network.data
+    # The group of each row is its round, or its commanded pose where there are few rounds.
+    names, group = np.unique(data.round.astype(str), return_inverse=True)
+    if len(names) < MANY_ROUNDS:
+        _, group = np.unique(np.round(data.positions, 3), axis=0, return_inverse=True)
+    group = group.reshape(-1)
     count = int(group.max()) + 1
     if count < LEAST_GROUPS:
         return covariance, float("inf")
@@ -425,7 +421,7 @@ def _with_patterns(
     for start in range(0, len(random_effects.random), BLOCK_COLUMNS):
         some = random_effects.random[start : start + BLOCK_COLUMNS]
         signature = problem.signature([column for column, _ in some]) * [deviation for _, deviation in some]
-        gain[:, start : start + BLOCK_COLUMNS] = inverse_gram @ problem.along(scaled, problem.project(signature))
+        gain[:, start : start + BLOCK_COLUMNS] = inverse_gram @ (scaled.T @ problem.project(signature))
     return inverse * random_effects.variance_factor + (gain @ gain.T) * np.outer(sizes, sizes)
 
 
@@ -442,7 +438,7 @@ def _by_compliances(problem: Problem, parts: Sequence[_Part], state: Mapping[str
     scaled = np.concatenate([part.columns for part in parts], axis=1) * scales
     moved = np.stack([load.relative_u * _signature_of(problem, state, (load,)) for load in loads], axis=1)
     inverse_gram = pseudo_inverse(problem.inner(scaled))
-    gain = inverse_gram @ problem.along(scaled, problem.project(moved))
+    gain = inverse_gram @ (scaled.T @ problem.project(moved))
     return np.asarray((gain @ gain.T) * np.outer(scales, scales))
 
 
@@ -596,7 +592,7 @@ def remaining_discrepancy(
     residual = problem.residual - rewhitened(estimated.signature.sum(axis=1), task.problem.network, problem.network)
     residual_m = unwhiten(problem.network, problem.project(residual).reshape(-1, 3)[:, :, None])[:, :, 0]
     # A direction with a prior takes up the share of a reading that its posterior variance has lost.
-    absorbed = len(problem.nuisance_coordinates) - float(np.sum(problem.nuisances.prior**2))
+    absorbed = len(problem.nuisances.coordinates) - float(np.sum(problem.nuisances.prior**2))
     share = min((absorbed + _width(forms)) / problem.readings, 1.0)
     taken_up = share * task.problem.network.covariance
     return updated(network, task.discrepancy, residual_m, taken_up, np.ones(len(residual_m), dtype=bool))

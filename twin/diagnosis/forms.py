@@ -195,13 +195,12 @@ class Candidates:
             products = Products(problem, self.products.columns, self._columns, points)
             root = problem.orthonormal_on(points)
             inner = [count / len(points) * block for block in self._projected_blocks(products, products.on_basis(root))]
-        basis = problem.rows(points).reshape(3 * len(points), len(problem.nuisance_coordinates))
+        basis = problem.nuisances.rows(points).reshape(3 * len(points), len(problem.nuisances.coordinates))
         read = problem.network.read[points].reshape(-1)
         noise = rng.standard_normal((len(read), NULL_DATA_SETS)) * read[:, None]
-        noise += basis @ (
-            problem.calibration_directions
-            @ rng.standard_normal((problem.calibration_directions.shape[1], NULL_DATA_SETS))
-        )
+        # Columns of the symmetric root of the calibration's covariance.
+        uncertain = problem.nuisances.coordinates[:, len(problem.setup) :]
+        noise += basis @ (uncertain @ rng.standard_normal((uncertain.shape[1], NULL_DATA_SETS)))
         noise -= basis @ (root @ (root.T @ (basis.T @ noise)))
         slope = products.with_vectors(noise, points) * np.sqrt(count / len(points))
         scale = rng.chisquare(self.dof, NULL_DATA_SETS) / self.dof if np.isfinite(self.dof) else np.ones(NULL_DATA_SETS)

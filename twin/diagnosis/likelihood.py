@@ -350,7 +350,7 @@ class Likelihood:
         problem = self.candidates.problem
         left = problem.project(residual)
         slopes = [
-            problem.along(problem.signature(self.columns[start : start + COLUMNS_AT_ONCE]), left)
+            problem.signature(self.columns[start : start + COLUMNS_AT_ONCE]).T @ left
             for start in range(0, len(self.columns), COLUMNS_AT_ONCE)
         ]
         return np.asarray(self._rotation.T @ np.concatenate(slopes))

@@ -9,7 +9,7 @@ part of the basis.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass
 from typing import Final, final
@@ -64,9 +64,9 @@ class Problem:
 
     def _start(self) -> None:
         """Set everything that follows from the linearised readings and their nuisance parameters."""
-        self.root = np.eye(len(self.nuisance_coordinates))
+        self.root = np.eye(len(self.nuisances.coordinates))
         self.held_out: np.ndarray = np.zeros(0, dtype=int)
-        self.absorbed = len(self.nuisance_coordinates) - len(self.nuisances.prior)
+        self.absorbed = len(self.nuisances.coordinates) - len(self.nuisances.prior)
         self.set_residual(self.residual)
         self.readings = int(np.count_nonzero(self.network.read))
 
@@ -88,7 +88,7 @@ class Problem:
         part = copy(self)
         part.held_out = np.flatnonzero(points)
         gone = self.nuisances.gram(part.held_out)
-        own = self.nuisance_coordinates[:, : len(self.setup)]
+        own = self.nuisances.coordinates[:, : len(self.setup)]
         size = np.einsum("ij,ij->j", own, own)
         left = size - np.einsum("ki,kl,li->i", own, gone, own)
         if np.any((left <= UNDETERMINED_SHARE * size) & (size > 0.0)):
@@ -137,8 +137,8 @@ class Problem:
 
     def setup_step(self, residual: np.ndarray) -> np.ndarray:
         """Return the change of the set-up's unknowns, in metres and radians, fitted to a (3n,) residual (minimum norm)."""
-        size = np.maximum(np.linalg.norm(self.nuisance_coordinates, axis=0), 1e-300)
-        moved = np.linalg.lstsq(self.nuisance_coordinates / size, self.nuisances.along(residual), rcond=1e-9)[0] / size
+        size = np.maximum(np.linalg.norm(self.nuisances.coordinates, axis=0), 1e-300)
+        moved = np.linalg.lstsq(self.nuisances.coordinates / size, self.nuisances.along(residual), rcond=1e-9)[0] / size
         return np.asarray(moved[: len(self.setup)] * self.setup.plausible)
 
     def zero_held_out(self, rows: np.ndarray) -> np.ndarray:
@@ -148,31 +148,6 @@ class Problem:
         zero_held_out = np.array(rows)
         zero_held_out.reshape(len(self.view.rows), 3, -1)[self.held_out] = 0.0
         return zero_held_out
-
-    @property
-    def nuisance_coordinates(self) -> np.ndarray:
-        """(directions, k) coordinates in the basis of the derivatives by the nuisance parameters."""
-        return self.nuisances.coordinates
-
-    @property
-    def prior(self) -> np.ndarray:
-        """(k, set-up + k) square root of the prior precision of the nuisance parameters: of all but those of the set-up."""
-        return np.asarray(self.nuisances.prior @ self.nuisance_coordinates)
-
-    @property
-    def basis(self) -> np.ndarray:
-        """(3n, directions) the readings' part of the basis at all points, for few points."""
-        return _flat(self.rows(slice(None)))
-
-    @property
-    def nuisance(self) -> np.ndarray:
-        """(3n, k) derivatives by the nuisance parameters: set-up (plausible sizes), calibration (root of its covariance)."""
-        return np.asarray(self.basis @ self.nuisance_coordinates)
-
-    @property
-    def calibration_directions(self) -> np.ndarray:
-        """(directions, k) coordinates in the basis of the columns of the symmetric root of the calibration's covariance."""
-        return np.asarray(self.nuisance_coordinates[:, len(self.setup) :])
 
     @property
     def dof(self) -> int:
@@ -205,10 +180,6 @@ class Problem:
         gram, left = raw - within.T @ within, slope - within.T @ (self.root.T @ self.residual_on_basis)
         return InnerProducts(gram, left, basis, by_nuisance, raw, slope)
 
-    def rows(self, points: Rows) -> np.ndarray:
-        """Return the basis (points, 3, directions) at some points."""
-        return self.nuisances.rows(points)
-
     def inner(self, a: np.ndarray) -> np.ndarray:
         """Return the projected inner products aᵀMa of signatures."""
         a, within = self._kept_and_absorbed(a)
@@ -223,10 +194,6 @@ class Problem:
         """Return (3n, …) vectors without the held-out rows, and the coordinates of the share that the nuisance parameters absorb."""
         a = self.zero_held_out(a)
         return a, self.root.T @ self.nuisances.along(a)
-
-    def along(self, a: np.ndarray, residual: np.ndarray | None = None) -> np.ndarray:
-        """Return aᵀMr with the data's residual, or with another that is already projected."""
-        return np.asarray(a.T @ (self.projected if residual is None else residual))
 
     def _calibration_columns(self, calibration: Calibration | None) -> tuple[list[Column], np.ndarray]:
         """Return the columns of the calibration's parameters, and the symmetric root of their covariance."""
@@ -378,14 +345,12 @@ class Products:
 
     def with_vectors(self, vectors: np.ndarray, points: np.ndarray) -> np.ndarray:
         """Return inner products (all, r) with (3·points, r) vectors at some points, in ascending order."""
-        right = vectors.reshape(len(points), 3, -1)
-        if len(points) == len(self._problem.view.rows):
-            return self.along(lambda block: right[block.rows], None)
-        return self.along(lambda block: right[np.searchsorted(points, np.asarray(block.rows))], points)
+        right, every = vectors.reshape(len(points), 3, -1), len(points) == len(self._problem.view.rows)
 
-    def along(self, vectors: Callable[[PointBlock], np.ndarray], points: np.ndarray | None) -> np.ndarray:
-        """Return inner products (all, r) with vectors made block by block, over some points or all."""
-        return np.asarray(self.signatures.along(vectors, points, by_part=False)[0])
+        def at(block: PointBlock) -> np.ndarray:
+            return right[block.rows if every else np.searchsorted(points, np.asarray(block.rows))]
+
+        return np.asarray(self.signatures.along(at, None if every else points, by_part=False)[0])
 
     def set_residual(self, residual: np.ndarray) -> None:
         """Replace the residual (3n,)."""
