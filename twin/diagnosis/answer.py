@@ -1,12 +1,8 @@
-"""From the causes to the result: unexplained residuals, the extended calibration, its gain, and the causes that are not identifiable.
+"""From the causes to the result: unexplained residuals, the extended calibration with its limits, and what is not identifiable.
 
 Residuals that the causes do not explain are either unnamed patterns or excess noise. A cause that is not identifiable is confounded
-with the set-up or with the uncertainty of the calibration; the result says with which.
-
-The limits of the extended calibration, as it states them: errors that remain unknown, residuals, instruments and set-up.
-
-The entries of the given calibration stay. The readings of the diagnosis add what they could not determine, and their residuals replace
-the stated ones if they test the whole calibration, that is if every axis moved, or if they are worse.
+with the set-up or with the uncertainty of the calibration; the result says with which. The entries of the given calibration stay; the
+readings add what they could not determine, and their residuals replace the stated ones if every axis moved, or if they are worse.
 """
 
 from __future__ import annotations

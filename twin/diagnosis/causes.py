@@ -42,7 +42,6 @@ from twin.diagnosis.search import LIMIT_SIGMA, TOO_LARGE
 from twin.diagnosis.second_opinion import Comparison, compare_with_search, second_opinion
 from twin.diagnosis.structure import Findings
 from twin.identification.discrepancy import Discrepancy
-from twin.identification.network import Network
 from twin.machine.machine import Machine
 from twin.measurement.checks import ASSUMED
 from twin.measurement.table import Measurements
@@ -115,11 +114,14 @@ def estimate_sizes(findings: Findings) -> SizedCauses:
         dropped.append(weakest)
         forms = [form for form in forms if form is not weakest]
     sizes, discrepancy = reweighted(findings.task, forms, estimated, structure.random_effects)
+    network = findings.problem.network
+    increment_um = min((axis.increment * MM / UM for axis in network.machine.axes if axis.linear), default=0.0)
+    most_um = [np.linalg.norm(np.nan_to_num(in_um(network, own)), axis=1).max(initial=0.0) for own in sizes.signature.T]
+    jumped = of_a_jumped_side(network.data, [(form.candidate, form.variant) for form in forms])
     # The search keeps sizes within their limits, but its last steps and the final weights move them: a mass near zero gives any centre.
-    jumped = of_a_jumped_side(findings.problem.network.data, [(form.candidate, form.variant) for form in forms])
     doubts = tuple(
         (JUMPED if form.key in jumped else "")
-        or (BELOW_INCREMENT if _below_increment(findings.problem.network, sizes.signature[:, k]) else "")
+        or (BELOW_INCREMENT if most_um[k] < increment_um else "")
         or between_positions(findings.candidates, forms, form)
         or (IMPOSSIBLE if _is_impossible(form, quantities, effects) else "")
         for k, (form, quantities, effects) in enumerate(zip(forms, sizes.quantities, sizes.effects, strict=True))
@@ -237,13 +239,6 @@ def notices(sized: SizedCauses, comparison: Comparison, undecided: Sequence[str]
             if keys
         ),
     )
-
-
-def _below_increment(network: Network, signature: np.ndarray) -> bool:
-    """Return whether a cause (3n,) shifts every reading by less than the least increment of every linear axis; False without one."""
-    increments_um = [axis.increment * MM / UM for axis in network.machine.axes if axis.linear]
-    size = np.linalg.norm(np.nan_to_num(in_um(network, signature)), axis=1).max(initial=0.0)
-    return bool(increments_um) and bool(size < min(increments_um))
 
 
 def _is_impossible(form: Form, quantities: Sequence[Quantity], effects: Sequence[Effect]) -> bool:

@@ -1,8 +1,7 @@
 """Cross-validation: prediction of held-out readings by causes fitted to the others, and removal of causes that overfit.
 
-What is held out depends on the claim: positions or poses for a function of position; rounds or blocks of time for a change in time.
-
-If the stated noise is small, every part of an unmodelled error is significant. Forty parameters then fit twenty poses and fail at the
+What is held out depends on the claim: positions or poses for a function of position; rounds or blocks of time for a change in time. If
+the stated noise is small, every part of an unmodelled error is significant: forty parameters then fit twenty poses and fail at the
 twenty-first. The number of causes is chosen by cross-validation (Stone 1974).
 """
 
@@ -51,10 +50,8 @@ def predicted_shift(problem: Problem, part: Candidates, forms: Sequence[Form]) -
 def jackknife_interval(table: np.ndarray) -> tuple[float, float] | None:
     """Return the 95 % confidence interval of the difference of two RMS values; None for fewer than `GROUPS_FOR_AN_INTERVAL` groups.
 
-    One group is left out at a time; pseudo-values with Student's t (Tukey 1958). Groups, not readings, are independent.
-
-    Args:
-        table: (groups, 3) sums of squares before and after, and number of values.
+    From (groups, 3) sums of squares before and after, and number of values, leaving one group out at a time; pseudo-values with
+    Student's t (Tukey 1958). Groups, not readings, are independent.
     """
     count = len(table)
     if count < GROUPS_FOR_AN_INTERVAL:
@@ -130,8 +127,7 @@ def held_out_squares(
 ) -> np.ndarray | None:
     """Return (groups, models + 1): sums of squared held-out residuals of each model, µm², and the number of values.
 
-    Args:
-        predict: data without a fold → (3n,) prediction of each model fitted to them, whitened, for all readings.
+    ``predict``: data without a fold → (3n,) prediction of each model fitted to them, whitened, for all readings.
     """
     problem = candidates.problem
     table: np.ndarray | None = None
@@ -170,13 +166,9 @@ class HeldOutFolds:
 def choose_folds(data: Measurements, machine: Machine, causes: Sequence[Candidate]) -> HeldOutFolds | None:
     """Return the folds suited to the causes; None if nothing can be held out."""
     changing = bool(causes) and all(cause.specification.varies == "with time" for cause in causes)
-    if not changing:
-        moved = [i for i in range(len(machine.axes)) if np.ptp(data.positions[:, i]) > 0.0]
-        if moved:
-            folds = folds_at_positions(data, moved)
-            if folds is not None:
-                return folds
-    return folds_in_time(data)
+    moved = [] if changing else [i for i in range(len(machine.axes)) if np.ptp(data.positions[:, i]) > 0.0]
+    folds = folds_at_positions(data, moved) if moved else None
+    return folds_in_time(data) if folds is None else folds
 
 
 def folds_in_time(data: Measurements) -> HeldOutFolds | None:

@@ -111,13 +111,11 @@ INTEGRATED_SIGMA: Final = 5.0
 
 
 def fit_drift(problem: Problem, drift: Drift, others: Sequence[Column]) -> tuple[float, np.ndarray, np.ndarray | None]:
-    """Return time constant, linear parameters (w,) and second moments (w + 1, w + 1) of a drift given other causes.
+    """Return time constant, linear parameters (w,) and second moments (w + 1, w + 1) of the most likely drift given other causes.
 
-    Those of maximum likelihood; no moments for a straight line, and where the likelihood is treated as normal.
-
-    Where the time constant is as long as the record, amplitude and time constant are strongly correlated and the curvature at the
-    optimum does not describe their uncertainty. Their second moments under the profile likelihood do; they are taken over the time
-    constants tried, with a prior uniform in the logarithm.
+    No moments for a straight line, and where the likelihood is treated as normal. Where the time constant is as long as the record,
+    amplitude and time constant are strongly correlated and the curvature at the optimum does not describe their uncertainty. Their
+    moments under the profile likelihood do; they are taken over the constants tried, with a prior uniform in the logarithm.
     """
     tried = np.geomspace(drift.constants[0], drift.constants[-1], TIME_CONSTANT_GRID)
     gain, values, covariance = _profile(
@@ -281,10 +279,7 @@ def estimate(
 ) -> Estimate:
     """Estimate all parameters of the causes by Gauss-Newton iteration, with the set-up projected out.
 
-    Args:
-        noise_dof: degrees of freedom of the noise variance.
-        random_effects: patterns without a name; they are not fitted but increase the covariance.
-        least: noncentrality at the largest plausible size below which a direction is not identifiable.
+    Random effects are not fitted but increase the covariance; a direction is identifiable from a noncentrality of ``least`` on.
     """
     if not forms:
         return Estimate((), (), Covariance.none(), np.zeros((len(problem.residual), 0)), 0.0)
@@ -384,7 +379,10 @@ def _reported(
         test = inverse[own_rows, own_rows] / np.outer(part.scales, part.scales)
         wald.append((*_wald(part.values / part.scales, test), groups))
         block = wide[own_rows, own_rows]
-        matrix = np.eye(width) if part.nonlinear else _matrix(part.form, part.fixed, width)
+        matrix, build = np.eye(width), part.form.candidate.build
+        if build is not None and not part.nonlinear:
+            # The parameters of a calibration are linear in those that are fitted.
+            matrix = np.array([list(_parameters(build(unit, part.fixed)).values()) for unit in matrix]).T
         covariance_block = matrix @ block @ matrix.T if part.moments is None else part.moments
         direct = part.form.candidate.space is not None or part.nonlinear or part.moments is not None
         reported = _over_variants(problem, forms, part.form, covariance_block if direct else block)
@@ -447,14 +445,6 @@ def _wald(values: np.ndarray, covariance: np.ndarray) -> tuple[float, int]:
     kept = eigenvalues > 1e-12 * eigenvalues[-1]
     along = vectors[:, kept].T @ values
     return float(np.sum(along**2 / eigenvalues[kept])), int(kept.sum())
-
-
-def _matrix(form: Form, fixed: Mapping[str, float], width: int) -> np.ndarray:
-    """Return the matrix from fitted parameters to the parameters of a calibration, which are linear in them."""
-    build = form.candidate.build
-    if build is None:
-        return np.eye(width)
-    return np.array([list(_parameters(build(unit, fixed)).values()) for unit in np.eye(width)]).T
 
 
 def _parameters(effects: Sequence[Effect]) -> dict[str, float]:

@@ -9,7 +9,7 @@ a calibration only if held-out readings confirm them, and are valid only within 
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, Final, Literal, final
 
 import numpy as np
@@ -142,10 +142,10 @@ class EmpiricalExtension:
     """Empirical effects fitted to the unexplained patterns."""
 
     extension: Extension  # their description in the result
-    effects: tuple[Empirical, ...]  # written; empty if held-out readings do not confirm them
-    covariance: Covariance  # of their parameters
-    written: tuple[int, ...]  # numbers of their patterns
-    left_um: float  # RMS per coordinate of the patterns that are not written
+    effects: tuple[Empirical, ...] = ()  # written; empty if held-out readings do not confirm them
+    covariance: Covariance = field(default_factory=Covariance.none)  # of their parameters
+    written: tuple[int, ...] = ()  # numbers of their patterns
+    left_um: float = 0.0  # RMS per coordinate of the patterns that are not written
 
 
 def extend(sized: SizedCauses, calibration: Calibration) -> EmpiricalExtension:
@@ -153,9 +153,11 @@ def extend(sized: SizedCauses, calibration: Calibration) -> EmpiricalExtension:
     findings, forms, problem = sized.findings, sized.forms, sized.findings.problem
     likelihood, machine = findings.structure.likelihood, problem.network.machine
     if sized.jumped:
-        return _not_extended(Extension((), 0.0, None, False, "it is a jump, of which a later program knows nothing"))
+        return EmpiricalExtension(
+            Extension((), 0.0, None, False, "it is a jump, of which a later program knows nothing")
+        )
     if likelihood is None or not likelihood.pattern_tests:
-        return _not_extended(Extension((), 0.0, None, False, "it depends on no column of the table"))
+        return EmpiricalExtension(Extension((), 0.0, None, False, "it depends on no column of the table"))
     model = likelihood.fit(forms, findings.structure.model)
     slope = likelihood.slope_with(problem.residual - sized.estimate.signature.sum(axis=1))
     which, values, covariance = likelihood.most_likely(model, slope)
@@ -182,16 +184,12 @@ def extend(sized: SizedCauses, calibration: Calibration) -> EmpiricalExtension:
     reason = _unproven(held) if effects else "; ".join(dict.fromkeys(str(term.reason) for term in terms))
     extension = Extension(tuple(terms), _rms(problem, written_shift), held, reason is None, reason)
     if reason is not None:
-        return _not_extended(extension)
+        return EmpiricalExtension(extension)
     names = tuple(parameter.name for effect in effects for parameter in effect.parameters)
     matrix = read_only(covariance[np.ix_(in_file, in_file)])
     return EmpiricalExtension(
         extension, tuple(effects), Covariance(names, matrix), tuple(written), _rms(problem, other_shift)
     )
-
-
-def _not_extended(extension: Extension) -> EmpiricalExtension:
-    return EmpiricalExtension(extension, (), Covariance.none(), (), 0.0)
 
 
 def _rms(problem: Problem, made: np.ndarray) -> float:
@@ -296,9 +294,7 @@ def residuals_as_written(
 ) -> np.ndarray:
     """Return the (n, 3) residuals in µm with a calibration as written, the set-up refitted; NaN where no coordinate was measured.
 
-    Args:
-        instrument: (3n,) whitened effect of the instrument errors found, subtracted from the readings first.
-        root: (n, 3, 3) square root of the covariance by the discrepancy, metres, for the weights of the set-up.
+    The whitened effect (3n,) of instrument errors is subtracted first; the discrepancy (its root) is in the weights of the set-up.
     """
     network = problem.network.with_discrepancy(root)
     as_written = Network(

@@ -356,13 +356,9 @@ class Likelihood:
         return np.asarray(self._rotation.T @ np.concatenate(slopes))
 
     def most_likely(self, model: Model, slope: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the most likely coefficients of the patterns at given variances, with the causes fixed.
+        """Return the most likely coefficients of the patterns at given variances, causes fixed; ``slope`` as of `slope_beside`.
 
-        Args:
-            slope: result of `slope_beside` or `slope_with`.
-
-        Returns:
-            Numbers of the k columns with a relevant variance; (k,) their coefficients, µm; (k, k) the covariance, µm².
+        Numbers of the k columns with a relevant variance; (k,) their coefficients, µm; (k, k) the covariance, µm².
         """
         used, deviation, inner = self._followed(model.variances)
         factor, _ = _inverse_factor(inner)

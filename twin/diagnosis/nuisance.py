@@ -76,11 +76,9 @@ class Nuisance:
     def of(
         cls, view: LinearisedReadings, by_setup: np.ndarray, columns: Sequence[Column], root: np.ndarray
     ) -> Nuisance:
-        """Return the basis of set-up and uncertain parameters at all points.
+        """Return the basis of set-up, by derivatives (3n, set-up) in plausible sizes (overwritten), and p uncertain parameters.
 
-        Args:
-            by_setup: (3n, set-up) derivatives by the set-up, in plausible sizes; overwritten, as in `setup_basis`.
-            root: (p, k) square root of the covariance of the p parameters.
+        ``root`` (p, k) is the square root of their covariance.
         """
         columns, root = _with_orthonormal_functions([_in_units(column) for column in columns], root)
         signatures = Signatures(view, _with_shared_functions(columns))

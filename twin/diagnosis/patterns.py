@@ -1,14 +1,10 @@
-"""Unnamed patterns: functions of each column of the table and of each pair of columns, on each side of the machine.
+"""Unnamed patterns: functions of each column of the table and of each pair of columns, on each side of the machine; and their scores.
 
 A pattern shifts the targets and stations of one side along the axes of the base frame, or of the frame of that side. Its functions are
 those of `twin.model.effects.harmonic`: half waves over the range of a column, harmonics of a rotary axis that made a whole turn, the
 approach direction of an axis; for a pair, their products. They can represent what low polynomials cannot: short waves, steps, and a
-reversal that depends on the position.
-
-Scores of unnamed patterns: inner products of their functions with the residual and each other, set-up and causes projected out.
-
-The functions of a pattern are products of the functions of its columns. Their inner products with the residual, of all patterns of a
-side at once, are those of the columns' functions with each other, weighted by the residual.
+reversal that depends on the position. Their inner products with the residual, of all patterns of a side at once, are those of the
+columns' functions with each other, weighted by the residual.
 """
 
 from __future__ import annotations
@@ -438,11 +434,9 @@ class PatternScores:
         return known[key] * self._nuisance.scale**2
 
     def _sample_root(self, whole: np.ndarray, change: np.ndarray, count: int) -> np.ndarray:
-        """Return a root R (used, k) of the projection on nuisance and causes, VRRᵀVᵀ, such that a sample stands for all rows.
+        """Return a root R (used, k) of the projection on nuisance and causes, VRRᵀVᵀ, such that a sample stands for all ``count`` rows.
 
-        Args:
-            whole: (r, 3, used) vectors V at the sample.
-            change: (used, directions) coefficients in these of an orthonormal basis over all ``count`` rows.
+        ``whole``: vectors V (r, 3, used) there; ``change``: coefficients (used, directions) of an orthonormal basis over all rows.
         """
         root = np.asarray(np.linalg.qr(change.T, mode="r")).T
         if len(whole) == count:

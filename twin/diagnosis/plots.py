@@ -129,9 +129,8 @@ def _ranks(values: np.ndarray) -> np.ndarray:
 
 def _correlated(a: Scale, b: Scale) -> bool:
     """Return whether two columns are rank-correlated so closely that their plots look the same."""
-    if np.ptp(a.values) == 0.0 or np.ptp(b.values) == 0.0:
-        return False
-    return bool(abs(np.corrcoef(_ranks(a.values), _ranks(b.values))[0, 1]) > ALIKE_CORRELATION)
+    moved = np.ptp(a.values) > 0.0 and np.ptp(b.values) > 0.0
+    return bool(moved and abs(np.corrcoef(_ranks(a.values), _ranks(b.values))[0, 1]) > ALIKE_CORRELATION)
 
 
 def cause_panels(diagnosis: DiagnosisResult, cause: Cause) -> list[Panel]:

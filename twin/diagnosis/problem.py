@@ -251,13 +251,10 @@ def rms(values: np.ndarray, read: np.ndarray) -> float:
 
 @final
 class Products:
-    """Inner products of columns within groups, with a problem's basis and residual, and on demand with each other.
-
-    Without projection.
+    """Inner products of columns within groups, with a problem's basis and residual, and on demand with each other; without projection.
 
     Args:
         problem: the problem that gives rows, basis and residual; none of its rows held out.
-        columns: columns of signatures.
         groups: indices of the columns of each group, one array (groups, w) for each width w.
         points: the points to sum over; all if None.
         parts: (n,) number of the part each point belongs to, from 0, where parts are to be held out.

@@ -1,9 +1,7 @@
 """The readings of a diagnosis: with fitted set-up, measurement noise and outliers.
 
-Measurement noise of the readings, estimated from repeats or from residuals where neither table nor instrument states it.
-
-Before repeats are compared, all effects that may change between them (a frame, a target, time, temperature) are removed by
-regression; otherwise a drift would be counted as noise and hide itself.
+Where neither table nor instrument states the noise, it is estimated from repeats or residuals. Before repeats are compared, all effects
+that may change between them are removed by regression; otherwise a drift would be counted as noise and hide itself.
 """
 
 from __future__ import annotations
@@ -54,11 +52,9 @@ class ReadingNoise:
 def _noise_of_repeats(
     network: Network, view: LinearisedReadings, known: Sequence[Candidate], seen: np.ndarray
 ) -> ReadingNoise | None:
-    """Return the noise along and across the beam estimated from repeats; None if they are too few.
+    """Return the noise at points ``seen`` (m, 3), along and across the beam, estimated from repeats; None if they are too few.
 
-    Args:
-        view: linearisation of the points used, with any isotropic whitening, which is undone here.
-        seen: (m, 3) the points, in their stations' frames, whose covariance is returned.
+    The linearisation of the points used may have any isotropic whitening, which is undone here.
     """
     group = repeat_groups(network.data.select(view.rows))
     size = np.bincount(group)
@@ -120,11 +116,7 @@ def _noise_of(
 ) -> ReadingNoise | None:
     """Return the noise along and across the beam, after regression; None with fewer than `LEAST_DOF` degrees of freedom.
 
-    Args:
-        values: (n, 3, k) m: the deviations, then the regressors.
-        dof_each: degrees of freedom in each direction before the regression.
-        read: (n, 3) whether a coordinate of the points (n, 3) was measured.
-        source: where the deviations come from, in words.
+    ``values`` (n, 3, k), m: deviations, then regressors, with ``dof_each`` degrees of freedom in each direction before it.
     """
     if not read[:, 1:].any():
         residual, basis = _regressed(values)

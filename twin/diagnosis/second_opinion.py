@@ -1,15 +1,11 @@
 """A second, Bayesian method: probabilities of the causes, and 95 % credible sets.
 
-The search selects one set of causes. The sum of single effects (`twin.diagnosis.second_opinion`) on the same whitened,
-projected readings gives a probability to every cause independently. If the two methods disagree, neither result is certain.
-
-Sum of single effects: Bayesian selection of a few forms out of many, from inner products alone.
-
-The residual is the sum of a few effects, each of which is exactly one form (a block of columns) or none. Each effect in turn is
-fitted to the residual less the expected contribution of the others, until convergence (iterative Bayesian stepwise
-selection). G. Wang, A. Sarkar, P. Carbonetto, M. Stephens (2020), A simple new approach to variable selection in regression, with
-application to genetic fine mapping, J. R. Statist. Soc. B 82, 1273. From inner products: Y. Zou, P. Carbonetto, G. Wang, M. Stephens
-(2022), Fine-mapping from summary data with the sum of single effects model, PLoS Genetics 18, e1010299.
+It is independent of the search; if the two disagree, neither result is certain. The whitened, projected residual is the sum of a few
+effects, each of which is exactly one form (a block of columns) or none. Each effect in turn is fitted to the residual less the expected
+contribution of the others, until convergence (iterative Bayesian stepwise selection). G. Wang, A. Sarkar, P. Carbonetto, M. Stephens
+(2020), A simple new approach to variable selection in regression, with application to genetic fine mapping, J. R. Statist. Soc. B 82,
+1273. From inner products: Y. Zou, P. Carbonetto, G. Wang, M. Stephens (2022), Fine-mapping from summary data with the sum of single
+effects model, PLoS Genetics 18, e1010299.
 
 Three things differ from the paper. An effect is a block of columns. The prior variance is averaged over a grid, not maximised: the
 mean Bayes factor without any effect is one, so that by Markov's inequality odds of 20 or more arise in at most one of 20 such data
@@ -88,11 +84,7 @@ class Fit:
 class SingleEffects:
     """Forms and data of one selection problem.
 
-    Args:
-        alternatives: all forms, by number of columns.
-        slope: (columns,) inner products with the residual.
-        cross: column numbers → their inner products with all columns, a row each.
-        dof: degrees of freedom of the noise's variance; infinite where it is known.
+    ``slope`` are inner products (columns,) with the residual; ``cross`` returns those of some columns with all, a row each.
     """
 
     def __init__(
@@ -331,11 +323,8 @@ def second_opinion(candidates: Candidates, start: Sequence[Form] = ()) -> tuple[
 
     The prior of a form follows the search's correction for multiple testing: effects share it as they share the rate of false alarms,
     the places of an effect in proportion to their number of independent forms. A known or bounded size is part of the prior. Forms
-    forbidden to the search are included with their own prior.
-
-    Args:
-        start: forms selected by the search; the iteration starts from them as well as from no effect. An effect can be the sum of
-            several: a lean of X in the machine is the same as one of Y and one of the rotary axis that Y carries.
+    forbidden to the search are included with their own prior. The iteration starts from no effect, and from the forms that the search
+    selected: an effect can be the sum of several (a lean of X is the same as one of Y and one of the rotary axis that Y carries).
     """
     effects = SingleEffects(_alternatives(candidates), candidates.slope, candidates.cross, candidates.dof)
     fitted = effects.fitted(MAX_EFFECTS, [form.index for form in start])

@@ -85,9 +85,7 @@ class ProductPlan:
 class SummedTerms:
     """Inner products of functions times derivatives with r vectors (numbers ``used``), summed over blocks of points.
 
-    Attributes:
-        large: by functions, derivative and number of the first of a few vectors: (few, functions).
-        small: by functions and derivatives that are evaluated together: (r, terms).
+    ``large``: (few, functions) by functions, derivative and first of a few vectors; ``small``: (r, terms) by terms evaluated together.
     """
 
     def __init__(self, used: np.ndarray) -> None:
@@ -136,11 +134,9 @@ PairCodes = tuple[np.ndarray, np.ndarray, list[np.ndarray], np.ndarray]
 
 
 def pair_codes(groups: Sequence[np.ndarray], count: int) -> PairCodes:
-    """Return the pairs of columns within groups (groups, w), each once.
+    """Return the pairs of columns within groups (groups, w), each once, as codes first · count + second, and whether first ≤ second.
 
-    Returns:
-        The codes of the pairs (first · count + second); whether first ≤ second; for each array of groups, the positions of its
-        (groups, w, w) pairs among the codes; and for each pair with first > second, the position of the transposed pair.
+    And for each array of groups the positions of its (groups, w, w) pairs among them, and for first > second of the transposed.
     """
     codes = [columns[:, :, None] * count + columns[:, None, :] for columns in groups]
     pairs, places = np.unique(np.concatenate([np.zeros(0, dtype=int), *map(np.ravel, codes)]), return_inverse=True)

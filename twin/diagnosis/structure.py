@@ -462,7 +462,6 @@ def _possible(candidates: Candidates, forms: Sequence[Form], model: Model) -> bo
 
 
 MOST_RESELECTIONS: Final = 4  # largest number of searches with other weights
-TIME: Final = "time_s"
 NOT_PREDICTED: Final = "they do not predict held-out positions"  # reason for which variants are left out, in words
 REFINED_CHI2: Final = 100.0
 """χ² of a cause above which its residual between two tabulated periods or time constants could look like another cause."""
@@ -518,7 +517,7 @@ def _is_variant_in_time(candidate: Candidate) -> bool:
 
 def _changes_with_time(structure: Structure) -> bool:
     return any(form.candidate.specification.varies == "with time" for form in structure.forms) or any(
-        name == TIME or name.startswith("T_") for test in structure.pattern_tests for name in test.pattern.names
+        name == "time_s" or name.startswith("T_") for test in structure.pattern_tests for name in test.pattern.names
     )
 
 

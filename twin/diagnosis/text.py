@@ -137,36 +137,27 @@ def separating_points(wanted: Iterable[Mapping[str, Any]], sigma_um: float) -> l
         keys = [(effect, where) for effect, _, where in (name.partition(" ") for name in pair)]
         a, b = (f"{cause_title(*key)} ({symbol(*key)})" for key in keys)
         with_pose = [point for point in points if "pose" in point]
+        best, rows = max((float(point["expected_chi2"]) for point in with_pose), default=0.0), []
         if not with_pose:
             text = capital(str(points[0]["text"]).partition(": ")[2]) + "."
-            separating_points.append(SeparatingPoints((a, b), (), text))
-            continue
-        best = max(float(point["expected_chi2"]) for point in with_pose)
-        difference_um = best**0.5 * sigma_um
-        if RULED_OUT_CHI2 > MOST_READINGS * best:
+        elif RULED_OUT_CHI2 > MOST_READINGS * best:
             text = (
-                f"No position that was tried separates them: their predictions differ by at most {difference_um:.1g} µm. "
+                f"No position that was tried separates them: their predictions differ by at most {best**0.5 * sigma_um:.1g} µm. "
                 "Either can be used for compensation."
             )
-            separating_points.append(SeparatingPoints((a, b), (), text))
-            continue
-        rows = tuple(
-            (
-                " ".join(f"{axis}{value:g}" for axis, value in point["pose"].items()),
-                " ".join(f"{axis}{'+' if sign > 0 else '−'}" for axis, sign in point["approach"].items()),
-                str(point["target"]),
-                str(point["station"]),
-                f"{float(point['expected_chi2']) ** 0.5 * sigma_um:.2g} µm",
-            )
-            for point in with_pose
-        )
-        many = max(ceil(RULED_OUT_CHI2 / best), 1)
-        readings = "one reading is enough" if many == 1 else f"about {many} readings are enough"
-        text = f"Their predictions differ most at these positions; at the first, {readings}."
-        if not any(name.startswith("misplaced") for name in pair):
-            plan = f'twin plan -o plan.csv --separate "{pair[0]}" "{pair[1]}" --after <this table>'
-            text += f" For a complete plan with new station positions: {plan}."
-        separating_points.append(SeparatingPoints((a, b), rows, text))
+        else:
+            for point in with_pose:
+                pose = " ".join(f"{axis}{value:g}" for axis, value in point["pose"].items())
+                sides = " ".join(f"{axis}{'+' if sign > 0 else '−'}" for axis, sign in point["approach"].items())
+                difference = f"{float(point['expected_chi2']) ** 0.5 * sigma_um:.2g} µm"
+                rows.append((pose, sides, str(point["target"]), str(point["station"]), difference))
+            many = max(ceil(RULED_OUT_CHI2 / best), 1)
+            readings = "one reading is enough" if many == 1 else f"about {many} readings are enough"
+            text = f"Their predictions differ most at these positions; at the first, {readings}."
+            if not any(name.startswith("misplaced") for name in pair):
+                plan = f'twin plan -o plan.csv --separate "{pair[0]}" "{pair[1]}" --after <this table>'
+                text += f" For a complete plan with new station positions: {plan}."
+        separating_points.append(SeparatingPoints((a, b), tuple(rows), text))
     return separating_points
 
 

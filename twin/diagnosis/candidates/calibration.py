@@ -250,10 +250,7 @@ RANK_TOLERANCE: Final = 1e-9
 def flaw(space: CurveSpace, curve: Curve, correction: np.ndarray, covariance: np.ndarray) -> str:  # noqa: C901
     """Return the mistake in words; empty if none explains the correction, or the curve has more coefficients than functions.
 
-    Args:
-        space: functions of the correction, of the basis and domain of the curve.
-        correction: (k,) coefficients of the first functions, µm or µrad.
-        covariance: (k, k) of these; zero for directions that are not identifiable.
+    ``correction`` are coefficients (k,) of the first functions, µm or µrad, with their covariance, zero where not identifiable.
     """
     if len(curve.coefficients) > space.count:
         return ""

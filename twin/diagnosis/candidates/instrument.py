@@ -623,12 +623,7 @@ def of_a_jumped_side(data: Measurements, chosen: Sequence[tuple[Candidate, Varia
 def _within_rounds(
     data: Measurements, of: Specification, where: str, own: np.ndarray, freedoms: Sequence[Freedom]
 ) -> list[Candidate]:
-    """Return a candidate for each round in the middle of which a station or target may have been displaced, from a line on.
-
-    Args:
-        where: the beginning of the place.
-        own: (n,) the readings of that station or target.
-    """
+    """Return a candidate for each round in the middle of which a station or target (its readings ``own``) may have been displaced."""
     order = order_in_time(data)
     read, candidates = order[own[order]], []
     for name in dict.fromkeys(data.round[read].tolist()):

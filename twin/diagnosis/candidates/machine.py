@@ -1,20 +1,11 @@
 """Candidate causes in the machine: its effects at every place, curves, loads, spikes at reversals, following errors.
 
-Candidates: a load that is missing from the machine description, or is known for each reading, where joints have a known compliance.
-
-With known compliances the deflection is linear in the mass and its first moments (Khalil and Dombre 2002, Modeling, Identification and
-Control of Robots, ch. 12). Compliances that are not known are estimated together with the load (`twin.diagnosis.payload`).
-
-Candidate: an axis that sticks at its reversal while the others move on, and catches up: the spikes of a ball bar's circle.
-
-The shift along the axis is −A·sign(v)·exp(−t/τ), t the time since the reversal. A and τ depend on the feed and on the friction
-compensation of the drive, so it does not enter a calibration.
-
-Candidate: positions reported by the control differ from the command, due to following error or because they were read too early.
-
-The parameter is the share s of the difference that appears in the readings. s = 1: the axis was at the reported position
-(``following_error``). s = 0: the position was reported before the axis had settled (``read_back``;
-`twin.diagnosis.causes`).
+- Loads: with known compliances the deflection is linear in the mass and its first moments (Khalil and Dombre 2002, Modeling,
+  Identification and Control of Robots, ch. 12); others are estimated together with the load (`twin.diagnosis.payload`).
+- Spikes of a ball bar's circle: an axis sticks at its reversal while the others move on, and catches up, −A·sign(v)·exp(−t/τ) along it.
+  A and τ depend on the feed and on the friction compensation of the drive, so it does not enter a calibration.
+- Following errors: the share s of the difference between report and command that appears in the readings: 1 if the axis was at the
+  reported position (``following_error``), 0 if it was reported before the axis had settled (``read_back``; `twin.diagnosis.causes`).
 """
 
 from __future__ import annotations
@@ -29,7 +20,6 @@ from twin._common.units import UM
 from twin.diagnosis.candidates.calibration import mistakes
 from twin.diagnosis.candidates.candidate import (
     STRAIGHT_LINE,
-    Build,
     Candidate,
     CandidateInputs,
     Catalogue,
@@ -189,10 +179,7 @@ def _of_axis(inputs: CandidateInputs, axis: Axis) -> list[Candidate]:
 def _space_and_mistakes(
     inputs: CandidateInputs, axis: Axis, component: int
 ) -> tuple[CurveSpace, dict[float, np.ndarray]] | None:
-    """Return the functions of the correction of one error motion, and the coefficients of mistakes in its curve.
-
-    None if its curve cannot be corrected or has too few positions.
-    """
+    """Return functions of the correction of one error motion, and coefficients of mistakes in its curve; None if it has none."""
     name, curve = f"E_{DIRECTIONS[component]}{axis.name}", None
     if (known := inputs.calibration.curves.get(name)) is not None:
         curve = known.in_powers()
@@ -214,10 +201,7 @@ def _positions(inputs: CandidateInputs, axis: Axis, domain: tuple[float, float])
 
 
 def _fixed_by_datum(axis: Axis, component: int) -> int:
-    """Return the number of coefficients that the datum fixes: the constant, and the slope of a straightness.
-
-    See `twin.identification.unknowns`.
-    """
+    """Return how many coefficients the datum fixes (`twin.identification.unknowns`): the constant, the slope of a straightness."""
     return 2 if specification_of(axis, component) is STRAIGHTNESS else 1
 
 
@@ -234,7 +218,15 @@ def _curve_candidate(
     single_mistakes = [Variant((columns[space.count + k],), {"stops": stops}) for k, stops in enumerate(patterns)]
     tests = float(space.count - first_free + min(len(single_mistakes), 2))
     names = tuple((f"g{k}", unit_of(space.name)) for k in range(space.count))
-    build = _builder(space, patterns, wrapped=axis.lower is None)
+
+    def build(values: np.ndarray, fixed: Mapping[str, float]) -> tuple[Effect, ...]:
+        if "stops" in fixed:
+            values = values[0] * patterns[fixed["stops"]]
+        first = round(fixed.get("first", 0.0))
+        n = first + len(values)
+        coefficients = tuple(float(v) for v in space.transform[:n, first:n] @ values)
+        return (ErrorMotion(space.name, space.basis, space.domain, coefficients, wrapped=axis.lower is None),)
+
     specification = specification_of(axis, component)
     return Candidate(specification, space.name, names, (*variants, *single_mistakes), tests, build, space=space)
 
@@ -255,18 +247,6 @@ def _domain_and_degree(axis: Axis, known: Curve | None, curve: Curve | None) -> 
     return None
 
 
-def _builder(space: CurveSpace, patterns: Mapping[float, np.ndarray], *, wrapped: bool) -> Build:
-    def build(values: np.ndarray, fixed: Mapping[str, float]) -> tuple[Effect, ...]:
-        if "stops" in fixed:
-            values = values[0] * patterns[fixed["stops"]]
-        first = round(fixed.get("first", 0.0))
-        n = first + len(values)
-        coefficients = tuple(float(v) for v in space.transform[:n, first:n] @ values)
-        return (ErrorMotion(space.name, space.basis, space.domain, coefficients, wrapped=wrapped),)
-
-    return build
-
-
 def _functions_with_sums(space: CurveSpace, at: np.ndarray, patterns: Sequence[np.ndarray]) -> Functions:
     """Return a curve's orthonormal functions at (n,) positions, followed by linear combinations of them with coefficients (count,)."""
     sums = np.stack(patterns, axis=1) if patterns else np.zeros((space.count, 0))
@@ -284,8 +264,7 @@ LOADS: Final = 4  # mass and three first moments
 def added_payloads(inputs: CandidateInputs) -> Catalogue:
     """Return the candidates for each side on which the calibration has compliances: a payload, and the load that the readings carry.
 
-    If all readings carry the same load, it is confounded with a payload: it is tested where compliances are known without it, else the
-    payload is.
+    A load that all readings carry is confounded with a payload: it is tested where compliances are known without it, else the payload.
     """
     compliant = [effect for effect in inputs.calibration.extra if isinstance(effect, GravityCompliance)]
     every = {side: [effect for effect in compliant if side_of(effect.axis) == side] for side in SIDES}
