@@ -74,8 +74,8 @@ def predicts_held_out(candidates: Candidates, form: Form, forms: Sequence[Form])
     specification, where = form.candidate.specification, form.candidate.where
     if not specification.curve:
         return True
-    problem, data = candidates.problem, candidates.problem.network.data
-    axis = problem.network.machine.names.index(axis_of(where))
+    data = candidates.problem.network.data
+    axis = candidates.problem.network.machine.names.index(axis_of(where))
     if len(np.unique(np.round(data.positions[:, axis], 3))) > DENSE_POSITIONS:
         return True
     folds = folds_at_positions(data, [axis])
@@ -84,9 +84,14 @@ def predicts_held_out(candidates: Candidates, form: Form, forms: Sequence[Form])
     others = [other for other in forms if other is not form]
     if specification.variant_of:
         others += [other for other in candidates.forms if other.key == (specification.variant_of, where)]
+    return _predict_better(candidates, folds, others, [*others, form])
 
-    def predict(part: Candidates) -> tuple[np.ndarray, np.ndarray]:
-        return predicted_shift(problem, part, others), predicted_shift(problem, part, [*others, form])
+
+def _predict_better(candidates: Candidates, folds: HeldOutFolds, fewer: Sequence[Form], forms: Sequence[Form]) -> bool:
+    """Return whether some causes predict held-out readings better than fewer causes do, with 95 % confidence."""
+
+    def predict(part: Candidates) -> list[np.ndarray]:
+        return [predicted_shift(candidates.problem, part, model) for model in (fewer, forms)]
 
     squares = held_out_squares(candidates, folds, predict)
     interval = None if squares is None else jackknife_interval(squares)
@@ -99,8 +104,7 @@ def lines_that_predict(candidates: Candidates, kept: Sequence[Form], forms: Sequ
     A pattern takes up a straight line as well as any other smooth function, whatever the line's size. Over the whole range a line is
     one number of the machine: it comes first, and the pattern is what it leaves. The lines of ``forms`` that are not kept are tried.
     """
-    problem = candidates.problem
-    axes, data = problem.network.machine.axes, problem.network.data
+    axes, data = candidates.problem.network.machine.axes, candidates.problem.network.data
     moved = [i for i, axis in enumerate(axes) if axis.linear and np.ptp(data.positions[:, i]) > 0.0]
     cells = cells_of_positions(data, moved) if moved else None
     if cells is None:
@@ -110,15 +114,8 @@ def lines_that_predict(candidates: Candidates, kept: Sequence[Form], forms: Sequ
     }
     taken, chosen = {form.key for form in kept}, list(kept)
     for key in dict.fromkeys(form.key for form in forms if form.key not in taken and form.key in lines):
-        models = chosen, [*chosen, lines[key]]
-
-        def predict(part: Candidates, models: tuple[list[Form], ...] = models) -> list[np.ndarray]:
-            return [predicted_shift(problem, part, model) for model in models]
-
-        squares = held_out_squares(candidates, cells, predict)
-        interval = None if squares is None else jackknife_interval(squares)
-        if interval is not None and interval[0] > 0.0:
-            chosen = models[1]
+        if _predict_better(candidates, cells, chosen, [*chosen, lines[key]]):
+            chosen.append(lines[key])
     return chosen[len(kept) :]
 
 

@@ -252,6 +252,7 @@ def _unproven(held: HeldOut | None) -> str | None:
 
 LARGEST_UM: Final = 1e5
 """Error at the tool above which none is stated: small rotations and compliances do not describe a machine that is 100 mm off."""
+# With zero length a rotation about the spindle nose would have no effect.
 DEFAULT_TOOL_MM: Final = 100.0  # tool length assumed if the machine file has none
 
 
@@ -286,7 +287,7 @@ def gain(
     before, after = (rms(residual_um, network.read) for residual_um in residuals)
     if not max(at_tool) <= LARGEST_UM:
         at_tool = float("nan"), float("nan")
-    return Gain(before, after, held, *at_tool, tool_length_of(machine))
+    return Gain(before, after, held, *at_tool, machine.tool_length_mm or DEFAULT_TOOL_MM)
 
 
 def residuals_as_written(
@@ -312,11 +313,6 @@ def residuals_as_written(
     return in_um(as_written, residual - basis @ (basis.T @ residual))
 
 
-def tool_length_of(machine: Machine) -> float:
-    """Return the machine file's tool length, or `DEFAULT_TOOL_MM`: with zero length a rotation about the spindle nose has no effect."""
-    return machine.tool_length_mm or DEFAULT_TOOL_MM
-
-
 def error_at_tool(
     data: Measurements, machine: Machine, effects: Sequence[Effect], covariance: Covariance
 ) -> tuple[float, float]:
@@ -335,7 +331,7 @@ def error_at_tool(
     state: dict[str, Any] = {name: values[rows] for name, values in measured.items()}
     state |= {f"approach_{name}": side for name, side in zip(machine.names, sides, strict=True)}
     state |= {axis.name: positions[:, i] for i, axis in enumerate(machine.axes)}
-    at_tip = Kinematics(machine, Calibration.zero(machine), tool_length_mm=tool_length_of(machine))
+    at_tip = Kinematics(machine, Calibration.zero(machine), tool_length_mm=machine.tool_length_mm or DEFAULT_TOOL_MM)
     by_error = at_tip.sensitivities(positions).error[:, :3]
     index = {(frame.axis, frame.role): 6 * i for i, frame in enumerate(machine.frames)}
 

@@ -154,7 +154,7 @@ class Nuisance:
 
     def raw(self, block: PointBlock) -> np.ndarray:
         """Return (points, 3, raw) basis of the set-up and columns of the parameters at a block of points."""
-        return side_by_side(self._setup_at(block.rows), self.signatures.at(block))
+        return side_by_side(_at(self._setup, block.rows), self.signatures.at(block))
 
     def from_raw(self, products: np.ndarray, root: np.ndarray | None = None) -> np.ndarray:
         """Return inner products (k, …) with the basis, or with coordinates ``root`` in it (directions, k), from those with `raw`."""
@@ -175,7 +175,7 @@ class Nuisance:
 
     def along_signatures(self, signatures: Signatures, points: np.ndarray | None) -> np.ndarray:
         """Return inner products (raw, columns) of `raw` with signatures, over some points or all."""
-        by_setup = signatures.along(lambda block: self._setup_at(block.rows), points)[0].T
+        by_setup = signatures.along(lambda block: _at(self._setup, block.rows), points)[0].T
         return np.concatenate([by_setup, self.signatures.along(signatures.at, points)[0]])
 
     def combined(self, coordinates: np.ndarray, points: np.ndarray | None = None) -> np.ndarray:
@@ -184,7 +184,7 @@ class Nuisance:
             coordinates.reshape(len(coordinates), prod(coordinates.shape[1:])), [self._setup.shape[1]]
         )
         by_columns = self._change @ rest
-        setup = self._setup if points is None else self._setup_at(points).reshape(3 * len(points), self.setup_count)
+        setup = self._setup if points is None else _at(self._setup, points).reshape(3 * len(points), self.setup_count)
         combined_columns = setup @ (by_setup - self._on_setup @ by_columns)
         if len(by_columns):
             combined_columns += self.signatures.combined(by_columns, points).reshape(combined_columns.shape)
@@ -192,7 +192,7 @@ class Nuisance:
 
     def rows(self, points: Rows) -> np.ndarray:
         """Return the basis (points, 3, directions) at some points."""
-        here, columns = self._setup_at(points), self.signatures.at(PointBlock(self.signatures.view, points))
+        here, columns = _at(self._setup, points), self.signatures.at(PointBlock(self.signatures.view, points))
         rows = np.empty((*here.shape[:2], len(self.coordinates)))
         rows[:, :, : self.setup_count] = here
         for i in range(3):
@@ -217,9 +217,6 @@ class Nuisance:
             inner = _projected_gram(self.signatures, self._setup, self._on_setup, points)
             self._grams[key] = change.T @ inner @ change
         return self._grams[key]
-
-    def _setup_at(self, points: Rows) -> np.ndarray:
-        return _at(self._setup, points)
 
 
 def setup_basis(by_setup: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -129,10 +129,8 @@ class Load:
         """Return a payload and a carried load as shares of their bounds."""
         shares = self.nothing
         if payload is not None:
-            shares[:CARRIED_INDEX] = [
-                payload.mass_kg / self.heaviest,
-                *(value / CENTRE_RANGE_MM for value in payload.centre_mm),
-            ]
+            mass = payload.mass_kg / self.heaviest
+            shares[:CARRIED_INDEX] = [mass, *(value / CENTRE_RANGE_MM for value in payload.centre_mm)]
         if carried is not None:
             shares[CARRIED_INDEX:] = [carried.mass_kg, *(value / CENTRE_RANGE_MM for value in carried.centre_mm)]
         return shares
