@@ -37,14 +37,12 @@ from twin.numerics.functions import SHORTEST_PERIOD, sampling_frequency
 from twin.tool.uncertainty import volume
 
 ALTERNATIVES_SEPARATED: Final = 2  # number of alternatives of a cause for which points are suggested
-MOST_TOGETHER: Final = 6
-"""Number of causes of one effect that are tried together: one for each axis. Many more would imitate anything."""
+MOST_TOGETHER: Final = 6  # causes of one effect tried together, one for each axis: more would imitate anything
 SPANNED: Final = 0.01
 """Share of a cause's squared norm outside the span of others up to which they replace it; the rest is within the noise, too."""
 FIELD: Final = "with the frame"
 """`Specification.varies` of an error of the instrument that is a field in its frame: scales, shears, bent beams."""
-IMITATED: Final = 0.2
-"""Share of a cause's effect on the readings that an error of the instrument may leave and still replace it."""
+IMITATED: Final = 0.2  # share of a cause's effect that an error of the instrument may leave and still replace it
 RUNNERS_UP: Final = 2  # number of alternatives that are ruled out and listed with a cause
 
 

@@ -338,8 +338,7 @@ OFF_GRID_SHARE: Final = 0.5
 """Share of positions off the grid of least increments above which the positions are taken as reported, not commanded."""
 REPORT_RULED_OUT_SIGMA: Final = 5.0
 """Distance of the share from one, in standard uncertainties, at which the readings do not follow the report (p = 10⁻⁶)."""
-COMPATIBLE_SIGMA: Final = 3.0
-"""Distance of the share from zero, in standard uncertainties, within which the readings follow the command."""
+COMPATIBLE_SIGMA: Final = 3.0  # standard uncertainties of the share from zero within which readings follow the command
 
 
 def readback_causes(candidates: Candidates, forms: Sequence[Form]) -> tuple[list[Cause], list[str]]:

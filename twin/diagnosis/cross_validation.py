@@ -25,8 +25,7 @@ from twin.measurement.observation import order_in_time
 from twin.measurement.table import Measurements
 from twin.model.effects.base import axis_of
 
-DENSE_POSITIONS: Final = 20
-"""Number of positions of an axis above which a curve through them is taken to be valid between them."""
+DENSE_POSITIONS: Final = 20  # number of positions of an axis above which a curve is taken to be valid between them
 GROUPS_FOR_AN_INTERVAL: Final = 6  # smallest number of independent groups for a confidence interval
 
 

@@ -100,14 +100,11 @@ def upper_bound(first: np.ndarray, second: np.ndarray) -> np.ndarray:
 
 
 TIME_CONSTANT_GRID: Final = 81  # number of time constants at which the likelihood of a drift is evaluated
-NOT_IDENTIFIABLE: Final = 1e-6
-"""Share of a drift's squared norm, given other causes, below which it is not identifiable."""
-NARROW_LIKELIHOOD: Final = 0.15
-"""Relative uncertainty of a time constant below which its likelihood is treated as normal."""
+NOT_IDENTIFIABLE: Final = 1e-6  # share of a drift's squared norm, given other causes, below which it is not seen
+NARROW_LIKELIHOOD: Final = 0.15  # relative uncertainty of a time constant below which its likelihood is normal
 DECISIVE_CHI2: Final = 4.0
 """Reduction of chi² (two standard deviations) by which the less usual of exponential and straight line must fit better."""
-INTEGRATED_SIGMA: Final = 5.0
-"""Standard deviations on either side of the best time constant over which a narrow likelihood is integrated."""
+INTEGRATED_SIGMA: Final = 5.0  # standard deviations about the best over which a narrow likelihood is integrated
 
 
 def fit_drift(problem: Problem, drift: Drift, others: Sequence[Column]) -> tuple[float, np.ndarray, np.ndarray | None]:
@@ -567,8 +564,7 @@ def _estimated(
 
 
 REWEIGHTINGS: Final = 4  # number of estimates with other weights, at most
-LOST: Final = 1e-6
-"""Share of its earlier standard uncertainty below which that of a parameter is rounding: its direction was left out."""
+LOST: Final = 1e-6  # share of its earlier standard uncertainty below which that of a parameter is rounding
 
 
 def remaining_discrepancy(

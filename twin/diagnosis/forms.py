@@ -25,26 +25,21 @@ from twin.model.effects.base import axis_of
 
 FALSE_ALARM_RATE: Final = 0.03
 """Share of data sets of noise alone in which any form is accepted as a cause; patterns have a rate of their own."""
-NULL_DATA_SETS: Final = 200
-"""Simulated data sets of noise alone from which the correction for multiple testing is estimated."""
+NULL_DATA_SETS: Final = 200  # data sets of noise alone from which the correction for multiple testing is estimated
 ADDITIONAL_CAUSE_PENALTY: Final = 2.5
 """Amount subtracted for each cause after the first (as chi²): several causes at once are rarer than one."""
 CALIBRATION_QUANTILE: Final = 0.15
 """Quantile of the smallest p-value in these data sets; smaller false-alarm rates are extrapolated in proportion."""
 TAIL_FACTOR: Final = 0.8  # factor on that extrapolation: correlated tests are less dependent further out in the tail
 SEED: Final = 4711
-LEAST_NONCENTRALITY: Final = 25.0
-"""Noncentrality at the largest plausible size below which a direction is not identifiable from the data."""
+LEAST_NONCENTRALITY: Final = 25.0  # at the largest plausible size: below it a direction is not identifiable
 DEVIANCE_RULED_OUT: Final = 9.21
 """2 ln 100: a rival is ruled out if its likelihood, corrected for multiple testing, is at least a hundred times smaller."""
 # Of n waves, the best follows about 2·ln(n) / positions of any error: with some 40 positions and 300 waves a quarter.
-LEAST_SHORT_SHARE: Final = 0.25
-"""Smallest share of the excess of waves that are shorter than the mean distance of the measured positions."""
+LEAST_SHORT_SHARE: Final = 0.25  # smallest share of the excess of waves shorter than the distance of the positions
 SAMPLED_POINTS: Final = 4096  # points that suffice to estimate the correlation between forms
-TIE: Final = 1e-6
-"""Added to a critical value for each column: of forms that explain the same, the one with the fewest columns is preferred."""
-RESOLVED: Final = 1.0
-"""Difference of two periods, in waves over the measured span, from which on they are errors of their own."""
+TIE: Final = 1e-6  # added to a critical value for each column: of equal forms the one with the fewest is preferred
+RESOLVED: Final = 1.0  # difference of two periods, in waves over the measured span, from which on they are two errors
 BATCH: Final = 48  # columns whose inner products with all others are computed in one pass over the data, at least
 
 

@@ -27,10 +27,8 @@ from twin.diagnosis.forms import Candidates, Form, columns_of, log_p_value, pseu
 from twin.diagnosis.patterns import TESTED_NONCENTRALITY, ZERO_SHARE, Pattern, PatternScores
 from twin.diagnosis.problem import Problem
 
-PATTERN_ALARM_RATE: Final = 0.01
-"""Rate of false alarms: share of data sets without an error in which a pattern is found."""
-EXACT_P_VALUES: Final = 24
-"""Number of tests, the most significant ones by two moments, whose p-value is evaluated exactly by eigenvalues."""
+PATTERN_ALARM_RATE: Final = 0.01  # share of data sets without an error in which a pattern is found
+EXACT_P_VALUES: Final = 24  # most significant tests by two moments whose p-value is evaluated exactly
 AT_ONCE: Final = 32  # tests with equally many functions whose moments are computed at once
 DIRECTIONS: Final[tuple[tuple[int, ...], ...]] = ((0,), (1,), (2,), (0, 1, 2))
 """Directions of the frame that are tested: each alone, and all together."""

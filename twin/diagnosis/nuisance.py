@@ -25,8 +25,7 @@ from twin.diagnosis.signature_products import PointBlock, Signatures, side_by_si
 from twin.identification.network import LinearisedReadings
 from twin.numerics.functions import Functions, Rows, tabulated
 
-RANK_TOLERANCE: Final = 1e-9
-"""Relative tolerance of the numerical rank: smaller singular values of the set-up's derivatives count as zero."""
+RANK_TOLERANCE: Final = 1e-9  # relative: smaller singular values of the set-up's derivatives count as zero
 
 
 @final

@@ -33,8 +33,7 @@ from twin.numerics.functions import Functions, Rows, pieces
 
 ORDER_ALONE: Final = 16  # highest order of a single column
 ORDER_IN_PAIRS: Final = 8  # highest order of an axis in a pair
-ORDER_OF_SLOW_COLUMNS: Final = 4
-"""Highest order of a slowly changing column in a pair: time, temperatures, rounds, other channels."""
+ORDER_OF_SLOW_COLUMNS: Final = 4  # the same of a slowly changing column: time, temperatures, rounds, other channels
 ORDERS_TESTED: Final = (2, 4, 8, 16)  # orders up to which the functions of a pattern are tested together
 PERIODIC_RANGE_DEG: Final = 300.0  # range of a rotary axis, degrees, from which on its functions are periodic
 

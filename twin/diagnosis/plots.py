@@ -36,8 +36,7 @@ ALIKE_CORRELATION: Final = 0.9  # rank correlation of two columns above which on
 LEAST_CHI2_SHARE: Final = 0.2  # columns whose χ² is below this share of that of the clearest column are not plotted
 SIDES: Final = ((-1.0, "moving −"), (0.0, "unknown"), (1.0, "moving +"))  # names of the approach directions
 MAX_PANELS: Final = 3  # largest number of panels of residuals
-LEAST_CAUSE_SHARE: Final = 0.02
-"""Readings at which the cause is below this share of its largest value are not plotted in its unit."""
+LEAST_CAUSE_SHARE: Final = 0.02  # share of its largest value below which a cause is not plotted in its unit
 MANY_TURNS: Final = 4  # periods in the range from which on a periodic error is plotted over one period
 WIDEST_INTERVAL: Final = 4.0  # directions whose intervals are wider than this multiple of the narrowest are not plotted
 UNMEASURED_SHARE: Final = 0.02  # share of the largest mean square below which a direction counts as not measured

@@ -19,10 +19,8 @@ from twin.diagnosis.forms import ADDITIONAL_CAUSE_PENALTY, Candidates, Form
 from twin.diagnosis.readings import PLACING_ITERATIONS, DiagnosisTask, Readings
 from twin.identification.discrepancy import outliers
 
-FAMILY_POWER: Final = 0.25
-"""A family's share of `FALSE_ALARM_RATE` grows with its number of forms to this power, less than proportionally."""
-RARE_FACTOR: Final = 0.1
-"""Factor on the share of `FALSE_ALARM_RATE` of mistakes in the calibration, which are rare and easily recognised."""
+FAMILY_POWER: Final = 0.25  # a family's share of `FALSE_ALARM_RATE` grows with its number of forms to this power
+RARE_FACTOR: Final = 0.1  # on the share of `FALSE_ALARM_RATE` of mistakes in the calibration: rare, easily recognised
 MAX_CAUSES: Final = 30  # largest number of causes: about the number of error curves of a machine
 MAX_EXCHANGED_CAUSES: Final = 6
 """Number of causes up to which every step is followed by exchanges and several starts are tried; above, only the whole set once."""

@@ -34,13 +34,11 @@ SIZE_PRIOR: Final = 1.0 / (
     (np.arange(len(PRIOR_NONCENTRALITIES)) + 1.0) * (np.arange(len(PRIOR_NONCENTRALITIES)) + 2.0)
 )
 """Prior weight of each, before normalisation: half of it on effects that are just large enough to be found."""
-NEGLECTED_CHANGE: Final = 1e-2
-"""Change of the residual, in standard deviations, by forms neglected in an expected contribution."""
+NEGLECTED_CHANGE: Final = 1e-2  # of the residual, in standard deviations, by forms left out of a contribution
 CONVERGED_CONTRIBUTION: Final = 0.1
 """Standard deviations of an expected contribution, from one sweep to the next, below which the iteration ends."""
 NEGLECTED_PROBABILITY: Final = 1e-6  # posterior probability below which forms are always neglected
-CONVERGED_PROBABILITY: Final = 1e-3
-"""Change of any posterior probability, from one sweep to the next, below which the iteration ends."""
+CONVERGED_PROBABILITY: Final = 1e-3  # change of any posterior probability in a sweep below which the iteration ends
 SWEEPS: Final = 100
 
 

@@ -147,11 +147,9 @@ def pair_codes(groups: Sequence[np.ndarray], count: int) -> PairCodes:
     return pairs, lower, own, transposed
 
 
-BLOCK_WIDTH: Final = 64
-"""Vectors, or products of two functions, processed at a time, so that they stay in the processor's cache."""
+BLOCK_WIDTH: Final = 64  # vectors, or products of two functions, at a time: they stay in the processor's cache
 FEW_VECTORS: Final = 16  # number of vectors below which every derivative is multiplied by the vectors first
-FEW_FUNCTIONS: Final = 20
-"""Number of functions of a derivative up to which it is multiplied by these, which are fewer than the vectors."""
+FEW_FUNCTIONS: Final = 20  # of a derivative, up to which it is multiplied by these, fewer than the vectors
 LEAST_FUNCTIONS: Final = 16  # sets of fewer functions than this are merged into one set
 MOST_SUMS: Final = 4  # number of sets of vectors that are not zero, besides that of all, for which sums are kept
 LARGEST_CACHE: Final = 2**25  # number of function values (256 MB) up to which they are cached between passes

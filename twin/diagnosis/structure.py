@@ -38,21 +38,18 @@ from twin.identification.discrepancy import settled
 from twin.measurement.observation import machine_state
 
 MAX_PATTERNS: Final = 3  # largest number of patterns
-MAX_PATTERNS_EVALUATED: Final = 8
-"""Number of patterns, those with the smallest p-values, whose likelihood is evaluated before one is chosen."""
+MAX_PATTERNS_EVALUATED: Final = 8  # patterns of the smallest p-values whose likelihood is evaluated
 MAX_CAUSES_EVALUATED: Final = 5
 """Number of causes refitted with the variances of the patterns at every step, which takes nearly all of the time."""
 # Refitted variances can raise what a cause explains, but not from a small part of its price to the whole.
 EVALUATED_PRICE_SHARE: Final = 0.3
 """Share of its price that a cause must explain at the present variances of the patterns to be evaluated in full."""
 # The gain that is bounded is that of a drop without a refit: at twenty times the price the refit cannot reverse the decision.
-KEPT_GAIN_RATIO: Final = 20.0
-"""Ratio of a cause's bound on its gain to its price from which on it is kept without a refit."""
+KEPT_GAIN_RATIO: Final = 20.0  # bound on a cause's gain over its price from which on it is kept without a refit
 EXCHANGE_GAIN: Final = 0.1
 """Smallest gain in twice the log likelihood for an exchange of causes, far below any price: it and its reverse must not alternate."""
 # As in the verdict: causes that leave less than a tenth explain the readings.
-KEPT_CHI2_SHARE: Final = 0.9
-"""Share of the explained χ² from which on causes are kept, whatever the patterns explain in addition."""
+KEPT_CHI2_SHARE: Final = 0.9  # share of the explained χ² from which on causes are kept, whatever patterns add
 # A cause that explains less than the patterns beside it is rather a part of their pattern.
 LEAST_IMITATED_RATIO: Final = 1.0
 """Smallest ratio of the χ² explained by a cause to that explained in addition by patterns that can imitate it."""
@@ -466,8 +463,7 @@ NOT_PREDICTED: Final = "they do not predict held-out positions"  # reason for wh
 REFINED_CHI2: Final = 100.0
 """χ² of a cause above which its residual between two tabulated periods or time constants could look like another cause."""
 MAX_REFINEMENTS: Final = 2  # largest number of refinements of periods and time constants
-REFINED_SIGMA: Final = 0.2
-"""Change of a period or time constant, in standard uncertainties, below which it is not refined again."""
+REFINED_SIGMA: Final = 0.2  # change of a period or time constant, in standard uncertainties, that is not refined again
 
 
 def select_causes(task: DiagnosisTask) -> Findings:

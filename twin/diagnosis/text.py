@@ -492,8 +492,7 @@ def _when_ambiguous(diagnosis: DiagnosisResult) -> list[tuple[str, str]]:
 
 
 WIDTH: Final = 100
-ABSORBED_RATIO: Final = 0.9
-"""Ratio of the RMS residual with and without the calibration's uncertainty below which both are given."""
+ABSORBED_RATIO: Final = 0.9  # of RMS residuals with and without the calibration's uncertainty: below, both are given
 HARD_SPACE: Final = "\u00a0"
 
 

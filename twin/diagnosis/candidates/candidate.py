@@ -25,8 +25,7 @@ from twin.numerics.curves import CurveSpace
 from twin.numerics.functions import CachingState, Functions, Rows, functions_of_state, pieces, tabulated
 from twin.numerics.spatial import cross_matrix
 
-LARGEST_ERROR: Final = 1000.0
-"""µm or µrad: largest plausible error anywhere due to one effect; columns are scaled to it."""
+LARGEST_ERROR: Final = 1000.0  # µm or µrad: largest plausible error due to one effect; columns are scaled to it
 
 STRAINS: Final = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 """Components of a strain tensor by their two directions."""

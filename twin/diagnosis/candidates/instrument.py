@@ -41,10 +41,8 @@ NAMES: Final = (
 )
 """Parameters, in the order of `STRAINS`: a positive scale reads too long, a shear is the change of a right angle."""
 AFFINE_SCALE_PLAUSIBLE: Final = 100.0  # largest plausible value, ppm and µrad
-FLAT_EXTENT: Final = 0.01
-"""Share of the largest extent below which the extent of the points along a direction counts as zero."""
-MOST_ROUNDS: Final = 12
-"""Number of rounds above which rounds are repeats or places rather than alignments of the instrument."""
+FLAT_EXTENT: Final = 0.01  # share of the largest extent of the points below which that along a direction is zero
+MOST_ROUNDS: Final = 12  # number of rounds above which these are repeats or places, not alignments of the instrument
 CALIBRATED_LENGTH: Final = (
     "measure a calibrated length on the table (gauge block, scale bar) with the same instrument, and read the machine's temperature: "
     "a machine that is warmer than the length has equal scales of its axes"
@@ -173,10 +171,8 @@ def beam_bendings(inputs: CandidateInputs) -> Catalogue:
 LARGEST_SENSOR_RANGE_MM: Final = 100.0
 """mm: longer runs are read by a laser interferometer, which has no such error (data sheets of triangulation and inductive sensors)."""
 LARGEST_LINEARITY_UM: Final = 1000.0  # 1 % of that range
-FEWEST_POSITIONS_READ: Final = 12
-"""Fewest positions: a polynomial through fewer does not predict those that were left out."""
-MOST_DEGREES: Final = 8
-"""Largest degree tried, as for a positioning error: which of the two it is must not depend on the form."""
+FEWEST_POSITIONS_READ: Final = 12  # a polynomial through fewer positions does not predict those that were left out
+MOST_DEGREES: Final = 8  # as for a positioning error: which of the two it is must not depend on the form
 
 SENSOR_LINEARITY: Final = Specification(
     name="sensor_linearity",
@@ -256,8 +252,7 @@ def assumed_zero(data: Measurements) -> tuple[Column, ...]:
 
 
 LOBES: Final = 3  # number of supports of a kinematic probe
-UPRIGHT_COSINE: Final = 0.9
-"""Cosine between the axis and z of the base from which a rotary axis turns the probe about its stylus."""
+UPRIGHT_COSINE: Final = 0.9  # cosine between axis and z of the base from which a rotary axis turns the probe
 LARGEST_LOBING_UM: Final = 10.0  # largest plausible amplitude, µm
 
 PROBE_LOBING: Final = Specification(
@@ -475,10 +470,8 @@ def time_skews(inputs: CandidateInputs) -> Catalogue:
 
 
 FRAME: Final[tuple[Freedom, ...]] = tuple((name, i) for name in ("station", "station turn") for i in range(3))
-FEWEST_READINGS: Final = 2
-"""Least number of readings of a target before and after it was displaced; a single one is an outlier."""
-MOST_LINES: Final = 32
-"""Largest number of lines of one round, evenly spaced, from which on something is tried as displaced."""
+FEWEST_READINGS: Final = 2  # of a target before and after it was displaced; a single one is an outlier
+MOST_LINES: Final = 32  # lines of one round, evenly spaced, from which on something is tried as displaced
 AT_ONCE: Final = 0.05
 """Share of the readings within which targets count as displaced at one time: the line is uncertain, and a target is not always read."""
 PLACE: Final[tuple[Freedom, ...]] = tuple(("place", i) for i in range(3))
