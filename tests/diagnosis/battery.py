@@ -69,7 +69,7 @@ UNHIDDEN = ("misplaced", "error_motion")
 
 
 class Searcher:
-    """What a search of one data set needs."""
+    """Candidates and patterns of one data set, before and after a search."""
 
     def __init__(self, task: DiagnosisTask) -> None:
         network = task.problem.network

@@ -302,7 +302,7 @@ def _ranking(candidates: Candidates) -> tuple[tuple[str, str, float, float], ...
 
 SEEN_AT: Final = 0.05  # p-value below which a trend of the residuals with a column is reported
 NOISE_P_VALUE: Final = 1e-4  # p-value of the residuals from which on they count as noise
-NEGLIGIBLE_EXCESS: Final = 0.01  # share of the excess below which what is left is no finding: machines have some
+NEGLIGIBLE_EXCESS: Final = 0.01  # share of the excess below which residuals are no finding: real machines have some
 
 
 def _jump(sized: SizedCauses) -> Unexplained | None:
