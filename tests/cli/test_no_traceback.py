@@ -28,7 +28,7 @@ from twin.compute.native import compiler
 from twin.compute.parallel import Workers
 from twin.controls import read_tables
 from twin.diagnosis import text as words
-from twin.diagnosis.candidates.candidate import flaw
+from twin.diagnosis.candidates.calibration import flaw
 from twin.identification.axis_layout import AxisLayout, load_readings
 from twin.identification.solve import FitStatistics
 from twin.machine.machine import Machine

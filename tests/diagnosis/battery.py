@@ -31,12 +31,14 @@ from twin._common.arrays import read_only
 from twin._common.errors import InputError
 from twin.compute.parallel import Workers, map_in_order
 from twin.diagnosis.alternatives import equivalent, together
-from twin.diagnosis.candidates.candidate import Candidate, unit_column
+from twin.diagnosis.candidates.candidate import Candidate, unit_columns
 from twin.diagnosis.estimate import estimate
 from twin.diagnosis.forms import Form
+from twin.diagnosis.patterns import patterns
 from twin.diagnosis.problem import Problem
-from twin.diagnosis.readings import readings
-from twin.diagnosis.structure import Findings, Searcher, Structure, without_variants_in_time
+from twin.diagnosis.readings import DiagnosisTask, readings
+from twin.diagnosis.search import candidates_of
+from twin.diagnosis.structure import Findings, Structure, search, without_variants_in_time
 from twin.machine.machine import Machine
 from twin.measurement.instruments import LaserTracker
 from twin.measurement.observation import machine_state
@@ -64,6 +66,29 @@ Truth = tuple[Key, np.ndarray, Candidate, dict[str, float], np.ndarray]
 
 UNHIDDEN = ("misplaced", "error_motion")
 """Families that are not of the contract's table: mistakes in the calibration have separate tests."""
+
+
+class Searcher:
+    """Candidates and patterns of one data set, before and after a search."""
+
+    def __init__(self, task: DiagnosisTask) -> None:
+        network = task.problem.network
+        self.task, self.problem = task, task.problem
+        self.candidates, self.patterns = candidates_of(task), patterns(network.machine, network.data)
+
+    def run(self) -> Findings:
+        return search(self.task, self.candidates, self.patterns)
+
+
+def basis_of(problem: Problem) -> np.ndarray:
+    """Return (3n, directions) the readings' part of the nuisance basis at all points."""
+    rows = problem.nuisances.rows(slice(None))
+    return rows.reshape(3 * len(rows), rows.shape[2])
+
+
+def nuisance_of(problem: Problem) -> np.ndarray:
+    """Return (3n, k) derivatives by the nuisance parameters: set-up (plausible sizes), calibration (root of its covariance)."""
+    return np.asarray(basis_of(problem) @ problem.nuisances.coordinates)
 
 
 class Finding:
@@ -154,9 +179,8 @@ def _doubted(calibration: Calibration) -> Calibration:
 def noise_of(rng: np.random.Generator, problem: Problem, root: np.ndarray) -> np.ndarray:
     """Return (3n,) new noise, with a new error of the calibration if it has a covariance."""
     found = np.einsum("nij,nj->ni", root, rng.standard_normal((len(root), 3))).reshape(-1)
-    return found + problem.basis @ (
-        problem.calibration_directions @ rng.standard_normal(problem.calibration_directions.shape[1])
-    )
+    uncertain = problem.nuisances.coordinates[:, len(problem.setup) :]
+    return found + basis_of(problem) @ (uncertain @ rng.standard_normal(uncertain.shape[1]))
 
 
 def some_effect(rng: np.random.Generator, problem: Problem, families: dict[str, list[Candidate]], size: float) -> Truth:
@@ -179,7 +203,7 @@ def some_effect(rng: np.random.Generator, problem: Problem, families: dict[str, 
             fixed["period"] = float(1.0 / rng.uniform(min(spacing), max(spacing)))
             axis = machine.by_name[candidate.where]
             columns = [
-                unit_column(PitchError(axis, 1.0, fixed["period"], phase), machine, state)
+                unit_columns([PitchError(axis, 1.0, fixed["period"], phase)], machine, state)[0]
                 for phase in (0.0, np.pi / 2.0)
             ]
         if effect == "thermal_drift":
@@ -187,7 +211,7 @@ def some_effect(rng: np.random.Generator, problem: Problem, families: dict[str, 
             fixed["time_constant"] = float(np.exp(rng.uniform(np.log(min(constants)), np.log(max(constants)))))
             built = candidate.build(np.ones(1), fixed)[0] if candidate.build else None
             if isinstance(built, ThermalDrift):
-                columns = [unit_column(built, machine, state)]
+                columns = unit_columns([built], machine, state)
         raw = problem.signature(columns)
         seen = np.diag(problem.inner(raw)) > 25.0
         values = rng.standard_normal(raw.shape[1]) * seen

@@ -34,7 +34,9 @@ from tests.diagnosis.battery import (
     DataSet,
     Finding,
     Key,
+    Searcher,
     Truth,
+    basis_of,
     matched,
     parsed,
     task_name,
@@ -44,7 +46,6 @@ from twin.compute.parallel import Workers, map_in_order
 from twin.diagnosis.candidates.candidate import Candidate, Column
 from twin.diagnosis.forms import LEAST_NONCENTRALITY
 from twin.diagnosis.problem import Problem
-from twin.diagnosis.structure import Searcher
 
 ALIKE = 0.95
 """Cosine of the angle between a hidden signature and a candidate's from which on the candidate counts as equivalent."""
@@ -120,7 +121,7 @@ class Design:
                     owner.append(candidate.key)
         raw = problem.signature(list(at))
         raw[problem.held_out] = 0.0
-        projected = raw - problem.basis @ (problem.basis.T @ raw)
+        projected = raw - basis_of(problem) @ (basis_of(problem).T @ raw)
         gram = projected.T @ projected
         self.blocks: list[Block] = []
         for candidate in candidates:
@@ -386,7 +387,8 @@ def _said(
     seconds: float,
 ) -> Said:
     like = {
-        key: design.likeness(signature - problem.basis @ (problem.basis.T @ signature)) for key, signature, *_ in truth
+        key: design.likeness(signature - basis_of(problem) @ (basis_of(problem).T @ signature))
+        for key, signature, *_ in truth
     }
     alike = tuple(tuple(key for key in like if key != name and like[key].get(name, 0.0) >= ALIKE) for name in named)
     return Said(tuple(like), named, alike, unnamed, seconds)

@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.diagnosis.battery import Searcher
 from tests.diagnosis.test_held_up import arm_with_random_errors
 from twin.diagnosis import cross_validation
 from twin.diagnosis.cross_validation import without_overfitting
 from twin.diagnosis.forms import Candidates, Form
 from twin.diagnosis.readings import readings
 from twin.diagnosis.search import largest_causes
-from twin.diagnosis.structure import Searcher
 from twin.model.calibration import Calibration
 
 OFFSET = ("zero_offset", "J3")

@@ -22,7 +22,7 @@ from tests.truth.hidden import Hidden
 from twin._common.errors import InputError
 from twin._common.provenance import ILLUSTRATIVE, SIMULATED, UNKNOWN_UNCERTAINTY
 from twin.diagnosis import Diagnosis, diagnose
-from twin.diagnosis.candidates.catalogue import SPECIFICATIONS, catalogue
+from twin.diagnosis.candidates import SPECIFICATIONS, catalogue
 from twin.diagnosis.page import diagnosis_html
 from twin.diagnosis.plots import (
     cause_panels,

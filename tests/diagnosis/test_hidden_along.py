@@ -18,7 +18,7 @@ from tests.truth.few_axes import write_stage
 from tests.truth.hidden import Hidden, Plan
 from twin._common.errors import InputError
 from twin.diagnosis import Diagnosis, diagnose
-from twin.diagnosis.candidates.catalogue import catalogue
+from twin.diagnosis.candidates import catalogue
 from twin.machine.machine import Machine
 from twin.measurement.table import Measurements
 from twin.model.calibration import Calibration

@@ -20,7 +20,7 @@ from tests.truth.hidden import Hidden, Plan
 from twin.diagnosis import Diagnosis, diagnose
 from twin.diagnosis.candidates.instrument import velocities
 from twin.diagnosis.causes import one_for_each_number
-from twin.diagnosis.drift_fit import over_forms
+from twin.diagnosis.estimate import over_forms
 from twin.diagnosis.readings import readings
 from twin.diagnosis.search import candidates_of
 from twin.machine.machine import Machine
@@ -163,7 +163,7 @@ def test_the_size_of_an_affine_error_allows_for_its_centre(
         value *= np.sqrt(30.0 / (value @ np.linalg.inv(covariances[1]) @ value))
         residual = problem.project(columns[1] @ value + rng.standard_normal(len(problem.residual)))
         problem.set_residual(residual)
-        slopes = [problem.along(own, residual) for own in columns]
+        slopes = [own.T @ residual for own in columns]
         best = int(np.argmax([slope @ own @ slope for slope, own in zip(slopes, covariances, strict=True)]))
         off = covariances[best] @ slopes[best] - value
         spread = over_forms(problem, [forms[best], forms[1 - best]], [])

@@ -16,7 +16,7 @@ import pytest
 
 from twin._common.errors import InputError
 from twin.diagnosis import Diagnosis, diagnose
-from twin.diagnosis.candidates.catalogue import catalogue
+from twin.diagnosis.candidates import catalogue
 from twin.diagnosis.result import Cause
 from twin.machine.machine import Machine
 from twin.measurement.table import Measurements

@@ -10,8 +10,8 @@ import pytest
 
 from tests.truth import hidden
 from tests.truth.few_axes import write_robot
+from twin.diagnosis.candidates import catalogue
 from twin.diagnosis.candidates.candidate import Candidate, Variant
-from twin.diagnosis.candidates.catalogue import catalogue
 from twin.diagnosis.causes import _is_impossible
 from twin.diagnosis.estimate import _quantities
 from twin.diagnosis.forms import Form

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from tests.benchmarks.diagnosis import measured
+from tests.diagnosis.battery import Searcher, basis_of, nuisance_of
 from twin._common.arrays import read_only
 from twin.diagnosis.candidates.candidate import Column
 from twin.diagnosis.problem import Problem, Products
 from twin.diagnosis.readings import readings
-from twin.diagnosis.structure import Searcher
 from twin.machine.machine import Machine
 from twin.model.calibration import Calibration
 from twin.numerics.covariance import Covariance
@@ -76,14 +76,14 @@ def test_the_basis_is_that_of_the_dense_derivatives(dmu50: Machine, searched: Se
     size = uncertain.shape[1]
     prior = np.concatenate([np.zeros((size, by_setup.shape[1])), np.eye(size)], axis=1)
     whole = np.concatenate([by_setup, uncertain], axis=1)
-    basis, found = dense_basis(whole, prior), problem.basis
+    basis, found = dense_basis(whole, prior), basis_of(problem)
     assert basis.shape == found.shape
     identity = found.T @ found + problem.nuisances.prior.T @ problem.nuisances.prior
     assert np.abs(identity - np.eye(len(identity))).max() < 1e-11
     # The same directions, and the derivatives and their prior from their coordinates.
     assert np.abs(found @ found.T - basis @ basis.T).max() < 1e-9
-    assert np.abs(problem.nuisance - whole).max() < 1e-9 * np.abs(whole).max()
-    assert np.abs(problem.prior - prior).max() < 1e-9
+    assert np.abs(nuisance_of(problem) - whole).max() < 1e-9 * np.abs(whole).max()
+    assert np.abs((problem.nuisances.prior @ problem.nuisances.coordinates) - prior).max() < 1e-9
     vectors = np.random.default_rng(3).standard_normal((len(found), 20))
     left = vectors - basis @ (basis.T @ vectors)
     assert np.abs(problem.project(vectors) - left).max() < 1e-9
@@ -136,5 +136,5 @@ def test_inner_products_with_other_columns_on_a_part(searched: Searcher, which: 
     close(part.with_columns(columns)[:, chosen], other.T @ whole)
     gram, by_nuisance, slope = part.among(columns)
     close(gram, other.T @ other)
-    close(problem.nuisances.from_raw(by_nuisance), problem.basis[rows].T @ other)
+    close(problem.nuisances.from_raw(by_nuisance), basis_of(problem)[rows].T @ other)
     close(slope, other.T @ problem.residual[rows])

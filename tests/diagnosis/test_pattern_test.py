@@ -8,15 +8,16 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from tests.diagnosis.battery import Searcher, nuisance_of
 from tests.real import plates
 from tests.truth import hidden
 from tests.truth.hidden import Hidden
-from twin.diagnosis.candidates.candidate import base_column
+from twin.diagnosis.candidates.candidate import SignatureTerm, scaled_column
 from twin.diagnosis.likelihood import Likelihood, _two_moments, log_tail, scan_patterns
 from twin.diagnosis.patterns import Pattern, patterns
 from twin.diagnosis.problem import Problem
 from twin.diagnosis.readings import readings
-from twin.diagnosis.structure import Searcher, without_variants_in_time
+from twin.diagnosis.structure import without_variants_in_time
 from twin.machine.machine import Machine
 from twin.measurement.table import Measurements
 from twin.model.calibration import Calibration
@@ -41,7 +42,7 @@ def searched(dmu50: Machine, calibration: Calibration, tmp_path_factory: pytest.
 
 def beside(problem: Problem, columns: np.ndarray) -> np.ndarray:
     """Return columns with the set-up projected out, by least squares."""
-    setup = problem.nuisance
+    setup = nuisance_of(problem)
     return columns - setup @ np.linalg.lstsq(setup, columns, rcond=1e-12)[0]
 
 
@@ -89,7 +90,7 @@ def test_the_score_of_a_pattern_is_the_one_of_plain_numpy(searched: Searcher) ->
     pattern = next(p for p in searched.patterns if p.names == ("Y_mm", "Z_mm") and p.side == "tool")
     (pattern_test,) = scan_patterns(problem, [pattern], [form], np.inf)
     columns = [problem.signature(pattern.columns(pattern_test.level, [i])) for i in pattern_test.directions]
-    free = np.concatenate([problem.nuisance, problem.signature(form.variant.columns)], axis=1)
+    free = np.concatenate([nuisance_of(problem), problem.signature(form.variant.columns)], axis=1)
     phi = np.concatenate(columns, axis=1)
     phi = phi - free @ np.linalg.lstsq(free, phi, rcond=1e-12)[0]
     deviation = np.concatenate([np.full(c.shape[1], 1.0) for c in columns])
@@ -206,7 +207,7 @@ def test_columns_along_the_base_are_the_patterns_own(searched: Searcher) -> None
     """µm per unit of a function, along an axis of the base frame."""
     pattern = next(p for p in searched.patterns if p.names == ("X_mm",) and p.side == "tool" and p.field == "base")
     (first, *_) = pattern.columns(2, [1])
-    same = base_column(1, first.terms[0].functions, first.terms[0].index)
+    same = scaled_column([SignatureTerm(("base", 1), first.terms[0].functions, first.terms[0].index, 1e-6)])
     found, expected = (searched.problem.signature([column])[:, 0] / column.scale for column in (first, same))
     np.testing.assert_allclose(found, expected, rtol=1e-12)
 

@@ -98,7 +98,7 @@ def test_likeness_is_the_cosine_of_an_angle(data: tuple[Problem, list[Candidate]
         signature = hide(data, ("cross_axis", "E_ZY by X"), 100.0, quiet)[1]
     finally:
         problem.set_residual(quiet)
-    like = design.likeness(signature - problem.basis @ (problem.basis.T @ signature))
+    like = design.likeness(signature - battery.basis_of(problem) @ (battery.basis_of(problem).T @ signature))
     assert like["cross_axis", "E_ZY by X"] == pytest.approx(1.0, abs=1e-9)
     assert like["cross_axis", "E_ZX by Y"] > rivals.ALIKE
     assert like["reversal", "X"] < rivals.ALIKE

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.diagnosis.battery import _doubted
+from tests.diagnosis.battery import Searcher, _doubted, basis_of, nuisance_of
 from tests.truth import hidden
 from tests.truth.hidden import Hidden
 from twin._common.arrays import read_only
@@ -24,7 +24,6 @@ from twin.diagnosis.patterns import Pattern, PatternScores
 from twin.diagnosis.problem import Problem, Products
 from twin.diagnosis.readings import readings
 from twin.diagnosis.signature_products import PointBlock, Signatures
-from twin.diagnosis.structure import Searcher
 from twin.machine.machine import Machine
 from twin.measurement.observation import machine_state
 from twin.measurement.table import Measurements
@@ -116,7 +115,7 @@ def test_inner_products_within_forms(searched: tuple[Problem, Searcher], whole: 
 def test_projection_of_set_up_and_calibration(searched: tuple[Problem, Searcher], whole: np.ndarray) -> None:
     """Against an orthonormal basis of the whole matrix by singular values: the definition."""
     problem, searcher = searched
-    nuisance, prior = problem.nuisance, problem.prior
+    nuisance, prior = nuisance_of(problem), (problem.nuisances.prior @ problem.nuisances.coordinates)
     some = whole[:, ::97]
     for out in (None, *range(3)):
         gone = np.zeros(len(problem.view.rows), dtype=bool) if out is None else split(problem) == out
@@ -164,7 +163,7 @@ def test_inner_products_without_some_points(searched: tuple[Problem, Searcher], 
     columns = np.arange(0, whole.shape[1], 211)
     size = np.linalg.norm(whole) ** 2
     close(left.cross(columns), whole[rows][:, columns].T @ whole[rows], size)
-    close(left.on_basis(problem.root), problem.root.T @ (problem.basis[rows].T @ whole[rows]), size)
+    close(left.on_basis(problem.root), problem.root.T @ (basis_of(problem)[rows].T @ whole[rows]), size)
     close(left.by_residual, whole[rows].T @ problem.residual[rows], size)
 
 
@@ -277,7 +276,7 @@ def dense_scores(problem: Problem, pattern: Pattern, causes: np.ndarray) -> tupl
     """Return (3, m) φᵀMr and (3, m, m) φᵀMφ with M as a matrix, the causes projected out of it."""
     rows = np.arange(len(problem.residual))
     keep = ~np.isin(rows // 3, problem.held_out)
-    basis = np.where(keep[:, None], problem.basis @ problem.root, 0.0)
+    basis = np.where(keep[:, None], basis_of(problem) @ problem.root, 0.0)
     m = np.diag(keep.astype(float)) - basis @ basis.T
     m -= m @ causes @ np.linalg.pinv(causes.T @ m @ causes, rcond=1e-10) @ causes.T @ m
     functions = [problem.signature(pattern.columns(99, [i])) for i in range(3)]

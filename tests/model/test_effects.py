@@ -11,7 +11,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from twin._common.errors import InputError
-from twin.diagnosis.candidates.catalogue import SPECIFICATIONS
+from twin.diagnosis.candidates import SPECIFICATIONS
 from twin.machine.machine import Machine
 from twin.model.calibration import Calibration
 from twin.model.effects import MACHINE_EFFECTS, Effect, Specification

@@ -15,7 +15,7 @@ import numpy as np
 
 from twin._common.arrays import first_largest, largest_first, read_only
 from twin._common.units import MM
-from twin.diagnosis.candidates.candidate import ITSELF, constant_dropped, flaw, times
+from twin.diagnosis.candidates.calibration import ITSELF, constant_dropped, flaw, times
 from twin.diagnosis.candidates.instrument import assumed_zero
 from twin.diagnosis.cross_validation import predicts_held_out
 from twin.diagnosis.estimate import Estimate, fitted_effects
@@ -36,29 +36,21 @@ from twin.model.effects.specification import FittedCause
 from twin.numerics.functions import SHORTEST_PERIOD, sampling_frequency
 from twin.tool.uncertainty import volume
 
-ALTERNATIVES_SEPARATED: Final = 2
-"""Number of alternatives of a cause for which points are suggested."""
-MOST_TOGETHER: Final = 6
-"""Number of causes of one effect that are tried together: one for each axis. Many more would imitate anything."""
+ALTERNATIVES_SEPARATED: Final = 2  # number of alternatives of a cause for which points are suggested
+MOST_TOGETHER: Final = 6  # causes of one effect tried together, one for each axis: more would imitate anything
 SPANNED: Final = 0.01
 """Share of a cause's squared norm outside the span of others up to which they replace it; the rest is within the noise, too."""
 FIELD: Final = "with the frame"
 """`Specification.varies` of an error of the instrument that is a field in its frame: scales, shears, bent beams."""
-IMITATED: Final = 0.2
-"""Share of a cause's effect on the readings that an error of the instrument may leave and still replace it."""
-RUNNERS_UP: Final = 2
-"""Number of alternatives that are ruled out and listed with a cause."""
+IMITATED: Final = 0.2  # share of a cause's effect that an error of the instrument may leave and still replace it
+RUNNERS_UP: Final = 2  # number of alternatives that are ruled out and listed with a cause
 
 
 def equivalent(findings: Findings, form: Form, others: Sequence[Form]) -> tuple[tuple[str, str], ...]:
-    """Return the causes that a cause is confounded with, the other causes kept.
+    """Return the causes that one of ``findings.given_patterns`` is confounded with, the other causes kept.
 
     With unnamed patterns, an alternative may fit only because the patterns take over the difference. It is kept only if, without the
     patterns, it explains less than the cause by no more than the patterns explain.
-
-    Args:
-        form: the cause, of ``findings.given_patterns``.
-        others: the other causes, likewise.
     """
     keys = _in_place(findings.given_patterns, form, others)
     if not findings.structure.pattern_tests or not keys:
@@ -142,14 +134,10 @@ def together(candidates: Candidates, form: Form, others: Sequence[Form]) -> tupl
 
 
 def rest_on_the_instrument(problem: Problem, signature: np.ndarray, machine: np.ndarray) -> np.ndarray:
-    """Return (k,) whether an error of the instrument that no one looks for would fit in place of a cause of the machine.
+    """Return (k,) whether an error of the instrument that no one looks for would fit in place of a cause of the ``machine`` (k,).
 
     Tried for all causes of the machine together and for each alone, the others kept: the readings do not show the difference, and the
-    error spans most of it.
-
-    Args:
-        signature: (3n, k) contribution of each cause to the whitened readings.
-        machine: (k,) whether a cause is one of the machine.
+    error spans most of the (3n, k) signatures.
     """
     assumed = problem.signature(assumed_zero(problem.network.data))
     columns = np.concatenate([signature, assumed], axis=1)
@@ -215,24 +203,16 @@ def points_to_measure(candidates: Candidates, named: Sequence[Form], causes: Seq
     return tuple(points)
 
 
-POSES: Final = 400
-"""Number of candidate poses."""
+POSES: Final = 400  # number of candidate poses
 SEED: Final = 1975
-POINTS_PER_PAIR: Final = 3
-"""Number of points suggested per pair of causes."""
-LEAST_POSE_DISTANCE: Final = 0.15
-"""Smallest distance of two suggested poses, relative to the ranges of the axes."""
+POINTS_PER_PAIR: Final = 3  # number of points suggested per pair of causes
+LEAST_POSE_DISTANCE: Final = 0.15  # smallest distance of two suggested poses, relative to the ranges of the axes
 
 
 def _separating(
     problem: Problem, form: Form, prediction: np.ndarray | None, rival: Form, others: Sequence[Form], plan: Measurements
 ) -> list[Next]:
-    """Return the points at which the predictions of a cause and an alternative differ most.
-
-    Args:
-        prediction: that of all causes at the candidate points (`_prediction`).
-        plan: the candidate points.
-    """
+    """Return the points of a plan at which the predictions (`_prediction`) of a cause and an alternative differ most."""
     network, axes = problem.network, problem.network.machine.axes
     of_rival = _prediction(problem, [rival, *others], plan)
     separates = [f"{cause.candidate.effect} {cause.candidate.where}" for cause in (form, rival)]
@@ -310,12 +290,9 @@ def _well_separated(positions: np.ndarray, gain: np.ndarray) -> list[int]:
     return taken
 
 
-# --- Evidence for a cause in a sentence, and likely mistakes in the making of the calibration -----
-
 ARC_COVERED: Final = 0.8
 """Share of an axis's travel, one turn at most, from which on it counts as measured: the last position is one step short of a turn."""
-ALIAS_CHI2: Final = 9.0
-"""χ² (three standard deviations) by which a period must fit worse than the best to be ruled out."""
+ALIAS_CHI2: Final = 9.0  # χ² (three standard deviations) by which a period must fit worse than the best to be ruled out
 
 
 def evidence(form: Form, estimated: Estimate, k: int) -> str:
@@ -388,17 +365,12 @@ def equal_orders(candidates: Candidates, forms: Sequence[Form], form: Form) -> s
     ]
     if not orders:
         return ""
-    beyond = ": beyond the measured arc the error is unknown" if _turns_beyond(candidates, form) else ""
-    return f"; orders {listed([f'{order:g}' for order in sorted(orders)])} fit equally well at these angles{beyond}"
-
-
-def _turns_beyond(candidates: Candidates, form: Form) -> bool:
-    """Return whether the axis of a cause turns further than it was measured."""
     network = candidates.problem.network
     axis = network.machine.by_name[axis_of(form.candidate.where)]
     arc = float(np.ptp(network.data.positions[:, network.machine.names.index(axis.name)]))
     travel = TURN_DEG if axis.lower is None or axis.upper is None else min(axis.upper - axis.lower, TURN_DEG)
-    return arc < ARC_COVERED * travel
+    beyond = ": beyond the measured arc the error is unknown" if arc < ARC_COVERED * travel else ""
+    return f"; orders {listed([f'{order:g}' for order in sorted(orders)])} fit equally well at these angles{beyond}"
 
 
 def _other_periods(candidates: Candidates, forms: Sequence[Form], form: Form) -> list[float]:

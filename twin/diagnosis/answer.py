@@ -1,12 +1,8 @@
-"""From the causes to the result: unexplained residuals, the extended calibration, its gain, and the causes that are not identifiable.
+"""From the causes to the result: unexplained residuals, the extended calibration with its limits, and what is not identifiable.
 
 Residuals that the causes do not explain are either unnamed patterns or excess noise. A cause that is not identifiable is confounded
-with the set-up or with the uncertainty of the calibration; the result says with which.
-
-The limits of the extended calibration, as it states them: errors that remain unknown, residuals, instruments and set-up.
-
-The entries of the given calibration stay. The readings of the diagnosis add what they could not determine, and their residuals replace
-the stated ones if they test the whole calibration, that is if every axis moved, or if they are worse.
+with the set-up or with the uncertainty of the calibration; the result says with which. The entries of the given calibration stay; the
+readings add what they could not determine, and their residuals replace the stated ones if every axis moved, or if they are worse.
 """
 
 from __future__ import annotations
@@ -72,18 +68,11 @@ class Diagnosis(DisplayedResult, DiagnosisResult):
         return diagnosis_display(self)
 
 
-# --- The limits of the extended calibration, as it states them: errors that remain unknown, residuals, instruments and set-up
-
-VERDICTS: Final = ("consistent", "untested", "larger", "systematic")
-"""Verdicts on the residuals, the best first."""
+VERDICTS: Final = ("consistent", "untested", "larger", "systematic")  # verdicts on the residuals, the best first
 
 
 def with_limits(diagnosis: Diagnosis, network: Network) -> Diagnosis:
-    """Return the diagnosis with the limits of its extended calibration stated in the calibration.
-
-    Args:
-        network: the readings and their instruments.
-    """
+    """Return the diagnosis with the limits of its extended calibration stated in the calibration."""
     extended, data = diagnosis.extended, network.data
     given = {error.name for error in extended.not_identifiable}
     unknown = {name: why for name, why in _unknown(diagnosis) if name not in given}
@@ -175,20 +164,12 @@ def _verdict_within_limits(
     return ("untested" if diagnosis.dof < FEWEST_DOF else "consistent"), text
 
 
-# --- From the causes to the result: unexplained residuals, the extended calibration, its gain, and the causes that are not id
-
-MOSTLY_EXPLAINED: Final = 0.1
-"""Share of the excess that may remain unexplained for the verdict ``explained``."""
-MOST_RANKED: Final = 12
-"""Largest number of causes in the ranking."""
+MOSTLY_EXPLAINED: Final = 0.1  # share of the excess that may remain unexplained for the verdict ``explained``
+MOST_RANKED: Final = 12  # largest number of causes in the ranking
 
 
 def conclude(sized: SizedCauses, calibration: Calibration, *, empirical: bool = False) -> Diagnosis:
-    """Return the complete diagnosis: the causes with their alternatives, what they leave, and what modelling them gains.
-
-    Args:
-        empirical: whether unexplained patterns extend the calibration as well.
-    """
+    """Return the complete diagnosis: the causes with their alternatives, what they leave, and what modelling them gains."""
     sized, all_sized = only_predicting(sized), sized
     findings, forms = sized.findings, sized.forms
     task, candidates, problem = findings.task, findings.candidates, findings.problem
@@ -318,12 +299,9 @@ def _ranking(candidates: Candidates) -> tuple[tuple[str, str, float, float], ...
     return tuple((*key, explained, candidates.p_value(log_p)) for key, (explained, log_p) in ranked)
 
 
-SEEN_AT: Final = 0.05
-"""p-value below which a trend of the residuals with a column is reported."""
-NOISE_P_VALUE: Final = 1e-4
-"""p-value of the residuals from which on they count as noise."""
-NEGLIGIBLE_EXCESS: Final = 0.01
-"""Share of the excess below which unexplained residuals are not a finding: real machines always have some."""
+SEEN_AT: Final = 0.05  # p-value below which a trend of the residuals with a column is reported
+NOISE_P_VALUE: Final = 1e-4  # p-value of the residuals from which on they count as noise
+NEGLIGIBLE_EXCESS: Final = 0.01  # share of the excess below which residuals are no finding: real machines have some
 
 
 def _jump(sized: SizedCauses) -> Unexplained | None:
@@ -429,11 +407,11 @@ def looks_like(problem: Problem, forms: Sequence[Form]) -> dict[tuple[str, str],
             strongest[key] = size, i
     clearest = [i for _, i in strongest.values()]
     setup = setup_unknowns(problem.setup)
-    count, doubt = len(setup), len(problem.prior)
+    count, doubt = len(setup), len(problem.nuisances.prior)
     # The whole in the directions of the basis, and the part of the causes orthogonal to it.
     values, vectors = np.linalg.eigh(products.gram[np.ix_(clearest, clearest)])
     beside = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
-    coordinates = problem.nuisance_coordinates
+    coordinates = problem.nuisances.coordinates
     whole = np.zeros((len(coordinates) + len(clearest), doubt + count + len(clearest)))
     whole[: len(coordinates)] = np.hstack([coordinates[:, count:], coordinates[:, :count], products.basis[:, clearest]])
     whole[len(coordinates) :, doubt + count :] = beside

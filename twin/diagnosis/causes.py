@@ -30,9 +30,8 @@ from twin.diagnosis.alternatives import (
     ruled_out,
     together,
 )
-from twin.diagnosis.candidates.catalogue import SPECIFICATIONS
-from twin.diagnosis.candidates.displaced import of_a_jumped_side
-from twin.diagnosis.candidates.instrument import ASSUMED_OF_INSTRUMENT
+from twin.diagnosis.candidates import SPECIFICATIONS
+from twin.diagnosis.candidates.instrument import ASSUMED_OF_INSTRUMENT, of_a_jumped_side
 from twin.diagnosis.candidates.machine import FOLLOWING_ERROR, READ_BACK
 from twin.diagnosis.estimate import MANY_ROUNDS, Estimate, estimate, reweighted
 from twin.diagnosis.forms import DEVIANCE_RULED_OUT, Candidates, Form, log_p_value
@@ -43,7 +42,6 @@ from twin.diagnosis.search import LIMIT_SIGMA, TOO_LARGE
 from twin.diagnosis.second_opinion import Comparison, compare_with_search, second_opinion
 from twin.diagnosis.structure import Findings
 from twin.identification.discrepancy import Discrepancy
-from twin.identification.network import Network
 from twin.machine.machine import Machine
 from twin.measurement.columns import ASSUMED
 from twin.measurement.table import Measurements
@@ -58,23 +56,14 @@ from twin.numerics.covariance import Covariance
 @final
 @dataclass(frozen=True, eq=False)
 class SizedCauses:
-    """The selected causes with their sizes.
-
-    Attributes:
-        findings: the selected causes and patterns.
-        forms: the causes that are significant.
-        estimate: their sizes, fitted without the patterns.
-        dropped: causes that are not significant against the variation between groups of readings.
-        doubts: for each cause, why it is not promised: not valid between the measured positions, or impossible; empty if it is.
-        discrepancy: what the causes leave beyond the noise; it is in the weights of their sizes.
-    """
+    """The selected causes with their sizes."""
 
     findings: Findings
-    forms: tuple[Form, ...]
-    estimate: Estimate
-    dropped: tuple[Form, ...]
-    doubts: tuple[str, ...]
-    discrepancy: Discrepancy
+    forms: tuple[Form, ...]  # those that are significant
+    estimate: Estimate  # fitted without the patterns
+    dropped: tuple[Form, ...]  # not significant against the variation between groups of readings
+    doubts: tuple[str, ...]  # why each is not promised: not valid between positions, or impossible; empty if it is
+    discrepancy: Discrepancy  # what the causes leave beyond the noise, in the weights of their sizes
 
     @property
     def excess(self) -> float:
@@ -125,11 +114,14 @@ def estimate_sizes(findings: Findings) -> SizedCauses:
         dropped.append(weakest)
         forms = [form for form in forms if form is not weakest]
     sizes, discrepancy = reweighted(findings.task, forms, estimated, structure.random_effects)
+    network = findings.problem.network
+    increment_um = min((axis.increment * MM / UM for axis in network.machine.axes if axis.linear), default=0.0)
+    most_um = [np.linalg.norm(np.nan_to_num(in_um(network, own)), axis=1).max(initial=0.0) for own in sizes.signature.T]
+    jumped = of_a_jumped_side(network.data, [(form.candidate, form.variant) for form in forms])
     # The search keeps sizes within their limits, but its last steps and the final weights move them: a mass near zero gives any centre.
-    jumped = of_a_jumped_side(findings.problem.network.data, [(form.candidate, form.variant) for form in forms])
     doubts = tuple(
         (JUMPED if form.key in jumped else "")
-        or (BELOW_INCREMENT if _below_increment(findings.problem.network, sizes.signature[:, k]) else "")
+        or (BELOW_INCREMENT if most_um[k] < increment_um else "")
         or between_positions(findings.candidates, forms, form)
         or (IMPOSSIBLE if _is_impossible(form, quantities, effects) else "")
         for k, (form, quantities, effects) in enumerate(zip(forms, sizes.quantities, sizes.effects, strict=True))
@@ -167,8 +159,6 @@ def _log_p_of_groups(against: tuple[float, int, float]) -> float:
     return float(f_log_sf(statistic / width * free / (count - 1.0), width, free)) if free > 0 else 0.0
 
 
-# --- The causes as they are reported: with alternatives, probabilities and notices ----------------
-
 IMPOSSIBLE: Final = "; this size is physically impossible, so the readings do not determine it"
 BELOW_INCREMENT: Final = "; it is below the least increment of the axes, so no command can correct it"
 JUMPED: Final = "; all targets of its side moved alike"
@@ -176,8 +166,7 @@ JUMPED: Final = "; all targets of its side moved alike"
 ONLY_A_PART: Final = "they explain only part of a pattern that no known effect explains as a whole"
 OVERFITTED: Final = "they increase the residuals of held-out readings: too few readings for this number of causes"
 """Reasons for which causes are left out, in words."""
-AT_BOUND: Final = 0.99
-"""Ratio of a parameter to its bound from which on it counts as bounded."""
+AT_BOUND: Final = 0.99  # ratio of a parameter to its bound from which on it counts as bounded
 COLLINEAR: Final = 1e-4
 """Share of a cause's squared norm outside the span of the other causes below which it has no number of its own in the data."""
 UNDETERMINED_SHARE: Final = 0.9 / np.sqrt(CENTRE_PRIOR)
@@ -219,12 +208,7 @@ def causes_with_alternatives(sized: SizedCauses, calibration: Calibration) -> tu
 
 
 def notices(sized: SizedCauses, comparison: Comparison, undecided: Sequence[str]) -> tuple[str, ...]:
-    """Return what was assumed, and which causes are not named, with the reason.
-
-    Args:
-        comparison: of the causes with the second method.
-        undecided: notices of `readback_causes`.
-    """
+    """Return what was assumed, and which causes are not named, with the reason; ``undecided`` are notices of `readback_causes`."""
     candidates, structure = sized.findings.candidates, sized.findings.structure
     insignificant = [
         f"{' '.join(form.key)} ({100.0 * float(candidates.scores(sized.forms, [form.index])[0, 0]) / sized.excess:.2g} %)"
@@ -255,17 +239,6 @@ def notices(sized: SizedCauses, comparison: Comparison, undecided: Sequence[str]
             if keys
         ),
     )
-
-
-def _below_increment(network: Network, signature: np.ndarray) -> bool:
-    """Return whether a cause shifts every reading by less than the least increment of every linear axis; False without one.
-
-    Args:
-        signature: (3n,) its contribution to the whitened readings.
-    """
-    increments_um = [axis.increment * MM / UM for axis in network.machine.axes if axis.linear]
-    size = np.linalg.norm(np.nan_to_num(in_um(network, signature)), axis=1).max(initial=0.0)
-    return bool(increments_um) and bool(size < min(increments_um))
 
 
 def _is_impossible(form: Form, quantities: Sequence[Quantity], effects: Sequence[Effect]) -> bool:
@@ -365,8 +338,7 @@ OFF_GRID_SHARE: Final = 0.5
 """Share of positions off the grid of least increments above which the positions are taken as reported, not commanded."""
 REPORT_RULED_OUT_SIGMA: Final = 5.0
 """Distance of the share from one, in standard uncertainties, at which the readings do not follow the report (p = 10⁻⁶)."""
-COMPATIBLE_SIGMA: Final = 3.0
-"""Distance of the share from zero, in standard uncertainties, within which the readings follow the command."""
+COMPATIBLE_SIGMA: Final = 3.0  # standard uncertainties of the share from zero within which readings follow the command
 
 
 def readback_causes(candidates: Candidates, forms: Sequence[Form]) -> tuple[list[Cause], list[str]]:
@@ -432,11 +404,7 @@ def reversal_doubt(data: Measurements, machine: Machine, where: str) -> str:
 def causes_with_payloads(
     candidates: Candidates, forms: Sequence[Form], causes: Sequence[Cause]
 ) -> tuple[list[Cause], list[Cause]]:
-    """Return the causes with uncertainties that include that of the payloads, and the payloads as causes.
-
-    Args:
-        causes: the causes, with uncertainties for exactly known payloads.
-    """
+    """Return the causes with uncertainties that include that of the payloads, and the payloads as causes."""
     causes, load_causes = list(causes), []
     for side in SIDES:
         load = loaded_joints(candidates, forms, side)
@@ -490,7 +458,15 @@ def _load_cause(
     columns = [column for form in load.free for column in form.variant.columns]
     size = np.array([column.scale for column in columns])
     shape = np.kron(compliances, weights(shares) - weights(without))
-    specification = CARRIED_LOAD if payload.carried else PAYLOAD
+    specification, heaviest = CARRIED_LOAD if payload.carried else PAYLOAD, _is_heaviest(load, payload)
+    text = f"the {load.side} side carries a mass that is not in the URDF: joints deflect under it"
+    if payload.carried:
+        text = f"joints of the {load.side} side deflect under the mass in the column {LOAD}"
+    elif heaviest:
+        text += (
+            f". The mass is at its upper bound ({load.heaviest:.3g} kg): the effect of the machine's own weight is smaller than the "
+            "URDF implies, as if the control corrected it; only the products of mass and compliance are known"
+        )
     return Cause(
         effect=specification.name,
         where=load.side,
@@ -499,21 +475,9 @@ def _load_cause(
         p_value=candidates.p_value(min(log_p, 0.0)),
         share=float(np.clip((explained - by_others) / excess, 0.0, 1.0)),
         equivalent=(),
-        evidence=_load_evidence(load, payload),
+        evidence=text,
         pattern_um=read_only(in_um(candidates.problem.network, (candidates.problem.signature(columns) / size) @ shape)),
-        bounded=_is_heaviest(load, payload),
-    )
-
-
-def _load_evidence(load: Load, payload: Payload) -> str:
-    if payload.carried:
-        return f"joints of the {load.side} side deflect under the mass in the column {LOAD}"
-    text = f"the {load.side} side carries a mass that is not in the URDF: joints deflect under it"
-    if not _is_heaviest(load, payload):
-        return text
-    return (
-        f"{text}. The mass is at its upper bound ({load.heaviest:.3g} kg): the effect of the machine's own weight is smaller than the "
-        "URDF implies, as if the control corrected it; only the products of mass and compliance are known"
+        bounded=heaviest,
     )
 
 

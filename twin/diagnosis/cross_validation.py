@@ -1,8 +1,7 @@
 """Cross-validation: prediction of held-out readings by causes fitted to the others, and removal of causes that overfit.
 
-What is held out depends on the claim: positions or poses for a function of position; rounds or blocks of time for a change in time.
-
-If the stated noise is small, every part of an unmodelled error is significant. Forty parameters then fit twenty poses and fail at the
+What is held out depends on the claim: positions or poses for a function of position; rounds or blocks of time for a change in time. If
+the stated noise is small, every part of an unmodelled error is significant: forty parameters then fit twenty poses and fail at the
 twenty-first. The number of causes is chosen by cross-validation (Stone 1974).
 """
 
@@ -26,19 +25,12 @@ from twin.measurement.observation import order_in_time
 from twin.measurement.table import Measurements
 from twin.model.effects.base import axis_of
 
-DENSE_POSITIONS: Final = 20
-"""Number of positions of an axis above which a curve through them is taken to be valid between them."""
-GROUPS_FOR_AN_INTERVAL: Final = 6
-"""Smallest number of independent groups for a confidence interval."""
+DENSE_POSITIONS: Final = 20  # number of positions of an axis above which a curve is taken to be valid between them
+GROUPS_FOR_AN_INTERVAL: Final = 6  # smallest number of independent groups for a confidence interval
 
 
 def predicted_pattern_shift(likelihood: Likelihood, forms: Sequence[Form], written: Collection[int]) -> np.ndarray:
-    """Return the (3n,) prediction for all readings of some patterns, fitted with the causes to a part of the readings.
-
-    Args:
-        likelihood: the patterns on that part.
-        written: numbers of the patterns.
-    """
+    """Return the (3n,) prediction for all readings of the written patterns, fitted with the causes to a part of the readings."""
     which, values, _ = likelihood.most_likely(likelihood.fit(forms), likelihood.slope_beside(forms))
     in_file = np.isin(likelihood.group[which] // 3, list(written))
     return likelihood.effect_on_readings(which[in_file], values[in_file])
@@ -55,14 +47,10 @@ def predicted_shift(problem: Problem, part: Candidates, forms: Sequence[Form]) -
 
 
 def jackknife_interval(table: np.ndarray) -> tuple[float, float] | None:
-    """Return the 95 % confidence interval of the difference of two RMS values by the jackknife.
+    """Return the 95 % confidence interval of the difference of two RMS values; None for fewer than `GROUPS_FOR_AN_INTERVAL` groups.
 
-    None for fewer than `GROUPS_FOR_AN_INTERVAL` groups.
-
-    One group is left out at a time; pseudo-values with Student's t (Tukey 1958). Groups, not readings, are independent.
-
-    Args:
-        table: (groups, 3) sums of squares before and after, and number of values.
+    From (groups, 3) sums of squares before and after, and number of values, leaving one group out at a time; pseudo-values with
+    Student's t (Tukey 1958). Groups, not readings, are independent.
     """
     count = len(table)
     if count < GROUPS_FOR_AN_INTERVAL:
@@ -85,8 +73,8 @@ def predicts_held_out(candidates: Candidates, form: Form, forms: Sequence[Form])
     specification, where = form.candidate.specification, form.candidate.where
     if not specification.curve:
         return True
-    problem, data = candidates.problem, candidates.problem.network.data
-    axis = problem.network.machine.names.index(axis_of(where))
+    data = candidates.problem.network.data
+    axis = candidates.problem.network.machine.names.index(axis_of(where))
     if len(np.unique(np.round(data.positions[:, axis], 3))) > DENSE_POSITIONS:
         return True
     folds = folds_at_positions(data, [axis])
@@ -95,9 +83,14 @@ def predicts_held_out(candidates: Candidates, form: Form, forms: Sequence[Form])
     others = [other for other in forms if other is not form]
     if specification.variant_of:
         others += [other for other in candidates.forms if other.key == (specification.variant_of, where)]
+    return _predict_better(candidates, folds, others, [*others, form])
 
-    def predict(part: Candidates) -> tuple[np.ndarray, np.ndarray]:
-        return predicted_shift(problem, part, others), predicted_shift(problem, part, [*others, form])
+
+def _predict_better(candidates: Candidates, folds: HeldOutFolds, fewer: Sequence[Form], forms: Sequence[Form]) -> bool:
+    """Return whether some causes predict held-out readings better than fewer causes do, with 95 % confidence."""
+
+    def predict(part: Candidates) -> list[np.ndarray]:
+        return [predicted_shift(candidates.problem, part, model) for model in (fewer, forms)]
 
     squares = held_out_squares(candidates, folds, predict)
     interval = None if squares is None else jackknife_interval(squares)
@@ -108,14 +101,9 @@ def lines_that_predict(candidates: Candidates, kept: Sequence[Form], forms: Sequ
     """Return the straight lines of error motions that predict cells of positions which were left out.
 
     A pattern takes up a straight line as well as any other smooth function, whatever the line's size. Over the whole range a line is
-    one number of the machine: it comes first, and the pattern is what it leaves.
-
-    Args:
-        kept: causes in the model.
-        forms: causes selected without patterns; of those that are not kept the lines are tried.
+    one number of the machine: it comes first, and the pattern is what it leaves. The lines of ``forms`` that are not kept are tried.
     """
-    problem = candidates.problem
-    axes, data = problem.network.machine.axes, problem.network.data
+    axes, data = candidates.problem.network.machine.axes, candidates.problem.network.data
     moved = [i for i, axis in enumerate(axes) if axis.linear and np.ptp(data.positions[:, i]) > 0.0]
     cells = cells_of_positions(data, moved) if moved else None
     if cells is None:
@@ -125,15 +113,8 @@ def lines_that_predict(candidates: Candidates, kept: Sequence[Form], forms: Sequ
     }
     taken, chosen = {form.key for form in kept}, list(kept)
     for key in dict.fromkeys(form.key for form in forms if form.key not in taken and form.key in lines):
-        models = chosen, [*chosen, lines[key]]
-
-        def predict(part: Candidates, models: tuple[list[Form], ...] = models) -> list[np.ndarray]:
-            return [predicted_shift(problem, part, model) for model in models]
-
-        squares = held_out_squares(candidates, cells, predict)
-        interval = None if squares is None else jackknife_interval(squares)
-        if interval is not None and interval[0] > 0.0:
-            chosen = models[1]
+        if _predict_better(candidates, cells, chosen, [*chosen, lines[key]]):
+            chosen.append(lines[key])
     return chosen[len(kept) :]
 
 
@@ -142,8 +123,7 @@ def held_out_squares(
 ) -> np.ndarray | None:
     """Return (groups, models + 1): sums of squared held-out residuals of each model, µm², and the number of values.
 
-    Args:
-        predict: data without a fold → (3n,) prediction of each model fitted to them, whitened, for all readings.
+    ``predict``: data without a fold → (3n,) prediction of each model fitted to them, whitened, for all readings.
     """
     problem = candidates.problem
     table: np.ndarray | None = None
@@ -162,42 +142,29 @@ def held_out_squares(
     return table
 
 
-FOLDS: Final = 8
-"""Largest number of folds."""
-CELLS: Final = 8
-"""Number of contiguous cells of positions, at least, of which a part is left out at a time."""
+FOLDS: Final = 8  # largest number of folds
+CELLS: Final = 8  # number of contiguous cells of positions, at least, of which a part is left out at a time
 SEED: Final = 2001
-BLOCKS: Final = 8
-"""Number of blocks of time of a single round."""
+BLOCKS: Final = 8  # number of blocks of time of a single round
 HeldOutOf = Literal["rounds", "positions", "poses", "blocks"]
 
 
 @final
 @dataclass(frozen=True)
 class HeldOutFolds:
-    """Folds of a cross-validation.
+    """Folds of a cross-validation."""
 
-    Attributes:
-        of: ``rounds``, ``positions`` of the one axis that moved, ``poses``, or ``blocks`` of time.
-        group: (n,) independent group of each reading.
-        fold: (n,) fold of each reading: whole groups, drawn at random.
-    """
-
-    of: HeldOutOf
-    group: np.ndarray
-    fold: np.ndarray
+    of: HeldOutOf  # ``positions`` of the one axis that moved, ``poses`` of several, ``blocks`` of time
+    group: np.ndarray  # (n,) independent group of each reading
+    fold: np.ndarray  # (n,) whole groups, drawn at random
 
 
 def choose_folds(data: Measurements, machine: Machine, causes: Sequence[Candidate]) -> HeldOutFolds | None:
     """Return the folds suited to the causes; None if nothing can be held out."""
     changing = bool(causes) and all(cause.specification.varies == "with time" for cause in causes)
-    if not changing:
-        moved = [i for i in range(len(machine.axes)) if np.ptp(data.positions[:, i]) > 0.0]
-        if moved:
-            folds = folds_at_positions(data, moved)
-            if folds is not None:
-                return folds
-    return folds_in_time(data)
+    moved = [] if changing else [i for i in range(len(machine.axes)) if np.ptp(data.positions[:, i]) > 0.0]
+    folds = folds_at_positions(data, moved) if moved else None
+    return folds_in_time(data) if folds is None else folds
 
 
 def folds_in_time(data: Measurements) -> HeldOutFolds | None:
@@ -216,11 +183,7 @@ def blocks_of_time(data: Measurements) -> HeldOutFolds | None:
 
 
 def folds_at_positions(data: Measurements, axes: Sequence[int]) -> HeldOutFolds | None:
-    """Return folds of positions of one axis, or of poses of several; None if there is only one.
-
-    Args:
-        axes: numbers of the axes that moved.
-    """
+    """Return folds of positions of one axis, or of poses of several (numbers of those that moved); None if there is only one."""
     _, group = np.unique(np.round(data.positions[:, list(axes)], 3), axis=0, return_inverse=True)
     group = group.reshape(-1)
     return _drawn("positions" if len(axes) == 1 else "poses", group) if group.max() > 0 else None
@@ -247,10 +210,8 @@ def _drawn(of: HeldOutOf, group: np.ndarray) -> HeldOutFolds:
     return HeldOutFolds(of, group, (np.random.default_rng(SEED).permutation(count) % min(count, FOLDS))[group])
 
 
-AMPLE_FREEDOM: Final = 20
-"""Degrees of freedom per parameter above which overfitting is negligible."""
-OVERFITTED_RATIO: Final = 1.25
-"""Ratio of held-out to fitted RMS residual above which the number of causes is reduced."""
+AMPLE_FREEDOM: Final = 20  # degrees of freedom per parameter above which overfitting is negligible
+OVERFITTED_RATIO: Final = 1.25  # ratio of held-out to fitted RMS residual above which the number of causes is reduced
 
 
 def without_overfitting(candidates: Candidates, forms: Sequence[Form]) -> list[Form]:

@@ -1,12 +1,8 @@
-"""Estimate of all parameters of the causes, non-linear ones included, together with the set-up.
-
-Cluster-robust covariance of an estimate, for residuals that are larger than the measurement noise.
+"""Estimate of all parameters of the causes, non-linear ones included, together with the set-up, and its cluster-robust covariance.
 
 The noise alone gives an estimate's covariance only if the model fits. Where it does not, neighbouring readings share the misfit, and
 the covariance is estimated from the differences between groups (Huber 1967; White 1982, eq. 3.2; groups as in Liang and Zeger 1986), as
 in `twin.identification.solve`. It is never smaller than the covariance due to noise.
-
-Weights of noise and discrepancy where the causes leave more than the noise.
 
 Weights of the noise alone (25 times better along a tracker's beam than across) would select and size the causes by the unexplained
 residuals along the beam, at the expense of the others. Tests of consistency compare the residuals with the noise alone.
@@ -24,7 +20,6 @@ import scipy
 from twin._common.arrays import read_only
 from twin._common.distributions import chi2_sf, f_sf
 from twin.diagnosis.candidates.candidate import STRAIGHT_LINE, Column, Drift, effect_columns
-from twin.diagnosis.drift_fit import FittedDrift, fit_drift, over_forms
 from twin.diagnosis.forms import LEAST_NONCENTRALITY, Form, pseudo_inverse
 from twin.diagnosis.problem import Problem, rewhitened, unwhiten
 from twin.diagnosis.readings import DiagnosisTask
@@ -36,31 +31,14 @@ from twin.model.effects.base import numbered
 from twin.model.effects.gravity_compliance import AddedLoad
 from twin.numerics.covariance import Covariance
 
-LACK_OF_FIT: Final = 0.01
-"""p-value below which there is a lack of fit."""
+LACK_OF_FIT: Final = 0.01  # p-value below which there is a lack of fit
 MANY_ROUNDS: Final = 20
 """Number of rounds from which rounds are the groups; with fewer, poses are: an axis repeats its error at a pose in every round."""
-LEAST_GROUPS: Final = 6
-"""Number of groups below which no covariance is estimated from them."""
-
-
-def groups(problem: Problem) -> np.ndarray:
-    """Return the group (n,) of each row: its round, or its commanded pose where there are few rounds."""
-    data = problem.network.data
-    names, group = np.unique(data.round.astype(str), return_inverse=True)
-    if len(names) < MANY_ROUNDS:
-        _, group = np.unique(np.round(data.positions, 3), axis=0, return_inverse=True)
-    return np.asarray(group.reshape(-1))
+LEAST_GROUPS: Final = 6  # number of groups below which no covariance is estimated from them
 
 
 def lacks_fit(problem: Problem, residual: np.ndarray, parameters: int, noise_dof: float) -> bool:
-    """Return whether the residuals exceed the noise, overall or in the means of repeats (test of lack of fit).
-
-    Args:
-        residual: (3n,) whitened residual of the fit.
-        parameters: number of parameters fitted besides the set-up.
-        noise_dof: degrees of freedom of the noise variance.
-    """
+    """Return whether (3n,) residuals of a fit exceed the noise, overall or in the means of repeats (test of lack of fit)."""
     projected = problem.project(residual)
     dof = problem.dof - parameters
     tests = [(float(residual @ projected), dof)]
@@ -83,14 +61,14 @@ def robust_covariance(
 ) -> tuple[np.ndarray, float]:
     """Return the cluster-robust covariance of an estimate, in no direction below that due to noise, and the number of groups.
 
-    With too few groups: the covariance due to noise, and infinity.
-
-    Args:
-        columns: (3n, k) signatures that were fitted.
-        residual: (3n,) whitened residual of the fit.
-        covariance: (k, k) covariance due to noise.
+    With too few groups: the covariance (k, k) due to noise, and infinity. ``columns`` are the (3n, k) signatures that were fitted.
     """
-    group = groups(problem)
+    data = problem.network.data
+    # The group of each row is its round, or its commanded pose where there are few rounds.
+    names, group = np.unique(data.round.astype(str), return_inverse=True)
+    if len(names) < MANY_ROUNDS:
+        _, group = np.unique(np.round(data.positions, 3), axis=0, return_inverse=True)
+    group = group.reshape(-1)
     count = int(group.max()) + 1
     if count < LEAST_GROUPS:
         return covariance, float("inf")
@@ -109,12 +87,7 @@ def robust_covariance(
 
 
 def upper_bound(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Return a covariance (k, k) that is an upper bound of two covariances: the larger of them along each common eigenvector.
-
-    Args:
-        first: (k, k).
-        second: (k, k), zero where the first is zero.
-    """
+    """Return a covariance (k, k) that is an upper bound of two: the larger along each common eigenvector; zero where the first is."""
     size = np.sqrt(np.maximum(np.diag(first), 0.0))
     scale = np.where(size > 0.0, size, 1.0)
     values, vectors = np.linalg.eigh(first / np.outer(scale, scale))
@@ -126,76 +99,139 @@ def upper_bound(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     return np.asarray((rotated * np.maximum(share, 1.0)) @ rotated.T)
 
 
-# --- Estimate of all parameters of the causes, non-linear ones included, together with the set-up -
+TIME_CONSTANT_GRID: Final = 81  # number of time constants at which the likelihood of a drift is evaluated
+NOT_IDENTIFIABLE: Final = 1e-6  # share of a drift's squared norm, given other causes, below which it is not seen
+NARROW_LIKELIHOOD: Final = 0.15  # relative uncertainty of a time constant below which its likelihood is normal
+DECISIVE_CHI2: Final = 4.0
+"""Reduction of chi² (two standard deviations) by which the less usual of exponential and straight line must fit better."""
+INTEGRATED_SIGMA: Final = 5.0  # standard deviations about the best over which a narrow likelihood is integrated
 
-STEPS: Final = 12
-"""Gauss-Newton steps, at most."""
-CONVERGED_STEP: Final = 1e-6
-"""Step, in standard deviations, below which the iteration has converged."""
-BLOCK_COLUMNS: Final = 64
-"""Columns of random effects evaluated at a time."""
+
+def fit_drift(problem: Problem, drift: Drift, others: Sequence[Column]) -> tuple[float, np.ndarray, np.ndarray | None]:
+    """Return time constant, linear parameters (w,) and second moments (w + 1, w + 1) of the most likely drift given other causes.
+
+    No moments for a straight line, and where the likelihood is treated as normal. Where the time constant is as long as the record,
+    amplitude and time constant are strongly correlated and the curvature at the optimum does not describe their uncertainty. Their
+    moments under the profile likelihood do; they are taken over the constants tried, with a prior uniform in the logarithm.
+    """
+    tried = np.geomspace(drift.constants[0], drift.constants[-1], TIME_CONSTANT_GRID)
+    gain, values, covariance = _profile(
+        problem, [drift.columns(tau) for tau in (*tried.tolist(), STRAIGHT_LINE)], others
+    )
+    best = int(np.argmax(gain[:-1]))
+    ahead = gain[best] - gain[-1]
+    if not np.isfinite(gain).all() or ahead < (DECISIVE_CHI2 if drift.straight else -DECISIVE_CHI2):
+        return STRAIGHT_LINE, values[-1], None
+    likelihood = np.exp((gain[:-1] - gain[best]) / 2.0)
+    likelihood /= likelihood.sum()
+    relative = float(np.sqrt(likelihood @ np.log(tried / tried[best]) ** 2))
+    if relative < NARROW_LIKELIHOOD and likelihood[0] + likelihood[-1] < 1e-3:
+        if not drift.straight:
+            return float(tried[best]), values[best], None
+        # Refine the grid around the best value, over the width of the likelihood.
+        step = float(np.log(tried[1] / tried[0]))
+        reach = max(INTEGRATED_SIGMA * relative, 2.0 * step)
+        for _ in range(3):
+            tried = tried[best] * np.exp(np.linspace(-reach, reach, TIME_CONSTANT_GRID))
+            gain, values, covariance = _profile(problem, [drift.columns(tau) for tau in tried.tolist()], others)
+            best = int(np.argmax(gain))
+            likelihood = np.exp((gain - gain[best]) / 2.0)
+            likelihood /= likelihood.sum()
+            step, reach = (
+                2.0 * reach / (TIME_CONSTANT_GRID - 1),
+                INTEGRATED_SIGMA * float(np.sqrt(likelihood @ np.log(tried / tried[best]) ** 2)),
+            )
+            if reach > 4.0 * INTEGRATED_SIGMA * step:
+                break
+            reach = max(reach, 2.0 * step)
+    else:
+        values, covariance = values[:-1], covariance[:-1]
+    deviations = np.concatenate([values - values[best], (tried - tried[best])[:, None]], axis=1)
+    moments = (deviations * likelihood[:, None]).T @ deviations
+    moments[:-1, :-1] += np.einsum("k,kij->ij", likelihood, covariance)
+    return float(tried[best]), values[best], moments
+
+
+def over_forms(problem: Problem, forms: Sequence[Sequence[Column]], others: Sequence[Column]) -> np.ndarray:
+    """Return second moments (w, w) of the parameters about those of the first form, the forms weighted by their likelihood."""
+    gain, values, covariance = _profile(problem, forms, others)
+    likelihood = np.exp((gain - gain.max()) / 2.0)
+    likelihood /= likelihood.sum()
+    deviations = values - values[0]
+    return np.asarray(
+        (deviations * likelihood[:, None]).T @ deviations + np.einsum("k,kij->ij", likelihood, covariance)
+    )
+
+
+def _profile(
+    problem: Problem, forms: Sequence[Sequence[Column]], others: Sequence[Column]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return for each form its chi² reduction given the others (m,), parameters (m, w) and their covariance (m, w, w)."""
+    columns = [[replace(column, scale=1.0) for column in own] for own in forms]
+    width = len(columns[0])
+    count = width * len(forms)
+    products = problem.products([*(column for own in columns for column in own), *others])
+    given = slice(count, None)
+    inverse = pseudo_inverse(products.gram[given, given]) if others else np.zeros((0, 0))
+    gain, values, covariance = np.zeros(len(forms)), np.zeros((len(forms), width)), np.zeros((len(forms), width, width))
+    for k in range(len(forms)):
+        own = slice(k * width, (k + 1) * width)
+        cross = products.gram[given, own]
+        whole = np.diag(products.gram[own, own])
+        # All parameters have the same unit: directions small against the largest are not identifiable.
+        size = float(np.sqrt(max(whole.max(), 1e-300)))
+        block = (products.gram[own, own] - cross.T @ inverse @ cross) / size**2
+        slope = (products.slope[own] - cross.T @ (inverse @ products.slope[given])) / size
+        weights, vectors = np.linalg.eigh(block)
+        seen = weights > NOT_IDENTIFIABLE
+        root = vectors[:, seen] / np.sqrt(weights[seen])
+        along = root.T @ slope
+        gain[k] = along @ along if seen.any() else -np.inf
+        values[k] = root @ along / size
+        covariance[k] = root @ root.T / size**2
+    return gain, values, covariance
+
+
+STEPS: Final = 12  # Gauss-Newton steps, at most
+CONVERGED_STEP: Final = 1e-6  # step, in standard deviations, below which the iteration has converged
+BLOCK_COLUMNS: Final = 64  # columns of random effects evaluated at a time
 
 
 @final
 @dataclass(frozen=True)
 class RandomEffects:
-    """Patterns without a name as random effects, and the noise estimated with them.
+    """Patterns without a name as random effects, and the noise estimated with them."""
 
-    Attributes:
-        random: their columns, each with its standard deviation in the column's unit.
-        variance_factor: factor on the stated noise variances.
-    """
-
-    random: Sequence[tuple[Column, float]]
-    variance_factor: float
+    random: Sequence[tuple[Column, float]]  # columns, each with its standard deviation in the column's unit
+    variance_factor: float  # on the stated noise variances
 
 
 @final
 @dataclass(frozen=True)
 class Estimate:
-    """Estimated parameters of some causes.
+    """Estimated parameters of some causes."""
 
-    Attributes:
-        quantities: reported parameters of each cause.
-        effects: effects of each cause; empty for a cause in the instrument.
-        covariance: covariance of the parameters of all effects, under their names in a calibration.
-        signature: (3n, k) contribution of each of k causes to the whitened readings, held out or not.
-        explained: reduction of chi².
-        wald: for each cause the Wald statistic of its parameters, their number, and the number of groups that their covariance is
-            estimated from (infinite where it is due to the stated noise).
-    """
-
-    quantities: tuple[tuple[Quantity, ...], ...]
-    effects: tuple[tuple[Effect, ...], ...]
-    covariance: Covariance
-    signature: np.ndarray
-    explained: float
+    quantities: tuple[tuple[Quantity, ...], ...]  # reported parameters of each cause
+    effects: tuple[tuple[Effect, ...], ...]  # of each cause; none for one in the instrument
+    covariance: Covariance  # of the parameters of all effects, by their names in a calibration
+    signature: np.ndarray  # (3n, k) contribution of each cause to the whitened readings, held out or not
+    explained: float  # reduction of chi²
+    # of each cause: Wald statistic, number of its parameters, and of groups that the covariance is from (infinite for stated noise)
     wald: tuple[tuple[float, int, float], ...] = ()
 
 
 @dataclass
 class _Part:
-    """One cause during the joint fit.
-
-    Attributes:
-        form: the cause.
-        fixed: non-linear parameters that are not fitted with the others.
-        scales: (w,) plausible sizes of its parameters.
-        columns: (3n, w) derivatives of the whitened readings by its parameters, at the current values.
-        values: (w,) its parameters.
-        effects: effects with these parameters; none for a cause in the instrument.
-        nonlinear: whether the columns depend on the parameters.
-        moments: second moments of the parameters of a drift whose likelihood is not normal.
-    """
+    """One cause during the joint fit."""
 
     form: Form
-    fixed: dict[str, float]
-    scales: np.ndarray
-    columns: np.ndarray
-    values: np.ndarray
-    effects: tuple[Effect, ...]
-    nonlinear: bool
-    moments: np.ndarray | None = None
+    fixed: dict[str, float]  # non-linear parameters that are not fitted with the others
+    scales: np.ndarray  # (w,) plausible sizes of its parameters
+    columns: np.ndarray  # (3n, w) derivatives of the whitened readings at the current values
+    values: np.ndarray  # (w,)
+    effects: tuple[Effect, ...]  # with these parameters; none for a cause in the instrument
+    nonlinear: bool  # the columns depend on the parameters
+    moments: np.ndarray | None = None  # of the parameters of a drift whose likelihood is not normal
 
     def set_values(self, values: np.ndarray, longest: float) -> None:
         """Set the parameters, within the effect's limits; ``longest`` is the longest period or time constant tried."""
@@ -208,15 +244,15 @@ class _Part:
             self.effects = (constrain(self.effects[0], [float(value) for value in values], longest),)
         self.values = np.array([parameter.value for parameter in self.effects[0].parameters])
 
-    def set_drift(self, problem: Problem, drift: Drift, fitted: FittedDrift) -> None:
+    def set_drift(self, problem: Problem, drift: Drift, others: Sequence[Column]) -> None:
         """Set a drift to its maximum-likelihood fit given the other causes."""
-        variant = drift.variant(fitted.time_constant)
+        time_constant, self.values, self.moments = fit_drift(problem, drift, others)
+        variant = drift.variant(time_constant)
         self.fixed = dict(variant.fixed)
         self.scales = np.array([column.scale for column in variant.columns])
-        self.columns, self.values = problem.signature(variant.columns) / self.scales, fitted.values
-        self.effects = _effects(self.form, fitted.values, self.fixed)
-        self.moments = fitted.moments
-        self.nonlinear = fitted.moments is None and fitted.time_constant != STRAIGHT_LINE
+        self.columns = problem.signature(variant.columns) / self.scales
+        self.effects = _effects(self.form, self.values, self.fixed)
+        self.nonlinear = self.moments is None and time_constant != STRAIGHT_LINE
 
     def linearise(self, problem: Problem, state: Mapping[str, Any]) -> None:
         """Evaluate the columns at the current parameters."""
@@ -240,10 +276,7 @@ def estimate(
 ) -> Estimate:
     """Estimate all parameters of the causes by Gauss-Newton iteration, with the set-up projected out.
 
-    Args:
-        noise_dof: degrees of freedom of the noise variance.
-        random_effects: patterns without a name; they are not fitted but increase the covariance.
-        least: noncentrality at the largest plausible size below which a direction is not identifiable.
+    Random effects are not fitted but increase the covariance; a direction is identifiable from a noncentrality of ``least`` on.
     """
     if not forms:
         return Estimate((), (), Covariance.none(), np.zeros((len(problem.residual), 0)), 0.0)
@@ -265,11 +298,7 @@ def estimate(
 
 
 def fitted_effects(problem: Problem, forms: Sequence[Form]) -> tuple[list[tuple[Effect, ...]], np.ndarray]:
-    """Return the effects of each of k causes with their parameters as `estimate` finds them, and the (3n, k) signatures.
-
-    Args:
-        forms: the causes, at least one.
-    """
+    """Return the effects of each of k ≥ 1 causes with their parameters as `estimate` finds them, and the (3n, k) signatures."""
     parts, _, signature = _fitted(problem, forms, machine_state(problem.network.data, problem.network.machine))
     return [part.effects for part in parts], signature
 
@@ -296,21 +325,13 @@ def _initial_parts(problem: Problem, forms: Sequence[Form], least: float) -> lis
     for form, sizes, signature, start_values in zip(forms, scales, columns, values, strict=True):
         fixed = dict(form.variant.fixed)
         effects = _effects(form, start_values, fixed)
-        part = _Part(
-            form,
-            fixed,
-            sizes,
-            signature,
-            start_values,
-            effects,
-            form.candidate.drift is None and _is_nonlinear(form, effects),
-        )
-        parts.append(part)
+        nonlinear = form.candidate.drift is None and _is_nonlinear(form, effects)
+        parts.append(_Part(form, fixed, sizes, signature, start_values, effects, nonlinear))
     for part in parts:
         drift = part.form.candidate.drift
         if drift is not None:
             others = [column for form in forms if form is not part.form for column in form.variant.columns]
-            part.set_drift(problem, drift, fit_drift(problem, drift, others))
+            part.set_drift(problem, drift, others)
     return parts
 
 
@@ -353,9 +374,12 @@ def _reported(
         width = part.columns.shape[1]
         own_rows = slice(at, at + width)
         test = inverse[own_rows, own_rows] / np.outer(part.scales, part.scales)
-        wald.append(_wald(part.values / part.scales, test, groups))
+        wald.append((*_wald(part.values / part.scales, test), groups))
         block = wide[own_rows, own_rows]
-        matrix = np.eye(width) if part.nonlinear else _matrix(part.form, part.fixed, width)
+        matrix, build = np.eye(width), part.form.candidate.build
+        if build is not None and not part.nonlinear:
+            # The parameters of a calibration are linear in those that are fitted.
+            matrix = np.array([list(_parameters(build(unit, part.fixed)).values()) for unit in matrix]).T
         covariance_block = matrix @ block @ matrix.T if part.moments is None else part.moments
         direct = part.form.candidate.space is not None or part.nonlinear or part.moments is not None
         reported = _over_variants(problem, forms, part.form, covariance_block if direct else block)
@@ -392,7 +416,7 @@ def _with_patterns(
     for start in range(0, len(random_effects.random), BLOCK_COLUMNS):
         some = random_effects.random[start : start + BLOCK_COLUMNS]
         signature = problem.signature([column for column, _ in some]) * [deviation for _, deviation in some]
-        gain[:, start : start + BLOCK_COLUMNS] = inverse_gram @ problem.along(scaled, problem.project(signature))
+        gain[:, start : start + BLOCK_COLUMNS] = inverse_gram @ (scaled.T @ problem.project(signature))
     return inverse * random_effects.variance_factor + (gain @ gain.T) * np.outer(sizes, sizes)
 
 
@@ -409,23 +433,15 @@ def _by_compliances(problem: Problem, parts: Sequence[_Part], state: Mapping[str
     scaled = np.concatenate([part.columns for part in parts], axis=1) * scales
     moved = np.stack([load.relative_u * _signature_of(problem, state, (load,)) for load in loads], axis=1)
     inverse_gram = pseudo_inverse(problem.inner(scaled))
-    gain = inverse_gram @ problem.along(scaled, problem.project(moved))
+    gain = inverse_gram @ (scaled.T @ problem.project(moved))
     return np.asarray((gain @ gain.T) * np.outer(scales, scales))
 
 
-def _wald(values: np.ndarray, covariance: np.ndarray, groups: float) -> tuple[float, int, float]:
+def _wald(values: np.ndarray, covariance: np.ndarray) -> tuple[float, int]:
     eigenvalues, vectors = np.linalg.eigh(covariance)
     kept = eigenvalues > 1e-12 * eigenvalues[-1]
     along = vectors[:, kept].T @ values
-    return float(np.sum(along**2 / eigenvalues[kept])), int(kept.sum()), groups
-
-
-def _matrix(form: Form, fixed: Mapping[str, float], width: int) -> np.ndarray:
-    """Return the matrix from fitted parameters to the parameters of a calibration, which are linear in them."""
-    build = form.candidate.build
-    if build is None:
-        return np.eye(width)
-    return np.array([list(_parameters(build(unit, fixed)).values()) for unit in np.eye(width)]).T
+    return float(np.sum(along**2 / eigenvalues[kept])), int(kept.sum())
 
 
 def _parameters(effects: Sequence[Effect]) -> dict[str, float]:
@@ -547,12 +563,8 @@ def _estimated(
     return estimated
 
 
-# --- Weights of noise and discrepancy where the causes leave more than the noise ------------------
-
-REWEIGHTINGS: Final = 4
-"""Number of estimates with other weights, at most."""
-LOST: Final = 1e-6
-"""Share of its earlier standard uncertainty below which that of a parameter is rounding: its direction was left out."""
+REWEIGHTINGS: Final = 4  # number of estimates with other weights, at most
+LOST: Final = 1e-6  # share of its earlier standard uncertainty below which that of a parameter is rounding
 
 
 def remaining_discrepancy(
@@ -560,16 +572,13 @@ def remaining_discrepancy(
 ) -> Discrepancy:
     """Return the discrepancy of the residuals that causes, and patterns if any, leave.
 
-    Args:
-        task: the data, with the weights of the estimate.
-        estimated: their estimate.
-        patterned: the same problem with the patterns projected out (`Problem.with_random_effects`); None to count them as discrepancy.
+    Without the problem ``patterned``, with the patterns projected out, they count as discrepancy.
     """
     network, problem = task.by_noise.network, task.problem if patterned is None else patterned
     residual = problem.residual - rewhitened(estimated.signature.sum(axis=1), task.problem.network, problem.network)
     residual_m = unwhiten(problem.network, problem.project(residual).reshape(-1, 3)[:, :, None])[:, :, 0]
     # A direction with a prior takes up the share of a reading that its posterior variance has lost.
-    absorbed = len(problem.nuisance_coordinates) - float(np.sum(problem.nuisances.prior**2))
+    absorbed = len(problem.nuisances.coordinates) - float(np.sum(problem.nuisances.prior**2))
     share = min((absorbed + _width(forms)) / problem.readings, 1.0)
     taken_up = share * task.problem.network.covariance
     return updated(network, task.discrepancy, residual_m, taken_up, np.ones(len(residual_m), dtype=bool))
@@ -581,11 +590,6 @@ def reweighted(
     """Return the estimate with all that the causes leave in its weights, patterns too, and this discrepancy.
 
     The same estimate where the causes fit. The reduction of chi² and the Wald statistics stay as they are: they are tests.
-
-    Args:
-        task: the data, with the weights of the estimate.
-        estimated: their estimate.
-        random_effects: patterns without a name (`estimate`).
     """
     by_noise = task.by_noise
     whitened_residual = by_noise.residual - rewhitened(

@@ -25,50 +25,34 @@ from twin.model.effects.base import axis_of
 
 FALSE_ALARM_RATE: Final = 0.03
 """Share of data sets of noise alone in which any form is accepted as a cause; patterns have a rate of their own."""
-NULL_DATA_SETS: Final = 200
-"""Simulated data sets of noise alone from which the correction for multiple testing is estimated."""
+NULL_DATA_SETS: Final = 200  # data sets of noise alone from which the correction for multiple testing is estimated
 ADDITIONAL_CAUSE_PENALTY: Final = 2.5
 """Amount subtracted for each cause after the first (as chi²): several causes at once are rarer than one."""
 CALIBRATION_QUANTILE: Final = 0.15
 """Quantile of the smallest p-value in these data sets; smaller false-alarm rates are extrapolated in proportion."""
-TAIL_FACTOR: Final = 0.8
-"""Factor on that extrapolation: correlated tests are less dependent further out in the tail."""
+TAIL_FACTOR: Final = 0.8  # factor on that extrapolation: correlated tests are less dependent further out in the tail
 SEED: Final = 4711
-LEAST_NONCENTRALITY: Final = 25.0
-"""Noncentrality at the largest plausible size below which a direction is not identifiable from the data."""
+LEAST_NONCENTRALITY: Final = 25.0  # at the largest plausible size: below it a direction is not identifiable
 DEVIANCE_RULED_OUT: Final = 9.21
 """2 ln 100: a rival is ruled out if its likelihood, corrected for multiple testing, is at least a hundred times smaller."""
 # Of n waves, the best follows about 2·ln(n) / positions of any error: with some 40 positions and 300 waves a quarter.
-LEAST_SHORT_SHARE: Final = 0.25
-"""Smallest share of the excess of waves that are shorter than the mean distance of the measured positions."""
-SAMPLED_POINTS: Final = 4096
-"""Points that suffice to estimate the correlation between forms."""
-TIE: Final = 1e-6
-"""Added to a critical value for each column: of forms that explain the same, the one with the fewest columns is preferred."""
-RESOLVED: Final = 1.0
-"""Difference of two periods, in waves over the measured span, from which on they are errors of their own."""
-BATCH: Final = 48
-"""Columns whose inner products with all others are computed in one pass over the data, at least."""
+LEAST_SHORT_SHARE: Final = 0.25  # smallest share of the excess of waves shorter than the distance of the positions
+SAMPLED_POINTS: Final = 4096  # points that suffice to estimate the correlation between forms
+TIE: Final = 1e-6  # added to a critical value for each column: of equal forms the one with the fewest is preferred
+RESOLVED: Final = 1.0  # difference of two periods, in waves over the measured span, from which on they are two errors
+BATCH: Final = 48  # columns whose inner products with all others are computed in one pass over the data, at least
 
 
 @final
 @dataclass(frozen=True, eq=False)
 class Form:
-    """One variant of one candidate, with the indices of its columns in the search.
-
-    Attributes:
-        candidate: the cause.
-        variant: the form the cause takes.
-        columns: indices of the variant's columns among all columns of the search.
-        log_tests: natural log of the number of tests that the p-value is corrected for.
-        index: index in `Candidates.forms`.
-    """
+    """One variant of one candidate, with the indices of its columns in the search."""
 
     candidate: Candidate
     variant: Variant
-    columns: np.ndarray
-    log_tests: float
-    index: int
+    columns: np.ndarray  # indices among all columns of the search
+    log_tests: float  # natural log of the number of tests that the p-value is corrected for
+    index: int  # in `Candidates.forms`
 
     @property
     def key(self) -> tuple[str, str]:
@@ -99,10 +83,6 @@ class Candidates:
         dof: degrees of freedom of the noise variance; infinite where the variance is given.
         parts: (n,) number of the part each point belongs to, where parts are to be held out.
         level: p-value, corrected for multiple testing, below which a form is accepted; set by `calibrate` if None.
-
-    Attributes:
-        further_periods: whether an axis may have several periods. What one between two tabulated periods leaves looks like another, so
-            this is for a search whose periods are refined; undone by `set_problem`.
     """
 
     further_periods = False
@@ -210,13 +190,12 @@ class Candidates:
             products = Products(problem, self.products.columns, self._columns, points)
             root = problem.orthonormal_on(points)
             inner = [count / len(points) * block for block in self._projected_blocks(products, products.on_basis(root))]
-        basis = problem.rows(points).reshape(3 * len(points), len(problem.nuisance_coordinates))
+        basis = problem.nuisances.rows(points).reshape(3 * len(points), len(problem.nuisances.coordinates))
         read = problem.network.read[points].reshape(-1)
         noise = rng.standard_normal((len(read), NULL_DATA_SETS)) * read[:, None]
-        noise += basis @ (
-            problem.calibration_directions
-            @ rng.standard_normal((problem.calibration_directions.shape[1], NULL_DATA_SETS))
-        )
+        # Columns of the symmetric root of the calibration's covariance.
+        uncertain = problem.nuisances.coordinates[:, len(problem.setup) :]
+        noise += basis @ (uncertain @ rng.standard_normal((uncertain.shape[1], NULL_DATA_SETS)))
         noise -= basis @ (root @ (root.T @ (basis.T @ noise)))
         slope = products.with_vectors(noise, points) * np.sqrt(count / len(points))
         scale = rng.chisquare(self.dof, NULL_DATA_SETS) / self.dof if np.isfinite(self.dof) else np.ones(NULL_DATA_SETS)
@@ -239,12 +218,7 @@ class Candidates:
         )
 
     def exclude(self, keys: Collection[tuple[str, str]], why: str = "") -> None:
-        """Exclude all forms of the candidates with these keys until `set_problem` is called.
-
-        Args:
-            keys: effect and place of each.
-            why: the reason, in words, if the readings speak for them nevertheless.
-        """
+        """Exclude all forms of some effects and places until `set_problem`; ``why``, if the readings speak for them nevertheless."""
         self.exclude_forms([form for form in self.forms if form.key in keys])
         if why:
             self._reasons |= dict.fromkeys(keys, why)
@@ -321,12 +295,7 @@ class Candidates:
         return other
 
     def refine(self, form: Form, variant: Variant) -> None:
-        """Replace the variant of a form by one with fitted non-linear parameters, until `set_problem` is called.
-
-        Args:
-            form: the form to change.
-            variant: the new variant, with as many columns.
-        """
+        """Replace the variant of a form by one as wide, with fitted non-linear parameters, until `set_problem` is called."""
         self._refined.setdefault(form.index, self.forms[form.index])
         self._replace_form(replace(form, variant=variant))
         self._project(self.problem)
@@ -383,9 +352,7 @@ class Candidates:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return the reduction of chi² by every form given some others, and its degrees of freedom; (forms,) each.
 
-        Args:
-            beside: further directions of unit weight that are given: their (r, all) inner products with all columns, and (r,) with
-                the residual.
+        ``beside``: further directions of unit weight, by their inner products (r, all) with all columns and (r,) with the residual.
         """
         key = frozenset(form.index for form in forms)
         if beside is None and key in self._scans:
@@ -408,17 +375,12 @@ class Candidates:
     def along(self, columns: Sequence[Column], basis: np.ndarray) -> np.ndarray:
         """Return the projected inner products (columns, all) of any columns with those of the forms.
 
-        Args:
-            basis: (k, columns) their inner products with the nuisance basis, made orthonormal on these data (`Problem.root`).
+        ``basis``: their inner products (k, columns) with the nuisance basis, made orthonormal on these data (`Problem.root`).
         """
         return self.products.with_columns(columns) - basis.T @ self._on_basis
 
     def scores(self, forms: Sequence[Form], tried: Sequence[int]) -> np.ndarray:
-        """Return (tried, 3) reduction of chi², degrees of freedom and corrected log p of some forms, given others.
-
-        Args:
-            tried: indices of the forms.
-        """
+        """Return (tried, 3) reduction of chi², degrees of freedom and corrected log p of some forms (indices), given others."""
         explained, dof = (values[list(tried)] for values in self.scan(forms))
         log_tests = np.array([self.forms[i].log_tests for i in tried])
         log_p = np.where(dof > 0, log_p_value(explained, np.maximum(dof, 1), self.dof) + log_tests, 0.0)
@@ -495,11 +457,7 @@ class Candidates:
     def _given(
         self, forms: Sequence[Form], beside: tuple[np.ndarray, np.ndarray] | None = None
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return the factor (all, r) of the matrix to subtract from the inner products given some forms, and the slope left (all,).
-
-        Args:
-            beside: further directions, as in `scan`.
-        """
+        """Return the factor (all, r) of the matrix to subtract from the inner products given some forms, and the slope left (all,)."""
         columns = columns_of(forms)
         rows = self.cross(columns)
         if beside is None:
@@ -527,10 +485,7 @@ class Candidates:
 def _fit_blocks(whole: np.ndarray, blocks: np.ndarray, slope: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the reduction of chi² (n,) and the number of identifiable directions (n,) of forms.
 
-    Args:
-        whole: (n, w, w) inner products before other forms are given.
-        blocks: (n, w, w) inner products given these.
-        slope: (n, w) inner products with the residual, likewise.
+    ``whole``: inner products (n, w, w) before other forms are given; ``blocks`` and ``slope`` (n, w), with the residual, after.
     """
     if blocks.shape[1] == 1:
         values, along = blocks[:, :, 0], slope
@@ -608,9 +563,7 @@ def pseudo_inverse(gram: np.ndarray, least: float = LEAST_NONCENTRALITY) -> np.n
 def inverse_root(gram: np.ndarray, least: float = LEAST_NONCENTRALITY) -> np.ndarray:
     """Return a root R (n, n) with RRᵀ the pseudo-inverse of inner products (n, n) over the identifiable directions.
 
-    Args:
-        gram: inner products.
-        least: noncentrality at the largest plausible size below which a direction is not identifiable; rounding is excluded always.
+    A direction is not if its noncentrality is below ``least``; rounding is excluded always.
     """
     if len(gram) == 0:
         return gram

@@ -9,7 +9,7 @@ a calibration only if held-out readings confirm them, and are valid only within 
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, Final, Literal, final
 
 import numpy as np
@@ -52,13 +52,9 @@ from twin.tool.uncertainty import volume
 
 
 def held_out(sized: SizedCauses, written: Collection[int] = ()) -> HeldOut | None:
-    """Return the residuals of held-out readings, without and with the written causes, their sizes fitted to the other readings.
+    """Return the residuals of held-out readings, without and with the written causes and patterns, fitted to the other readings.
 
     Periods and other numbers that are not linear stay as fitted to all readings. None if nothing can be held out.
-
-    Args:
-        sized: the causes with their sizes; they decide what is held out (`twin.diagnosis.cross_validation`).
-        written: numbers of the patterns that are in the file as well.
     """
     findings, problem = sized.findings, sized.findings.problem
     named = [form for form, doubt in zip(sized.forms, sized.doubts, strict=True) if not doubt]
@@ -109,12 +105,7 @@ def _folds_of(sized: SizedCauses) -> HeldOutFolds | None:
 
 
 def held_out_patterns(findings: Findings, forms: Sequence[Form], written: Collection[int]) -> HeldOut | None:
-    """Return the residuals of held-out readings, with the causes alone and with some patterns added, fitted to the other readings.
-
-    Args:
-        forms: the causes; the same on every part.
-        written: numbers of the patterns added.
-    """
+    """Return the residuals of held-out readings, with the causes alone and with the written patterns, fitted to the other readings."""
     problem, structure, network = findings.problem, findings.structure, findings.problem.network
     names = {name for k in written for name in structure.pattern_tests[k].pattern.names}
     # The approach direction of an axis is held out by the positions of that axis.
@@ -142,29 +133,19 @@ def _held_out(
     return HeldOut(split.of, len(table), float(before), float(after), jackknife_interval(table))
 
 
-# --- Empirical effects, without a known cause, fitted to the patterns that no named cause explains
-
 DIRECTIONS: Final = 3
 
 
 @final
 @dataclass(frozen=True, eq=False)
 class EmpiricalExtension:
-    """Empirical effects fitted to the unexplained patterns.
+    """Empirical effects fitted to the unexplained patterns."""
 
-    Attributes:
-        extension: their description in the result.
-        effects: those that are written; empty if held-out readings do not confirm them.
-        covariance: of their parameters.
-        written: numbers of their patterns.
-        left_um: RMS per coordinate of the patterns that are not written.
-    """
-
-    extension: Extension
-    effects: tuple[Empirical, ...]
-    covariance: Covariance
-    written: tuple[int, ...]
-    left_um: float
+    extension: Extension  # their description in the result
+    effects: tuple[Empirical, ...] = ()  # written; empty if held-out readings do not confirm them
+    covariance: Covariance = field(default_factory=Covariance.none)  # of their parameters
+    written: tuple[int, ...] = ()  # numbers of their patterns
+    left_um: float = 0.0  # RMS per coordinate of the patterns that are not written
 
 
 def extend(sized: SizedCauses, calibration: Calibration) -> EmpiricalExtension:
@@ -172,9 +153,11 @@ def extend(sized: SizedCauses, calibration: Calibration) -> EmpiricalExtension:
     findings, forms, problem = sized.findings, sized.forms, sized.findings.problem
     likelihood, machine = findings.structure.likelihood, problem.network.machine
     if sized.jumped:
-        return _not_extended(Extension((), 0.0, None, False, "it is a jump, of which a later program knows nothing"))
+        return EmpiricalExtension(
+            Extension((), 0.0, None, False, "it is a jump, of which a later program knows nothing")
+        )
     if likelihood is None or not likelihood.pattern_tests:
-        return _not_extended(Extension((), 0.0, None, False, "it depends on no column of the table"))
+        return EmpiricalExtension(Extension((), 0.0, None, False, "it depends on no column of the table"))
     model = likelihood.fit(forms, findings.structure.model)
     slope = likelihood.slope_with(problem.residual - sized.estimate.signature.sum(axis=1))
     which, values, covariance = likelihood.most_likely(model, slope)
@@ -201,16 +184,12 @@ def extend(sized: SizedCauses, calibration: Calibration) -> EmpiricalExtension:
     reason = _unproven(held) if effects else "; ".join(dict.fromkeys(str(term.reason) for term in terms))
     extension = Extension(tuple(terms), _rms(problem, written_shift), held, reason is None, reason)
     if reason is not None:
-        return _not_extended(extension)
+        return EmpiricalExtension(extension)
     names = tuple(parameter.name for effect in effects for parameter in effect.parameters)
     matrix = read_only(covariance[np.ix_(in_file, in_file)])
     return EmpiricalExtension(
         extension, tuple(effects), Covariance(names, matrix), tuple(written), _rms(problem, other_shift)
     )
-
-
-def _not_extended(extension: Extension) -> EmpiricalExtension:
-    return EmpiricalExtension(extension, (), Covariance.none(), (), 0.0)
 
 
 def _rms(problem: Problem, made: np.ndarray) -> float:
@@ -247,14 +226,7 @@ def _along(pattern_test: PatternTest) -> Literal["base", "tool", "work"]:
 def _effect(
     term: Term, machine: Machine, likelihood: Likelihood, k: int, which: np.ndarray, values: np.ndarray
 ) -> Empirical:
-    """Return the empirical effect of the k-th pattern.
-
-    Args:
-        term: side, columns and ranges of the effect.
-        likelihood: of all patterns.
-        which: numbers of the pattern's columns with a coefficient.
-        values: their coefficients, µm.
-    """
+    """Return the empirical effect of the k-th pattern: ``values`` in µm of its columns with a coefficient (``which``)."""
     pattern_test = likelihood.pattern_tests[k]
     columns, along = pattern_test.pattern.waves(pattern_test.level), _along(pattern_test)
     # Columns are sorted by direction, then by function.
@@ -278,12 +250,10 @@ def _unproven(held: HeldOut | None) -> str | None:
     return None
 
 
-# --- The gain of the extended calibration as written: on all readings, on held-out readings, and at the tool
-
 LARGEST_UM: Final = 1e5
 """Error at the tool above which none is stated: small rotations and compliances do not describe a machine that is 100 mm off."""
-DEFAULT_TOOL_MM: Final = 100.0
-"""Tool length assumed if the machine file has none."""
+# With zero length a rotation about the spindle nose would have no effect.
+DEFAULT_TOOL_MM: Final = 100.0  # tool length assumed if the machine file has none
 
 
 def gain(
@@ -292,12 +262,7 @@ def gain(
     unexplained: Unexplained | None,
     extension: EmpiricalExtension | None,
 ) -> Gain:
-    """Return the gain of the extended calibration.
-
-    Args:
-        residuals: (n, 3) µm with the given and with the extended calibration.
-        extension: the empirical effects fitted to them; None if not requested.
-    """
+    """Return the gain of the extended calibration: ``residuals`` (n, 3), µm, are those with the given and with the extended one."""
     network = sized.findings.problem.network
     data, machine = network.data, network.machine
     held = held_out(sized, () if extension is None else extension.written)
@@ -322,7 +287,7 @@ def gain(
     before, after = (rms(residual_um, network.read) for residual_um in residuals)
     if not max(at_tool) <= LARGEST_UM:
         at_tool = float("nan"), float("nan")
-    return Gain(before, after, held, *at_tool, tool_length_of(machine))
+    return Gain(before, after, held, *at_tool, machine.tool_length_mm or DEFAULT_TOOL_MM)
 
 
 def residuals_as_written(
@@ -330,9 +295,7 @@ def residuals_as_written(
 ) -> np.ndarray:
     """Return the (n, 3) residuals in µm with a calibration as written, the set-up refitted; NaN where no coordinate was measured.
 
-    Args:
-        instrument: (3n,) whitened effect of the instrument errors found, subtracted from the readings first.
-        root: (n, 3, 3) square root of the covariance by the discrepancy, metres, for the weights of the set-up.
+    The whitened effect (3n,) of instrument errors is subtracted first; the discrepancy (its root) is in the weights of the set-up.
     """
     network = problem.network.with_discrepancy(root)
     as_written = Network(
@@ -350,22 +313,13 @@ def residuals_as_written(
     return in_um(as_written, residual - basis @ (basis.T @ residual))
 
 
-def tool_length_of(machine: Machine) -> float:
-    """Return the machine file's tool length, or `DEFAULT_TOOL_MM`: with zero length a rotation about the spindle nose has no effect."""
-    return machine.tool_length_mm or DEFAULT_TOOL_MM
-
-
 def error_at_tool(
     data: Measurements, machine: Machine, effects: Sequence[Effect], covariance: Covariance
 ) -> tuple[float, float]:
     """Return the RMS error at the tool over the volume with the given and with the extended calibration, on the extended machine.
 
     With the given calibration the effects themselves remain, to first order; with the extended one their uncertainty. The volume is
-    limited to the ranges of empirical effects.
-
-    Args:
-        data: the measurements, for their temperatures and times.
-        covariance: of their parameters.
+    limited to the ranges of empirical effects; temperatures and times are those of the measurements.
     """
     if not effects:
         return 0.0, 0.0
@@ -377,7 +331,7 @@ def error_at_tool(
     state: dict[str, Any] = {name: values[rows] for name, values in measured.items()}
     state |= {f"approach_{name}": side for name, side in zip(machine.names, sides, strict=True)}
     state |= {axis.name: positions[:, i] for i, axis in enumerate(machine.axes)}
-    at_tip = Kinematics(machine, Calibration.zero(machine), tool_length_mm=tool_length_of(machine))
+    at_tip = Kinematics(machine, Calibration.zero(machine), tool_length_mm=machine.tool_length_mm or DEFAULT_TOOL_MM)
     by_error = at_tip.sensitivities(positions).error[:, :3]
     index = {(frame.axis, frame.role): 6 * i for i, frame in enumerate(machine.frames)}
 

@@ -27,12 +27,9 @@ from twin.diagnosis.forms import Candidates, Form, columns_of, log_p_value, pseu
 from twin.diagnosis.patterns import TESTED_NONCENTRALITY, ZERO_SHARE, Pattern, PatternScores
 from twin.diagnosis.problem import Problem
 
-PATTERN_ALARM_RATE: Final = 0.01
-"""Rate of false alarms: share of data sets without an error in which a pattern is found."""
-EXACT_P_VALUES: Final = 24
-"""Number of tests, the most significant ones by two moments, whose p-value is evaluated exactly by eigenvalues."""
-AT_ONCE: Final = 32
-"""Tests with equally many functions whose moments are computed at once."""
+PATTERN_ALARM_RATE: Final = 0.01  # share of data sets without an error in which a pattern is found
+EXACT_P_VALUES: Final = 24  # most significant tests by two moments whose p-value is evaluated exactly
+AT_ONCE: Final = 32  # tests with equally many functions whose moments are computed at once
 DIRECTIONS: Final[tuple[tuple[int, ...], ...]] = ((0,), (1,), (2,), (0, 1, 2))
 """Directions of the frame that are tested: each alone, and all together."""
 
@@ -40,25 +37,15 @@ DIRECTIONS: Final[tuple[tuple[int, ...], ...]] = ((0,), (1,), (2,), (0, 1, 2))
 @final
 @dataclass(frozen=True, eq=False)
 class PatternTest:
-    """One test of one pattern.
-
-    Attributes:
-        pattern: the pattern tested.
-        level: highest order of its functions.
-        directions: directions of its frame.
-        log_p: natural log of the p-value, not corrected for multiple testing.
-        log_price: natural log of the number of tests.
-        explained: χ² explained beyond the expectation from noise.
-        rivals: columns of patterns about as likely, which these readings do not rule out.
-    """
+    """One test of one pattern."""
 
     pattern: Pattern
-    level: int
-    directions: tuple[int, ...]
-    log_p: float
-    log_price: float
-    explained: float
-    rivals: tuple[tuple[str, ...], ...] = ()
+    level: int  # highest order of its functions
+    directions: tuple[int, ...]  # of its frame
+    log_p: float  # natural log of the p-value, not corrected for multiple testing
+    log_price: float  # natural log of the number of tests
+    explained: float  # χ² beyond the expectation from noise
+    rivals: tuple[tuple[str, ...], ...] = ()  # columns of patterns about as likely
 
     @property
     def found(self) -> bool:
@@ -72,12 +59,7 @@ class PatternTest:
 
 
 def scan_patterns(problem: Problem, tried: Sequence[Pattern], forms: Sequence[Form], dof: float) -> list[PatternTest]:
-    """Return the most significant test of each pattern, most significant first.
-
-    Args:
-        forms: causes that are projected out.
-        dof: degrees of freedom of the noise estimate.
-    """
+    """Return the most significant test of each pattern, causes projected out, most significant first; ``dof`` is that of the noise."""
     if not tried:
         return []
     scores = PatternScores(problem, forms, tried)
@@ -148,14 +130,9 @@ def _two_moments(score: np.ndarray, mean: np.ndarray, variance: np.ndarray) -> n
 
 
 def log_tail(weights: np.ndarray, value: float, dof: float = np.inf) -> float:
-    """Return the log probability that Σ wᵢχ²₁ exceeds a value times χ²/dof of an estimated noise variance.
+    """Return the log probability that Σ wᵢχ²₁ (wᵢ ≥ 0) exceeds a value times χ²/dof of an estimated noise variance.
 
     Saddlepoint approximation of Kuonen (1999), in the form of Barndorff-Nielsen (1990), whose logarithm is finite for any probability.
-
-    Args:
-        weights: weights of the sum, not negative.
-        value: value of the sum.
-        dof: degrees of freedom of the noise estimate; infinite if the noise is known.
     """
     w = weights[weights > ZERO_SHARE * max(float(weights.max(initial=0.0)), 1e-300)]
     if len(w) == 0 or value <= 0.0:
@@ -186,52 +163,31 @@ def log_tail(weights: np.ndarray, value: float, dof: float = np.inf) -> float:
     return float(scipy.special.log_ndtr(-(first + np.log(second / first) / first)))
 
 
-# --- Likelihood of causes together with unnamed patterns, whose variances are estimated -----------
-
-STEPS: Final = 40
-"""Largest number of iterations."""
-CONVERGED_LOG_VARIANCE: Final = 0.02
-"""Change of the logarithm of a variance below which the iteration has converged."""
-LEAST_NONCENTRALITY: Final = 1e-3
-"""Noncentrality of a pattern along a direction below which that direction is dropped."""
-NO_NONCENTRALITY: Final = 1e-6
-"""Noncentrality below which a function of a pattern has no effect on the likelihood."""
-UNREAD_SHARE: Final = 1e-9
-"""Share of the best measured direction below which a direction counts as not measured."""
+STEPS: Final = 40  # largest number of iterations
+CONVERGED_LOG_VARIANCE: Final = 0.02  # change of the logarithm of a variance below which the iteration has converged
+LEAST_NONCENTRALITY: Final = 1e-3  # noncentrality of a pattern along a direction below which that direction is dropped
+NO_NONCENTRALITY: Final = 1e-6  # noncentrality below which a function of a pattern has no effect on the likelihood
+UNREAD_SHARE: Final = 1e-9  # share of the best measured direction below which a direction counts as not measured
 NEARLY_DEPENDENT: Final = 1e-8
 """Eigenvalue of a pattern's inner products, relative to the largest, below which a pattern imitates nothing along a direction."""
-FIRST_NONCENTRALITY: Final = 10.0
-"""Initial noncentrality of a direction of a pattern."""
+FIRST_NONCENTRALITY: Final = 10.0  # initial noncentrality of a direction of a pattern
 COLUMNS_AT_ONCE: Final = 64
-"""Columns evaluated at once."""
-IMITATED_SHARE: Final = 0.5
-"""Share of the effect of a cause that a pattern must reproduce to count as imitating it."""
+IMITATED_SHARE: Final = 0.5  # share of the effect of a cause that a pattern must reproduce to count as imitating it
 
 
 @final
 @dataclass(frozen=True, eq=False)
 class Model:
-    """Causes with patterns, at the most likely variances.
+    """Causes with patterns, at the most likely variances."""
 
-    Attributes:
-        twice_log_ratio: twice the log likelihood ratio wald noise as stated without causes and patterns.
-        variances: of each group of the patterns' columns, relative to the noise, µm².
-        variance_factor: s², the variance factor of the noise, at least one.
-        explained: χ² explained by causes and patterns together.
-        values: (columns,) coefficients of the causes, in the order of `together`.
-        random: coefficients of the patterns' rotated columns, µm.
-        covariance: (columns, columns) of the causes' coefficients at these variances, in units of the noise variance.
-        effective_dof: effective degrees of freedom of the patterns.
-    """
-
-    twice_log_ratio: float
-    variances: np.ndarray
-    variance_factor: float
-    explained: float
-    values: np.ndarray
-    random: np.ndarray
-    covariance: np.ndarray
-    effective_dof: float
+    twice_log_ratio: float  # to noise as stated, without causes and patterns
+    variances: np.ndarray  # of each group of the patterns' columns, relative to the noise, µm²
+    variance_factor: float  # s² of the noise, at least one
+    explained: float  # χ² by causes and patterns together
+    values: np.ndarray  # (columns,) of the causes, as in `columns_of`
+    random: np.ndarray  # coefficients of the patterns' rotated columns, µm
+    covariance: np.ndarray  # (columns, columns) of ``values`` at these variances, in units of the noise variance
+    effective_dof: float  # of the patterns
 
 
 @final
@@ -269,12 +225,7 @@ class Likelihood:
         self._chi2, self._dof = problem.chi2, max(problem.dof, 1)
 
     def fit(self, forms: Sequence[Form], start: Model | None = None, without: int | None = None) -> Model:
-        """Return the model at the most likely variances, for some causes.
-
-        Args:
-            start: model whose variances are the initial ones.
-            without: number of a pattern to omit.
-        """
+        """Return the model at the most likely variances for some causes, sought from those of ``start``; ``without`` one pattern."""
         first = np.where(self._size > 0.0, FIRST_NONCENTRALITY / np.maximum(self._size, 1e-300), 0.0)
         variances, variance_factor = first, 1.0
         if start is not None:
@@ -397,20 +348,15 @@ class Likelihood:
         problem = self.candidates.problem
         left = problem.project(residual)
         slopes = [
-            problem.along(problem.signature(self.columns[start : start + COLUMNS_AT_ONCE]), left)
+            problem.signature(self.columns[start : start + COLUMNS_AT_ONCE]).T @ left
             for start in range(0, len(self.columns), COLUMNS_AT_ONCE)
         ]
         return np.asarray(self._rotation.T @ np.concatenate(slopes))
 
     def most_likely(self, model: Model, slope: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the most likely coefficients of the patterns at given variances, with the causes fixed.
+        """Return the most likely coefficients of the patterns at given variances, causes fixed; ``slope`` as of `slope_beside`.
 
-        Args:
-            model: the variances.
-            slope: result of `slope_beside` or `slope_with`.
-
-        Returns:
-            Numbers of the k columns with a relevant variance; (k,) their coefficients, µm; (k, k) the covariance, µm².
+        Numbers of the k columns with a relevant variance; (k,) their coefficients, µm; (k, k) the covariance, µm².
         """
         used, deviation, inner = self._followed(model.variances)
         factor, _ = _inverse_factor(inner)
@@ -426,12 +372,7 @@ class Likelihood:
         return np.flatnonzero((model.variances * self._size)[self.group] > LEAST_NONCENTRALITY)
 
     def effect_on_readings(self, which: np.ndarray, values: np.ndarray) -> np.ndarray:
-        """Return the (3n,) effect of some columns of the patterns on the whitened readings, held out or not.
-
-        Args:
-            which: (k,) column numbers.
-            values: (k,) coefficients, µm.
-        """
+        """Return the (3n,) effect of some columns of the patterns, µm each, on the whitened readings, held out or not."""
         problem = self.candidates.problem
         effect_on_readings = np.zeros(len(problem.residual))
         for start in range(0, len(which), COLUMNS_AT_ONCE):
@@ -450,6 +391,10 @@ class Likelihood:
             effect -= signature @ (back @ (self._cross[:, columns].T @ model.random))
         return problem.project(effect)
 
+    def problem_given(self, model: Model) -> Problem:
+        """Return the data with the patterns projected out as well, at the variances of a model."""
+        return self.candidates.problem.with_random_effects(self.random(model), model.variance_factor)
+
     def random(self, model: Model) -> list[tuple[Column, float]]:
         """Return the patterns' columns with their standard deviations, µm."""
         which = self._followed_columns(model)
@@ -458,15 +403,9 @@ class Likelihood:
 
 
 def _orthogonal(gram: np.ndarray, group: np.ndarray, size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return a rotation that makes the columns of each group orthogonal in the readings, without undetermined columns.
+    """Return a rotation (columns, k) that makes the columns of each group orthogonal in the readings, and (k,) their groups.
 
-    Args:
-        gram: (columns, columns) inner products.
-        group: (columns,) group of each column.
-        size: (groups,) sum of squares of each group; zero for a group that is not measured.
-
-    Returns:
-        (columns, k) the rotation, and (k,) the group of each rotated column.
+    Undetermined columns are left out; ``size`` is the sum of squares of each group, zero for one that is not measured.
     """
     rotation = np.zeros((len(group), len(group)))
     kept: list[int] = []

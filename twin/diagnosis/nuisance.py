@@ -25,8 +25,7 @@ from twin.diagnosis.signature_products import PointBlock, Signatures, side_by_si
 from twin.identification.network import LinearisedReadings
 from twin.numerics.functions import Functions, Rows, tabulated
 
-RANK_TOLERANCE: Final = 1e-9
-"""Relative tolerance of the numerical rank: smaller singular values of the set-up's derivatives count as zero."""
+RANK_TOLERANCE: Final = 1e-9  # relative: smaller singular values of the set-up's derivatives count as zero
 
 
 @final
@@ -40,15 +39,12 @@ class Nuisance:
         triangle: (s, set-up) coordinates in it of the derivatives by the set-up.
         on_setup: (s, p) inner products QᵀJ.
         remaining: (p, p) inner products J̃ᵀJ̃.
-        extended: the nuisance parameters without random effects, and the square root of the factor on the weights; these parameters
-            and no factor if None.
+        extended: the parameters without random effects, and the square root of the factor on the weights; itself and one if None.
 
     Attributes:
         coordinates: (directions, set-up + k) coordinates in the basis of the derivatives by the set-up and of one standard deviation of
             each direction of the covariance.
         prior: (k, directions) the prior's part of the basis.
-        base: the nuisance parameters without random effects.
-        scale: factor on the whitening, relative to that of the base.
         known: inner products with `raw` of the base, kept by those who need them again.
     """
 
@@ -79,13 +75,9 @@ class Nuisance:
     def of(
         cls, view: LinearisedReadings, by_setup: np.ndarray, columns: Sequence[Column], root: np.ndarray
     ) -> Nuisance:
-        """Return the basis of set-up and uncertain parameters.
+        """Return the basis of set-up, by derivatives (3n, set-up) in plausible sizes (overwritten), and p uncertain parameters.
 
-        Args:
-            view: linearisation at all points.
-            by_setup: (3n, set-up) derivatives by the set-up, in plausible sizes; overwritten, as in `setup_basis`.
-            columns: columns of the p parameters.
-            root: (p, k) square root of their covariance.
+        ``root`` (p, k) is the square root of their covariance.
         """
         columns, root = _with_orthonormal_functions([_in_units(column) for column in columns], root)
         signatures = Signatures(view, _with_shared_functions(columns))
@@ -136,14 +128,7 @@ class Nuisance:
     def extended(
         self, view: LinearisedReadings, scale: float, columns: Sequence[Column], deviations: np.ndarray
     ) -> Nuisance:
-        """Return the basis with independent random effects added.
-
-        Args:
-            view: linearisation at all points, whitened by the base's whitening times ``scale``.
-            scale: that factor.
-            columns: columns of the random effects.
-            deviations: (r,) their standard deviations, in units of the parameter.
-        """
+        """Return the basis with independent random effects (r,) of given standard deviations, for weights times ``scale``."""
         own = Signatures(view, [*self.signatures.columns, *(_in_units(column) for column in columns)])
         more = Signatures(self.signatures.view, own.columns[len(self.signatures.columns) :])
         by_setup, by_columns = np.split(self.along_signatures(more, None), [self._setup.shape[1]])
@@ -168,18 +153,10 @@ class Nuisance:
 
     def raw(self, block: PointBlock) -> np.ndarray:
         """Return (points, 3, raw) basis of the set-up and columns of the parameters at a block of points."""
-        return side_by_side(self._setup_at(block.rows), self.signatures.at(block))
+        return side_by_side(_at(self._setup, block.rows), self.signatures.at(block))
 
     def from_raw(self, products: np.ndarray, root: np.ndarray | None = None) -> np.ndarray:
-        """Return inner products with the basis from those with `raw`.
-
-        Args:
-            products: (raw, …) inner products with `raw`.
-            root: (directions, k) coordinates of the vectors wanted instead of the basis; the basis itself if None.
-
-        Returns:
-            (k, …) inner products with these vectors.
-        """
+        """Return inner products (k, …) with the basis, or with coordinates ``root`` in it (directions, k), from those with `raw`."""
         by_setup, by_columns = np.split(products, [self._setup.shape[1]])
         left = by_columns - self._on_setup.T @ by_setup
         if root is None:
@@ -197,7 +174,7 @@ class Nuisance:
 
     def along_signatures(self, signatures: Signatures, points: np.ndarray | None) -> np.ndarray:
         """Return inner products (raw, columns) of `raw` with signatures, over some points or all."""
-        by_setup = signatures.along(lambda block: self._setup_at(block.rows), points)[0].T
+        by_setup = signatures.along(lambda block: _at(self._setup, block.rows), points)[0].T
         return np.concatenate([by_setup, self.signatures.along(signatures.at, points)[0]])
 
     def combined(self, coordinates: np.ndarray, points: np.ndarray | None = None) -> np.ndarray:
@@ -206,7 +183,7 @@ class Nuisance:
             coordinates.reshape(len(coordinates), prod(coordinates.shape[1:])), [self._setup.shape[1]]
         )
         by_columns = self._change @ rest
-        setup = self._setup if points is None else self._setup_at(points).reshape(3 * len(points), self.setup_count)
+        setup = self._setup if points is None else _at(self._setup, points).reshape(3 * len(points), self.setup_count)
         combined_columns = setup @ (by_setup - self._on_setup @ by_columns)
         if len(by_columns):
             combined_columns += self.signatures.combined(by_columns, points).reshape(combined_columns.shape)
@@ -214,7 +191,7 @@ class Nuisance:
 
     def rows(self, points: Rows) -> np.ndarray:
         """Return the basis (points, 3, directions) at some points."""
-        here, columns = self._setup_at(points), self.signatures.at(PointBlock(self.signatures.view, points))
+        here, columns = _at(self._setup, points), self.signatures.at(PointBlock(self.signatures.view, points))
         rows = np.empty((*here.shape[:2], len(self.coordinates)))
         rows[:, :, : self.setup_count] = here
         for i in range(3):
@@ -240,15 +217,11 @@ class Nuisance:
             self._grams[key] = change.T @ inner @ change
         return self._grams[key]
 
-    def _setup_at(self, points: Rows) -> np.ndarray:
-        return _at(self._setup, points)
-
 
 def setup_basis(by_setup: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return an orthonormal basis (3n, s) of the derivatives by the set-up, and their coordinates (s, set-up) in it.
 
-    Args:
-        by_setup: (3n, set-up) derivatives; overwritten if its columns are contiguous in memory.
+    Derivatives whose columns are contiguous in memory are overwritten.
     """
     orthonormal, triangle = scipy.linalg.qr(by_setup, mode="economic", overwrite_a=True, check_finite=False)
     left, values, right = np.linalg.svd(triangle, full_matrices=False)
@@ -291,10 +264,6 @@ def _with_orthonormal_functions(columns: Sequence[Column], root: np.ndarray) -> 
 
     The coefficients of powers are strongly correlated: their effects are hundreds of times larger than the uncertainty of the curve,
     and cancel. Those of orthonormal functions are not. Sets of functions that are used in any other way stay as they are.
-
-    Args:
-        columns: columns of the p parameters.
-        root: (p, k) square root of their covariance.
     """
     sets: dict[Functions, list[int]] = {}
     factors: dict[bytes, tuple[Functions, np.ndarray]] = {}

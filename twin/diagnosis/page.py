@@ -6,10 +6,9 @@ words, they never replace them. Pictures are embedded; nothing is fetched. The t
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from html import escape
 from pathlib import Path
-from typing import Final, final
+from typing import Any, Final
 
 from twin._common.provenance import warning_texts
 from twin.diagnosis import plots, text
@@ -22,22 +21,8 @@ from twin.display.numbers import listed, lower
 from twin.measurement.columns import assumptions, grouped_notes
 from twin.model.effects.specification import NOTHING
 
-UNLISTED_P_VALUE: Final = 0.5
-"""p-value above which a cause tested is not listed."""
+UNLISTED_P_VALUE: Final = 0.5  # p-value above which a cause tested is not listed
 COLOURS: Final = {"well": "#e8f3ea", "wrong": "#fdf2df", "unknown": "#fbe4de", "disturbed": "#e6eff8"}
-
-
-@final
-@dataclass(frozen=True)
-class _Ranked:
-    """One line of the table of causes tested; ``kind`` is found, doubted (an alternative of one found) or empty."""
-
-    effect: str
-    where: str
-    explains: float
-    p_value: float
-    kind: str
-    doubted: bool
 
 
 def diagnosis_html(diagnosis: DiagnosisResult) -> str:
@@ -82,26 +67,25 @@ def diagnosis_html(diagnosis: DiagnosisResult) -> str:
         embedded=embedded,
         grouped_notes=grouped_notes,
         alternatives=_alternatives,
-        picture=_picture,
+        picture=lambda panel, caption: embedded(
+            plot_panel(panel), f"{panel.title}: {panel.y} against {panel.x}", caption
+        ),
         readable_unit=readable_unit,
     )
 
 
-def _ranked(diagnosis: DiagnosisResult) -> list[_Ranked]:
-    """Return the causes found and those tested with a p-value below `UNLISTED_P_VALUE`."""
+def _ranked(diagnosis: DiagnosisResult) -> list[dict[str, Any]]:
+    """Return the causes found and those tested with a p-value below `UNLISTED_P_VALUE`, with their kind: found, doubted or none."""
     named = {(cause.effect, cause.where) for cause in diagnosis.causes}
     doubted = {key for cause in diagnosis.causes for key in cause.equivalent}
     ranked = []
     for effect, where, explains, p in diagnosis.ranking:
         key = (effect, where)
-        of = "found" if key in named else "doubted" if key in doubted else ""
-        if p < UNLISTED_P_VALUE or of == "found":
-            ranked.append(_Ranked(effect, where, explains, p, of, key in doubted))
+        kind = "found" if key in named else "doubted" if key in doubted else ""
+        if p < UNLISTED_P_VALUE or kind == "found":
+            line = {"effect": effect, "where": where, "explains": explains, "p_value": p}
+            ranked.append({**line, "kind": kind, "doubted": key in doubted})
     return ranked
-
-
-def _picture(panel: plots.Panel, caption: str) -> Html:
-    return embedded(plot_panel(panel), f"{panel.title}: {panel.y} against {panel.x}", caption)
 
 
 def _alternatives(cause: Cause) -> Html:

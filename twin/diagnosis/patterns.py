@@ -1,14 +1,10 @@
-"""Unnamed patterns: functions of each column of the table and of each pair of columns, on each side of the machine.
+"""Unnamed patterns: functions of each column of the table and of each pair of columns, on each side of the machine; and their scores.
 
 A pattern shifts the targets and stations of one side along the axes of the base frame, or of the frame of that side. Its functions are
 those of `twin.model.effects.harmonic`: half waves over the range of a column, harmonics of a rotary axis that made a whole turn, the
 approach direction of an axis; for a pair, their products. They can represent what low polynomials cannot: short waves, steps, and a
-reversal that depends on the position.
-
-Scores of unnamed patterns: inner products of their functions with the residual and each other, set-up and causes projected out.
-
-The functions of a pattern are products of the functions of its columns. Their inner products with the residual, of all patterns of a
-side at once, are those of the columns' functions with each other, weighted by the residual.
+reversal that depends on the position. Their inner products with the residual, of all patterns of a side at once, are those of the
+columns' functions with each other, weighted by the residual.
 """
 
 from __future__ import annotations
@@ -35,32 +31,22 @@ from twin.model.effects.harmonic import APPROACH, Waves
 from twin.model.effects.harmonic import terms as products_of
 from twin.numerics.functions import Functions, Rows, pieces
 
-ORDER_ALONE: Final = 16
-"""Highest order of a single column."""
-ORDER_IN_PAIRS: Final = 8
-"""Highest order of an axis in a pair."""
-ORDER_OF_SLOW_COLUMNS: Final = 4
-"""Highest order of a slowly changing column in a pair: time, temperatures, rounds, other channels."""
-ORDERS_TESTED: Final = (2, 4, 8, 16)
-"""Orders up to which the functions of a pattern are tested together."""
-PERIODIC_RANGE_DEG: Final = 300.0
-"""Range of a rotary axis, degrees, from which on its functions are periodic."""
+ORDER_ALONE: Final = 16  # highest order of a single column
+ORDER_IN_PAIRS: Final = 8  # highest order of an axis in a pair
+ORDER_OF_SLOW_COLUMNS: Final = 4  # the same of a slowly changing column: time, temperatures, rounds, other channels
+ORDERS_TESTED: Final = (2, 4, 8, 16)  # orders up to which the functions of a pattern are tested together
+PERIODIC_RANGE_DEG: Final = 300.0  # range of a rotary axis, degrees, from which on its functions are periodic
 
 
 @final
 @dataclass(frozen=True, eq=False)
 class Channel:
-    """One column that patterns may depend on.
+    """One column that patterns may depend on."""
 
-    Attributes:
-        waves: functions of the column.
-        column: (n,) its values; those of the functions are computed where they are needed, as they would take much memory.
-        paired: highest order in a pair.
-    """
-
-    waves: Waves
+    waves: Waves  # functions of the column
+    # (n,) values; those of the functions are computed where they are needed: they would take much memory
     column: np.ndarray
-    paired: int
+    paired: int  # highest order in a pair
 
     @property
     def name(self) -> str:
@@ -76,21 +62,13 @@ class Channel:
 @final
 @dataclass(frozen=True, eq=False)
 class Pattern:
-    """Functions of one or two columns, on one side of the machine.
+    """Functions of one or two columns, on one side of the machine."""
 
-    Attributes:
-        side: ``tool`` or ``work``.
-        field: ``base`` or ``place``: shifts along the axes of the base frame, or of the frame of that side.
-        channels: one or two.
-        own: (n,) which readings a shift of that side changes.
-        highest: highest order of the functions.
-    """
-
-    side: str
-    field: str
-    channels: tuple[Channel, ...]
-    own: np.ndarray
-    highest: int
+    side: str  # ``tool`` or ``work``
+    field: str  # along the axes of the ``base`` frame, or of that side's own (``place``)
+    channels: tuple[Channel, ...]  # one or two
+    own: np.ndarray  # (n,) which readings a shift of that side changes
+    highest: int  # order of the functions
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -165,15 +143,7 @@ class Pattern:
 
 @final
 class ChannelFunctions:
-    """The functions of several patterns of one side, made from those of their columns.
-
-    Args:
-        patterns: patterns with the same readings.
-
-    Attributes:
-        own: functions of each pattern among all.
-        count: number m of all functions.
-    """
+    """The m functions of several patterns of one side, made from those of their columns."""
 
     def __init__(self, patterns: Sequence[Pattern]) -> None:
         self._channels = list(dict.fromkeys(channel for pattern in patterns for channel in pattern.channels))
@@ -263,8 +233,6 @@ def _waves(name: str, axis: Axis | None, values: np.ndarray, distinct: int) -> W
     return Waves(column, "half_waves", min(ORDER_ALONE, distinct - 1), span, wrapped)
 
 
-# --- Scores of unnamed patterns: inner products of their functions with the residual and each other, set-up and causes projec
-
 READINGS_SAMPLED: Final = 2048
 """Readings of a side from which the distribution of its scores for noise alone is estimated, where there are more: enough to find the
 most significant tests. The scores themselves are those of all readings.
@@ -275,50 +243,25 @@ ZERO_SHARE: Final = 1e-10
 the projection must leave of each: what is less is rounding. So is all of a direction that was not read."""
 TESTED_NONCENTRALITY: Final = 100.0
 """Noncentrality along a direction for which the test is most powerful: the score is taken at that variance, not at zero."""
-READINGS_AT_ONCE: Final = 512
-"""Readings at which the functions of all patterns of a side are evaluated at once."""
-
-
-def _orthonormal_root(columns: np.ndarray, own: np.ndarray) -> np.ndarray:
-    """Return the coefficients (k, r) of an orthonormal basis in projected columns.
-
-    Args:
-        columns: (3n, k) columns.
-        own: the same, projected; any rows held out are zero.
-    """
-    gram = columns.T @ own
-    values, vectors = np.linalg.eigh((gram + gram.T) / 2.0)
-    seen = values > ZERO_SHARE * values.max(initial=0.0)
-    return np.asarray(vectors[:, seen] / np.sqrt(values[seen]))
+READINGS_AT_ONCE: Final = 512  # readings at which the functions of all patterns of a side are evaluated at once
 
 
 @final
 @dataclass(frozen=True)
 class _Side:
-    """Inner products of all patterns of one side and frame with a total of m functions.
+    """Inner products of all patterns of one side and frame with a total of m functions."""
 
-    Attributes:
-        own: functions of each pattern among all.
-        slope: (3, m) inner products with the residual along each direction.
-        lost: (3, m, k) inner products with an orthonormal basis of nuisance and causes, over the sample.
-        grams: of each pattern the Gram matrices (3, own, own) over the sample, or one (1, own, own) if they are equal.
-        share: share of the side's readings in the sample.
-    """
-
-    own: dict[Pattern, slice]
-    slope: np.ndarray
-    lost: np.ndarray
+    own: dict[Pattern, slice]  # functions of each pattern among all
+    slope: np.ndarray  # (3, m) inner products with the residual along each direction
+    lost: np.ndarray  # (3, m, k) inner products with an orthonormal basis of nuisance and causes, over the sample
+    # (3, own, own) of each pattern over the sample, or one (1, own, own) if they are equal
     grams: dict[Pattern, np.ndarray]
-    share: float
+    share: float  # of the side's readings in the sample
 
 
 @final
 class PatternScores:
-    """Scores of patterns with set-up and causes projected out.
-
-    Args:
-        forms: causes that are projected out.
-    """
+    """Scores of patterns with set-up and causes projected out."""
 
     def __init__(self, problem: Problem, forms: Sequence[Form], tried: Sequence[Pattern]) -> None:
         n = len(problem.view.rows)
@@ -329,7 +272,11 @@ class PatternScores:
         columns = problem.zero_held_out(problem.signature(self._columns))
         on_basis = problem.nuisances.along(columns)
         projected = problem.zero_held_out(columns - problem.fitted(on_basis))
-        root = _orthonormal_root(columns, projected)
+        gram = columns.T @ projected
+        values, vectors = np.linalg.eigh((gram + gram.T) / 2.0)
+        seen = values > ZERO_SHARE * values.max(initial=0.0)
+        # Coefficients of an orthonormal basis in the projected columns.
+        root = vectors[:, seen] / np.sqrt(values[seen])
         self._causes = projected @ root
         # Coefficients of the orthonormal basis of nuisance and causes in the nuisance derivatives and the columns of the causes.
         change, absorbed = problem.nuisances.change @ problem.root, problem.root.T @ on_basis @ root
@@ -486,12 +433,9 @@ class PatternScores:
         return known[key] * self._nuisance.scale**2
 
     def _sample_root(self, whole: np.ndarray, change: np.ndarray, count: int) -> np.ndarray:
-        """Return a root R (used, k) of the projection on nuisance and causes, VRRᵀVᵀ, such that a sample stands for all rows.
+        """Return a root R (used, k) of the projection on nuisance and causes, VRRᵀVᵀ, such that a sample stands for all ``count`` rows.
 
-        Args:
-            whole: (r, 3, used) vectors V at the sample.
-            change: (used, directions) coefficients in these of an orthonormal basis over all rows.
-            count: number of all rows.
+        ``whole``: vectors V (r, 3, used) there; ``change``: coefficients (used, directions) of an orthonormal basis over all rows.
         """
         root = np.asarray(np.linalg.qr(change.T, mode="r")).T
         if len(whole) == count:

@@ -2,7 +2,7 @@
 
 A joint's deflection is its compliance times its load: its own weight plus the payload. It is linear in the compliance, and in the
 products of compliance with mass and first moments of the payload. The search treats these products as free for every joint
-(`twin.diagnosis.candidates.catalogue`). If it finds any, they are replaced by one payload, the same for all joints and not heavier
+(`twin.diagnosis.candidates`). If it finds any, they are replaced by one payload, the same for all joints and not heavier
 than possible, and the search is repeated. A carried load has a known mass (channel `load_kg`); which side carries it, and where its
 centre of gravity is, follows in the same way. (Khalil and Dombre 2002, Modeling, Identification and Control of Robots, ch. 12: the
 torques, and so the deflections here, are linear in the base parameters.)
@@ -34,22 +34,16 @@ from twin.model.effects.gravity_compliance import (
     refined_form,
 )
 
-ROUNDS: Final = 4
-"""Largest number of repeated searches."""
-FIRST_MASS_SHARES: Final = (0.03, 0.2, 1.0)
-"""Initial masses of a fit, as shares of the heaviest payload."""
-CONVERGED_SHARE: Final = 0.01
-"""Change of the payload, as a share of the largest, below which it has converged."""
-CENTRE_PRIOR: Final = 3.0
-"""Inverse prior variance of a mass or centre as a share of its bound: uniform within ±1."""
+ROUNDS: Final = 4  # largest number of repeated searches
+FIRST_MASS_SHARES: Final = (0.03, 0.2, 1.0)  # initial masses of a fit, as shares of the heaviest payload
+CONVERGED_SHARE: Final = 0.01  # change of the payload, as a share of the largest, below which it has converged
+CENTRE_PRIOR: Final = 3.0  # inverse prior variance of a mass or centre as a share of its bound: uniform within ±1
 CARRIED_INDEX: Final = 4
 """Index of a share: 1 if the side carries the load of the readings, else 0. Shares of a payload are before it, of the centre behind."""
-STEPS: Final = 200
-"""Largest number of iterations of a fit."""
+STEPS: Final = 200  # largest number of iterations of a fit
 NO_MASS: Final = "they fit only with a mass that is not positive, or a centre of mass beyond its range"
 """Reason for which a load is left out, in words."""
-UNDETERMINED_SIZE: Final = 1e-9
-"""Relative size below which a direction is not determined."""
+UNDETERMINED_SIZE: Final = 1e-9  # relative size below which a direction is not determined
 
 
 @final
@@ -59,23 +53,15 @@ class Load:
 
     The loads are four numbers here, or eight if the readings carry different loads: the payload's mass as a share of the heaviest, its
     centre as shares of the farthest; whether the load is carried (`CARRIED_INDEX`), and its centre as shares of the farthest.
-
-    Attributes:
-        side: ``tool`` or ``work``.
-        heaviest: largest mass considered, kg.
-        joints: the forms of the deflecting joints.
-        free: for each joint the form with free loads, of five or nine columns: own weight, mass, three first moments; the same four of
-            the carried load.
-        gram: (wk, wk) inner products of these w columns of k joints, the other causes projected out, in units of the parameters.
-        slope: (wk,) inner products with the residual.
     """
 
     side: Side
-    heaviest: float
-    joints: tuple[Form, ...]
+    heaviest: float  # largest mass considered, kg
+    joints: tuple[Form, ...]  # those that deflect
+    # of each joint with free loads: own weight, mass, three first moments; the same four of a carried load
     free: tuple[Form, ...]
-    gram: np.ndarray
-    slope: np.ndarray
+    gram: np.ndarray  # (wk, wk) inner products of these w columns of k joints, in units of the parameters
+    slope: np.ndarray  # (wk,) inner products with the residual
 
     @property
     def nothing(self) -> np.ndarray:
@@ -116,11 +102,7 @@ class Load:
         return np.asarray(fits[first_largest(np.array([-float(fit.fun) for fit in fits]))].x)
 
     def significant(self, critical: Callable[[float], float]) -> tuple[np.ndarray, float]:
-        """Return the shares of the loads that are significant, and the χ² that the carried load explains; 0 if it is not significant.
-
-        Args:
-            critical: degrees of freedom → critical value.
-        """
+        """Return the shares of the loads beyond the critical value, and the χ² that the carried load explains; 0 if not significant."""
         tried = {
             (payload, carried): self.best(payload=payload, carried=carried)
             for payload in (False, True)
@@ -147,10 +129,8 @@ class Load:
         """Return a payload and a carried load as shares of their bounds."""
         shares = self.nothing
         if payload is not None:
-            shares[:CARRIED_INDEX] = [
-                payload.mass_kg / self.heaviest,
-                *(value / CENTRE_RANGE_MM for value in payload.centre_mm),
-            ]
+            mass = payload.mass_kg / self.heaviest
+            shares[:CARRIED_INDEX] = [mass, *(value / CENTRE_RANGE_MM for value in payload.centre_mm)]
         if carried is not None:
             shares[CARRIED_INDEX:] = [carried.mass_kg, *(value / CENTRE_RANGE_MM for value in carried.centre_mm)]
         return shares
@@ -158,9 +138,7 @@ class Load:
     def covariances(self, shares: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return (k,) factors on the uncertainties of the compliances due to the loads, and the variances of the shares.
 
-        Args:
-            shares: the loads, as shares of their bounds.
-            u: (k,) standard uncertainties of the compliances under exactly these loads.
+        ``u`` are the (k,) standard uncertainties of the compliances under exactly these loads.
         """
         _, values = self.explained_under(shares)
         present = (
@@ -196,9 +174,7 @@ def weights(shares: np.ndarray) -> np.ndarray:
 def select_with_payload(candidates: Candidates, before: Sequence[Form] = ()) -> Selection:
     """Return the best set of possible causes, with one payload per side in the load of all deflecting joints.
 
-    Args:
-        candidates: the forms; a payload that is found is added to the load of its joints.
-        before: the best set before forms were refined; the search starts from it if it has a payload, which a new search may miss.
+    The search starts from the set ``before`` forms were refined if that has a payload, which a new search may miss.
     """
     anew = not any(MASS in form.variant.fixed for form in before)
     best = select(candidates, () if anew else [candidates.forms[form.index] for form in before])
@@ -207,7 +183,7 @@ def select_with_payload(candidates: Candidates, before: Sequence[Form] = ()) -> 
         moved = [_refine_side(candidates, side, *payloads) for side, payloads in loads.items()]
         if not any(moved):
             break
-        _exclude_free_payloads(candidates)
+        candidates.exclude_forms([form for form in candidates.forms if UNKNOWN_PAYLOAD in form.variant.fixed])
         known = {form.key: form for form in candidates.forms if MASS in form.variant.fixed}
         best, anew = select(candidates, [known.get(form.key, form) for form in best.forms]), False
     for _ in range(ROUNDS):
@@ -256,10 +232,7 @@ def _projected(candidates: Candidates, forms: Sequence[Form], others: Sequence[F
 def _bounded_centre(gram: np.ndarray, slope: np.ndarray, heaviest: float) -> tuple[np.ndarray, float]:
     """Return the centre (3,), mm, and the mass within their bounds that explain most.
 
-    Args:
-        gram: (4, 4) inner products of mass and first moments, per kg and kg·m.
-        slope: (4,) inner products with the residual.
-        heaviest: largest mass.
+    ``gram`` (4, 4) and ``slope`` (4,) are inner products of mass and first moments, per kg and kg·m.
     """
 
     def mass_of(shares: np.ndarray) -> tuple[float, float]:
@@ -321,11 +294,6 @@ def _added_loads(candidates: Candidates, forms: Sequence[Form], of: Sequence[For
         built = () if form.candidate.build is None else form.candidate.build(values[at] * scale, form.variant.fixed)
         added_loads += [effect.payload for effect in built[:1] if isinstance(effect, AddedLoad) and effect.weights[0]]
     return added_loads
-
-
-def _exclude_free_payloads(candidates: Candidates) -> None:
-    """Exclude the forms with a free payload for each joint."""
-    candidates.exclude_forms([form for form in candidates.forms if UNKNOWN_PAYLOAD in form.variant.fixed])
 
 
 def loaded_joints(candidates: Candidates, forms: Sequence[Form], side: Side) -> Load | None:

@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from twin._common.errors import InputError
-from twin.diagnosis.candidates.catalogue import SPECIFICATIONS
+from twin.diagnosis.candidates import SPECIFICATIONS
 from twin.diagnosis.result import Cause, DiagnosisResult
 from twin.diagnosis.text import cause_title, column, side
 from twin.display.figures import BACKWARD, BOTH, FORWARD, RUN, THIRD, heading, new_figure, style_axes
@@ -29,94 +29,57 @@ from twin.model.effects.base import axis_of, motion_in_words
 from twin.model.effects.harmonic import APPROACH
 from twin.model.effects.specification import Drawing
 
-MOST_POSITIONS: Final = 24
-"""Number of distinct positions up to which each forms a group."""
-BINS: Final = 16
-"""Number of groups, equally filled, for more positions."""
-LEAST_READINGS: Final = 2
-"""Smallest number of readings whose mean is drawn."""
-ALIKE_CORRELATION: Final = 0.9
-"""Rank correlation of two columns above which only one of them is plotted."""
-LEAST_CHI2_SHARE: Final = 0.2
-"""Columns whose χ² is below this share of that of the clearest column are not plotted."""
-SIDES: Final = ((-1.0, "moving −"), (0.0, "unknown"), (1.0, "moving +"))
-"""Names of the approach directions."""
-MAX_PANELS: Final = 3
-"""Largest number of panels of residuals."""
-LEAST_CAUSE_SHARE: Final = 0.02
-"""Readings at which the cause is below this share of its largest value are not plotted in its unit."""
-MANY_TURNS: Final = 4
-"""Periods in the range from which on a periodic error is plotted over one period."""
-WIDEST_INTERVAL: Final = 4.0
-"""Directions whose intervals are wider than this multiple of the narrowest are not plotted."""
-UNMEASURED_SHARE: Final = 0.02
-"""Share of the largest mean square below which a direction counts as not measured."""
+MOST_POSITIONS: Final = 24  # number of distinct positions up to which each forms a group
+BINS: Final = 16  # number of groups, equally filled, for more positions
+LEAST_READINGS: Final = 2  # smallest number of readings whose mean is drawn
+ALIKE_CORRELATION: Final = 0.9  # rank correlation of two columns above which only one of them is plotted
+LEAST_CHI2_SHARE: Final = 0.2  # columns whose χ² is below this share of that of the clearest column are not plotted
+SIDES: Final = ((-1.0, "moving −"), (0.0, "unknown"), (1.0, "moving +"))  # names of the approach directions
+MAX_PANELS: Final = 3  # largest number of panels of residuals
+LEAST_CAUSE_SHARE: Final = 0.02  # share of its largest value below which a cause is not plotted in its unit
+MANY_TURNS: Final = 4  # periods in the range from which on a periodic error is plotted over one period
+WIDEST_INTERVAL: Final = 4.0  # directions whose intervals are wider than this multiple of the narrowest are not plotted
+UNMEASURED_SHARE: Final = 0.02  # share of the largest mean square below which a direction counts as not measured
 
 
 @final
 @dataclass(frozen=True)
 class Scale:
-    """The horizontal axis of a panel.
+    """The horizontal axis of a panel."""
 
-    Attributes:
-        label: in words with the unit.
-        values: (n,) value of each reading.
-        ticks: values with their names, if they are not numbers.
-    """
-
-    label: str
-    values: np.ndarray
-    ticks: tuple[tuple[float, str], ...] = ()
+    label: str  # in words with the unit
+    values: np.ndarray  # (n,) of each reading
+    ticks: tuple[tuple[float, str], ...] = ()  # values with their names, if they are not numbers
 
 
 @final
 @dataclass(frozen=True)
 class Series:
-    """One set of readings in a panel.
+    """One set of readings in a panel."""
 
-    Attributes:
-        name: in the legend.
-        x, y: (k,).
-        weight: (k,) of each reading in a mean.
-        predicted: (k,) prediction of the cause; None for residuals.
-        smooth: whether the prediction depends on x alone, so that it is drawn as a line and not averaged.
-    """
-
-    name: str
-    x: np.ndarray
-    y: np.ndarray
-    weight: np.ndarray
-    predicted: np.ndarray | None = None
-    smooth: bool = False
+    name: str  # in the legend
+    x: np.ndarray  # (k,)
+    y: np.ndarray  # (k,)
+    weight: np.ndarray  # (k,) in a mean
+    predicted: np.ndarray | None = None  # (k,) by the cause; None for residuals
+    smooth: bool = False  # the prediction depends on x alone: it is drawn as a line and not averaged
 
 
 @final
 @dataclass(frozen=True)
 class Panel:
-    """The contents of one plot.
-
-    Attributes:
-        title: of the plot.
-        x, y: labels of the axes, with units.
-        series: the sets of readings.
-        ticks: named values along x.
-        limit: smallest half range of y; None for automatic.
-    """
+    """The contents of one plot."""
 
     title: str
-    x: str
-    y: str
+    x: str  # label, with unit
+    y: str  # label, with unit
     series: tuple[Series, ...]
-    ticks: tuple[tuple[float, str], ...] = ()
-    limit: float | None = None
+    ticks: tuple[tuple[float, str], ...] = ()  # named values along x
+    limit: float | None = None  # smallest half range of y; None for automatic
 
 
 def residual_panels(diagnosis: DiagnosisResult, *, after: bool = False) -> list[Panel]:
-    """Return the residuals against the columns they depend on, clearest first, or against every axis if they depend on none.
-
-    Args:
-        after: residuals with the causes in the model, on the scale of those without.
-    """
+    """Return the residuals against the columns they depend on, clearest first, or against every axis if they depend on none."""
     scales, data = scales_of(diagnosis), diagnosis.data
     before = directed(diagnosis, diagnosis.residual_um)
     values = directed(diagnosis, diagnosis.after_um) if after else before
@@ -165,17 +128,12 @@ def _ranks(values: np.ndarray) -> np.ndarray:
 
 def _correlated(a: Scale, b: Scale) -> bool:
     """Return whether two columns are rank-correlated so closely that their plots look the same."""
-    if np.ptp(a.values) == 0.0 or np.ptp(b.values) == 0.0:
-        return False
-    return bool(abs(np.corrcoef(_ranks(a.values), _ranks(b.values))[0, 1]) > ALIKE_CORRELATION)
+    moved = np.ptp(a.values) > 0.0 and np.ptp(b.values) > 0.0
+    return bool(moved and abs(np.corrcoef(_ranks(a.values), _ranks(b.values))[0, 1]) > ALIKE_CORRELATION)
 
 
 def cause_panels(diagnosis: DiagnosisResult, cause: Cause) -> list[Panel]:
-    """Return a cause against the columns it depends on: in its own unit if it is one error motion, else as shifts of the targets.
-
-    Args:
-        cause: one of its causes.
-    """
+    """Return a cause against the columns it depends on: in its own unit if it is one error motion, else as shifts of the targets."""
     effect = cause.effects[0] if len(cause.effects) == 1 else None
     parts = _single(effect, diagnosis) if effect is not None else None
     if effect is not None and parts is not None:
@@ -351,7 +309,11 @@ def _scales_of_cause(diagnosis: DiagnosisResult, cause: Cause) -> list[Scale]:
     period = drawn.period({q.name: q.value for q in cause.parameters})
     if period and axes:
         unit = "mm" if machine.by_name[axes[0]].linear else "°"
-        return [_folded(scales_shown[0], axes[0], period, unit)]
+        whole = scales_shown[0]
+        if float(np.ptp(whole.values)) >= MANY_TURNS * period:
+            folded = np.mod(whole.values, period)
+            whole = Scale(f"{axes[0]} within its period of {period:.4g} {unit} [{unit}]", folded)
+        return [whole]
     return scales_shown
 
 
@@ -378,13 +340,6 @@ def _columns_of(diagnosis: DiagnosisResult, cause: Cause) -> list[str]:
 def _named(names: Iterable[str], machine: Machine) -> list[str]:
     """Return names of columns of the table; names of axes get their unit."""
     return [f"{name}_{machine.by_name[name].unit}" if name in machine.by_name else name for name in names]
-
-
-def _folded(whole: Scale, name: str, period: float, unit: str) -> Scale:
-    """Return the position within one period if the range covers at least `MANY_TURNS` periods."""
-    if float(np.ptp(whole.values)) < MANY_TURNS * period:
-        return whole
-    return Scale(f"{name} within its period of {period:.4g} {unit} [{unit}]", np.mod(whole.values, period))
 
 
 def group_numbers(x: np.ndarray) -> np.ndarray:
@@ -421,17 +376,11 @@ def _reach(x: np.ndarray, y: np.ndarray) -> tuple[float, float]:
     return float(np.max(np.abs(mean) + half, initial=0.0)), float(np.median(half)) if len(half) else np.inf
 
 
-# --- Plots of a diagnosis: the residuals, a cause with the readings that show it, the ranking of causes. Needs the extra ``pl
-
 PANELS_IN_A_ROW: Final = 3
-"""Panels in a row."""
 TICKS: Final = 6
-CELLS: Final = 6
-"""Cells along each side of a map."""
-PLOT_DIRECTIONS: Final = ("in x", "in y", "in z")
-"""Each direction keeps its style, whichever directions are drawn."""
-COLOUR_WITHOUT_READING: Final = "#dddddd"
-"""Colour of cells without a reading; the middle of the colour scale is white."""
+CELLS: Final = 6  # cells along each side of a map
+PLOT_DIRECTIONS: Final = ("in x", "in y", "in z")  # each direction keeps its style, whichever directions are drawn
+COLOUR_WITHOUT_READING: Final = "#dddddd"  # colour of cells without a reading; the middle of the colour scale is white
 LEGEND_ABOVE: Final[dict[str, Any]] = {
     "fontsize": 8, "frameon": False, "ncols": 3, "loc": "lower left", "bbox_to_anchor": (-0.02, 0.99), "borderaxespad": 0.0,
     "columnspacing": 1.2, "handletextpad": 0.4,
@@ -542,12 +491,7 @@ def plot_panel(panel: Panel) -> Figure:
 
 
 def draw(plot: Axes, panel: Panel, *, titled: bool = True) -> None:
-    """Draw a panel on existing axes.
-
-    Args:
-        panel: what to draw.
-        titled: whether its title is drawn too.
-    """
+    """Draw a panel on existing axes."""
     style_axes(plot)
     plot.axhline(0.0, color=RUN, linewidth=0.8)
     entries = [entry for k in range(len(panel.series)) for entry in _draw_series(plot, panel, k)]

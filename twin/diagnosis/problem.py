@@ -9,7 +9,7 @@ part of the basis.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass
 from typing import Final, final
@@ -26,40 +26,27 @@ from twin.model.calibration import Calibration
 from twin.numerics.covariance import symmetric_root
 from twin.numerics.functions import Rows, pieces
 
-UNDETERMINED_SHARE: Final = 1e-12
-"""Share of a direction in the remaining points below which they do not determine it."""
+UNDETERMINED_SHARE: Final = 1e-12  # share of a direction in the remaining points below which they do not determine it
 
 
 @final
 @dataclass(frozen=True)
 class InnerProducts:
-    """Inner products of k columns.
+    """Inner products of k columns."""
 
-    Attributes:
-        gram: (k, k) with the set-up and the calibration's uncertainty projected out.
-        slope: (k,) with the residual, likewise projected.
-        basis: (directions, k) with the nuisance basis.
-        by_nuisance: (raw, k) with the nuisance derivatives (`Nuisance.raw`).
-        raw: (k, k) without projection.
-        with_residual: (k,) with the residual, without projection.
-    """
-
-    gram: np.ndarray
-    slope: np.ndarray
-    basis: np.ndarray
-    by_nuisance: np.ndarray
-    raw: np.ndarray
-    with_residual: np.ndarray
+    gram: np.ndarray  # (k, k), set-up and calibration's uncertainty projected out
+    slope: np.ndarray  # (k,) with the residual, likewise projected
+    basis: np.ndarray  # (directions, k) with the nuisance basis
+    by_nuisance: np.ndarray  # (raw, k) with the nuisance derivatives (`Nuisance.raw`)
+    raw: np.ndarray  # (k, k) without projection
+    with_residual: np.ndarray  # (k,) without projection
 
 
 @final
 class Problem:
     """Readings, set-up and calibration of one data set, linearised at the fitted set-up.
 
-    Args:
-        network: data and calibration (as ``base``), no unknowns.
-        setup: the fitted set-up.
-        calibration: the calibration whose covariance is taken into account; none if None.
+    The calibration's covariance is taken into account; none if None. The network has no unknowns.
     """
 
     def __init__(self, network: Network, setup: StationsAndTargets, calibration: Calibration | None) -> None:
@@ -77,19 +64,14 @@ class Problem:
 
     def _start(self) -> None:
         """Set everything that follows from the linearised readings and their nuisance parameters."""
-        self.root = np.eye(len(self.nuisance_coordinates))
+        self.root = np.eye(len(self.nuisances.coordinates))
         self.held_out: np.ndarray = np.zeros(0, dtype=int)
-        self.absorbed = len(self.nuisance_coordinates) - len(self.nuisances.prior)
+        self.absorbed = len(self.nuisances.coordinates) - len(self.nuisances.prior)
         self.set_residual(self.residual)
         self.readings = int(np.count_nonzero(self.network.read))
 
     def with_random_effects(self, random: Sequence[tuple[Column, float]], variance_factor: float = 1.0) -> Problem:
-        """Return the same readings with random effects added to the nuisance parameters, and with scaled noise variances.
-
-        Args:
-            random: columns, each with its standard deviation in units of the parameter.
-            variance_factor: factor on the stated variances.
-        """
+        """Return the same readings with random effects (columns with standard deviations) added, and with scaled noise variances."""
         problem, scale = copy(self), 1.0 / float(np.sqrt(variance_factor))
         problem.network = self.network.with_variance_factor(variance_factor)
         problem.view = self.view.with_weights(scale)
@@ -102,15 +84,11 @@ class Problem:
         return problem
 
     def without(self, points: np.ndarray) -> Problem | None:
-        """Return the problem with some points held out; None if the rest does not determine every station and target.
-
-        Args:
-            points: (n,) booleans, the points to hold out.
-        """
+        """Return the problem with some points (n,) held out; None if the rest does not determine every station and target."""
         part = copy(self)
         part.held_out = np.flatnonzero(points)
         gone = self.nuisances.gram(part.held_out)
-        own = self.nuisance_coordinates[:, : len(self.setup)]
+        own = self.nuisances.coordinates[:, : len(self.setup)]
         size = np.einsum("ij,ij->j", own, own)
         left = size - np.einsum("ki,kl,li->i", own, gone, own)
         if np.any((left <= UNDETERMINED_SHARE * size) & (size > 0.0)):
@@ -154,18 +132,13 @@ class Problem:
         return np.asarray(at_points - explained.reshape(at_points.shape))
 
     def fitted(self, within: np.ndarray, points: np.ndarray | None = None) -> np.ndarray:
-        """Return what the nuisance parameters explain at some points or all, (3n, …).
-
-        Args:
-            within: (directions, …) inner products of a residual with the basis.
-            points: numbers of the points, in ascending order; all if None.
-        """
+        """Return (3n, …) what the nuisance parameters explain of (directions, …) inner products with the basis, at points or all."""
         return self.nuisances.combined(self.root @ (self.root.T @ within), points)
 
     def setup_step(self, residual: np.ndarray) -> np.ndarray:
         """Return the change of the set-up's unknowns, in metres and radians, fitted to a (3n,) residual (minimum norm)."""
-        size = np.maximum(np.linalg.norm(self.nuisance_coordinates, axis=0), 1e-300)
-        moved = np.linalg.lstsq(self.nuisance_coordinates / size, self.nuisances.along(residual), rcond=1e-9)[0] / size
+        size = np.maximum(np.linalg.norm(self.nuisances.coordinates, axis=0), 1e-300)
+        moved = np.linalg.lstsq(self.nuisances.coordinates / size, self.nuisances.along(residual), rcond=1e-9)[0] / size
         return np.asarray(moved[: len(self.setup)] * self.setup.plausible)
 
     def zero_held_out(self, rows: np.ndarray) -> np.ndarray:
@@ -175,31 +148,6 @@ class Problem:
         zero_held_out = np.array(rows)
         zero_held_out.reshape(len(self.view.rows), 3, -1)[self.held_out] = 0.0
         return zero_held_out
-
-    @property
-    def nuisance_coordinates(self) -> np.ndarray:
-        """(directions, k) coordinates in the basis of the derivatives by the nuisance parameters."""
-        return self.nuisances.coordinates
-
-    @property
-    def prior(self) -> np.ndarray:
-        """(k, set-up + k) square root of the prior precision of the nuisance parameters: of all but those of the set-up."""
-        return np.asarray(self.nuisances.prior @ self.nuisance_coordinates)
-
-    @property
-    def basis(self) -> np.ndarray:
-        """(3n, directions) the readings' part of the basis at all points, for few points."""
-        return _flat(self.rows(slice(None)))
-
-    @property
-    def nuisance(self) -> np.ndarray:
-        """(3n, k) derivatives by the nuisance parameters: set-up (plausible sizes), calibration (root of its covariance)."""
-        return np.asarray(self.basis @ self.nuisance_coordinates)
-
-    @property
-    def calibration_directions(self) -> np.ndarray:
-        """(directions, k) coordinates in the basis of the columns of the symmetric root of the calibration's covariance."""
-        return np.asarray(self.nuisance_coordinates[:, len(self.setup) :])
 
     @property
     def dof(self) -> int:
@@ -232,10 +180,6 @@ class Problem:
         gram, left = raw - within.T @ within, slope - within.T @ (self.root.T @ self.residual_on_basis)
         return InnerProducts(gram, left, basis, by_nuisance, raw, slope)
 
-    def rows(self, points: Rows) -> np.ndarray:
-        """Return the basis (points, 3, directions) at some points."""
-        return self.nuisances.rows(points)
-
     def inner(self, a: np.ndarray) -> np.ndarray:
         """Return the projected inner products aᵀMa of signatures."""
         a, within = self._kept_and_absorbed(a)
@@ -250,10 +194,6 @@ class Problem:
         """Return (3n, …) vectors without the held-out rows, and the coordinates of the share that the nuisance parameters absorb."""
         a = self.zero_held_out(a)
         return a, self.root.T @ self.nuisances.along(a)
-
-    def along(self, a: np.ndarray, residual: np.ndarray | None = None) -> np.ndarray:
-        """Return aᵀMr with the data's residual, or with another that is already projected."""
-        return np.asarray(a.T @ (self.projected if residual is None else residual))
 
     def _calibration_columns(self, calibration: Calibration | None) -> tuple[list[Column], np.ndarray]:
         """Return the columns of the calibration's parameters, and the symmetric root of their covariance."""
@@ -309,18 +249,12 @@ def rms(values: np.ndarray, read: np.ndarray) -> float:
     return float(np.sqrt(np.mean(values[read] ** 2)))
 
 
-# --- Inner products of the candidates' columns before projection: cached, and updated where only a few columns or points chan
-
-
 @final
 class Products:
-    """Inner products of columns within groups, with a problem's basis and residual, and on demand with each other.
-
-    Without projection.
+    """Inner products of columns within groups, with a problem's basis and residual, and on demand with each other; without projection.
 
     Args:
         problem: the problem that gives rows, basis and residual; none of its rows held out.
-        columns: columns of signatures.
         groups: indices of the columns of each group, one array (groups, w) for each width w.
         points: the points to sum over; all if None.
         parts: (n,) number of the part each point belongs to, from 0, where parts are to be held out.
@@ -354,13 +288,7 @@ class Products:
         self.by_raw, self.by_residual = self._by_raw.sum(axis=0), self._by_residual.sum(axis=0)
 
     def without(self, points: np.ndarray) -> Products:
-        """Return the inner products without some points.
-
-        Only these points are evaluated, and none where they are exactly one of the parts.
-
-        Args:
-            points: their numbers, in ascending order.
-        """
+        """Return the inner products without some points (ascending): only these are evaluated, none if they are one of the parts."""
         other = copy(self)
         part = None if self._parts is None else int(self._parts[points[0]])
         # Sums by part do not hold for columns that were refined since.
@@ -382,11 +310,7 @@ class Products:
         return other
 
     def for_problem(self, problem: Problem) -> Products:
-        """Return the inner products for the same readings with random effects and a factor on the weights; no pass over the points.
-
-        Args:
-            problem: `Problem.with_random_effects` of the problem of these products.
-        """
+        """Return the inner products for the same readings with random effects and a factor on the weights; no pass over the points."""
         other, nuisances = copy(self), problem.nuisances
         random = nuisances.signatures.columns[len(nuisances.base.signatures.columns) :]
         whitened = nuisances.scale**2
@@ -418,14 +342,12 @@ class Products:
 
     def with_vectors(self, vectors: np.ndarray, points: np.ndarray) -> np.ndarray:
         """Return inner products (all, r) with (3·points, r) vectors at some points, in ascending order."""
-        right = vectors.reshape(len(points), 3, -1)
-        if len(points) == len(self._problem.view.rows):
-            return self.along(lambda block: right[block.rows], None)
-        return self.along(lambda block: right[np.searchsorted(points, np.asarray(block.rows))], points)
+        right, every = vectors.reshape(len(points), 3, -1), len(points) == len(self._problem.view.rows)
 
-    def along(self, vectors: Callable[[PointBlock], np.ndarray], points: np.ndarray | None) -> np.ndarray:
-        """Return inner products (all, r) with vectors made block by block, over some points or all."""
-        return np.asarray(self.signatures.along(vectors, points, by_part=False)[0])
+        def at(block: PointBlock) -> np.ndarray:
+            return right[block.rows if every else np.searchsorted(points, np.asarray(block.rows))]
+
+        return np.asarray(self.signatures.along(at, None if every else points, by_part=False)[0])
 
     def set_residual(self, residual: np.ndarray) -> None:
         """Replace the residual (3n,)."""
@@ -536,12 +458,7 @@ class Products:
         return np.asarray((self._row if self._parent is None else self._parent[0]._row) >= 0)
 
     def replace(self, at: np.ndarray, columns: Sequence[Column]) -> None:
-        """Replace the columns of one group.
-
-        Args:
-            at: indices of the group's columns, in order.
-            columns: the new columns, as many.
-        """
+        """Replace the columns of one group, whose indices ``at`` are in order, by as many."""
         self.signatures.replace(at.tolist(), columns)
         new = self._problem.products(columns)
         self.by_raw[:, at], self.by_residual[at] = new.by_nuisance, new.with_residual

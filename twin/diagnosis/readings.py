@@ -1,9 +1,7 @@
 """The readings of a diagnosis: with fitted set-up, measurement noise and outliers.
 
-Measurement noise of the readings, estimated from repeats or from residuals where neither table nor instrument states it.
-
-Before repeats are compared, all effects that may change between them (a frame, a target, time, temperature) are removed by
-regression; otherwise a drift would be counted as noise and hide itself.
+Where neither table nor instrument states the noise, it is estimated from repeats or residuals. Before repeats are compared, all effects
+that may change between them are removed by regression; otherwise a drift would be counted as noise and hide itself.
 """
 
 from __future__ import annotations
@@ -18,8 +16,8 @@ from twin._common.arrays import read_only
 from twin._common.distributions import chi2_isf, chi2_sf
 from twin._common.messages import Message
 from twin._common.units import MM
+from twin.diagnosis.candidates import catalogue
 from twin.diagnosis.candidates.candidate import Candidate, Catalogue, Column
-from twin.diagnosis.candidates.catalogue import catalogue
 from twin.diagnosis.problem import Problem
 from twin.diagnosis.signature_products import signatures_of
 from twin.identification.discrepancy import Discrepancy, no_discrepancy, outlier_notes, outliers
@@ -35,41 +33,29 @@ from twin.measurement.set_up import StationsAndTargets, turned_about_the_axis
 from twin.measurement.table import Measurements
 from twin.model.calibration import Calibration
 
-LEAST_DOF: Final = 20
-"""Degrees of freedom below which no noise is estimated."""
-ITERATIONS: Final = 3
-"""Iterations of the weights along and across the beam."""
-ROUNDING: Final = 1e-9
-"""Share of a regressor's norm below which its variation between repeats is rounding."""
+LEAST_DOF: Final = 20  # degrees of freedom below which no noise is estimated
+ITERATIONS: Final = 3  # iterations of the weights along and across the beam
+ROUNDING: Final = 1e-9  # share of a regressor's norm below which its variation between repeats is rounding
 
 
 @final
 @dataclass(frozen=True)
 class ReadingNoise:
-    """Noise covariance of the readings.
+    """Noise covariance of the readings."""
 
-    Attributes:
-        covariance: (n, 3, 3) m².
-        dof: degrees of freedom of the estimate; infinite where the covariance is given.
-        source: where it comes from, in words.
-    """
-
-    covariance: np.ndarray
-    dof: float
-    source: str
+    covariance: np.ndarray  # (n, 3, 3) m²
+    dof: float  # of the estimate; infinite where the covariance is given
+    source: str  # in words
 
 
-def from_repeats(
-    data: Measurements, view: LinearisedReadings, read: np.ndarray, known: tuple[Candidate, ...], seen: np.ndarray
+def _noise_of_repeats(
+    network: Network, view: LinearisedReadings, known: Sequence[Candidate], seen: np.ndarray
 ) -> ReadingNoise | None:
-    """Return the noise along and across the beam estimated from repeats; None if they are too few.
+    """Return the noise at points ``seen`` (m, 3), along and across the beam, estimated from repeats; None if they are too few.
 
-    Args:
-        view: their linearisation, with any isotropic whitening, which is undone here.
-        read: (n, 3) whether a coordinate was measured.
-        seen: (m, 3) the points, in their stations' frames, whose covariance is returned.
+    The linearisation of the points used may have any isotropic whitening, which is undone here.
     """
-    group = repeat_groups(data)
+    group = repeat_groups(network.data.select(view.rows))
     size = np.bincount(group)
     repeated = size[group] > 1
     if np.sum(np.maximum(size - 1, 0)) < LEAST_DOF // 2:
@@ -81,7 +67,7 @@ def from_repeats(
         for variant in candidate.variants[:: max(len(candidate.variants) // 4, 1)]
         for column in variant.columns
     ]
-    values = _deviations_and_regressors(view, read, signatures_of(view, columns))
+    values = _deviations_and_regressors(network, view, signatures_of(view, columns))
     total = np.zeros((len(size), *values.shape[1:]))
     np.add.at(total, group, values)
     norm = np.linalg.norm(values, axis=(0, 1))
@@ -89,37 +75,28 @@ def from_repeats(
     # A regressor that is the same in all repeats keeps rounding only.
     values[:, :, 1:] *= np.linalg.norm(values, axis=(0, 1))[1:] > ROUNDING * norm[1:]
     dof = float(np.sum(np.where(repeated, 1.0 - 1.0 / size[group], 0.0)))
-    return _estimated(values, dof, view, read, seen, Message("repeats"))
+    return _noise_of(values, dof, network.read[view.rows], view.seen, seen, Message("repeats"))
 
 
-def from_residuals(
-    network: Network,
-    setup: StationsAndTargets,
-    view: LinearisedReadings,
-    known: tuple[Candidate, ...],
-    seen: np.ndarray,
+def _noise_of_residuals(
+    network: Network, setup: StationsAndTargets, view: LinearisedReadings, known: Sequence[Candidate], seen: np.ndarray
 ) -> ReadingNoise | None:
-    """Return the noise along and across the beam from the residuals of a regression on the main form of every cause.
+    """Return the noise along and across the beam from the residuals of a regression on set-up and main form of every cause.
 
     For readings without uncertainties, instrument or repeats. If an effect has none of these forms the noise is overestimated, so
-    that causes are missed rather than invented. None if too few degrees of freedom remain.
-
-    Args:
-        network: data and model.
-        setup: the fitted set-up; its unknowns are among the regressors.
-        view: linearisation of the points used, with any isotropic whitening, which is undone here.
-        seen: (m, 3) the points, in their stations' frames, whose covariance is returned.
+    that causes are missed rather than invented. None if too few degrees of freedom remain. Arguments as for `_noise_of_repeats`.
     """
     columns = [column for candidate in known for column in _main_columns(candidate)]
     by_setup = np.zeros((len(view.rows), 3, len(setup)))
     network.fill_setup_columns(view, setup, by_setup)
-    read = network.read[view.rows]
-    values = _deviations_and_regressors(view, read, by_setup * setup.plausible, signatures_of(view, columns))
-    return _estimated(values, float(len(view.rows)), view, read, seen, Message("the residuals of a fit of every cause"))
+    values = _deviations_and_regressors(network, view, by_setup * setup.plausible, signatures_of(view, columns))
+    source = Message("the residuals of a fit of every cause")
+    return _noise_of(values, float(len(view.rows)), network.read[view.rows], view.seen, seen, source)
 
 
-def _deviations_and_regressors(view: LinearisedReadings, read: np.ndarray, *regressors: np.ndarray) -> np.ndarray:
+def _deviations_and_regressors(network: Network, view: LinearisedReadings, *regressors: np.ndarray) -> np.ndarray:
     """Return (n, 3, k) m: the residuals, then (n, 3, …) regressors, without whitening; zero where a coordinate was not measured."""
+    read = network.read[view.rows]
     raw = np.linalg.inv(np.where(read[:, :, None] & read[:, None, :], view.whitening, np.eye(3)))
     values = np.einsum("nij,njk->nik", raw, np.concatenate([view.residual[:, :, None], *regressors], axis=2))
     return np.asarray(values * read[:, :, None])
@@ -133,29 +110,23 @@ def _main_columns(candidate: Candidate) -> tuple[Column, ...]:
     return max(candidate.variants, key=lambda variant: len(variant.columns)).columns
 
 
-def _estimated(
-    values: np.ndarray, dof_each: float, view: LinearisedReadings, read: np.ndarray, seen: np.ndarray, source: str
+def _noise_of(
+    values: np.ndarray, dof_each: float, read: np.ndarray, points: np.ndarray, seen: np.ndarray, source: str
 ) -> ReadingNoise | None:
     """Return the noise along and across the beam, after regression; None with fewer than `LEAST_DOF` degrees of freedom.
 
-    Args:
-        values: (n, 3, k) m: the deviations, then the regressors.
-        dof_each: degrees of freedom in each direction before the regression.
-        view: linearisation of the points.
-        read: (n, 3) whether a coordinate was measured.
-        seen: (m, 3) the points whose covariance is returned.
-        source: where the deviations come from, in words.
+    ``values`` (n, 3, k), m: deviations, then regressors, with ``dof_each`` degrees of freedom in each direction before it.
     """
     if not read[:, 1:].any():
         residual, basis = _regressed(values)
         dof = dof_each - float(np.sum(basis[:, 0] ** 2))
         if dof < LEAST_DOF:
             return None
-        covariances = np.zeros((len(seen), 3, 3))
-        covariances[:, 0, 0] = np.sum(residual[:, 0] ** 2) / dof
-        size = np.sqrt(covariances[0, 0, 0]) * 1e6
+        covariance = np.zeros((len(seen), 3, 3))
+        covariance[:, 0, 0] = np.sum(residual[:, 0] ** 2) / dof
+        size = np.sqrt(covariance[0, 0, 0]) * 1e6
         text = Message("{source}: {size:.2g} µm ({dof:.0f} degrees of freedom)", source=source, size=size, dof=dof)
-        return ReadingNoise(read_only(covariances), dof, text)
+        return ReadingNoise(read_only(covariance), dof, text)
     if not read.all():
         # An instrument that measures two coordinates is no tracker: the same noise in both.
         residual, basis = _regressed(values)
@@ -163,14 +134,12 @@ def _estimated(
         if dof < LEAST_DOF:
             return None
         sigma = float(np.sqrt(np.sum(residual**2) / dof))
+        size = sigma * 1e6
         text = Message(
-            "{source}: {size:.2g} µm a coordinate ({dof:.0f} degrees of freedom)",
-            source=source,
-            size=sigma * 1e6,
-            dof=dof,
+            "{source}: {size:.2g} µm a coordinate ({dof:.0f} degrees of freedom)", source=source, size=size, dof=dof
         )
         return ReadingNoise(read_only(np.tile(sigma**2 * np.eye(3), (len(seen), 1, 1))), dof, text)
-    beam = view.seen / np.linalg.norm(view.seen, axis=1, keepdims=True)
+    beam = points / np.linalg.norm(points, axis=1, keepdims=True)
     along_u = across_u = 1.0
     for _ in range(ITERATIONS):
         # Weighted by the noise: unweighted, the residuals across the beam would dominate those along it.
@@ -188,17 +157,16 @@ def _estimated(
         # Isotropic within the uncertainty: one pooled value has more degrees of freedom.
         residual, basis = _regressed(values)
         along_u = across_u = float(np.sqrt(np.sum(residual**2) / (3.0 * dof_each - basis.shape[2])))
-    n = len(seen)
+    dof = dof_along + dof_across
     text = Message(
         "{source}: {along:.2g} µm along the beam, {across:.2g} µm across ({dof:.0f} degrees of freedom)",
         source=source,
         along=along_u * 1e6,
         across=across_u * 1e6,
-        dof=dof_along + dof_across,
+        dof=dof,
     )
-    return ReadingNoise(
-        read_only(along_and_across(seen, np.full(n, along_u), np.full(n, across_u))), dof_along + dof_across, text
-    )
+    covariance = along_and_across(seen, np.full(len(seen), along_u), np.full(len(seen), across_u))
+    return ReadingNoise(read_only(covariance), dof, text)
 
 
 def _regressed(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -214,11 +182,8 @@ def _regressed(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return residual.reshape(len(values), 3), basis.reshape(len(values), 3, basis.shape[1])
 
 
-# --- The readings of a diagnosis: with fitted set-up, measurement noise and outliers --------------
-
 PLACING_ITERATIONS: Final = 4
-TURN_STEPS: Final = 15
-"""Steps of the fit from each turn of the set-up: which is the best shows soon."""
+TURN_STEPS: Final = 15  # steps of the fit from each turn of the set-up: which is the best shows soon
 TURNS: Final = (
     tuple(np.arange(1, 8) * np.pi / 4.0),
     *((-width, width) for width in np.pi / 2.0 ** np.arange(3, 10)),
@@ -230,21 +195,13 @@ TURNS: Final = (
 @final
 @dataclass(frozen=True, eq=False)
 class DiagnosisTask:
-    """One diagnosis: data, candidate causes and noise.
+    """One diagnosis: data, candidate causes and noise."""
 
-    Attributes:
-        problem: the rows used, whitened by noise and discrepancy.
-        catalogue: the candidate causes.
-        noise: noise of these rows.
-        by_noise: the same rows, whitened by their noise alone, for tests of consistency.
-        discrepancy: what the causes selected before leave beyond the noise; none at first.
-    """
-
-    problem: Problem
+    problem: Problem  # the rows used, whitened by noise and discrepancy
     catalogue: Catalogue
-    noise: ReadingNoise
-    by_noise: Problem
-    discrepancy: Discrepancy
+    noise: ReadingNoise  # of these rows
+    by_noise: Problem  # the same rows, whitened by their noise alone, for tests of consistency
+    discrepancy: Discrepancy  # what the causes selected before leave beyond the noise; none at first
 
     def with_discrepancy(self, discrepancy: Discrepancy) -> DiagnosisTask:
         """Return the same task with another discrepancy in the weights."""
@@ -256,48 +213,24 @@ class DiagnosisTask:
 @final
 @dataclass(frozen=True, eq=False)
 class Readings:
-    """All rows, with the set-up fitted to the good ones.
+    """All rows, with the set-up fitted to the good ones."""
 
-    Attributes:
-        network: data and model, whitened by this noise.
-        setup: stations and targets.
-        noise: noise of all rows.
-        calibration: the model under test.
-        bad: (n,) whether a row is an outlier if the model is right and there is only noise.
-    """
-
-    network: Network
+    network: Network  # whitened by this noise
     setup: StationsAndTargets
-    noise: ReadingNoise
-    calibration: Calibration
-    bad: np.ndarray
+    bad: np.ndarray  # (n,) whether a row is an outlier if the model is right and there is only noise
+    noise: ReadingNoise  # of all rows
+    calibration: Calibration  # the model under test
 
     def select_rows(self, rows: np.ndarray, notes: Sequence[RowNote] = ()) -> Readings:
-        """Return some of the rows, with the set-up fitted to all.
-
-        Args:
-            rows: their numbers.
-            notes: notes on the rows that are left out.
-        """
-        network = self.network
-        covariance = read_only(np.array(self.noise.covariance[rows]))
+        """Return some of the rows, with the set-up fitted to all, and notes on those left out."""
+        network, covariance = self.network, read_only(np.array(self.noise.covariance[rows]))
         data = network.data.select(rows)
-        fewer = Network(
-            network.machine,
-            replace(data, set_aside=(*data.set_aside, *notes)),
-            network.instruments,
-            network.unknowns,
-            self.calibration,
-            covariance,
-        )
-        return Readings(fewer, self.setup, replace(self.noise, covariance=covariance), self.calibration, self.bad[rows])
+        data = replace(data, set_aside=(*data.set_aside, *notes))
+        fewer = Network(network.machine, data, network.instruments, network.unknowns, self.calibration, covariance)
+        return replace(self, network=fewer, bad=self.bad[rows], noise=replace(self.noise, covariance=covariance))
 
     def without(self, bad: np.ndarray) -> DiagnosisTask:
-        """Return the diagnosis task without some rows, which are listed in its data with the reason.
-
-        Args:
-            bad: (n,) rows to leave out.
-        """
+        """Return the diagnosis task without some rows (n,), which are listed in its data with the reason."""
         kept, network = self, self.network
         if np.any(bad):
             difference = network.residuals_m(np.zeros(0), self.setup, np.arange(len(network.data)))
@@ -313,9 +246,7 @@ def readings(
 ) -> Readings:
     """Fit stations and targets, and determine the measurement noise and the outliers.
 
-    Args:
-        instrument: instrument whose noise model is used; None to take the table's uncertainties, or to estimate from repeats. If
-            repeats contradict either, they decide.
+    Without an instrument the table's uncertainties are taken, or estimated from repeats. If repeats contradict either, they decide.
 
     Raises:
         InputError: data that cannot be a measurement of this machine.
@@ -323,7 +254,6 @@ def readings(
     instruments, data, setup = prepare(machine, data, instrument)
     if instrument is not None:
         data = replace(data, instrument=read_only(np.where(data.instrument == "", instrument.name, data.instrument)))
-    no_unknowns = Unknowns(machine, (), ())
     has_u = bool(np.isfinite(data.u_mm).any())
     if has_u:
         source = Message("the table's uncertainties")
@@ -340,25 +270,29 @@ def readings(
     )
     if not is_stated or contradicted:
         noise = replace(stated, covariance=_isotropic_from_repeats(data, stated.covariance))
-    network = Network(machine, data, instruments, no_unknowns, calibration, noise.covariance)
-    setup, bad = _setup_without_outliers(network, setup)
-    if not is_stated or contradicted:
-        known = catalogue(machine, data, calibration, instruments).candidates
-        view = network.view(np.zeros(0), setup, np.flatnonzero(~bad))
-        seen = network.view(np.zeros(0), setup, np.arange(len(data))).seen
-        estimated = from_repeats(data.select(~bad), view, network.read[~bad], known, seen)
-        if estimated is None:
-            estimated = from_residuals(network, setup, view, known, seen)
-        if contradicted and estimated is not None:
-            # If it is not larger, only a known effect that changes between repeats made them vary.
-            larger = _larger(estimated, stated.covariance, network.read)
-            both = Message("{source}; they contradict {figures}", source=estimated.source, figures=source)
-            estimated = replace(estimated, source=both) if larger else stated
-        if estimated is not None:
-            noise = estimated
-            network = Network(machine, data, instruments, no_unknowns, calibration, noise.covariance)
-            setup, bad = _setup_without_outliers(network, setup)
-    return Readings(network, setup, noise, calibration, bad)
+
+    def placed(noise: ReadingNoise, setup: StationsAndTargets) -> Readings:
+        network = Network(machine, data, instruments, Unknowns(machine, (), ()), calibration, noise.covariance)
+        return Readings(network, *_setup_without_outliers(network, setup), noise, calibration)
+
+    first = placed(noise, setup)
+    if is_stated and not contradicted:
+        return first
+    network, setup = first.network, first.setup
+    known = catalogue(machine, data, calibration, instruments).candidates
+    view = network.view(np.zeros(0), setup, np.flatnonzero(~first.bad))
+    seen = network.view(np.zeros(0), setup, np.arange(len(data))).seen
+    estimated = _noise_of_repeats(network, view, known, seen)
+    if estimated is None:
+        estimated = _noise_of_residuals(network, setup, view, known, seen)
+    if estimated is None:
+        return first
+    if contradicted:
+        # If it is not larger, only a known effect that changes between repeats made them vary.
+        larger = _larger(estimated, stated.covariance, network.read)
+        both = Message("{source}; they contradict {figures}", source=estimated.source, figures=source)
+        estimated = replace(estimated, source=both) if larger else stated
+    return placed(estimated, setup)
 
 
 def _larger(estimated: ReadingNoise, stated: np.ndarray, read: np.ndarray) -> bool:

@@ -14,8 +14,7 @@ from twin.model.calibration import Calibration
 from twin.model.effects import Effect
 
 SCHEMA: Final = "twin.diagnosis/1"
-Next = Mapping[str, Any]
-"""A point to measure next, as in the JSON."""
+Next = Mapping[str, Any]  # a point to measure next, as in the JSON
 Verdict = Literal["consistent", "explained", "ambiguous", "unexplained"]
 
 

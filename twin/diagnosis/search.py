@@ -19,28 +19,18 @@ from twin.diagnosis.forms import ADDITIONAL_CAUSE_PENALTY, Candidates, Form
 from twin.diagnosis.readings import PLACING_ITERATIONS, DiagnosisTask, Readings
 from twin.identification.discrepancy import outliers
 
-FAMILY_POWER: Final = 0.25
-"""A family's share of `FALSE_ALARM_RATE` grows with its number of forms to this power, less than proportionally."""
-RARE_FACTOR: Final = 0.1
-"""Factor on the share of `FALSE_ALARM_RATE` of mistakes in the calibration, which are rare and easily recognised."""
-MAX_CAUSES: Final = 30
-"""Largest number of causes: about the number of error curves of a machine."""
+FAMILY_POWER: Final = 0.25  # a family's share of `FALSE_ALARM_RATE` grows with its number of forms to this power
+RARE_FACTOR: Final = 0.1  # on the share of `FALSE_ALARM_RATE` of mistakes in the calibration: rare, easily recognised
+MAX_CAUSES: Final = 30  # largest number of causes: about the number of error curves of a machine
 MAX_EXCHANGED_CAUSES: Final = 6
 """Number of causes up to which every step is followed by exchanges and several starts are tried; above, only the whole set once."""
-MAX_FIRST_CAUSES: Final = 4
-"""Number of first causes to start from."""
-EQUAL_CHI2: Final = 0.01
-"""Relative difference of explained χ² up to which two sets of forms count as equal."""
-MAX_EXCHANGES_EVALUATED: Final = 3
-"""Number of exchanges evaluated in full."""
-MAX_EXCHANGE_ROUNDS: Final = 8
-"""Number of removals and exchanges after a step."""
-LIMIT_SIGMA: Final = 3.0
-"""Standard uncertainties by which a value may exceed its physical limit."""
-MAX_CHI2_RATIO: Final = 10.0
-"""Largest sum of squares of one cause relative to all that the causes explain."""
-NOISE_CHI2: Final = 25.0
-"""χ² added to the explained one in this comparison, for the contribution of noise."""
+MAX_FIRST_CAUSES: Final = 4  # number of first causes to start from
+EQUAL_CHI2: Final = 0.01  # relative difference of explained χ² up to which two sets of forms count as equal
+MAX_EXCHANGES_EVALUATED: Final = 3  # number of exchanges evaluated in full
+MAX_EXCHANGE_ROUNDS: Final = 8  # number of removals and exchanges after a step
+LIMIT_SIGMA: Final = 3.0  # standard uncertainties by which a value may exceed its physical limit
+MAX_CHI2_RATIO: Final = 10.0  # largest sum of squares of one cause relative to all that the causes explain
+NOISE_CHI2: Final = 25.0  # χ² added to the explained one in this comparison, for the contribution of noise
 ALL_OR_NOTHING_TOLERANCE: Final = 0.2
 """Deviation from one allowed for the parameter of an effect that is either completely present or absent."""
 LEAST_FLEXIBLE_SHARE: Final = 0.01
@@ -51,29 +41,22 @@ TOO_LARGE: Final = "they fit only with a size that is physically impossible"
 FIT_ONLY_NEGATIVE: Final = "they fit only with a negative size, which is physically impossible"
 FIT_ONLY_IN_PART: Final = "they are either there completely or not at all, and fit only in part"
 """Reasons for which causes are left out, in words."""
-FORMS_AT_ONCE: Final = 12
-"""Number of forms whose inner products with all others are evaluated together."""
+FORMS_AT_ONCE: Final = 12  # number of forms whose inner products with all others are evaluated together
 
 
 @final
 @dataclass(frozen=True)
 class Selection:
-    """A set of causes.
-
-    Attributes:
-        forms: the causes.
-        worth: the χ² they explain less the χ² that each must explain.
-    """
+    """A set of causes."""
 
     forms: tuple[Form, ...]
-    worth: float
+    worth: float  # the χ² they explain less the χ² that each must explain
 
 
 def select(candidates: Candidates, begun: Sequence[Form] = ()) -> Selection:
     """Return the best set of causes: forward selection from several starts, with removal and exchange after each step.
 
-    Args:
-        begun: a set to start from instead, whose causes stay if each is significant.
+    A set that is begun with stays if each of its causes is significant.
     """
     if not candidates.forms:
         return Selection((), 0.0)
@@ -128,11 +111,9 @@ def largest_causes(candidates: Candidates, most: int) -> tuple[Form, ...]:
 
 
 def within_limits(candidates: Candidates, best: Selection, anew: bool) -> Selection:
-    """Return the best set in which no cause is larger than possible (`excess_ratio`).
+    """Return the best set, from one of any size, in which no cause is larger than possible (`excess_ratio`).
 
-    Args:
-        best: the best set, whatever its size (`select`).
-        anew: whether to search from the start without a cause that is too large, or to continue with the others.
+    ``anew``: search from the start without a cause that is too large, not on with the others.
     """
     allowed = candidates.critical_table
     while True:
@@ -163,29 +144,18 @@ def excess_ratio(candidates: Candidates, form: Form, forms: Sequence[Form]) -> f
     return max(ratio for ratio, _ in _excesses(candidates, form, forms))
 
 
-def excess_ratio_of(form: Form, values: np.ndarray, u: np.ndarray, gram: np.ndarray, explained: float) -> float:
-    """Return the ratio of `excess_ratio` for given values, in plausible sizes, with their standard uncertainties.
-
-    Args:
-        values: (w,) of its columns.
-        u: (w,) standard uncertainties.
-        gram: (w, w) inner products of its columns.
-        explained: χ² explained by all causes together.
-    """
-    return max(ratio for ratio, _ in _excesses_of(form, values, u, gram, explained))
-
-
 def _excesses(candidates: Candidates, form: Form, forms: Sequence[Form]) -> list[tuple[float, str]]:
     """Return the ratios of a form's size to each of its limits, each with the words for a size beyond it."""
     columns, values, inverse = candidates.fitted(forms)
     at = np.searchsorted(columns, form.columns)
     u = np.sqrt(np.maximum(np.diag(inverse)[at], 0.0))
-    return _excesses_of(form, values[at], u, candidates.gram([form]), float(candidates.slope[columns] @ values))
+    return excesses_of(form, values[at], u, candidates.gram([form]), float(candidates.slope[columns] @ values))
 
 
-def _excesses_of(
+def excesses_of(
     form: Form, values: np.ndarray, u: np.ndarray, gram: np.ndarray, explained: float
 ) -> list[tuple[float, str]]:
+    """Return the ratios of `excess_ratio`, with words, for values (w,) in plausible sizes; ``explained`` is the χ² by all causes."""
     chi2, specification = float(values @ gram @ values), form.candidate.specification
     excesses = [(chi2 / (MAX_CHI2_RATIO * (explained + NOISE_CHI2)), FIT_ONLY_TOGETHER)]
     if specification.flexible and chi2 < LEAST_FLEXIBLE_SHARE * explained:
@@ -252,13 +222,7 @@ def _split(candidates: Candidates, forms: list[Form]) -> list[Form]:
 def forward_selection(
     candidates: Candidates, forms: Sequence[Form], allowed: np.ndarray | bool = True, most: int = MAX_CAUSES
 ) -> list[Form]:
-    """Add forms as long as each is significant.
-
-    Args:
-        forms: the forms to start with.
-        allowed: (forms,) which may be added.
-        most: largest number of forms.
-    """
+    """Add forms, of those ``allowed`` (forms,), as long as each is significant."""
     forms = _exchanged(candidates, list(forms), allowed)
     while len(forms) < most:
         now = candidates.penalised_gain(forms)
@@ -341,25 +305,16 @@ def candidates_of(task: DiagnosisTask) -> Candidates:
     return Candidates(task.problem, forms, task.noise.dof, None if folds is None else folds.fold)
 
 
-# --- Selection of rows: outliers are set aside, unless causes that the other rows show explain them
-
-LEAST_OUTLIERS: Final = 3
-"""Number of outliers below which no cause is sought for them."""
-MAX_OUTLIER_CAUSES: Final = 3
-"""Largest number of causes sought to explain outliers."""
+LEAST_OUTLIERS: Final = 3  # number of outliers below which no cause is sought for them
+MAX_OUTLIER_CAUSES: Final = 3  # largest number of causes sought to explain outliers
 RETESTED_SHARES: Final = (1.0, 0.9, 0.5)
 """Shares of the outliers, smallest first, that are tested again: all, or without the largest (a lost beam, for example)."""
-OUTLIER_SAMPLE: Final = 20_000
-"""Number of rows used to test whether causes explain the outliers."""
+OUTLIER_SAMPLE: Final = 20_000  # number of rows used to test whether causes explain the outliers
 SEED: Final = 1964
 
 
 def exclude_outliers(placed: Readings) -> DiagnosisTask:
-    """Return the problem without outliers: whitened rows and the causes to test.
-
-    Args:
-        placed: all rows, with the stations placed.
-    """
+    """Return the problem without outliers: whitened rows and the causes to test."""
     few = np.count_nonzero(placed.bad) < LEAST_OUTLIERS
     return placed.without(placed.bad if few else _outliers_beside_causes(placed))
 

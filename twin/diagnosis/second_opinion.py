@@ -1,15 +1,11 @@
 """A second, Bayesian method: probabilities of the causes, and 95 % credible sets.
 
-The search selects one set of causes. The sum of single effects (`twin.diagnosis.second_opinion`) on the same whitened,
-projected readings gives a probability to every cause independently. If the two methods disagree, neither result is certain.
-
-Sum of single effects: Bayesian selection of a few forms out of many, from inner products alone.
-
-The residual is the sum of a few effects, each of which is exactly one form (a block of columns) or none. Each effect in turn is
-fitted to the residual less the expected contribution of the others, until convergence (iterative Bayesian stepwise
-selection). G. Wang, A. Sarkar, P. Carbonetto, M. Stephens (2020), A simple new approach to variable selection in regression, with
-application to genetic fine mapping, J. R. Statist. Soc. B 82, 1273. From inner products: Y. Zou, P. Carbonetto, G. Wang, M. Stephens
-(2022), Fine-mapping from summary data with the sum of single effects model, PLoS Genetics 18, e1010299.
+It is independent of the search; if the two disagree, neither result is certain. The whitened, projected residual is the sum of a few
+effects, each of which is exactly one form (a block of columns) or none. Each effect in turn is fitted to the residual less the expected
+contribution of the others, until convergence (iterative Bayesian stepwise selection). G. Wang, A. Sarkar, P. Carbonetto, M. Stephens
+(2020), A simple new approach to variable selection in regression, with application to genetic fine mapping, J. R. Statist. Soc. B 82,
+1273. From inner products: Y. Zou, P. Carbonetto, G. Wang, M. Stephens (2022), Fine-mapping from summary data with the sum of single
+effects model, PLoS Genetics 18, e1010299.
 
 Three things differ from the paper. An effect is a block of columns. The prior variance is averaged over a grid, not maximised: the
 mean Bayes factor without any effect is one, so that by Markov's inequality odds of 20 or more arise in at most one of 20 such data
@@ -31,67 +27,45 @@ from twin._common.arrays import first_largest, largest_first
 from twin.diagnosis.forms import DEVIANCE_RULED_OUT, LEAST_NONCENTRALITY, Candidates, Form
 from twin.diagnosis.search import ALL_OR_NOTHING_TOLERANCE
 
-FOUND_ODDS: Final = 20.0
-"""Odds of an effect against none at which it counts as found."""
+FOUND_ODDS: Final = 20.0  # odds of an effect against none at which it counts as found
 PRIOR_NONCENTRALITIES: Final = 30.0 * 10.0 ** np.arange(9)
 """Expected noncentrality of an effect under its prior: the variance grid."""
 SIZE_PRIOR: Final = 1.0 / (
     (np.arange(len(PRIOR_NONCENTRALITIES)) + 1.0) * (np.arange(len(PRIOR_NONCENTRALITIES)) + 2.0)
 )
 """Prior weight of each, before normalisation: half of it on effects that are just large enough to be found."""
-NEGLECTED_CHANGE: Final = 1e-2
-"""Change of the residual, in standard deviations, by forms neglected in an expected contribution."""
+NEGLECTED_CHANGE: Final = 1e-2  # of the residual, in standard deviations, by forms left out of a contribution
 CONVERGED_CONTRIBUTION: Final = 0.1
 """Standard deviations of an expected contribution, from one sweep to the next, below which the iteration ends."""
-NEGLECTED_PROBABILITY: Final = 1e-6
-"""Posterior probability below which forms are always neglected."""
-CONVERGED_PROBABILITY: Final = 1e-3
-"""Change of any posterior probability, from one sweep to the next, below which the iteration ends."""
+NEGLECTED_PROBABILITY: Final = 1e-6  # posterior probability below which forms are always neglected
+CONVERGED_PROBABILITY: Final = 1e-3  # change of any posterior probability in a sweep below which the iteration ends
 SWEEPS: Final = 100
 
 
 @final
 @dataclass(frozen=True, eq=False)
 class Alternatives:
-    """Forms with the same number of columns.
+    """Forms with the same number of columns."""
 
-    Attributes:
-        forms: (n,) number of each form.
-        columns: (n, w) column numbers of each form.
-        inner: (n, w, w) inner products of these columns.
-        prior: (n,) prior probability, not normalised.
-        largest: (n, w) coefficients of the largest size that is possible.
-        centre: (n, w) prior mean of the coefficients; zero unless the size is known beforehand.
-        width: (n,) relative prior standard deviation of a size that is known beforehand; unused elsewhere.
-    """
-
-    forms: np.ndarray
-    columns: np.ndarray
-    inner: np.ndarray
-    prior: np.ndarray
-    largest: np.ndarray
-    centre: np.ndarray
-    width: np.ndarray
+    forms: np.ndarray  # (n,) number of each form
+    columns: np.ndarray  # (n, w) column numbers of each form
+    inner: np.ndarray  # (n, w, w) inner products of these columns
+    prior: np.ndarray  # (n,) probability, not normalised
+    largest: np.ndarray  # (n, w) coefficients of the largest size that is possible
+    centre: np.ndarray  # (n, w) prior mean of the coefficients; zero unless the size is known beforehand
+    width: np.ndarray  # (n,) relative prior standard deviation of a size that is known beforehand
 
 
 @final
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """Posterior of one effect.
+    """Posterior of one effect."""
 
-    Attributes:
-        log_odds: natural log of the odds of an effect of any form against none.
-        posterior: (forms,) probability of each form, given that there is an effect.
-        coefficients: (columns,) posterior mean.
-        slope: (columns,) its contribution to the inner products with the residual.
-        along: product of the coefficients with the residual to which the effect was fitted.
-    """
-
-    log_odds: float
-    posterior: np.ndarray
-    coefficients: np.ndarray
-    slope: np.ndarray
-    along: float = 0.0
+    log_odds: float  # natural log of the odds of an effect of any form against none
+    posterior: np.ndarray  # (forms,) probability of each, given that there is an effect
+    coefficients: np.ndarray  # (columns,) posterior mean
+    slope: np.ndarray  # (columns,) contribution to the inner products with the residual
+    along: float = 0.0  # product of the coefficients with the residual to which the effect was fitted
 
     @property
     def found(self) -> bool:
@@ -108,11 +82,7 @@ class Fit:
 class SingleEffects:
     """Forms and data of one selection problem.
 
-    Args:
-        alternatives: all forms, by number of columns.
-        slope: (columns,) inner products with the residual.
-        cross: column numbers → their inner products with all columns, a row each.
-        dof: degrees of freedom of the noise's variance; infinite where it is known.
+    ``slope`` are inner products (columns,) with the residual; ``cross`` returns those of some columns with all, a row each.
     """
 
     def __init__(
@@ -131,11 +101,9 @@ class SingleEffects:
         self._log_prior = [np.log(kind.prior / total) for kind in self._kinds]
 
     def fitted(self, most: int, start: Sequence[int] = ()) -> tuple[Fit, ...]:
-        """Return the effects in the order of entry; the last one was not found, unless there are ``most``.
+        """Return at most ``most`` effects in the order of entry, else with one more that was not found.
 
-        Args:
-            most: largest number of effects.
-            start: forms to start from, in addition to a start without effects.
+        The iteration starts without effects and, in addition, from the forms of ``start``.
         """
         if not self._kinds:
             return ()
@@ -294,34 +262,22 @@ def _sum(effects: Sequence[Fit]) -> np.ndarray | float:
     return np.sum([effect.slope for effect in effects], axis=0) if effects else 0.0
 
 
-# --- A second, Bayesian method: probabilities of the causes, and 95 % credible sets ---------------
-
-CREDIBLE_PROBABILITY: Final = 0.95
-"""Smallest posterior probability of a credible set."""
-SUM_REMAINDER: Final = 0.05
-"""Largest share of an effect's χ² that causes leave which together are the same."""
-MAX_EFFECTS: Final = 12
-"""Largest number of effects."""
-Key = tuple[str, str]
-"""Effect and place."""
+CREDIBLE_PROBABILITY: Final = 0.95  # smallest posterior probability of a credible set
+SUM_REMAINDER: Final = 0.05  # largest share of an effect's χ² that causes leave which together are the same
+MAX_EFFECTS: Final = 12  # largest number of effects
+Key = tuple[str, str]  # effect and place
 
 
 @final
 @dataclass(frozen=True)
 class SingleEffect:
-    """One effect with the posterior distribution over its possible causes.
+    """One effect with the posterior distribution over its possible causes."""
 
-    Attributes:
-        log_odds: natural log of the odds of an effect against none.
-        posterior: probability of each cause given that there is an effect, all forms of the cause together; the likeliest first.
-        credible: the smallest set of causes that has `CREDIBLE_PROBABILITY` of the probability, the likeliest first.
-        sum_of: causes of the search that together, and not without one of them, are this effect; empty if they are not.
-    """
-
-    log_odds: float
+    log_odds: float  # natural log of the odds of an effect against none
+    # of each cause given that there is an effect, all its forms together; the likeliest first
     posterior: Mapping[Key, float]
-    credible: tuple[Key, ...]
-    sum_of: tuple[Key, ...] = ()
+    credible: tuple[Key, ...]  # the fewest causes that have `CREDIBLE_PROBABILITY` together, the likeliest first
+    sum_of: tuple[Key, ...] = ()  # causes of the search that together, and not without one of them, are this effect
 
     @property
     def found(self) -> bool:
@@ -344,19 +300,12 @@ def probability_of_any(effects: Sequence[SingleEffect], keys: Collection[Key]) -
 @final
 @dataclass(frozen=True)
 class Comparison:
-    """Comparison of the search with the second method.
+    """Comparison of the search with the second method."""
 
-    Attributes:
-        probability: of each cause of the search, that it, or one that it is equivalent to, exists.
-        credible: of each the credible set of the effect that corresponds to it; empty if no effect does.
-        instead: of each the credible set of the effect found in its place; empty if there is none.
-        further: effects found that correspond to no cause of the search and replace none.
-    """
-
-    probability: tuple[float, ...] = ()
-    credible: tuple[tuple[Key, ...], ...] = ()
-    instead: tuple[tuple[Key, ...], ...] = ()
-    further: tuple[SingleEffect, ...] = ()
+    probability: tuple[float, ...] = ()  # of each cause of the search, that it or an equivalent exists
+    credible: tuple[tuple[Key, ...], ...] = ()  # of each the credible set of the effect that corresponds to it
+    instead: tuple[tuple[Key, ...], ...] = ()  # of each the credible set of the effect found in its place
+    further: tuple[SingleEffect, ...] = ()  # effects found that correspond to no cause of the search
 
     @property
     def disagree(self) -> bool:
@@ -371,12 +320,9 @@ def second_opinion(candidates: Candidates, start: Sequence[Form] = ()) -> tuple[
     """Return independent single effects: those found, the strongest first, followed by one that was not.
 
     The prior of a form follows the search's correction for multiple testing: effects share it as they share the rate of false alarms,
-    the places of an effect in proportion to their number of independent forms. A known or bounded size is part of the prior.
-
-    Args:
-        candidates: the data and the forms; forms forbidden to the search are included with their own prior.
-        start: forms selected by the search; the iteration starts from them as well as from no effect. An effect can be the sum of
-            several: a lean of X in the machine is the same as one of Y and one of the rotary axis that Y carries.
+    the places of an effect in proportion to their number of independent forms. A known or bounded size is part of the prior. Forms
+    forbidden to the search are included with their own prior. The iteration starts from no effect, and from the forms that the search
+    selected: an effect can be the sum of several (a lean of X is the same as one of Y and one of the rotary axis that Y carries).
     """
     effects = SingleEffects(_alternatives(candidates), candidates.slope, candidates.cross, candidates.dof)
     fitted = effects.fitted(MAX_EFFECTS, [form.index for form in start])
@@ -409,15 +355,11 @@ def _sum_of(effect: Fit, candidates: Candidates, named: Sequence[Form]) -> tuple
 
 
 def compare_with_search(effects: Sequence[SingleEffect], groups: Sequence[Collection[Key]]) -> Comparison:
-    """Compare the causes of the search with the second method.
+    """Compare the causes of the search, each in a group with those equivalent to it, with the second method.
 
     Each effect is assigned to at most one group, maximising the joint posterior probability. An unassigned effect disagrees with the
     search if a group has no effect, which it then replaces, or if its credible set has no cause in common with any group. Two effects
     with the same likeliest cause count as one cause in two forms.
-
-    Args:
-        effects: result of the second method on the same data.
-        groups: for each cause of the search, the cause and those equivalent to it.
     """
     common = np.array([[effect.probability(group) for effect in effects] for group in groups])
     pairs = zip(*_assigned(common), strict=True) if len(groups) else ()

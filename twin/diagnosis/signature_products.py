@@ -22,10 +22,7 @@ from twin.numerics.functions import Functions, Interpolation, Rows, pieces
 class PointBlock:
     """Derivatives and functions of the state at a block of points, each computed once.
 
-    Args:
-        view: linearisation at some or all points of the data.
-        rows: the block's rows in the view.
-        kept: values of functions that are kept for further passes, and the functions to keep; none if None.
+    ``kept`` holds values of functions for further passes, and the functions to keep.
     """
 
     def __init__(
@@ -68,8 +65,6 @@ class PointBlock:
         return self._weights[functions]
 
 
-# --- Terms of signatures, a derivative times a function each, and how their inner products are put together
-
 Terms = tuple[np.ndarray, np.ndarray, np.ndarray]
 """Positions among the columns, indices of functions, and weights; (e,) each."""
 
@@ -77,31 +72,20 @@ Terms = tuple[np.ndarray, np.ndarray, np.ndarray]
 @final
 @dataclass(frozen=True)
 class ProductPlan:
-    """Terms of the inner products that come from one pair of function sets.
+    """Terms of the inner products that come from one pair of function sets."""
 
-    Attributes:
-        first: (p,) index in the first set of each product of two functions.
-        second: (p,) index in the second set.
-        derivatives: pairs of derivatives that these products are multiplied by.
-        entries: indices of inner product, product of functions and pair of derivatives, and the weight; (e,) each.
-    """
-
-    first: np.ndarray
-    second: np.ndarray
-    derivatives: tuple[tuple[Freedom, Freedom], ...]
+    first: np.ndarray  # (p,) index in the first set of each product of two functions
+    second: np.ndarray  # (p,) index in the second set
+    derivatives: tuple[tuple[Freedom, Freedom], ...]  # pairs that these products are multiplied by
+    # indices of inner product, product of functions and pair of derivatives, and the weight; (e,) each
     entries: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
 
 @final
 class SummedTerms:
-    """Inner products of functions times derivatives with some vectors, summed over blocks of points.
+    """Inner products of functions times derivatives with r vectors (numbers ``used``), summed over blocks of points.
 
-    Args:
-        used: (r,) numbers of the vectors.
-
-    Attributes:
-        large: by functions, derivative and number of the first of a few vectors: (few, functions).
-        small: by functions and derivatives that are evaluated together: (r, terms).
+    ``large``: (few, functions) by functions, derivative and first of a few vectors; ``small``: (r, terms) by terms evaluated together.
     """
 
     def __init__(self, used: np.ndarray) -> None:
@@ -150,15 +134,9 @@ PairCodes = tuple[np.ndarray, np.ndarray, list[np.ndarray], np.ndarray]
 
 
 def pair_codes(groups: Sequence[np.ndarray], count: int) -> PairCodes:
-    """Return the pairs of columns within groups, each once.
+    """Return the pairs of columns within groups (groups, w), each once, as codes first · count + second, and whether first ≤ second.
 
-    Args:
-        groups: indices of columns, (groups, w) each.
-        count: number of columns.
-
-    Returns:
-        The codes of the pairs (first · count + second); whether first ≤ second; for each array of groups, the positions of its
-        (groups, w, w) pairs among the codes; and for each pair with first > second, the position of the transposed pair.
+    And for each array of groups the positions of its (groups, w, w) pairs among them, and for first > second of the transposed.
     """
     codes = [columns[:, :, None] * count + columns[:, None, :] for columns in groups]
     pairs, places = np.unique(np.concatenate([np.zeros(0, dtype=int), *map(np.ravel, codes)]), return_inverse=True)
@@ -169,29 +147,19 @@ def pair_codes(groups: Sequence[np.ndarray], count: int) -> PairCodes:
     return pairs, lower, own, transposed
 
 
-# --- Signatures of many columns and their inner products, computed in blocks of points to limit the memory
-
-BLOCK_WIDTH: Final = 64
-"""Vectors, or products of two functions, processed at a time, so that they stay in the processor's cache."""
-FEW_VECTORS: Final = 16
-"""Number of vectors below which every derivative is multiplied by the vectors first."""
-FEW_FUNCTIONS: Final = 20
-"""Number of functions of a derivative up to which it is multiplied by these, which are fewer than the vectors."""
-LEAST_FUNCTIONS: Final = 16
-"""Sets of fewer functions than this are merged into one set."""
-MOST_SUMS: Final = 4
-"""Number of sets of vectors that are not zero, besides that of all, for which sums are kept."""
-LARGEST_CACHE: Final = 2**25
-"""Number of function values (256 MB) up to which they are cached between passes."""
+BLOCK_WIDTH: Final = 64  # vectors, or products of two functions, at a time: they stay in the processor's cache
+FEW_VECTORS: Final = 16  # number of vectors below which every derivative is multiplied by the vectors first
+FEW_FUNCTIONS: Final = 20  # of a derivative, up to which it is multiplied by these, fewer than the vectors
+LEAST_FUNCTIONS: Final = 16  # sets of fewer functions than this are merged into one set
+MOST_SUMS: Final = 4  # number of sets of vectors that are not zero, besides that of all, for which sums are kept
+LARGEST_CACHE: Final = 2**25  # number of function values (256 MB) up to which they are cached between passes
 
 
 @final
 class Signatures:
     """Signatures of many columns in plausible sizes, never held at all points at once.
 
-    Args:
-        view: linearisation at the points.
-        parts: (n,) number of the part each point belongs to, from 0; a single part if None.
+    Each point belongs to one of ``parts`` (n,), from 0; all to a single part if None.
     """
 
     def __init__(self, view: LinearisedReadings, columns: Sequence[Column], parts: np.ndarray | None = None) -> None:
@@ -213,12 +181,9 @@ class Signatures:
     def along(
         self, vectors: Callable[[PointBlock], np.ndarray], rows: np.ndarray | None = None, *, by_part: bool = True
     ) -> np.ndarray:
-        """Return inner products (parts, columns, r) with r vectors.
+        """Return inner products (parts, columns, r) with r vectors (points, 3, r), given by a function of a block of points.
 
-        Args:
-            vectors: function that returns the vectors (points, 3, r) at a block of points.
-            rows: the points to sum over, as one part; all points, by part, if None.
-            by_part: whether all points are summed by part, not as one part.
+        Over ``rows``, as one part, or over all points: by part, or not.
         """
         runs, part_of, count = self._runs_of(rows)
         if not self.columns:
@@ -337,11 +302,7 @@ class Signatures:
                 yield freedom, along_derivative(block.derivatives[freedom], some, buffers), few.start
 
     def _small_terms(self, block: PointBlock) -> tuple[tuple[tuple[Functions, Freedom], ...], np.ndarray]:
-        """Return the terms with few functions of a derivative that are not zero in a block, and their values.
-
-        Returns:
-            Functions and derivative of the terms, and (3, points, terms) derivative times function times weight.
-        """
+        """Return the terms with few functions of a derivative that are not zero in a block, and their (3, points, terms) values."""
         acting = tuple(
             (functions, freedom)
             for functions, freedom in self._small
@@ -361,14 +322,10 @@ class Signatures:
         return acting, terms
 
     def within(self, groups: Sequence[np.ndarray], rows: np.ndarray | None = None) -> list[np.ndarray]:  # noqa: C901
-        """Return the inner products within groups of columns: (parts, groups, w, w) for each array (groups, w).
+        """Return the inner products within groups of columns: (parts, groups, w, w) for each array of indices (groups, w).
 
         An inner product is a sum of products of two functions times products of two derivatives; each product of functions is
         computed once.
-
-        Args:
-            groups: indices of the columns of each group, one array (groups, w) for each width w.
-            rows: as in `along`.
         """
         if self._planned is None or self._planned[0] is not groups:
             codes = pair_codes(groups, len(self.columns))
@@ -465,11 +422,7 @@ class Signatures:
         return block.values(functions)[:, index]  # type: ignore[index]
 
     def combined(self, coefficients: np.ndarray, points: np.ndarray | None = None) -> np.ndarray:
-        """Return linear combinations (n, 3, r) of the signatures, from coefficients (columns, r).
-
-        Args:
-            points: numbers of the points, in ascending order; all if None.
-        """
+        """Return linear combinations (n, 3, r) of the signatures, of coefficients (columns, r), at some points (ascending) or all."""
         width, runs = coefficients.shape[1], self._runs_of(points)[0]
         combined = np.empty((len(self.view.rows) if points is None else len(points), 3, width))
 

@@ -33,59 +33,44 @@ from twin.diagnosis.patterns import Pattern, patterns
 from twin.diagnosis.payload import select_with_payload
 from twin.diagnosis.problem import Problem
 from twin.diagnosis.readings import DiagnosisTask
-from twin.diagnosis.search import MAX_CAUSES, MAX_EXCHANGED_CAUSES, Selection, candidates_of, excess_ratio_of
+from twin.diagnosis.search import MAX_CAUSES, MAX_EXCHANGED_CAUSES, Selection, candidates_of, excesses_of
 from twin.identification.discrepancy import settled
 from twin.measurement.observation import machine_state
 
-MAX_PATTERNS: Final = 3
-"""Largest number of patterns."""
-MAX_PATTERNS_EVALUATED: Final = 8
-"""Number of patterns, those with the smallest p-values, whose likelihood is evaluated before one is chosen."""
+MAX_PATTERNS: Final = 3  # largest number of patterns
+MAX_PATTERNS_EVALUATED: Final = 8  # patterns of the smallest p-values whose likelihood is evaluated
 MAX_CAUSES_EVALUATED: Final = 5
 """Number of causes refitted with the variances of the patterns at every step, which takes nearly all of the time."""
 # Refitted variances can raise what a cause explains, but not from a small part of its price to the whole.
 EVALUATED_PRICE_SHARE: Final = 0.3
 """Share of its price that a cause must explain at the present variances of the patterns to be evaluated in full."""
 # The gain that is bounded is that of a drop without a refit: at twenty times the price the refit cannot reverse the decision.
-KEPT_GAIN_RATIO: Final = 20.0
-"""Ratio of a cause's bound on its gain to its price from which on it is kept without a refit."""
+KEPT_GAIN_RATIO: Final = 20.0  # bound on a cause's gain over its price from which on it is kept without a refit
 EXCHANGE_GAIN: Final = 0.1
 """Smallest gain in twice the log likelihood for an exchange of causes, far below any price: it and its reverse must not alternate."""
 # As in the verdict: causes that leave less than a tenth explain the readings.
-KEPT_CHI2_SHARE: Final = 0.9
-"""Share of the explained χ² from which on causes are kept, whatever the patterns explain in addition."""
+KEPT_CHI2_SHARE: Final = 0.9  # share of the explained χ² from which on causes are kept, whatever patterns add
 # A cause that explains less than the patterns beside it is rather a part of their pattern.
 LEAST_IMITATED_RATIO: Final = 1.0
 """Smallest ratio of the χ² explained by a cause to that explained in addition by patterns that can imitate it."""
 # A pattern has a handful of variances; two causes are no more complex than that.
-CAUSES_PER_PATTERN: Final = 3
-"""Number of causes that one pattern must replace to be the simpler model."""
+CAUSES_PER_PATTERN: Final = 3  # number of causes that one pattern must replace to be the simpler model
 # A function of X and Y has parts that are functions of X alone and of Y alone: each imitates an error motion of its axis.
-PARTS_PER_PATTERN: Final = 2
-"""The same for causes that the pattern itself can imitate, every one of them."""
+PARTS_PER_PATTERN: Final = 2  # the same for causes that the pattern itself can imitate, every one of them
 
 
 @final
 @dataclass(frozen=True, eq=False)
 class Structure:
-    """The selected causes and patterns.
+    """The selected causes and patterns."""
 
-    Attributes:
-        forms: the causes.
-        problem: the data with patterns and set-up projected out.
-        likelihood: of causes with the patterns; None without patterns.
-        model: causes and patterns at the most likely variances; None without patterns.
-        rejected: causes selected at first that are not kept with the patterns.
-        patterned: whether the selection started from the patterns, not from the causes.
-        impossible: causes that would improve the fit with the patterns, but only with a size that is impossible.
-    """
-
-    forms: tuple[Form, ...]
-    problem: Problem
-    likelihood: Likelihood | None = None
-    model: Model | None = None
-    rejected: tuple[Form, ...] = ()
-    patterned: bool = False
+    forms: tuple[Form, ...]  # the causes
+    problem: Problem  # with patterns and set-up projected out
+    likelihood: Likelihood | None = None  # of causes with the patterns; None without patterns
+    model: Model | None = None  # at the most likely variances; None without patterns
+    rejected: tuple[Form, ...] = ()  # causes selected at first that are not kept with the patterns
+    patterned: bool = False  # the selection started from the patterns, not from the causes
+    # causes that would improve the fit with the patterns, but only with a size that is impossible
     impossible: tuple[Form, ...] = ()
 
     @property
@@ -122,25 +107,15 @@ class Structure:
 @final
 @dataclass(frozen=True, eq=False)
 class Findings:
-    """The result of the selection, with the problem it belongs to.
-
-    Attributes:
-        task: the problem without outliers, and the causes tested.
-        patterns: the unnamed patterns tested.
-        candidates: the causes, with the set-up projected out.
-        given_patterns: the same with the patterns found projected out as well; ``candidates`` itself without patterns.
-        structure: the selected causes and patterns.
-        by_noise: the causes evaluated with the weights of the noise alone, as the first search left them.
-        refuted: causes that fit the readings but do not predict held-out ones (`twin.diagnosis.cross_validation`).
-    """
+    """The result of the selection, with the problem it belongs to."""
 
     task: DiagnosisTask
-    patterns: Sequence[Pattern]
-    candidates: Candidates
-    given_patterns: Candidates
-    structure: Structure
-    by_noise: Candidates
-    refuted: tuple[Form, ...] = ()
+    patterns: Sequence[Pattern]  # those tested
+    candidates: Candidates  # with the set-up projected out
+    given_patterns: Candidates  # with the patterns found projected out as well
+    structure: Structure  # the selected causes and patterns
+    by_noise: Candidates  # evaluated with the weights of the noise alone, as the first search left them
+    refuted: tuple[Form, ...] = ()  # causes that fit the readings but do not predict held-out ones
 
     @property
     def problem(self) -> Problem:
@@ -153,11 +128,7 @@ class Findings:
 
 
 def joint_selection(candidates: Candidates, forms: Sequence[Form], tried: Sequence[Pattern]) -> Structure:
-    """Return the given causes, or, if patterns explain more than a small part, the joint selection of causes and patterns.
-
-    Args:
-        forms: the causes selected without patterns.
-    """
+    """Return the causes selected without patterns, or, if patterns explain more than a small part, a joint selection of both."""
     structure = with_patterns(candidates, forms, tried)
     patterned = False
     if structure.pattern_tests or len(forms) >= PARTS_PER_PATTERN:
@@ -170,8 +141,9 @@ def joint_selection(candidates: Candidates, forms: Sequence[Form], tried: Sequen
             wanted = not small or PARTS_PER_PATTERN <= count <= MAX_EXCHANGED_CAUSES
         else:
             wanted = count >= CAUSES_PER_PATTERN
-        if wanted:
-            other = _from_patterns(candidates, tried, other)
+        if wanted and other.pattern_tests:
+            further = _with_further(candidates, tried, other.pattern_tests[0])
+            other = other if _worth(candidates, other) > _worth(candidates, further) else further
         simpler = (
             _replaces(other, structure.forms)
             and _worth(candidates, other) > _worth(candidates, structure) - DEVIANCE_RULED_OUT
@@ -205,8 +177,7 @@ def _with_lines(candidates: Candidates, structure: Structure, forms: Sequence[Fo
         return structure
     kept = (*structure.forms, *lines)
     model = likelihood.fit(kept, structure.model)
-    problem = candidates.problem.with_random_effects(likelihood.random(model), model.variance_factor)
-    return replace(structure, forms=kept, problem=problem, model=model)
+    return replace(structure, forms=kept, problem=likelihood.problem_given(model), model=model)
 
 
 def _replaces(other: Structure, forms: Sequence[Form]) -> bool:
@@ -237,8 +208,7 @@ def with_patterns(candidates: Candidates, forms: Sequence[Form], tried: Sequence
         kept = tuple(without_parts(likelihood, structure.forms, model))
         if len(kept) == len(structure.forms):
             pattern_tests.append(further)
-            problem = candidates.problem.with_random_effects(likelihood.random(model), model.variance_factor)
-            structure = Structure(kept, problem, likelihood, model)
+            structure = Structure(kept, likelihood.problem_given(model), likelihood, model)
         else:
             # What these causes explained may belong to patterns or to other causes.
             structure, pattern_tests = Structure(kept, candidates.problem), []
@@ -256,11 +226,6 @@ def _further_pattern(
 
     The test finds patterns fast, at one plausible variance; which columns they depend on is decided by the likelihood at the most
     likely variances, for fewer columns where more are not clearly likelier.
-
-    Args:
-        structure: the causes, and the data with patterns projected out.
-        present: patterns already in the model.
-        seen: keys of patterns that are not chosen again.
     """
     tests = [
         test
@@ -305,20 +270,7 @@ def _one_pattern(candidates: Candidates, tried: Sequence[Pattern]) -> Structure:
         return none
     likelihood = Likelihood(candidates, [first])
     model = likelihood.fit(())
-    problem = candidates.problem.with_random_effects(likelihood.random(model), model.variance_factor)
-    return Structure((), problem, likelihood, model)
-
-
-def _from_patterns(candidates: Candidates, tried: Sequence[Pattern], alone: Structure) -> Structure:
-    """Return the selection that starts from one pattern: causes are added, further patterns tested, unneeded patterns dropped.
-
-    Args:
-        alone: the pattern, which is returned if it is likelier than what the search ends with.
-    """
-    if not alone.pattern_tests:
-        return alone
-    further = _with_further(candidates, tried, alone.pattern_tests[0])
-    return alone if _worth(candidates, alone) > _worth(candidates, further) else further
+    return Structure((), likelihood.problem_given(model), likelihood, model)
 
 
 def _with_further(candidates: Candidates, tried: Sequence[Pattern], first: PatternTest) -> Structure:
@@ -340,7 +292,7 @@ def _with_further(candidates: Candidates, tried: Sequence[Pattern], first: Patte
                 return Structure(tuple(forms), candidates.problem)
             likelihood = Likelihood(candidates, pattern_tests)
             forms, model, impossible = _stepwise(likelihood, forms, barred)
-        problem = candidates.problem.with_random_effects(likelihood.random(model), model.variance_factor)
+        problem = likelihood.problem_given(model)
         if len(pattern_tests) < MAX_PATTERNS:
             further = _further_pattern(candidates, Structure(tuple(forms), problem), tried, pattern_tests, seen)
             if further is not None:
@@ -360,8 +312,7 @@ def _stepwise(
 ) -> tuple[list[Form], Model, tuple[Form, ...]]:
     """Add causes while they are significant with the patterns in the model, and drop those that no longer are.
 
-    Returns:
-        The causes; the model; causes that are significant in addition, but only with an impossible size.
+    Returns the causes; the model; causes that are significant in addition, but only with an impossible size.
     """
     impossible: list[Form] = []
     candidates = likelihood.candidates
@@ -500,34 +451,25 @@ def _possible(candidates: Candidates, forms: Sequence[Form], model: Model) -> bo
     """Return whether no cause is larger than possible."""
     columns = columns_of(forms)
     return all(
-        excess_ratio_of(form, model.values[at], np.zeros(len(at)), candidates.gram([form]), model.explained) <= 1.0
+        ratio <= 1.0
         for form in forms
         for at in [np.searchsorted(columns, form.columns)]
+        for ratio, _ in excesses_of(form, model.values[at], np.zeros(len(at)), candidates.gram([form]), model.explained)
     )
 
 
-# --- Search for the best set of causes together with unnamed patterns -----------------------------
-
-MOST_RESELECTIONS: Final = 4
-"""Largest number of searches with other weights."""
-TIME: Final = "time_s"
-NOT_PREDICTED: Final = "they do not predict held-out positions"
-"""Reason for which variants are left out, in words."""
+MOST_RESELECTIONS: Final = 4  # largest number of searches with other weights
+NOT_PREDICTED: Final = "they do not predict held-out positions"  # reason for which variants are left out, in words
 REFINED_CHI2: Final = 100.0
 """χ² of a cause above which its residual between two tabulated periods or time constants could look like another cause."""
-MAX_REFINEMENTS: Final = 2
-"""Largest number of refinements of periods and time constants."""
-REFINED_SIGMA: Final = 0.2
-"""Change of a period or time constant, in standard uncertainties, below which it is not refined again."""
+MAX_REFINEMENTS: Final = 2  # largest number of refinements of periods and time constants
+REFINED_SIGMA: Final = 0.2  # change of a period or time constant, in standard uncertainties, that is not refined again
 
 
 def select_causes(task: DiagnosisTask) -> Findings:
     """Return the causes and the unnamed patterns that explain the residuals.
 
     If they leave more than the noise, the search is repeated with noise and discrepancy in the weights.
-
-    Args:
-        task: the problem without outliers, and the causes to test; with the weights of the noise.
     """
     selected = _select(task)
     for _ in range(MOST_RESELECTIONS):
@@ -548,11 +490,12 @@ def _select(task: DiagnosisTask) -> Findings:
     something changes with time, and named only if it predicts held-out blocks of time better than the plain effect does, or as well as
     several causes with more parameters.
     """
-    plain_task = without_variants_in_time(task)
-    plain = Searcher(plain_task).run()
-    if plain_task is task or not _changes_with_time(plain.structure):
+    network, without_time = task.problem.network, without_variants_in_time(task)
+    tried = patterns(network.machine, network.data)
+    plain = search(without_time, candidates_of(without_time), tried)
+    if without_time is task or not _changes_with_time(plain.structure):
         return plain
-    lagging = Searcher(task).run()
+    lagging = search(task, candidates_of(task), tried)
     return lagging if _is_better_in_time(lagging, plain) else plain
 
 
@@ -569,9 +512,8 @@ def _is_variant_in_time(candidate: Candidate) -> bool:
 
 
 def _changes_with_time(structure: Structure) -> bool:
-    columns = {name for test in structure.pattern_tests for name in test.pattern.names}
     return any(form.candidate.specification.varies == "with time" for form in structure.forms) or any(
-        name == TIME or name.startswith("T_") for name in columns
+        name == "time_s" or name.startswith("T_") for test in structure.pattern_tests for name in test.pattern.names
     )
 
 
@@ -609,92 +551,80 @@ def _complexity(forms: Sequence[Form]) -> tuple[int, int]:
     return sum(len(form.columns) + len(form.nonlinear) for form in forms), len(forms)
 
 
-@final
-class Searcher:
-    """Search in the catalogue of causes and in the unnamed patterns, on one data set.
+def search(task: DiagnosisTask, candidates: Candidates, tried: Sequence[Pattern]) -> Findings:
+    """Return the best set of the causes of a task together with unnamed patterns."""
+    structure, refuted = _predicting(candidates, tried)
+    # A variant that does not predict held-out positions is replaced by the plain effect and unexplained residuals.
+    while varying := [
+        form
+        for form in structure.forms
+        if form.candidate.specification.variant_of and not predicts_held_out(candidates, form, structure.forms)
+    ]:
+        candidates.exclude({form.key for form in varying}, NOT_PREDICTED)
+        structure, refuted = _predicting(candidates, tried)
+    if candidates.has_imitating_waves(structure.forms):
+        candidates.exclude_forms([form for form in candidates.forms if candidates.is_short_wave(form)])
+        structure, refuted = _predicting(candidates, tried)
+    given_patterns = candidates.for_problem(structure.problem) if structure.pattern_tests else candidates
+    return Findings(task, tried, candidates, given_patterns, structure, candidates, refuted)
 
-    Args:
-        task: the problem without outliers, and the causes to test.
+
+def _predicting(candidates: Candidates, tried: Sequence[Pattern]) -> tuple[Structure, tuple[Form, ...]]:
+    """Return the selected causes and patterns, and the causes that held-out readings refute.
+
+    If there are too few readings for the causes, there are also too few to decide which causes a pattern could replace.
     """
+    forms = _best(candidates).forms
+    kept = without_overfitting(candidates, forms)
+    if len(kept) == len(forms):
+        structure = joint_selection(candidates, forms, tried)
+        forms, kept = structure.forms, without_overfitting(candidates, structure.forms)
+        if len(kept) == len(forms):
+            return structure, ()
+    return with_patterns(candidates, kept, tried), tuple(form for form in forms if form not in kept)
 
-    def __init__(self, task: DiagnosisTask) -> None:
-        self.task = task
-        self.problem = task.problem
-        self.candidates = candidates_of(task)
-        self.patterns = patterns(self.problem.network.machine, self.problem.network.data)
 
-    def run(self) -> Findings:
-        """Return the best set of causes together with unnamed patterns."""
-        structure, refuted = self._settled()
-        # A variant that does not predict held-out positions is replaced by the plain effect and unexplained residuals.
-        while varying := [
-            form
-            for form in structure.forms
-            if form.candidate.specification.variant_of and not predicts_held_out(self.candidates, form, structure.forms)
-        ]:
-            self.candidates.exclude({form.key for form in varying}, NOT_PREDICTED)
-            structure, refuted = self._settled()
-        if self.candidates.has_imitating_waves(structure.forms):
-            self.candidates.exclude_forms(
-                [form for form in self.candidates.forms if self.candidates.is_short_wave(form)]
-            )
-            structure, refuted = self._settled()
-        given_patterns = self.candidates.for_problem(structure.problem) if structure.pattern_tests else self.candidates
-        return Findings(self.task, self.patterns, self.candidates, given_patterns, structure, self.candidates, refuted)
+def _best(candidates: Candidates) -> Selection:
+    """Return the best set of causes without patterns.
 
-    def _settled(self) -> tuple[Structure, tuple[Form, ...]]:
-        """Return the selected causes and patterns, and the causes that held-out readings refute.
+    Between two tabulated periods or time constants, the residual of a large cause can exceed another cause. Periods and time
+    constants of large causes are therefore refined, and the search is repeated; then an axis may have further periods.
+    """
+    candidates.further_periods = False
+    best = _with_refined(candidates, select_with_payload(candidates))
+    if any(form.candidate.specification.period for form in best.forms):
+        candidates.further_periods = True
+        best = _with_refined(candidates, select_with_payload(candidates, best.forms))
+    return best
 
-        If there are too few readings for the causes, there are also too few to decide which causes a pattern could replace.
-        """
-        chosen = self._best().forms
-        kept = without_overfitting(self.candidates, chosen)
-        if len(kept) == len(chosen):
-            structure = joint_selection(self.candidates, chosen, self.patterns)
-            chosen, kept = structure.forms, without_overfitting(self.candidates, structure.forms)
-            if len(kept) == len(chosen):
-                return structure, ()
-        return with_patterns(self.candidates, kept, self.patterns), tuple(form for form in chosen if form not in kept)
 
-    def _best(self) -> Selection:
-        """Return the best set of causes without patterns.
+def _with_refined(candidates: Candidates, best: Selection) -> Selection:
+    """Return the best set of causes with the periods and time constants of large causes refined."""
+    for _ in range(MAX_REFINEMENTS):
+        if not _refined(candidates, best.forms):
+            break
+        best = select_with_payload(candidates, best.forms)
+    return best
 
-        Between two tabulated periods or time constants, the residual of a large cause can exceed another cause. Periods and time
-        constants of large causes are therefore refined, and the search is repeated; then an axis may have further periods.
-        """
-        self.candidates.further_periods = False
-        best = self._with_refined(select_with_payload(self.candidates))
-        if any(form.candidate.specification.period for form in best.forms):
-            self.candidates.further_periods = True
-            best = self._with_refined(select_with_payload(self.candidates, best.forms))
-        return best
 
-    def _with_refined(self, best: Selection) -> Selection:
-        """Return the best set of causes with the periods and time constants of large causes refined."""
-        for _ in range(MAX_REFINEMENTS):
-            if not self._refined(best):
-                break
-            best = select_with_payload(self.candidates, best.forms)
-        return best
-
-    def _refined(self, best: Selection) -> bool:
-        """Refine the periods and time constants of large causes; return whether any moved."""
-        machine, data = self.problem.network.machine, self.problem.network.data
-        large: list[Form] = []
-        for form in best.forms:
-            others = [other for other in best.forms if other is not form]
-            if form.nonlinear and self.candidates.scores(others, [form.index])[0, 0] > REFINED_CHI2:
-                large.append(form)
-        if not large:
-            return False
-        state = machine_state(data, machine)
-        estimated = estimate(self.problem, best.forms)
-        moved = False
-        for form, quantities in zip(best.forms, estimated.quantities, strict=True):
-            # A straight drift reports a time constant, but its columns have none.
-            fitted = [q for q in quantities if form in large and q.name in form.nonlinear]
-            if any(abs(form.variant.fixed[q.name] - q.value) > REFINED_SIGMA * q.u for q in fitted):
-                moved = True
-                fixed = {q.name: q.value for q in fitted}
-                self.candidates.refine(form, variant_at(form.candidate, fixed, machine, state))
-        return moved
+def _refined(candidates: Candidates, forms: Sequence[Form]) -> bool:
+    """Refine the periods and time constants of large causes; return whether any moved."""
+    network = candidates.problem.network
+    large: list[Form] = []
+    for form in forms:
+        others = [other for other in forms if other is not form]
+        if form.nonlinear and candidates.scores(others, [form.index])[0, 0] > REFINED_CHI2:
+            large.append(form)
+    if not large:
+        return False
+    state = machine_state(network.data, network.machine)
+    estimated = estimate(candidates.problem, forms)
+    moved = False
+    for form, quantities in zip(forms, estimated.quantities, strict=True):
+        # A straight drift reports a time constant, but its columns have none.
+        fitted = [q for q in quantities if form in large and q.name in form.nonlinear]
+        if any(abs(form.variant.fixed[q.name] - q.value) > REFINED_SIGMA * q.u for q in fitted):
+            moved = True
+            fixed = {q.name: q.value for q in fitted}
+            candidates.refine(form, variant_at(form.candidate, fixed, network.machine, state))
+    return moved

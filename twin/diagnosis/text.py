@@ -15,7 +15,7 @@ from typing import Any, Final, Literal, final
 import numpy as np
 
 from twin._common.provenance import CORRECTED_IN_CONTROL, warning_texts
-from twin.diagnosis.candidates.catalogue import SPECIFICATIONS
+from twin.diagnosis.candidates import SPECIFICATIONS
 from twin.diagnosis.result import Cause, DiagnosisResult, Extension, Unexplained, readable_unit
 from twin.display import note, table
 from twin.display.numbers import COVERAGE_FACTOR, capital, figure, listed, lower, p_value_text, with_joined_units
@@ -24,15 +24,12 @@ from twin.measurement.columns import assumptions, grouped_notes
 from twin.model.effects.base import axis_of
 from twin.model.effects.specification import Advice, Kind, title_of
 
-RULED_OUT_CHI2: Final = 25.0
-"""Expected χ² between the predictions of two causes that rules one of them out."""
-INSTEAD_DESCRIBED: Final = 3
-"""Number of other sets of columns that are described in a sentence."""
+RULED_OUT_CHI2: Final = 25.0  # expected χ² between the predictions of two causes that rules one of them out
+INSTEAD_DESCRIBED: Final = 3  # number of other sets of columns that are described in a sentence
 BELOW_INCREMENT: Final = (
     "Nothing: the error is below the least increment of the axes, so no command and no compensation can correct it."
 )
-MOST_READINGS: Final = 1000.0
-"""Number of readings at one position above which the measurement is not suggested."""
+MOST_READINGS: Final = 1000.0  # number of readings at one position above which the measurement is not suggested
 
 
 def micrometres(value: float) -> str:
@@ -92,11 +89,7 @@ def grouped(keys: Iterable[tuple[str, str]]) -> list[str]:
 
 
 def missing(entries: Iterable[tuple[str, str, str]]) -> list[str]:
-    """Return one line per missing column with the effects that need it.
-
-    Args:
-        entries: (effect, where, missing column).
-    """
+    """Return one line per missing column with the effects that need it, from (effect, where, missing column)."""
     by_column: dict[str, dict[str, list[str]]] = {}
     for effect, where, wanted in entries:
         by_column.setdefault(wanted, {}).setdefault(effect, []).append(where)
@@ -124,26 +117,16 @@ def measured(value: float, u: float, unit: str) -> str:
 @final
 @dataclass(frozen=True)
 class SeparatingPoints:
-    """Two confounded causes and the points whose measurement separates them.
+    """Two confounded causes and the points whose measurement separates them."""
 
-    Attributes:
-        names: of the two, in words with their symbols.
-        rows: position, approach directions, target, station, and the difference between the two predictions there.
-        verdict: whether and how they can be separated, one or two sentences.
-    """
-
-    names: tuple[str, str]
+    names: tuple[str, str]  # in words with their symbols
+    # position, approach directions, target, station, and the difference between the two predictions
     rows: tuple[tuple[str, str, str, str, str], ...]
-    verdict: str
+    verdict: str  # whether and how they can be separated
 
 
 def separating_points(wanted: Iterable[Mapping[str, Any]], sigma_um: float) -> list[SeparatingPoints]:
-    """Return the points of `Diagnosis.next_measurement`, grouped by the pair of causes they separate.
-
-    Args:
-        wanted: entries of `Diagnosis.next_measurement`; those without a pair of causes are ignored.
-        sigma_um: standard deviation of the noise of a coordinate.
-    """
+    """Return the points of `Diagnosis.next_measurement` by the pair of causes they separate; ``sigma_um`` is the noise's."""
     by_pair: dict[tuple[str, str], list[Mapping[str, Any]]] = {}
     for entry in wanted:
         if "separates" in entry:
@@ -154,36 +137,27 @@ def separating_points(wanted: Iterable[Mapping[str, Any]], sigma_um: float) -> l
         keys = [(effect, where) for effect, _, where in (name.partition(" ") for name in pair)]
         a, b = (f"{cause_title(*key)} ({symbol(*key)})" for key in keys)
         with_pose = [point for point in points if "pose" in point]
+        best, rows = max((float(point["expected_chi2"]) for point in with_pose), default=0.0), []
         if not with_pose:
             text = capital(str(points[0]["text"]).partition(": ")[2]) + "."
-            separating_points.append(SeparatingPoints((a, b), (), text))
-            continue
-        best = max(float(point["expected_chi2"]) for point in with_pose)
-        difference_um = best**0.5 * sigma_um
-        if RULED_OUT_CHI2 > MOST_READINGS * best:
+        elif RULED_OUT_CHI2 > MOST_READINGS * best:
             text = (
-                f"No position that was tried separates them: their predictions differ by at most {difference_um:.1g} µm. "
+                f"No position that was tried separates them: their predictions differ by at most {best**0.5 * sigma_um:.1g} µm. "
                 "Either can be used for compensation."
             )
-            separating_points.append(SeparatingPoints((a, b), (), text))
-            continue
-        rows = tuple(
-            (
-                " ".join(f"{axis}{value:g}" for axis, value in point["pose"].items()),
-                " ".join(f"{axis}{'+' if sign > 0 else '−'}" for axis, sign in point["approach"].items()),
-                str(point["target"]),
-                str(point["station"]),
-                f"{float(point['expected_chi2']) ** 0.5 * sigma_um:.2g} µm",
-            )
-            for point in with_pose
-        )
-        many = max(ceil(RULED_OUT_CHI2 / best), 1)
-        readings = "one reading is enough" if many == 1 else f"about {many} readings are enough"
-        text = f"Their predictions differ most at these positions; at the first, {readings}."
-        if not any(name.startswith("misplaced") for name in pair):
-            plan = f'twin plan -o plan.csv --separate "{pair[0]}" "{pair[1]}" --after <this table>'
-            text += f" For a complete plan with new station positions: {plan}."
-        separating_points.append(SeparatingPoints((a, b), rows, text))
+        else:
+            for point in with_pose:
+                pose = " ".join(f"{axis}{value:g}" for axis, value in point["pose"].items())
+                sides = " ".join(f"{axis}{'+' if sign > 0 else '−'}" for axis, sign in point["approach"].items())
+                difference = f"{float(point['expected_chi2']) ** 0.5 * sigma_um:.2g} µm"
+                rows.append((pose, sides, str(point["target"]), str(point["station"]), difference))
+            many = max(ceil(RULED_OUT_CHI2 / best), 1)
+            readings = "one reading is enough" if many == 1 else f"about {many} readings are enough"
+            text = f"Their predictions differ most at these positions; at the first, {readings}."
+            if not any(name.startswith("misplaced") for name in pair):
+                plan = f'twin plan -o plan.csv --separate "{pair[0]}" "{pair[1]}" --after <this table>'
+                text += f" For a complete plan with new station positions: {plan}."
+        separating_points.append(SeparatingPoints((a, b), tuple(rows), text))
     return separating_points
 
 
@@ -226,17 +200,12 @@ def likelihood_words(probability: float, alone: bool) -> str:
     return f"probability that {what}: {size} (second, Bayesian method)"
 
 
-# --- The verdict of a diagnosis in a few sentences for whoever runs the machine, shared by page, text and notebook
-
 Mood = Literal["well", "wrong", "unknown", "disturbed"]
-CAUSES_DESCRIBED: Final = 4
-"""Causes described one by one; the rest are counted."""
-WELL_BELOW: Final = 0.8
-"""Share of the expected RMS residual below which the residuals are called less than expected."""
+CAUSES_DESCRIBED: Final = 4  # causes described one by one; the rest are counted
+WELL_BELOW: Final = 0.8  # share of the expected RMS residual below which the residuals are called less than expected
 COVERED_RATIO: Final = 0.9
 """Ratio of the RMS residual with and without the calibration's uncertainty below which that uncertainty makes it consistent."""
-DOUBTED_NOISE_RATIO: Final = 1.2
-"""Ratio of the residual to the stated noise above which the stated noise is doubted."""
+DOUBTED_NOISE_RATIO: Final = 1.2  # ratio of the residual to the stated noise above which the stated noise is doubted
 COMPENSATE: Final = "Compensate with the present calibration."
 KEEP: Final = (
     "Switch the correction in the control on for machining: it holds this calibration, and programs run as they are."
@@ -522,20 +491,13 @@ def _when_ambiguous(diagnosis: DiagnosisResult) -> list[tuple[str, str]]:
     return when_ambiguous
 
 
-# --- A diagnosis as text for the terminal, and as a short table for a notebook --------------------
-
 WIDTH: Final = 100
-ABSORBED_RATIO: Final = 0.9
-"""Ratio of the RMS residual with and without the calibration's uncertainty below which both are given."""
+ABSORBED_RATIO: Final = 0.9  # of RMS residuals with and without the calibration's uncertainty: below, both are given
 HARD_SPACE: Final = "\u00a0"
 
 
 def diagnosis_text(diagnosis: DiagnosisResult) -> str:  # noqa: C901, PLR0912
-    """Return the verdict, each cause, what to do, the gain and what to measure next, in lines of at most `WIDTH` characters.
-
-    Args:
-        diagnosis: the result of `twin.diagnosis.diagnose`.
-    """
+    """Return the verdict, each cause, what to do, the gain and what to measure next, in lines of at most `WIDTH` characters."""
     lines = _wrapped(
         f"{diagnosis.verdict.upper()}. {headline(diagnosis)[0].removesuffix(' Found:').removesuffix('.')}."
     )
@@ -589,11 +551,7 @@ def diagnosis_text(diagnosis: DiagnosisResult) -> str:  # noqa: C901, PLR0912
 
 
 def diagnosis_display(diagnosis: DiagnosisResult) -> Display:
-    """Return the verdict, a table of the causes and the advice, for a notebook.
-
-    Args:
-        diagnosis: the result of `twin.diagnosis.diagnose`.
-    """
+    """Return the verdict, a table of the causes and the advice, for a notebook."""
     title, mood = headline(diagnosis)
     rows = [
         (

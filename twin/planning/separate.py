@@ -21,8 +21,8 @@ from twin._common.arrays import read_only
 from twin._common.errors import InputError, closest_name
 from twin._common.records import TIME, is_temperature, sensor_of
 from twin._common.resources import Progress, one_blas_thread, silent
+from twin.diagnosis.candidates import SPECIFICATIONS, catalogue
 from twin.diagnosis.candidates.candidate import Candidate, Variant
-from twin.diagnosis.candidates.catalogue import SPECIFICATIONS, catalogue
 from twin.diagnosis.nuisance import RANK_TOLERANCE
 from twin.diagnosis.problem import Problem
 from twin.identification.network import Network, Unknowns

@@ -1,18 +1,7 @@
-"""Candidate causes: an effect at one place and the variants it can take.
+"""Candidate causes: an effect at one place and the variants it can take, with their signatures on the whitened readings.
 
-Signatures of candidate causes: their effect on the whitened readings, in plausible sizes, before projection.
-
-A signature is a sum of terms: the derivative of the reading by a degree of freedom (an error component, a movement of the target in the
-base frame or of the point in its station's frame) times a function of the state.
-
-Explain the correction of a calibration curve by a single mistake in making the curve, where one suffices.
-
-A correction Δ of the curve f was estimated in orthonormal functions, with covariance C. A mistake predicts Δ up to a few parameters;
-the rest is tested by a Wald chi². The simplest mistake that is not rejected is named:
-- f was applied with a wrong factor (zero, wrong sign, twice, another unit): Δ = (s − 1)·f;
-- f was fitted without a constant term (Ellingsdalen 2021, listing 3.1: every degree above one), so that it is zero at q = 0 where the
-  machine's error is not: Δ = c·(1 − the least-squares fit of 1 by q, q² … qⁿ at the stops);
-- f is a polynomial of too high a degree for its stops and oscillates between them: Δ cancels f above some degree.
+A signature, in plausible sizes and before projection, is a sum of terms: the derivative of the reading by a degree of freedom (an error
+component, a movement of the target in the base frame or of the point in its station's frame) times a function of the state.
 """
 
 from __future__ import annotations
@@ -24,7 +13,6 @@ from typing import Any, Final, final
 
 import numpy as np
 
-from twin._common.distributions import chi2_sf
 from twin._common.units import UM
 from twin.identification.network import LinearisedReadings
 from twin.machine.machine import Axis, Machine
@@ -33,13 +21,11 @@ from twin.measurement.table import Measurements
 from twin.model.calibration import Calibration
 from twin.model.effects import Effect, Specification
 from twin.model.effects.base import along
-from twin.model.motion_curve import Curve
 from twin.numerics.curves import CurveSpace
 from twin.numerics.functions import CachingState, Functions, Rows, functions_of_state, pieces, tabulated
 from twin.numerics.spatial import cross_matrix
 
-LARGEST_ERROR: Final = 1000.0
-"""µm or µrad: largest plausible error anywhere due to one effect; columns are scaled to it."""
+LARGEST_ERROR: Final = 1000.0  # µm or µrad: largest plausible error due to one effect; columns are scaled to it
 
 STRAINS: Final = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 """Components of a strain tensor by their two directions."""
@@ -83,12 +69,7 @@ def strain_displacements(points: np.ndarray) -> np.ndarray:
 
 @final
 class ReadingDerivatives:
-    """Derivatives of some readings by the degrees of freedom, each computed once.
-
-    Args:
-        view: linearisation of the readings.
-        rows: the readings wanted.
-    """
+    """Derivatives of some readings of a view by the degrees of freedom, each computed once."""
 
     def __init__(self, view: LinearisedReadings, rows: Rows) -> None:
         self._view = view
@@ -110,52 +91,33 @@ class ReadingDerivatives:
 @final
 @dataclass(frozen=True, eq=False)
 class SignatureTerm:
-    """One term of a signature: a derivative times a function of the state.
-
-    Attributes:
-        freedom: degree of freedom of the derivative.
-        functions: functions of the state.
-        index: index of the function among them.
-        weight: metres or radians for each unit of the function.
-    """
+    """One term of a signature: a derivative times a function of the state."""
 
     freedom: Freedom
-    functions: Functions
-    index: int
-    weight: float
+    functions: Functions  # of the state
+    index: int  # of the function among them
+    weight: float  # metres or radians for each unit of the function
 
 
 @final
 @dataclass(frozen=True, eq=False)
 class Column:
-    """One column of a signature, linear in one parameter.
+    """One column of a signature, linear in one parameter."""
 
-    Attributes:
-        terms: their sum is the effect of one unit of the parameter.
-        scale: the largest plausible value of the parameter, in its unit.
-    """
-
-    terms: tuple[SignatureTerm, ...]
-    scale: float
+    terms: tuple[SignatureTerm, ...]  # their sum is the effect of one unit of the parameter
+    scale: float  # the largest plausible value of the parameter, in its unit
 
 
 def effect_columns(effect: Effect, machine: Machine, state: Mapping[str, Any]) -> list[Column]:
-    """Return the columns of a machine effect, one for each parameter.
-
-    Args:
-        effect: the effect, linearised at its parameters' values.
-        state: positions and channels of all points.
-    """
+    """Return the columns of a machine effect, linearised at its parameters' values, one for each parameter."""
     return _of_shapes([effect], machine, state, effect.derivatives)
 
 
-def unit_column(effect: Effect, machine: Machine, state: Mapping[str, Any]) -> Column:
-    """Return the column of an effect that is proportional to its first parameter, whose value is one; no derivatives are needed."""
-    return unit_columns([effect], machine, state)[0]
-
-
 def unit_columns(effects: Sequence[Effect], machine: Machine, state: Mapping[str, Any]) -> list[Column]:
-    """Return `unit_column` of several effects in one frame, whose functions are evaluated together."""
+    """Return the column of each of some effects in one frame that is proportional to its first parameter, whose value is one.
+
+    No derivatives are needed; the functions of all are evaluated together.
+    """
     return _of_shapes(effects, machine, state, lambda some: [effect.components(some) for effect in effects])
 
 
@@ -183,19 +145,10 @@ def along_command(machine: Machine, axis: Axis) -> list[tuple[int, float]]:
 
 
 def component_column(parts: Sequence[tuple[int, Functions, int, float]]) -> Column:
-    """Return a column from functions of the state in error components.
-
-    Args:
-        parts: component, functions, index of the function, and µm or µrad for each unit of it.
-    """
+    """Return a column from (error component, functions, index of the function, µm or µrad for each unit of it)."""
     return scaled_column(
         [SignatureTerm(("error", at), functions, k, weight * UM) for at, functions, k, weight in parts]
     )
-
-
-def base_column(direction: int, functions: Functions, index: int) -> Column:
-    """Return the column of a shift of the target along a direction of the base, in µm for each unit of a function."""
-    return scaled_column([SignatureTerm(("base", direction), functions, index, UM)])
 
 
 def tabulated_column(parts: Mapping[int, np.ndarray]) -> Column:
@@ -207,14 +160,7 @@ def tabulated_column(parts: Mapping[int, np.ndarray]) -> Column:
 def masked_columns(
     freedoms: Sequence[Freedom], mask: np.ndarray, weight: float, scale: float = LARGEST_ERROR
 ) -> tuple[Column, ...]:
-    """Return one column for each degree of freedom, active where a mask is set.
-
-    Args:
-        freedoms: the degrees of freedom.
-        mask: (n,) the readings that are affected.
-        weight: metres or radians for each unit of the parameter.
-        scale: largest plausible value of the parameter.
-    """
+    """Return one column for each degree of freedom, active where a mask (n,) is set; ``weight`` metres or radians a unit."""
     function = tabulated(mask[:, None].astype(float))
     return tuple(Column((SignatureTerm(freedom, function, 0, weight),), scale) for freedom in freedoms)
 
@@ -238,169 +184,16 @@ def _largest(functions: Functions, parts: Sequence[SignatureTerm]) -> float:
     return max(float(np.abs(functions.values(rows) @ weights).max()) for rows in pieces(functions.points))
 
 
-# --- Explain the correction of a calibration curve by a single mistake in making the curve, where one suffices
-
-MISTAKE_REJECTED_P: Final = 1e-3
-"""p-value below which a mistake is rejected: the rest of the correction is not noise."""
-MAIN_SHARE: Final = 0.97
-"""Share of the correction's chi² above which a mistake is named even if rejected: the curve's other errors are small."""
-CURVE_STOPS: Final = (9, 11, 13, 16, 21, 51)
-"""Numbers of evenly spaced stops at which a curve may have been fitted."""
-ITSELF: Final = 0.0
-"""Key, in place of a number of stops, for the curve itself with another factor."""
-RANK_TOLERANCE: Final = 1e-9
-
-
-def flaw(space: CurveSpace, curve: Curve, correction: np.ndarray, covariance: np.ndarray) -> str:  # noqa: C901
-    """Return the mistake in words; empty if none explains the correction, or the curve has more coefficients than functions.
-
-    Args:
-        space: functions of the correction.
-        curve: the calibration's curve, of the same basis and domain.
-        correction: (k,) coefficients of the first functions, µm or µrad.
-        covariance: (k, k) of these; zero for directions that are not identifiable.
-    """
-    if len(curve.coefficients) > space.count:
-        return ""
-    calibrated = _coefficients(space, curve)
-    weight, rank = _inverse(covariance)
-    k = len(correction)
-    whole = float(correction @ weight @ correction)
-    unit = curve.unit.replace("urad", "µrad").replace("um", "µm")
-
-    def tested(known: np.ndarray, free: np.ndarray) -> tuple[float, np.ndarray, bool]:
-        """Return chi² of the correction less known + free·s, the best s, and whether the mistake is accepted."""
-        gram = free.T @ weight @ free
-        s = np.linalg.pinv(gram, hermitian=True) @ (free.T @ weight @ (correction - known))
-        rest = correction - known - free @ s
-        chi2 = float(rest @ weight @ rest)
-        dof = rank - int(np.linalg.matrix_rank(gram, hermitian=True))
-        accepted = dof > 0 and (chi2_sf(chi2, dof) > MISTAKE_REJECTED_P or chi2 < (1.0 - MAIN_SHARE) * whole)
-        return chi2, s, accepted
-
-    # A factor is tested only if the correction's functions contain nearly all of the curve.
-    if np.linalg.norm(calibrated[k:]) < (1.0 - MAIN_SHARE) * np.linalg.norm(calibrated):
-        _, factor, accepted = tested(np.zeros(k), calibrated[:k, None])
-        if accepted:
-            return times(1.0 + float(factor[0]))
-    fits = []
-    for stops in CURVE_STOPS:
-        pattern = without_constant(space, len(curve.coefficients) - 1, stops)
-        if pattern is not None and np.linalg.norm(pattern[k:]) < (1.0 - MAIN_SHARE) * np.linalg.norm(pattern):
-            chi2, size, accepted = tested(np.zeros(k), pattern[:k, None])
-            fits.append((chi2, float(size[0]), accepted))
-    if fits:
-        _, constant, accepted = min(fits)
-        if accepted:
-            return constant_dropped(curve, constant)
-    degree = len(curve.coefficients) - 1
-    for lower in range(1, degree if k > degree else 1):
-        known = np.where(np.arange(k) > lower, -calibrated[:k], 0.0)
-        free = np.eye(k)[:, : lower + 1]
-        if tested(np.zeros(k), free)[2]:
-            break  # the terms above this degree may just as well be right
-        if tested(known, free)[2]:
-            q, _ = space.grid()
-            oscillation = space.functions(q)[:, lower + 1 :] @ calibrated[lower + 1 :]
-            return (
-                f"its polynomial of degree {degree} oscillates by up to {float(np.abs(oscillation).max()):.2g} {unit} where the "
-                f"machine does not: the terms above degree {lower} are spurious"
-            )
-    return ""
-
-
-def constant_dropped(curve: Curve, size: float) -> str:
-    """Return a sentence on a constant term of a given size that was left out of a fit."""
-    unit = curve.unit.replace("urad", "µrad").replace("um", "µm")
-    return (
-        f"its polynomial of degree {len(curve.coefficients) - 1} was fitted without a constant term, "
-        f"so it is forced through zero at 0, where the machine's error is {size:.3g} {unit}"
-    )
-
-
-def without_constant(space: CurveSpace, degree: int, stops: int) -> np.ndarray | None:
-    """Return coefficients (count,) of 1 less its fit by q, q² … qⁿ at evenly spaced stops; None if the fit is exact or impossible.
-
-    Args:
-        space: the functions; the stops span its domain.
-        degree: degree n of the polynomial.
-        stops: number of stops.
-    """
-    lo, hi = space.domain
-    if not lo <= 0.0 <= hi or degree < 2 or degree >= space.count or stops <= degree:
-        return None
-    q = np.linspace(lo, hi, stops)
-    scale = max(abs(lo), abs(hi))
-    # Scaled to u = q/scale for the conditioning.
-    powers = np.stack([(q / scale) ** n for n in range(1, degree + 1)], axis=1)
-    fitted, *_ = np.linalg.lstsq(powers, np.ones(stops), rcond=None)
-    at, weight = space.grid()
-    values = 1.0 - np.stack([(at / scale) ** n for n in range(1, degree + 1)], axis=1) @ fitted
-    functions = space.functions(at)
-    return np.asarray(functions.T @ (weight * values))
-
-
-def of_curve(space: CurveSpace, curve: Curve) -> np.ndarray | None:
-    """Return the curve's coefficients (count,) in the functions; None if it has more coefficients than functions, or is zero."""
-    if len(curve.coefficients) > space.count or not np.any(curve.coefficients):
-        return None
-    return _coefficients(space, curve)
-
-
-def _coefficients(space: CurveSpace, curve: Curve) -> np.ndarray:
-    return np.asarray(np.linalg.solve(space.transform, _padded(curve.coefficients, space.count)))
-
-
-def mistakes(space: CurveSpace, curve: Curve | None) -> dict[float, np.ndarray]:
-    """Return coefficients of the corrections by one mistake each, by number of stops or `ITSELF`; each has one unknown factor."""
-    if curve is None:
-        return {}
-    shapes = {float(n): without_constant(space, len(curve.coefficients) - 1, n) for n in CURVE_STOPS}
-    shapes[ITSELF] = of_curve(space, curve)
-    return {stops: shape for stops, shape in shapes.items() if shape is not None}
-
-
-def times(factor: float) -> str:
-    """Return a sentence on a machine whose error motion is the calibration's curve times a factor."""
-    if abs(factor) < 0.1:
-        return "the machine does not have this error motion at all: it is already corrected, or the curve is of another machine"
-    if abs(factor + 1.0) < 0.1:
-        return "the calibration's curve has the wrong sign"
-    return f"the machine's error motion is {factor:.2g} times the calibration's curve"
-
-
-def _padded(values: Sequence[float], count: int) -> np.ndarray:
-    return np.concatenate([np.asarray(values, dtype=float), np.zeros(count - len(values))])
-
-
-def _inverse(covariance: np.ndarray) -> tuple[np.ndarray, int]:
-    """Return the pseudo-inverse over the identifiable directions, and their number."""
-    values, vectors = np.linalg.eigh(covariance)
-    identifiable = values > RANK_TOLERANCE * values[-1] if len(values) else np.zeros(0, dtype=bool)
-    return np.asarray((vectors[:, identifiable] / values[identifiable]) @ vectors[:, identifiable].T), int(
-        identifiable.sum()
-    )
-
-
-# --- Candidate causes: an effect at one place and the variants it can take ------------------------
-
 Build = Callable[[np.ndarray, Mapping[str, float]], tuple[Effect, ...]]
 Units = Callable[[Mapping[str, float]], tuple[Effect, ...]]
-Missing = tuple[str, str, str]
-"""Effect, place, and the column of the table that is missing."""
-STRAIGHT_LINE: Final = np.inf
-"""Time constant that stands for a straight line."""
+Missing = tuple[str, str, str]  # effect, place, and the column of the table that is missing
+STRAIGHT_LINE: Final = np.inf  # time constant that stands for a straight line
 
 
 @final
 @dataclass(frozen=True)
 class Variant:
-    """One variant of a candidate: columns at fixed values of its non-linear parameters.
-
-    Attributes:
-        columns: columns of its signature.
-        fixed: non-linear parameters by name.
-    """
+    """One variant of a candidate: columns at fixed values of its non-linear parameters."""
 
     columns: tuple[Column, ...]
     fixed: Mapping[str, float] = field(default_factory=dict)
@@ -409,19 +202,12 @@ class Variant:
 @final
 @dataclass(frozen=True)
 class Drift:
-    """Columns of a drift as a function of its time constant.
+    """Columns of a drift as a function of its time constant."""
 
-    Attributes:
-        columns: function from time constant (s; `STRAIGHT_LINE` for a straight line) to columns, one for each linear parameter.
-        constants: time constants tried, s, ascending.
-        straight: whether a straight line is the usual form: an exponential is reported only where it fits significantly better.
-        name: name of the time constant among the fixed parameters of a variant; a straight line has none.
-    """
-
-    columns: Callable[[float], tuple[Column, ...]]
-    constants: tuple[float, ...]
-    straight: bool
-    name: str
+    columns: Callable[[float], tuple[Column, ...]]  # of a time constant, s; one column for each linear parameter
+    constants: tuple[float, ...]  # tried, s, ascending
+    straight: bool  # the usual form is a straight line; an exponential must fit significantly better
+    name: str  # of the time constant among the fixed parameters of a variant
 
     @property
     def variants(self) -> tuple[Variant, ...]:
@@ -436,34 +222,22 @@ class Drift:
 @final
 @dataclass(frozen=True)
 class Candidate:
-    """A candidate cause: one effect at one place.
-
-    Attributes:
-        specification: the effect.
-        where: the place, as in contract §5.
-        names: (name, unit) of its linear parameters; a variant with fewer columns has the first of them.
-        variants: the forms it can take.
-        tests: number of independent variants, for the correction for multiple testing.
-        build: function from linear and fixed parameters to the effects that extend the model; None for instrument effects.
-        units: function from fixed parameters to one effect for each linear parameter, with that parameter equal to one; None where
-            the columns are not made from effects.
-        space: functions of the columns, if the candidate is a curve.
-        drift: columns at any time constant, if it is a drift.
-        reported: linear parameters → the parameters reported, if they are others; ``names`` are those of the latter.
-        event: what happened at the moment of this candidate: at another moment it is the same event, and no alternative. Each of its
-            n variants is one of n moments, and n times less likely.
-    """
+    """A candidate cause: one effect at one place (contract §5)."""
 
     specification: Specification
     where: str
+    # and units of the linear parameters; a variant with fewer columns has the first of them
     names: tuple[tuple[str, str], ...]
     variants: tuple[Variant, ...]
-    tests: float
-    build: Build | None = None
-    units: Units | None = None
-    space: CurveSpace | None = None
+    tests: float  # number of independent variants, for the correction for multiple testing
+    build: Build | None = None  # linear and fixed parameters → effects that extend the model; None for an instrument
+    units: Units | None = None  # fixed parameters → one effect for each linear parameter, of size one
+    space: CurveSpace | None = None  # functions of the columns of a curve
     drift: Drift | None = None
+    # linear parameters → those reported, which have the ``names``
     reported: Callable[[np.ndarray], np.ndarray] | None = None
+    # what happened at its moment: at another moment it is the same event, and no alternative. Each of its n variants is one of n
+    # moments, and n times less likely
     event: str = ""
 
     @property
@@ -503,45 +277,22 @@ class Candidate:
 @final
 @dataclass(frozen=True)
 class Catalogue:
-    """The candidates that these data allow to be tested, and those that lack data.
-
-    Attributes:
-        candidates: the candidates to test.
-        not_evaluated: (effect, place, missing column) of the others.
-    """
+    """The candidates that these data allow to be tested, and those that lack data."""
 
     candidates: tuple[Candidate, ...]
-    not_evaluated: tuple[Missing, ...] = ()
+    not_evaluated: tuple[Missing, ...] = ()  # those that lack data
 
 
 @final
 @dataclass(frozen=True)
 class CandidateInputs:
-    """Inputs that candidates are generated from.
-
-    Attributes:
-        calibration: the model under test.
-    """
+    """Inputs that candidates are generated from."""
 
     machine: Machine
     data: Measurements
-    calibration: Calibration
+    calibration: Calibration  # the model under test
 
     @cached_property
     def state(self) -> Mapping[str, Any]:
         """Positions and channels of all readings."""
         return CachingState(machine_state(self.data, self.machine))
-
-
-@final
-@dataclass(frozen=True)
-class CandidateSource:
-    """A generator of candidates.
-
-    Attributes:
-        specifications: the effects it generates.
-        candidates: function from the inputs to the candidates, and those for which data are missing.
-    """
-
-    specifications: tuple[Specification, ...]
-    candidates: Callable[[CandidateInputs], Catalogue]

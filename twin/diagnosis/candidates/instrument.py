@@ -1,12 +1,6 @@
-"""Candidate causes in an instrument: wrong scales, lobing, refraction, drift of a station, alignment, delay of readings.
+"""Candidate causes in an instrument: scales, bent beams, linearity, lobing, refraction, drift, delay, displaced frames and targets.
 
-With one station and one round they are confounded with the machine's scales and squareness, and are not tested.
-
-Candidate: lobing of a touch probe, whose pre-travel depends on the direction of the contact in the probe's own frame.
-
-The three supports of a kinematic probe give a pre-travel r(φ) = A·cos 3(φ − φ0) in the direction φ of the contact about the stylus. If
-the machine turns the probe by θ and probes in the directions of its linear axes, opposite contacts give a centre that is off by
-A·cos(3θ + ψ) along x and −A·sin(3θ + ψ) along y. If the probe never turns, the shift is constant and belongs to the tip.
+With one station and one round, scales are confounded with the machine's scales and squareness, and are not tested.
 """
 
 from __future__ import annotations
@@ -16,14 +10,13 @@ from typing import Final
 
 import numpy as np
 
-from twin._common.units import UM
+from twin._common.units import MM, UM
 from twin.diagnosis.candidates.candidate import (
     LARGEST_ERROR,
     STRAIGHT_LINE,
     STRAINS,
     Candidate,
     CandidateInputs,
-    CandidateSource,
     Catalogue,
     Column,
     Drift,
@@ -35,33 +28,25 @@ from twin.diagnosis.candidates.candidate import (
     strain_displacements,
     tabulated_column,
 )
-from twin.machine.machine import Axis, Machine
+from twin.machine.machine import Machine
 from twin.measurement.observation import at_origin, has_times, order_in_time
 from twin.measurement.table import Measurements
-from twin.model.effects.specification import NOTHING, REST, Advice, Drawing, Specification
+from twin.model.effects.specification import NOTHING, REST, Advice, Drawing, FittedCause, Specification
 from twin.model.effects.thermal_drift import drift_course, drift_time_constants
 from twin.numerics.functions import Functions, Rows, tabulated
 
 NAMES: Final = (
-    ("scale_x", "ppm"),
-    ("scale_y", "ppm"),
-    ("scale_z", "ppm"),
-    ("shear_xy", "urad"),
-    ("shear_xz", "urad"),
-    ("shear_yz", "urad"),
+    *((f"scale_{a}", "ppm") for a in ("x", "y", "z")),
+    *((f"shear_{plane}", "urad") for plane in ("xy", "xz", "yz")),
 )
 """Parameters, in the order of `STRAINS`: a positive scale reads too long, a shear is the change of a right angle."""
-AFFINE_SCALE_PLAUSIBLE: Final = 100.0
-"""Largest plausible value, ppm and µrad."""
-FLAT_EXTENT: Final = 0.01
-"""Share of the largest extent below which the extent of the points along a direction counts as zero."""
-MOST_ROUNDS: Final = 12
-"""Number of rounds above which rounds are repeats or places rather than alignments of the instrument."""
+AFFINE_SCALE_PLAUSIBLE: Final = 100.0  # largest plausible value, ppm and µrad
+FLAT_EXTENT: Final = 0.01  # share of the largest extent of the points below which that along a direction is zero
+MOST_ROUNDS: Final = 12  # number of rounds above which these are repeats or places, not alignments of the instrument
 CALIBRATED_LENGTH: Final = (
     "measure a calibrated length on the table (gauge block, scale bar) with the same instrument, and read the machine's temperature: "
     "a machine that is warmer than the length has equal scales of its axes"
 )
-MM: Final = 1e-3
 
 
 AFFINE_SCALE: Final = Specification(
@@ -90,9 +75,8 @@ def affine_scales(inputs: CandidateInputs) -> Catalogue:
     """
     data = inputs.data
     stations, rounds = (list(dict.fromkeys(names.tolist())) for names in (data.station, data.round))
-    by_station = (
-        {f"station {name}": data.station == name for name in stations} if len(stations) > 1 or _turned(inputs) else {}
-    )
+    several = len(stations) > 1 or _turned(inputs)
+    by_station = {f"station {name}": data.station == name for name in stations} if several else {}
     by_round = {f"round {name}": data.round == name for name in rounds} if 1 < len(rounds) <= MOST_ROUNDS else {}
     # A round that is exactly one station is not tested twice.
     station_masks = {mask.tobytes() for mask in by_station.values()}
@@ -151,13 +135,8 @@ def _columns(mask: np.ndarray, kept: list[int], centre: np.ndarray) -> tuple[Col
     )
 
 
-AFFINE_SCALE_SOURCE: Final = CandidateSource((AFFINE_SCALE,), affine_scales)
-
-# --- Candidate: a beam that is not straight ---------------------------------------------------------
-
 BEND: Final[tuple[Freedom, ...]] = tuple(("bend", i) for i in range(3))
-LARGEST_BEND: Final = 10.0
-"""µm/m²: a gradient of the air's temperature of 20 K/m bends a beam so."""
+LARGEST_BEND: Final = 10.0  # µm/m²: a gradient of the air's temperature of 20 K/m bends a beam so
 
 BEAM_BENDING: Final = Specification(
     name="beam_bending",
@@ -189,18 +168,11 @@ def beam_bendings(inputs: CandidateInputs) -> Catalogue:
     return Catalogue(tuple(candidates))
 
 
-BEAM_BENDING_SOURCE: Final = CandidateSource((BEAM_BENDING,), beam_bendings)
-
-# --- Candidate: linearity of a sensor that reads one coordinate ------------------------------------
-
 LARGEST_SENSOR_RANGE_MM: Final = 100.0
 """mm: longer runs are read by a laser interferometer, which has no such error (data sheets of triangulation and inductive sensors)."""
-LARGEST_LINEARITY_UM: Final = 1000.0
-"""1 % of that range."""
-FEWEST_POSITIONS_READ: Final = 12
-"""Fewest positions: a polynomial through fewer does not predict those that were left out."""
-MOST_DEGREES: Final = 8
-"""Largest degree tried, as for a positioning error: which of the two it is must not depend on the form."""
+LARGEST_LINEARITY_UM: Final = 1000.0  # 1 % of that range
+FEWEST_POSITIONS_READ: Final = 12  # a polynomial through fewer positions does not predict those that were left out
+MOST_DEGREES: Final = 8  # as for a positioning error: which of the two it is must not depend on the form
 
 SENSOR_LINEARITY: Final = Specification(
     name="sensor_linearity",
@@ -264,10 +236,6 @@ def _largest_deviation(values: np.ndarray) -> np.ndarray:
     return np.array([np.abs(deviation).max()])
 
 
-SENSOR_LINEARITY_SOURCE: Final = CandidateSource((SENSOR_LINEARITY,), sensor_linearities)
-
-# --- What is assumed of an instrument where no candidate tests it ------------------------------
-
 ASSUMED_OF_INSTRUMENT: Final = (
     "assumes that the instrument reads to scale, at right angles and along straight beams: such an error of its own would fit as "
     "well: a calibrated length on the table, or the same points from a station on another side, would show it"
@@ -283,14 +251,9 @@ def assumed_zero(data: Measurements) -> tuple[Column, ...]:
     return (*_columns(every, list(range(len(STRAINS))), np.zeros(3)), *masked_columns(BEND, every, UM, LARGEST_BEND))
 
 
-# --- Candidate: lobing of a touch probe, whose pre-travel depends on the direction of the contact in the probe's own frame
-
-LOBES: Final = 3
-"""Number of supports of a kinematic probe."""
-UPRIGHT_COSINE: Final = 0.9
-"""Cosine between the axis and z of the base from which a rotary axis turns the probe about its stylus."""
-LARGEST_LOBING_UM: Final = 10.0
-"""Largest plausible amplitude, µm."""
+LOBES: Final = 3  # number of supports of a kinematic probe
+UPRIGHT_COSINE: Final = 0.9  # cosine between axis and z of the base from which a rotary axis turns the probe
+LARGEST_LOBING_UM: Final = 10.0  # largest plausible amplitude, µm
 
 PROBE_LOBING: Final = Specification(
     name="probe_lobing",
@@ -313,44 +276,31 @@ def probe_lobings(inputs: CandidateInputs) -> Catalogue:
     data, candidates = inputs.data, []
     probed = at_origin(data) & (data.station_carrier == "tool")
     for i, axis in enumerate(inputs.machine.axes):
-        if (
-            axis.linear
-            or axis.side != "tool"
-            or abs(_upright(axis)) < UPRIGHT_COSINE
-            or np.ptp(data.positions[:, i]) == 0.0
-        ):
+        upright = float(axis.machine_direction[2])
+        turned = not axis.linear and axis.side == "tool" and np.ptp(data.positions[:, i]) > 0.0
+        if not turned or abs(upright) < UPRIGHT_COSINE:
             continue
-        angle = LOBES * np.sign(_upright(axis)) * np.radians(data.positions[:, i])
+        angle = LOBES * np.sign(upright) * np.radians(data.positions[:, i])
         for station in dict.fromkeys(data.station[probed]):
             own = (probed & (data.station == station)).astype(float)
             # Orthogonal parts of the amplitude: A·cos ψ and A·sin ψ.
             parts = ((np.cos(angle), -np.sin(angle)), (-np.sin(angle), -np.cos(angle)))
-            columns = tuple(Column(_terms(own, both), LARGEST_LOBING_UM) for both in parts)
+            terms = [
+                tuple(
+                    SignatureTerm(("base", k), tabulated((own * part)[:, None]), 0, UM) for k, part in enumerate(both)
+                )
+                for both in parts
+            ]
+            columns = tuple(Column(own_terms, LARGEST_LOBING_UM) for own_terms in terms)
             names = (("cos", "um"), ("sin", "um"))
             candidates.append(Candidate(PROBE_LOBING, f"probe {station}", names, (Variant(columns),), 1.0))
         break
     return Catalogue(tuple(candidates))
 
 
-def _terms(own: np.ndarray, both: Sequence[np.ndarray]) -> tuple[SignatureTerm, ...]:
-    """Return the terms of shifts (n,) of some centres along x and y of the base."""
-    return tuple(SignatureTerm(("base", k), tabulated((own * part)[:, None]), 0, UM) for k, part in enumerate(both))
-
-
-def _upright(axis: Axis) -> float:
-    """Return the cosine between the axis of rotation and z of the base at zero."""
-    return float(axis.machine_direction[2])
-
-
-PROBE_LOBING_SOURCE: Final = CandidateSource((PROBE_LOBING,), probe_lobings)
-
-# --- Candidate: a scale error of all lengths, because the instrument uses a wrong refractive index
-
 PPM: Final = 1e-6
-LARGEST_PPM: Final = 20.0
-"""Corresponds to air 20 K away from the temperature set on the instrument."""
-REFRACTION_SCALE_PLAUSIBLE: Final = 100.0
-"""ppm: scale of the column."""
+LARGEST_PPM: Final = 20.0  # corresponds to air 20 K away from the temperature set on the instrument
+REFRACTION_SCALE_PLAUSIBLE: Final = 100.0  # ppm: scale of the column
 
 REFRACTION_SCALE: Final = Specification(
     name="refraction_scale",
@@ -373,10 +323,6 @@ def refraction_scale(inputs: CandidateInputs) -> Catalogue:
     columns = masked_columns([("length", 0)], np.ones(len(inputs.data)), PPM, REFRACTION_SCALE_PLAUSIBLE)
     return Catalogue((Candidate(REFRACTION_SCALE, "—", (("scale", "ppm"),), (Variant(columns),), 1.0),))
 
-
-REFRACTION_SCALE_SOURCE: Final = CandidateSource((REFRACTION_SCALE,), refraction_scale)
-
-# --- Candidate: drift of a station during the measurement -----------------------------------------
 
 STATION_DRIFT: Final = Specification(
     name="station_drift",
@@ -409,13 +355,9 @@ def station_drifts(inputs: CandidateInputs) -> Catalogue:
 
 
 def drift_of_station(time_s: np.ndarray, mask: np.ndarray) -> Drift:
-    """Return a drift of a station along the axes of the base; the parameters are its initial rates, µm/h.
+    """Return a drift of a station along the axes of the base, where a mask (n,) is set; the parameters are its initial rates, µm/h.
 
     The functions of time are the same as for a drift of the machine, so that their shape never decides between the two.
-
-    Args:
-        time_s: (n,) times of all readings.
-        mask: (n,) whether a reading was taken from the station.
     """
     hours = (time_s - time_s.min()) / 3600.0
     tried = drift_time_constants(time_s)
@@ -445,12 +387,7 @@ def drift_of_station(time_s: np.ndarray, mask: np.ndarray) -> Drift:
     )
 
 
-STATION_DRIFT_SOURCE: Final = CandidateSource((STATION_DRIFT,), station_drifts)
-
-# --- Candidate: a delay between positions and readings of a moving axis, with velocities from the feed or from the times of r
-
-IN_MOTION: Final = 1.0
-"""s: rows at shorter intervals, while an axis moves, count as sampled in motion."""
+IN_MOTION: Final = 1.0  # s: rows at shorter intervals, while an axis moves, count as sampled in motion
 
 TIME_SKEW: Final = Specification(
     name="time_skew",
@@ -532,4 +469,174 @@ def time_skews(inputs: CandidateInputs) -> Catalogue:
     return Catalogue(tuple(candidates), tuple(missing))
 
 
-TIME_SKEW_SOURCE: Final = CandidateSource((TIME_SKEW,), time_skews)
+FRAME: Final[tuple[Freedom, ...]] = tuple((name, i) for name in ("station", "station turn") for i in range(3))
+FEWEST_READINGS: Final = 2  # of a target before and after it was displaced; a single one is an outlier
+MOST_LINES: Final = 32  # lines of one round, evenly spaced, from which on something is tried as displaced
+AT_ONCE: Final = 0.05
+"""Share of the readings within which targets count as displaced at one time: the line is uncertain, and a target is not always read."""
+PLACE: Final[tuple[Freedom, ...]] = tuple(("place", i) for i in range(3))
+SHIFTS: Final = tuple((f"shift_{a}", "um") for a in "xyz")
+TURNS: Final = tuple((f"turn_{a}", "urad") for a in "xyz")
+
+
+ONE_ROUND: Final = " only"  # end of the place of an alignment of one round: ``round 2 only``
+FRAME_ALONE: Final = "frame"  # event of the frame where there is one station
+WITHIN: Final = "within round "
+"""Beginning of the place of a change in the middle of a round; the line from which on is its parameter ``line``."""
+
+
+def _frame_shift_title(where: str) -> str:
+    station, _, number = where.rpartition("round ")
+    station = station.removesuffix("within ").strip()
+    at = f" at {station.removesuffix(' from').removesuffix(' in')}" if station else ""
+    if WITHIN in where:
+        return f"instrument{at} displaced within round {number}"
+    if number.endswith(ONE_ROUND):
+        return f"instrument{at} aligned differently in round {number}"
+    return f"instrument{at} re-aligned from round {number} on"
+
+
+def _target_shift_title(where: str) -> str:
+    if WITHIN in where:
+        target, _, number = where.rpartition(f" {WITHIN}")
+        return f"target {target} displaced {WITHIN}{number}"
+    target, _, moment = where.rpartition(" from ")
+    return f"target {target} displaced from {moment} on"
+
+
+def _changed_in(where: str) -> tuple[str, ...]:
+    return ("time_s",) if WITHIN in where else ("round",)
+
+
+def _frame_shift_evidence(of: FittedCause) -> str:
+    if "line" in of.numbers:
+        return f"the instrument was displaced {of.where}, from line {of.numbers['line']:.0f} of the table on"
+    if of.where.endswith(ONE_ROUND):
+        return f"the instrument's frame was aligned differently in {of.where}"
+    return f"the instrument's frame was re-aligned from {of.where} on"
+
+
+def _target_shift_evidence(of: FittedCause) -> str:
+    if "line" not in of.numbers:
+        return f"target {of.where} was displaced"
+    target, _, number = of.where.rpartition(f" {WITHIN}")
+    return f"target {target} was displaced {WITHIN}{number}, from line {of.numbers['line']:.0f} of the table on"
+
+
+FRAME_SHIFT: Final = Specification(
+    name="frame_shift",
+    kind="instrument",
+    title=_frame_shift_title,
+    family="instrument re-aligned",
+    advice=Advice(
+        "Metrology: check the alignment of the instrument ({where}): a new alignment, a tripod that was knocked.",
+        f"{REST} Better, measure again in one alignment.",
+        NOTHING,
+    ),
+    evidence=_frame_shift_evidence,
+    fixed={"line": "1"},
+    varies="with time",
+    drawing=Drawing(columns=_changed_in, by_state=True, shared="station"),
+    most=1,
+)
+TARGET_SHIFT: Final = Specification(
+    name="target_shift",
+    kind="instrument",
+    title=_target_shift_title,
+    family="displaced targets",
+    advice=Advice("Metrology: check the mounting of that target.", REST, NOTHING),
+    evidence=_target_shift_evidence,
+    fixed={"line": "1"},
+    varies="with time",
+    drawing=Drawing(columns=_changed_in, by_state=True, shared="target"),
+    most=1,
+)
+
+
+def alignments(inputs: CandidateInputs) -> Catalogue:
+    """Return a candidate for the instrument's frame and for every target, from each round but the first on, and within each round.
+
+    And for the frame in one round alone; in the first or the last it is the same as from a round on.
+    """
+    station, rounds = inputs.data.station, list(dict.fromkeys(inputs.data.round))
+    number = np.array([rounds.index(name) for name in inputs.data.round])
+    single = len(dict.fromkeys(station)) == 1
+    frame_shifts, target_shifts = [], []
+
+    def add_frame_shifts(aligned: np.ndarray, name: str, preposition: str) -> None:
+        for at, mask in [("", aligned)] if single else _changed(aligned, station):
+            where = f"round {name}" if single else f"station {at} {preposition} round {name}"
+            variant = Variant(masked_columns(FRAME, mask, UM))
+            event = f"station {at}" if at else FRAME_ALONE
+            frame_shifts.append(Candidate(FRAME_SHIFT, where, (*SHIFTS, *TURNS), (variant,), 1.0, event=event))
+
+    for k, name in enumerate(rounds[1:], 1):
+        later = number >= k
+        add_frame_shifts(later, name, "from")
+        if k < len(rounds) - 1 <= MOST_ROUNDS:
+            add_frame_shifts(number == k, f"{name}{ONE_ROUND}", "in")
+        for target, mask in _changed(later, inputs.data.target):
+            variant = Variant(masked_columns(PLACE, mask, UM))
+            where = f"{target} from round {name}"
+            target_shifts.append(Candidate(TARGET_SHIFT, where, SHIFTS, (variant,), 1.0, event=target))
+    if len(rounds) <= MOST_ROUNDS:
+        sides = {str(side): set(inputs.data.target[inputs.data.carrier == side]) for side in inputs.data.carrier}
+        # With one side only, or one target on a side, a jump of the machine is the same.
+        for name in dict.fromkeys(station.tolist()) if len(sides) > 1 else ():
+            where = "" if single else f"station {name} "
+            frame_shifts += _within_rounds(inputs.data, FRAME_SHIFT, where, station == name, FRAME)
+        for name in sorted(set().union(*(targets for targets in sides.values() if len(targets) > 1))):
+            own = inputs.data.target == name
+            target_shifts += _within_rounds(inputs.data, TARGET_SHIFT, f"{name} ", own, PLACE)
+    return Catalogue((*frame_shifts, *target_shifts))
+
+
+def of_a_jumped_side(data: Measurements, chosen: Sequence[tuple[Candidate, Variant]]) -> set[tuple[str, str]]:
+    """Return effect and place of displaced targets that are all targets of a side, at one time: then the side jumped, and no target."""
+    rank = np.empty(len(data), dtype=int)
+    rank[order_in_time(data)] = np.arange(len(data))
+    shifted = []
+    for candidate, variant in chosen:
+        if candidate.specification is TARGET_SHIFT:
+            moved = variant.columns[0].terms[0].functions.values(slice(None))[:, 0] != 0.0
+            shifted.append((candidate.key, set(data.target[moved]), int(rank[moved].min())))
+    for side in dict.fromkeys(data.carrier.tolist()):
+        targets = set(data.target[data.carrier == side])
+        for _, _, first in shifted:
+            own = [
+                (key, moved)
+                for key, moved, at in shifted
+                if moved <= targets and 0 <= at - first <= AT_ONCE * len(data)
+            ]
+            if len(targets) > 1 and set().union(*(moved for _, moved in own)) == targets:
+                return {key for key, _ in own}
+    return set()
+
+
+def _within_rounds(
+    data: Measurements, of: Specification, where: str, own: np.ndarray, freedoms: Sequence[Freedom]
+) -> list[Candidate]:
+    """Return a candidate for each round in the middle of which a station or target (its readings ``own``) may have been displaced."""
+    order = order_in_time(data)
+    read, candidates = order[own[order]], []
+    for name in dict.fromkeys(data.round[read].tolist()):
+        inside = np.flatnonzero(data.round[read] == name)
+        # From the first reading of a later round on is the same as from that round on.
+        inside = inside[(inside >= FEWEST_READINGS) & (inside <= len(read) - FEWEST_READINGS) & (inside > inside[:1])]
+        tried = inside[np.unique(np.linspace(0, len(inside) - 1, min(len(inside), MOST_LINES)).astype(int))]
+        variants = []
+        for first in tried.tolist():
+            later = np.zeros(len(data), dtype=bool)
+            later[read[first:]] = True
+            variants.append(Variant(masked_columns(freedoms, later, UM), {"line": float(data.lines[read[first]])}))
+        if variants:
+            names = SHIFTS if freedoms is PLACE else (*SHIFTS, *TURNS)
+            place = f"{where}{WITHIN}{name}"
+            candidates.append(Candidate(of, place, names, tuple(variants), 1.0, event=where.strip() or FRAME_ALONE))
+    return candidates
+
+
+def _changed(later: np.ndarray, names: np.ndarray) -> list[tuple[str, np.ndarray]]:
+    """Return stations or targets with readings both before and after a change, with the mask of the later readings."""
+    masks = [(str(name), names == name) for name in dict.fromkeys(names)]
+    return [(name, later & mask) for name, mask in masks if 0 < np.count_nonzero(later & mask) < np.count_nonzero(mask)]

@@ -1,20 +1,11 @@
 """Candidate causes in the machine: its effects at every place, curves, loads, spikes at reversals, following errors.
 
-Candidates: a load that is missing from the machine description, or is known for each reading, where joints have a known compliance.
-
-With known compliances the deflection is linear in the mass and its first moments (Khalil and Dombre 2002, Modeling, Identification and
-Control of Robots, ch. 12). Compliances that are not known are estimated together with the load (`twin.diagnosis.payload`).
-
-Candidate: an axis that sticks at its reversal while the others move on, and catches up: the spikes of a ball bar's circle.
-
-The shift along the axis is −A·sign(v)·exp(−t/τ), t the time since the reversal. A and τ depend on the feed and on the friction
-compensation of the drive, so it does not enter a calibration.
-
-Candidate: positions reported by the control differ from the command, due to following error or because they were read too early.
-
-The parameter is the share s of the difference that appears in the readings. s = 1: the axis was at the reported position
-(``following_error``). s = 0: the position was reported before the axis had settled (``read_back``;
-`twin.diagnosis.causes`).
+- Loads: with known compliances the deflection is linear in the mass and its first moments (Khalil and Dombre 2002, Modeling,
+  Identification and Control of Robots, ch. 12); others are estimated together with the load (`twin.diagnosis.payload`).
+- Spikes of a ball bar's circle: an axis sticks at its reversal while the others move on, and catches up, −A·sign(v)·exp(−t/τ) along it.
+  A and τ depend on the feed and on the friction compensation of the drive, so it does not enter a calibration.
+- Following errors: the share s of the difference between report and command that appears in the readings: 1 if the axis was at the
+  reported position (``following_error``), 0 if it was reported before the axis had settled (``read_back``; `twin.diagnosis.causes`).
 """
 
 from __future__ import annotations
@@ -26,12 +17,11 @@ from typing import Any, Final
 import numpy as np
 
 from twin._common.units import UM
+from twin.diagnosis.candidates.calibration import mistakes
 from twin.diagnosis.candidates.candidate import (
     STRAIGHT_LINE,
-    Build,
     Candidate,
     CandidateInputs,
-    CandidateSource,
     Catalogue,
     Column,
     Drift,
@@ -40,7 +30,6 @@ from twin.diagnosis.candidates.candidate import (
     along_command,
     component_column,
     first_component,
-    mistakes,
     tabulated_column,
     unit_columns,
 )
@@ -49,13 +38,9 @@ from twin.machine.error_names import DIRECTIONS
 from twin.machine.machine import Axis, Machine
 from twin.measurement.observation import has_times, order_in_time
 from twin.measurement.table import Measurements
-from twin.model.calibration import Calibration
 from twin.model.effects import MACHINE_EFFECTS, Effect, ErrorMotion, GravityCompliance, Payload, Specification, unit_of
 from twin.model.effects.base import LOAD, LOAD_NUMBERS, NUMBERS, SIDES, Side, along, channel, is_carrying, side_of
 from twin.model.effects.error_motion import (
-    ANGULAR_ERROR_MOTION,
-    POSITIONING,
-    ROTARY_ERROR_MOTION,
     STRAIGHTNESS,
     specification_of,
 )
@@ -93,8 +78,12 @@ def _effect_candidate(
 ) -> Candidate:
     if specification.forms is not None:
         forms = specification.forms(inputs.machine, where, inputs.state, payloads)
+    elif specification.make is None:
+        raise TypeError(f"{specification.name} has neither forms nor a constructor")
     else:
-        forms = _single(specification, where, inputs)
+        make, (name,) = specification.make, specification.parameters
+        unit = make(inputs.machine, where, {name: 1.0}, ()).parameters[0].unit
+        forms = single_parameter_form((name, unit), lambda value: make(inputs.machine, where, {name: value}, ()))
     if forms.is_drift:
         drift = _drift(forms, specification.nonlinear[0], inputs)
         return Candidate(
@@ -107,23 +96,8 @@ def _effect_candidate(
     return Candidate(specification, where, forms.names, variants, tests, forms.build, forms.units, forms.space)
 
 
-def _single(specification: Specification, where: str, inputs: CandidateInputs) -> Forms:
-    """Return the forms of an effect of one parameter."""
-    make, (name,) = specification.make, specification.parameters
-    if make is None:
-        raise TypeError(f"{specification.name} has neither forms nor a constructor")
-    unit = make(inputs.machine, where, {name: 1.0}, ()).parameters[0].unit
-    return single_parameter_form((name, unit), lambda value: make(inputs.machine, where, {name: value}, ()))
-
-
 def variant_at(candidate: Candidate, fixed: Mapping[str, float], machine: Machine, state: Mapping[str, Any]) -> Variant:
-    """Return the variant of a candidate at given values of its non-linear parameters.
-
-    Args:
-        candidate: the candidate; it has ``units`` or ``drift``.
-        fixed: values of the non-linear parameters, by name.
-        state: positions and channels of all readings.
-    """
+    """Return the variant of a candidate, which has ``units`` or ``drift``, at given values of its non-linear parameters."""
     if candidate.drift is not None:
         return candidate.drift.variant(fixed.get(candidate.drift.name, STRAIGHT_LINE))
     if candidate.units is None:
@@ -171,14 +145,8 @@ def _drift(forms: Forms, name: str, inputs: CandidateInputs) -> Drift:
     return Drift(columns, tried, straight=False, name=name)
 
 
-MACHINE_EFFECTS_SOURCE: Final = CandidateSource(TESTED_EFFECTS, machine_effects)
-
-# --- Candidates: an error motion whose curve in the calibration is wrong or missing ---------------
-
-CORRECTION_DEGREE: Final = 3
-"""Degree of the correction of a curve that is not a polynomial."""
-MOST_DEGREES: Final = 8
-"""Largest degree tried, unless the calibration's curve has a larger one."""
+CORRECTION_DEGREE: Final = 3  # degree of the correction of a curve that is not a polynomial
+MOST_DEGREES: Final = 8  # largest degree tried, unless the calibration's curve has a larger one
 
 
 def curves(inputs: CandidateInputs) -> Catalogue:
@@ -211,10 +179,7 @@ def _of_axis(inputs: CandidateInputs, axis: Axis) -> list[Candidate]:
 def _space_and_mistakes(
     inputs: CandidateInputs, axis: Axis, component: int
 ) -> tuple[CurveSpace, dict[float, np.ndarray]] | None:
-    """Return the functions of the correction of one error motion, and the coefficients of mistakes in its curve.
-
-    None if its curve cannot be corrected or has too few positions.
-    """
+    """Return functions of the correction of one error motion, and coefficients of mistakes in its curve; None if it has none."""
     name, curve = f"E_{DIRECTIONS[component]}{axis.name}", None
     if (known := inputs.calibration.curves.get(name)) is not None:
         curve = known.in_powers()
@@ -236,10 +201,7 @@ def _positions(inputs: CandidateInputs, axis: Axis, domain: tuple[float, float])
 
 
 def _fixed_by_datum(axis: Axis, component: int) -> int:
-    """Return the number of coefficients that the datum fixes: the constant, and the slope of a straightness.
-
-    See `twin.identification.network`.
-    """
+    """Return how many coefficients the datum fixes (`twin.identification.network`): the constant, the slope of a straightness."""
     return 2 if specification_of(axis, component) is STRAIGHTNESS else 1
 
 
@@ -256,17 +218,23 @@ def _curve_candidate(
     single_mistakes = [Variant((columns[space.count + k],), {"stops": stops}) for k, stops in enumerate(patterns)]
     tests = float(space.count - first_free + min(len(single_mistakes), 2))
     names = tuple((f"g{k}", unit_of(space.name)) for k in range(space.count))
-    build = _builder(space, patterns, wrapped=axis.lower is None)
+
+    def build(values: np.ndarray, fixed: Mapping[str, float]) -> tuple[Effect, ...]:
+        if "stops" in fixed:
+            values = values[0] * patterns[fixed["stops"]]
+        first = round(fixed.get("first", 0.0))
+        n = first + len(values)
+        coefficients = tuple(float(v) for v in space.transform[:n, first:n] @ values)
+        return (ErrorMotion(space.name, space.basis, space.domain, coefficients, wrapped=axis.lower is None),)
+
     specification = specification_of(axis, component)
     return Candidate(specification, space.name, names, (*variants, *single_mistakes), tests, build, space=space)
 
 
 def _domain_and_degree(axis: Axis, known: Curve | None, curve: Curve | None) -> tuple[tuple[float, float], int] | None:
-    """Return the domain and largest degree of the correction of a curve; None if it cannot be corrected.
+    """Return domain and largest degree of the correction of a known curve; None if it cannot be corrected.
 
-    Args:
-        known: the calibration's curve; None if there is none.
-        curve: the same in powers; None if it is not a polynomial.
+    ``curve`` is the same in powers; None if it is not a polynomial.
     """
     if curve is not None:
         return curve.domain, max(MOST_DEGREES, len(curve.coefficients) - 1)
@@ -279,26 +247,8 @@ def _domain_and_degree(axis: Axis, known: Curve | None, curve: Curve | None) -> 
     return None
 
 
-def _builder(space: CurveSpace, patterns: Mapping[float, np.ndarray], *, wrapped: bool) -> Build:
-    def build(values: np.ndarray, fixed: Mapping[str, float]) -> tuple[Effect, ...]:
-        if "stops" in fixed:
-            values = values[0] * patterns[fixed["stops"]]
-        first = round(fixed.get("first", 0.0))
-        n = first + len(values)
-        coefficients = tuple(float(v) for v in space.transform[:n, first:n] @ values)
-        return (ErrorMotion(space.name, space.basis, space.domain, coefficients, wrapped=wrapped),)
-
-    return build
-
-
 def _functions_with_sums(space: CurveSpace, at: np.ndarray, patterns: Sequence[np.ndarray]) -> Functions:
-    """Return a curve's orthonormal functions, followed by linear combinations of them.
-
-    Args:
-        space: the functions.
-        at: (n,) positions.
-        patterns: coefficients (count,) of each combination.
-    """
+    """Return a curve's orthonormal functions at (n,) positions, followed by linear combinations of them with coefficients (count,)."""
     sums = np.stack(patterns, axis=1) if patterns else np.zeros((space.count, 0))
 
     def values(rows: Rows) -> np.ndarray:
@@ -308,19 +258,13 @@ def _functions_with_sums(space: CurveSpace, at: np.ndarray, patterns: Sequence[n
     return Functions(len(at), space.count + sums.shape[1], values)
 
 
-CURVES_SOURCE: Final = CandidateSource((POSITIONING, STRAIGHTNESS, ANGULAR_ERROR_MOTION, ROTARY_ERROR_MOTION), curves)
-
-# --- Candidates: a load that is missing from the machine description, or is known for each reading, where joints have a known
-
-LOADS: Final = 4
-"""Mass and three first moments."""
+LOADS: Final = 4  # mass and three first moments
 
 
 def added_payloads(inputs: CandidateInputs) -> Catalogue:
     """Return the candidates for each side on which the calibration has compliances: a payload, and the load that the readings carry.
 
-    If all readings carry the same load, it is confounded with a payload: it is tested where compliances are known without it, else the
-    payload is.
+    A load that all readings carry is confounded with a payload: it is tested where compliances are known without it, else the payload.
     """
     compliant = [effect for effect in inputs.calibration.extra if isinstance(effect, GravityCompliance)]
     every = {side: [effect for effect in compliant if side_of(effect.axis) == side] for side in SIDES}
@@ -372,7 +316,10 @@ def _payload_candidate(
         return along_axis
 
     rigid = _rigid(inputs.machine, side, compliant)
-    doubt = _standard_uncertainties(inputs.calibration, compliant)
+    known = inputs.calibration.covariance
+    deviations = dict(zip(known.names, np.sqrt(np.diag(known.matrix)), strict=True))
+    # 0 where the calibration gives no uncertainty of a compliance.
+    doubt = [float(deviations.get(joint.parameters[0].name, 0.0)) for joint in compliant]
 
     def build(values: np.ndarray, fixed: Mapping[str, float]) -> tuple[AddedLoad, ...]:
         weights = values if len(values) == LOADS else values[0] * first_moments(fixed)
@@ -405,25 +352,13 @@ def first_moments(fixed: Mapping[str, float]) -> np.ndarray:
 
 
 def with_centre(candidate: Candidate, centre_mm: Sequence[float] | np.ndarray) -> Variant:
-    """Return the variant of an added load with a given centre: its only coefficient is the mass.
-
-    Args:
-        candidate: an added load.
-        centre_mm: centre in the frame that carries it.
-    """
+    """Return the variant of an added load with a given centre in the frame that carries it: its only coefficient is the mass."""
     fixed = dict(zip(NUMBERS[1:], map(float, centre_mm), strict=True))
     parts = list(zip(candidate.variants[-1].columns, first_moments(fixed), strict=True))
     terms = [replace(term, weight=term.weight * weight) for column, weight in parts for term in column.terms]
     # The effect of 1 kg is at most the sum of those of its mass and moments, so that this mass has the largest plausible effect.
     scale = 1.0 / sum(abs(weight) / column.scale for column, weight in parts)
     return Variant((Column(tuple(terms), float(scale)),), fixed)
-
-
-def _standard_uncertainties(calibration: Calibration, compliant: Sequence[GravityCompliance]) -> list[float]:
-    """Return the standard uncertainty of each compliance in the calibration; 0 where it gives none."""
-    known = calibration.covariance
-    deviations = dict(zip(known.names, np.sqrt(np.diag(known.matrix)), strict=True))
-    return [float(deviations.get(joint.parameters[0].name, 0.0)) for joint in compliant]
 
 
 def _rigid(machine: Machine, side: Side, compliant: Sequence[GravityCompliance]) -> list[GravityCompliance]:
@@ -444,10 +379,6 @@ def _mass_and_centre(values: np.ndarray) -> np.ndarray:
     """Return mass, kg, and centre, mm, from mass and first moments, kg·m; of the mass alone the mass."""
     return np.concatenate([values[:1], 1e3 * values[1:] / values[0]])
 
-
-ADDED_PAYLOAD_SOURCE: Final = CandidateSource((PAYLOAD, CARRIED_LOAD), added_payloads)
-
-# --- Candidate: an axis that sticks at its reversal while the others move on, and catches up: the spikes of a ball bar's circ
 
 TIME_CONSTANTS_IN_ROWS: Final = (1.0, 2.0, 4.0, 8.0)
 """Time constants tried, in intervals between rows: shorter ones fall between the readings, longer ones are backlash."""
@@ -491,9 +422,7 @@ def reversal_spikes(inputs: CandidateInputs) -> Catalogue:
 def time_since_reversal(data: Measurements, velocity: np.ndarray) -> tuple[np.ndarray, float]:
     """Return (n,) the time in s since an axis reversed, infinite before the first reversal of a round, and the interval between rows.
 
-    Args:
-        data: the measurements; rows of a round follow each other, at a known feed or at known times.
-        velocity: (n,) of the axis; a reversal is taken in the middle between two rows of opposite sign.
+    Rows follow each other at a known feed or at known times; a reversal is in the middle between two rows of opposite velocity.
     """
     timed, order = has_times(data), order_in_time(data)
     q, rounds = data.positions[order], data.round[order]
@@ -515,12 +444,7 @@ def time_since_reversal(data: Measurements, velocity: np.ndarray) -> tuple[np.nd
     return since, float(np.median(passed[passed > 0.0])) if np.any(passed > 0.0) else 1.0
 
 
-REVERSAL_SPIKE_SOURCE: Final = CandidateSource((REVERSAL_SPIKE,), reversal_spikes)
-
-# --- Candidate: positions reported by the control differ from the command, due to following error or because they were read t
-
-LEAST_UM: Final = 1e-3
-"""µm or µrad: smaller differences between report and command are ignored."""
+LEAST_UM: Final = 1e-3  # µm or µrad: smaller differences between report and command are ignored
 
 FOLLOWING_ERROR: Final = Specification(
     name="following_error",
@@ -564,6 +488,3 @@ def following_errors(inputs: CandidateInputs) -> Catalogue:
             column = tabulated_column({i: difference * part for i, part in along_command(inputs.machine, axis)})
             candidates.append(Candidate(FOLLOWING_ERROR, axis.name, (("share", "1"),), (Variant((column,)),), 1.0))
     return Catalogue(tuple(candidates), tuple(missing))
-
-
-FOLLOWING_ERROR_SOURCE: Final = CandidateSource((FOLLOWING_ERROR, READ_BACK), following_errors)

@@ -1,7 +1,14 @@
-"""Candidates: curves of the calibration that are correct but assigned to the wrong component or joint.
+"""Candidates: curves of the calibration that are misassigned; and single mistakes in making a curve, which explain its correction.
 
-The parameter is the share of the curves that belongs elsewhere: 1 if they are misassigned. This happens if a program reads E_BB for
-E_CB, or applies a rotary axis's errors before the whole chain (Ellingsdalen 2021, listing 3.3).
+The parameter of a misassigned curve is the share that belongs elsewhere: 1 if a program reads E_BB for E_CB, or applies a rotary axis's
+errors before the whole chain (Ellingsdalen 2021, listing 3.3).
+
+A correction Δ of a curve f was estimated in orthonormal functions, with covariance C. A mistake predicts Δ up to a few parameters;
+the rest is tested by a Wald chi². The simplest mistake that is not rejected is named:
+- f was applied with a wrong factor (zero, wrong sign, twice, another unit): Δ = (s − 1)·f;
+- f was fitted without a constant term (Ellingsdalen 2021, listing 3.1: every degree above one), so that it is zero at q = 0 where the
+  machine's error is not: Δ = c·(1 − the least-squares fit of 1 by q, q² … qⁿ at the stops);
+- f is a polynomial of too high a degree for its stops and oscillates between them: Δ cancels f above some degree.
 """
 
 from __future__ import annotations
@@ -13,12 +20,12 @@ from typing import Any, Final, final
 
 import numpy as np
 
+from twin._common.distributions import chi2_sf
 from twin._common.units import UM
 from twin.diagnosis.candidates.candidate import (
     Build,
     Candidate,
     CandidateInputs,
-    CandidateSource,
     Catalogue,
     Column,
     SignatureTerm,
@@ -33,6 +40,8 @@ from twin.machine.machine import Axis
 from twin.model.calibration import Calibration
 from twin.model.effects import Effect, ErrorMotion, split_name
 from twin.model.effects.specification import Advice, FittedCause, Specification
+from twin.model.motion_curve import Curve
+from twin.numerics.curves import CurveSpace
 from twin.numerics.functions import Functions, tabulated
 
 BASE: Final = "the base"
@@ -78,19 +87,12 @@ MISPLACED: Final = Specification(
 @final
 @dataclass(frozen=True, eq=False)
 class _Curves:
-    """The calibration's curves.
-
-    Attributes:
-        inputs: inputs that candidates are generated from.
-        motions: the curves.
-        functions: functions of the state, one for each curve.
-        index: index of each axis's first error component.
-    """
+    """The calibration's curves."""
 
     inputs: CandidateInputs
     motions: Sequence[ErrorMotion]
-    functions: Functions
-    index: Mapping[str, int]
+    functions: Functions  # one for each curve
+    index: Mapping[str, int]  # of each axis's first error component
 
     def of(self, axis: Axis) -> dict[int, int]:
         """Return component → index of the curve, for one axis."""
@@ -232,15 +234,126 @@ def _renamed(motion: ErrorMotion, name: str, calibration: Calibration) -> Build 
 
 
 def _in_base_frame(own: Mapping[int, int], curves: Functions, carried: np.ndarray) -> list[SignatureTerm]:
-    """Return an axis's errors as translations and rotations, about the base frame's origin, of everything its side carries.
-
-    Args:
-        own: component → index of its curve.
-        curves: functions of all curves.
-        carried: (n,) whether the target of a reading is on that side.
-    """
+    """Return an axis's errors (component → curve) as movements, about the base's origin, of all that its side carries (n,)."""
     masked = Functions(curves.points, curves.count, lambda rows: curves.values(rows) * carried[rows, None])
     return [SignatureTerm(("base", i) if i < 3 else ("base turn", i - 3), masked, k, UM) for i, k in own.items()]
 
 
-SOURCE: Final = CandidateSource((MISPLACED,), misplaced)
+MISTAKE_REJECTED_P: Final = 1e-3  # p-value below which a mistake is rejected: the rest of the correction is not noise
+MAIN_SHARE: Final = 0.97
+"""Share of the correction's chi² above which a mistake is named even if rejected: the curve's other errors are small."""
+CURVE_STOPS: Final = (9, 11, 13, 16, 21, 51)  # numbers of evenly spaced stops at which a curve may have been fitted
+ITSELF: Final = 0.0  # key, in place of a number of stops, for the curve itself with another factor
+RANK_TOLERANCE: Final = 1e-9
+
+
+def flaw(space: CurveSpace, curve: Curve, correction: np.ndarray, covariance: np.ndarray) -> str:  # noqa: C901
+    """Return the mistake in words; empty if none explains the correction, or the curve has more coefficients than functions.
+
+    ``correction`` are coefficients (k,) of the first functions, µm or µrad, with their covariance, zero where not identifiable.
+    """
+    if len(curve.coefficients) > space.count:
+        return ""
+    calibrated = _coefficients(space, curve)
+    weight, rank = _inverse(covariance)
+    k = len(correction)
+    whole = float(correction @ weight @ correction)
+    unit = curve.unit.replace("urad", "µrad").replace("um", "µm")
+
+    def tested(known: np.ndarray, free: np.ndarray) -> tuple[float, np.ndarray, bool]:
+        """Return chi² of the correction less known + free·s, the best s, and whether the mistake is accepted."""
+        gram = free.T @ weight @ free
+        s = np.linalg.pinv(gram, hermitian=True) @ (free.T @ weight @ (correction - known))
+        rest = correction - known - free @ s
+        chi2 = float(rest @ weight @ rest)
+        dof = rank - int(np.linalg.matrix_rank(gram, hermitian=True))
+        accepted = dof > 0 and (chi2_sf(chi2, dof) > MISTAKE_REJECTED_P or chi2 < (1.0 - MAIN_SHARE) * whole)
+        return chi2, s, accepted
+
+    # A factor is tested only if the correction's functions contain nearly all of the curve.
+    if np.linalg.norm(calibrated[k:]) < (1.0 - MAIN_SHARE) * np.linalg.norm(calibrated):
+        _, factor, accepted = tested(np.zeros(k), calibrated[:k, None])
+        if accepted:
+            return times(1.0 + float(factor[0]))
+    fits = []
+    for stops in CURVE_STOPS:
+        pattern = without_constant(space, len(curve.coefficients) - 1, stops)
+        if pattern is not None and np.linalg.norm(pattern[k:]) < (1.0 - MAIN_SHARE) * np.linalg.norm(pattern):
+            chi2, size, accepted = tested(np.zeros(k), pattern[:k, None])
+            fits.append((chi2, float(size[0]), accepted))
+    if fits:
+        _, constant, accepted = min(fits)
+        if accepted:
+            return constant_dropped(curve, constant)
+    degree = len(curve.coefficients) - 1
+    for lower in range(1, degree if k > degree else 1):
+        known = np.where(np.arange(k) > lower, -calibrated[:k], 0.0)
+        free = np.eye(k)[:, : lower + 1]
+        if tested(np.zeros(k), free)[2]:
+            break  # the terms above this degree may just as well be right
+        if tested(known, free)[2]:
+            q, _ = space.grid()
+            oscillation = space.functions(q)[:, lower + 1 :] @ calibrated[lower + 1 :]
+            return (
+                f"its polynomial of degree {degree} oscillates by up to {float(np.abs(oscillation).max()):.2g} {unit} where the "
+                f"machine does not: the terms above degree {lower} are spurious"
+            )
+    return ""
+
+
+def constant_dropped(curve: Curve, size: float) -> str:
+    """Return a sentence on a constant term of a given size that was left out of a fit."""
+    unit = curve.unit.replace("urad", "µrad").replace("um", "µm")
+    return (
+        f"its polynomial of degree {len(curve.coefficients) - 1} was fitted without a constant term, "
+        f"so it is forced through zero at 0, where the machine's error is {size:.3g} {unit}"
+    )
+
+
+def without_constant(space: CurveSpace, degree: int, stops: int) -> np.ndarray | None:
+    """Return coefficients (count,) of 1 less its fit by q, q² … qⁿ at evenly spaced stops; None if the fit is exact or impossible."""
+    lo, hi = space.domain
+    if not lo <= 0.0 <= hi or degree < 2 or degree >= space.count or stops <= degree:
+        return None
+    q = np.linspace(lo, hi, stops)
+    scale = max(abs(lo), abs(hi))
+    # Scaled to u = q/scale for the conditioning.
+    powers = np.stack([(q / scale) ** n for n in range(1, degree + 1)], axis=1)
+    fitted, *_ = np.linalg.lstsq(powers, np.ones(stops), rcond=None)
+    at, weight = space.grid()
+    values = 1.0 - np.stack([(at / scale) ** n for n in range(1, degree + 1)], axis=1) @ fitted
+    functions = space.functions(at)
+    return np.asarray(functions.T @ (weight * values))
+
+
+def _coefficients(space: CurveSpace, curve: Curve) -> np.ndarray:
+    padded = np.concatenate([curve.coefficients, np.zeros(space.count - len(curve.coefficients))])
+    return np.asarray(np.linalg.solve(space.transform, padded))
+
+
+def mistakes(space: CurveSpace, curve: Curve | None) -> dict[float, np.ndarray]:
+    """Return coefficients of the corrections by one mistake each, by number of stops or `ITSELF`; each has one unknown factor."""
+    if curve is None:
+        return {}
+    shapes = {float(n): without_constant(space, len(curve.coefficients) - 1, n) for n in CURVE_STOPS}
+    if len(curve.coefficients) <= space.count and np.any(curve.coefficients):
+        shapes[ITSELF] = _coefficients(space, curve)
+    return {stops: shape for stops, shape in shapes.items() if shape is not None}
+
+
+def times(factor: float) -> str:
+    """Return a sentence on a machine whose error motion is the calibration's curve times a factor."""
+    if abs(factor) < 0.1:
+        return "the machine does not have this error motion at all: it is already corrected, or the curve is of another machine"
+    if abs(factor + 1.0) < 0.1:
+        return "the calibration's curve has the wrong sign"
+    return f"the machine's error motion is {factor:.2g} times the calibration's curve"
+
+
+def _inverse(covariance: np.ndarray) -> tuple[np.ndarray, int]:
+    """Return the pseudo-inverse over the identifiable directions, and their number."""
+    values, vectors = np.linalg.eigh(covariance)
+    identifiable = values > RANK_TOLERANCE * values[-1] if len(values) else np.zeros(0, dtype=bool)
+    return np.asarray((vectors[:, identifiable] / values[identifiable]) @ vectors[:, identifiable].T), int(
+        identifiable.sum()
+    )
