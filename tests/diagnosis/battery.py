@@ -86,11 +86,6 @@ def basis_of(problem: Problem) -> np.ndarray:
     return rows.reshape(3 * len(rows), rows.shape[2])
 
 
-def nuisance_of(problem: Problem) -> np.ndarray:
-    """Return (3n, k) derivatives by the nuisance parameters: set-up (plausible sizes), calibration (root of its covariance)."""
-    return np.asarray(basis_of(problem) @ problem.nuisances.coordinates)
-
-
 class Finding:
     """The hidden effects of one draw, and the causes named."""
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.benchmarks.diagnosis import measured
-from tests.diagnosis.battery import Searcher, basis_of, nuisance_of
+from tests.diagnosis.battery import Searcher, basis_of
 from twin._common.arrays import read_only
 from twin.diagnosis.candidates.candidate import Column
 from twin.diagnosis.problem import Problem, Products
@@ -82,7 +82,7 @@ def test_the_basis_is_that_of_the_dense_derivatives(dmu50: Machine, searched: Se
     assert np.abs(identity - np.eye(len(identity))).max() < 1e-11
     # The same directions, and the derivatives and their prior from their coordinates.
     assert np.abs(found @ found.T - basis @ basis.T).max() < 1e-9
-    assert np.abs(nuisance_of(problem) - whole).max() < 1e-9 * np.abs(whole).max()
+    assert np.abs(problem.nuisance - whole).max() < 1e-9 * np.abs(whole).max()
     assert np.abs((problem.nuisances.prior @ problem.nuisances.coordinates) - prior).max() < 1e-9
     vectors = np.random.default_rng(3).standard_normal((len(found), 20))
     left = vectors - basis @ (basis.T @ vectors)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from tests.diagnosis.battery import Searcher, nuisance_of
+from tests.diagnosis.battery import Searcher
 from tests.real import plates
 from tests.truth import hidden
 from tests.truth.hidden import Hidden
@@ -42,7 +42,7 @@ def searched(dmu50: Machine, calibration: Calibration, tmp_path_factory: pytest.
 
 def beside(problem: Problem, columns: np.ndarray) -> np.ndarray:
     """Return columns with the set-up projected out, by least squares."""
-    setup = nuisance_of(problem)
+    setup = problem.nuisance
     return columns - setup @ np.linalg.lstsq(setup, columns, rcond=1e-12)[0]
 
 
@@ -90,7 +90,7 @@ def test_the_score_of_a_pattern_is_the_one_of_plain_numpy(searched: Searcher) ->
     pattern = next(p for p in searched.patterns if p.names == ("Y_mm", "Z_mm") and p.side == "tool")
     (pattern_test,) = scan_patterns(problem, [pattern], [form], np.inf)
     columns = [problem.signature(pattern.columns(pattern_test.level, [i])) for i in pattern_test.directions]
-    free = np.concatenate([nuisance_of(problem), problem.signature(form.variant.columns)], axis=1)
+    free = np.concatenate([problem.nuisance, problem.signature(form.variant.columns)], axis=1)
     phi = np.concatenate(columns, axis=1)
     phi = phi - free @ np.linalg.lstsq(free, phi, rcond=1e-12)[0]
     deviation = np.concatenate([np.full(c.shape[1], 1.0) for c in columns])

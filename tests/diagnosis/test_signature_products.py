@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.diagnosis.battery import Searcher, _doubted, basis_of, nuisance_of
+from tests.diagnosis.battery import Searcher, _doubted, basis_of
 from tests.truth import hidden
 from tests.truth.hidden import Hidden
 from twin._common.arrays import read_only
@@ -115,7 +115,7 @@ def test_inner_products_within_forms(searched: tuple[Problem, Searcher], whole: 
 def test_projection_of_set_up_and_calibration(searched: tuple[Problem, Searcher], whole: np.ndarray) -> None:
     """Against an orthonormal basis of the whole matrix by singular values: the definition."""
     problem, searcher = searched
-    nuisance, prior = nuisance_of(problem), (problem.nuisances.prior @ problem.nuisances.coordinates)
+    nuisance, prior = problem.nuisance, (problem.nuisances.prior @ problem.nuisances.coordinates)
     some = whole[:, ::97]
     for out in (None, *range(3)):
         gone = np.zeros(len(problem.view.rows), dtype=bool) if out is None else split(problem) == out

@@ -97,6 +97,12 @@ class Problem:
         part.set_residual(self.residual)
         return part
 
+    @property
+    def nuisance(self) -> np.ndarray:
+        """(3n, k) derivatives by the nuisance parameters: set-up (plausible sizes), calibration (root of its covariance)."""
+        rows = self.nuisances.rows(slice(None))
+        return np.asarray(rows.reshape(-1, rows.shape[2]) @ self.nuisances.coordinates)
+
     def orthonormal_on(self, points: np.ndarray) -> np.ndarray:
         """Return the factor (directions, k) that makes the basis orthonormal over a subset of the points (their numbers)."""
         return _root(self.nuisances.prior.T @ self.nuisances.prior + self.nuisances.gram(points))
