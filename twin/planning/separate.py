@@ -171,7 +171,7 @@ class _Question:
         """Return the derivatives with respect to set-up, calibration errors and the two causes, with their prior precision."""
         problem = self._planned(instrument, every.plan)
         columns = [problem.signature(cell.columns) for _, cell in cells]
-        setup, calibration_errors = len(problem.setup), len(problem.prior)
+        setup, calibration_errors = len(problem.setup), len(problem.nuisances.prior)
         whole = np.concatenate([problem.nuisance, *columns], axis=1)
         total = whole.shape[1]
         # `twin diagnose` has no prior on the set-up: a target's position on its carrier may have to follow from machine angles alone.
