@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Annotated, Any, Final, Literal, final
 
 import numpy as np
+import pinocchio as pin
 from pydantic import BaseModel, ConfigDict, Field
 
 from twin._common.errors import InputError
@@ -413,15 +414,15 @@ class Description:
         Raises:
             InputError: it has not: a defect.
         """
+        lines, _ = axis_lines(machine)
         for part in self.parts:
-            side, motion, point = axis_line(machine, part.name)
-            away = np.cross(point - part.point, part.motion) if not is_linear(part.name) else np.zeros(3)
-            off = max(float(np.linalg.norm(motion - part.motion)) * 1e3, float(np.linalg.norm(away)))
+            side, motion, point = lines[part.name]
+            away = np.zeros(3) if is_linear(part.name) else np.cross(point - part.point, part.motion)
+            off = max(1e3 * float(np.linalg.norm(motion - part.motion)), float(np.linalg.norm(away)))
             if side != part.side or off > AGREED_MM:
+                expected = f"within {AGREED_MM:g} mm"
                 raise InputError(
-                    f"the written axis {part.name} is not the described one",
-                    expected=f"within {AGREED_MM:g} mm",
-                    value=f"{off:g} mm",
+                    f"the written axis {part.name} is not as described", expected=expected, value=f"{off:g} mm"
                 )
 
 
@@ -430,21 +431,22 @@ def link_name(axis: str) -> str:
     return f"{axis.lower()}_link"
 
 
-def axis_line(machine: Machine, name: str) -> tuple[str, np.ndarray, np.ndarray]:
-    """Return side, motion of the link (3,) and a point (3,) in mm of an axis, in the base frame.
+def axis_lines(
+    machine: Machine, *, zero: bool = False
+) -> tuple[dict[str, tuple[str, np.ndarray, np.ndarray]], np.ndarray]:
+    """Return side, motion of the link (3,) and a point (3,) in mm of every axis in the base frame, and the spindle nose (3,) in mm.
 
-    The linear axes are at `Machine.origin_mm`, the rotary ones at zero.
+    The rotary axes are at zero, the linear ones at `Machine.origin_mm`, or at zero if ``zero`` is set.
     """
-    import pinocchio as pin
-
+    rest = np.array([0.0 if zero else machine.origin_mm.get(one, 0.0) for one in machine.names]) * machine.scale
     data = machine.model.createData()
-    rest = [machine.origin_mm.get(one, 0.0) * scale for one, scale in zip(machine.names, machine.scale, strict=True)]
-    pin.forwardKinematics(machine.model, data, machine.configuration(np.array(rest)))
-    index = machine.names.index(name)
-    pose = data.oMi[machine.axis_joints[index]]
-    axis = machine.axes[index]
-    motion = pose.rotation @ machine.error_frame(name).rotation @ np.array(axis.direction)
-    return axis.side, motion, pose.translation / MM
+    pin.framesForwardKinematics(machine.model, data, machine.configuration(rest))
+    found: dict[str, tuple[str, np.ndarray, np.ndarray]] = {}
+    for axis, joint in zip(machine.axes, machine.axis_joints, strict=True):
+        pose = data.oMi[joint]
+        motion = pose.rotation @ machine.error_frame(axis.name).rotation @ np.array(axis.direction)
+        found[axis.name] = axis.side, motion, pose.translation / MM
+    return found, data.oMf[machine.tool_frame].translation / MM
 
 
 @final
