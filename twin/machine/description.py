@@ -347,13 +347,17 @@ class Description:
     def urdf(self) -> str:
         """Return the text of the URDF."""
         answers = self.answers
-        links = [Placed("base", "", None, np.eye(3), np.zeros(3))]
+        links = [Placed("base", "", None, np.eye(3), np.zeros(3), np.zeros(3))]
         for side in ("tool", "work"):
-            parent = "base"
-            for part in (one for one in self.parts if one.side == side):
-                links.append(Placed(link_name(part.name), parent, part, part.rotation, part.point * MM))
+            parent, own = "base", [one for one in self.parts if one.side == side]
+            for i, part in enumerate(own):
+                # `frames.origin` shifts the start of a branch: its links are where the later axes have their origins.
+                later = [one.motion * answers.table[one.name] for one in own[i + 1 :] if is_linear(one.name)]
+                shift = -MM * np.sum([np.zeros(3), *later], axis=0)
+                links.append(Placed(link_name(part.name), parent, part, part.rotation, part.point * MM, shift))
                 parent = links[-1].name
-            links.append(Placed("spindle_nose" if side == "tool" else "table", parent, None, np.eye(3), np.zeros(3)))
+            end = "spindle_nose" if side == "tool" else "table"
+            links.append(Placed(end, parent, None, np.eye(3), np.zeros(3), np.zeros(3)))
         solids = Solids(self)
         by_name = {one.name: one for one in links}
         comment = (
@@ -458,7 +462,8 @@ class Placed:
         name: its name.
         parent: name of the link that carries it; empty for the base.
         part: the axis that moves it; None for a fixed link.
-        rotation, origin: pose of its frame in the base frame, m.
+        rotation, origin: pose of its frame in the base frame as the URDF has it, m.
+        shift: (3,) of that frame where the machine is loaded, m.
     """
 
     name: str
@@ -466,6 +471,7 @@ class Placed:
     part: Part | None
     rotation: np.ndarray
     origin: np.ndarray
+    shift: np.ndarray
 
 
 def _numbers(values: Sequence[float] | np.ndarray) -> str:

@@ -278,7 +278,7 @@ class Solids:
         """Return the lines of a link's shapes and, if an axis moves it, of its estimated mass."""
         visuals, masses = [], []
         for kind, size, turn, centre, colour in self._found.get(link.name, []):
-            turned, place = link.rotation.T @ turn, link.rotation.T @ (centre - link.origin)
+            turned, place = link.rotation.T @ turn, link.rotation.T @ (centre - link.origin - link.shift)
             shape = (
                 f'box size="{_short(size)}"'
                 if kind == "box"
