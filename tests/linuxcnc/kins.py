@@ -6,7 +6,9 @@ import ctypes
 import shutil
 import subprocess
 from collections.abc import Mapping
+from functools import cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
@@ -49,12 +51,18 @@ int twin_set(const char *name, double value) {
 """
 
 
-def forward(folder: Path, module: str, pins: Mapping[str, float], joints: np.ndarray) -> np.ndarray:
+@cache
+def _stubs() -> ctypes.CDLL:
+    with TemporaryDirectory() as folder:
+        source, library = Path(folder) / "stubs.c", Path(folder) / "stubs.so"
+        source.write_text(STUBS)
+        subprocess.run(["gcc", "-shared", "-fPIC", "-w", "-o", library, source], check=True)
+        return ctypes.CDLL(str(library), mode=ctypes.RTLD_GLOBAL)
+
+
+def forward(module: str, pins: Mapping[str, float], joints: np.ndarray) -> np.ndarray:
     """Return the positions (n, 9) X Y Z A B C U V W of the tool that a module finds for joints (n, joints), mm and degrees."""
-    source = folder / "stubs.c"
-    source.write_text(STUBS)
-    subprocess.run(["gcc", "-shared", "-fPIC", "-w", "-o", folder / "stubs.so", source], check=True)
-    stubs = ctypes.CDLL(str(folder / "stubs.so"), mode=ctypes.RTLD_GLOBAL)
+    stubs = _stubs()
     kins = ctypes.CDLL(str(MODULES / f"{module}.so"))
     assert kins.rtapi_app_main() == 0
     for name, value in pins.items():

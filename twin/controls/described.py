@@ -150,9 +150,13 @@ class StatedKinematics:
         completed = {**data, "axes": merged}
         both = [name for name in own if not is_linear(name) and {"about", "at", "positive"} & set(own[name])]
         if both:
-            theirs = {
-                name: {**merged[name], **({"positive": "iso"} | own[name] if name in both else {})} for name in merged
-            }
+            theirs = {name: dict(one) for name, one in merged.items()}
+            for name in both:
+                if {"about", "positive"} & set(own[name]):  # one without the other: the other has its default
+                    theirs[name] = {
+                        key: value for key, value in merged[name].items() if key not in ("about", "positive")
+                    }
+                theirs[name] |= own[name]
             parts = [{p.name: p for p in Description.of(one).parts} for one in (completed, {**data, "axes": theirs})]
             for name in both:
                 control, answer = (one[name] for one in parts)
@@ -197,8 +201,9 @@ class StatedKinematics:
 
 
 def words_of(vector: np.ndarray) -> str:
-    """Return three numbers separated by blanks, exact."""
-    return " ".join(repr(float(value) + 0.0).removesuffix(".0") for value in vector)
+    """Return three numbers separated by blanks, exact but for rounding errors of zero."""
+    clean = np.where(np.abs(vector) < 1e-12, 0.0, vector)
+    return " ".join(repr(float(value)).removesuffix(".0") for value in clean)
 
 
 @final
@@ -249,7 +254,7 @@ class _Parameters:
 # --- SINUMERIK ---------------------------------------------------------------------------------------
 
 _TRAFO: Final = re.compile(
-    r"(?:\$MC_(?P<name>TRAFO5?_\w+?)_1\b|\b(?:MD|N)\s?(?P<number>24\d{3})\b)[^=\[]*(?:\[(?P<index>\d)\])?\s*=\s*(?P<value>[-+.\w]+)",
+    r"(?:\$MC_(?P<name>TRAFO5?_\w+?)_1\b|\b(?:MD|N)\s?(?P<number>24\d{3})\b)[^=\[]*(?:\[(?P<index>\d)\])?\s*=\s*(?P<value>[^\s;]+)",
     re.I,
 )
 
@@ -380,7 +385,7 @@ def _chain_to(end: TableLine, elements: Mapping[str, Mapping[str, TableLine]]) -
 
 # --- Fanuc -------------------------------------------------------------------------------------------
 
-_PARAMETER: Final = re.compile(r"^N?(19[67]\d\d)\s*(?:Q1)?\s*(?:L1)?\s*(?:P|=|:|\s)\s*([-+.\d]+)\s*$")
+_PARAMETER: Final = re.compile(r"^N?(19[67]\d\d)\s*(?:Q1)?\s*(?:L1)?\s*(?:P|=|:|\s)\s*(\S+)\s*$")
 
 
 def _fanuc(lines: Sequence[TableLine]) -> StatedKinematics:
