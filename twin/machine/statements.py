@@ -270,7 +270,7 @@ def compare_positions(
             if not _beyond(other, turned, tolerance):
                 cures.append(" and ".join(f"axes.{name}.positive: the other answer" for name in some))
         if not cures:
-            cures = _shifted(machine, rows, off, tool_length_mm, origin_mm is None, tolerance)
+            cures = _shifted(machine, np.array([q for _, q, _, _ in rows]), off, origin_mm is None, tolerance)
     found = tuple((line, row, float(angle)) for (line, *_), row, angle in zip(rows, off, angles, strict=True))
     return Displayed(found, origin, origin_mm is None, tuple(cures))
 
@@ -279,40 +279,48 @@ def _beyond(off: np.ndarray, angles: np.ndarray, tolerance: float) -> bool:
     return bool(np.linalg.norm(off, axis=1).max() > tolerance or np.nan_to_num(angles).max() > tolerance)
 
 
-def _shifted(
-    machine: Machine,
-    rows: Sequence[tuple[int, np.ndarray, np.ndarray, object]],
-    off: np.ndarray,
-    length: float,
-    free: bool,
-    tolerance: float,
-) -> list[str]:
-    """Return the shift of one rotary axis after which all rows agree, in words, for each axis for which there is one."""
+def _shifted(machine: Machine, q: np.ndarray, off: np.ndarray, free: bool, tolerance: float) -> list[str]:
+    """Return the shift of a rotary axis, or of both of one side, after which all rows agree, in words; for each for which there is one.
+
+    Args:
+        machine: the machine.
+        q: (rows, axes) positions, mm and degrees.
+        off: (rows, 3) differences of the tip, mm.
+        free: whether a constant shift was fitted.
+        tolerance: largest difference that remains, mm.
+    """
+    columns = {machine.names[i]: np.concatenate([_moved_line(machine, one, i) for one in q]) for i in machine.rotary}
+    sides = [[name for name in columns if machine.by_name[name].side == side] for side in ("tool", "work")]
     cures = []
-    for name in (machine.names[i] for i in machine.rotary):
-        frame = next(i for i, one in enumerate(machine.frames) if one.axis == name and one.role == "location")
-        columns = []
-        for k in range(3):
-            errors = np.zeros((len(machine.frames), 6))
-            errors[frame, k] = 1.0 * MM
-            moved = [
-                tip_and_axis(machine, q, length, errors)[0] - tip_and_axis(machine, q, length)[0] for _, q, _, _ in rows
-            ]
-            columns.append(np.concatenate(moved))
-        unknown = np.array(columns).T
-        if free:
-            unknown = np.hstack([unknown, np.tile(np.eye(3), (len(rows), 1))])
-        if np.linalg.matrix_rank(unknown) >= 3 * len(rows):
-            continue
+    for names in [*([name] for name in columns), *(names for names in sides if len(names) == 2)]:
+        unknown = np.sum([columns[name] for name in names], axis=0)
+        unknown = np.hstack([unknown, np.tile(np.eye(3), (len(q), 1))]) if free else unknown
         shift = np.linalg.lstsq(unknown, -off.ravel(), rcond=1e-9)[0]
-        if np.linalg.norm((off.ravel() + unknown @ shift).reshape(-1, 3), axis=1).max() <= tolerance:
-            turn = machine.error_frame(name)
-            data = machine.model.createData()
-            pin.forwardKinematics(machine.model, data, machine.configuration(np.zeros(len(machine.names))))
-            joint = machine.axis_joints[machine.names.index(name)]
-            by = (data.oMi[joint].rotation @ turn.rotation) @ shift[:3]
-            cures.append(f"axes.{name}.at: shifted by {' '.join(f'{value:+.3f}' for value in by)} mm")
+        left = (off.ravel() + unknown @ shift).reshape(-1, 3)
+        if np.linalg.matrix_rank(unknown) < off.size and np.linalg.norm(left, axis=1).max() <= tolerance:
+            by = " ".join(f"{round(value, 3) + 0.0:+.3f}" for value in shift[:3])
+            cures.append(f"{' and '.join(f'axes.{name}.at' for name in names)}: shifted by {by} mm")
     return cures
+
+
+def _moved_line(machine: Machine, command: np.ndarray, index: int) -> np.ndarray:
+    """Return the derivative (3, 3) of the tip in the work frame by the place of a rotary axis, given in the base frame at rest.
+
+    The line of the axis alone moves: before its motion by δ, and what it carries back by δ.
+    """
+    joint, axis = machine.axis_joints[index], machine.axes[index]
+
+    def turned(q: np.ndarray) -> np.ndarray:
+        data = machine.model.createData()
+        pin.forwardKinematics(machine.model, data, machine.configuration(q * machine.scale))
+        return np.array(data.oMi[joint].rotation)
+
+    still = command.copy()
+    still[index] = 0.0
+    at_zero = turned(np.zeros(len(command)))
+    _, work = poses(machine, command)
+    moved = (turned(still) - turned(command)) @ at_zero.T
+    return work.rotation.T @ moved * (1.0 if axis.side == "tool" else -1.0)
 
 
 # --- Pictures ----------------------------------------------------------------------------------------
