@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from twin.controls.described import StatedKinematics
     from twin.machine.description import Description
     from twin.machine.machine import Machine
-    from twin.machine.statements import Displayed, Statement
+    from twin.machine.statements import Displayed, AxisStatement
 
 SCHEMA: Final = "twin.machine-check/1"
 KINDS: Final[Mapping[str, tuple[str, str, str, Mapping[str, Mapping[str, str]]]]] = {
@@ -41,7 +41,7 @@ RANGES: Final = {"X": "0 500", "Y": "0 400", "Z": "-400 0", "A": "-120 30", "B":
 
 
 class Action(StrEnum):
-    """What to do with a machine."""
+    """Task of the command."""
 
     new = "new"
     check = "check"
@@ -439,7 +439,7 @@ class _Statements:
         from twin.machine.statements import statements
 
         self.machine = made
-        self.statements: list[Statement] = statements(made)
+        self.statements: list[AxisStatement] = statements(made)
 
     def lines(self) -> list[str]:
         """Return the statements in lines."""

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 COLOURS: Final[Mapping[str, str]] = {
     **{"white": "0.93 0.94 0.94", "grey": "0.74 0.76 0.78", "cast": "0.6 0.63 0.66", "dark": "0.2 0.22 0.25"},
-    **{"steel": "0.55 0.58 0.62", "bright": "0.82 0.84 0.86", "red": "0.85 0.12 0.1", "blue": "0.05 0.2 0.45"},
+    **{"rail": "0.55 0.58 0.62", "bright": "0.82 0.84 0.86", "red": "0.85 0.12 0.1", "blue": "0.05 0.2 0.45"},
 }
 DENSITY: Final = 1500.0
 """kg/m³ of the outline of a solid: a hollow casting."""
@@ -119,7 +119,7 @@ class Solids:
                     self._carrier(part),
                     rail + ends[0] - reach - 0.015,
                     rail + ends[1] + reach + _at(0.015, 0.015, 0.03),
-                    "steel",
+                    "rail",
                 )
         wide_x, deep_y = self._travel["X"], self._travel["Y"]
         self._half = max(r + 0.3, 0.5 * (wide_x[1] - wide_x[0]) + 0.25)
@@ -178,7 +178,7 @@ class Solids:
     def _tool_side(self) -> None:
         """Add spindle, head, slides and column, from the spindle nose upwards and backwards."""
         self.rod("spindle_nose", _at(), _at(z=0.03), 0.025, "dark")
-        self.rod("spindle_nose", _at(z=0.03), _at(z=0.06), 0.04, "steel")
+        self.rod("spindle_nose", _at(z=0.03), _at(z=0.06), 0.04, "rail")
         at, head, slides = _at(z=0.12), self._of("tool", linear=False), self._of("tool", linear=True)
         self.rod("spindle_nose", _at(z=0.06), at, 0.065, "cast")
         for part in head:
@@ -252,7 +252,7 @@ class Solids:
                 else (low - 0.3, high + 0.3)
             )
             for z in (at[2] - 0.14, at[2] + 0.14):
-                self.box(carrier, (span[0], at[1] + 0.05, z - 0.02), (span[1], at[1] + 0.07, z + 0.02), "steel")
+                self.box(carrier, (span[0], at[1] + 0.05, z - 0.02), (span[1], at[1] + 0.07, z + 0.02), "rail")
             self.box(carrier, (span[0], at[1] + 0.07, at[2] - 0.19), (span[1], at[1] + 0.27, at[2] + 0.19), "white")
             return at + _at(0.0, 0.07, -0.19 if gantry else 0.0)
         if "X" in inside:  # a gantry, or a beam that moves on two walls

@@ -28,7 +28,7 @@ TIP_MM: Final = 100.0
 """Length of the tool in statements."""
 
 
-class Statement(NamedTuple):
+class AxisStatement(NamedTuple):
     """One statement.
 
     Attributes:
@@ -42,7 +42,7 @@ class Statement(NamedTuple):
     command: tuple[float, ...]
 
 
-def statements(machine: Machine) -> list[Statement]:
+def statements(machine: Machine) -> list[AxisStatement]:
     """Return the statements on every axis of a machine, in command order: its direction, and for rotary axes its place."""
     found = []
     for axis in machine.axes:
@@ -91,7 +91,7 @@ def direction_words(vector: np.ndarray) -> str:
     return f"{' and '.join(names)} ({signs}: {parts})"
 
 
-def _slide(machine: Machine, axis: Axis) -> Statement:
+def _slide(machine: Machine, axis: Axis) -> AxisStatement:
     """Return the statement on the direction of a linear axis."""
     index = 0 if axis.side == "tool" else 1
     start = at_rest(machine)
@@ -99,10 +99,10 @@ def _slide(machine: Machine, axis: Axis) -> Statement:
     moved = (poses(machine, end)[index].translation - poses(machine, start)[index].translation) / (100.0 * MM)
     what = "the spindle" if axis.side == "tool" else "the table"
     text = f"{axis.name} to a larger position: {what} moves {direction_words(moved)}"
-    return Statement(text, f"axes.{axis.name}.positive, or the side: {axis.name} in `tool` or `work`", end)
+    return AxisStatement(text, f"axes.{axis.name}.positive, or the side: {axis.name} in `tool` or `work`", end)
 
 
-def _turn(machine: Machine, axis: Axis) -> list[Statement]:
+def _turn(machine: Machine, axis: Axis) -> list[AxisStatement]:
     """Return the statements on the direction and on the place of a rotary axis."""
     low, high = (-math.inf, math.inf) if axis.lower is None or axis.upper is None else (axis.lower, axis.upper)
     angle = next((one for one in ANGLES if low <= one <= high), high if high > 0.0 else low)
@@ -111,7 +111,7 @@ def _turn(machine: Machine, axis: Axis) -> list[Statement]:
     other = _seen(machine, axis, at_rest(machine, **{axis.name: -angle}))
     lead = f"{axis.name} to {angle:g}, the other rotary axes at 0: "
     found = [
-        Statement(lead + text, f"axes.{axis.name}.positive; with the other answer, {other}. Else `about`", command)
+        AxisStatement(lead + text, f"axes.{axis.name}.positive; with the other answer, {other}. Else `about`", command)
     ]
     if len(machine.linear) == 3:
         start, there = _ball(machine, command)
@@ -123,7 +123,7 @@ def _turn(machine: Machine, axis: Axis) -> list[Statement]:
             f"A ball on the table that a probe of {TIP_MM:g} mm from the spindle nose touches centrally at {before} with "
             f"{axis.name}0 is found at {after} with {axis.name}{angle:g}"
         )
-        found.append(Statement(text, f"axes.{axis.name}.at (or `table`)", tuple(there.tolist())))
+        found.append(AxisStatement(text, f"axes.{axis.name}.at (or `table`)", tuple(there.tolist())))
     return found
 
 
