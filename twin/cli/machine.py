@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from twin.controls.described import StatedKinematics
     from twin.machine.description import Description
     from twin.machine.machine import Machine
-    from twin.machine.statements import Displayed, AxisStatement
+    from twin.machine.statements import AxisStatement, Displayed
 
 SCHEMA: Final = "twin.machine-check/1"
 KINDS: Final[Mapping[str, tuple[str, str, str, Mapping[str, Mapping[str, str]]]]] = {
