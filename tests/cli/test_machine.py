@@ -31,7 +31,7 @@ HEAD = {
         "B": {"range": [-110, 110], "at": "nose 0 0 210.5"},
     },
 }
-ANSWERS = ["shop mill", "4", "", "", "0 500", "0.001", "-400 0", "", "x", "-100 100", "", "0 600", "", "unlimited", ""]
+ANSWERS = ["shop mill", "4", "", "", "0 500", "-400 0", "x", "-100 100", "0 600", "unlimited", "0.001"]
 ANSWERS += ["300", "250", "", "", "", "nose 0 0 170", "", "reversed", "machine 300 250 -390", "80"]
 """Answers to all questions: head B and table C, with some defaults, and one that is asked again."""
 
@@ -71,13 +71,13 @@ def test_answers_that_end_and_an_interrupt_leave_nothing_but_what_is_kept(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("sys.stdin", io.StringIO("\n".join(ANSWERS[:6]) + "\n"))
+    monkeypatch.setattr("sys.stdin", io.StringIO("\n".join(ANSWERS[:5]) + "\n"))
     assert "the answers end here" in refused(capsys, "machine", "new", "-o", "mill.yaml")
     assert list(tmp_path.iterdir()) == []
-    monkeypatch.setattr("sys.stdin", io.StringIO("\n".join(ANSWERS[:6]) + "\n"))
+    monkeypatch.setattr("sys.stdin", io.StringIO("\n".join(ANSWERS[:5]) + "\n"))
     assert status("machine", "new", "-o", "mill.yaml", "--keep", "kept.yaml") == 2
     assert [path.name for path in tmp_path.iterdir()] == ["kept.yaml"]
-    monkeypatch.setattr("sys.stdin", io.StringIO("\n".join(ANSWERS[6:]) + "\n"))
+    monkeypatch.setattr("sys.stdin", io.StringIO("\n".join(ANSWERS[5:]) + "\n"))
     assert status("machine", "new", "--answers", "kept.yaml", "--ask", "-o", "mill.yaml") == 0
     assert twin.Machine.load("mill.yaml").name == "shop mill"
 

@@ -25,18 +25,18 @@ if TYPE_CHECKING:
     from twin.machine.statements import AxisStatement, Displayed
 
 SCHEMA: Final = "twin.machine-check/1"
-KINDS: Final[Mapping[str, tuple[str, str, str, Mapping[str, Mapping[str, str]]]]] = {
+KINDS: Final[Mapping[str, tuple[str, str, str, Mapping[str, str]]]] = {
     "1": ("trunnion A with table C, fixed bridge", "X Z", "Y A C", {}),
     "2": ("trunnion B with table C, gantry", "Y X Z", "B C", {}),
-    "3": ("nutating table B (45°) with table C", "X Y Z", "B C", {"B": {"about": "0 1 -1"}}),
+    "3": ("nutating table B (45°) with table C", "X Y Z", "B C", {"B": "0 1 -1"}),
     "4": ("head B, table C", "Y Z B", "X C", {}),
     "5": ("fork head C A, gantry", "X Y Z C A", "", {}),
     "6": ("head C B, gantry", "X Y Z C B", "", {}),
-    "7": ("nutating head B (45°), table C", "X Y Z B", "C", {"B": {"about": "0 1 1"}}),
+    "7": ("nutating head B (45°), table C", "X Y Z B", "C", {"B": "0 1 1"}),
     "8": ("four axes: rotary table A", "Z", "X Y A", {}),
     "9": ("three axes", "Z", "X Y", {}),
 }
-"""Kinds of machine that are offered: name, axes of the tool and of the workpiece from the bed outwards, and further answers."""
+"""Kinds of machine that are offered: name, axes of the tool and of the workpiece from the bed outwards, and inclined axes."""
 RANGES: Final = {"X": "0 500", "Y": "0 400", "Z": "-400 0", "A": "-120 30", "B": "-110 110", "C": "unlimited"}
 
 
@@ -221,13 +221,12 @@ def _given(answers: Path | None, setting: Sequence[str]) -> dict[str, Any]:
 
 def _answered(data: dict[str, Any], stated: StatedKinematics | None, *, ask: bool) -> dict[str, Any]:
     """Return the answers, completed from the control and by questions; filled in place, so that what was answered is not lost."""
-    if ask:
-        _ask_chain(data, stated)
+    hints = _ask_chain(data, stated) if ask else {}
     if stated is not None:
         completed = stated.completed(data)
         data.update(completed)
     if ask:
-        _ask_axes(data)
+        _ask_axes(data, hints)
     return data
 
 
@@ -238,7 +237,7 @@ def _question(text: str, default: str, parse: Callable[[str], Any], expected: st
         InputError: the input ends.
     """
     while True:
-        echo(f"{text} [{default}]: ", end="")
+        echo(f"{text}{f' [{default}]' if default else ''}: ", end="")
         sys.stdout.flush()
         line = sys.stdin.readline()
         if not line:
@@ -249,8 +248,9 @@ def _question(text: str, default: str, parse: Callable[[str], Any], expected: st
         echo(f"  expected {expected}")
 
 
-def _ask_chain(data: dict[str, Any], stated: StatedKinematics | None) -> None:
-    """Ask for the name and the order of the axes, where they are not given."""
+def _ask_chain(data: dict[str, Any], stated: StatedKinematics | None) -> dict[str, str]:
+    """Ask for the name and the order of the axes, where they are not given; return the directions of inclined axes of that kind."""
+    hints: dict[str, str] = {}
     from twin.machine.description import NAME
 
     def chain(text: str) -> list[str] | None:
@@ -265,13 +265,14 @@ def _ask_chain(data: dict[str, Any], stated: StatedKinematics | None) -> None:
         for key, (name, tool, work, _) in KINDS.items():
             echo(f"  {key}  {name}: tool {tool or '-'}; workpiece {work or '-'}")
         kind = _question("Which is closest", "1", lambda text: KINDS.get(text), f"one of {' '.join(KINDS)}")
-        data["axes"] = {name: dict(more) for name, more in kind[3].items()} | (data.get("axes") or {})
+        hints.update(kind[3])
         for key, what, default in (("tool", "tool", kind[1]), ("work", "workpiece", kind[2])):
             text = f"Axes that move the {what}, from the bed outwards (- for none)"
             data[key] = _question(text, default or "-", chain, "letters X Y Z A B C, separated by blanks")
+    return hints
 
 
-def _ask_axes(data: dict[str, Any]) -> None:
+def _ask_axes(data: dict[str, Any], hints: Mapping[str, str]) -> None:
     """Ask for what is missing about every axis, the place of the table and the tool."""
     from twin.machine.description import is_linear
 
@@ -280,7 +281,10 @@ def _ask_axes(data: dict[str, Any]) -> None:
     for name in (*tool, *work):
         unit, one = ("mm" if is_linear(name) else "degrees"), axes.setdefault(name, {})
         _ask(one, "range", f"{name}: range, {unit}", RANGES[name[0]], _reach, "lower upper, or unlimited")
-        _ask(one, "increment", f"{name}: least increment, {unit}", "0.001", _single, "a number above 0")
+    if not any("increment" in one for one in axes.values()):
+        least = _question("Least increment of all axes, mm and degrees", "0.001", _single, "a number above 0")
+        for one in axes.values():
+            one["increment"] = least
     table = data.setdefault("table", {})
     for name in sorted(name for name in (*tool, *work) if is_linear(name)):
         reach = axes[name]["range"]
@@ -289,22 +293,23 @@ def _ask_axes(data: dict[str, Any]) -> None:
         text = f"{name}: its position with the spindle nose (without tool) at the centre of the table's surface"
         _ask(table, name, text, default, _single, "a number, mm")
     for name in (name for name in (*reversed(tool), *work) if not is_linear(name)):
-        _ask_rotary(axes[name], name, of_tool=name in tool)
+        _ask_rotary(axes[name], name, hints.get(name, "XYZ"["ABC".index(name[0])]), of_tool=name in tool)
     _ask(data, "tool_length", "Usual tool length, mm", "0", _single, "a number, mm")
 
 
-def _ask_rotary(one: dict[str, Any], name: str, *, of_tool: bool) -> None:
+def _ask_rotary(one: dict[str, Any], name: str, line: str, *, of_tool: bool) -> None:
     """Ask for direction, sense and place of a rotary axis."""
     from twin.machine.description import DIRECTIONS, PLACES, direction_of, place_of
 
-    text, line = f"{name}: direction of the axis (inclined: 0 1 1, or Y Z 45)", "XYZ"["ABC".index(name[0])]
+    text = f"{name}: direction of the axis (inclined: 0 1 1, or Y Z 45)"
     _ask(one, "about", text, line, lambda text: None if direction_of(text) is None else text, DIRECTIONS)
     what = "the tool turns" if of_tool else "the table turns left-handed, and so the tool"
     text = f"{name}: with a positive command {what} right-handed about it (iso), or reversed"
     _ask(one, "positive", text, "iso", lambda text: text if text in ("iso", "reversed") else None, "iso or reversed")
     where = "from the spindle nose" if of_tool else "in machine coordinates or from the centre of the table"
-    text = f"{name}: a point of the axis, mm, {where}"
-    default = "nose 0 0 150" if of_tool else "table 0 0 0"
+    text = f"{name}: a point of the axis, mm, {where}: {'nose' if of_tool else 'machine or table'} and x y z"
+    # A distance has no default, but a table that turns about the vertical usually does so about its centre.
+    default = "table 0 0 0" if not of_tool and name[0] == "C" else ""
     _ask(one, "at", text, default, lambda text: None if place_of(text) is None else text, PLACES)
 
 

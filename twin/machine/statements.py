@@ -23,9 +23,11 @@ from twin.machine.machine import Axis, Machine
 
 ANGLES: Final = (90.0, -90.0, 45.0, -45.0, 30.0, -30.0, 15.0, -15.0, 5.0, -5.0)
 """Commands of a rotary axis that statements prefer, degrees."""
-WORDS: Final = (("to the left", "to the right"), ("to the front", "to the back"), ("down", "up"))
+WORDS: Final = (("left", "right"), ("front", "back"), ("down", "up"))
 TIP_MM: Final = 100.0
 """Length of the tool in statements."""
+LIFT_MM: Final = TIP_MM + 50.0
+"""Height of the spindle nose above the table in statements."""
 
 
 class AxisStatement(NamedTuple):
@@ -50,9 +52,15 @@ def statements(machine: Machine) -> list[AxisStatement]:
     return found
 
 
-def at_rest(machine: Machine, **positions: float) -> tuple[float, ...]:
-    """Return a command: the spindle nose at the centre of the table, all rotary axes at zero, except for the axes that are given."""
-    return tuple(positions.get(name, machine.origin_mm.get(name, 0.0)) for name in machine.names)
+def at_rest(machine: Machine, **offsets: float) -> tuple[float, ...]:
+    """Return a command: the spindle nose above the centre of the table by more than the tool, all rotary axes at zero.
+
+    Args:
+        machine: the machine.
+        offsets: added to these axes, mm and degrees.
+    """
+    lifted = {name: LIFT_MM if name[0] == "Z" and machine.by_name[name].linear else 0.0 for name in machine.names}
+    return tuple(machine.origin_mm.get(name, 0.0) + lifted[name] + offsets.get(name, 0.0) for name in machine.names)
 
 
 def poses(
@@ -81,21 +89,20 @@ def tip_and_axis(
 
 
 def direction_words(vector: np.ndarray) -> str:
-    """Return a direction in words: ``to the right (+X)``; of several parts with their sizes, the largest first."""
-    order = [i for i in np.argsort(-np.abs(vector)) if abs(vector[i]) > 0.02]
+    """Return a direction in words: ``to the right (+X)``, or ``left and up (−0.707, +0.000, +0.707)``, the largest part first."""
+    order = [i for i in np.argsort(-np.abs(vector), kind="stable") if abs(vector[i]) > 0.02]
     names = [WORDS[i][int(vector[i] > 0.0)] for i in order]
-    signs = " ".join(f"{'+' if vector[i] > 0.0 else '−'}{'XYZ'[i]}" for i in order)
     if len(order) == 1:
-        return f"{names[0]} ({signs})"
-    parts = ", ".join(f"{vector[i]:+.3f}" for i in range(3)).replace("-", "−")
-    return f"{' and '.join(names)} ({signs}: {parts})"
+        return f"{'' if order[0] == 2 else 'to the '}{names[0]} ({'+' if vector[order[0]] > 0.0 else '−'}{'XYZ'[order[0]]})"
+    parts = ", ".join(f"{round(value, 3) + 0.0:+.3f}" for value in vector).replace("-", "−")
+    return f"{', '.join(names[:-1])} and {names[-1]} ({parts})"
 
 
 def _slide(machine: Machine, axis: Axis) -> AxisStatement:
     """Return the statement on the direction of a linear axis."""
     index = 0 if axis.side == "tool" else 1
     start = at_rest(machine)
-    end = at_rest(machine, **{axis.name: machine.origin_mm.get(axis.name, 0.0) + 100.0})
+    end = at_rest(machine, **{axis.name: 100.0})
     moved = (poses(machine, end)[index].translation - poses(machine, start)[index].translation) / (100.0 * MM)
     what = "the spindle" if axis.side == "tool" else "the table"
     text = f"{axis.name} to a larger position: {what} moves {direction_words(moved)}"
@@ -149,8 +156,8 @@ def _ball(machine: Machine, command: Sequence[float] | np.ndarray) -> tuple[np.n
     for i in machine.linear:
         axis = machine.axes[i]
         low, high = axis.domain[0] - start[i], axis.domain[1] - start[i]
-        # Away from the middle, so that every rotary axis moves the ball; above the table by more than the probe.
-        start[i] += TIP_MM + 50.0 if axis.name[0] == "Z" else 0.15 * (high if high >= -low else low) + 0.0
+        # Away from the middle, so that every rotary axis moves the ball.
+        start[i] += 0.0 if axis.name[0] == "Z" else 0.15 * (high if high >= -low else low)
     goal, _ = tip_and_axis(machine, start, TIP_MM)
     there = np.array(command, dtype=float)
     linear = list(machine.linear)
@@ -331,13 +338,8 @@ _VIEW: Final = np.array([[0.87, 0.5, 0.0], [-0.25, 0.43, 0.87]])
 
 def picture(machine: Machine, command: Sequence[float] | np.ndarray) -> str:
     """Return an SVG of the table (with a mark at the front) and the tool at rest, pale, and at a command, with the machine's axes."""
-    lift = {
-        name: machine.origin_mm.get(name, 0.0) + 150.0
-        for name in machine.names
-        if name[0] == "Z" and machine.by_name[name].linear
-    }
     shapes, corners = [], []
-    for pale, q in ((True, at_rest(machine, **lift)), (False, tuple(command))):
+    for pale, q in ((True, at_rest(machine)), (False, tuple(command))):
         tool, work = poses(machine, q)
         angles = np.linspace(0.0, 2.0 * np.pi, 49)
         disc = 0.12 * np.stack([np.cos(angles), np.sin(angles), 0.0 * angles], axis=1)
