@@ -31,7 +31,7 @@ HEAD = {
         "B": {"range": [-110, 110], "at": "nose 0 0 210.5"},
     },
 }
-ANSWERS = ["shop mill", "4", "", "", "0 500", "-400 0", "x", "-100 100", "0 600", "unlimited", "0.001"]
+ANSWERS = ["shop mill", "4", "", "", "0 600", "0 500", "-400 0", "x", "-100 100", "unlimited", "0.001"]
 ANSWERS += ["300", "250", "", "", "", "nose 0 0 170", "", "reversed", "machine 300 250 -390", "80"]
 """Answers to all questions: head B and table C, with some defaults, and one that is asked again."""
 

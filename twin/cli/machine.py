@@ -278,7 +278,7 @@ def _ask_axes(data: dict[str, Any], hints: Mapping[str, str]) -> None:
 
     axes = data.setdefault("axes", {})
     tool, work = list(data.get("tool") or ()), list(data.get("work") or ())
-    for name in (*tool, *work):
+    for name in sorted((*tool, *work), key=lambda name: (not is_linear(name), name)):
         unit, one = ("mm" if is_linear(name) else "degrees"), axes.setdefault(name, {})
         _ask(one, "range", f"{name}: range, {unit}", RANGES[name[0]], _reach, "lower upper, or unlimited")
     if not any("increment" in one for one in axes.values()):

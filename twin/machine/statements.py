@@ -112,25 +112,22 @@ def _slide(machine: Machine, axis: Axis) -> AxisStatement:
 def _turn(machine: Machine, axis: Axis) -> list[AxisStatement]:
     """Return the statements on the direction and on the place of a rotary axis."""
     low, high = (-math.inf, math.inf) if axis.lower is None or axis.upper is None else (axis.lower, axis.upper)
-    angle = next((one for one in ANGLES if low <= one <= high), high if high > 0.0 else low)
-    command = at_rest(machine, **{axis.name: angle})
-    text = _seen(machine, axis, command)
-    other = _seen(machine, axis, at_rest(machine, **{axis.name: -angle}))
-    lead = f"{axis.name} to {angle:g}, the other rotary axes at 0: "
-    found = [
-        AxisStatement(lead + text, f"axes.{axis.name}.positive; with the other answer, {other}. Else `about`", command)
-    ]
-    if len(machine.linear) == 3:
-        start, there = _ball(machine, command)
-        before, after = (
-            " ".join(f"{machine.names[i]}{round(one[i], 3) + 0.0:.3f}" for i in machine.linear)
-            for one in (start, there)
-        )
+    angles = [one for one in ANGLES if low <= one <= high] or [high if high > 0.0 else low]
+    command = at_rest(machine, **{axis.name: angles[0]})
+    other = _seen(machine, axis, at_rest(machine, **{axis.name: -angles[0]}))
+    text = f"{axis.name} to {angles[0]:g}, the other rotary axes at 0: {_seen(machine, axis, command)}"
+    answer = f"axes.{axis.name}.positive; with the other answer, {other}. Else `about`"
+    found = [AxisStatement(text, answer, command)]
+    ball = next((one for angle in angles if (one := _ball(machine, axis.name, angle)) is not None), None)
+    if ball is not None:
+        words = [
+            " ".join(f"{n}{round(v, 3) + 0.0:.3f}" for n, v in zip(machine.names, one, strict=True)) for one in ball
+        ]
         text = (
-            f"A ball on the table that a probe of {TIP_MM:g} mm from the spindle nose touches centrally at {before} with "
-            f"{axis.name}0 is found at {after} with {axis.name}{angle:g}"
+            f"A ball on the table that a probe of {TIP_MM:g} mm from the spindle nose touches centrally at {words[0]} is found at "
+            f"{words[1]}"
         )
-        found.append(AxisStatement(text, f"axes.{axis.name}.at (or `table`)", tuple(there.tolist())))
+        found.append(AxisStatement(text, f"axes.{axis.name}.at (or `table`)", tuple(ball[1].tolist())))
     return found
 
 
@@ -150,25 +147,34 @@ def _seen(machine: Machine, axis: Axis, command: Sequence[float] | np.ndarray) -
     return f"the {'head' if axis.side == 'tool' else 'table'} turns {sense}, seen from above"
 
 
-def _ball(machine: Machine, command: Sequence[float] | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the positions (axes,) of one point of the workpiece at rest and with the rotary axes of a command."""
-    start = np.array(at_rest(machine))
-    for i in machine.linear:
-        axis = machine.axes[i]
-        low, high = axis.domain[0] - start[i], axis.domain[1] - start[i]
-        # Away from the middle, so that every rotary axis moves the ball.
-        start[i] += 0.0 if axis.name[0] == "Z" else 0.15 * (high if high >= -low else low)
-    goal, _ = tip_and_axis(machine, start, TIP_MM)
-    there = np.array(command, dtype=float)
-    linear = list(machine.linear)
-    place, _ = tip_and_axis(machine, there, TIP_MM)
-    columns = []
-    for i in linear:
-        moved = there.copy()
-        moved[i] += 100.0
-        columns.append((tip_and_axis(machine, moved, TIP_MM)[0] - place) / 100.0)
-    there[linear] += np.linalg.solve(np.array(columns).T, goal - place)
-    return start, there
+def _ball(machine: Machine, name: str, angle: float) -> tuple[np.ndarray, np.ndarray] | None:
+    """Return the positions (axes,) at which one point of the workpiece is touched with a rotary axis at zero and at an angle.
+
+    None if there is no such point within the ranges, or without three linear axes.
+    """
+    linear, index = list(machine.linear), machine.names.index(name)
+    limits = machine.limits / machine.scale[:, None]
+    if len(linear) != 3:
+        return None
+    for up in (0.0, 0.2, 0.4, 0.6, 0.8):
+        start = np.array(at_rest(machine))
+        for i in linear:
+            low, high = limits[i] - start[i]
+            # Away from the middle, so that every rotary axis moves the ball.
+            start[i] += up * high if machine.names[i][0] == "Z" else 0.15 * (high if high >= -low else low)
+        goal, _ = tip_and_axis(machine, start, TIP_MM)
+        there = start.copy()
+        there[index] = angle
+        place, _ = tip_and_axis(machine, there, TIP_MM)
+        columns = []
+        for i in linear:
+            moved = there.copy()
+            moved[i] += 100.0
+            columns.append((tip_and_axis(machine, moved, TIP_MM)[0] - place) / 100.0)
+        there[linear] += np.linalg.solve(np.array(columns).T, goal - place)
+        if all(np.all((limits[:, 0] <= one) & (one <= limits[:, 1])) for one in (start, there)):
+            return start, there
+    return None
 
 
 # --- Positions that the control displays -------------------------------------------------------------
