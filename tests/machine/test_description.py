@@ -155,6 +155,15 @@ def about(direction: np.ndarray, point: np.ndarray, degrees: float) -> np.ndarra
     return homogeneous(rotation, point - rotation @ point)
 
 
+def point_of(data: dict[str, Any], name: str) -> np.ndarray:
+    """Return the point of a rotary axis in the base frame."""
+    reference, *numbers = data["axes"][name]["at"].split()
+    point = np.array([float(word) for word in numbers])
+    if reference == "machine":
+        return point - [data["table"].get(axis, 0.0) for axis in "XYZ"]
+    return point + point_of(data, reference) if reference in "ABC" else point
+
+
 def expected_pose(data: dict[str, Any], q: dict[str, float], length: float) -> np.ndarray:
     """Return the tool at its tip in the work frame (4, 4): every axis moves what it carries about its line at rest."""
     sides = {}
@@ -171,12 +180,7 @@ def expected_pose(data: dict[str, Any], q: dict[str, float], length: float) -> n
             if name in "XYZ":
                 whole = whole @ homogeneous(np.eye(3), sense * line * (q[name] - data["table"][name]))
             else:
-                reference, *numbers = one["at"].split()
-                point = np.array([float(word) for word in numbers])
-                if reference == "machine":
-                    point = point - [data["table"].get(axis, 0.0) for axis in "XYZ"]
-                elif reference in "ABC":
-                    point = point + [float(word) for word in data["axes"][reference]["at"].split()[1:]]
+                point = point_of(data, name)
                 whole = whole @ about(line, point, sense * q[name])
         sides[side] = whole
     return np.linalg.inv(sides["work"]) @ sides["tool"] @ homogeneous(np.eye(3), np.array([0.0, 0.0, -length]))
