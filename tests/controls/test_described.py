@@ -67,6 +67,16 @@ def test_linuxcnc_is_read_as_its_modules_compute(
     assert max(value for row in found.differences(machine) for value in row[1:3]) < 1e-9
 
 
+def test_pins_of_signals(tmp_path: Path) -> None:
+    """`net` joins a pin to a signal, and `sets` gives the signal its value, as in the configurations that come with LinuxCNC."""
+    ini = "[KINS]\nKINEMATICS = xyzac-trt-kins\n[HAL]\nHALCMD = net :y xyzac-trt-kins.y-offset gui.y-offset\n"
+    ini += "HALCMD = net :tool xyzac-trt-kins.tool-offset\n{}HALCMD = setp xyzac-trt-kins.z-rot-point 5\n"
+    found = stated(tmp_path, ini.format("HALCMD = sets :y 20\n"))
+    np.testing.assert_array_equal(found.axes[0].point, [0, 20, 5])
+    with pytest.raises(InputError, match=r"y-offset is that of the signal :y.*`sets :y …`"):
+        stated(tmp_path, ini.format(""))
+
+
 @needs_modules
 def test_maxkins_is_no_rigid_machine_with_both_axes_away_from_zero() -> None:
     """The statement in `unchecked`, proven: the distance between two points on the workpiece changes."""

@@ -207,7 +207,7 @@ def machines(draw: st.DrawFn) -> dict[str, Any]:
         both = [
             other
             for other in data[side]
-            if other in data["axes"] and other in "ABC" and data["axes"][other]["at"][0] in "nt"
+            if other in data["axes"] and other in "ABC" and data["axes"][other]["at"][0] in "ntm"
         ]
         if both and draw(st.booleans()):
             place = both[0]
@@ -271,6 +271,7 @@ def changed(data: dict[str, Any], **changes: Any) -> dict[str, Any]:
         ({"table": {"X": 1, "Y": 2, "Z": 3, "A": 0}}, ["`table` has A"]),
         ({"A__range": [30, -120]}, ["axes.A.range", "reversed or empty", "[30.0, -120.0]"]),
         ({"A__range": [10, 120]}, ["axes.A.range", "zero is outside"]),
+        ({"X__range": [0, 900000]}, ["axes.X.range", "more than 100 m"]),
         ({"X__range": "unlimited"}, ["axes.X.range", "without limits"]),
         ({"X__about": "X"}, ["axes.X", "a linear axis"]),
         ({"A__about": "Y"}, ["axes.A.about", "an axis about X or inclined", "'Y'"]),

@@ -474,6 +474,9 @@ def _about(axis: int, angle: float) -> np.ndarray:
 # --- LinuxCNC ----------------------------------------------------------------------------------------
 
 _SETP: Final = re.compile(r"^(?:HALCMD\s*=\s*)?setp\s+(?P<module>[\w-]+)\.(?P<pin>[\w-]+)\s+(?P<value>\S+)")
+_NET: Final = re.compile(
+    r"^(?:HALCMD\s*=\s*)?(?:net\s+(?P<net>\S+)\s+(?P<pins>.*)|sets\s+(?P<signal>\S+)\s+(?P<value>\S+))$"
+)
 _MODULES: Final = ("xyzac-trt-kins", "xyzbc-trt-kins", "maxkins", "5axiskins")
 
 
@@ -497,7 +500,7 @@ def _linuxcnc(lines: Sequence[TableLine]) -> StatedKinematics:
         shift = y * pin("y-offset") if "ac" in module else x * pin("x-offset")
         first = StatedAxis(tilting, "work", conventional * along, "machine", point + shift)
         axes = (first, StatedAxis("C", "work", conventional * z, "machine", point))
-        unchecked.append("a pin that is connected by `net` instead of set by `setp` counts as 0")
+        unchecked.append("pins that the files do not set count as 0, their default")
     elif module == "maxkins":
         head = StatedAxis("B", "tool", conventional * y, "nose", z * pin("pivot-length", needed=True))
         axes = (head, StatedAxis("C", "work", z, "machine", np.zeros(3)))
@@ -512,20 +515,32 @@ def _linuxcnc(lines: Sequence[TableLine]) -> StatedKinematics:
 
 
 def _hal(lines: Sequence[TableLine]) -> tuple[_Parameters, str]:
-    """Return the variables of an INI file (`[AXIS_X]MIN_LIMIT`) and the pins of `setp`, and the name of the kinematics module."""
+    """Return the variables of an INI file (`[AXIS_X]MIN_LIMIT`) and the pins of `setp` and `sets`, and the name of the module."""
     given, section, module = _Parameters(lines[0].path), "", ""
-    pins: dict[str, TableLine] = {}
+    pins, signals, joined = dict[str, TableLine](), dict[str, TableLine](), dict[str, str]()
     for line in lines:
         text = line.text.partition("#")[0].strip()
-        match = _SETP.match(text)
-        if match is not None:
-            pins[f"{match['module']}.{match['pin']}"] = TableLine(line.path, line.number, match["value"])
-            module = match["module"] if match["module"] in _MODULES else module
+        pin, net = _SETP.match(text), _NET.match(text)
+        if pin is not None:
+            pins[f"{pin['module']}.{pin['pin']}"] = TableLine(line.path, line.number, pin["value"])
+            module = pin["module"] if pin["module"] in _MODULES else module
+        elif net is not None and net["net"]:
+            joined |= dict.fromkeys(net["pins"].split(), net["net"])
+        elif net is not None:
+            signals[net["signal"]] = TableLine(line.path, line.number, net["value"])
         elif text.startswith("[") and text.endswith("]"):
             section = text[1:-1].strip()
         elif section and "=" in text:
             name, _, value = text.partition("=")
             given.found.setdefault(f"[{section}]{name.strip()}", TableLine(line.path, line.number, value.strip()))
+    pins |= {name: signals[signal] for name, signal in joined.items() if signal in signals}
+    for name, signal in joined.items():
+        if name.partition(".")[0] in _MODULES and name not in pins and not name.endswith(".tool-offset"):
+            raise InputError(
+                f"the value of {name} is that of the signal {signal}, which the files do not give",
+                expected=f"`sets {signal} …`, or `setp {name} …` in another file",
+                file=given.path,
+            )
     for name, value_line in pins.items():
         given.found[name] = given.found.get(value_line.text, value_line)
     kinematics = given.found.get("[KINS]KINEMATICS")

@@ -41,6 +41,9 @@ ALIGNED: Final = 0.985
 AGREED_MM: Final = 1e-7
 """Largest distance between an axis of the written file and the description; rounding is 1e-10 mm."""
 
+LONGEST_MM: Final = 1e5
+"""Largest distance, and longest travel."""
+
 _Position = Annotated[float, Field(ge=-MAX_POSITION, le=MAX_POSITION)]
 
 
@@ -90,7 +93,7 @@ def vector_of(text: str) -> np.ndarray | None:
         values = np.array([float(word) for word in words])
     except ValueError:
         return None
-    return values if len(values) == 3 and bool(np.all(np.abs(values) <= MAX_POSITION)) else None
+    return values if len(values) == 3 and bool(np.all(np.abs(values) <= LONGEST_MM)) else None
 
 
 def direction_of(text: str) -> np.ndarray | None:
@@ -280,6 +283,8 @@ class Description:
                 raise fail("range", "a linear axis without limits", "[lower, upper] in mm", one.range)
         elif not one.range[0] < one.range[1]:
             raise fail("range", "a reversed or empty range", "[lower, upper] with lower < upper", list(one.range))
+        elif is_linear(name) and one.range[1] - one.range[0] > LONGEST_MM:
+            raise fail("range", "a travel of more than 100 m", "mm", list(one.range))
         elif not is_linear(name) and not one.range[0] <= 0.0 <= one.range[1]:
             what = "zero is outside it, and all distances are those at zero"
             raise fail("range", what, "a range with zero", list(one.range))
