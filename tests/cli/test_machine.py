@@ -31,7 +31,21 @@ HEAD = {
         "B": {"range": [-110, 110], "at": "nose 0 0 210.5"},
     },
 }
-ANSWERS = ["shop mill", "4", "", "", "0 600", "0 500", "-400 0", "x", "-100 100", "unlimited", "0.001"]
+ANSWERS = [
+    "shop mill",
+    "4",
+    "Y Z B",
+    "X Y C",
+    "",
+    "",
+    "0 600",
+    "0 500",
+    "-400 0",
+    "x",
+    "-100 100",
+    "unlimited",
+    "0.001",
+]
 ANSWERS += ["300", "250", "", "", "", "nose 0 0 170", "", "reversed", "machine 300 250 -390", "80"]
 """Answers to all questions: head B and table C, with some defaults, and one that is asked again."""
 
@@ -48,7 +62,7 @@ def test_questions_make_a_machine(
     monkeypatch.setattr("sys.stdin", io.StringIO("\n".join(ANSWERS) + "\n"))
     assert status("machine", "new", "-o", "mill.yaml", "--html", "mill.html", "--json", "mill.json") == 0
     out = capsys.readouterr().out
-    assert out.count("expected lower upper, or unlimited") == 1
+    assert out.count("expected lower upper with zero inside, or unlimited") == 1 and "axis Y twice" in out
     assert sorted(path.name for path in tmp_path.iterdir()) == [
         *("mill.answers.yaml", "mill.html", "mill.json", "mill.urdf", "mill.yaml")
     ]
@@ -71,13 +85,13 @@ def test_answers_that_end_and_an_interrupt_leave_nothing_but_what_is_kept(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("sys.stdin", io.StringIO("\n".join(ANSWERS[:5]) + "\n"))
+    monkeypatch.setattr("sys.stdin", io.StringIO("\n".join(ANSWERS[:7]) + "\n"))
     assert "the answers end here" in refused(capsys, "machine", "new", "-o", "mill.yaml")
     assert list(tmp_path.iterdir()) == []
-    monkeypatch.setattr("sys.stdin", io.StringIO("\n".join(ANSWERS[:5]) + "\n"))
+    monkeypatch.setattr("sys.stdin", io.StringIO("\n".join(ANSWERS[:7]) + "\n"))
     assert status("machine", "new", "-o", "mill.yaml", "--keep", "kept.yaml") == 2
     assert [path.name for path in tmp_path.iterdir()] == ["kept.yaml"]
-    monkeypatch.setattr("sys.stdin", io.StringIO("\n".join(ANSWERS[5:]) + "\n"))
+    monkeypatch.setattr("sys.stdin", io.StringIO("\n".join(ANSWERS[7:]) + "\n"))
     assert status("machine", "new", "--answers", "kept.yaml", "--ask", "-o", "mill.yaml") == 0
     assert twin.Machine.load("mill.yaml").name == "shop mill"
 
@@ -131,6 +145,10 @@ def test_flags_alone_describe_a_machine(tmp_path: Path, monkeypatch: pytest.Monk
         ("new --answers answers.yaml -o a.yaml --html answers.yaml.html --keep answers.yaml", ["also an input"]),
         ("new --answers bad.yaml -o mill.yaml", ["bad.yaml:", "axes.A.range", "reversed"]),
         ("new --answers answers.yaml --set axes.A.at='table 0 0 61' -o mill.yaml", ["--set contradicts `axes.A.at`"]),
+        ("new --answers answers.yaml --set axes.B=3 -o mill.yaml", ["`axes` cannot be read"]),
+        ("new --answers answers.yaml --set axes.B.range=3 -o mill.yaml", ["`axes` cannot be read", "[lower, upper]"]),
+        ("new --set tool=X -o mill.yaml", ["`tool` cannot be read", "[X, Y, Z]"]),
+        ("new --set table=3 --ask -o mill.yaml", ["`table` cannot be read"]),
         ("new --answers answers.yaml --set name.x=3 -o mill.yaml", ["--set names no answer"]),
         ("new --answers answers.yaml --control five.csv -o mill.yaml", ["no kinematics of a control"]),
         ("check trunnion_ac --positions five.csv", ["five.csv:1", "X Y Z A C x y z"]),

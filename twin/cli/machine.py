@@ -144,7 +144,8 @@ def _new(
     """Write the files of a described machine, and report its statements."""
     urdf, answers_file = output.with_suffix(".urdf"), output.with_suffix(".answers.yaml")
     same = answers is not None and answers.resolve() == answers_file.resolve()
-    check_writable([urdf] if same or (keep and keep.resolve() == answers_file.resolve()) else [urdf, answers_file])
+    kept = keep is not None and keep.resolve() == answers_file.resolve()
+    check_writable([urdf] if same or kept else [urdf, answers_file])
     from twin._common.yaml_files import yaml_text
     from twin.machine.description import SCHEMA as ANSWERS
     from twin.machine.description import Description
@@ -216,7 +217,42 @@ def _given(answers: Path | None, setting: Sequence[str]) -> dict[str, Any]:
             place[last] = value
         else:
             raise InputError(f"--set contradicts `{name}`", expected=f"{place[last]}, or no such answer", value=entry)
+    _check_shape(data)
     return data
+
+
+def _check_shape(data: Mapping[str, Any]) -> None:
+    """Raise `InputError` unless answers that may still be incomplete are lists and entries where such are expected."""
+    axes, table = data.get("axes") or {}, data.get("table") or {}
+    ranges = [one.get("range") for one in axes.values() if isinstance(one, dict)] if isinstance(axes, dict) else [0]
+    for key, fits, expected in (
+        *((side, _is_names(data.get(side) or []), "a list of axes: [X, Y, Z]") for side in ("tool", "work")),
+        (
+            "table",
+            isinstance(table, dict) and all(map(_is_number, table.values())),
+            "positions: {X: 250, Y: 200, Z: -400}",
+        ),
+        ("axes", isinstance(axes, dict) and len(ranges) == len(axes), "entries: {X: {range: [0, 500]}}"),
+        (
+            "axes",
+            all(one in (None, "unlimited") or _is_pair(one) for one in ranges),
+            "range: [lower, upper] or unlimited",
+        ),
+    ):
+        if not fits:
+            raise InputError(f"`{key}` cannot be read", expected=expected, value=data.get(key))
+
+
+def _is_names(value: Any) -> bool:
+    return isinstance(value, list) and all(isinstance(name, str) and name[:1] in tuple("XYZABC") for name in value)
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def _is_pair(value: Any) -> bool:
+    return isinstance(value, list) and len(value) == 2 and all(map(_is_number, value))
 
 
 def _answered(data: dict[str, Any], stated: StatedKinematics | None, *, ask: bool) -> dict[str, Any]:
@@ -250,8 +286,9 @@ def _question(text: str, default: str, parse: Callable[[str], Any], expected: st
 
 def _ask_chain(data: dict[str, Any], stated: StatedKinematics | None) -> dict[str, str]:
     """Ask for the name and the order of the axes, where they are not given; return the directions of inclined axes of that kind."""
+    from twin.machine.description import NAME, check_chain
+
     hints: dict[str, str] = {}
-    from twin.machine.description import NAME
 
     def chain(text: str) -> list[str] | None:
         names = [] if text == "-" else text.upper().replace(",", " ").split()
@@ -266,9 +303,16 @@ def _ask_chain(data: dict[str, Any], stated: StatedKinematics | None) -> dict[st
             echo(f"  {key}  {name}: tool {tool or '-'}; workpiece {work or '-'}")
         kind = _question("Which is closest", "1", lambda text: KINDS.get(text), f"one of {' '.join(KINDS)}")
         hints.update(kind[3])
-        for key, what, default in (("tool", "tool", kind[1]), ("work", "workpiece", kind[2])):
-            text = f"Axes that move the {what}, from the bed outwards (- for none)"
-            data[key] = _question(text, default or "-", chain, "letters X Y Z A B C, separated by blanks")
+        while "tool" not in data:
+            found = {}
+            for key, what, default in (("tool", "tool", kind[1]), ("work", "workpiece", kind[2])):
+                text = f"Axes that move the {what}, from the bed outwards (- for none)"
+                found[key] = _question(text, default or "-", chain, "letters X Y Z A B C, separated by blanks")
+            try:
+                check_chain(found["tool"], found["work"])
+                data.update(found)
+            except InputError as error:
+                echo(f"  {error}")
     return hints
 
 
@@ -280,7 +324,15 @@ def _ask_axes(data: dict[str, Any], hints: Mapping[str, str]) -> None:
     tool, work = list(data.get("tool") or ()), list(data.get("work") or ())
     for name in sorted((*tool, *work), key=lambda name: (not is_linear(name), name)):
         unit, one = ("mm" if is_linear(name) else "degrees"), axes.setdefault(name, {})
-        _ask(one, "range", f"{name}: range, {unit}", RANGES[name[0]], _reach, "lower upper, or unlimited")
+        parse = _reach if is_linear(name) else _turns
+        _ask(
+            one,
+            "range",
+            f"{name}: range, {unit}",
+            RANGES[name[0]],
+            parse,
+            "lower upper with zero inside, or unlimited" if unit == "degrees" else "lower upper",
+        )
     if not any("increment" in one for one in axes.values()):
         least = _question("Least increment of all axes, mm and degrees", "0.001", _single, "a number above 0")
         for one in axes.values():
@@ -299,10 +351,10 @@ def _ask_axes(data: dict[str, Any], hints: Mapping[str, str]) -> None:
 
 def _ask_rotary(one: dict[str, Any], name: str, line: str, *, of_tool: bool) -> None:
     """Ask for direction, sense and place of a rotary axis."""
-    from twin.machine.description import DIRECTIONS, PLACES, direction_of, place_of
+    from twin.machine.description import DIRECTIONS, PLACES, direction_of, is_near, place_of
 
     text = f"{name}: direction of the axis (inclined: 0 1 1, or Y Z 45)"
-    _ask(one, "about", text, line, lambda text: None if direction_of(text) is None else text, DIRECTIONS)
+    _ask(one, "about", text, line, lambda text: text if is_near(direction_of(text), name) else None, DIRECTIONS)
     what = "the tool turns" if of_tool else "the table turns left-handed, and so the tool"
     text = f"{name}: with a positive command {what} right-handed about it (iso), or reversed"
     _ask(one, "positive", text, "iso", lambda text: text if text in ("iso", "reversed") else None, "iso or reversed")
@@ -319,12 +371,14 @@ def _ask(place: dict[str, Any], key: str, text: str, default: str, parse: Callab
         place[key] = _question(text, default, parse, expected)
 
 
-def _reach(text: str) -> Any:
-    words = text.replace(",", " ").replace("…", " ").split()
-    values = _floats(words)
-    if words == ["unlimited"]:
-        return "unlimited"
+def _reach(text: str) -> list[float] | None:
+    values = _floats(text.replace(",", " ").replace("…", " ").split())
     return values if values is not None and len(values) == 2 and values[0] < values[1] else None
+
+
+def _turns(text: str) -> Any:
+    found = "unlimited" if text == "unlimited" else _reach(text)
+    return found if isinstance(found, str) or (found and found[0] <= 0.0 <= found[1]) else None
 
 
 def _single(text: str) -> float | None:

@@ -494,6 +494,8 @@ def _linuxcnc(lines: Sequence[TableLine]) -> StatedKinematics:
     x, y, z = np.eye(3)
     conventional = 1.0 if pin("conventional-directions") else -1.0
     unchecked = ["which linear axes move the table is not in the configuration"]
+    if not module.endswith("trt-kins"):
+        unchecked.append("pivot-length counts from the spindle nose, without the length of a tool")
     if module.endswith("trt-kins"):
         point = np.array([pin("x-rot-point"), pin("y-rot-point"), pin("z-rot-point") + pin("z-offset")])
         tilting, along = ("A", x) if "ac" in module else ("B", y)

@@ -86,6 +86,20 @@ def is_linear(name: str) -> bool:
     return name[0] in "XYZ"
 
 
+def is_near(direction: np.ndarray | None, name: str) -> bool:
+    """Return whether a direction suits the letter of a rotary axis: not almost perpendicular to the axis of the machine."""
+    return direction is not None and abs(float(direction @ LETTERS[name[0]])) >= 0.1
+
+
+def check_chain(tool: Sequence[str], work: Sequence[str]) -> None:
+    """Raise `InputError` unless two chains of axes, from the bed outwards, are those of a machine."""
+    axes: dict[str, dict[str, Any]] = {name: {"range": [-1, 1]} for name in (*tool, *work)}
+    for side, place in ((tool, "nose 0 0 0"), (work, "table 0 0 0")):
+        axes |= {name: {"range": [-1, 1], "at": place} for name in side if not is_linear(name)}
+    table = {name: 0 for name in axes if is_linear(name)}
+    Description.of({"name": "any", "tool": list(tool), "work": list(work), "table": table, "axes": axes})
+
+
 def vector_of(text: str) -> np.ndarray | None:
     """Return three numbers separated by blanks or commas; None if the text is something else."""
     words = text.replace(",", " ").split()
@@ -299,7 +313,7 @@ class Description:
         if direction is None:
             raise fail("about", "not a direction", DIRECTIONS, one.about)
         line = "XYZ"["ABC".index(name[0])]
-        if abs(float(direction @ LETTERS[line])) < 0.1:
+        if not is_near(direction, name):
             raise fail(
                 "about", f"{name} is an axis about {line} or inclined to it", f"a direction closer to {line}", one.about
             )
