@@ -200,6 +200,10 @@ def test_a_kinematic_chain_gives_both_sides(tmp_path: Path) -> None:
     data["axes"] = {name: {"range": one["range"]} for name, one in data["axes"].items()}
     completed = found.completed(data)
     assert (completed["tool"], completed["work"]) == (["X", "Z"], ["Y", "A", "C"])
+    with pytest.raises(
+        InputError, match=r"`tool` contradicts the control: SINUMERIK, kinematic chain has X Z there: 'Z'"
+    ):
+        found.completed({**data, "tool": ["Z"], "work": ["X", "Y", "A", "C"]})
 
 
 def test_a_control_that_contradicts_an_answer_names_it(tmp_path: Path) -> None:

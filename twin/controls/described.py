@@ -106,19 +106,20 @@ class StatedKinematics:
             work: axes of the side of the workpiece.
 
         Raises:
-            InputError: the machine has other rotary axes than the control.
+            InputError: the machine has other rotary axes than the control, or other chains if that states them.
         """
         named = []
-        for side, chain in (("tool", tool), ("work", work)):
+        sides: tuple[tuple[Side, Sequence[str]], ...] = (("tool", tool), ("work", work))
+        for side, chain in sides:
             rotary = [name for name in chain if not is_linear(name)]
             own = [axis for axis in self.axes if axis.side == side]
             names = [one.name or name for one, name in zip(own, rotary, strict=False)]
-            if len(own) != len(rotary) or names != rotary:
-                words = " ".join(one.name or "one" for one in own) or "none"
-                raise InputError(
-                    f"`{side}` contradicts the control: {self.title} has {words} as rotary axes there",
-                    expected="the same rotary axes, from the bed outwards", file=self.path, value=" ".join(chain),
-                )  # fmt: skip
+            stated = self.chains.get(side, tuple(chain))
+            if len(own) != len(rotary) or names != rotary or stated != tuple(chain):
+                words = " ".join(self.chains.get(side, [one.name or "one" for one in own])) or "none"
+                what = f"`{side}` contradicts the control: {self.title} has {words} there"
+                expected = "the same axes, from the bed outwards"
+                raise InputError(what, expected=expected, file=self.path, value=" ".join(chain))
             named += [one._replace(name=name) for one, name in zip(own, rotary, strict=True)]
         return tuple(named)
 
