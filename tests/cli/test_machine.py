@@ -8,7 +8,6 @@ import os
 import shlex
 import signal
 import subprocess
-import time
 from pathlib import Path
 
 import numpy as np
@@ -112,10 +111,11 @@ def test_ctrl_c_keeps_the_answers(tmp_path: Path) -> None:
         assert process.stdin is not None and process.stdout is not None
         process.stdin.write("my mill\n2\n")
         process.stdin.flush()
-        while "Axes that move the tool" not in process.stdout.readline():
-            time.sleep(0.01)
-            if b"Axes" in os.read(process.stdout.fileno(), 4096):
-                break
+        shown = b""
+        while b"Axes that move the tool" not in shown:
+            more = os.read(process.stdout.fileno(), 4096)  # not readline: a question does not end with a new line
+            assert more, "the command ended"
+            shown += more
         os.kill(process.pid, signal.SIGINT)
         assert process.wait(20) == 130
         assert process.stderr is not None and process.stderr.read() == "twin: interrupted, nothing half written\n"
