@@ -143,6 +143,8 @@ def test_flags_alone_describe_a_machine(tmp_path: Path, monkeypatch: pytest.Monk
         ("check trunnion_ac --no 9", ["no such statement", "1 to 7", "--no"]),
         ("new --answers answers.yaml -o answers.yaml", ["output file is also an input"]),
         ("new --answers answers.yaml -o a.yaml --html answers.yaml.html --keep answers.yaml", ["also an input"]),
+        ("new --answers answers.yaml -o hand.yaml", ["hand.urdf", "not made by `twin machine new`"]),
+        ("new --answers answers.yaml -o bad.yaml", ["bad.yaml", "not made by `twin machine new`"]),
         ("new --answers bad.yaml -o mill.yaml", ["bad.yaml:", "axes.A.range", "reversed"]),
         ("new --answers answers.yaml --set axes.A.at='table 0 0 61' -o mill.yaml", ["--set contradicts `axes.A.at`"]),
         ("new --answers answers.yaml --set axes.B=3 -o mill.yaml", ["`axes` cannot be read"]),
@@ -165,6 +167,7 @@ def test_refusals_name_what_is_wrong(
     (tmp_path / "five.csv").write_text("X,Y\n1,2\n")
     (tmp_path / "short.csv").write_text("X,Y,Z,A,C,x,y,z\n1,2,3,4,5,6,7,8\n")
     (tmp_path / "text.csv").write_text("X,Y,Z,A,C,x,y,z\n1,2,3,4,5,6,7,8\n1,o,3,4,5,6,7,8\n")
+    (tmp_path / "hand.urdf").write_text("<robot/>")
     before = {path: path.read_text() for path in tmp_path.iterdir()}
     message = refused(capsys, "machine", *shlex.split(line))
     assert all(word in message for word in words), message

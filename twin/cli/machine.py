@@ -40,6 +40,10 @@ KINDS: Final[Mapping[str, tuple[str, str, str, Mapping[str, str]]]] = {
 RANGES: Final = {"X": "0 500", "Y": "0 400", "Z": "-400 0", "A": "-120 30", "B": "-110 110", "C": "unlimited"}
 
 
+MADE: Final = "made by `twin machine new`"
+"""Mark of the files that may be replaced."""
+
+
 class Action(StrEnum):
     """Task of the command."""
 
@@ -146,6 +150,10 @@ def _new(
     same = answers is not None and answers.resolve() == answers_file.resolve()
     kept = keep is not None and keep.resolve() == answers_file.resolve()
     check_writable([urdf] if same or kept else [urdf, answers_file])
+    for path in (output, urdf):
+        # The URDF is not named on the command line, and either may be written by hand.
+        if path.exists() and MADE not in path.read_bytes()[:1000].decode(errors="replace"):
+            raise InputError(f"exists, and was not {MADE}", expected="another name for -o", file=path)
     from twin._common.yaml_files import yaml_text
     from twin.machine.description import SCHEMA as ANSWERS
     from twin.machine.description import Description

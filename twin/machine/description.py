@@ -400,7 +400,7 @@ class Description:
         """
         answers = self.answers
         lines = [
-            f"# Made by `twin machine new`; the answers are in {answers_file}. Change them there and make the machine again.",
+            f"# This file was made by `twin machine new`; change the answers in {answers_file} and make it again.",
             "schema: twin.machine/1",
             f"name: {quoted(answers.name)}",
             f"urdf: {quoted(urdf)}",
