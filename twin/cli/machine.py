@@ -489,7 +489,9 @@ def _position_lines(displayed: Displayed, path: Path) -> list[str]:
         lines.append(
             f"  after a constant shift by {origin} mm, which is taken for the zero of the display (--work-origin fixes it)"
         )
-    lines.append("  largest difference: {:.4f} mm, {:.4f}°".format(*displayed.worst))
+    away, angle = displayed.worst
+    shown = any(one == one for *_, one in displayed.rows)
+    lines.append(f"  largest difference: {away:.4f} mm{f', {angle:.4f}°' if shown else ', tool axis not given'}")
     lines += [f"  all rows would agree with {cure}" for cure in displayed.cures]
     return lines
 
