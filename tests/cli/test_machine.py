@@ -215,19 +215,23 @@ def test_displayed_positions_agree_or_name_the_answer(tmp_path: Path, capsys: py
     made(tmp_path, HEAD)
     capsys.readouterr()
     assert status(*run, path) == 3
-    assert "axes.B.at: shifted by +0.000 +0.000 +1.250 mm" in capsys.readouterr().out
+    assert "axes.B.at: changed by +0.000 +0.000 +1.250 mm" in capsys.readouterr().out
+    # A tool that is 2 mm longer than stated.
+    path = table(tmp_path, made(tmp_path, HEAD), (0.0, 0.0, 0.0), axis=False)
+    assert status(*run[:4], 73, "--positions", path) == 3
+    assert "the length of the tool: changed by +2.000 mm" in capsys.readouterr().out
     # Both axes of a head together, and the axis of a table: the C axis is 0.4 mm further to the back than answered.
     both = made(tmp_path, changed(HEAD, B__at="nose 0.5 0 210.5"))
     path = table(tmp_path, both, (0.0, 0.0, 0.0), axis=False)
     made(tmp_path, HEAD)
     assert status(*run, path) == 3
-    assert "axes.B.at and axes.C.at: shifted by +0.500 +0.000 +0.000 mm" in capsys.readouterr().out
+    assert "axes.B.at and axes.C.at: changed by +0.500 +0.000 +0.000 mm" in capsys.readouterr().out
     path = table(
         tmp_path, made(tmp_path, changed(TRUNNION, C__at="machine 300 250.4 -450")), (0.0, 0.0, 0.0), axis=False
     )
     made(tmp_path, TRUNNION)
     assert status(*run, path) == 3
-    assert "axes.C.at: shifted by +0.000 +0.400 +0.000 mm" in capsys.readouterr().out
+    assert "axes.C.at: changed by +0.000 +0.400 +0.000 mm" in capsys.readouterr().out
 
 
 def test_the_control_is_compared(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -293,7 +293,7 @@ def _beyond(off: np.ndarray, angles: np.ndarray, tolerance: float) -> bool:
 
 
 def _shifted(machine: Machine, q: np.ndarray, off: np.ndarray, free: bool, tolerance: float) -> list[str]:
-    """Return the shift of a rotary axis, or of both of one side, after which all rows agree, in words; for each for which there is one.
+    """Return the changes of the tool's length, or of the place of the rotary axes, after which all rows agree, in words.
 
     Args:
         machine: the machine.
@@ -304,15 +304,21 @@ def _shifted(machine: Machine, q: np.ndarray, off: np.ndarray, free: bool, toler
     """
     columns = {machine.names[i]: np.concatenate([_moved_line(machine, one, i) for one in q]) for i in machine.rotary}
     sides = [[name for name in columns if machine.by_name[name].side == side] for side in ("tool", "work")]
+    candidates = {f"axes.{name}.at": one for name, one in columns.items()}
+    candidates |= {
+        " and ".join(f"axes.{name}.at" for name in names): np.sum([columns[name] for name in names], axis=0)
+        for names in sides
+        if len(names) == 2
+    }
+    longer = [tip_and_axis(machine, one, 1.0)[0] - tip_and_axis(machine, one, 0.0)[0] for one in q]
     cures = []
-    for names in [*([name] for name in columns), *(names for names in sides if len(names) == 2)]:
-        unknown = np.sum([columns[name] for name in names], axis=0)
-        unknown = np.hstack([unknown, np.tile(np.eye(3), (len(q), 1))]) if free else unknown
-        shift = np.linalg.lstsq(unknown, -off.ravel(), rcond=1e-9)[0]
-        left = (off.ravel() + unknown @ shift).reshape(-1, 3)
-        if np.linalg.matrix_rank(unknown) < off.size and np.linalg.norm(left, axis=1).max() <= tolerance:
-            by = " ".join(f"{round(value, 3) + 0.0:+.3f}" for value in shift[:3])
-            cures.append(f"{' and '.join(f'axes.{name}.at' for name in names)}: shifted by {by} mm")
+    for name, unknown in {"the length of the tool": np.concatenate(longer)[:, None], **candidates}.items():
+        free_unknown = np.hstack([unknown, np.tile(np.eye(3), (len(q), 1))]) if free else unknown
+        shift = np.linalg.lstsq(free_unknown, -off.ravel(), rcond=1e-9)[0]
+        left = (off.ravel() + free_unknown @ shift).reshape(-1, 3)
+        if np.linalg.matrix_rank(free_unknown) < off.size and np.linalg.norm(left, axis=1).max() <= tolerance:
+            by = " ".join(f"{round(value, 3) + 0.0:+.3f}" for value in shift[: unknown.shape[1]])
+            cures.append(f"{name}: changed by {by} mm")
     return cures
 
 
