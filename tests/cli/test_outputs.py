@@ -164,6 +164,7 @@ def test_every_path_of_every_command_is_known() -> None:
     """A path that a command writes is marked; every other path is an input and must not be an output."""
     written = {
         "json_file",
+        "keep",
         "output",
         "urdf",
         "report_file",

@@ -31,6 +31,11 @@ WRITTEN: Final = {
         "control",
         "output",
     ): "tables and kinematics are read back from a scratch folder before; the calibration is read back",
+    (
+        "machine",
+        "output",
+    ): "machine file and URDF are loaded from a scratch folder and compared with the answers before",
+    ("machine", "keep"): "answers of which some may be missing",
     ("scene", "output"): REPORT,
     ("report", "output"): REPORT,
     ("thermal", "predicted"): "a table to draw: no command reads a prediction",

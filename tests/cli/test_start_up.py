@@ -111,7 +111,7 @@ WITH_MACHINE = {
 def test_a_misspelt_machine_imports_no_large_package(tmp_path: Path) -> None:
     for name in ("a.csv", "a.yaml"):
         (tmp_path / name).write_text("")
-    assert set(WITH_MACHINE) == set(COMMANDS) - {"thermal", "doctor", "doc"}
+    assert set(WITH_MACHINE) == set(COMMANDS) - {"machine", "thermal", "doctor", "doc"}
     lines = [[name, *more, "--machine", "dmu5"] for name, more in WITH_MACHINE.items()]
     for status, text in run_light(tmp_path, lines):
         assert status == 2 and "dmu5: not found (did you mean dmu50?)" in text
@@ -143,6 +143,8 @@ def test_errors_of_input_import_no_large_package(tmp_path: Path) -> None:
         "report -o x.txt": "wrong suffix of the output file",
         "control": "no output chosen",
         "control --to fanuk -o x": "is not one of 'linuxcnc'",
+        "machine new": "no output given",
+        "machine check dmu5": "dmu5: not found (did you mean dmu50?)",
         "doc nosuch": "no such page: 'nosuch'",
     }
     for (status, text), expected in zip(

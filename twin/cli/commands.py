@@ -29,6 +29,7 @@ __all__ = ["COMMANDS", "app", "load", "run"]
 
 COMMANDS: Final = {
     "info": "Show axes, ranges, frames and the error budget of a machine.",
+    "machine": "Describe your own machine by answers, and check it against its control.",
     "compare": "Show what changed between two calibrations of a machine.",
     "volume": "Show the spread of errors over machines drawn from a calibration's covariance.",
     "check": "Examine NC programs before anything is computed.",

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
 PAGES: Final = (
     *(
+        "machine",
         "programs",
         "import",
         "convert",

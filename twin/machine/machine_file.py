@@ -14,6 +14,7 @@ from collections import Counter, defaultdict
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Final, Literal, final
+from xml.etree import ElementTree
 
 import numpy as np
 import pinocchio as pin
@@ -369,13 +370,30 @@ def load_urdf(path: Path) -> pin.Model:
     Raises:
         InputError: the file is invalid (see `read_urdf`), or Pinocchio cannot load it.
     """
-    text = read_urdf(path)
+    text = _without_continuous(read_urdf(path))
     try:
         return pin.buildModelFromXML(text)
     except (ValueError, RuntimeError) as error:
         raise InputError(
             "not a URDF that Pinocchio can load", expected="a URDF robot", file=path, value=error
         ) from error
+
+
+def _without_continuous(text: str) -> str:
+    """Return the URDF with its ``continuous`` joints as ``revolute`` ones, which have one coordinate in Pinocchio, not two.
+
+    Their ranges are those of the machine file, as for all joints.
+    """
+    if "continuous" not in text:
+        return text
+    robot = ElementTree.fromstring(text)
+    for joint in robot.iter("joint"):
+        if joint.get("type") == "continuous":
+            joint.set("type", "revolute")
+            limit = joint.find("limit")
+            limit = ElementTree.SubElement(joint, "limit", effort="0", velocity="1") if limit is None else limit
+            limit.attrib |= {"lower": "-10000", "upper": "10000"}
+    return ElementTree.tostring(robot, encoding="unicode")
 
 
 def check_entries(entries: MachineFile, source: pin.Model, path: Path, lines: Mapping[EntryPath, int]) -> None:  # noqa: C901
