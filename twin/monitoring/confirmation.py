@@ -1,0 +1,679 @@
+"""Whether what was written into a machine took effect as intended, from readings taken afterwards; or what moved in a crash.
+
+The readings are linear in everything that may be wrong: r = G f + H h + A a + B s + noise. f has one factor for every written value (a
+table, a value of the kinematics, a corrected word of a program, an adjusted error): 1 in effect, 0 absent, −1 reversed. h are changes of
+scales, squareness and locations, with the plausible sizes of the machine file as prior; a are the errors of the machine, with the
+covariance of the calibration as prior; s is the set-up, free in each measurement. Hypotheses are compared by their likelihood with a and s
+integrated out. The likelihood ratio of a hypothesis exceeds k by chance with probability 1/k or less (Markov), whatever its shape, so
+that the sum over all of them gives the rate of false alarms.
+
+A calibration may come from the readings before. Both are then used with doubled variances, which is consistent for any correlation
+(covariance intersection; Julier and Uhlmann 1997).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final, Literal, final
+
+import numpy as np
+
+from twin._common.distributions import chi2_sf
+from twin._common.errors import InputError
+from twin._common.provenance import SourceWarning, merge_warnings, warning_texts, warnings_to_json
+from twin._common.resources import Progress, one_blas_thread, silent
+from twin._common.units import UM, count_with_noun
+from twin.display import readable
+from twin.display.numbers import listed
+from twin.display.results import Result
+from twin.identification.inputs import prepare, reading_noise
+from twin.identification.network import Network
+from twin.identification.solve import solve
+from twin.identification.unidentified import constant_unknowns, scale_unit
+from twin.identification.unknowns import Unknowns, axes_with_known_places, spaces_for
+from twin.machine.machine import Machine
+from twin.measurement.checks import grouped_notes
+from twin.measurement.table import Measurements
+from twin.model.calibration import Calibration
+from twin.model.effects import MACHINE_EFFECTS, unit_of
+from twin.model.effects.base import motion_in_words
+from twin.monitoring.written import (
+    POSES,
+    SEED,
+    Hypothesis,
+    LinearReadings,
+    Weigher,
+    WrittenValue,
+    best_hypothesis,
+    groups_of,
+    linear_readings,
+    visible,
+)
+from twin.numerics.covariance import symmetric_root
+from twin.numerics.curves import bases_for
+from twin.tool.forward import Kinematics
+from twin.tool.uncertainty import volume
+
+SCHEMA: Final = "twin.confirmation/1"
+UNEXPLAINED_BELOW: Final = 0.01
+"""Rate of false alarms of the test whether anything is left that no hypothesis explains."""
+LEAST_EFFECT_UM: Final = 1.0
+LEAST_SHARE: Final = 0.05
+"""Effect at the tool, RMS over the volume, from which a written value matters: in µm, and as a share of the whole effect."""
+NEGLIGIBLE_UM: Final = 0.02
+"""Effect at the tool below which a value is not counted as written."""
+DRAWS: Final = 400
+WIDER: Final = 5.0
+"""Factor on the calibration's uncertainty in the model from which the noise of the readings is estimated."""
+UNSEEN: Final = 0.1
+"""Share of the prior variance from which the readings do not determine a change."""
+FUNCTIONS: Final = 6
+"""Functions of each error motion where no calibration is given."""
+Verdict = Literal["confirmed", "undecided", "not in effect", "wrong", "changed otherwise", "unchanged", "moved"]
+
+
+# --- The result -----------------------------------------------------------------------------------
+
+
+@final
+@dataclass(frozen=True)
+class ConfirmedValue:
+    """One written value and what the readings say of it.
+
+    Attributes:
+        effect_um: its effect at the tool point, RMS over the volume.
+        factor: how many times it acts: 1 as written, 0 not, −1 reversed.
+        expanded: U of the factor (95 %), the other values free.
+        matters: whether its effect is large enough to count.
+        visible: whether these readings exclude that it is absent or reversed.
+    """
+
+    name: str
+    effect_um: float
+    factor: float
+    expanded: float
+    matters: bool
+    visible: bool
+
+
+@final
+@dataclass(frozen=True)
+class MovedError:
+    """A constant error that changed.
+
+    Attributes:
+        size: change with ``expanded`` (95 %), in ``unit``.
+        words: the error in words.
+        look: where to look.
+    """
+
+    name: str
+    size: float
+    expanded: float
+    unit: str
+    words: str
+    look: str
+
+
+@final
+@dataclass(frozen=True)
+class MotionBound:
+    """Upper bound, 95 %, of how far scales, squareness and locations moved the tool point, µm.
+
+    Attributes:
+        box_um: over the positions that the readings span.
+        volume_um: over the whole volume.
+        unseen: names of the errors whose change these readings do not show.
+    """
+
+    box_um: float
+    volume_um: float
+    box: Mapping[str, tuple[float, float]]
+    unseen: tuple[str, ...]
+
+
+@final
+@dataclass(frozen=True, repr=False)
+class Confirmation(Result):
+    """Verdict on what was written into a machine, or on what a crash moved.
+
+    Attributes:
+        findings: what is not as written, one sentence each, the verdict's reason.
+        alternatives: what the readings do not distinguish from it.
+        before_um, expected_um, expanded_um, measured_um: RMS deviation of a point from the nominal machine at the readings, stations
+            and targets fitted: before, expected afterwards with U (95 %), and measured. Expected is NaN without a calibration.
+        before_is: how ``before_um`` was found.
+        p_value: of χ² of what the verdict leaves unexplained.
+        noise: standard deviation of the readings, in units of the stated one.
+    """
+
+    machine: Machine
+    verdict: Verdict
+    findings: tuple[str, ...]
+    alternatives: tuple[str, ...]
+    values: tuple[ConfirmedValue, ...]
+    moved: tuple[MovedError, ...]
+    before_um: float
+    before_is: str
+    expected_um: float
+    expanded_um: float
+    measured_um: float
+    bound: MotionBound
+    p_value: float
+    noise: float
+    readings: int
+    notices: tuple[str, ...]
+    warnings: tuple[SourceWarning, ...]
+
+    @property
+    def met(self) -> bool:
+        """Whether everything is confirmed, or nothing moved."""
+        return self.verdict in ("confirmed", "unchanged")
+
+    @property
+    def headline(self) -> str:
+        """The verdict in one line."""
+        if self.verdict == "unchanged":
+            return f"nothing moved the tool by more than {_figure(self.bound.box_um)} µm"
+        before, expected, measured = map(_figure, (self.before_um, self.expected_um, self.measured_um))
+        figures = f"before {before}, expected {expected} ± {_figure(self.expanded_um)}, measured {measured} µm"
+        if not self.values:
+            figures = f"before {before}, now {measured} µm"
+        return f"{figures}: {'; '.join((self.verdict, *self.findings)) if self.met or not self.findings else '; '.join(self.findings)}"
+
+    @property
+    def brief(self) -> str:
+        """Machine and headline."""
+        return f"{self.machine.name}: {self.headline}"
+
+    @property
+    def to_measure(self) -> tuple[str, ...]:
+        """Names of the written values that matter and that these readings do not show."""
+        return tuple(value.name for value in self.values if value.matters and not value.visible)
+
+    def to_text(self) -> str:
+        """Return the text report."""
+        lines = [self.brief, *warning_texts(self.warnings), ""]
+        if self.alternatives:
+            lines += ["these readings do not exclude:", *(f"  {text}" for text in self.alternatives[:8]), ""]
+        if self.values:
+            lines += [
+                f"RMS deviation of a point from the nominal machine in {count_with_noun(self.readings, 'reading')}, stations and targets "
+                f"fitted; before: {self.before_is}; ± U (95 %)",
+                "",
+                "written value                        effect at the tool    acts ... times    absent or reversed",
+            ]
+            for value in self.values:
+                shown = (
+                    "excluded"
+                    if value.visible
+                    else "NOT EXCLUDED"
+                    if value.matters
+                    else "not excluded (too small to matter)"
+                )
+                times = f"{value.factor:.2f} ± {value.expanded:.2f}" if value.expanded < 10.0 else "not seen"
+                lines.append(f"  {value.name:<36}{value.effect_um:>9.1f} µm RMS   {times:>15}    {shown}")
+            lines.append("")
+        for one in self.moved:
+            lines.append(
+                f"{one.words} ({one.name}): {one.size:+.3g} ± {one.expanded:.2g} {readable(one.unit)}. {one.look}"
+            )
+        bound = self.bound
+        where = ", ".join(f"{name} {low:.0f} … {high:.0f}" for name, (low, high) in bound.box.items())
+        what = "besides, " if self.values or self.moved else ""
+        lines.append(
+            f"{what}scales, squareness and locations moved the tool by at most {_figure(bound.box_um)} µm (95 %) within {where}, "
+            f"{_figure(bound.volume_um)} µm over the whole volume"
+        )
+        if bound.unseen:
+            lines.append(
+                f"not seen by these readings: {', '.join(bound.unseen)} (new stations and targets hide them, or their axis rests)"
+            )
+        if self.to_measure:
+            lines.append(
+                f"to decide, measure what shows {listed(self.to_measure)}: twin plan --confirm FOLDER makes the shortest measurement"
+            )
+        lines += [f"note: {text}" for text in self.notices]
+        return "\n".join(lines) + "\n"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the JSON object (``schema: twin.confirmation/1``); unknown numbers are null."""
+        figures = {
+            name: getattr(self, name)
+            for name in ("before_um", "expected_um", "expanded_um", "measured_um", "p_value", "noise")
+        }
+        return {
+            "schema": SCHEMA,
+            "machine": self.machine.name,
+            "verdict": self.verdict.replace(" ", "_"),
+            "headline": self.headline,
+            "findings": list(self.findings),
+            "not_excluded": list(self.alternatives),
+            **{name: value if np.isfinite(value) else None for name, value in figures.items()},
+            "before_is": self.before_is,
+            "readings": self.readings,
+            "written": [vars(value) for value in self.values],
+            "to_measure": list(self.to_measure),
+            "moved": [vars(one) for one in self.moved],
+            "bound": {**vars(self.bound), "box": {name: list(ends) for name, ends in self.bound.box.items()}},
+            "notices": list(self.notices),
+            "warnings": warnings_to_json(self.warnings),
+        }
+
+
+def _figure(value: float) -> str:
+    return f"{value:.0f}" if not abs(value) < 9.95 else f"{value:.1f}"
+
+
+# --- From readings to the verdict -----------------------------------------------------------------
+
+
+def confirm(
+    before: Measurements | None,
+    after: Measurements,
+    machine: Machine,
+    *,
+    calibration: Calibration | None = None,
+    written: Sequence[WrittenValue] = (),
+    tool_length_mm: float | None = None,
+    progress: Progress = silent,
+) -> Confirmation:
+    """Return whether written values took effect as intended; without any, whether scales, squareness or locations moved.
+
+    Args:
+        before: readings before they were written; None: the calibration alone says what was before.
+        after: readings afterwards; stations and targets may have been set up anew.
+        calibration: the errors of the machine without the written values, with their covariance; None: plausible errors.
+        written: what was written (`twin.monitoring.written`).
+        tool_length_mm: length of the tool for the bound at the tool.
+
+    Raises:
+        InputError: neither readings before nor a calibration; written values without a calibration; readings that disagree with the
+            commands, or that move no axis.
+    """
+    if calibration is None and (before is None or written):
+        raise InputError("no calibration", expected="the calibration of the machine before", file=after.source)
+    errors = (Calibration.zero(machine) if calibration is None else calibration).with_control(None)
+    known = bool(errors.covariance.names)
+    with one_blas_thread():
+        progress("reading", 0.1)
+        tables = [table for table in (after, before) if table is not None]
+        axes = sorted({name for table in tables for name in table.moved(machine)}, key=machine.names.index)
+        unknowns = constant_unknowns(machine, axes)
+        if not len(unknowns):
+            raise after.error(
+                "no axis with a scale, squareness or location moved", expected="two or more positions of an axis", row=0
+            )
+        prior = None if known else _plausible_errors(machine, tables)
+        found = [
+            _linearised(machine, table, errors, unknowns, written if table is after else (), prior) for table in tables
+        ]
+        now, then = found[0][0], found[1][0] if before is not None else None
+        progress("weighing", 0.5)
+        dependent = known and then is not None
+        chi2, dof = Weigher(_wider(now), None if then is None else _wider(then), dependent=dependent).noise()
+        variance = max(1.0, chi2 / dof) if dof >= 1.0 else 1.0
+        weigher = Weigher(now, then, dependent=dependent, variance=variance)
+        task = _Task(
+            machine, unknowns, written, weigher, machine.tool_length_mm if tool_length_mm is None else tool_length_mm
+        )
+        progress("figures", 0.8)
+        same = before is not None and _same_poses(before, after)
+        figures = _figures(now, then, weigher, same=same, known=calibration is not None)
+        box = {
+            name: (float(after.positions[:, i].min()), float(after.positions[:, i].max()))
+            for i, name in enumerate(machine.names)
+        }
+        notices = [text for _, said in found for text in said]
+        if any(value.name.startswith("kinematics") for value in written):
+            notices.append(
+                "the kinematics act in tool centre point mode only: the readings after must be taken with the transformation active, at the "
+                "programmed points for which the nominal kinematics give the positions of the table"
+            )
+        if calibration is not None and not known:
+            notices.append(
+                "the calibration gives no uncertainty: its errors are taken as uncertain by their plausible sizes"
+            )
+        return task.confirmation(
+            figures,
+            box,
+            np.sqrt(variance),
+            len(after),
+            tuple(dict.fromkeys(notices)),
+            merge_warnings(
+                errors.warnings, *([table.warnings for table in tables] if hasattr(after, "warnings") else [])
+            ),
+        )
+
+
+def _plausible_errors(machine: Machine, tables: Sequence[Measurements]) -> Unknowns:
+    """Return all errors that the positions of some tables could show."""
+    bases = {axis.name: bases_for(rotary=not axis.linear, endless=axis.lower is None)[0] for axis in machine.axes}
+    positions = np.concatenate([table.positions for table in tables])
+    spaces, constants = spaces_for(machine, positions, bases=bases, most=FUNCTIONS, wanted=lambda name: True)
+    return Unknowns(machine, spaces, constants, axes_with_known_places(machine, tables[0]))
+
+
+def _linearised(
+    machine: Machine,
+    table: Measurements,
+    errors: Calibration,
+    unknowns: Unknowns,
+    written: Sequence[WrittenValue],
+    prior: Unknowns | None,
+) -> tuple[LinearReadings, list[str]]:
+    """Return the linear model of a table, and what to know of its rows and its noise."""
+    placed = prepare(machine, table, None)
+    noise = reading_noise(machine, placed, "stated", named=False)
+
+    def network(some: Unknowns) -> Network:
+        return Network(machine, placed.data, placed.instruments, some, errors, noise.covariance, check=False)
+
+    # The set-up alone: with free constants, combinations that only the set-up could compensate would carry it away.
+    solution = solve(network(Unknowns(machine, (), ())), np.zeros(0), placed.setup, np.ones(len(placed.data)))
+    if not solution.converged:
+        raise table.error("the set-up of these readings cannot be estimated", expected="more or other positions", row=0)
+    name = "" if table.source is None else f"{table.source}: "
+    said = [
+        *placed.data.notices,
+        *noise.notices,
+        *(f"set aside, {text}" for text in grouped_notes(placed.data.set_aside)),
+    ]
+    return linear_readings(network(unknowns), solution.setup, errors, written, prior), [
+        f"{name}{text}" for text in said
+    ]
+
+
+def _wider(readings: LinearReadings) -> LinearReadings:
+    return replace(readings, errors=WIDER * readings.errors)
+
+
+def _same_poses(before: Measurements, after: Measurements) -> bool:
+    keys = [
+        {(*np.round(q, 3).tolist(), str(target)) for q, target in zip(table.positions, table.target, strict=True)}
+        for table in (before, after)
+    ]
+    return keys[0] == keys[1]
+
+
+def _figures(
+    now: LinearReadings, then: LinearReadings | None, weigher: Weigher, *, same: bool, known: bool
+) -> tuple[float, str, float, float, float]:
+    """Return the RMS before and how it was found, that expected with its U, and that measured, µm."""
+    intended = now.nominal - now.residual
+    mean, root = np.zeros(now.errors.shape[1]), np.eye(now.errors.shape[1])
+    if then is not None:
+        precision = np.eye(len(mean)) + then.errors.T @ then.errors
+        mean = np.linalg.solve(precision, then.errors.T @ then.residual)
+        root = symmetric_root(np.linalg.inv(precision))
+    rng = np.random.default_rng(SEED)
+    drawn = mean[:, None] + root @ rng.standard_normal((len(mean), DRAWS))
+    noise = now.projected(np.where(now.read.reshape(-1, 1), rng.standard_normal((now.read.size, DRAWS)), 0.0))
+    effect = now.written.sum(axis=1)[:, None]
+    expected = now.rms_um((intended + 0.0)[:, None] + now.errors @ drawn + effect + noise)
+    low, middle, high = np.quantile(expected, (0.025, 0.5, 0.975))
+    measured = float(now.rms_um(now.nominal[:, None])[0])
+    if then is not None and (same or not known):
+        before = float(then.rms_um(then.nominal[:, None])[0])
+        return (
+            before,
+            "measured at the same poses" if same else "measured at other poses",
+            float(middle),
+            float(high - low) / 2.0,
+            measured,
+        )
+    before = float(np.median(now.rms_um(intended[:, None] + now.errors @ drawn + noise)))
+    return before, "predicted at these poses by the calibration", float(middle), float(high - low) / 2.0, measured
+
+
+@final
+@dataclass(frozen=True)
+class _Task:
+    """What the verdict is made from."""
+
+    machine: Machine
+    unknowns: Unknowns
+    written: Sequence[WrittenValue]
+    weigher: Weigher
+    tool_length_mm: float
+
+    def confirmation(
+        self,
+        figures: tuple[float, str, float, float, float],
+        box: Mapping[str, tuple[float, float]],
+        noise: float,
+        readings: int,
+        notices: tuple[str, ...],
+        warnings: tuple[SourceWarning, ...],
+    ) -> Confirmation:
+        """Return the verdict with everything that belongs to it."""
+        groups = groups_of(self.written)
+        state, others = best_hypothesis(self.weigher, list(groups.values()))
+        _, chi2, estimate, covariance = self.weigher.fit(state, list(groups.values()))
+        p_value = float(chi2_sf(chi2, self.weigher.rank))
+        values = self._values(state)
+        findings = self.sentences(state, groups, estimate, covariance)
+        verdict: Verdict
+        if state == Hypothesis():
+            if p_value < UNEXPLAINED_BELOW:
+                verdict = "changed otherwise"
+                findings = (
+                    "changed otherwise: no single scale, squareness, location or written value explains the readings",
+                )
+            elif not self.written:
+                verdict = "unchanged"
+            elif any(value.matters and not value.visible for value in values):
+                verdict, seen = "undecided", [value.name for value in values if value.matters and not value.visible]
+                findings = (f"undecided: these readings cannot show the sign of {_names(seen, groups, self.written)}",)
+            else:
+                verdict = "confirmed"
+        elif not self.written:
+            verdict = "moved"
+        elif any(factor != 0.0 for _, factor in state.factors) or state.axes or any(one < 0 for one in state.free):
+            verdict = "wrong"
+        elif state.factors:
+            verdict = "not in effect" if len(state.factors) == len(self.written) and not state.free else "wrong"
+        else:
+            verdict = "changed otherwise"
+        before, before_is, expected, expanded, measured = figures
+        return Confirmation(
+            machine=self.machine,
+            verdict=verdict,
+            findings=findings,
+            alternatives=tuple(dict.fromkeys("; ".join(self.sentences(one, groups)) for one in others)),
+            values=values,
+            moved=self._moved(state, estimate, covariance),
+            before_um=before,
+            before_is=before_is,
+            expected_um=expected,
+            expanded_um=expanded,
+            measured_um=measured,
+            bound=self._bound(state, list(groups.values()), box),
+            p_value=p_value,
+            noise=float(noise),
+            readings=readings,
+            notices=notices,
+            warnings=warnings,
+        )
+
+    def _values(self, state: Hypothesis) -> tuple[ConfirmedValue, ...]:
+        """Return every written value with its effect at the tool and its factor."""
+        if not self.written:
+            return ()
+        q = volume(self.machine, POSES, SEED)
+        at = dict(zip(self.machine.names, q.T, strict=True)) | {
+            f"approach_{name}": np.ones(len(q)) for name in self.machine.names
+        }
+        kinematics = Kinematics(self.machine, Calibration.zero(self.machine), tool_length_mm=self.tool_length_mm)
+        _, travel = kinematics.travel(q)
+        by_constant = self._at_tool(q)
+        names = [column.entity for column in self.unknowns.columns]
+        effects = []
+        for value in self.written:
+            if value.shift is not None:
+                effects.append(np.einsum("nia,na->ni", travel, value.shift(at)) / UM)
+            else:
+                name, size = value.constant or ("", 0.0)
+                effects.append(by_constant[:, :, names.index(name)] * size if name in names else np.zeros((len(q), 3)))
+        rms = np.sqrt(np.mean(np.sum(np.array(effects) ** 2, axis=2), axis=1))
+        whole = float(np.sqrt(np.mean(np.sum(np.sum(effects, axis=0) ** 2, axis=1))))
+        factor, u = self.weigher.factors(state)
+        matters = rms >= max(LEAST_EFFECT_UM, LEAST_SHARE * whole)
+        return tuple(
+            ConfirmedValue(
+                value.name, *map(float, (rms[k], factor[k], 2.0 * u[k])), bool(matters[k]), bool(visible(factor, u)[k])
+            )
+            for k, value in enumerate(self.written)
+        )
+
+    def _at_tool(self, q: np.ndarray) -> np.ndarray:
+        """Return (n, 3, c) the displacement of the tool point, µm, by each constant error, per µm or µrad."""
+        by_error = (
+            Kinematics(self.machine, Calibration.zero(self.machine), tool_length_mm=self.tool_length_mm)
+            .sensitivities(q)
+            .error
+        )
+        found = np.zeros((len(q), 3, len(self.unknowns)))
+        for k, shapes in enumerate(self.unknowns.shapes(q)):
+            for at, values in shapes:
+                found[:, :, k] += by_error[:, :3, at] * values[:, None] / UM
+        return found
+
+    def _moved(self, state: Hypothesis, estimate: np.ndarray, covariance: np.ndarray) -> tuple[MovedError, ...]:
+        """Return the constant errors that changed, in words, with where to look."""
+        found = []
+        for k, one in enumerate(state.free):
+            if one < 0:
+                continue
+            name, size, expanded, unit = self._constant(one, float(estimate[k]), float(covariance[k, k]))
+            kind = (
+                "positioning"
+                if name[3] != "0"
+                else "squareness"
+                if name in self.machine.squareness_names
+                else "axis_location"
+            )
+            words = (
+                f"scale of {name[3]}"
+                if name[3] != "0"
+                else f"squareness of {name[4]}"
+                if kind == "squareness"
+                else motion_in_words(name)
+            )
+            look = next(one.advice.look for one in MACHINE_EFFECTS if one.name == kind).format(
+                axis=name[-1], where=name
+            )
+            found.append(MovedError(name, size, expanded, unit, words, look))
+        return tuple(found)
+
+    def _constant(self, number: int, estimate: float, variance: float) -> tuple[str, float, float, str]:
+        """Return name, change, U and unit of a constant error: µm/m of a scale."""
+        name, plausible = self.unknowns.columns[number].entity, float(self.unknowns.plausible[number])
+        curve = next((one for one in self.unknowns.curves if one.name == name), None)
+        factor = plausible * (1.0 if curve is None else scale_unit(curve))
+        return (
+            name,
+            factor * estimate,
+            2.0 * factor * float(np.sqrt(variance)),
+            "um/m" if curve is not None else unit_of(name),
+        )
+
+    def _bound(
+        self, state: Hypothesis, groups: Sequence[Sequence[int]], box: Mapping[str, tuple[float, float]]
+    ) -> MotionBound:
+        """Return the bound at the tool from all constant errors together, without those that are named as changed."""
+        weigher, named = self.weigher, {one for one in state.free if one >= 0}
+        rest = [k for k in range(weigher.constants) if k not in named]
+        every = replace(state, free=(*state.free, *rest))
+        _, _, estimate, covariance = weigher.fit(every, groups)
+        last = slice(len(state.free), None)
+        size, directions = np.linalg.eigh(covariance[last, last])
+        seen = directions[:, size < UNSEEN]
+        hidden = [
+            self.unknowns.columns[k].entity
+            for k, v in zip(rest, np.diag(covariance[last, last]), strict=True)
+            if v >= UNSEEN
+        ]
+        rng = np.random.default_rng(SEED)
+        drawn = estimate[last, None] + symmetric_root(covariance[last, last]) @ rng.standard_normal((len(rest), DRAWS))
+        change = (seen @ (seen.T @ drawn)) * self.unknowns.plausible[rest, None]
+        whole = volume(self.machine, POSES, SEED)
+        low, high = np.array(list(box.values())).T
+        ranges = np.array([axis.domain for axis in self.machine.axes])
+        inside = low + (whole - ranges[:, 0]) / np.ptp(ranges, axis=1) * (high - low)
+        bounds = [
+            float(
+                np.quantile(
+                    np.linalg.norm(np.einsum("nic,cm->nim", self._at_tool(q)[:, :, rest], change), axis=1).max(axis=0),
+                    0.95,
+                )
+            )
+            for q in (inside, whole)
+        ]
+        return MotionBound(bounds[0], bounds[1], box, tuple(hidden))
+
+    def sentences(
+        self,
+        state: Hypothesis,
+        groups: Mapping[str, Sequence[int]],
+        estimate: np.ndarray | None = None,
+        covariance: np.ndarray | None = None,
+    ) -> tuple[str, ...]:
+        """Return what a state says, one sentence each."""
+        by_value: dict[tuple[float, int | None], list[int]] = {}
+        axes = dict(state.axes)
+        for k, factor in state.factors:
+            by_value.setdefault((factor, axes.get(k)), []).append(k)
+        found = []
+        for (factor, axis), some in by_value.items():
+            names = [self.written[k].name for k in some]
+            left = [value.name for k, value in enumerate(self.written) if k not in some]
+            found.append(
+                self._mistake(
+                    factor,
+                    axis,
+                    _names(names, groups, self.written),
+                    _names(left, groups, self.written) if left else "",
+                )
+            )
+        for k, one in enumerate(state.free):
+            if one < 0:
+                name, some = list(groups.items())[-1 - one]
+                about = dict(state.factors).get(some[0], 1.0)
+                size = (
+                    ""
+                    if estimate is None or covariance is None
+                    else f"{about + estimate[k]:.2f} ± {2 * np.sqrt(covariance[k, k]):.2f}"
+                )
+                found.append(f"{name} acts with {size or 'another share'} {'times' if size else 'of'} its values")
+            elif estimate is None or covariance is None:
+                found.append(f"{'changed otherwise' if self.written else 'moved'}: {self.unknowns.columns[one].entity}")
+            else:
+                name, change, expanded, unit = self._constant(one, float(estimate[k]), float(covariance[k, k]))
+                found.append(
+                    f"{'changed otherwise' if self.written else 'moved'}: {name} by {change:+.3g} ± {expanded:.2g} {readable(unit)}"
+                )
+        return tuple(found) or ("everything in effect as written" if self.written else "nothing moved",)
+
+    def _mistake(self, factor: float, axis: int | None, names: str, left: str) -> str:
+        """Return a sentence on values that do not act as written; ``left``: the others, that do."""
+        if axis is not None:
+            return f"{names}: moves {self.machine.names[axis]} instead"
+        if factor == 0.0:
+            return f"not in effect: only {left} took effect" if left else "not in effect: nothing changed"
+        if factor == -1.0:
+            return f"sign of {names} reversed: the error doubled"
+        if factor == 2.0:
+            return f"{names} in effect twice"
+        return f"{names} in effect with {factor:g} times the values: wrong unit?"
+
+
+def _names(names: Sequence[str], groups: Mapping[str, Sequence[int]], written: Sequence[WrittenValue]) -> str:
+    """Return the name of the group that these values are, else their names, else how many they are."""
+    numbers = [value.name for value in written]
+    some = sorted(numbers.index(name) for name in names)
+    group = next((name for name, own in groups.items() if sorted(own) == some), None)
+    if group is not None:
+        return group
+    return listed(list(names)) if len(names) <= 4 else f"{', '.join(names[:3])} and {len(names) - 3} more"
