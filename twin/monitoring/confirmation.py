@@ -24,7 +24,7 @@ from twin._common.errors import InputError
 from twin._common.provenance import SourceWarning, merge_warnings, warning_texts, warnings_to_json
 from twin._common.resources import Progress, one_blas_thread, silent
 from twin._common.units import UM, count_with_noun
-from twin.display import readable
+from twin.display import readable, render
 from twin.display.numbers import listed
 from twin.display.results import Result
 from twin.identification.inputs import prepare, reading_noise
@@ -64,9 +64,12 @@ LEAST_SHARE: Final = 0.05
 NEGLIGIBLE_UM: Final = 0.02
 """Effect at the tool below which a value is not counted as written."""
 DRAWS: Final = 400
+MOST_ALTERNATIVES: Final = 8
+MOST_EXPANDED: Final = 10.0
+"""U of a factor from which the readings show nothing of it."""
 WIDER: Final = 5.0
 """Factor on the calibration's uncertainty in the model from which the noise of the readings is estimated."""
-UNSEEN: Final = 0.1
+UNSEEN: Final = 0.01
 """Share of the prior variance from which the readings do not determine a change."""
 FUNCTIONS: Final = 6
 """Functions of each error motion where no calibration is given."""
@@ -86,7 +89,8 @@ class ConfirmedValue:
         factor: how many times it acts: 1 as written, 0 not, −1 reversed.
         expanded: U of the factor (95 %), the other values free.
         matters: whether its effect is large enough to count.
-        visible: whether these readings exclude that it is absent or reversed.
+        says: ``as written``, ``absent``, ``reversed``, ``otherwise``; ``not shown`` where these readings do not exclude that it is
+            absent or reversed.
     """
 
     name: str
@@ -94,7 +98,7 @@ class ConfirmedValue:
     factor: float
     expanded: float
     matters: bool
-    visible: bool
+    says: str
 
 
 @final
@@ -180,7 +184,7 @@ class Confirmation(Result):
         figures = f"before {before}, expected {expected} ± {_figure(self.expanded_um)}, measured {measured} µm"
         if not self.values:
             figures = f"before {before}, now {measured} µm"
-        return f"{figures}: {'; '.join((self.verdict, *self.findings)) if self.met or not self.findings else '; '.join(self.findings)}"
+        return f"{figures}: {'; '.join(self.findings) or self.verdict}"
 
     @property
     def brief(self) -> str:
@@ -190,52 +194,72 @@ class Confirmation(Result):
     @property
     def to_measure(self) -> tuple[str, ...]:
         """Names of the written values that matter and that these readings do not show."""
-        return tuple(value.name for value in self.values if value.matters and not value.visible)
+        if self.verdict != "undecided":
+            return ()
+        return tuple(value.name for value in self.values if value.matters and value.says == "not shown")
+
+    def table(self) -> list[tuple[str, str, str, str]]:
+        """Return every written value: name, effect at the tool, factor, what the readings say."""
+        return [
+            (
+                value.name,
+                f"{value.effect_um:.1f}",
+                f"{value.factor:.2f} ± {value.expanded:.2f}" if value.expanded < MOST_EXPANDED else "not seen",
+                value.says if value.matters or value.says != "not shown" else "not shown, too small to matter",
+            )
+            for value in self.values
+        ]
+
+    def sentences(self) -> list[str]:
+        """Return what belongs to the headline: what is not excluded, what moved and where to look, the bound, what to measure."""
+        said = [f"these readings do not exclude: {text}" for text in self.alternatives[:MOST_ALTERNATIVES]]
+        said += [
+            f"{one.words} ({one.name}) changed by {one.size:+.3g} ± {one.expanded:.2g} {readable(one.unit)}. {one.look}"
+            for one in self.moved
+        ]
+        bound = self.bound
+        if not self.values:
+            where = ", ".join(f"{name} {low:.0f} … {high:.0f}" for name, (low, high) in bound.box.items())
+            said.append(
+                f"{'besides, ' if self.moved else ''}scales, squareness and locations moved the tool by at most {_figure(bound.box_um)} µm "
+                f"(95 %) where the readings are ({where}), {_figure(bound.volume_um)} µm over the whole volume"
+            )
+        if bound.unseen:
+            said.append(
+                f"a change of {', '.join(bound.unseen)} is not seen by these readings: stations and targets set up anew hide it, or its axis "
+                "rests"
+            )
+        if self.to_measure:
+            said.append(
+                f"to decide, measure what shows {listed(list(self.to_measure))}: twin plan --confirm FOLDER makes the shortest measurement"
+            )
+        return said
 
     def to_text(self) -> str:
         """Return the text report."""
         lines = [self.brief, *warning_texts(self.warnings), ""]
-        if self.alternatives:
-            lines += ["these readings do not exclude:", *(f"  {text}" for text in self.alternatives[:8]), ""]
         if self.values:
             lines += [
                 f"RMS deviation of a point from the nominal machine in {count_with_noun(self.readings, 'reading')}, stations and targets "
                 f"fitted; before: {self.before_is}; ± U (95 %)",
                 "",
-                "written value                        effect at the tool    acts ... times    absent or reversed",
+                f"{'written value':<38}{'effect at the tool':>20}{'acts … times (U 95 %)':>24}   these readings say",
+                *(f"  {name:<36}{f'{um} µm RMS':>20}{times:>24}   {says}" for name, um, times, says in self.table()),
+                "",
             ]
-            for value in self.values:
-                shown = (
-                    "excluded"
-                    if value.visible
-                    else "NOT EXCLUDED"
-                    if value.matters
-                    else "not excluded (too small to matter)"
-                )
-                times = f"{value.factor:.2f} ± {value.expanded:.2f}" if value.expanded < 10.0 else "not seen"
-                lines.append(f"  {value.name:<36}{value.effect_um:>9.1f} µm RMS   {times:>15}    {shown}")
-            lines.append("")
-        for one in self.moved:
-            lines.append(
-                f"{one.words} ({one.name}): {one.size:+.3g} ± {one.expanded:.2g} {readable(one.unit)}. {one.look}"
-            )
-        bound = self.bound
-        where = ", ".join(f"{name} {low:.0f} … {high:.0f}" for name, (low, high) in bound.box.items())
-        what = "besides, " if self.values or self.moved else ""
-        lines.append(
-            f"{what}scales, squareness and locations moved the tool by at most {_figure(bound.box_um)} µm (95 %) within {where}, "
-            f"{_figure(bound.volume_um)} µm over the whole volume"
-        )
-        if bound.unseen:
-            lines.append(
-                f"not seen by these readings: {', '.join(bound.unseen)} (new stations and targets hide them, or their axis rests)"
-            )
-        if self.to_measure:
-            lines.append(
-                f"to decide, measure what shows {listed(self.to_measure)}: twin plan --confirm FOLDER makes the shortest measurement"
-            )
-        lines += [f"note: {text}" for text in self.notices]
+        lines += [*self.sentences(), *(f"note: {text}" for text in self.notices)]
         return "\n".join(lines) + "\n"
+
+    def to_html(self) -> str:
+        """Return one self-contained HTML page."""
+        return render(
+            "monitoring/templates/confirmation.html.j2",
+            title=self.brief,
+            found=self,
+            badges=warning_texts(self.warnings),
+            heads=("written value", "effect at the tool, µm RMS", "acts … times (U 95 %)", "these readings say"),
+            colour="#e8f3ea" if self.met else "#fdf2df" if self.verdict == "undecided" else "#fbe4de",
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """Return the JSON object (``schema: twin.confirmation/1``); unknown numbers are null."""
@@ -453,7 +477,7 @@ class _Task:
         _, chi2, estimate, covariance = self.weigher.fit(state, list(groups.values()))
         p_value = float(chi2_sf(chi2, self.weigher.rank))
         values = self._values(state)
-        findings = self.sentences(state, groups, estimate, covariance)
+        findings = () if state == Hypothesis() else self.sentences(state, groups, estimate, covariance)
         verdict: Verdict
         if state == Hypothesis():
             if p_value < UNEXPLAINED_BELOW:
@@ -463,8 +487,11 @@ class _Task:
                 )
             elif not self.written:
                 verdict = "unchanged"
-            elif any(value.matters and not value.visible for value in values):
-                verdict, seen = "undecided", [value.name for value in values if value.matters and not value.visible]
+            elif any(value.matters and value.says == "not shown" for value in values):
+                verdict, seen = (
+                    "undecided",
+                    [value.name for value in values if value.matters and value.says == "not shown"],
+                )
                 findings = (f"undecided: these readings cannot show the sign of {_names(seen, groups, self.written)}",)
             else:
                 verdict = "confirmed"
@@ -497,7 +524,7 @@ class _Task:
             warnings=warnings,
         )
 
-    def _values(self, state: Hypothesis) -> tuple[ConfirmedValue, ...]:
+    def _values(self, hypothesis: Hypothesis) -> tuple[ConfirmedValue, ...]:
         """Return every written value with its effect at the tool and its factor."""
         if not self.written:
             return ()
@@ -518,12 +545,17 @@ class _Task:
                 effects.append(by_constant[:, :, names.index(name)] * size if name in names else np.zeros((len(q), 3)))
         rms = np.sqrt(np.mean(np.sum(np.array(effects) ** 2, axis=2), axis=1))
         whole = float(np.sqrt(np.mean(np.sum(np.sum(effects, axis=0) ** 2, axis=1))))
-        factor, u = self.weigher.factors(state)
+        factor, u = self.weigher.factors(hypothesis)
         matters = rms >= max(LEAST_EFFECT_UM, LEAST_SHARE * whole)
+        words = {1.0: "as written", 0.0: "absent", -1.0: "reversed"}
+        held = dict(hypothesis.factors)
+        says = [words.get(held.get(k, 1.0), "otherwise") for k in range(len(factor))]
+        says = [
+            "not shown" if one == "as written" and not seen else one
+            for one, seen in zip(says, visible(factor, u), strict=True)
+        ]
         return tuple(
-            ConfirmedValue(
-                value.name, *map(float, (rms[k], factor[k], 2.0 * u[k])), bool(matters[k]), bool(visible(factor, u)[k])
-            )
+            ConfirmedValue(value.name, *map(float, (rms[k], factor[k], 2.0 * u[k])), bool(matters[k]), says[k])
             for k, value in enumerate(self.written)
         )
 

@@ -208,7 +208,7 @@ def program_words(
     )
 
 
-def adjusted(calibration: Calibration | None, machine: Machine, name: str, to: float) -> WrittenValue:
+def adjustment(calibration: Calibration | None, machine: Machine, name: str, to: float) -> WrittenValue:
     """Return the adjustment of a squareness or location to a value, µm or µrad.
 
     Raises:
