@@ -1,11 +1,11 @@
 """Whether what was written into a machine took effect as intended, from readings taken afterwards; or what moved in a crash.
 
-The readings are linear in everything that may be wrong: r = G f + H h + A a + B s + noise. f has one factor for every written value (a
-table, a value of the kinematics, a corrected word of a program, an adjusted error): 1 in effect, 0 absent, −1 reversed. h are changes of
-scales, squareness and locations, with the plausible sizes of the machine file as prior; a are the errors of the machine, with the
-covariance of the calibration as prior; s is the set-up, free in each measurement. Hypotheses are compared by their likelihood with a and s
-integrated out. The likelihood ratio of a hypothesis exceeds k by chance with probability 1/k or less (Markov), whatever its shape, so
-that the sum over all of them gives the rate of false alarms.
+The readings are linear in everything that may be wrong: r = G f + H h + A a + B s + noise. f has one factor for every written value
+(a table, a value of the kinematics, a corrected word of a program, an adjusted error): 1 in effect, 0 absent, −1 reversed. h are
+changes of scales, squareness and locations, with the plausible sizes of the machine file as prior; a are the errors of the machine,
+with the covariance of the calibration as prior; s is the set-up, free in each measurement. Hypotheses are compared by their likelihood
+with a and s integrated out. The likelihood ratio of a hypothesis exceeds k by chance with probability 1/k or less (Markov), whatever
+its shape, so that the sum over all of them gives the rate of false alarms.
 
 A calibration may come from the readings before. Both are then used with doubled variances, which is consistent for any correlation
 (covariance intersection; Julier and Uhlmann 1997).
@@ -15,13 +15,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, Final, Literal, final
 
 import numpy as np
 
 from twin._common.distributions import chi2_sf
 from twin._common.errors import InputError
-from twin._common.provenance import SourceWarning, merge_warnings, warning_texts, warnings_to_json
+from twin._common.provenance import SIMULATED, SourceWarning, merge_warnings, warning_texts, warnings_to_json
 from twin._common.resources import Progress, one_blas_thread, silent
 from twin._common.units import UM, count_with_noun
 from twin.display import readable, render
@@ -36,6 +37,7 @@ from twin.machine.machine import Machine
 from twin.measurement.checks import grouped_notes
 from twin.measurement.table import Measurements
 from twin.model.calibration import Calibration
+from twin.model.conditions import Conditions
 from twin.model.effects import MACHINE_EFFECTS, unit_of
 from twin.model.effects.base import motion_in_words
 from twin.monitoring.written import (
@@ -46,6 +48,7 @@ from twin.monitoring.written import (
     Weigher,
     WrittenValue,
     best_hypothesis,
+    effects_on,
     groups_of,
     linear_readings,
     visible,
@@ -53,7 +56,7 @@ from twin.monitoring.written import (
 from twin.numerics.covariance import symmetric_root
 from twin.numerics.curves import bases_for
 from twin.tool.forward import Kinematics
-from twin.tool.uncertainty import volume
+from twin.tool.uncertainty import volume, without_missing_channels
 
 SCHEMA: Final = "twin.confirmation/1"
 UNEXPLAINED_BELOW: Final = 0.01
@@ -61,8 +64,6 @@ UNEXPLAINED_BELOW: Final = 0.01
 LEAST_EFFECT_UM: Final = 1.0
 LEAST_SHARE: Final = 0.05
 """Effect at the tool, RMS over the volume, from which a written value matters: in µm, and as a share of the whole effect."""
-NEGLIGIBLE_UM: Final = 0.02
-"""Effect at the tool below which a value is not counted as written."""
 DRAWS: Final = 400
 MOST_ALTERNATIVES: Final = 8
 MOST_EXPANDED: Final = 10.0
@@ -73,6 +74,10 @@ UNSEEN: Final = 0.01
 """Share of the prior variance from which the readings do not determine a change."""
 FUNCTIONS: Final = 6
 """Functions of each error motion where no calibration is given."""
+ACTIVE: Final = (
+    "kinematics act in tool centre point mode only: measure AFTER with the transformation active, at the programmed points for which "
+    "the nominal kinematics give the axis positions of the table"
+)
 Verdict = Literal["confirmed", "undecided", "not in effect", "wrong", "changed otherwise", "unchanged", "moved"]
 
 
@@ -145,9 +150,9 @@ class Confirmation(Result):
     Attributes:
         findings: what is not as written, one sentence each, the verdict's reason.
         alternatives: what the readings do not distinguish from it.
-        before_um, expected_um, expanded_um, measured_um: RMS deviation of a point from the nominal machine at the readings, stations
-            and targets fitted: before, expected afterwards with U (95 %), and measured. Expected is NaN without a calibration.
-        before_is: how ``before_um`` was found.
+        before_um, expected_um, expanded_um, measured_um: RMS error of the tool point over the volume: before, expected afterwards
+            with U (95 %), and as measured; without the errors that no reading determines. NaN without written values.
+        tool_length_mm: length of the tool.
         p_value: of χ² of what the verdict leaves unexplained.
         noise: standard deviation of the readings, in units of the stated one.
     """
@@ -158,8 +163,8 @@ class Confirmation(Result):
     alternatives: tuple[str, ...]
     values: tuple[ConfirmedValue, ...]
     moved: tuple[MovedError, ...]
+    tool_length_mm: float
     before_um: float
-    before_is: str
     expected_um: float
     expanded_um: float
     measured_um: float
@@ -180,11 +185,11 @@ class Confirmation(Result):
         """The verdict in one line."""
         if self.verdict == "unchanged":
             return f"nothing moved the tool by more than {_figure(self.bound.box_um)} µm"
-        before, expected, measured = map(_figure, (self.before_um, self.expected_um, self.measured_um))
-        figures = f"before {before}, expected {expected} ± {_figure(self.expanded_um)}, measured {measured} µm"
+        said = "; ".join(self.findings) or self.verdict
         if not self.values:
-            figures = f"before {before}, now {measured} µm"
-        return f"{figures}: {'; '.join(self.findings) or self.verdict}"
+            return said
+        before, expected, measured = map(_figure, (self.before_um, self.expected_um, self.measured_um))
+        return f"before {before}, expected {expected} ± {_figure(self.expanded_um)}, measured {measured} µm: {said}"
 
     @property
     def brief(self) -> str:
@@ -221,17 +226,17 @@ class Confirmation(Result):
         if not self.values:
             where = ", ".join(f"{name} {low:.0f} … {high:.0f}" for name, (low, high) in bound.box.items())
             said.append(
-                f"{'besides, ' if self.moved else ''}scales, squareness and locations moved the tool by at most {_figure(bound.box_um)} µm "
-                f"(95 %) where the readings are ({where}), {_figure(bound.volume_um)} µm over the whole volume"
+                f"{'besides, ' if self.moved else ''}scales, squareness and locations moved the tool by at most "
+                f"{_figure(bound.box_um)} µm (95 %) where the readings are ({where}), {_figure(bound.volume_um)} µm over the volume"
             )
         if bound.unseen:
             said.append(
-                f"a change of {', '.join(bound.unseen)} is not seen by these readings: stations and targets set up anew hide it, or its axis "
-                "rests"
+                f"a change of {', '.join(bound.unseen)} is not seen by these readings: stations and targets set up anew hide it, or "
+                "its axis rests"
             )
         if self.to_measure:
             said.append(
-                f"to decide, measure what shows {listed(list(self.to_measure))}: twin plan --confirm FOLDER makes the shortest measurement"
+                f"to decide, measure what shows {listed(list(self.to_measure))}: twin plan --confirm makes the shortest measurement"
             )
         return said
 
@@ -240,8 +245,8 @@ class Confirmation(Result):
         lines = [self.brief, *warning_texts(self.warnings), ""]
         if self.values:
             lines += [
-                f"RMS deviation of a point from the nominal machine in {count_with_noun(self.readings, 'reading')}, stations and targets "
-                f"fitted; before: {self.before_is}; ± U (95 %)",
+                f"figures: RMS error of the tool point over the volume, tool length {self.tool_length_mm:g} mm, from the calibration "
+                f"and {count_with_noun(self.readings, 'reading')}; ± U (95 %), without what no reading determines",
                 "",
                 f"{'written value':<38}{'effect at the tool':>20}{'acts … times (U 95 %)':>24}   these readings say",
                 *(f"  {name:<36}{f'{um} µm RMS':>20}{times:>24}   {says}" for name, um, times, says in self.table()),
@@ -275,7 +280,7 @@ class Confirmation(Result):
             "findings": list(self.findings),
             "not_excluded": list(self.alternatives),
             **{name: value if np.isfinite(value) else None for name, value in figures.items()},
-            "before_is": self.before_is,
+            "tool_length_mm": self.tool_length_mm,
             "readings": self.readings,
             "written": [vars(value) for value in self.values],
             "to_measure": list(self.to_measure),
@@ -284,6 +289,11 @@ class Confirmation(Result):
             "notices": list(self.notices),
             "warnings": warnings_to_json(self.warnings),
         }
+
+
+def _rms(points: np.ndarray) -> np.ndarray:
+    """Return (m,) the RMS length of points (n, 3, m)."""
+    return np.asarray(np.sqrt(np.mean(np.sum(points**2, axis=1), axis=0)))
 
 
 def _figure(value: float) -> str:
@@ -339,35 +349,26 @@ def confirm(
         chi2, dof = Weigher(_wider(now), None if then is None else _wider(then), dependent=dependent).noise()
         variance = max(1.0, chi2 / dof) if dof >= 1.0 else 1.0
         weigher = Weigher(now, then, dependent=dependent, variance=variance)
-        task = _Task(
-            machine, unknowns, written, weigher, machine.tool_length_mm if tool_length_mm is None else tool_length_mm
-        )
+        length = machine.tool_length_mm if tool_length_mm is None else tool_length_mm
+        task = _Task(machine, errors, unknowns, prior, tuple(written), weigher, length)
         progress("figures", 0.8)
-        same = before is not None and _same_poses(before, after)
-        figures = _figures(now, then, weigher, same=same, known=calibration is not None)
         box = {
             name: (float(after.positions[:, i].min()), float(after.positions[:, i].max()))
             for i, name in enumerate(machine.names)
         }
         notices = [text for _, said in found for text in said]
         if any(value.name.startswith("kinematics") for value in written):
-            notices.append(
-                "the kinematics act in tool centre point mode only: the readings after must be taken with the transformation active, at the "
-                "programmed points for which the nominal kinematics give the positions of the table"
-            )
+            notices.append(ACTIVE)
         if calibration is not None and not known:
             notices.append(
                 "the calibration gives no uncertainty: its errors are taken as uncertain by their plausible sizes"
             )
         return task.confirmation(
-            figures,
             box,
             np.sqrt(variance),
             len(after),
             tuple(dict.fromkeys(notices)),
-            merge_warnings(
-                errors.warnings, *([table.warnings for table in tables] if hasattr(after, "warnings") else [])
-            ),
+            merge_warnings(errors.warnings, (SIMULATED,) if any(table.simulated for table in tables) else ()),
         )
 
 
@@ -413,58 +414,21 @@ def _wider(readings: LinearReadings) -> LinearReadings:
     return replace(readings, errors=WIDER * readings.errors)
 
 
-def _same_poses(before: Measurements, after: Measurements) -> bool:
-    keys = [
-        {(*np.round(q, 3).tolist(), str(target)) for q, target in zip(table.positions, table.target, strict=True)}
-        for table in (before, after)
-    ]
-    return keys[0] == keys[1]
-
-
-def _figures(
-    now: LinearReadings, then: LinearReadings | None, weigher: Weigher, *, same: bool, known: bool
-) -> tuple[float, str, float, float, float]:
-    """Return the RMS before and how it was found, that expected with its U, and that measured, µm."""
-    intended = now.nominal - now.residual
-    mean, root = np.zeros(now.errors.shape[1]), np.eye(now.errors.shape[1])
-    if then is not None:
-        precision = np.eye(len(mean)) + then.errors.T @ then.errors
-        mean = np.linalg.solve(precision, then.errors.T @ then.residual)
-        root = symmetric_root(np.linalg.inv(precision))
-    rng = np.random.default_rng(SEED)
-    drawn = mean[:, None] + root @ rng.standard_normal((len(mean), DRAWS))
-    noise = now.projected(np.where(now.read.reshape(-1, 1), rng.standard_normal((now.read.size, DRAWS)), 0.0))
-    effect = now.written.sum(axis=1)[:, None]
-    expected = now.rms_um((intended + 0.0)[:, None] + now.errors @ drawn + effect + noise)
-    low, middle, high = np.quantile(expected, (0.025, 0.5, 0.975))
-    measured = float(now.rms_um(now.nominal[:, None])[0])
-    if then is not None and (same or not known):
-        before = float(then.rms_um(then.nominal[:, None])[0])
-        return (
-            before,
-            "measured at the same poses" if same else "measured at other poses",
-            float(middle),
-            float(high - low) / 2.0,
-            measured,
-        )
-    before = float(np.median(now.rms_um(intended[:, None] + now.errors @ drawn + noise)))
-    return before, "predicted at these poses by the calibration", float(middle), float(high - low) / 2.0, measured
-
-
 @final
 @dataclass(frozen=True)
 class _Task:
     """What the verdict is made from."""
 
     machine: Machine
+    errors: Calibration
     unknowns: Unknowns
-    written: Sequence[WrittenValue]
+    prior: Unknowns | None
+    written: tuple[WrittenValue, ...]
     weigher: Weigher
     tool_length_mm: float
 
     def confirmation(
         self,
-        figures: tuple[float, str, float, float, float],
         box: Mapping[str, tuple[float, float]],
         noise: float,
         readings: int,
@@ -503,16 +467,18 @@ class _Task:
             verdict = "not in effect" if len(state.factors) == len(self.written) and not state.free else "wrong"
         else:
             verdict = "changed otherwise"
-        before, before_is, expected, expanded, measured = figures
+        before, expected, expanded, measured = self._figures(state, list(groups.values()))
         return Confirmation(
             machine=self.machine,
             verdict=verdict,
             findings=findings,
-            alternatives=tuple(dict.fromkeys("; ".join(self.sentences(one, groups)) for one in others)),
+            alternatives=tuple(
+                dict.fromkeys("; ".join(self.sentences(one, groups)) for one in others if _differs(state, one, values))
+            ),
             values=values,
             moved=self._moved(state, estimate, covariance),
+            tool_length_mm=self.tool_length_mm,
             before_um=before,
-            before_is=before_is,
             expected_um=expected,
             expanded_um=expanded,
             measured_um=measured,
@@ -524,27 +490,57 @@ class _Task:
             warnings=warnings,
         )
 
+    @cached_property
+    def _at_rest(self) -> Calibration:
+        """The errors without effects that need a channel."""
+        return without_missing_channels(Conditions(), self.errors)[0]
+
+    @cached_property
+    def at_tool(self) -> tuple[np.ndarray, ...]:
+        """Effects on the tool point over the volume, (n, 3, columns) µm each, as `effects_on`; the last is that of the calibration."""
+        q = volume(self.machine, POSES, SEED)
+        known = self._at_rest
+        state = dict(zip(self.machine.names, q.T, strict=True)) | {
+            f"approach_{name}": np.ones(len(q)) for name in self.machine.names
+        }
+        identified = replace(known, not_identifiable=())
+        found = effects_on(self._by_error(q), self.machine, identified, self.written, self.unknowns, self.prior, state)
+        real, nominal = (
+            Kinematics(self.machine, one, tool_length_mm=self.tool_length_mm).forward(q).point_mm
+            for one in (known, Calibration.zero(self.machine))
+        )
+        return (*(one.reshape(len(q), 3, -1) / UM for one in found), (real - nominal)[:, :, None] * 1e3)
+
+    def _by_error(self, q: np.ndarray) -> np.ndarray:
+        """Return (n, 3, 6·frames) the derivative of the tool point by every component of every error frame."""
+        zero = Calibration.zero(self.machine)
+        return Kinematics(self.machine, zero, tool_length_mm=self.tool_length_mm).sensitivities(q).error[:, :3]
+
+    def _figures(self, state: Hypothesis, groups: Sequence[Sequence[int]]) -> tuple[float, float, float, float]:
+        """Return the RMS error at the tool before, expected with its U, and measured, µm; NaN without written values."""
+        if not self.written:
+            return (np.nan,) * 4
+        written, elsewhere, constants, by_errors, before = self.at_tool
+        x, errors = self.weigher.coefficients(state, groups)
+        # Errors that no reading determines follow those of the calibration in the prior.
+        known = slice(0, by_errors.shape[2])
+        if set(self.errors.covariance.names) != set(self._at_rest.covariance.names):
+            return (np.nan,) * 4  # an effect that needs a temperature, a time or a speed
+        expected = before[:, :, 0] + written.sum(axis=2)
+        drawn = np.random.default_rng(SEED).standard_normal((by_errors.shape[2], DRAWS))
+        low, high = np.quantile(_rms(expected[:, :, None] + by_errors @ drawn), (0.025, 0.975))
+        measured = (
+            before[:, :, 0] + np.concatenate([written, elsewhere, constants], axis=2) @ x + by_errors @ errors[known]
+        )
+        one, two, three = (float(_rms(part.reshape(len(part), 3, 1))[0]) for part in (before, expected, measured))
+        return one, two, float(high - low) / 2.0, three
+
     def _values(self, hypothesis: Hypothesis) -> tuple[ConfirmedValue, ...]:
         """Return every written value with its effect at the tool and its factor."""
         if not self.written:
             return ()
-        q = volume(self.machine, POSES, SEED)
-        at = dict(zip(self.machine.names, q.T, strict=True)) | {
-            f"approach_{name}": np.ones(len(q)) for name in self.machine.names
-        }
-        kinematics = Kinematics(self.machine, Calibration.zero(self.machine), tool_length_mm=self.tool_length_mm)
-        _, travel = kinematics.travel(q)
-        by_constant = self._at_tool(q)
-        names = [column.entity for column in self.unknowns.columns]
-        effects = []
-        for value in self.written:
-            if value.shift is not None:
-                effects.append(np.einsum("nia,na->ni", travel, value.shift(at)) / UM)
-            else:
-                name, size = value.constant or ("", 0.0)
-                effects.append(by_constant[:, :, names.index(name)] * size if name in names else np.zeros((len(q), 3)))
-        rms = np.sqrt(np.mean(np.sum(np.array(effects) ** 2, axis=2), axis=1))
-        whole = float(np.sqrt(np.mean(np.sum(np.sum(effects, axis=0) ** 2, axis=1))))
+        effects = self.at_tool[0]
+        rms, whole = _rms(effects), float(_rms(effects.sum(axis=2, keepdims=True))[0])
         factor, u = self.weigher.factors(hypothesis)
         matters = rms >= max(LEAST_EFFECT_UM, LEAST_SHARE * whole)
         words = {1.0: "as written", 0.0: "absent", -1.0: "reversed"}
@@ -555,22 +551,9 @@ class _Task:
             for one, seen in zip(says, visible(factor, u), strict=True)
         ]
         return tuple(
-            ConfirmedValue(value.name, *map(float, (rms[k], factor[k], 2.0 * u[k])), bool(matters[k]), says[k])
+            ConfirmedValue(value.name, float(rms[k]), float(factor[k]), float(2.0 * u[k]), bool(matters[k]), says[k])
             for k, value in enumerate(self.written)
         )
-
-    def _at_tool(self, q: np.ndarray) -> np.ndarray:
-        """Return (n, 3, c) the displacement of the tool point, µm, by each constant error, per µm or µrad."""
-        by_error = (
-            Kinematics(self.machine, Calibration.zero(self.machine), tool_length_mm=self.tool_length_mm)
-            .sensitivities(q)
-            .error
-        )
-        found = np.zeros((len(q), 3, len(self.unknowns)))
-        for k, shapes in enumerate(self.unknowns.shapes(q)):
-            for at, values in shapes:
-                found[:, :, k] += by_error[:, :3, at] * values[:, None] / UM
-        return found
 
     def _moved(self, state: Hypothesis, estimate: np.ndarray, covariance: np.ndarray) -> tuple[MovedError, ...]:
         """Return the constant errors that changed, in words, with where to look."""
@@ -579,20 +562,11 @@ class _Task:
             if one < 0:
                 continue
             name, size, expanded, unit = self._constant(one, float(estimate[k]), float(covariance[k, k]))
-            kind = (
-                "positioning"
-                if name[3] != "0"
-                else "squareness"
-                if name in self.machine.squareness_names
-                else "axis_location"
-            )
-            words = (
-                f"scale of {name[3]}"
-                if name[3] != "0"
-                else f"squareness of {name[4]}"
-                if kind == "squareness"
-                else motion_in_words(name)
-            )
+            kind, words = "axis_location", motion_in_words(name)
+            if name[3] != "0":
+                kind, words = "positioning", f"scale of {name[3]}"
+            elif name in self.machine.squareness_names:
+                kind, words = "squareness", f"squareness of {name[4]}"
             look = next(one.advice.look for one in MACHINE_EFFECTS if one.name == kind).format(
                 axis=name[-1], where=name
             )
@@ -629,20 +603,19 @@ class _Task:
         ]
         rng = np.random.default_rng(SEED)
         drawn = estimate[last, None] + symmetric_root(covariance[last, last]) @ rng.standard_normal((len(rest), DRAWS))
-        change = (seen @ (seen.T @ drawn)) * self.unknowns.plausible[rest, None]
+        change = seen @ (seen.T @ drawn)
         whole = volume(self.machine, POSES, SEED)
         low, high = np.array(list(box.values())).T
         ranges = np.array([axis.domain for axis in self.machine.axes])
         inside = low + (whole - ranges[:, 0]) / np.ptp(ranges, axis=1) * (high - low)
-        bounds = [
-            float(
-                np.quantile(
-                    np.linalg.norm(np.einsum("nic,cm->nim", self._at_tool(q)[:, :, rest], change), axis=1).max(axis=0),
-                    0.95,
-                )
-            )
-            for q in (inside, whole)
-        ]
+        bounds = []
+        for q in (inside, whole):
+            state_at = dict(zip(self.machine.names, q.T, strict=True))
+            by_constant = effects_on(
+                self._by_error(q), self.machine, self.errors, (), self.unknowns, self.unknowns, state_at
+            )[2]
+            moved = (by_constant[:, rest] @ change).reshape(len(q), 3, -1) / UM
+            bounds.append(float(np.quantile(np.linalg.norm(moved, axis=1).max(axis=0), 0.95)))
         return MotionBound(bounds[0], bounds[1], box, tuple(hidden))
 
     def sentences(
@@ -671,8 +644,8 @@ class _Task:
             )
         for k, one in enumerate(state.free):
             if one < 0:
-                name, some = list(groups.items())[-1 - one]
-                about = dict(state.factors).get(some[0], 1.0)
+                name, members = list(groups.items())[-1 - one]
+                about = dict(state.factors).get(members[0], 1.0)
                 size = (
                     ""
                     if estimate is None or covariance is None
@@ -699,6 +672,15 @@ class _Task:
         if factor == 2.0:
             return f"{names} in effect twice"
         return f"{names} in effect with {factor:g} times the values: wrong unit?"
+
+
+def _differs(one: Hypothesis, other: Hypothesis, values: Sequence[ConfirmedValue]) -> bool:
+    """Return whether two states differ in a value that matters, or in what is free."""
+    states = [(dict(state.factors), dict(state.axes)) for state in (one, other)]
+    return one.free != other.free or any(
+        value.matters and len({(factors.get(k, 1.0), axes.get(k)) for factors, axes in states}) > 1
+        for k, value in enumerate(values)
+    )
 
 
 def _names(names: Sequence[str], groups: Mapping[str, Sequence[int]], written: Sequence[WrittenValue]) -> str:

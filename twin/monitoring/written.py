@@ -13,12 +13,11 @@ from twin._common.units import UM, URAD
 from twin.controls.correction import TableSum
 from twin.controls.kinematics import KinematicCorrection, linear_shift, table_geometry
 from twin.controls.volumetric import AxisErrors, VolumetricCorrection
-from twin.identification.network import LinearisedReadings, Network
+from twin.identification.network import Network
 from twin.identification.unknowns import Unknowns
 from twin.machine.machine import Machine
 from twin.measurement.observation import machine_state
 from twin.measurement.set_up import StationsAndTargets
-from twin.measurement.table import Measurements
 from twin.model.calibration import Calibration
 from twin.model.effects import split_name
 from twin.model.effects.base import along
@@ -30,8 +29,12 @@ from twin.tool.uncertainty import volume
 
 POSES: Final = 300
 SEED: Final = 51
+SINGULAR: Final = 1e-9
+"""Relative singular value below which a combination of the set-up moves nothing."""
 REST_UM: Final = 1.0
 """Effect of the kinematics, RMS, that no location error accounts for and that counts as a value of its own."""
+LEAST_UM: Final = 0.05
+"""Effect of a location, RMS, below which it counts as not written: rounding."""
 FACTORS: Final = (0.0, -1.0, 2.0, 10.0, 0.1, 1000.0)
 """Factors tested in place of 1: absent, reversed, twice, wrong units."""
 FALSE_ALARMS: Final = 0.04
@@ -86,7 +89,7 @@ def written_by(calibration: Calibration, tool_length_mm: float) -> tuple[Written
         return program_words(calibration.with_control(None), tool_length_mm, "module's correction of")
     values: list[WrittenValue] = []
     acting = calibration.with_transformation().with_tool(tool_length_mm).corrections
-    for correction in {id(one.correction): one.correction for one in acting}.values():
+    for correction in {one.kind: one.correction for one in acting}.values():
         if isinstance(correction, KinematicCorrection):
             values += _locations(machine, correction)
         elif isinstance(correction, TableSum):
@@ -159,6 +162,8 @@ def _locations(machine: Machine, correction: KinematicCorrection) -> list[Writte
     for name, size in zip(names, sizes.tolist(), strict=True):
         linear = [machine.names[i] for i in machine.linear]
         geometry = geometry_of(name, size)
+        if np.sqrt(np.mean(linear_shift(machine, geometry, q, length) ** 2)) < LEAST_UM:
+            continue
         part = KinematicCorrection(machine, geometry, length)
         values.append(
             WrittenValue(
@@ -237,37 +242,19 @@ class LinearReadings:
 
     Attributes:
         residual: (3n,) measured less predicted by the errors of the calibration, nothing written in effect.
-        nominal: (3n,) measured less predicted by the nominal machine.
         written: (3n, k) by the factor of each written value.
         elsewhere: (3n, k·axes) by the values of each on another axis of its kind; zero for its own.
         constants: (3n, c) by each constant error, in plausible sizes.
         errors: (3n, e) by the errors of the machine, in standard deviations of the prior.
-        basis: (3n, b) orthonormal basis of the set-up.
         rank: degrees of freedom of the readings, those of the set-up taken off.
-        whitening: (n, 3, 3), with the identity for a coordinate that was not measured.
-        read: (n, 3) which coordinates were measured.
     """
 
     residual: np.ndarray
-    nominal: np.ndarray
     written: np.ndarray
     elsewhere: np.ndarray
     constants: np.ndarray
     errors: np.ndarray
-    basis: np.ndarray
     rank: int
-    whitening: np.ndarray
-    read: np.ndarray
-
-    def projected(self, columns: np.ndarray) -> np.ndarray:
-        """Return (3n, …) columns without what the set-up absorbs."""
-        return np.asarray(columns - self.basis @ (self.basis.T @ columns))
-
-    def rms_um(self, whitened: np.ndarray) -> np.ndarray:
-        """Return (m,) the RMS deviation of a point, µm, of (3n, m) whitened columns."""
-        points = np.linalg.solve(self.whitening, whitened.reshape(*self.read.shape, -1))
-        square = np.sum(np.where(self.read[:, :, None], points, 0.0) ** 2, axis=(0, 1))
-        return np.sqrt(square / len(self.read)) / UM
 
 
 def linear_readings(
@@ -288,53 +275,63 @@ def linear_readings(
     """
     machine, data = network.machine, network.data
     view = network.view(np.zeros(len(network.unknowns)), setup, np.arange(len(data)))
-    state = machine_state(data, machine)
-    by_axis = np.stack([_by_axis(view, machine, i) for i in range(len(machine.axes))], axis=2)
-    by_constant = _by_unknowns(view, network.unknowns, data) * network.unknowns.plausible
-    names = [column.entity for column in network.unknowns.columns]
-    own, elsewhere = [], []
-    for value in written:
-        if value.shift is None:
-            name, size = value.constant or ("", 0.0)
-            k = names.index(name) if name in names else None
-            own.append(
-                np.zeros(3 * len(data)) if k is None else by_constant[:, k] * (size / network.unknowns.plausible[k])
-            )
-            elsewhere.append(np.zeros((3 * len(data), len(machine.axes))))
-            continue
-        shift = value.shift(state)
-        moved = np.einsum("nia,na->nia", by_axis, shift).reshape(-1, len(machine.axes))
-        own.append(moved.sum(axis=1))
-        elsewhere.append(_on_other_axes(machine, by_axis, shift))
+    effects = effects_on(
+        view.by_error, machine, calibration, written, network.unknowns, prior, machine_state(data, machine)
+    )
     by_setup = np.zeros((len(data), 3, len(setup)))
     network.fill_setup_columns(view, setup, by_setup)
-    basis = _basis(by_setup.reshape(3 * len(data), len(setup)) * setup.plausible)
+    left, size, _ = np.linalg.svd(by_setup.reshape(3 * len(data), len(setup)) * setup.plausible, full_matrices=False)
+    basis = left[:, size > SINGULAR * size.max(initial=1e-300)]
+
+    def projected(columns: np.ndarray) -> np.ndarray:
+        return np.asarray(columns - basis @ (basis.T @ columns))
+
+    rank = int(np.count_nonzero(network.read)) - basis.shape[1]
+    own, elsewhere, constants, errors = map(projected, effects)
+    return LinearReadings(projected(view.residual.reshape(-1)), own, elsewhere, constants, errors, rank)
+
+
+def effects_on(
+    by_error: np.ndarray,
+    machine: Machine,
+    calibration: Calibration,
+    written: Sequence[WrittenValue],
+    unknowns: Unknowns,
+    prior: Unknowns | None,
+    state: Mapping[str, np.ndarray],
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return what the written values, they on other axes, constants and the machine's errors do to points: (3n, columns) each.
+
+    Args:
+        by_error: (n, 3, 6·frames) derivative of the points by every component of every error frame, per metre and radian.
+        state: positions and channels by name, (n,) each.
+    """
+    by_axis = np.stack([_by_axis(by_error, machine, i) for i in range(len(machine.axes))], axis=2)
+    by_constant = _by_unknowns(by_error, unknowns, machine, state) * unknowns.plausible
+    names = [column.entity for column in unknowns.columns]
+    own, elsewhere = [np.zeros((3 * len(by_error), 0))], [np.zeros((3 * len(by_error), 0))]
+    for value in written:
+        if value.shift is not None:
+            shift = value.shift(state)
+            own.append(np.einsum("nia,na->ni", by_axis, shift).reshape(-1, 1))
+            elsewhere.append(_on_other_axes(machine, by_axis, shift))
+            continue
+        name, size = value.constant or ("", 0.0)
+        k = names.index(name) if name in names else 0
+        own.append(by_constant[:, k, None] * (size / unknowns.plausible[k] if name in names else 0.0))
+        elsewhere.append(np.zeros((3 * len(by_error), len(machine.axes))))
     by_errors = (
-        _by_calibration(view, calibration, state) if prior is None else _by_unknowns(view, prior, data) * _sizes(prior)
+        _by_calibration(by_error, calibration, state)
+        if prior is None
+        else _by_unknowns(by_error, prior, machine, state) * _sizes(prior)
     )
-    residual = view.residual.reshape(-1)
-    nominal = Network(machine, data, network.instruments, network.unknowns, None, network.covariance, check=False)
-    read = network.read
-    made = LinearReadings(
-        residual,
-        nominal.residual(np.zeros(len(network.unknowns)), setup).reshape(-1),
-        np.stack(own, axis=1) if own else np.zeros((3 * len(data), 0)),
-        np.concatenate(elsewhere, axis=1) if elsewhere else np.zeros((3 * len(data), 0)),
-        by_constant,
-        by_errors,
-        basis,
-        int(np.count_nonzero(read)) - basis.shape[1],
-        np.where(read[:, :, None] & read[:, None, :], network.whitening, np.eye(3)),
-        read,
-    )
-    parts = ("residual", "nominal", "written", "elsewhere", "constants", "errors")
-    return replace(made, **{name: made.projected(getattr(made, name)) for name in parts})
+    return np.concatenate(own, axis=1), np.concatenate(elsewhere, axis=1), by_constant, by_errors
 
 
-def _by_axis(view: LinearisedReadings, machine: Machine, i: int) -> np.ndarray:
+def _by_axis(by_error: np.ndarray, machine: Machine, i: int) -> np.ndarray:
     """Return (n, 3) the derivative by a motion of one axis along its command, per metre or radian."""
     at = next(6 * k for k, one in enumerate(machine.frames) if (one.axis, one.role) == (machine.axes[i].name, "motion"))
-    return np.asarray(sum(part * view.by_error[:, :, at + c] for c, part in along(machine.axes[i], 1.0).items()))
+    return np.asarray(sum(part * by_error[:, :, at + c] for c, part in along(machine.axes[i], 1.0).items()))
 
 
 def _on_other_axes(machine: Machine, by_axis: np.ndarray, shift: np.ndarray) -> np.ndarray:
@@ -348,16 +345,20 @@ def _on_other_axes(machine: Machine, by_axis: np.ndarray, shift: np.ndarray) -> 
     return found.reshape(-1, len(machine.axes))
 
 
-def _by_unknowns(view: LinearisedReadings, unknowns: Unknowns, data: Measurements) -> np.ndarray:
+def _by_unknowns(
+    by_error: np.ndarray, unknowns: Unknowns, machine: Machine, state: Mapping[str, np.ndarray]
+) -> np.ndarray:
     """Return (3n, columns) the derivatives by the machine's unknowns, per µm and µrad."""
-    found = np.zeros((len(unknowns), len(data), 3))
-    for column, shapes in zip(found, unknowns.shapes(data.positions), strict=True):
+    found = np.zeros((len(unknowns), len(by_error), 3))
+    for column, shapes in zip(
+        found, unknowns.shapes(np.stack([state[name] for name in machine.names], axis=1)), strict=True
+    ):
         for at, values in shapes:
-            column += view.by_error[:, :, at] * values[:, None]
-    return found.reshape(len(unknowns), 3 * len(data)).T
+            column += by_error[:, :, at] * values[:, None]
+    return found.reshape(len(unknowns), 3 * len(by_error)).T
 
 
-def _by_calibration(view: LinearisedReadings, calibration: Calibration, state: Mapping[str, np.ndarray]) -> np.ndarray:
+def _by_calibration(by_error: np.ndarray, calibration: Calibration, state: Mapping[str, np.ndarray]) -> np.ndarray:
     """Return (3n, parameters) the derivatives by the calibration's errors, times the root of their covariance."""
     index = {(frame.axis, frame.role): 6 * i for i, frame in enumerate(calibration.machine.frames)}
     found = []
@@ -365,7 +366,7 @@ def _by_calibration(view: LinearisedReadings, calibration: Calibration, state: M
         (calibration.covariance, calibration.effects),
         (prior_covariance(calibration), unknown_effects(calibration)),
     ):
-        columns = np.zeros((len(covariance.names), *view.residual.shape))
+        columns = np.zeros((len(covariance.names), len(by_error), 3))
         number = {name: k for k, name in enumerate(covariance.names)}
         for effect in effects:
             at = index[effect.frame.axis, effect.frame.role]
@@ -374,8 +375,8 @@ def _by_calibration(view: LinearisedReadings, calibration: Calibration, state: M
             for parameter, rates in zip(effect.parameters, effect.derivatives(state), strict=True):
                 for c, rate in rates.items() if parameter.name in number else ():
                     unit = UM if c < 3 else URAD
-                    columns[number[parameter.name]] += view.by_error[:, :, at + c] * (unit * np.reshape(rate, (-1, 1)))
-        found.append(columns.reshape(len(columns), view.residual.size).T @ symmetric_root(covariance.matrix))
+                    columns[number[parameter.name]] += by_error[:, :, at + c] * (unit * np.reshape(rate, (-1, 1)))
+        found.append(columns.reshape(len(columns), 3 * len(by_error)).T @ symmetric_root(covariance.matrix))
     return np.concatenate(found, axis=1)
 
 
@@ -383,11 +384,6 @@ def _sizes(unknowns: Unknowns) -> np.ndarray:
     """Return the prior standard deviations of unknown errors: the functions of a curve share its plausible size."""
     entities = [column.entity for column in unknowns.columns]
     return np.asarray(unknowns.plausible / np.sqrt([entities.count(name) for name in entities]))
-
-
-def _basis(columns: np.ndarray) -> np.ndarray:
-    left, size, _ = np.linalg.svd(columns, full_matrices=False)
-    return np.asarray(left[:, size > 1e-9 * size.max(initial=1e-300)])
 
 
 # --- Hypotheses, weighed by their likelihood ------------------------------------------------------
@@ -444,6 +440,7 @@ class Weigher:
             gram[-1, -1] += residual @ residual
             self.rank += before.rank
         self.precision = np.eye(after.errors.shape[1]) + sum(own.T @ own for own in by_errors)
+        self.along, self.wider = along_errors, wider
         gram = gram - along_errors.T @ np.linalg.solve(self.precision, along_errors)
         self.normal, self.slope, self.chi2 = gram[:-1, :-1], gram[:-1, -1], float(gram[-1, -1])
 
@@ -458,11 +455,7 @@ class Weigher:
 
     def fit(self, state: Hypothesis, groups: Sequence[Sequence[int]]) -> tuple[float, float, np.ndarray, np.ndarray]:
         """Return the log likelihood ratio against everything in effect, χ², and estimate and covariance of what is free (priors 1)."""
-        x = np.zeros(len(self.slope))
-        for k, factor in state.factors:
-            x[k] = factor - 1.0
-        for k, axis in state.axes:
-            x[k], x[self.count + k * self.axes + axis] = -1.0, 1.0
+        x = self.fixed(state)
         y = self.slope - self.normal @ x
         ratio = float(x @ self.slope - 0.5 * x @ self.normal @ x)
         free = (
@@ -475,11 +468,25 @@ class Weigher:
         chi2 = self.chi2 - 2.0 * (ratio + gain)
         return ratio + gain - 0.5 * float(np.linalg.slogdet(precision)[1]), chi2, estimate, covariance
 
-    def factors(self, state: Hypothesis) -> tuple[np.ndarray, np.ndarray]:
-        """Return estimate and standard uncertainty (k,) of the factor of each value, the others free with standard deviation 1."""
+    def coefficients(self, state: Hypothesis, groups: Sequence[Sequence[int]]) -> tuple[np.ndarray, np.ndarray]:
+        """Return the coefficients of written values (from 0), other axes and constants, and of the machine's errors (means)."""
+        _, _, estimate, _ = self.fit(state, groups)
+        x = self.fixed(state) + sum(v * self.column(one, groups) for one, v in zip(state.free, estimate, strict=True))
+        errors = self.wider * np.linalg.solve(self.precision, self.along[:, -1] - self.along[:, :-1] @ x)
+        return x + (np.arange(len(x)) < self.count), errors
+
+    def fixed(self, state: Hypothesis) -> np.ndarray:
+        """Return the coefficients that a state fixes, as differences from everything in effect."""
         x = np.zeros(len(self.slope))
         for k, factor in state.factors:
             x[k] = factor - 1.0
+        for k, axis in state.axes:
+            x[k], x[self.count + k * self.axes + axis] = -1.0, 1.0
+        return x
+
+    def factors(self, state: Hypothesis) -> tuple[np.ndarray, np.ndarray]:
+        """Return estimate and standard uncertainty (k,) of the factor of each value, the others free with standard deviation 1."""
+        x = self.fixed(state)
         own = slice(0, self.count)
         inverse = np.linalg.inv(self.normal[own, own] + np.eye(self.count))
         step = inverse @ (self.slope - self.normal @ x)[own]
@@ -490,8 +497,9 @@ class Weigher:
 
     def noise(self) -> tuple[float, float]:
         """Return χ² with everything free that is known, and its degrees of freedom."""
-        wide = self.normal + np.eye(len(self.slope)) * 1e-6
-        chi2 = self.chi2 - float(self.slope @ np.linalg.solve(wide, self.slope))
+        some = np.r_[: self.count, len(self.slope) - self.constants : len(self.slope)]
+        wide = self.normal[np.ix_(some, some)] + np.eye(len(some)) * 1e-6
+        chi2 = self.chi2 - float(self.slope[some] @ np.linalg.solve(wide, self.slope[some]))
         absorbed = float(np.trace(np.eye(len(self.precision)) - np.linalg.inv(self.precision)))
         return chi2, self.rank - absorbed - self.count - self.constants
 

@@ -1,0 +1,195 @@
+"""What was written into a machine took effect, or what moved: against an independent machine with a control of its own."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from types import MappingProxyType
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import twin
+from tests.truth.corrected import comp_shift, kinematic_shift, measure, poses
+from tests.truth.machine import AXES, TruthMachine, written
+from twin.cli.commands import app
+from twin.numerics.covariance import Covariance
+
+MACHINE = twin.Machine.load("dmu50")
+TOOL_MM = 120.0
+SQUARENESS = {"E_C0Y": 40.0, "E_A0Z": -31.0, "E_B0Z": 18.0}
+LOCATION = {"E_A0B": 120.0, "E_B0B": -60.0, "E_X0C": 25.0, "E_A0C": 90.0, "E_B0C": -45.0}
+CURVES = {
+    "E_XX": ((0.0, 500.0), "power", (0.0, 30.0, 8.0, -6.0)),
+    "E_YY": ((0.0, 450.0), "power", (0.0, -22.0, 9.0, 3.0)),
+    "E_ZZ": ((-400.0, 0.0), "power", (0.0, 16.0, -7.0)),
+    "E_YX": ((0.0, 500.0), "power", (0.0, 0.0, 6.0)),
+    "E_ZC": ((0.0, 360.0), "fourier", (0.0, 4.0, -3.0)),
+    "E_CC": ((0.0, 360.0), "fourier", (0.0, 60.0, 30.0)),
+}
+U = 1.5
+"""Standard uncertainty of every number, µm and µrad."""
+
+
+def calibration() -> twin.Calibration:
+    found = twin.Calibration(
+        MACHINE,
+        "by hand",
+        MappingProxyType(
+            {
+                name: twin.Curve(name, "um" if name[2] in "XYZ" else "urad", domain, basis, numbers)
+                for name, (domain, basis, numbers) in CURVES.items()
+            }
+        ),
+        MappingProxyType(SQUARENESS),
+        MappingProxyType(LOCATION),
+    )
+    names = tuple(number.name for effect in found.effects for number in effect.parameters)
+    return twin.Calibration(
+        found.machine,
+        found.source,
+        found.curves,
+        found.squareness,
+        found.location,
+        joint=Covariance(names, U**2 * np.eye(len(names))),
+    )
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The calibration, and what `twin control` makes of it: tables alone, kinematics and tables."""
+    path = tmp_path_factory.mktemp("confirm")
+    calibration().save(path / "before.yaml")
+    for extra, name in (([], "tables"), (["--kinematics", "siemens-chain"], "both")):
+        words = ["control", "--to", "linuxcnc", *extra, "-c", "before.yaml", "--tool-length", "120", "-o", name]
+        done = CliRunner().invoke(
+            app, [w if w != "before.yaml" else str(path / w) for w in words[:-1]] + [str(path / name)]
+        )
+        assert (path / name / "calibration.yaml").exists(), done.output
+    return path
+
+
+def machine_like(
+    rng: np.random.Generator, path: Path, changed: Mapping[str, float] = MappingProxyType({})
+) -> TruthMachine:
+    """Return a machine whose errors differ from the calibration by its uncertainty, and by constants that changed."""
+    curves = {
+        name: {
+            "unit": "um" if name[2] in "XYZ" else "urad",
+            "domain": list(domain),
+            "basis": basis,
+            "coefficients": [float(c + U * rng.standard_normal()) for c in numbers],
+        }
+        for name, (domain, basis, numbers) in CURVES.items()
+    }
+    numbers = {
+        name: float(v + U * rng.standard_normal() + changed.get(name, 0.0))
+        for name, v in (SQUARENESS | LOCATION).items()
+    }
+    return written(
+        path,
+        {
+            "curves": curves,
+            "squareness": {name: numbers[name] for name in SQUARENESS},
+            "location": {name: numbers[name] for name in LOCATION},
+        },
+    )
+
+
+Factors = Mapping[str, float]
+
+
+def shifts(folder: Path, q: np.ndarray, factors: Factors, otherwise: float) -> np.ndarray:
+    """Return what the control adds to the commands: tables by axis, locations by name, each with its factor."""
+    found = np.zeros_like(q)
+    for i, axis in enumerate(AXES):
+        if (folder / f"{axis}.comp").exists():
+            found[:, i] += factors.get(axis, otherwise) * comp_shift(folder / f"{axis}.comp", q[:, i])
+    if (folder / "kinchain.mpf").exists():
+        for name, value in LOCATION.items():
+            part = np.array([kinematic_shift({name: value}, pose, TOOL_MM) for pose in q])
+            found[:, :3] += factors.get(name, otherwise) * part
+    return found
+
+
+def confirmed(
+    folder: Path,
+    kind: str,
+    seed: int,
+    factors: Factors = MappingProxyType({}),
+    *,
+    otherwise: float = 1.0,
+    changed: Factors = MappingProxyType({}),
+    count: int = 40,
+    before: bool = True,
+) -> tuple[int, dict]:
+    """Measure the machine before and after, and return the exit status and the JSON of `twin confirm`."""
+    rng, tmp = np.random.default_rng(seed), folder / f"{kind}{seed}"
+    tmp.mkdir(exist_ok=True)
+    truth = machine_like(np.random.default_rng(seed), tmp / "before_truth.yaml")
+    q = poses(rng, count)
+    first = measure(tmp / "before.csv", truth, q, np.zeros_like(q), rng) if before else folder / "before.yaml"
+    truth = machine_like(np.random.default_rng(seed), tmp / "after_truth.yaml", changed)
+    q = q if before else poses(rng, count)
+    after = measure(tmp / "after.csv", truth, q, shifts(folder / kind, q, factors, otherwise), rng)
+    words = [
+        str(first),
+        str(after),
+        "--written",
+        str(folder / kind),
+        "--tool-length",
+        "120",
+        "--json",
+        str(tmp / "found.json"),
+    ]
+    done = CliRunner().invoke(app, ["confirm", *words])
+    assert done.exit_code in (0, 3), done.output
+    return done.exit_code, json.loads((tmp / "found.json").read_text())
+
+
+def test_in_effect(folder: Path) -> None:
+    status, found = confirmed(folder, "both", 1)
+    assert (status, found["verdict"]) == (0, "confirmed")
+    assert abs(found["measured_um"] - found["expected_um"]) < found["expanded_um"]
+    assert found["before_um"] > 2.0 * found["measured_um"]
+
+
+CASES = {
+    "nothing": ({}, 0.0, "not_in_effect", "nothing changed"),
+    "X reversed": ({"X": -1.0}, 1.0, "wrong", "sign of table X by X reversed"),
+    "Y twice": ({"Y": 2.0}, 1.0, "wrong", "table Y by Y in effect twice"),
+    "C in other units": ({"C": 10.0}, 1.0, "wrong", "table C by C in effect with 10 times"),
+    "tilt of B reversed": ({"E_A0B": -1.0}, 1.0, "wrong", "sign of kinematics E_A0B reversed"),
+    "place of C absent": ({"E_X0C": 0.0}, 1.0, "wrong", "not in effect"),
+    "everything reversed": ({}, -1.0, "wrong", "sign of everything that was written reversed"),
+    "B alone": ({"E_A0B": 1.0, "E_B0B": 1.0}, 0.0, "wrong", "only the location of B took effect"),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_each_mistake_by_itself(folder: Path, case: str) -> None:
+    factors, otherwise, verdict, words = CASES[case]
+    status, found = confirmed(folder, "both", 2, factors, otherwise=otherwise)
+    assert (status, found["verdict"]) == (3, verdict), found["headline"]
+    assert words in found["headline"], found["headline"]
+
+
+def test_changed_otherwise(folder: Path) -> None:
+    status, found = confirmed(folder, "both", 3, changed={"E_C0Y": -60.0})
+    assert (status, found["verdict"]) == (3, "changed_otherwise"), found["headline"]
+    (moved,) = found["moved"]
+    assert moved["name"] == "E_C0Y" and abs(moved["size"] + 60.0) < 2.0 * moved["expanded"]
+
+
+@pytest.mark.slow
+def test_rates(folder: Path) -> None:
+    """No more than one false alarm in twenty, and every mistake is found, in whatever measurement."""
+    alarms = sum(confirmed(folder, "both", 100 + k)[1]["verdict"] not in ("confirmed", "undecided") for k in range(60))
+    assert alarms <= 6
+    for case, (factors, otherwise, verdict, words) in CASES.items():
+        found = [confirmed(folder, "both", 200 + k, factors, otherwise=otherwise)[1] for k in range(8)]
+        named = sum(one["verdict"] == verdict and words in one["headline"] for one in found)
+        assert named >= 7, (case, [one["headline"] for one in found])
+        assert not any(one["verdict"] == "confirmed" for one in found), case
