@@ -22,10 +22,10 @@ TOOL_MM = 120.0
 SQUARENESS = {"E_C0Y": 40.0, "E_A0Z": -31.0, "E_B0Z": 18.0}
 LOCATION = {"E_A0B": 120.0, "E_B0B": -60.0, "E_X0C": 25.0, "E_A0C": 90.0, "E_B0C": -45.0}
 CURVES = {
-    "E_XX": ((0.0, 500.0), "power", (0.0, 30.0, 8.0, -6.0)),
-    "E_YY": ((0.0, 450.0), "power", (0.0, -22.0, 9.0, 3.0)),
-    "E_ZZ": ((-400.0, 0.0), "power", (0.0, 16.0, -7.0)),
-    "E_YX": ((0.0, 500.0), "power", (0.0, 0.0, 6.0)),
+    "E_XX": ((0.0, 500.0), "power", (-8.0 / 3.0, 30.0, 8.0, -6.0)),
+    "E_YY": ((0.0, 450.0), "power", (-3.0, -22.0, 9.0, 3.0)),
+    "E_ZZ": ((-400.0, 0.0), "power", (7.0 / 3.0, 16.0, -7.0)),
+    "E_YX": ((0.0, 500.0), "power", (-2.0, 0.0, 6.0)),
     "E_ZC": ((0.0, 360.0), "fourier", (0.0, 4.0, -3.0)),
     "E_CC": ((0.0, 360.0), "fourier", (0.0, 60.0, 30.0)),
 }
@@ -108,7 +108,7 @@ def shifts(folder: Path, q: np.ndarray, factors: Factors, otherwise: float) -> n
         if (folder / f"{axis}.comp").exists():
             found[:, i] += factors.get(axis, otherwise) * comp_shift(folder / f"{axis}.comp", q[:, i])
     if (folder / "kinchain.mpf").exists():
-        for name, value in LOCATION.items():
+        for name, value in TruthMachine(folder / "calibration.yaml").location.items():
             part = np.array([kinematic_shift({name: value}, pose, TOOL_MM) for pose in q])
             found[:, :3] += factors.get(name, otherwise) * part
     return found

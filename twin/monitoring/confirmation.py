@@ -291,6 +291,12 @@ class Confirmation(Result):
         }
 
 
+def mattering(effects: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the RMS (k,) of the effects of written values on points (n, 3, k), µm, and whether each matters."""
+    rms, whole = _rms(effects), float(_rms(effects.sum(axis=2, keepdims=True))[0])
+    return rms, rms >= max(LEAST_EFFECT_UM, LEAST_SHARE * whole)
+
+
 def _rms(points: np.ndarray) -> np.ndarray:
     """Return (m,) the RMS length of points (n, 3, m)."""
     return np.asarray(np.sqrt(np.mean(np.sum(points**2, axis=1), axis=0)))
@@ -540,9 +546,8 @@ class _Task:
         if not self.written:
             return ()
         effects = self.at_tool[0]
-        rms, whole = _rms(effects), float(_rms(effects.sum(axis=2, keepdims=True))[0])
+        rms, matters = mattering(effects)
         factor, u = self.weigher.factors(hypothesis)
-        matters = rms >= max(LEAST_EFFECT_UM, LEAST_SHARE * whole)
         words = {1.0: "as written", 0.0: "absent", -1.0: "reversed"}
         held = dict(hypothesis.factors)
         says = [words.get(held.get(k, 1.0), "otherwise") for k in range(len(factor))]
