@@ -25,6 +25,7 @@ PAGES: Final = (
         "plan",
         "report",
         "compare",
+        "confirm",
         "watch",
     ),
     *("control", "interferometer", "paths", "many", "files", "effects", "instruments", "datum", "curves", "speed"),

@@ -61,13 +61,11 @@ from twin.tool.uncertainty import volume, without_missing_channels
 SCHEMA: Final = "twin.confirmation/1"
 UNEXPLAINED_BELOW: Final = 0.01
 """Rate of false alarms of the test whether anything is left that no hypothesis explains."""
-LEAST_EFFECT_UM: Final = 1.0
-LEAST_SHARE: Final = 0.05
+LEAST_EFFECT_UM, LEAST_SHARE = 1.0, 0.05
 """Effect at the tool, RMS over the volume, from which a written value matters: in µm, and as a share of the whole effect."""
 DRAWS: Final = 400
 MOST_ALTERNATIVES: Final = 8
-MOST_EXPANDED: Final = 10.0
-"""U of a factor from which the readings show nothing of it."""
+MOST_EXPANDED: Final = 10.0  # U of a factor from which the readings show nothing of it
 WIDER: Final = 5.0
 """Factor on the calibration's uncertainty in the model from which the noise of the readings is estimated."""
 UNSEEN: Final = 0.01
@@ -113,6 +111,7 @@ class MovedError:
 
     Attributes:
         size: change with ``expanded`` (95 %), in ``unit``.
+        tool_um: largest displacement of the tool point by it over the volume.
         words: the error in words.
         look: where to look.
     """
@@ -121,6 +120,7 @@ class MovedError:
     size: float
     expanded: float
     unit: str
+    tool_um: float
     words: str
     look: str
 
@@ -219,7 +219,8 @@ class Confirmation(Result):
         """Return what belongs to the headline: what is not excluded, what moved and where to look, the bound, what to measure."""
         said = [f"these readings do not exclude: {text}" for text in self.alternatives[:MOST_ALTERNATIVES]]
         said += [
-            f"{one.words} ({one.name}) changed by {one.size:+.3g} ± {one.expanded:.2g} {readable(one.unit)}. {one.look}"
+            f"{one.words} ({one.name}) changed by {one.size:+.3g} ± {one.expanded:.2g} {readable(one.unit)}, "
+            f"up to {_figure(one.tool_um)} µm at the tool. {one.look}"
             for one in self.moved
         ]
         bound = self.bound
@@ -528,8 +529,7 @@ class _Task:
             return (np.nan,) * 4
         written, elsewhere, constants, by_errors, before = self.at_tool
         x, errors = self.weigher.coefficients(state, groups)
-        # Errors that no reading determines follow those of the calibration in the prior.
-        known = slice(0, by_errors.shape[2])
+        known = slice(0, by_errors.shape[2])  # errors that no reading determines follow those of the calibration
         if set(self.errors.covariance.names) != set(self._at_rest.covariance.names):
             return (np.nan,) * 4  # an effect that needs a temperature, a time or a speed
         expected = before[:, :, 0] + written.sum(axis=2)
@@ -575,7 +575,8 @@ class _Task:
             look = next(one.advice.look for one in MACHINE_EFFECTS if one.name == kind).format(
                 axis=name[-1], where=name
             )
-            found.append(MovedError(name, size, expanded, unit, words, look))
+            at_tool = np.linalg.norm(self.at_tool[2][:, :, one] * float(estimate[k]), axis=1).max()
+            found.append(MovedError(name, size, expanded, unit, float(at_tool), words, look))
         return tuple(found)
 
     def _constant(self, number: int, estimate: float, variance: float) -> tuple[str, float, float, str]:

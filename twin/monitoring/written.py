@@ -527,9 +527,8 @@ def _moves(state: Hypothesis, weigher: Weigher, groups: Sequence[Sequence[int]])
     """Return the states that one more mistake, or one more change, makes of a state."""
     everything = range(weigher.count)
     found: set[Hypothesis] = set()
-    on_axis = (
-        np.diag(weigher.normal)[weigher.count : weigher.count * (1 + weigher.axes)].reshape(-1, weigher.axes) > 0.0
-    )
+    diagonal = np.diag(weigher.normal)[weigher.count : weigher.count * (1 + weigher.axes)]
+    on_axis = diagonal.reshape(weigher.count, weigher.axes) > 0.0
     for number, some in enumerate(groups):
         found |= {state.with_factor(some, factor) for factor in (1.0, *FACTORS)}
         found |= {
