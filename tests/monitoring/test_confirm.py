@@ -1,4 +1,4 @@
-"""What was written into a machine took effect, or what moved: against an independent machine with a control of its own."""
+"""`twin confirm` against an independent machine with a control of its own."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def calibration() -> twin.Calibration:
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The calibration, and what `twin control` makes of it: tables alone, kinematics and tables."""
+    """The calibration, and the folders that `twin control` writes: tables alone, kinematics and tables."""
     path = tmp_path_factory.mktemp("confirm")
     calibration().save(path / "before.yaml")
     for extra, name in (([], "tables"), (["--kinematics", "siemens-chain"], "both")):
@@ -244,7 +244,7 @@ def test_rates_of_crash_checks(folder: Path) -> None:
     assert sum([m["name"] for m in one["moved"]] == ["E_A0C"] for one in named) >= 18
     for k in range(20):
         found = crash(folder, 500 + k, {"E_A0C": 6.0})[1]
-        # 6 µrad over the table's 250 mm move a point by 1.5 µm: within every bound that is said.
+        # 6 µrad over the table's 250 mm move a point by 1.5 µm: within every bound.
         assert found["verdict"] != "unchanged" or found["bound"]["volume_um"] > 1.5
 
 
@@ -283,7 +283,7 @@ def test_an_adjustment(folder: Path, tmp_path: Path) -> None:
 
 
 def test_plan(folder: Path, tmp_path: Path) -> None:
-    """What the plan promises, the check keeps: a reversed sign of any table is found."""
+    """The plan shows every table."""
     plan = tmp_path / "check.csv"
     words = [
         "--confirm",

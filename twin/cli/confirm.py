@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -13,6 +14,11 @@ from twin._common.files import write_atomic
 from twin.cli.shared import complete, options
 from twin.cli.shared.command import EXISTING, HTML, CommandResult, JsonOption, command, progress_bar
 from twin.cli.shared.terminal import number, pairs
+
+if TYPE_CHECKING:
+    from twin.machine.machine import Machine
+    from twin.model.calibration import Calibration
+    from twin.monitoring.written import WrittenValue
 
 
 @command(
@@ -62,39 +68,22 @@ def confirm(
 ) -> CommandResult:
     """Confirm that tables, kinematics, an adjustment or a compensated program took effect; or that a crash moved nothing.
 
-    With none of --written, --compensated and --adjusted, it says what moved between BEFORE and AFTER, or that nothing moved the tool by
-    more than so many µm. The exit status is 3 unless the verdict is that everything is confirmed, or that nothing moved.
+    Without --written, --compensated and --adjusted, it says which errors changed between BEFORE and AFTER, or gives an upper bound of
+    the displacement of the tool. The exit status is 3 unless the verdict is that everything is confirmed, or that nothing moved.
     """
     from twin.measurement.table import Measurements
-    from twin.model.calibration import Calibration
     from twin.monitoring.confirmation import confirm as run
-    from twin.monitoring.written import WrittenValue, adjustment, program_words, written_by
 
     loaded = options.machine(machine)
+    length = loaded.tool_length_mm if tool_length is None else tool_length
     is_calibration = before.suffix.lower() in (".yaml", ".yml")
-    folder = None if written is None else written / "calibration.yaml"
-    given = [path for path in (before if is_calibration else None, folder, calibration) if path is not None]
-    if calibration is not None and len(given) > 1:
-        raise InputError(
-            "two calibrations",
-            expected="--calibration only with readings BEFORE, and without --written",
-            value=calibration,
-        )
+    if calibration is not None and is_calibration:
+        raise InputError("two calibrations", expected="--calibration with readings BEFORE only", value=calibration)
     if written is not None and compensated:
         raise InputError("--written and --compensated exclude each other", expected="one of them", value=written)
-    if (compensated or adjusted) and not given:
-        raise InputError(
-            "no calibration", expected="--calibration of the machine before, with --compensated and --adjusted"
-        )
-    errors = Calibration.load(folder or given[0], loaded) if given else None
-    length = loaded.tool_length_mm if tool_length is None else tool_length
-    values: list[WrittenValue] = []
-    if written is not None and errors is not None:
-        values += written_by(errors, length)
-    if compensated and errors is not None:
-        values += program_words(errors, length)
-    for name, text, entry in pairs("--adjusted", adjusted, "E_C0Y=0, each error once"):
-        values.append(adjustment(errors, loaded, name, number("--adjusted", text, entry)))
+    errors, values = _errors_and_values(
+        loaded, before if is_calibration else calibration, written, adjusted, length, compensated=compensated
+    )
     with progress_bar() as bar:
         found = run(
             None if is_calibration else Measurements.load(before, loaded),
@@ -108,3 +97,41 @@ def confirm(
     if html_file is not None:
         write_atomic(html_file, found.to_html())
     return CommandResult(found.to_text(), found.to_dict, met=found.met)
+
+
+def _errors_and_values(
+    machine: Machine,
+    calibration: Path | None,
+    written: Path | None,
+    adjusted: list[str] | None,
+    tool_length_mm: float,
+    *,
+    compensated: bool,
+) -> tuple[Calibration | None, list[WrittenValue]]:
+    """Return the errors of the machine before, and what was written into it.
+
+    Raises:
+        InputError: no calibration where one is needed; an invalid folder; an error that cannot be adjusted.
+    """
+    from twin.model.calibration import Calibration
+    from twin.monitoring.written import adjustment, program_words, written_by
+
+    folder = None if written is None else Calibration.load(written / "calibration.yaml", machine)
+    errors = folder if calibration is None else Calibration.load(calibration, machine)
+    values = [] if folder is None else list(written_by(folder, tool_length_mm))
+    if folder is not None and errors is not None:
+        if errors.control is not None and errors.control.errors_are == "remaining":
+            raise InputError(
+                "the errors of this calibration were measured under other tables",
+                expected="errors of the machine without tables",
+                file=errors.path,
+                value="errors_are: remaining",
+            )
+        errors = replace(errors.with_control(None), path=errors.path)
+    if compensated:
+        if errors is None:
+            raise InputError("no calibration", expected="--calibration that the program was compensated with")
+        values += program_words(errors, tool_length_mm)
+    for name, text, entry in pairs("--adjusted", adjusted, "E_C0Y=0, each error once"):
+        values.append(adjustment(errors, machine, name, number("--adjusted", text, entry)))
+    return errors, values

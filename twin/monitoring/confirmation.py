@@ -25,6 +25,7 @@ from twin._common.errors import InputError
 from twin._common.provenance import SIMULATED, SourceWarning, merge_warnings, warning_texts, warnings_to_json
 from twin._common.resources import Progress, one_blas_thread, silent
 from twin._common.units import UM, count_with_noun
+from twin.compensation.live import errors_while_on
 from twin.display import readable, render
 from twin.display.numbers import listed
 from twin.display.results import Result
@@ -51,6 +52,8 @@ from twin.monitoring.written import (
     effects_on,
     groups_of,
     linear_readings,
+    mattering,
+    rms_length,
     visible,
 )
 from twin.numerics.covariance import symmetric_root
@@ -61,8 +64,6 @@ from twin.tool.uncertainty import volume, without_missing_channels
 SCHEMA: Final = "twin.confirmation/1"
 UNEXPLAINED_BELOW: Final = 0.01
 """Rate of false alarms of the test whether anything is left that no hypothesis explains."""
-LEAST_EFFECT_UM, LEAST_SHARE = 1.0, 0.05
-"""Effect at the tool, RMS over the volume, from which a written value matters: in µm, and as a share of the whole effect."""
 DRAWS: Final = 400
 MOST_ALTERNATIVES: Final = 8
 MOST_EXPANDED: Final = 10.0  # U of a factor from which the readings show nothing of it
@@ -153,7 +154,7 @@ class Confirmation(Result):
         before_um, expected_um, expanded_um, measured_um: RMS error of the tool point over the volume: before, expected afterwards
             with U (95 %), and as measured; without the errors that no reading determines. NaN without written values.
         tool_length_mm: length of the tool.
-        p_value: of χ² of what the verdict leaves unexplained.
+        p_value: of χ² of the residuals that remain.
         noise: standard deviation of the readings, in units of the stated one.
     """
 
@@ -292,17 +293,6 @@ class Confirmation(Result):
         }
 
 
-def mattering(effects: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the RMS (k,) of the effects of written values on points (n, 3, k), µm, and whether each matters."""
-    rms, whole = _rms(effects), float(_rms(effects.sum(axis=2, keepdims=True))[0])
-    return rms, rms >= max(LEAST_EFFECT_UM, LEAST_SHARE * whole)
-
-
-def _rms(points: np.ndarray) -> np.ndarray:
-    """Return (m,) the RMS length of points (n, 3, m)."""
-    return np.asarray(np.sqrt(np.mean(np.sum(points**2, axis=1), axis=0)))
-
-
 def _figure(value: float) -> str:
     return f"{value:.0f}" if not abs(value) < 9.95 else f"{value:.1f}"
 
@@ -325,7 +315,8 @@ def confirm(
     Args:
         before: readings before they were written; None: the calibration alone says what was before.
         after: readings afterwards; stations and targets may have been set up anew.
-        calibration: the errors of the machine without the written values, with their covariance; None: plausible errors.
+        calibration: the errors of the machine without the written values, with their covariance; None: plausible errors. Corrections
+            of its control are taken as active.
         written: what was written (`twin.monitoring.written`).
         tool_length_mm: length of the tool for the bound at the tool.
 
@@ -335,7 +326,7 @@ def confirm(
     """
     if calibration is None and (before is None or written):
         raise InputError("no calibration", expected="the calibration of the machine before", file=after.source)
-    errors = (Calibration.zero(machine) if calibration is None else calibration).with_control(None)
+    errors, said_of_control = _errors_now(machine, calibration)
     known = bool(errors.covariance.names)
     with one_blas_thread():
         progress("reading", 0.1)
@@ -363,7 +354,7 @@ def confirm(
             name: (float(after.positions[:, i].min()), float(after.positions[:, i].max()))
             for i, name in enumerate(machine.names)
         }
-        notices = [text for _, said in found for text in said]
+        notices = [text for _, said in found for text in said] + said_of_control
         if any(value.name.startswith("kinematics") for value in written):
             notices.append(ACTIVE)
         if calibration is not None and not known:
@@ -377,6 +368,14 @@ def confirm(
             tuple(dict.fromkeys(notices)),
             merge_warnings(errors.warnings, (SIMULATED,) if any(table.simulated for table in tables) else ()),
         )
+
+
+def _errors_now(machine: Machine, calibration: Calibration | None) -> tuple[Calibration, list[str]]:
+    """Return the errors as the control leaves them, and a notice on its corrections."""
+    if calibration is None or calibration.control is None:
+        return Calibration.zero(machine) if calibration is None else calibration, []
+    errors = errors_while_on(calibration) if calibration.corrected_in_control else calibration
+    return errors, ["the corrections of the control that the calibration lists are taken as active in these readings"]
 
 
 def _plausible_errors(machine: Machine, tables: Sequence[Measurements]) -> Unknowns:
@@ -424,7 +423,7 @@ def _wider(readings: LinearReadings) -> LinearReadings:
 @final
 @dataclass(frozen=True)
 class _Task:
-    """What the verdict is made from."""
+    """Input of the verdict."""
 
     machine: Machine
     errors: Calibration
@@ -534,11 +533,11 @@ class _Task:
             return (np.nan,) * 4  # an effect that needs a temperature, a time or a speed
         expected = before[:, :, 0] + written.sum(axis=2)
         drawn = np.random.default_rng(SEED).standard_normal((by_errors.shape[2], DRAWS))
-        low, high = np.quantile(_rms(expected[:, :, None] + by_errors @ drawn), (0.025, 0.975))
+        low, high = np.quantile(rms_length(expected[:, :, None] + by_errors @ drawn), (0.025, 0.975))
         measured = (
             before[:, :, 0] + np.concatenate([written, elsewhere, constants], axis=2) @ x + by_errors @ errors[known]
         )
-        one, two, three = (float(_rms(part.reshape(len(part), 3, 1))[0]) for part in (before, expected, measured))
+        one, two, three = (float(rms_length(part.reshape(len(part), 3, 1))[0]) for part in (before, expected, measured))
         return one, two, float(high - low) / 2.0, three
 
     def _values(self, hypothesis: Hypothesis) -> tuple[ConfirmedValue, ...]:
@@ -681,7 +680,7 @@ class _Task:
 
 
 def _differs(one: Hypothesis, other: Hypothesis, values: Sequence[ConfirmedValue]) -> bool:
-    """Return whether two states differ in a value that matters, or in what is free."""
+    """Return whether two states differ in a value that matters, or in the free ones."""
     states = [(dict(state.factors), dict(state.axes)) for state in (one, other)]
     return one.free != other.free or any(
         value.matters and len({(factors.get(k, 1.0), axes.get(k)) for factors, axes in states}) > 1

@@ -1,4 +1,4 @@
-"""What was written into a machine, read back from its files, and its effect on readings, linearised."""
+"""Values written into a machine, read back from its files; their effect on readings, linearised; hypotheses on them, weighed."""
 
 from __future__ import annotations
 
@@ -35,6 +35,9 @@ REST_UM: Final = 1.0
 """Effect of the kinematics, RMS, that no location error accounts for and that counts as a value of its own."""
 LEAST_UM: Final = 0.05
 """Effect of a location, RMS, below which it counts as not written: rounding."""
+LEAST_EFFECT_UM: Final = 1.0
+LEAST_SHARE: Final = 0.05
+"""Effect at the tool, RMS over the volume, from which a written value matters: in µm, and as a share of the whole effect."""
 FACTORS: Final = (0.0, -1.0, 2.0, 10.0, 0.1, 1000.0)
 """Factors tested in place of 1: absent, reversed, twice, wrong units."""
 FALSE_ALARMS: Final = 0.04
@@ -386,6 +389,17 @@ def _sizes(unknowns: Unknowns) -> np.ndarray:
     return np.asarray(unknowns.plausible / np.sqrt([entities.count(name) for name in entities]))
 
 
+def mattering(effects: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the RMS (k,) of the effects of written values on points (n, 3, k), µm, and whether each matters."""
+    rms, whole = rms_length(effects), float(rms_length(effects.sum(axis=2, keepdims=True))[0])
+    return rms, rms >= max(LEAST_EFFECT_UM, LEAST_SHARE * whole)
+
+
+def rms_length(points: np.ndarray) -> np.ndarray:
+    """Return (m,) the RMS length of points (n, 3, m)."""
+    return np.asarray(np.sqrt(np.mean(np.sum(points**2, axis=1), axis=0)))
+
+
 # --- Hypotheses, weighed by their likelihood ------------------------------------------------------
 
 
@@ -454,7 +468,7 @@ class Weigher:
         return found
 
     def fit(self, state: Hypothesis, groups: Sequence[Sequence[int]]) -> tuple[float, float, np.ndarray, np.ndarray]:
-        """Return the log likelihood ratio against everything in effect, χ², and estimate and covariance of what is free (priors 1)."""
+        """Return the log likelihood ratio against everything in effect, χ², and estimate and covariance of the free ones (prior 1)."""
         x = self.fixed(state)
         y = self.slope - self.normal @ x
         ratio = float(x @ self.slope - 0.5 * x @ self.normal @ x)

@@ -37,8 +37,8 @@ from twin.measurement.set_up import StationsAndTargets
 from twin.measurement.simulate import simulate
 from twin.measurement.table import Measurements
 from twin.model.calibration import Calibration
-from twin.monitoring.confirmation import ACTIVE, mattering
-from twin.monitoring.written import POSES, SEED, WrittenValue, effects_on
+from twin.monitoring.confirmation import ACTIVE
+from twin.monitoring.written import POSES, SEED, WrittenValue, effects_on, mattering
 from twin.planning.clearance import ANY_STATE, CandidateReadings, Session, candidates
 from twin.planning.design import DesignProblem, covariance_of, fill
 from twin.planning.kit import Kit, as_evaluated, setup_of
@@ -473,7 +473,7 @@ class ConfirmationPlan:
 @final
 @dataclass(frozen=True)
 class _Sensitivity:
-    """How readings depend on what was written, on the errors of the machine and on the set-up."""
+    """Derivatives of readings by written values, errors of the machine and set-up."""
 
     calibration: Calibration
     written: Sequence[WrittenValue]
