@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 import twin
 from tests.truth.corrected import comp_shift, kinematic_shift, measure, poses
-from tests.truth.machine import AXES, TruthMachine, written
+from tests.truth.machine import AXES, TruthMachine, run_iso, written
 from twin.cli.commands import app
 from twin.numerics.covariance import Covariance
 
@@ -301,3 +301,33 @@ def test_plan(folder: Path, tmp_path: Path) -> None:
         done.exit_code in (0, 3) and found["confirmation"]["shown"] and max(found["confirmation"]["u"].values()) <= 0.2
     )
     assert set(found["confirmation"]["u"]) == {f"table {a} by {a}" for a in "XYZC"} and found["minutes"] < 60.0
+
+
+def test_a_compensated_program(folder: Path, tmp_path: Path) -> None:
+    """A program is compensated, and the machine goes where it says; then with its words of X corrected the wrong way."""
+    q = poses(np.random.default_rng(10), 30)
+    q[:, 2] = np.minimum(q[:, 2], -40.0)
+    q[:, :2] = np.clip(q[:, :2], 20.0, 430.0)
+    lines = [" ".join(f"{axis}{value:.3f}" for axis, value in zip(AXES, pose, strict=True)) for pose in q]
+    program, out = tmp_path / "check.nc", tmp_path / "out.nc"
+    program.write_text("G90 G21\n" + "\n".join(f"G0 {line}" for line in lines) + "\nM30\n")
+    words = [
+        "compensate",
+        str(program),
+        "-o",
+        str(out),
+        "--calibration",
+        str(folder / "before.yaml"),
+        "--tool-length",
+        "120",
+    ]
+    assert CliRunner().invoke(app, words).exit_code in (0, 3)
+    executed = np.array([position for _, position in run_iso(out.read_text())])
+    assert executed.shape == q.shape
+    truth = machine_like(np.random.default_rng(11), tmp_path / "t.yaml")
+    for sign, status, said in ((1.0, 0, "confirmed"), (-1.0, 3, "sign of program's words of X reversed")):
+        shift = (executed - q) * [sign, 1.0, 1.0, 1.0, 1.0]
+        table = measure(tmp_path / "a.csv", truth, q, shift, np.random.default_rng(12))
+        again = ["confirm", str(folder / "before.yaml"), str(table), "--compensated", "--tool-length", "120"]
+        done = CliRunner().invoke(app, again)
+        assert done.exit_code == status and said in done.output, done.output
