@@ -152,7 +152,8 @@ class Confirmation(Result):
         findings: what is not as written, one sentence each, the verdict's reason.
         alternatives: what the readings do not distinguish from it.
         before_um, expected_um, expanded_um, measured_um: RMS error of the tool point over the volume: before, expected afterwards
-            with U (95 %), and as measured; without the errors that no reading determines. NaN without written values.
+            with U (95 %), and as measured; without the errors that no reading determines. NaN without
+            written values or their uncertainty.
         tool_length_mm: length of the tool.
         p_value: of χ² of the residuals that remain.
         noise: standard deviation of the readings, in units of the stated one.
@@ -187,10 +188,11 @@ class Confirmation(Result):
         if self.verdict == "unchanged":
             return f"nothing moved the tool by more than {_figure(self.bound.box_um)} µm"
         said = "; ".join(self.findings) or self.verdict
-        if not self.values:
+        if not np.isfinite(self.measured_um):
             return said
         before, expected, measured = map(_figure, (self.before_um, self.expected_um, self.measured_um))
-        return f"before {before}, expected {expected} ± {_figure(self.expanded_um)}, measured {measured} µm: {said}"
+        half = f"{self.expanded_um:.{0 if min(self.expected_um / 9.95, self.expanded_um) >= 1.0 else 1}f}"
+        return f"before {before}, expected {expected} ± {half}, measured {measured} µm: {said}"
 
     @property
     def brief(self) -> str:
@@ -359,7 +361,7 @@ def confirm(
             notices.append(ACTIVE)
         if calibration is not None and not known:
             notices.append(
-                "the calibration gives no uncertainty: its errors are taken as uncertain by their plausible sizes"
+                "the calibration gives no uncertainty: its errors are uncertain by their plausible sizes, and no figures are given"
             )
         return task.confirmation(
             box,
@@ -524,7 +526,7 @@ class _Task:
 
     def _figures(self, state: Hypothesis, groups: Sequence[Sequence[int]]) -> tuple[float, float, float, float]:
         """Return the RMS error at the tool before, expected with its U, and measured, µm; NaN without written values."""
-        if not self.written:
+        if not self.written or self.prior is not None:
             return (np.nan,) * 4
         written, elsewhere, constants, by_errors, before = self.at_tool
         x, errors = self.weigher.coefficients(state, groups)
