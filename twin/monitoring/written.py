@@ -415,6 +415,11 @@ class Hypothesis:
     axes: tuple[tuple[int, int], ...] = ()
     free: tuple[int, ...] = ()
 
+    def kinds(self, count: int) -> int:
+        """Return the number of different factors among ``count`` written values."""
+        axes = dict(self.axes)
+        return len({(factor, axes.get(k)) for k, factor in self.factors}) + (len(self.factors) < count)
+
     def with_factor(self, some: Sequence[int], factor: float, axis: int | None = None) -> Hypothesis:
         """Return the state with a factor of some values, or with them on another axis."""
         factors = {k: v for k, v in self.factors if k not in some} | (
@@ -561,9 +566,15 @@ def best_hypothesis(weigher: Weigher, groups: Sequence[Sequence[int]]) -> tuple[
     state, value, others = Hypothesis(), 0.0, list[Hypothesis]()
     for _ in range(MOST_MOVES):
         moves = sorted(_moves(state, weigher, groups), key=repr)
-        ranked = sorted(((weigher.fit(one, groups)[0], -k) for k, one in enumerate(moves)), reverse=True)
-        if not ranked or ranked[0][0] - value < np.log(len(moves) / FALSE_ALARMS):
+        ratios = [weigher.fit(one, groups)[0] for one in moves]
+        # One mistake of all values is as likely as one of any single group: of equals, the one with fewer kinds of factors.
+        ranked = [
+            ratio - np.log(len(groups) + 1) * one.kinds(weigher.count) for ratio, one in zip(ratios, moves, strict=True)
+        ]
+        best = int(np.argmax(ranked)) if moves else 0
+        if not moves or ratios[best] - value < np.log(len(moves) / FALSE_ALARMS):
             break
-        state, value = moves[-ranked[0][1]], ranked[0][0]
-        others = [moves[-k] for ratio, k in ranked[1:] if ratio > value - np.log(ODDS)]
+        state, value = moves[best], ratios[best]
+        order = sorted(range(len(moves)), key=lambda k: -ratios[k])
+        others = [moves[k] for k in order if k != best and ratios[k] > value - np.log(ODDS)]
     return state, others
