@@ -331,3 +331,14 @@ def test_a_compensated_program(folder: Path, tmp_path: Path) -> None:
         again = ["confirm", str(folder / "before.yaml"), str(table), "--compensated", "--tool-length", "120"]
         done = CliRunner().invoke(app, again)
         assert done.exit_code == status and said in done.output, done.output
+
+
+def test_a_gross_unit_is_named(folder: Path, tmp_path: Path) -> None:
+    q = poses(np.random.default_rng(13), 25)
+    truth = machine_like(np.random.default_rng(13), tmp_path / "t.yaml")
+    table = measure(
+        tmp_path / "a.csv", truth, q, shifts(folder / "tables", q, {"X": 1000.0}, 1.0), np.random.default_rng(14)
+    )
+    words = [str(folder / "before.yaml"), str(table), "--written", str(folder / "tables"), "--tool-length", "120"]
+    done = CliRunner().invoke(app, ["confirm", *words])
+    assert "agree if table X by X is in effect with 1000 times the values" in str(done.exception)

@@ -29,7 +29,7 @@ from twin.compensation.live import errors_while_on
 from twin.display import readable, render
 from twin.display.numbers import listed
 from twin.display.results import Result
-from twin.identification.inputs import prepare, reading_noise
+from twin.identification.inputs import reading_noise
 from twin.identification.network import Network
 from twin.identification.solve import solve
 from twin.identification.unidentified import constant_unknowns, scale_unit
@@ -53,6 +53,7 @@ from twin.monitoring.written import (
     groups_of,
     linear_readings,
     mattering,
+    prepared,
     rms_length,
     visible,
 )
@@ -64,9 +65,8 @@ from twin.tool.uncertainty import volume, without_missing_channels
 SCHEMA: Final = "twin.confirmation/1"
 UNEXPLAINED_BELOW: Final = 0.01
 """Rate of false alarms of the test whether anything is left that no hypothesis explains."""
-DRAWS: Final = 400
-MOST_ALTERNATIVES: Final = 8
-MOST_EXPANDED: Final = 10.0  # U of a factor from which the readings show nothing of it
+DRAWS, MOST_ALTERNATIVES = 400, 8
+MOST_EXPANDED: Final = 10.0  # U of a factor from which nothing of it is seen
 WIDER: Final = 5.0
 """Factor on the calibration's uncertainty in the model from which the noise of the readings is estimated."""
 UNSEEN: Final = 0.01
@@ -397,7 +397,7 @@ def _linearised(
     prior: Unknowns | None,
 ) -> tuple[LinearReadings, list[str]]:
     """Return the linear model of a table, and what to know of its rows and its noise."""
-    placed = prepare(machine, table, None)
+    placed = prepared(machine, table, written)
     noise = reading_noise(machine, placed, "stated", named=False)
 
     def network(some: Unknowns) -> Network:

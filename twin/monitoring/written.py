@@ -8,16 +8,20 @@ from typing import Any, Final, final
 
 import numpy as np
 
+from twin._common.arrays import read_only
 from twin._common.errors import InputError
 from twin._common.units import UM, URAD
 from twin.controls.correction import TableSum
 from twin.controls.kinematics import KinematicCorrection, linear_shift, table_geometry
 from twin.controls.volumetric import AxisErrors, VolumetricCorrection
+from twin.identification.inputs import PreparedData, prepare
 from twin.identification.network import Network
 from twin.identification.unknowns import Unknowns
 from twin.machine.machine import Machine
+from twin.measurement.agreement import fit_of
 from twin.measurement.observation import machine_state
 from twin.measurement.set_up import StationsAndTargets
+from twin.measurement.table import Measurements
 from twin.model.calibration import Calibration
 from twin.model.effects import split_name
 from twin.model.effects.base import along
@@ -40,6 +44,8 @@ LEAST_SHARE: Final = 0.05
 """Effect at the tool, RMS over the volume, from which a written value matters: in µm, and as a share of the whole effect."""
 FACTORS: Final = (0.0, -1.0, 2.0, 10.0, 0.1, 1000.0)
 """Factors tested in place of 1: absent, reversed, twice, wrong units."""
+GROSS: Final = 1000.0
+"""Factor of a wrong unit with which readings hardly follow the commands."""
 FALSE_ALARMS: Final = 0.04
 """Rate of false alarms of all hypotheses together."""
 ODDS: Final = 20.0
@@ -398,6 +404,39 @@ def mattering(effects: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def rms_length(points: np.ndarray) -> np.ndarray:
     """Return (m,) the RMS length of points (n, 3, m)."""
     return np.asarray(np.sqrt(np.mean(np.sum(points**2, axis=1), axis=0)))
+
+
+def prepared(machine: Machine, table: Measurements, written: Sequence[WrittenValue]) -> PreparedData:
+    """Return rows, instruments and initial set-up of a table; see `twin.identification.inputs.prepare`.
+
+    Raises:
+        InputError: the readings do not follow the commands; with the written values that explain it if they act in a wrong unit.
+    """
+    try:
+        return prepare(machine, table, None)
+    except InputError as error:
+        agreeing: list[tuple[float, str, float]] = []
+        for name, some in groups_of(written).items():
+            shifts = [value.shift for value in (written[k] for k in some) if value.shift is not None]
+            moved = sum((shift(machine_state(table, machine)) for shift in shifts), np.zeros(table.positions.shape))
+            for factor in (GROSS, -GROSS):
+                there = replace(table, positions=read_only(table.positions + factor * moved / machine.scale))
+                try:
+                    placed = prepare(machine, there, None)
+                except InputError:
+                    continue
+                miss = fit_of(machine, placed.data, placed.instruments).miss
+                agreeing.append((float(np.sqrt(np.mean(miss**2))), name, factor))
+        if not agreeing:
+            raise
+        _, name, factor = min(agreeing)
+        raise InputError(
+            f"commands and readings disagree, but agree if {name} is in effect with {factor:g} times the values: wrong unit",
+            expected="the values in the unit of the control; switch them off",
+            file=error.file,
+            line=error.line,
+            value=error.value,
+        ) from None
 
 
 # --- Hypotheses, weighed by their likelihood ------------------------------------------------------
