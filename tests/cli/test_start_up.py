@@ -86,6 +86,7 @@ def test_help_and_unknown_options_import_no_large_package(tmp_path: Path) -> Non
 WITH_MACHINE = {
     "info": [],
     "compare": ["a.yaml", "a.yaml"],
+    "confirm": ["a.csv", "a.csv"],
     "volume": [],
     "check": ["cone_frustum.nc"],
     "compensate": ["cone_frustum.nc", "-o", "x.nc"],

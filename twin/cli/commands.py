@@ -31,6 +31,7 @@ COMMANDS: Final = {
     "info": "Show axes, ranges, frames and the error budget of a machine.",
     "machine": "Describe your own machine by answers, and check it against its control.",
     "compare": "Show what changed between two calibrations of a machine.",
+    "confirm": "Confirm that what was written into the machine took effect, or that a crash moved nothing.",
     "volume": "Show the spread of errors over machines drawn from a calibration's covariance.",
     "check": "Examine NC programs before anything is computed.",
     "compensate": "Rewrite NC programs so that the real machine cuts what was programmed.",

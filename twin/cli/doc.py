@@ -26,6 +26,7 @@ PAGES: Final = (
         "plan",
         "report",
         "compare",
+        "confirm",
         "watch",
     ),
     *("control", "interferometer", "paths", "many", "files", "effects", "instruments", "datum", "curves", "speed"),

@@ -204,6 +204,13 @@ FeedOption = Annotated[
     ),
     POSITIVE,
 ]
+ConfirmOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--confirm",
+        help="Folder that twin control wrote: make the shortest measurement that shows a wrong sign of any table or value in it.",
+    ),
+]
 ProgramOption = Annotated[
     Path | None,
     typer.Option(
@@ -219,6 +226,7 @@ ProgramOption = Annotated[
     "twin plan -o plan.csv --kit dmu50 --reduce E_C0Y E_A0Z",
     'twin plan -o plan.csv --separate "cross_axis E_AX by Z" "cross_axis E_AY by Z" --after measured.csv',
     "twin plan --judge thesis_plan.csv --json judged.json",
+    "twin plan --confirm tables -o check.csv --tool-length 120",
     "twin plan --instrument probe -o plan.csv --tool-length 120 --minutes 45",
     "twin plan --drift spindle --instrument displacement --highest-rpm 12000 --minutes 300 -o spindle.csv --program spindle.mpf",
     'twin plan --instrument probe --sequence turns -o plan.csv --tool-length 120 --spheres "150,0,60" --program probe.ngc',
@@ -231,6 +239,7 @@ def plan(
     minutes: MinutesOption = None,
     reduce: ReduceOption = None,
     causes: SeparateOption = None,
+    confirm: ConfirmOption = None,
     after: AfterOption = None,
     judged: JudgeOption = None,
     instrument: InstrumentOption = None,
@@ -255,6 +264,8 @@ def plan(
     if (output is None) is (judged is None):
         raise InputError("no output, or two outputs", expected="either -o PLAN.csv or --judge PLAN.csv")
     _check_combination(after, causes, reduce, instrument)
+    if confirm is not None and (causes or reduce or judged or sequence or instrument or drift or calibration):
+        raise InputError("--confirm plans by itself", expected="no other aim, instrument or calibration", value=confirm)
     test = DriftRequest(drift, highest_rpm, spectrum, axis, feed, seed, program_file)
     for_drift = test.wanted(bool(causes or reduce or judged or sequence or radius))
     if instrument is not None and not for_drift:
@@ -265,6 +276,8 @@ def plan(
 
     loaded = options.machine(machine)
     own = Kit.default(loaded) if kit is None else Kit.load(bundled_kit(kit), loaded)
+    if confirm is not None:
+        return _to_confirm(confirm, loaded, own, minutes, tool_length, seed, output)
     errors = options.calibration_of(calibration, loaded)
     if for_drift:
         own_sizes = InstrumentSizes(tool_length, **_sizes(sphere_diameter, ball_diameter, clearance, None, None))
@@ -280,6 +293,38 @@ def plan(
     if output is not None:
         made.save(output)
     return CommandResult(made.to_text(), made.to_dict, met=made.complete)
+
+
+def _to_confirm(
+    folder: Path,
+    machine: Machine,
+    kit: Kit,
+    minutes: float | None,
+    tool_length: float | None,
+    seed: int,
+    output: Path | None,
+) -> CommandResult:
+    """Plan the shortest measurement that shows what `twin control` wrote, and write it."""
+    from twin.model.calibration import Calibration
+    from twin.monitoring.written import written_by
+    from twin.planning.separate import plan_confirmation
+
+    calibration = Calibration.load(folder / "calibration.yaml", machine)
+    length = machine.tool_length_mm if tool_length is None else tool_length
+    with progress_bar() as bar:
+        made = plan_confirmation(
+            calibration,
+            written_by(calibration, length),
+            kit,
+            minutes=minutes,
+            tool_length_mm=length,
+            seed=seed,
+            progress=bar,
+        )
+    if output is not None:
+        made.plan.save(output)
+    text = made.plan.to_text() + "\n".join(made.lines()) + "\n"
+    return CommandResult(text, made.to_dict, met=made.plan.complete and made.shown and not made.hidden)
 
 
 def _made(

@@ -1,0 +1,137 @@
+"""Command ``twin confirm``."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from twin._common.bundled import DEFAULT
+from twin._common.errors import InputError
+from twin._common.files import write_atomic
+from twin.cli.shared import complete, options
+from twin.cli.shared.command import EXISTING, HTML, CommandResult, JsonOption, command, progress_bar
+from twin.cli.shared.terminal import number, pairs
+
+if TYPE_CHECKING:
+    from twin.machine.machine import Machine
+    from twin.model.calibration import Calibration
+    from twin.monitoring.written import WrittenValue
+
+
+@command(
+    "twin confirm before.csv after.csv --written tables --tool-length 120",
+    "twin confirm mine.yaml check.csv --written tables --json confirmed.json --html confirmed.html",
+    "twin confirm before.csv after.csv --calibration mine.yaml --compensated",
+    "twin confirm before.csv after.csv --calibration mine.yaml --adjusted E_C0Y=0",
+    "twin confirm last_check.csv check.csv",
+)
+def confirm(
+    before: Annotated[
+        Path,
+        typer.Argument(
+            metavar="BEFORE",
+            help="Readings before (.csv), or the calibration of the machine before (.yaml).",
+            autocompletion=complete.tables,
+        ),
+        EXISTING,
+    ],
+    after: Annotated[
+        Path, typer.Argument(metavar="AFTER", help="Readings afterwards.", autocompletion=complete.tables), EXISTING
+    ],
+    machine: options.MachineOption = DEFAULT,
+    calibration: Annotated[
+        Path | None,
+        typer.Option(
+            "--calibration", "-c", help="Calibration of the machine before.", autocompletion=complete.calibrations
+        ),
+        EXISTING,
+    ] = None,
+    written: Annotated[
+        Path | None,
+        typer.Option("--written", help="Folder that twin control wrote: its tables and kinematics were put in."),
+    ] = None,
+    compensated: Annotated[
+        bool, typer.Option("--compensated", help="AFTER was measured with a program compensated with the calibration.")
+    ] = False,
+    adjusted: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--adjusted", help="Squareness or location adjusted at the machine, and its new value: E_C0Y=0 (µrad, µm)."
+        ),
+    ] = None,
+    tool_length: options.ToolOption = None,
+    json_file: JsonOption = None,
+    html_file: Annotated[Path | None, typer.Option("--html", help="Write the verdict to this HTML file."), HTML] = None,
+) -> CommandResult:
+    """Confirm that tables, kinematics, an adjustment or a compensated program took effect; or that a crash moved nothing.
+
+    Without --written, --compensated and --adjusted, it says which errors changed between BEFORE and AFTER, or gives an upper bound of
+    the displacement of the tool. The exit status is 3 unless the verdict is that everything is confirmed, or that nothing moved.
+    """
+    from twin.measurement.table import Measurements
+    from twin.monitoring.confirmation import confirm as run
+
+    loaded = options.machine(machine)
+    length = loaded.tool_length_mm if tool_length is None else tool_length
+    is_calibration = before.suffix.lower() in (".yaml", ".yml")
+    if calibration is not None and is_calibration:
+        raise InputError("two calibrations", expected="--calibration with readings BEFORE only", value=calibration)
+    if written is not None and compensated:
+        raise InputError("--written and --compensated exclude each other", expected="one of them", value=written)
+    errors, values = _errors_and_values(
+        loaded, before if is_calibration else calibration, written, adjusted, length, compensated=compensated
+    )
+    with progress_bar() as bar:
+        found = run(
+            None if is_calibration else Measurements.load(before, loaded),
+            Measurements.load(after, loaded),
+            loaded,
+            calibration=errors,
+            written=values,
+            tool_length_mm=length,
+            progress=bar,
+        )
+    if html_file is not None:
+        write_atomic(html_file, found.to_html())
+    return CommandResult(found.to_text(), found.to_dict, met=found.met)
+
+
+def _errors_and_values(
+    machine: Machine,
+    calibration: Path | None,
+    written: Path | None,
+    adjusted: list[str] | None,
+    tool_length_mm: float,
+    *,
+    compensated: bool,
+) -> tuple[Calibration | None, list[WrittenValue]]:
+    """Return the errors of the machine before, and what was written into it.
+
+    Raises:
+        InputError: no calibration where one is needed; an invalid folder; an error that cannot be adjusted.
+    """
+    from twin.model.calibration import Calibration
+    from twin.monitoring.written import adjustment, program_words, written_by
+
+    folder = None if written is None else Calibration.load(written / "calibration.yaml", machine)
+    errors = folder if calibration is None else Calibration.load(calibration, machine)
+    values = [] if folder is None else list(written_by(folder, tool_length_mm))
+    if folder is not None and errors is not None:
+        if errors.control is not None and errors.control.errors_are == "remaining":
+            raise InputError(
+                "the errors of this calibration were measured under other tables",
+                expected="errors of the machine without tables",
+                file=errors.path,
+                value="errors_are: remaining",
+            )
+        errors = replace(errors.with_control(None), path=errors.path)
+    if compensated:
+        if errors is None:
+            raise InputError("no calibration", expected="--calibration that the program was compensated with")
+        values += program_words(errors, tool_length_mm)
+    for name, text, entry in pairs("--adjusted", adjusted, "E_C0Y=0, each error once"):
+        values.append(adjustment(errors, machine, name, number("--adjusted", text, entry)))
+    return errors, values
