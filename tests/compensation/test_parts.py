@@ -8,6 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import casadi as ca
 import numpy as np
 import pytest
 from hypothesis import example, given, settings
@@ -15,6 +16,7 @@ from hypothesis import strategies as st
 
 from tests.model.errors import random_calibration
 from tests.nested import alike
+from twin._common import resources
 from twin._common.errors import InputError, OutputError
 from twin.compensation import Compensator, Options
 from twin.compensation.programs import parts
@@ -419,6 +421,29 @@ def divisions(draw: st.DrawFn) -> Division:
         draw(st.sampled_from(values)) for values in ([False, True], [30, 90, 400], [1, 7, 40], [".cls", ".nc", ".h"])
     ]
     return Division(name, tuple(chosen), *how)
+
+
+@pytest.mark.parametrize("name", [*FEATURES])
+def test_one_thread_at_a_time_builds_expressions(
+    name: str, dmu50: Machine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """CasADi counts references without a lock while another thread runs: two threads that built at once ended the process, rarely."""
+    alone: list[bool] = []
+    make = ca.Function.__init__
+
+    def made(*args: Any, **kwargs: Any) -> None:
+        alone.append(resources._expressions._is_owned())  # type: ignore[attr-defined]  # of an RLock
+        make(*args, **kwargs)
+
+    source = tmp_path / name
+    source.write_text("".join(FEATURES[name].values()))
+    calibration = random_calibration(dmu50, np.random.default_rng(7), size=50.0)
+    compensator = Compensator(dmu50, calibration, Options(setup=TABLES))
+    monkeypatch.setattr(parts, "STRETCH_BYTES", 90)
+    monkeypatch.setattr(parts, "PART_LINES", 7)
+    monkeypatch.setattr(ca.Function, "__init__", made)
+    compensator.compensate_file(source, tmp_path / f"out{source.suffix}")
+    assert len(alone) > 5 and all(alone)
 
 
 @settings(max_examples=10)

@@ -15,12 +15,13 @@ import tempfile
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, suppress
-from functools import cache
+from functools import cache, wraps
 from importlib import import_module
 from pathlib import Path
+from threading import RLock
 from time import monotonic, sleep
 from types import ModuleType
-from typing import Final, TypeVar, final
+from typing import Final, ParamSpec, TypeVar, final
 
 from threadpoolctl import ThreadpoolController
 
@@ -70,6 +71,27 @@ def _group_limits(root: Path) -> Iterator[float]:
 
 
 # --- Threads: linear algebra on one, and work on a list of items divided over two -----------------
+
+_Given = ParamSpec("_Given")
+_Made = TypeVar("_Made")
+_expressions = RLock()
+
+
+def builds_expressions(function: Callable[_Given, _Made]) -> Callable[_Given, _Made]:
+    """Let one thread at a time run functions that build expressions of CasADi.
+
+    CasADi releases Python's lock, but counts the references to nodes that all expressions share (such as 0 and 1) without any lock: two
+    threads that build at the same time can end the process (segmentation fault). A property that is cached takes a lock of its own
+    first, so that no such function may use a cached property that is decorated too.
+    """
+
+    @wraps(function)
+    def built(*args: _Given.args, **kwargs: _Given.kwargs) -> _Made:
+        with _expressions:
+            return function(*args, **kwargs)
+
+    return built
+
 
 THREADS: Final = 2
 """Number of threads; fixed, so that no result depends on the computer."""

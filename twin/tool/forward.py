@@ -16,6 +16,7 @@ import numpy as np
 
 from twin._common.arrays import read_only
 from twin._common.errors import InputError, require_type
+from twin._common.resources import builds_expressions
 from twin._common.units import MM, URAD, count_with_noun
 from twin.compute.along import BatchFunction
 from twin.display import fixed
@@ -155,6 +156,7 @@ class Kinematics:
         self._terms = ErrorTerms(machine, self.calibration.effects, self.conditions.channels, varying)
         self._set_errors()
 
+    @builds_expressions
     def _set_errors(self) -> None:
         """Build the function of the errors of the calibration."""
         terms = self._terms
@@ -217,15 +219,18 @@ class Kinematics:
         return sparse(0.0, 0.0, -self.tool_length_mm * MM), sparse(0.0, 0.0, 1.0)
 
     @cached_property
+    @builds_expressions
     def _forward(self) -> BatchFunction:
         at = self.symbols()
         return BatchFunction(ca.Function("forward", at, list(self.pose_at(*at))))
 
     @cached_property
+    @builds_expressions
     def _error_frames(self) -> BatchFunction:
         return BatchFunction(self.errors)
 
     @cached_property
+    @builds_expressions
     def _sensitivities(self) -> BatchFunction:
         at = self.symbols()
         q = at[0]
@@ -244,6 +249,7 @@ class Kinematics:
         return BatchFunction(ca.Function("sensitivities", at, results))
 
     @cached_property
+    @builds_expressions
     def _travel(self) -> BatchFunction:
         at = self.symbols()
         _, point = self.pose_at(*at)

@@ -23,6 +23,7 @@ import numpy as np
 
 from twin._common.arrays import rows_all_true
 from twin._common.errors import InputError
+from twin._common.resources import builds_expressions
 from twin._common.units import MM, UM, URAD
 from twin.compute.along import AlongFunction, BatchFunction, Totals, fractions
 from twin.model.calibration import Calibration
@@ -147,6 +148,7 @@ class PoseComparison:
             return ()
         return (np.zeros(len(self._real.machine.axes)) if approach is None else approach,)
 
+    @builds_expressions
     def _function(self, make: Callable[..., ca.Function], nominal: Commands, given: Commands) -> AlongFunction:
         """Return a function for lines of commands or of words, made when first needed."""
         words = nominal.converted is not None, given.converted is not None
@@ -162,6 +164,7 @@ class PoseComparison:
         return ca.Function("distance", [*inputs, *sides, share], [distance])
 
     @cached_property
+    @builds_expressions
     def _poses(self) -> BatchFunction:
         inputs, meant, given, share = self._symbols(False, False)
         sides = self._real.symbols()[1:]

@@ -19,6 +19,7 @@ import pinocchio as pin
 
 from twin._common.arrays import all_within, rows_all_true
 from twin._common.errors import InputError
+from twin._common.resources import builds_expressions
 from twin._common.units import MM
 from twin.compute.along import BatchFunction
 from twin.controls.offsets import OffsetTable, ToolTable
@@ -207,6 +208,7 @@ class WordSpace:
         return ca.vertcat(linear, rotary)[np.argsort(self.order).tolist()]
 
     @cached_property
+    @builds_expressions
     def _linear_axes_of_many(self) -> BatchFunction:
         return BatchFunction(self._linear_axes)
 

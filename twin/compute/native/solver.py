@@ -17,6 +17,7 @@ from typing import Any, Final, Protocol, final
 import casadi as ca
 import numpy as np
 
+from twin._common.resources import builds_expressions
 from twin.compute.native import compiler
 from twin.compute.native.compiler import LARGEST_ANGLE, routine, unused
 from twin.compute.native.tape import Tape
@@ -169,6 +170,7 @@ class _Routine:
         self._name = name
 
     @cached_property
+    @builds_expressions
     def _function(self) -> ca.Function:
         return getattr(self._problem.functions, self._name)
 
