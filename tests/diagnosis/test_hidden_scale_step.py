@@ -50,8 +50,10 @@ def check(cause: Cause, truth: Hidden) -> None:
 def test_a_step_is_named(truth: Hidden, look: Look) -> None:
     result = look([truth], 31)
     (cause,) = result.causes
-    assert (cause.effect, cause.where, cause.equivalent) == (*truth.key, ())
-    assert result.verdict == "explained" and cause.promised
+    # A small step is sometimes fitted as well by a curve of many terms of the same axis, and then that is stated.
+    assert (cause.effect, cause.where) == truth.key and cause.promised
+    assert set(cause.equivalent) <= {("positioning", f"E_{truth.where}{truth.where}")}
+    assert result.verdict == ("ambiguous" if cause.equivalent else "explained")
     check(cause, truth)
     assert "jumps by" in cause.evidence
     held = result.gain.held_out if result.gain else None
