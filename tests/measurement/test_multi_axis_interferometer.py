@@ -320,12 +320,12 @@ def test_the_package_finds_that_rank_where_double_precision_can_show_it(
     )
     found = determinability(matrix, unknowns, tolerance=1e-13)
     values = found.spectrum.values
-    assert (len(values), found.rank) == (count, rank)
+    assert (len(values), found.spectrum.rank) == (count, rank)
     assert values[rank - 1] > 30.0 * values[rank]
     free = [i for i, name in enumerate(found.names) if "position" in name]
     turns = [i for i in free if "turn" in found.names[i]]
-    assert found.leverage[turns].max() < 1e-6
-    assert found.leverage[[i for i in free if i not in turns]].max() > 1e-3
+    assert found.spectrum.leverage[turns].max() < 1e-6
+    assert found.spectrum.leverage[[i for i in free if i not in turns]].max() > 1e-3
 
 
 def test_a_move_that_changes_no_reading_and_moves_x_and_y() -> None:
@@ -354,7 +354,7 @@ def test_in_words_the_beams_of_one_mirror_move_along_it_together() -> None:
         layout, poses, installation, unknown=of_beams(layout), pose_sizes=(1e-3, 1e-3), installation_sizes=sizes
     )
     found = determinability(matrix, unknowns, tolerance=1e-13)
-    assert found.rank == 46
+    assert found.spectrum.rank == 46
     moving = found.null_direction_of("beam 2 y")
     assert moving is not None
     moves = {move.name: move.value for move in moving.moves}
@@ -374,7 +374,7 @@ def test_the_twelve_indices_come_out_in_one_choice_of_units_and_truncation_only(
     gap = float(np.sqrt(values[32] * values[33]))
     assert values[32] > 300.0 * values[33]
     found = independence_factors(jacobian, threshold=gap)
-    assert found.rank == 33
+    assert found.spectrum.rank == 33
     assert (np.flatnonzero(found.factors < 0.3) + 1).tolist() == NOT_UNIQUE
 
     other = asked(layout, poses, 1e-3, 1e-3, table_1(layout))
@@ -423,8 +423,8 @@ def test_the_angles_of_the_beams_are_not_solved() -> None:
         found = self_calibrate(layout, readings, noise=NOISE, tolerance=1e-6, poses=start).determinability
         angles = [i for i, name in enumerate(found.names) if name.startswith("beam") and "turn" in name]
         assert len(angles) == 6
-        assert found.leverage[angles].min() > 0.3
-        assert found.rank < 46
+        assert found.spectrum.leverage[angles].min() > 0.3
+        assert found.spectrum.rank < 46
 
 
 def test_limit_with_a_known_installation() -> None:
