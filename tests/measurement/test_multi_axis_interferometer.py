@@ -374,7 +374,7 @@ def test_the_twelve_indices_come_out_in_one_choice_of_units_and_truncation_only(
     gap = float(np.sqrt(values[32] * values[33]))
     assert values[32] > 300.0 * values[33]
     found = independence_factors(jacobian, threshold=gap)
-    assert found.spectrum.rank == 33
+    assert found.rank == 33
     assert (np.flatnonzero(found.factors < 0.3) + 1).tolist() == NOT_UNIQUE
 
     other = asked(layout, poses, 1e-3, 1e-3, table_1(layout))
