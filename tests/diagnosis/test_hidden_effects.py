@@ -153,10 +153,15 @@ def the(result: Diagnosis, truth: Hidden) -> Cause:
     raise AssertionError(f"{truth.key} not among {[(c.effect, c.where, c.equivalent) for c in result.causes]}")
 
 
-def check(result: Diagnosis, of: Plan, truth: Hidden, noise: str = "isotropic", chance: float = ONE_IN_370) -> None:
+def check(
+    result: Diagnosis, of: Plan, truth: Hidden, noise: str = "isotropic", chance: float = ONE_IN_370, by_chance: int = 0
+) -> None:
+    """Check the answer; ``by_chance``: causes beside the right one that noise may have made, none of them called certain."""
     cause = the(result, truth)
-    assert len(result.causes) == 1 and result.unexplained is None
-    assert result.verdict == ("ambiguous" if cause.equivalent else "explained")
+    beside = [other for other in result.causes if other is not cause]
+    assert len(beside) <= by_chance and result.unexplained is None
+    assert all(other.probability is None or other.probability < 0.9 for other in beside)
+    assert result.verdict == ("ambiguous" if any(one.equivalent for one in result.causes) else "explained")
     assert cause.origin == ("instrument" if truth.effect in INSTRUMENT else "machine")
     if (cause.effect, cause.where) == truth.key:
         pulls(cause, truth)
@@ -258,9 +263,17 @@ def test_an_effect_of_every_kind_with_every_noise(
 ) -> None:
     result, hides = loud(truth, noise), louder(truth, noise)
     # One time in a hundred one of all cases is beyond (Šidák).
-    check(result, planned(200 + EVERY.index(truth))[0], hides, noise, 1.0 - 0.99 ** (1.0 / (len(EVERY) * len(NOISES))))
+    chance = 1.0 - 0.99 ** (1.0 / (len(EVERY) * len(NOISES)))
+    check(result, planned(200 + EVERY.index(truth))[0], hides, noise, chance, by_chance=1)
     if truth.effect not in INSTRUMENT:
         check_held_out(result, hides, LaserTracker() if noise == "tracker" else None)
+
+
+@pytest.mark.slow
+def test_causes_beside_the_right_one_are_rare(loud: Callable[[Hidden, str], Diagnosis]) -> None:
+    """One in forty may have another cause by chance (`FALSE_ALARM_RATE` is 1 %, and a search that has found one goes on)."""
+    several = [(truth.key, noise) for noise in NOISES for truth in EVERY if len(loud(truth, noise).causes) > 1]
+    assert len(several) <= stats.binom.isf(0.01, len(EVERY) * len(NOISES), 1.0 / 40.0), several
 
 
 @pytest.mark.slow
