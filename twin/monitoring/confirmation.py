@@ -640,14 +640,9 @@ class _Task:
         for (factor, axis), some in by_value.items():
             names = [self.written[k].name for k in some]
             left = [value.name for k, value in enumerate(self.written) if k not in some]
-            found.append(
-                self._mistake(
-                    factor,
-                    axis,
-                    _names(names, groups, self.written),
-                    _names(left, groups, self.written) if left else "",
-                )
-            )
+            few = f"only {_names(left, groups, self.written)} took effect" if left else "nothing changed"
+            words = few if len(left) < len(names) else ""
+            found.append(self._mistake(factor, axis, _names(names, groups, self.written), words))
         for k, one in enumerate(state.free):
             if one < 0:
                 name, members = list(groups.items())[-1 - one]
@@ -668,11 +663,11 @@ class _Task:
         return tuple(found) or ("everything in effect as written" if self.written else "nothing moved",)
 
     def _mistake(self, factor: float, axis: int | None, names: str, left: str) -> str:
-        """Return a sentence on values that do not act as written; ``left``: the others, that do."""
+        """Return a sentence on values that do not act as written; ``left``: words on the others, if few act."""
         if axis is not None:
             return f"{names}: moves {self.machine.names[axis]} instead"
         if factor == 0.0:
-            return f"not in effect: only {left} took effect" if left else "not in effect: nothing changed"
+            return f"not in effect: {left or names}"
         if factor == -1.0:
             return f"sign of {names} reversed: the error doubled"
         if factor == 2.0:

@@ -604,9 +604,13 @@ def best_hypothesis(weigher: Weigher, groups: Sequence[Sequence[int]]) -> tuple[
     for _ in range(MOST_MOVES):
         moves = sorted(_moves(state, weigher, groups), key=repr)
         ratios = [weigher.fit(one, groups)[0] for one in moves]
-        # One mistake of all values is as likely as one of any single group: of equals, the one with fewer kinds of factors.
+        # One mistake of all values is as likely as one of any single group: of equals, the one with fewer kinds of factors. Another
+        # share is a kind, too, and is stated only if it is clearly more likely than the factors that mistakes have.
         ranked = [
-            ratio - np.log(len(groups) + 1) * one.kinds(weigher.count) for ratio, one in zip(ratios, moves, strict=True)
+            ratio
+            - np.log(len(groups) + 1) * one.kinds(weigher.count)
+            - np.log(ODDS * (len(groups) + 1)) * sum(free < 0 for free in one.free)
+            for ratio, one in zip(ratios, moves, strict=True)
         ]
         best = int(np.argmax(ranked)) if moves else 0
         if not moves or ratios[best] - value < np.log(len(moves) / FALSE_ALARMS):
