@@ -130,6 +130,17 @@ def growing_scale(of: Plan, rng: np.random.Generator) -> Wrong:
     return motion("X", x=URAD * size * (of.at("X") - place) * course), {("scale_drift", "X"): {}}
 
 
+def lag(of: Plan, rng: np.random.Generator) -> Wrong:
+    """A column that Y's heat reaches late."""
+    constant, level = rng.uniform(900.0, 2500.0), np.zeros(len(of.q))
+    warm = of.warm["Y"] - 20.0
+    level[0] = warm[0]
+    for i in range(1, len(level)):
+        level[i] = warm[i] + (level[i - 1] - warm[i]) * np.exp(-(of.time_s[i] - of.time_s[i - 1]) / constant)
+    size = sized(rng, 9.0, 14.0)
+    return Errors(tool=np.outer(UM * size * level, [0.0, 0.0, 1.0])), {("thermal_lag", "Z by Y"): {}}
+
+
 def knocked_target(of: Plan, rng: np.random.Generator) -> Wrong:
     late = (of.target == "T2") & (of.clock > rng.uniform(0.45, 0.55))
     shift = rng.uniform(8.0, 16.0, 3) * rng.choice([-1.0, 1.0], 3)
@@ -278,6 +289,7 @@ KINDS = {
     "chirp": Kind(chirp, frozenset({"X_mm"})),
     "passing": Kind(passing, WARMTH),
     "nothing": Kind(nothing),
+    "lag": Kind(lag, alone=False),
 }
 
 

@@ -74,7 +74,9 @@ def _in_place(candidates: Candidates, form: Form, others: Sequence[Form]) -> tup
     tried = [
         other
         for other in candidates.forms
-        if other.key not in used and not other.candidate.is_same_event(form.candidate)
+        if other.key not in used
+        and not other.candidate.is_same_event(form.candidate)
+        and not other.candidate.is_variant_in_time_of(form.candidate)
     ]
     scores = candidates.scores(others, [other.index for other in tried])
     dof_of_form = candidates.scores(others, [form.index])[0, 1]

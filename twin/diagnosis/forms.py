@@ -97,6 +97,7 @@ class Candidates:
     ) -> None:
         self.dof = dof
         self.level = FALSE_ALARM_RATE if level is None else level
+        self._parts = parts
         self._latest = np.zeros(len(forms))
         self._requested: set[int] = set()
         self._expected: set[int] = set()
@@ -127,6 +128,18 @@ class Candidates:
     def for_problem(self, problem: Problem) -> Candidates:
         """Return the same forms at the same level and critical values for a problem of the same readings with random effects."""
         return self._for_products(self.products.for_problem(problem), problem)
+
+    def followed_by(self, further: Candidates) -> Candidates:
+        """Return these forms with their indices, as refined and excluded here, followed by those of causes that only others have."""
+        own = {form.key for form in self.forms}
+        new = [form for form in further.forms if form.key not in own]
+        every = [(form.candidate, form.variant, form.log_tests) for form in (*self.forms, *new)]
+        other = Candidates(self.problem, every, self.dof, self._parts, self.level)
+        other._critical = np.array(other._critical)
+        other._critical[: len(self.forms), : self._critical.shape[1]] = self._critical
+        other._reasons = dict(self._reasons)
+        other.further_periods = self.further_periods
+        return other
 
     def _for_products(self, products: Products, problem: Problem) -> Candidates:
         """Return the same forms and critical values with other inner products."""

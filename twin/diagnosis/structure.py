@@ -15,7 +15,6 @@ from typing import Final, final
 import numpy as np
 
 from twin._common.arrays import first_largest, largest_first
-from twin.diagnosis.candidates.candidate import Candidate
 from twin.diagnosis.candidates.machine import variant_at
 from twin.diagnosis.cross_validation import (
     blocks_of_time,
@@ -488,7 +487,7 @@ def _select(task: DiagnosisTask) -> Findings:
 
     A variant that changes with time (a growth that lags behind its sensor) resembles many slow changes. It is searched for only where
     something changes with time, and named only if it predicts held-out blocks of time better than the plain effect does, or as well as
-    several causes with more parameters.
+    several causes with more parameters. If it is not named, it may still be an alternative to the causes that are.
     """
     network, without_time = task.problem.network, without_variants_in_time(task)
     tried = patterns(network.machine, network.data)
@@ -496,19 +495,39 @@ def _select(task: DiagnosisTask) -> Findings:
     if without_time is task or not _changes_with_time(plain.structure):
         return plain
     lagging = search(task, candidates_of(task), tried)
-    return lagging if _is_better_in_time(lagging, plain) else plain
+    return lagging if _is_better_in_time(lagging, plain) else _with_alternatives(plain, lagging.candidates)
+
+
+def _with_alternatives(found: Findings, further: Candidates) -> Findings:
+    """Return what was found among more candidates, which were not to be named."""
+    candidates, structure = found.candidates.followed_by(further), found.structure
+
+    def same(forms: Sequence[Form]) -> tuple[Form, ...]:
+        return tuple(candidates.forms[form.index] for form in forms)
+
+    structure = replace(
+        structure,
+        forms=same(structure.forms),
+        rejected=same(structure.rejected),
+        impossible=same(structure.impossible),
+    )
+    given = candidates.for_problem(structure.problem) if structure.pattern_tests else candidates
+    return replace(
+        found,
+        candidates=candidates,
+        given_patterns=given,
+        structure=structure,
+        by_noise=candidates,
+        refuted=same(found.refuted),
+    )
 
 
 def without_variants_in_time(task: DiagnosisTask) -> DiagnosisTask:
     """Return the task with plain effects only, for the first search; the task itself if it has no variants that change with time."""
-    plain = tuple(candidate for candidate in task.catalogue.candidates if not _is_variant_in_time(candidate))
+    plain = tuple(candidate for candidate in task.catalogue.candidates if not candidate.varies_in_time)
     if len(plain) == len(task.catalogue.candidates):
         return task
     return replace(task, catalogue=replace(task.catalogue, candidates=plain))
-
-
-def _is_variant_in_time(candidate: Candidate) -> bool:
-    return bool(candidate.specification.variant_of) and candidate.specification.varies == "with time"
 
 
 def _changes_with_time(structure: Structure) -> bool:
@@ -520,12 +539,13 @@ def _changes_with_time(structure: Structure) -> bool:
 def _is_better_in_time(lagging: Findings, plain: Findings) -> bool:
     """Return whether causes with a variant in time are preferred to those without.
 
-    They are if they predict held-out blocks of time no worse with fewer parameters, or, of equally many, with fewer causes; or if they
-    are the same causes, some as variants, and predict better with 95 % confidence. Blocks inside one warm-up are interpolation: any
-    further drift would predict them, so a better prediction by other causes with more parameters does not count.
+    They are if they predict held-out blocks of time no worse with fewer parameters or, of equally many, with fewer causes; with no more
+    causes, if they need no pattern beside them; or if they are the same causes, some as variants, and predict better with 95 %
+    confidence. Blocks inside one warm-up are interpolation: any further drift would predict them, so a better prediction by other
+    causes with more parameters does not count.
     """
     folds, forms = blocks_of_time(plain.problem.network.data), lagging.structure.forms
-    if folds is None or not any(_is_variant_in_time(form.candidate) for form in forms):
+    if folds is None or not any(form.candidate.varies_in_time for form in forms):
         return False
     squares = []
     for findings in (plain, lagging):
@@ -540,15 +560,23 @@ def _is_better_in_time(lagging: Findings, plain: Findings) -> bool:
     interval = jackknife_interval(np.column_stack([squares[0][:, 0], squares[1]]))
     if interval is None or interval[1] < 0.0:
         return False
-    if _complexity(forms) < _complexity(plain.structure.forms):
+    # A sum of more causes would take the place of any pattern.
+    worth, worth_of_plain = (_complexity(structure) for structure in (lagging.structure, plain.structure))
+    if worth < worth_of_plain:
+        return True
+    if (
+        plain.structure.pattern_tests
+        and not lagging.structure.pattern_tests
+        and len(forms) <= max(worth_of_plain[1], 1)
+    ):
         return True
     keys = {(form.candidate.specification.variant_of or form.candidate.effect, form.candidate.where) for form in forms}
     return interval[0] > 0.0 and keys == {form.key for form in plain.structure.forms}
 
 
-def _complexity(forms: Sequence[Form]) -> tuple[int, int]:
-    """Return the number of parameters of some causes, non-linear ones counted, and the number of causes."""
-    return sum(len(form.columns) + len(form.nonlinear) for form in forms), len(forms)
+def _complexity(structure: Structure) -> tuple[int, int]:
+    """Return the number of parameters of causes, non-linear ones counted, and the number of causes."""
+    return sum(len(form.columns) + len(form.nonlinear) for form in structure.forms), len(structure.forms)
 
 
 def search(task: DiagnosisTask, candidates: Candidates, tried: Sequence[Pattern]) -> Findings:

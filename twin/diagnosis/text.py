@@ -30,6 +30,9 @@ BELOW_INCREMENT: Final = (
     "Nothing: the error is below the least increment of the axes, so no command and no compensation can correct it."
 )
 MOST_READINGS: Final = 1000.0  # number of readings at one position above which the measurement is not suggested
+MOST_IN_ONE_COURSE: Final = (
+    30.0  # the same, where another course of time and temperatures separates the causes without any
+)
 
 
 def micrometres(value: float) -> str:
@@ -140,6 +143,12 @@ def separating_points(wanted: Iterable[Mapping[str, Any]], sigma_um: float) -> l
         best, rows = max((float(point["expected_chi2"]) for point in with_pose), default=0.0), []
         if not with_pose:
             text = capital(str(points[0]["text"]).partition(": ")[2]) + "."
+        elif RULED_OUT_CHI2 > MOST_IN_ONE_COURSE * best and _courses_decide(*keys):
+            text = (
+                "No position separates them in the course of time and temperatures that was measured: their predictions differ by at "
+                f"most {best**0.5 * sigma_um:.1g} µm. Measure again in another course (after a pause, or while the machine cools). "
+                "Until then compensate only for work in the same course."
+            )
         elif RULED_OUT_CHI2 > MOST_READINGS * best:
             text = (
                 f"No position that was tried separates them: their predictions differ by at most {best**0.5 * sigma_um:.1g} µm. "
@@ -159,6 +168,16 @@ def separating_points(wanted: Iterable[Mapping[str, Any]], sigma_um: float) -> l
                 text += f" For a complete plan with new station positions: {plan}."
         separating_points.append(SeparatingPoints((a, b), tuple(rows), text))
     return separating_points
+
+
+def _courses_decide(*keys: tuple[str, str]) -> bool:
+    """Return whether two causes follow different quantities: time, temperatures, speed, or none."""
+    follow = []
+    for effect, where in keys:
+        specification = SPECIFICATIONS.get(effect)
+        changes = specification is not None and specification.varies == "with time"
+        follow.append((changes, set(specification.channels(where)) if specification is not None and changes else set()))
+    return follow[0] != follow[1]
 
 
 def chance(p: float) -> str:

@@ -250,6 +250,16 @@ class Candidate:
         return self.effect == other.effect and self.event == other.event and max(self.moments, other.moments) > 1
 
     @property
+    def varies_in_time(self) -> bool:
+        """Return whether it is a variant that changes with time of a plain effect: a growth that lags behind its sensor."""
+        return bool(self.specification.variant_of) and self.specification.varies == "with time"
+
+    def is_variant_in_time_of(self, other: Candidate) -> bool:
+        """Return whether it is such a variant of another cause, at the same place."""
+        plain = self.specification.variant_of, self.where
+        return self.varies_in_time and plain in {other.key, (other.specification.variant_of, other.where)}
+
+    @property
     def effect(self) -> str:
         """Name of the effect, as in contract §5."""
         return self.specification.name
