@@ -615,6 +615,25 @@ class Network:
         self.fill_setup_columns(view, setup, columns[machine:-1].transpose(1, 2, 0))
         return WhitenedRows(rows, columns)
 
+    def certified(self, setup: StationsAndTargets) -> np.ndarray:
+        """Return (r, unknowns + 1) whitened [J | r] of what certificates state of the targets' places; r = 0 without any."""
+        machine, rows = len(self._shapes), []
+        slots = {i: at for kind, i, at in setup.slots if kind == "place"}
+        for artefact in self.data.artefacts:
+            known = artefact.among(setup.targets)
+            if known is None:
+                continue
+            targets = [setup.targets.index(name) for name in known.targets]
+            contrasts = known.rows(setup.place[targets])
+            both = np.zeros((len(contrasts.residual), machine + len(setup) + 1))
+            both[:, -1] = contrasts.residual
+            for k, target in enumerate(targets):
+                if target in slots:
+                    at = slots[target]
+                    both[:, machine + at.start : machine + at.stop] = contrasts.derivative[:, k]
+            rows.append(both)
+        return np.concatenate([np.zeros((0, machine + len(setup) + 1)), *rows])
+
     def fill_setup_columns(self, view: LinearisedReadings, setup: StationsAndTargets, into: np.ndarray) -> None:
         """Write the derivatives with respect to the set-up's unknowns into (k, 3, unknowns) of zeros."""
         station, target = (of[view.rows] for of in self._order(setup))

@@ -18,7 +18,7 @@ from twin.display import Cell, note, table
 from twin.display.numbers import COVERAGE_FACTOR
 from twin.display.results import Display, DisplayedResult
 from twin.identification.discrepancy import Discrepancy
-from twin.identification.inputs import NoiseOfReadings
+from twin.identification.inputs import NoiseOfReadings, certificate_notices
 from twin.identification.network import Network, Unknowns
 from twin.identification.orders import Choice, HeldOutResiduals
 from twin.identification.solve import FitSolution, FitStatistics, Spread, misfit
@@ -181,8 +181,8 @@ class Identification(DisplayedResult):
 
     @property
     def complete(self) -> bool:
-        """Whether every row was used and the estimate converged."""
-        return self.converged and not self.set_aside
+        """Whether every row was used, the estimate converged, and no certificate contradicts the readings."""
+        return self.converged and not self.set_aside and not certificate_notices(self.network, self.setup)
 
     @property
     def spread(self) -> Spread:
@@ -218,7 +218,7 @@ class Identification(DisplayedResult):
             calibration=calibration,
             residual_mm=read_only(np.where(read, residual / MM, np.nan)),
             whitened=read_only(whitened),
-            misfit=misfit(whitened, read, self.data, self.solution.determined, self.used),
+            misfit=misfit(whitened, self.network, self.solution, self.used),
         )
 
     def residuals_mm(self, data: Measurements) -> np.ndarray:

@@ -366,6 +366,9 @@ def factor(network: Network, theta: np.ndarray, setup: StationsAndTargets, weigh
     whole, *others = map_chunks(network.row_chunks, summed)
     for part in others:
         whole = _append_rows(whole, np.asfortranarray(np.triu(part)))
+    certified = network.certified(setup)
+    if len(certified):
+        whole = _append_rows(whole, np.asfortranarray(certified))
     return np.triu(whole)
 
 
@@ -497,16 +500,15 @@ class FitStatistics:
         return self.pure_chi2 / self.pure_dof if self.pure_dof else float("nan")
 
 
-def misfit(
-    whitened: np.ndarray, read: np.ndarray, data: Measurements, determined: float, used: np.ndarray
-) -> FitStatistics:
-    """Return the misfit of an estimate.
+def misfit(whitened: np.ndarray, network: Network, solution: FitSolution, used: np.ndarray) -> FitStatistics:
+    """Return the misfit of an estimate; what certificates state counts as readings.
 
-    ``whitened``: (n, 3) whitened residuals; ``read``: (n, 3) which coordinates were read; ``used``: (n,) which points were used.
+    ``whitened``: (n, 3) whitened residuals; ``network``: data and model; ``used``: (n,) which points were used.
     """
-    chi2 = float(np.sum(whitened[used] ** 2))
-    dof = float(np.count_nonzero(read[used])) - determined
-    group = repeat_groups(data)
+    read, certified = network.read, network.certified(solution.setup)[:, -1]
+    chi2 = float(np.sum(whitened[used] ** 2) + np.sum(certified**2))
+    dof = float(np.count_nonzero(read[used]) + len(certified)) - solution.determined
+    group = repeat_groups(network.data)
     pure_chi2, pure_dof = 0.0, 0
     order = np.flatnonzero(used)
     for pattern in np.unique(read[order], axis=0):
