@@ -272,8 +272,7 @@ def spaces_for(
     constants: list[str] = []
     for i, axis in enumerate(machine.axes):
         domain = axis.domain
-        # Positions that differ by more than a micrometre or a thousandth of a degree.
-        distinct = len(np.unique(np.round(wrapped(positions[:, i], axis, domain), 3)))
+        distinct = _distinct(np.round(wrapped(positions[:, i], axis, domain), 3))
         if distinct < 2:
             continue
         basis = bases[axis.name]
@@ -291,6 +290,15 @@ def spaces_for(
             if split_name(name)[2] == axis.name and wanted(name)
         ]
     return curves, constants
+
+
+def _distinct(positions: np.ndarray) -> int:
+    """Return the number of positions that differ by more than a thousandth of their range: those of probed repeats vary."""
+    count, first, gap = 0, -np.inf, 1e-3 * float(np.ptp(positions))
+    for position in np.unique(positions).tolist():
+        if position > first + gap:
+            count, first = count + 1, position
+    return count
 
 
 def offset_name(name: str) -> str:

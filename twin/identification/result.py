@@ -320,6 +320,7 @@ class Identification(DisplayedResult):
                 "readings_held_out": self.choice.readings,
             },
             "set_aside": [{"line": note.line, "reason": note.text} for note in self.set_aside],
+            "certificates": [artefact.to_dict() for artefact in self.data.artefacts],
             "notices": self.notices,
             "converged": self.converged,
             "warnings": warnings_to_json(self.calibration.warnings),
