@@ -14,7 +14,8 @@ CONTACT = (
 HEAD = f"""<?xml version="1.0" encoding="UTF-8"?>
 <dcc:digitalCalibrationCertificate xmlns:dcc="https://ptb.de/dcc" xmlns:si="https://ptb.de/si" schemaVersion="3.1.2">
 <dcc:administrativeData>
-<dcc:dccSoftware><dcc:software><dcc:name><dcc:content>by hand</dcc:content></dcc:name><dcc:release>1</dcc:release></dcc:software></dcc:dccSoftware>
+<dcc:dccSoftware><dcc:software><dcc:name><dcc:content>by hand</dcc:content></dcc:name><dcc:release>1</dcc:release>
+</dcc:software></dcc:dccSoftware>
 <dcc:coreData>
 <dcc:countryCodeISO3166_1>NO</dcc:countryCodeISO3166_1>
 <dcc:usedLangCodeISO639_1>en</dcc:usedLangCodeISO639_1>

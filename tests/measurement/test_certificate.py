@@ -156,7 +156,8 @@ def estimate(machine: Machine, data: Measurements, artefact: Artefact) -> tuple[
     ]
     u = np.sqrt(np.diag(solution.covariance())[: len(unknowns)])
     used = np.ones(len(data), dtype=bool)
-    dof = misfit(network.residual(solution.theta, solution.setup), network, solution, used).dof
+    residual, certified = network.residual(solution.theta, solution.setup), network.certified(solution.setup)[:, -1]
+    dof = misfit(residual, network.read, data, solution.determined, used, certified).dof
     return (solution.theta * per)[order], (u * per)[order], dof
 
 
@@ -290,34 +291,84 @@ WRONG_MATRIX = np.array([[1.0, 2.0], [2.0, 1.0]])
     [
         (PART, "not XML"),
         ("<a/>", "1: element a: not a digital calibration certificate"),
-        (certificate(PART).replace('"3.1.2"', '"2.4.0"'), "2: element digitalCalibrationCertificate: another version of the schema: '2.4.0'"),
-        (certificate(PART).replace("<dcc:uniqueIdentifier>BP-7/2026</dcc:uniqueIdentifier>", ""), "5: element coreData: uniqueIdentifier is missing"),
-        (re.sub("<dcc:respPersons>.*</dcc:respPersons>", "", certificate(PART)), "3: element administrativeData: respPersons is missing"),
-        (certificate(PART).replace("\\milli\\metre", "mm"), ": element unitXMLList: the unit is no length of D-SI: 'mm'"),
+        (
+            certificate(PART).replace('"3.1.2"', '"2.4.0"'),
+            "2: element digitalCalibrationCertificate: another version of the schema: '2.4.0'",
+        ),
+        (
+            certificate(PART).replace("<dcc:uniqueIdentifier>BP-7/2026</dcc:uniqueIdentifier>", ""),
+            "6: element coreData: uniqueIdentifier is missing",
+        ),
+        (
+            re.sub("<dcc:respPersons>.*</dcc:respPersons>", "", certificate(PART)),
+            "3: element administrativeData: respPersons is missing",
+        ),
+        (
+            certificate(PART).replace("\\milli\\metre", "mm"),
+            ": element unitXMLList: the unit is no length of D-SI: 'mm'",
+        ),
         (certificate(PART).replace("\\milli\\metre", "\\radian"), "the unit is no length of D-SI: '\\\\radian'"),
         (certificate(PART).replace("\\milli\\metre", "\\milli\\metre \\metre \\metre"), "3 units for 2 values"),
-        (certificate(listed(["S1-S2"], LENGTHS[:1])), "25: element realListXMLList: states no uncertainty"),
-        (certificate(real("S1-S2", "0.25", r"\metre", "")), "25: element real: states no uncertainty"),
+        (certificate(listed(["S1-S2"], LENGTHS[:1])), "26: element realListXMLList: states no uncertainty"),
+        (certificate(real("S1-S2", "0.25", r"\metre", "")), "26: element real: states no uncertainty"),
         (certificate(real("S1-S2", "0.25", r"\metre", expanded("0"))), "S1-S2 has no uncertainty"),
-        (certificate(real("S1-S2", "0,25", r"\metre", expanded("1e-6"))), "element value: not a number of D-SI: '0,25'"),
-        (certificate(real("S1-S2", "0.25", r"\metre", expanded("-1e-6"))), "element uncertainty: the number is too small: '-1e-6'"),
-        (certificate(real("S1-S2", "0.25", r"\metre", expanded("1e-6", "0.5"))), "element coverageFactor: the number is too small: '0.5'"),
-        (certificate(real("S1-S2", "0.25", r"\metre", expanded("1e-6").replace("coverageFactor", "k"))), "element expandedUnc: coverageFactor is missing"),
+        (
+            certificate(real("S1-S2", "0,25", r"\metre", expanded("1e-6"))),
+            "element value: not a number of D-SI: '0,25'",
+        ),
+        (
+            certificate(real("S1-S2", "0.25", r"\metre", expanded("-1e-6"))),
+            "element uncertainty: the number is too small: '-1e-6'",
+        ),
+        (
+            certificate(real("S1-S2", "0.25", r"\metre", expanded("1e-6", "0.5"))),
+            "element coverageFactor: the number is too small: '0.5'",
+        ),
+        (
+            certificate(real("S1-S2", "0.25", r"\metre", expanded("1e-6").replace("coverageFactor", "k"))),
+            "element expandedUnc: coverageFactor is missing",
+        ),
         (certificate(real("S1-S2", "-0.25", r"\metre", expanded("1e-6"))), "the distance S1-S2 is not positive"),
         (certificate(real("A-B", "0.25", r"\metre", expanded("1e-6"))), "no result names two of the table's targets"),
-        (certificate(real("S1-S2", "0.25", r"\metre", expanded("1e-6")), real("S2-S1", "0.26", r"\metre", expanded("1e-6"))), "28: S2-S1 is stated twice: 250.000000 mm in line 25"),
+        (
+            certificate(
+                real("S1-S2", "0.25", r"\metre", expanded("1e-6")), real("S2-S1", "0.26", r"\metre", expanded("1e-6"))
+            ),
+            "29: S2-S1 is stated twice: 250.000000 mm in line 26",
+        ),
         (certificate(listed(["S1-S2", "S2-S3"], LENGTHS[:1], u_um=np.ones(1))), "1 value for 2 labels"),
-        (certificate(listed(["S1-S2", "S2-S3"], LENGTHS[:2], covariance_um2=WRONG_MATRIX)), "element covarianceMatrix: the matrix is no covariance"),
+        (
+            certificate(listed(["S1-S2", "S2-S3"], LENGTHS[:2], covariance_um2=WRONG_MATRIX)),
+            "element covarianceMatrix: the matrix is no covariance",
+        ),
         (certificate(listed(["S1-S2", "S2-S3"], LENGTHS[:2], covariance_um2=np.ones((2, 2)))), "singular"),
-        (certificate(listed(["S1-S2", "S2-S3"], LENGTHS[:2], covariance_um2=np.eye(3))), "element uncertaintyXMLList: 3 numbers for 2 values"),
-        (certificate(listed(["S1-S2", "S2-S3"], LENGTHS[:2], u_um=np.ones(2), covariance_um2=np.eye(3))), "expected 2 columns of 2 entries"),
-        (certificate(listed(["S1-S2", "S2-S3"], LENGTHS[:2], u_um=np.array([1.0, 2.0]), covariance_um2=np.eye(2))), "the uncertainty of S2-S3 contradicts the covariance matrix"),
-        (certificate(listed(["S1-S2", "S2-S3"], LENGTHS[:2], covariance_um2=np.array([[1.0, 0.1], [0.2, 1.0]]))), "not symmetric"),
-        (certificate(listed(["S1-S2", "S2-S3", "S1-S3"], np.array([100.0, 100.0, 201.0]), u_um=np.ones(3))), "S1-S3 is 1.000000 mm longer than the way over the third sphere"),
+        (
+            certificate(listed(["S1-S2", "S2-S3"], LENGTHS[:2], covariance_um2=np.eye(3))),
+            "element uncertaintyXMLList: 3 numbers for 2 values",
+        ),
+        (
+            certificate(listed(["S1-S2", "S2-S3"], LENGTHS[:2], u_um=np.ones(2), covariance_um2=np.eye(3))),
+            "expected 2 columns of 2 entries",
+        ),
+        (
+            certificate(listed(["S1-S2", "S2-S3"], LENGTHS[:2], u_um=np.array([1.0, 2.0]), covariance_um2=np.eye(2))),
+            "the uncertainty of S2-S3 contradicts the covariance matrix",
+        ),
+        (
+            certificate(listed(["S1-S2", "S2-S3"], LENGTHS[:2], covariance_um2=np.array([[1.0, 0.1], [0.2, 1.0]]))),
+            "not symmetric",
+        ),
+        (
+            certificate(listed(["S1-S2", "S2-S3", "S1-S3"], np.array([100.0, 100.0, 201.0]), u_um=np.ones(3))),
+            "S1-S3 is 1.000000 mm longer than the way over the third sphere",
+        ),
         (certificate(listed(COORDINATES[:5], BALLS.ravel()[:5], u_um=np.ones(5))), "sphere S2 has no z"),
-        (certificate(PLATE, real("S1-S2", "0.2503", r"\metre", expanded("1e-6"))), "the distance S1-S2 contradicts the coordinates: 250.300000 and 250.207914 mm"),
+        (
+            certificate(PLATE, real("S1-S2", "0.2503", r"\metre", expanded("1e-6"))),
+            "the distance S1-S2 contradicts the coordinates: 250.300000 and 250.207914 mm",
+        ),
     ],
-)  # fmt: skip
+)
 def test_a_certificate_that_cannot_be_used_is_refused(tmp_path: Path, text: str, message: str) -> None:
     with pytest.raises(InputError) as caught:
         Artefact.load(saved(tmp_path, text), NAMES)
@@ -328,10 +379,13 @@ def test_a_certificate_that_cannot_be_used_is_refused(tmp_path: Path, text: str,
     ("change", "message"),
     [
         (lambda text: text.replace("\\milli\\metre", "mm"), "the unit is no length of D-SI: 'mm'"),
-        (lambda text: text.replace("S1.", "S9.").replace("S2.", "S1.").replace("S9.", "S2."), "the readings contradict certificate BP-7/2026"),
+        (
+            lambda text: text.replace("S1.", "S9.").replace("S2.", "S1.").replace("S9.", "S2."),
+            "the readings contradict certificate BP-7/2026",
+        ),
         (lambda text: text.replace("\\milli\\metre<", "\\centi\\metre<"), "contradicts the covariance matrix"),
     ],
-)  # fmt: skip
+)
 def test_a_refused_certificate_writes_nothing(
     dmu50: Machine, tmp_path: Path, capsys: pytest.CaptureFixture[str], change: Callable[[str], str], message: str
 ) -> None:

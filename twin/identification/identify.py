@@ -148,7 +148,8 @@ def _result(model: _Model, estimate: FinalEstimate, noise: NoiseOfReadings, want
     u = np.sqrt(np.maximum(np.diag(covariance)[count:], 0.0))
     held = held_by_prior(model.determined, solution, np.sqrt(np.diag(covariance)[:count]))
     residual, whitened = residuals_of(found, network, solution.setup)
-    statistics = misfit(whitened, network, solution, used)
+    certified = network.certified(solution.setup)[:, -1]
+    statistics = misfit(whitened, network.read, data, solution.determined, used, certified)
     residual_mm = read_only(np.where(network.read, residual / MM, np.nan))
     unknown = unidentified(machine, data, model.determined, wanted, solution.setup, held)
     held_out = held_out_residuals(weighted, solution, used)

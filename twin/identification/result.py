@@ -212,13 +212,13 @@ class Identification(DisplayedResult):
     def evaluated_with(self, calibration: Calibration) -> Identification:
         """Return the result with the residuals recomputed from a calibration that was read back from its file."""
         residual, whitened = residuals_of(calibration, self.network, self.setup)
-        read = self.network.read
+        read, certified = self.network.read, self.network.certified(self.setup)[:, -1]
         return replace(
             self,
             calibration=calibration,
             residual_mm=read_only(np.where(read, residual / MM, np.nan)),
             whitened=read_only(whitened),
-            misfit=misfit(whitened, self.network, self.solution, self.used),
+            misfit=misfit(whitened, read, self.data, self.solution.determined, self.used, certified),
         )
 
     def residuals_mm(self, data: Measurements) -> np.ndarray:

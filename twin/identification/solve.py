@@ -500,15 +500,22 @@ class FitStatistics:
         return self.pure_chi2 / self.pure_dof if self.pure_dof else float("nan")
 
 
-def misfit(whitened: np.ndarray, network: Network, solution: FitSolution, used: np.ndarray) -> FitStatistics:
-    """Return the misfit of an estimate; what certificates state counts as readings.
+def misfit(
+    whitened: np.ndarray,
+    read: np.ndarray,
+    data: Measurements,
+    determined: float,
+    used: np.ndarray,
+    certified: Sequence[float] | np.ndarray = (),
+) -> FitStatistics:
+    """Return the misfit of an estimate.
 
-    ``whitened``: (n, 3) whitened residuals; ``network``: data and model; ``used``: (n,) which points were used.
+    ``whitened``: (n, 3) whitened residuals; ``read``: (n, 3) which coordinates were read; ``used``: (n,) which points were used;
+    ``certified``: (r,) whitened residuals of what certificates state, which counts as readings (`Network.certified`).
     """
-    read, certified = network.read, network.certified(solution.setup)[:, -1]
-    chi2 = float(np.sum(whitened[used] ** 2) + np.sum(certified**2))
-    dof = float(np.count_nonzero(read[used]) + len(certified)) - solution.determined
-    group = repeat_groups(network.data)
+    chi2 = float(np.sum(whitened[used] ** 2) + np.sum(np.square(certified)))
+    dof = float(np.count_nonzero(read[used]) + len(certified)) - determined
+    group = repeat_groups(data)
     pure_chi2, pure_dof = 0.0, 0
     order = np.flatnonzero(used)
     for pattern in np.unique(read[order], axis=0):

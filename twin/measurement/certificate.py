@@ -510,7 +510,7 @@ def _used(reader: _Reader, read: Sequence[_Quantity], targets: Collection[str], 
         for one, variance in zip(kept, np.diag(block), strict=True):
             _check_uncertainty(reader, one, float(np.sqrt(max(variance, 0.0))))
         statements += kept
-        named += [one for i in keep if (one := of[i]) is not None]
+        named += [ends for i in keep if (ends := of[i]) is not None]
         blocks += [block] if stated and len(block) else [np.array([[v]]) for v in np.diag(block)]
     _check_once(reader, statements, [frozenset(one) for one in named])
     enlarged = max(sum(bool(np.any(block)) for block in blocks), 1)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from datetime import date
 from math import isfinite, nan
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, final
@@ -30,6 +31,44 @@ LOGO_BYTES: Final = 512 * 1024
 PNG: Final = b"\x89PNG\r\n\x1a\n"
 EXPECTED: Final = "a PNG or an SVG picture"
 Line = Annotated[str, Field(max_length=80)]
+COUNTRY: Final = r"^[A-Z]{2}$"
+"""Country code of ISO 3166-1."""
+Name = Annotated[str, Field(min_length=1, max_length=120)]
+
+
+class Contact(BaseModel):
+    """Name and address of a laboratory or customer."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    name: Name
+    email: Name
+    city: Name
+    street: str = ""
+    post_code: str = ""
+    country: Annotated[str, Field(pattern=COUNTRY)] | None = None
+
+
+class Person(BaseModel):
+    """A person responsible for the certificate."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    name: Name
+    role: str = ""
+
+
+class CertificateFacts(BaseModel):
+    """Facts that a certificate must state and twin cannot know: entry ``dcc`` of a job file."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    number: Name
+    country: Annotated[str, Field(pattern=COUNTRY)]
+    begin: date
+    end: date
+    performed_at: Literal["laboratory", "customer", "laboratoryBranch", "customerBranch", "other"]
+    manufacturer: Name
+    laboratory: Contact
+    customer: Contact
+    responsible: Annotated[tuple[Person, ...], Field(min_length=1)]
 
 
 class Job(BaseModel):
@@ -47,6 +86,7 @@ class Job(BaseModel):
     instrument_serial: Line = ""
     certificate: Line = ""
     temperature: Line = ""
+    dcc: CertificateFacts | None = None
 
 
 def load_job(path: Path) -> Job:
@@ -167,7 +207,9 @@ class FrontPage:
     def to_dict(self) -> dict[str, Any]:
         """Return the content for JSON."""
         return {
-            "job": {name: text for name, text in self.job.model_dump().items() if text and name != "schema_"},
+            "job": {
+                name: text for name, text in self.job.model_dump().items() if text and name not in ("schema_", "dcc")
+            },
             "decision_rule": "ISO 14253-1, guard band U",
             "verdict": self.verdict,
             "items": [item.to_dict() for item in self.items],
