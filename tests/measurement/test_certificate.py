@@ -282,6 +282,41 @@ def test_a_step_gauge_probed_in_one_direction_gives_the_scale(dmu50: Machine, tm
     assert abs(slope - 30.0) < 2.5 * u_slope and 2.0 < u_slope < 3.0
 
 
+@pytest.mark.parametrize(
+    ("uncertainty", "u"),
+    [
+        (expanded("3e-6", "1.5"), 2e-6),
+        (
+            "<si:measurementUncertaintyUnivariate><si:expandedMU><si:valueExpandedMU>3e-6</si:valueExpandedMU>"
+            "<si:coverageFactor>1.5</si:coverageFactor></si:expandedMU></si:measurementUncertaintyUnivariate>",
+            2e-6,
+        ),
+        (
+            "<si:measurementUncertaintyUnivariate><si:standardMU><si:valueStandardMU>2e-6</si:valueStandardMU></si:standardMU>"
+            "</si:measurementUncertaintyUnivariate>",
+            2e-6,
+        ),
+        (
+            "<si:coverageInterval><si:standardUnc>2e-6</si:standardUnc><si:intervalMin>0.1</si:intervalMin>"
+            "<si:intervalMax>0.3</si:intervalMax><si:coverageProbability>0.95</si:coverageProbability></si:coverageInterval>",
+            2e-6,
+        ),
+    ],
+)
+def test_each_form_of_an_uncertainty_is_read(tmp_path: Path, uncertainty: str, u: float) -> None:
+    found = loaded(tmp_path, real("S1-S2", "250", r"\milli\metre", uncertainty.replace("e-6", "e-3")))
+    assert found.value == pytest.approx([0.25]) and found.covariance == pytest.approx(np.array([[u**2]]), rel=1e-12)
+
+
+def test_spheres_that_were_not_measured_are_integrated_out(tmp_path: Path) -> None:
+    text = saved(tmp_path, certificate(PLATE))
+    found = Artefact.load(text, [*NAMES[:2], NAMES[4], "other"])
+    rows = [0, 1, 2, 3, 4, 5, 12, 13, 14]
+    assert found.targets == ("S1", "S2", "S5") and np.allclose(found.covariance * 1e12, OF_PLACES[np.ix_(rows, rows)])
+    again = Artefact.load(text, NAMES).among(["S5", "S1", "S2"])
+    assert again is not None and np.array_equal(again.covariance, found.covariance) and again.targets == found.targets
+
+
 PART = listed(["S1-S2", "S2-S3"], LENGTHS[[0, 4]], u_um=np.array([0.5, 0.5]))
 WRONG_MATRIX = np.array([[1.0, 2.0], [2.0, 1.0]])
 

@@ -20,6 +20,8 @@ from tests.cli.commands import refused, status
 from twin.machine.machine import Machine
 from twin.model.calibration import Calibration
 from twin.numerics.covariance import Covariance
+from twin.reporting.certificate import calibration_certificate
+from twin.reporting.front import load_job
 
 SCHEMA = Path(__file__).parent / "dcc_schema"
 NS = {"dcc": "https://ptb.de/dcc", "si": "https://ptb.de/si"}
@@ -120,15 +122,26 @@ def mine(tmp_path: Path, dmu50: Machine) -> Path:
     return path
 
 
-def test_a_calibration_has_a_certificate(
-    tmp_path: Path, schema: xmlschema.XMLSchema, job: Path, mine: Path, capsys: pytest.CaptureFixture[str]
+@pytest.fixture
+def out(tmp_path: Path, mine: Path, job: Path, dmu50: Machine) -> Path:
+    """The certificate of that calibration."""
+    path = tmp_path / "mine.xml"
+    path.write_text(calibration_certificate(Calibration.load(mine, dmu50), load_job(job), job), encoding="utf-8")
+    return path
+
+
+@pytest.mark.slow
+def test_report_writes_the_certificate(
+    tmp_path: Path, mine: Path, job: Path, out: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Every number is that of the calibration file, which this test evaluates by itself."""
-    out = tmp_path / "mine.xml"
-    assert (
-        status("report", "-o", tmp_path / "r.html", "-c", mine, "--job", job, "--dcc", out, "--tool-length", 120) == 0
-    )
+    written = tmp_path / "written.xml"
+    assert status("report", "-o", tmp_path / "r.html", "-c", mine, "--job", job, "--dcc", written) == 0
     assert "the certificate is not signed" in capsys.readouterr().out
+    assert written.read_text(encoding="utf-8") == out.read_text(encoding="utf-8")
+
+
+def test_a_calibration_has_a_certificate(out: Path, schema: xmlschema.XMLSchema) -> None:
+    """Every number is that of the calibration file, which this test evaluates by itself."""
     schema.validate(out)
     known, unknown, *curves = quantities(out)
     covariance = ROOT @ ROOT.T
@@ -156,9 +169,7 @@ def test_a_calibration_has_a_certificate(
     assert "no electronic signature" in text and "SIMULATED" in text and "E_X0B was not determined" in text
 
 
-def test_who_and_what_are_those_of_the_job(tmp_path: Path, job: Path, mine: Path) -> None:
-    out = tmp_path / "mine.xml"
-    assert status("report", "-o", tmp_path / "r.html", "-c", mine, "--job", job, "--dcc", out) == 0
+def test_who_and_what_are_those_of_the_job(out: Path) -> None:
     root = ElementTree.parse(out).getroot()
     for place, text in {
         "coreData/uniqueIdentifier": "M-7/2026",
@@ -192,6 +203,10 @@ def test_who_and_what_are_those_of_the_job(tmp_path: Path, job: Path, mine: Path
         (lambda job: job["dcc"]["laboratory"].pop("email"), "`dcc.laboratory.email` is missing"),
         (lambda job: job["dcc"].update(responsible=[]), "`dcc.responsible` is invalid"),
         (lambda job: job["dcc"].update(country="Norway"), "`dcc.country` is invalid: 'Norway'"),
+        (
+            lambda job: job["dcc"].update(country=False),
+            "`dcc.country` is invalid: 'False'; expected two capital letters of ISO",
+        ),
         (lambda job: job["dcc"].update(begin="27.11.2026"), "`dcc.begin` is invalid: '27.11.2026'"),
         (lambda job: job["dcc"].update(end="2026-11-01"), "`dcc.end` is before `dcc.begin`"),
         (lambda job: job["dcc"].update(performed_at="shop"), "`dcc.performed_at` is invalid"),

@@ -624,7 +624,7 @@ class Network:
         return WhitenedRows(rows, columns)
 
     def certified(self, setup: StationsAndTargets) -> np.ndarray:
-        """Return (r, unknowns + 1) whitened [J | r] of what certificates state of the targets' places; r = 0 without any."""
+        """Return (k, unknowns + 1) whitened [J | r] of the k statements of certificates about the targets' places."""
         machine, rows = len(self._shapes), []
         slots = {i: at for kind, i, at in setup.slots if kind == "place"}
         for artefact in self.data.artefacts:

@@ -511,7 +511,7 @@ def misfit(
     """Return the misfit of an estimate.
 
     ``whitened``: (n, 3) whitened residuals; ``read``: (n, 3) which coordinates were read; ``used``: (n,) which points were used;
-    ``certified``: (r,) whitened residuals of what certificates state, which counts as readings (`Network.certified`).
+    ``certified``: (r,) whitened residuals of the certificates' statements, which count as readings (`Network.certified`).
     """
     chi2 = float(np.sum(whitened[used] ** 2) + np.sum(np.square(certified)))
     dof = float(np.count_nonzero(read[used]) + len(certified)) - determined

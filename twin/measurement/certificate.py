@@ -74,9 +74,9 @@ class _Quantity(NamedTuple):
 
 
 class Contrasts(NamedTuple):
-    """What a certificate says of the places of the targets, whitened.
+    """Whitened differences between a certificate and the places of the targets.
 
-    ``residual``: (r,) certificate minus place; ``derivative``: (r, targets, 3) of what is compared with respect to the places, 1/m.
+    ``residual``: (r,) certificate minus place; ``derivative``: (r, targets, 3) of the compared values with respect to the places, 1/m.
     """
 
     residual: np.ndarray
@@ -97,6 +97,12 @@ class Artefact:
         value: (m,) distances or (targets, 3) coordinates, metres.
         covariance: (m, m) or (3·targets, 3·targets), m².
         enlarged: number by which the stated variances are multiplied; 1 if the certificate states the covariance (see the module).
+
+    Examples:
+        >>> pair, length, variance = np.array([[0, 1]]), np.array([0.3]), np.array([[1e-12]])
+        >>> bar = twin.Artefact("bar.xml", "B-1", "ball bar", ("S1", "S2"), pair, length, variance, 1)
+        >>> bar.rows(np.array([[0.0, 0.0, 0.0], [0.300002, 0.0, 0.0]])).residual.round(3)  # 2 µm longer than stated, u 1 µm
+        array([-2.])
     """
 
     source: str

@@ -489,4 +489,6 @@ def _check_copy(text: str, results: Sequence[CertifiedResult]) -> None:
         len(a) == len(b) and np.allclose(a, b, rtol=1e-11, atol=0.0) for a, b in zip(found, meant, strict=True)
     )
     if not same:
-        raise InputError("the certificate could not be read back", expected="every number as it was meant")
+        raise InputError(
+            "the certificate could not be read back", expected="a certificate with the numbers of its results"
+        )

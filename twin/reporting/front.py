@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from datetime import date
@@ -11,7 +12,8 @@ from pathlib import Path
 from typing import Annotated, Any, Final, Literal, final
 from xml.etree import ElementTree
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+from pydantic_core import PydanticCustomError
 
 from twin._common.distributions import Verdict, decide, is_accepted
 from twin._common.errors import InputError, closest_name
@@ -31,8 +33,17 @@ LOGO_BYTES: Final = 512 * 1024
 PNG: Final = b"\x89PNG\r\n\x1a\n"
 EXPECTED: Final = "a PNG or an SVG picture"
 Line = Annotated[str, Field(max_length=80)]
-COUNTRY: Final = r"^[A-Z]{2}$"
-"""Country code of ISO 3166-1."""
+
+
+def _country(value: object) -> object:
+    """Return a country code of ISO 3166-1; raise an error for anything else, such as NO without quotes, which YAML reads as false."""
+    if isinstance(value, str) and re.fullmatch("[A-Z]{2}", value):
+        return value
+    expected = 'two capital letters of ISO 3166-1, in quotes: "NO"'
+    raise PydanticCustomError("country", "Input should be {expected}", {"expected": expected})
+
+
+Country = Annotated[str, BeforeValidator(_country)]
 Name = Annotated[str, Field(min_length=1, max_length=120)]
 
 
@@ -45,7 +56,7 @@ class Contact(BaseModel):
     city: Name
     street: str = ""
     post_code: str = ""
-    country: Annotated[str, Field(pattern=COUNTRY)] | None = None
+    country: Country | None = None
 
 
 class Person(BaseModel):
@@ -61,7 +72,7 @@ class CertificateFacts(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
     number: Name
-    country: Annotated[str, Field(pattern=COUNTRY)]
+    country: Country
     begin: date
     end: date
     performed_at: Literal["laboratory", "customer", "laboratoryBranch", "customerBranch", "other"]
