@@ -29,6 +29,7 @@ from twin._common.errors import InputError
 from twin._common.files import read_text
 from twin._common.units import MM, UM, count_with_noun
 from twin._common.xml_files import Element, parse_xml
+from twin._common.yaml_files import MAX_VALUE
 
 DCC: Final = "https://ptb.de/dcc"
 SI: Final = "https://ptb.de/si"
@@ -296,7 +297,7 @@ class _Reader:
         """Return the numbers in an element; ``count``: that many, or one for all; any number if None."""
         words = element.text.split()
         for word in words:
-            if not _DECIMAL.fullmatch(word) or not np.isfinite(float(word)):
+            if not _DECIMAL.fullmatch(word) or abs(float(word)) > MAX_VALUE:
                 raise self.error(
                     "not a number of D-SI", "decimal digits with a point, such as 12.5 or 1e-3", element, word
                 )
