@@ -16,6 +16,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
 
 from tests.cli.commands import refused, status
 from tests.measurement.artefacts import certificate, expanded, listed, real
@@ -43,7 +44,7 @@ NAMES = [f"S{i + 1}" for i in range(len(BALLS))]
 PAIRS = list(combinations(range(len(BALLS)), 2))
 LABELS = [f"S{i + 1}-S{j + 1}" for i, j in PAIRS]
 LENGTHS = np.array([np.linalg.norm(BALLS[i] - BALLS[j]) for i, j in PAIRS])
-COMMON, OWN = 3.0, 0.4
+COMMON, OWN = 12.0, 0.4
 """Standard uncertainties: of the scale, µm/m, and of each value, µm."""
 OF_LENGTHS = COMMON**2 * np.outer(LENGTHS, LENGTHS) * 1e-6 + OWN**2 * np.eye(len(LENGTHS))
 OF_PLACES = COMMON**2 * np.outer(BALLS.ravel(), BALLS.ravel()) * 1e-6 + OWN**2 * np.eye(BALLS.size)
@@ -53,12 +54,12 @@ SCALES = np.array([25.0, -40.0, 60.0])
 NOISE_UM = 1.0
 
 
-def probed(machine: Machine, seed: int, repeats: int = 4) -> Measurements:
+def probed(machine: Machine, seed: int, repeats: int = 4, balls: np.ndarray = BALLS) -> Measurements:
     """Return the spheres probed at B = C = 0 by a machine with scale errors, written without `twin`."""
     rng = np.random.default_rng(seed)
     tip = np.array([0.0, 0.0, -120.0])
     # The tip is at a sphere: axis positions that the machine, with its scales, moves to tip = sphere (README: X 250, Y 225, Z -400).
-    nominal = BALLS - tip + np.array([250.0, 225.0, -400.0])
+    nominal = balls - tip + np.array([250.0, 225.0, -400.0])
     q = np.repeat(nominal / (1.0 + 1e-6 * SCALES), repeats, axis=0) + 1e-3 * rng.normal(
         0.0, NOISE_UM, (repeats * len(BALLS), 3)
     )
@@ -174,6 +175,21 @@ def test_the_estimate_is_that_of_least_squares_by_the_gum(dmu50: Machine, tmp_pa
     assert np.all(u[:3] > COMMON)
     # 60 readings and the values less the pose of the artefact; unknown: 6 constants and 15 places, of which the tip's place is free.
     assert dof == pytest.approx(60 + (10 if kind == "distances" else 15 - 6) - 6 - 15, abs=0.2)
+
+
+def test_the_scale_is_within_its_uncertainty_for_artefacts_as_certified(dmu50: Machine, tmp_path: Path) -> None:
+    """Mean square of (estimate - truth)/u over 40 artefacts drawn from the certificate's covariance, each probed once.
+
+    For each of three scales, its central 99.9 % range (χ² of 40). Without the correlation it is above three for X and Y.
+    """
+    artefact, root = loaded(tmp_path, PLATE), np.linalg.cholesky(OF_PLACES)
+    square = np.zeros(3)
+    for seed in range(40):
+        real_plate = BALLS + 1e-3 * (root @ np.random.default_rng(1000 + seed).normal(size=BALLS.size)).reshape(-1, 3)
+        value, u, _ = estimate(dmu50, probed(dmu50, seed, balls=real_plate), artefact)
+        square += ((value[:3] - SCALES) / u[:3]) ** 2 / 40
+    low, high = chi2.ppf([0.0005, 0.9995], 40) / 40
+    assert np.all((low < square) & (square < high)), square
 
 
 def turned(machine: Machine, folder: Path, seed: int) -> Measurements:
