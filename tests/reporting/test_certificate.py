@@ -274,6 +274,32 @@ def test_an_evaluation_by_iso_230_2_has_a_certificate(
     assert found == (["pass", "fail"] if tolerance else [])
 
 
+def test_a_drift_test_has_a_certificate(tmp_path: Path, schema: xmlschema.XMLSchema, job: Path) -> None:
+    """Its units are µm, µm per kelvin and kelvin."""
+    record, out, page = tmp_path / "record.csv", tmp_path / "drift.xml", tmp_path / "drift.json"
+    rows = [f"{60 * k},{3.0 * np.sin(k / 20):.3f},{20.0 + 0.5 * np.sin(k / 20):.3f}" for k in range(120)]
+    record.write_text("\n".join(["time_s,d1_um,T_t5_degC", *rows]) + "\n")
+    arguments = (
+        "evaluate",
+        record,
+        "--iso230-3",
+        "--sensors",
+        "d1=X",
+        "t5=ambient",
+        "--job",
+        job,
+        "--dcc",
+        out,
+        "--json",
+        page,
+    )
+    assert status(*arguments) == 0
+    schema.validate(out)
+    units = {label: unit for one in quantities(out) for label, unit in zip(one["labels"], one["units"], strict=True)}
+    assert units["ETVE_X"] == r"\micro\metre" and units["T_ambient"] == r"\kelvin"
+    assert units["ETVE_X_per_K"] == r"\micro\metre\kelvin\tothe{-1}"
+
+
 def test_an_evaluation_without_uncertainty_says_so(tmp_path: Path, schema: xmlschema.XMLSchema, job: Path) -> None:
     table, out = positioning(tmp_path / "x.csv", 1), tmp_path / "x.xml"
     table.write_text(table.read_text().replace("0.0005", ""))

@@ -95,16 +95,19 @@ def evaluate(
     else:
         data = Measurements.join([Measurements.load(path, loaded) for path in measured])
         evaluation = run_evaluation(data, loaded, tolerances=limits, instrument=reader, length_mm=length)
+    written: dict[Path, str] = {}
     if dcc_file is not None:
         from twin.reporting.certificate import evaluation_certificate
         from twin.reporting.front import load_job
 
-        write_atomic(dcc_file, evaluation_certificate(evaluation, None if job is None else load_job(job), job))
+        written[dcc_file] = evaluation_certificate(evaluation, None if job is None else load_job(job), job)
     elif job is not None:
         raise InputError("--job without --dcc", expected="--dcc FILE, the certificate that the job's facts are for")
     if html_file is not None:
         from twin.standards.page import evaluation_html  # imports matplotlib, which is slow and needed only here
 
-        write_atomic(html_file, evaluation_html(evaluation))
+        written[html_file] = evaluation_html(evaluation)
+    for path, content in written.items():
+        write_atomic(path, content)
     text = evaluation.to_text() + ("" if dcc_file is None else f"\n{UNSIGNED}\n")
     return CommandResult(text, evaluation.to_dict, met=evaluation.met and bool(evaluation.tests))

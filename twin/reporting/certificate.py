@@ -34,7 +34,16 @@ VERSION: Final = "3.1.2"
 PROBABILITY: Final = 0.95
 POSITIONS: Final = 11
 """Number of positions, from end to end, at which an error motion is stated."""
-UNITS: Final = {"um": r"\micro\metre", "urad": r"\micro\radian", "mm": r"\milli\metre", "deg": r"\degree"}
+UNITS: Final = {
+    "um": r"\micro\metre",
+    "urad": r"\micro\radian",
+    "mm": r"\milli\metre",
+    "deg": r"\degree",
+    "K": r"\kelvin",
+    "um/K": r"\micro\metre\kelvin\tothe{-1}",
+    "urad/K": r"\micro\radian\kelvin\tothe{-1}",
+}
+"""Units of D-SI."""
 UNSIGNED: Final = (
     "This file carries no electronic signature, seal or time stamp. It becomes a certificate when a responsible person signs it; "
     "the program that wrote it certifies nothing."
