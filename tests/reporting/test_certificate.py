@@ -275,7 +275,7 @@ def test_an_evaluation_by_iso_230_2_has_a_certificate(
 
 
 def test_a_drift_test_has_a_certificate(tmp_path: Path, schema: xmlschema.XMLSchema, job: Path) -> None:
-    """Its units are µm, µm per kelvin and kelvin."""
+    """Values in µm, µm per kelvin and kelvin."""
     record, out, page = tmp_path / "record.csv", tmp_path / "drift.xml", tmp_path / "drift.json"
     rows = [f"{60 * k},{3.0 * np.sin(k / 20):.3f},{20.0 + 0.5 * np.sin(k / 20):.3f}" for k in range(120)]
     record.write_text("\n".join(["time_s,d1_um,T_t5_degC", *rows]) + "\n")
