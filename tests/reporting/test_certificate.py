@@ -169,6 +169,17 @@ def test_a_calibration_has_a_certificate(out: Path, schema: xmlschema.XMLSchema)
     assert "no electronic signature" in text and "SIMULATED" in text and "E_X0B was not determined" in text
 
 
+def test_an_error_known_exactly_has_a_u_of_zero(
+    tmp_path: Path, mine: Path, job: Path, dmu50: Machine, schema: xmlschema.XMLSchema
+) -> None:
+    exact = replace(Calibration.load(mine, dmu50), joint=Covariance(NAMES, np.diag([0.0, 0.0, 0.0, 0.0, 1.0])))
+    path = tmp_path / "exact.xml"
+    path.write_text(calibration_certificate(exact, load_job(job), job), encoding="utf-8")
+    schema.validate(path)
+    known, _, _, of_x, *_ = quantities(path)
+    assert known["u"].tolist() == [0.0, 1.0] and not np.any(of_x["u"])
+
+
 def test_who_and_what_are_those_of_the_job(out: Path) -> None:
     root = ElementTree.parse(out).getroot()
     for place, text in {

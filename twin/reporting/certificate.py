@@ -119,6 +119,11 @@ def _number(value: float) -> str:
     return f"{value:.12g}"
 
 
+def _standard(covariance: np.ndarray) -> np.ndarray:
+    """Return (n,) standard uncertainties; rounding may leave a variance of zero below it."""
+    return np.asarray(np.sqrt(np.maximum(np.diag(covariance), 0.0)))
+
+
 def _numbers(values: np.ndarray) -> str:
     return " ".join(_number(float(value)) for value in values)
 
@@ -172,9 +177,9 @@ class CertifiedValues:
                 square = UNITS[first] + r"\tothe{2}" if first == second else UNITS[first] + UNITS[second]
                 _element(entry, "si:unit", square)
         # A region of as many dimensions as combinations with variance: a curve at 11 positions has those of its coefficients.
-        size = np.sqrt(np.diag(covariance))
+        size = np.where(_standard(covariance) > 0.0, _standard(covariance), 1.0)
         strength = np.linalg.eigvalsh(covariance / np.outer(size, size))
-        rank = int(np.count_nonzero(strength > RANK * strength[-1]))
+        rank = max(int(np.count_nonzero(strength > RANK * strength[-1])), 1)
         _element(region, "si:coverageFactor", _number(float(np.sqrt(chi2_isf(1.0 - PROBABILITY, rank)))))
         _element(region, "si:coverageProbability", _number(PROBABILITY))
 
@@ -310,7 +315,7 @@ def _constants(
         names,
         np.array([values[one] for one in names]),
         tuple(unit_of(one) for one in names),
-        np.zeros(0) if covariance is None else np.sqrt(np.diag(covariance)),
+        np.zeros(0) if covariance is None else _standard(covariance),
         covariance,
     )
 
@@ -328,7 +333,7 @@ def _curve(calibration: Calibration, curve: Curve) -> tuple[CertifiedValues, Cer
         covariance = matrix @ calibration.covariance.of(names).matrix @ matrix.T
     at = tuple(f"{curve.name}@{k + 1}" for k in range(POSITIONS))
     where = ("mm" if axis.linear else "deg",) * POSITIONS
-    u = np.zeros(0) if covariance is None else np.sqrt(np.diag(covariance))
+    u = np.zeros(0) if covariance is None else _standard(covariance)
     values = CertifiedValues(curve.name, at, curve(positions), (curve.unit,) * POSITIONS, u, covariance)
     return CertifiedValues(f"position of {axis.name}", at, positions, where, np.zeros(0)), values
 
