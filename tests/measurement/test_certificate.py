@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xmlschema
-from hypothesis import given, settings
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
@@ -331,6 +331,28 @@ def test_spheres_that_were_not_measured_are_integrated_out(tmp_path: Path) -> No
     assert found.targets == ("S1", "S2", "S5") and np.allclose(found.covariance * 1e12, OF_PLACES[np.ix_(rows, rows)])
     again = Artefact.load(text, NAMES).among(["S5", "S1", "S2"])
     assert again is not None and np.array_equal(again.covariance, found.covariance) and again.targets == found.targets
+
+
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.data())
+def test_a_damaged_certificate_is_refused_or_usable(tmp_path: Path, data: st.DataObject) -> None:
+    """Tags and numbers removed, doubled or replaced: an error with the file's name, or a positive covariance of finite values."""
+    matrix = OF_LENGTHS[:3, :3]
+    parts = re.split(r"(<[^>]*>|\s+)", certificate(listed(LABELS[:3], LENGTHS[:3], covariance_um2=matrix)))
+    written_parts = [i for i, part in enumerate(parts) if part.strip()]
+    for i in data.draw(st.lists(st.sampled_from(written_parts), min_size=1, max_size=3)):
+        parts[i] = data.draw(
+            st.sampled_from(
+                ["", parts[i] * 2, "0", "-1e3", "1e300", "nan", "S1-S2", "<si:real/>", "\\metre", "9" * 400]
+            )
+        )
+    try:
+        found = Artefact.load(saved(tmp_path, "".join(parts)), NAMES)
+    except InputError as error:
+        assert error.file is not None
+        return
+    assert np.isfinite(found.value).all() and np.linalg.eigvalsh(found.covariance)[0] > 0.0
+    assert np.isfinite(found.rows(BALLS[: len(found.targets)] * 1e-3).residual).all()
 
 
 PART = listed(["S1-S2", "S2-S3"], LENGTHS[[0, 4]], u_um=np.array([0.5, 0.5]))
