@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from twin.identification.thesis import identify_as_thesis
     from twin.machine.machine import Machine
     from twin.measurement import instruments
+    from twin.measurement.certificate import Artefact
     from twin.measurement.formats import convert
     from twin.measurement.importing import import_table
     from twin.measurement.simulate import Placement, simulate
@@ -70,6 +71,7 @@ if TYPE_CHECKING:
     from twin.tool.uncertainty import ToolUncertainty
 
 __all__ = [
+    "Artefact",
     "Calibration",
     "Compensator",
     "Conditions",

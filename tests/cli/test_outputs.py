@@ -169,6 +169,7 @@ def test_every_path_of_every_command_is_known() -> None:
         "urdf",
         "report_file",
         "html_file",
+        "dcc_file",
         "pdf_file",
         "extended",
         "program_file",

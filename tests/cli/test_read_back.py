@@ -38,6 +38,8 @@ WRITTEN: Final = {
     ("machine", "keep"): "answers of which some may be missing",
     ("scene", "output"): REPORT,
     ("report", "output"): REPORT,
+    ("report", "dcc_file"): "its numbers are read back from the XML before it is written",
+    ("evaluate", "dcc_file"): "its numbers are read back from the XML before it is written",
     ("thermal", "predicted"): "a table to draw: no command reads a prediction",
     **{
         (name, "output"): BACK

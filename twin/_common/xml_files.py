@@ -43,9 +43,12 @@ class Element:
             yield from child.within()
 
 
-def parse_xml(text: str, path: Path, expected: str) -> Element:
-    """Return the root element of XML text; `InputError`: not XML, a document type, too many elements, or nested too deeply."""
-    parser = expat.ParserCreate("utf-8")
+def parse_xml(text: str, path: Path, expected: str, *, namespaces: bool = False) -> Element:
+    """Return the root element of XML text; `InputError`: not XML, a document type, too many elements, or nested too deeply.
+
+    ``namespaces``: whether a name is its namespace, a blank and the local name; else as written, prefix included.
+    """
+    parser = expat.ParserCreate("utf-8", " " if namespaces else None)
     stack, count = [Element("", {}, 0)], 0
 
     def refuse(what: str, wanted: str) -> InputError:

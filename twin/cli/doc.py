@@ -25,6 +25,7 @@ PAGES: Final = (
         "diagnose",
         "plan",
         "report",
+        "certificates",
         "compare",
         "confirm",
         "watch",

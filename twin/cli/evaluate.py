@@ -10,6 +10,7 @@ import typer
 from twin._common.bundled import DEFAULT
 from twin._common.errors import InputError
 from twin._common.files import write_atomic
+from twin.cli.report import UNSIGNED, DccOption, JobOption
 from twin.cli.shared import complete, options
 from twin.cli.shared.command import HTML, POSITIVE, CommandResult, JsonOption, command
 from twin.cli.shared.terminal import tolerances
@@ -53,6 +54,7 @@ SensorsOption = Annotated[
     "twin evaluate measured.csv --html tests.html --json tests.json",
     "twin evaluate measured.csv --tolerance A=10 B=3 H=5",
     "twin evaluate measured.csv --tolerance X:A=8 Y:A=12 E_C0Y=20 --instrument tracker",
+    "twin evaluate measured.csv --instrument tracker --job job.yaml --dcc iso230_2.xml",
     "twin evaluate record.csv --iso230-3 --sensors d1=X1 d2=X2 X1-X2=76 d5=Z t5=ambient --html drift.html",
 )
 def evaluate(
@@ -63,6 +65,8 @@ def evaluate(
     length: LengthOption = None,
     drift: DriftOption = False,
     sensors: SensorsOption = None,
+    job: JobOption = None,
+    dcc_file: DccOption = None,
     json_file: JsonOption = None,
     html_file: Annotated[Path | None, typer.Option("--html", help="Write the report to this HTML file."), HTML] = None,
 ) -> CommandResult:
@@ -91,8 +95,19 @@ def evaluate(
     else:
         data = Measurements.join([Measurements.load(path, loaded) for path in measured])
         evaluation = run_evaluation(data, loaded, tolerances=limits, instrument=reader, length_mm=length)
+    written: dict[Path, str] = {}
+    if dcc_file is not None:
+        from twin.reporting.certificate import evaluation_certificate
+        from twin.reporting.front import load_job
+
+        written[dcc_file] = evaluation_certificate(evaluation, None if job is None else load_job(job), job)
+    elif job is not None:
+        raise InputError("--job without --dcc", expected="--dcc FILE, the certificate that the job's facts are for")
     if html_file is not None:
         from twin.standards.page import evaluation_html  # imports matplotlib, which is slow and needed only here
 
-        write_atomic(html_file, evaluation_html(evaluation))
-    return CommandResult(evaluation.to_text(), evaluation.to_dict, met=evaluation.met and bool(evaluation.tests))
+        written[html_file] = evaluation_html(evaluation)
+    for path, content in written.items():
+        write_atomic(path, content)
+    text = evaluation.to_text() + ("" if dcc_file is None else f"\n{UNSIGNED}\n")
+    return CommandResult(text, evaluation.to_dict, met=evaluation.met and bool(evaluation.tests))

@@ -78,12 +78,21 @@ ControlOption = Annotated[
         "active kinematics module; repeatable (twin doc control).",
     ),
 ]
+CertificateOption = Annotated[
+    list[Path] | None,
+    typer.Option(
+        "--certificate",
+        help="Digital calibration certificate (DCC, XML) of an artefact whose spheres are targets: known distances or coordinates, "
+        "with their covariance; repeatable (twin doc certificates).",
+    ),
+]
 
 
 @command(
     "twin identify measured.csv -o mine.yaml --json identified.json --html identified.html",
     "twin identify measured.csv -o x.yaml --only E_*X",
     "twin identify measured.csv -o mine.yaml --uncertainty 'between poses'",
+    "twin identify measured.csv -o mine.yaml --certificate ball_plate.xml",
     "twin identify measured.csv -o left.yaml --control linuxcnc=X.comp --control linuxcnc=joints.ini",
     "twin identify measured.csv -o left.yaml --control linuxcnc-kinematics=live/calibration.yaml",
 )
@@ -95,6 +104,7 @@ def identify(
     noise_source: UncertaintyOption = UncertaintyChoice.stated,
     only: OnlyOption = None,
     control: ControlOption = None,
+    certificate: CertificateOption = None,
     json_file: JsonOption = None,
     html_file: Annotated[Path | None, typer.Option("--html", help="Write the report to this HTML file."), HTML] = None,
 ) -> CommandResult:
@@ -102,6 +112,7 @@ def identify(
     if instrument is not None:
         require_name("instrument", instrument, INSTRUMENTS)
     from twin.identification import identify as run_identification
+    from twin.measurement.certificate import Artefact
     from twin.measurement.instruments import instrument_named
     from twin.measurement.table import Measurements
     from twin.model.calibration import Calibration
@@ -131,6 +142,7 @@ def identify(
             instrument=None if instrument is None else instrument_named(instrument),
             wanted=lambda name: only is None or any(fnmatch.fnmatchcase(name, pattern) for pattern in only),
             spread=noise_source.value,
+            artefacts=[Artefact.load(path, data.target.tolist()) for path in certificate or []],
             progress=bar,
         )
     calibration = identification.calibration.with_control(tables)

@@ -14,7 +14,7 @@ from twin._common.families import Language
 from twin._common.files import write_atomic
 from twin._common.provenance import warning_texts
 from twin.cli.shared import options
-from twin.cli.shared.command import HTML, CommandResult, JsonOption, Output, command, progress_bar
+from twin.cli.shared.command import HTML, XML, CommandResult, JsonOption, Output, command, progress_bar
 from twin.cli.shared.terminal import tolerances
 
 if TYPE_CHECKING:
@@ -29,9 +29,19 @@ JobOption = Annotated[
     typer.Option(
         "--job",
         help="YAML file (schema: twin.job/1) of the first page: machine, serial_number, operator, customer, place, date, "
-        "instrument, instrument_serial, certificate, temperature; all optional text.",
+        "instrument, instrument_serial, certificate, temperature; all optional text; dcc: facts of a certificate.",
     ),
 ]
+DccOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--dcc",
+        help="Also write a digital calibration certificate (DCC 3.1.2, XML) to this file; its facts come from --job "
+        "(twin doc certificates). It is not signed.",
+    ),
+    XML,
+]
+UNSIGNED = "the certificate is not signed: a file is no signature"
 FrontToleranceOption = Annotated[
     list[str] | None,
     typer.Option(
@@ -61,6 +71,7 @@ ComparedOption = Annotated[
     "twin report -o machine.html --calibration mine.yaml --tool-length 120",
     "twin report -o machine.html -c mine.yaml --identified identified.json --measured measured.csv --json machine.json",
     "twin report -o signed.html -c mine.yaml --job job.yaml --logo shop.png --tolerance tool=50 E_XX=8 --lang de --pdf signed.pdf",
+    "twin report -o machine.html -c mine.yaml --job job.yaml --dcc machine.xml",
     "twin report -o warm.html -c better.yaml --temperature X=23.1 bed=21 --time 7200",
 )
 def report(
@@ -79,6 +90,7 @@ def report(
     tolerance: FrontToleranceOption = None,
     lang: LangOption = Language.en,
     pdf_file: PdfOption = None,
+    dcc_file: DccOption = None,
     seed: Annotated[int, typer.Option("--seed", min=0, help="Random seed of the Monte Carlo draws.")] = 0,
     json_file: JsonOption = None,
 ) -> CommandResult:
@@ -88,6 +100,7 @@ def report(
     """
     from twin.measurement.table import Measurements
     from twin.reporting import machine_report
+    from twin.reporting.certificate import calibration_certificate
     from twin.reporting.front import front_page
     from twin.reporting.page import find_browser, page_to_pdf
 
@@ -96,6 +109,7 @@ def report(
     limits, facts, picture = _of_first_page(loaded, tolerance or [], job, logo)
     browser = None if pdf_file is None else find_browser()
     errors = options.calibration_of(calibration, loaded)
+    certificate = None if dcc_file is None else calibration_certificate(errors, facts, job)
     at = options.conditions(temperature, time, rpm, load)
     with progress_bar() as bar:
         bar("reading", 0.0)
@@ -119,7 +133,10 @@ def report(
     write_atomic(output, page)
     if pdf_file is not None and printed is not None:
         write_atomic(pdf_file, printed)
-    return _result(machine_page, front, options.unused(at, errors))
+    if dcc_file is not None and certificate is not None:
+        write_atomic(dcc_file, certificate)
+    unsigned = [] if dcc_file is None else [UNSIGNED]
+    return _result(machine_page, front, [*options.unused(at, errors), *unsigned])
 
 
 def _of_first_page(

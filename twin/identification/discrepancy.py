@@ -542,5 +542,5 @@ def _sandwich(network: Network, solution: FitSolution, weight: np.ndarray, group
     for piece in network.chunks(solution.theta, solution.setup):
         own = np.einsum("nki,nk,n->ni", piece.jacobian, piece.residual, weight[piece.rows])
         np.add.at(scores, group[piece.rows], own)
-    count = len(scores)
-    return solution.covariance(scores.T @ scores * (count / max(count - 1, 1)))
+    count, certified = len(scores), network.certified(solution.setup)[:, :-1]
+    return solution.covariance(scores.T @ scores * (count / max(count - 1, 1)) + certified.T @ certified)

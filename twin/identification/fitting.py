@@ -196,7 +196,7 @@ class ShrunkStart(NamedTuple):
 def shrunk_start(network: Network, start: RobustStart) -> ShrunkStart:
     """Return the prior of each unknown of the machine, and the estimate with these near a robust one."""
     unknowns, solution = network.unknowns, start.solution
-    readings = int(np.count_nonzero(network.read[start.weight > 0.0]))
+    readings = int(np.count_nonzero(network.read[start.weight > 0.0])) + len(network.certified(solution.setup))
     machine = len(unknowns)
     noise = _noise(solution, readings)
     free = solution.free

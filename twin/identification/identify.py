@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, final
 
@@ -13,7 +14,14 @@ from twin._common.resources import Progress, one_blas_thread, silent
 from twin._common.units import MM
 from twin.identification.discrepancy import covariance_of, many_outliers_notice, outlier_notes
 from twin.identification.fitting import FinalEstimate, RobustStart, robust_start, shrunk_start, without_outliers
-from twin.identification.inputs import NoiseOfReadings, PreparedData, implausible_tips, prepare, reading_noise
+from twin.identification.inputs import (
+    NoiseOfReadings,
+    PreparedData,
+    certificate_notices,
+    implausible_tips,
+    prepare,
+    reading_noise,
+)
 from twin.identification.network import Network, Unknowns
 from twin.identification.orders import Choice, choose, held_out_residuals
 from twin.identification.result import Identification, misfit_entry, residuals_of, rms_um
@@ -29,6 +37,7 @@ from twin.identification.unidentified import (
     unknown_reference,
 )
 from twin.machine.machine import Machine
+from twin.measurement.certificate import Artefact
 from twin.measurement.columns import CARRIERS, overstated_noise
 from twin.measurement.instruments import Instrument
 from twin.measurement.table import Measurements
@@ -52,6 +61,7 @@ def identify(
     instrument: Instrument | None = None,
     wanted: Wanted = lambda name: True,
     spread: Spread = "stated",
+    artefacts: Sequence[Artefact] = (),
     progress: Progress = silent,
 ) -> Identification:
     """Identify a machine's error motions, squareness and locations together with stations and targets.
@@ -66,6 +76,8 @@ def identify(
         wanted: whether an error of that ISO 230-1 name is to be estimated; all by default.
         spread: noise on which the covariance is based: the stated uncertainty of the readings; the standard deviation of their repeats;
             or the variation between poses or between rounds, for an incomplete model (`twin.identification.solve`).
+        artefacts: known distances between targets, or their coordinates, from calibration certificates (`twin.Artefact.load`). Their
+            covariance is in the likelihood like that of the readings.
         progress: callback for progress, called with the stage and the fraction done.
 
     Raises:
@@ -91,6 +103,7 @@ def identify(
     """
     require_type("data", data, Measurements)
     require_type("machine", machine, Machine)
+    data = replace(data, artefacts=(*data.artefacts, *artefacts))
     with one_blas_thread():
         progress("placing the stations", 0.0)
         placed = prepare(machine, data, instrument)
@@ -127,13 +140,16 @@ def _result(model: _Model, estimate: FinalEstimate, noise: NoiseOfReadings, want
     weighted = network.with_discrepancy(discrepancy.root)
     covariance = covariance_of(weighted, solution, used.astype(float), noise.spread, discrepancy)
     count = len(unknowns)
-    source = f"identified by twin from {data.source}: {int(used.sum())} points"
+    source = f"identified by twin from {data.source}: {int(used.sum())} points" + "".join(
+        f"; with certificate {artefact.number}" for artefact in data.artefacts
+    )
     found, _ = unknowns.calibration(solution.theta, range(count), source, covariance[:count, :count])
     found = replace(found, settled=solution.converged, simulated=data.simulated)
     u = np.sqrt(np.maximum(np.diag(covariance)[count:], 0.0))
     held = held_by_prior(model.determined, solution, np.sqrt(np.diag(covariance)[:count]))
     residual, whitened = residuals_of(found, network, solution.setup)
-    statistics = misfit(whitened, network.read, data, solution.determined, used)
+    certified = network.certified(solution.setup)[:, -1]
+    statistics = misfit(whitened, network.read, data, solution.determined, used, certified)
     residual_mm = read_only(np.where(network.read, residual / MM, np.nan))
     unknown = unidentified(machine, data, model.determined, wanted, solution.setup, held)
     held_out = held_out_residuals(weighted, solution, used)
@@ -167,6 +183,7 @@ def _result(model: _Model, estimate: FinalEstimate, noise: NoiseOfReadings, want
             *implausible_tips(data, solution.setup),
             *overstated_noise(rms_um(residual_mm[used]), statistics.chi2, statistics.dof),
             *many_outliers_notice(rows),
+            *certificate_notices(network, solution.setup),
             *unknown_reference(solution, unknowns),
         ),
         converged=solution.converged,

@@ -8,10 +8,11 @@ from typing import Any, Final, NamedTuple, final
 import numpy as np
 
 from twin._common.arrays import read_only
+from twin._common.distributions import chi2_sf
 from twin._common.errors import InputError
 from twin._common.units import MM
-from twin.identification.network import stated_covariance
-from twin.identification.solve import Repeats, Spread, covariance_from_repeats, noise_text, repeats_of
+from twin.identification.network import Network, stated_covariance
+from twin.identification.solve import SIGNIFICANCE, Repeats, Spread, covariance_from_repeats, noise_text, repeats_of
 from twin.machine.machine import Machine
 from twin.measurement.agreement import WRONG_COLUMN_SHARE, agreeing_rows, fit_of, other_unit
 from twin.measurement.columns import ASSUMED, POINT_COLUMNS
@@ -24,7 +25,7 @@ from twin.measurement.instruments import (
     others_alike,
 )
 from twin.measurement.observation import CarriedTargets, at_origin, nominal_carriers
-from twin.measurement.set_up import StationsAndTargets
+from twin.measurement.set_up import LARGEST_MISFIT_M, StationsAndTargets
 from twin.measurement.table import Measurements
 
 FEWEST_ROWS: Final = 3
@@ -89,8 +90,42 @@ def prepare(machine: Machine, data: Measurements, instrument: Instrument | None)
             row=0,
         )
     plane = _mirrored_planes(agreeing, setup)
-    all_notices = (*notices, *data.notices, *sensors, *_unobserved_axes(machine, agreeing), *plane)
+    _check_artefacts(agreeing, setup)
+    certified = [artefact.text for artefact in agreeing.artefacts]
+    all_notices = (*notices, *data.notices, *sensors, *_unobserved_axes(machine, agreeing), *plane, *certified)
     return PreparedData(instruments, replace(agreeing, notices=all_notices), setup)
+
+
+def _check_artefacts(data: Measurements, setup: StationsAndTargets) -> None:
+    """Raise `InputError` unless each artefact's targets are on one side, their places are unknown, and the readings are those of it."""
+    for artefact in data.artefacts:
+        rows = [int(np.flatnonzero(data.target == name)[0]) for name in artefact.targets if name in setup.targets]
+        at = [setup.targets.index(data.target[row]) for row in rows]
+        if len({str(data.carrier[row]) for row in rows}) > 1:
+            raise data.error(
+                f"targets of certificate {artefact.number} are on both sides of the machine",
+                expected="all of one artefact on one carrier, tool or work",
+                row=rows[0],
+            )
+        given = [row for row, target in zip(rows, at, strict=True) if setup.target_known[target] or setup.lines[target]]
+        if given:
+            raise data.error(
+                f"target {data.target[given[0]]} has a place in the table and in certificate {artefact.number}",
+                expected="one of them; or its rows without place_x_mm, place_y_mm, place_z_mm",
+                row=given[0],
+            )
+        known = artefact.among(setup.targets)
+        read = np.isin(data.target, [data.target[row] for row in rows])
+        if known is None or not np.isfinite(data.point_mm[read]).all():
+            continue
+        miss = known.largest_difference(setup.place[[setup.targets.index(name) for name in known.targets]])
+        if miss > LARGEST_MISFIT_M:
+            raise InputError(
+                f"the readings contradict certificate {artefact.number}: its spheres are up to {miss / MM:.4g} mm from where they were "
+                "measured",
+                expected="the targets' names of the certificate, and the artefact that was measured",
+                file=artefact.source,
+            )
 
 
 def _check_sensors(data: Measurements, carried: CarriedTargets) -> list[str]:
@@ -311,6 +346,23 @@ def _may_be_length(machine: Machine, data: Measurements) -> bool:
         if np.ptp(data.point_mm[rows, 0]) * MM >= LENGTH_SHARE * moved:
             return True
     return False
+
+
+def certificate_notices(network: Network, setup: StationsAndTargets) -> list[str]:
+    """Return a notice for each certificate that the estimated places contradict: chi² of its whitened residuals."""
+    notices = []
+    for artefact in network.data.artefacts:
+        known = artefact.among(setup.targets)
+        residual = np.zeros(0)
+        if known is not None:
+            residual = known.rows(setup.place[[setup.targets.index(name) for name in known.targets]]).residual
+        chi2 = float(residual @ residual)
+        if len(residual) and chi2_sf(chi2, len(residual)) < SIGNIFICANCE:
+            notices.append(
+                f"THE READINGS CONTRADICT CERTIFICATE {artefact.number}: chi² {chi2:.4g} of {len(residual)} known values. Check the "
+                "artefact's temperature, the targets' names and the instrument's scale"
+            )
+    return notices
 
 
 # --- The noise with which an estimate weights its readings: as stated, or from repeats where these contradict it

@@ -272,8 +272,7 @@ def spaces_for(
     constants: list[str] = []
     for i, axis in enumerate(machine.axes):
         domain = axis.domain
-        # Positions that differ by more than a micrometre or a thousandth of a degree.
-        distinct = len(np.unique(np.round(wrapped(positions[:, i], axis, domain), 3)))
+        distinct = _distinct(np.round(wrapped(positions[:, i], axis, domain), 3))
         if distinct < 2:
             continue
         basis = bases[axis.name]
@@ -291,6 +290,15 @@ def spaces_for(
             if split_name(name)[2] == axis.name and wanted(name)
         ]
     return curves, constants
+
+
+def _distinct(positions: np.ndarray) -> int:
+    """Return the number of positions that differ by more than a thousandth of their range: those of probed repeats vary."""
+    count, first, gap = 0, -np.inf, 1e-3 * float(np.ptp(positions))
+    for position in np.unique(positions).tolist():
+        if position > first + gap:
+            count, first = count + 1, position
+    return count
 
 
 def offset_name(name: str) -> str:
@@ -614,6 +622,25 @@ class Network:
                 column += by_error[at] * values[rows, None]
         self.fill_setup_columns(view, setup, columns[machine:-1].transpose(1, 2, 0))
         return WhitenedRows(rows, columns)
+
+    def certified(self, setup: StationsAndTargets) -> np.ndarray:
+        """Return (k, unknowns + 1) whitened [J | r] of the k statements of certificates about the targets' places."""
+        machine, rows = len(self._shapes), []
+        slots = {i: at for kind, i, at in setup.slots if kind == "place"}
+        for artefact in self.data.artefacts:
+            known = artefact.among(setup.targets)
+            if known is None:
+                continue
+            targets = [setup.targets.index(name) for name in known.targets]
+            contrasts = known.rows(setup.place[targets])
+            both = np.zeros((len(contrasts.residual), machine + len(setup) + 1))
+            both[:, -1] = contrasts.residual
+            for k, target in enumerate(targets):
+                if target in slots:
+                    at = slots[target]
+                    both[:, machine + at.start : machine + at.stop] = contrasts.derivative[:, k]
+            rows.append(both)
+        return np.concatenate([np.zeros((0, machine + len(setup) + 1)), *rows])
 
     def fill_setup_columns(self, view: LinearisedReadings, setup: StationsAndTargets, into: np.ndarray) -> None:
         """Write the derivatives with respect to the set-up's unknowns into (k, 3, unknowns) of zeros."""

@@ -324,17 +324,20 @@ def _folds(network: Network, solution: FitSolution, triangles: np.ndarray, folds
     datum[np.abs(datum) < DEPENDENT] = 0.0  # rounding would be a condition on a model without its curves
     origin = solution.theta / network.unknowns.plausible
     setup_first = [*range(machine, count), *range(machine), count]
+    # What certificates state is known, whichever readings are held out.
+    certified = network.certified(solution.setup) * np.append(solution.spectrum.scale, 1.0)
     found = []
     for mask in folds.held_out():
         held, rest_of_data = _factor(list(triangles[mask])), triangles[~mask]
         # The prior affects only what the remaining data do not determine: that falls back to its prior mean, and keeps nothing that
         # the estimate took from the readings held out.
+        known = [*rest_of_data, certified]
         _, strength, directions = np.linalg.svd(
-            _factor(list(rest_of_data))[:, :-1] if len(rest_of_data) else np.zeros((count, count))
+            _factor(known)[:, :-1] if len(rest_of_data) or len(certified) else np.zeros((count, count))
         )
         unseen = directions[np.append(strength, np.zeros(count - len(strength))) <= SINGULAR_VALUE_TOLERANCE]
         prior = np.column_stack([np.eye(count), -unseen.T @ (unseen @ solution.deviation)])
-        train = _factor([prior[:, setup_first], *rest_of_data[:, :, setup_first]])
+        train = _factor([prior[:, setup_first], *(rows[:, setup_first] for rows in known)])
         rest = count - machine
         left, own = train[:rest], train[rest:count, rest:]
         inverse = scipy.linalg.solve_triangular(left[:, :rest], left[:, rest:], check_finite=False)

@@ -18,7 +18,7 @@ from twin.display import Cell, note, table
 from twin.display.numbers import COVERAGE_FACTOR
 from twin.display.results import Display, DisplayedResult
 from twin.identification.discrepancy import Discrepancy
-from twin.identification.inputs import NoiseOfReadings
+from twin.identification.inputs import NoiseOfReadings, certificate_notices
 from twin.identification.network import Network, Unknowns
 from twin.identification.orders import Choice, HeldOutResiduals
 from twin.identification.solve import FitSolution, FitStatistics, Spread, misfit
@@ -181,8 +181,8 @@ class Identification(DisplayedResult):
 
     @property
     def complete(self) -> bool:
-        """Whether every row was used and the estimate converged."""
-        return self.converged and not self.set_aside
+        """Whether every row was used, the estimate converged, and no certificate contradicts the readings."""
+        return self.converged and not self.set_aside and not certificate_notices(self.network, self.setup)
 
     @property
     def spread(self) -> Spread:
@@ -212,13 +212,13 @@ class Identification(DisplayedResult):
     def evaluated_with(self, calibration: Calibration) -> Identification:
         """Return the result with the residuals recomputed from a calibration that was read back from its file."""
         residual, whitened = residuals_of(calibration, self.network, self.setup)
-        read = self.network.read
+        read, certified = self.network.read, self.network.certified(self.setup)[:, -1]
         return replace(
             self,
             calibration=calibration,
             residual_mm=read_only(np.where(read, residual / MM, np.nan)),
             whitened=read_only(whitened),
-            misfit=misfit(whitened, read, self.data, self.solution.determined, self.used),
+            misfit=misfit(whitened, read, self.data, self.solution.determined, self.used, certified),
         )
 
     def residuals_mm(self, data: Measurements) -> np.ndarray:
@@ -320,6 +320,7 @@ class Identification(DisplayedResult):
                 "readings_held_out": self.choice.readings,
             },
             "set_aside": [{"line": note.line, "reason": note.text} for note in self.set_aside],
+            "certificates": [artefact.to_dict() for artefact in self.data.artefacts],
             "notices": self.notices,
             "converged": self.converged,
             "warnings": warnings_to_json(self.calibration.warnings),

@@ -366,6 +366,9 @@ def factor(network: Network, theta: np.ndarray, setup: StationsAndTargets, weigh
     whole, *others = map_chunks(network.row_chunks, summed)
     for part in others:
         whole = _append_rows(whole, np.asfortranarray(np.triu(part)))
+    certified = network.certified(setup)
+    if len(certified):
+        whole = _append_rows(whole, np.asfortranarray(certified))
     return np.triu(whole)
 
 
@@ -498,14 +501,20 @@ class FitStatistics:
 
 
 def misfit(
-    whitened: np.ndarray, read: np.ndarray, data: Measurements, determined: float, used: np.ndarray
+    whitened: np.ndarray,
+    read: np.ndarray,
+    data: Measurements,
+    determined: float,
+    used: np.ndarray,
+    certified: Sequence[float] | np.ndarray = (),
 ) -> FitStatistics:
     """Return the misfit of an estimate.
 
-    ``whitened``: (n, 3) whitened residuals; ``read``: (n, 3) which coordinates were read; ``used``: (n,) which points were used.
+    ``whitened``: (n, 3) whitened residuals; ``read``: (n, 3) which coordinates were read; ``used``: (n,) which points were used;
+    ``certified``: (r,) whitened residuals of the certificates' statements, which count as readings (`Network.certified`).
     """
-    chi2 = float(np.sum(whitened[used] ** 2))
-    dof = float(np.count_nonzero(read[used])) - determined
+    chi2 = float(np.sum(whitened[used] ** 2) + np.sum(np.square(certified)))
+    dof = float(np.count_nonzero(read[used]) + len(certified)) - determined
     group = repeat_groups(data)
     pure_chi2, pure_dof = 0.0, 0
     order = np.flatnonzero(used)

@@ -250,6 +250,10 @@ def constant_rows(
         return None
     network = Network(machine, data, instruments, unknowns, covariance=covariance)
     rows = [chunk.jacobian for chunk in network.chunks(np.zeros(len(unknowns)), setup)]
+    certified = network.certified(setup)[:, :-1]
+    if len(certified):
+        blank = np.zeros((-len(certified) % 3, certified.shape[1]))
+        rows.append(np.concatenate([certified, blank]).reshape(-1, 3, certified.shape[1]))
     return unknowns, np.concatenate(rows) * np.concatenate([unknowns.plausible, setup.plausible])
 
 

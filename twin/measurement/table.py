@@ -24,6 +24,7 @@ from twin._common.units import count_with_noun
 from twin.display import Cell, note, spans
 from twin.display.results import Display, DisplayedResult
 from twin.machine.machine import Machine
+from twin.measurement.certificate import Artefact
 from twin.measurement.columns import (
     ANGLE_COLUMNS,
     ANGULAR,
@@ -178,6 +179,7 @@ class Measurements(DisplayedResult):
         simulated: whether any of the readings were simulated, not measured on a machine.
         feed_mm_min: (n,) feed along the path when the point was taken, mm/min; NaN where not given.
         bar_mm: (n,) nominal length of the ball bar, from a comment of the file; NaN where not given.
+        artefacts: known distances between targets, or their coordinates, from calibration certificates; `twin.identify` uses them.
 
     Examples:
         >>> machine = twin.Machine.load("dmu50")
@@ -211,6 +213,7 @@ class Measurements(DisplayedResult):
     simulated: bool = False
     feed_mm_min: np.ndarray = field(default_factory=_absent)
     bar_mm: np.ndarray = field(default_factory=_absent)
+    artefacts: tuple[Artefact, ...] = ()
 
     def __post_init__(self) -> None:
         """Fill in the fields that were not given."""
@@ -336,6 +339,7 @@ class Measurements(DisplayedResult):
             set_aside=tuple(note for table in tables for note in table.set_aside),
             notices=tuple(dict.fromkeys(notice for table in tables for notice in table.notices)),
             simulated=any(table.simulated for table in tables),
+            artefacts=tuple(dict.fromkeys(one for table in tables for one in table.artefacts)),
         )
         return _with_known_places(table)
 

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import base64
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from datetime import date
 from math import isfinite, nan
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, final
 from xml.etree import ElementTree
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+from pydantic_core import PydanticCustomError
 
 from twin._common.distributions import Verdict, decide, is_accepted
 from twin._common.errors import InputError, closest_name
@@ -32,6 +35,53 @@ EXPECTED: Final = "a PNG or an SVG picture"
 Line = Annotated[str, Field(max_length=80)]
 
 
+def _country(value: object) -> object:
+    """Return a country code of ISO 3166-1; raise an error for anything else, such as NO without quotes, which YAML reads as false."""
+    if isinstance(value, str) and re.fullmatch("[A-Z]{2}", value):
+        return value
+    expected = 'two capital letters of ISO 3166-1, in quotes: "NO"'
+    raise PydanticCustomError("country", "Input should be {expected}", {"expected": expected})
+
+
+Country = Annotated[str, BeforeValidator(_country)]
+Name = Annotated[str, Field(min_length=1, max_length=120)]
+
+
+class Contact(BaseModel):
+    """Name and address of a laboratory or customer."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    name: Name
+    email: Name
+    city: Name
+    street: str = ""
+    post_code: str = ""
+    country: Country | None = None
+
+
+class Person(BaseModel):
+    """A person responsible for the certificate."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    name: Name
+    role: str = ""
+
+
+class CertificateFacts(BaseModel):
+    """Facts that a certificate must state and twin cannot know: entry ``dcc`` of a job file."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    number: Name
+    country: Country
+    begin: date
+    end: date
+    performed_at: Literal["laboratory", "customer", "laboratoryBranch", "customerBranch", "other"]
+    manufacturer: Name
+    laboratory: Contact
+    customer: Contact
+    responsible: Annotated[tuple[Person, ...], Field(min_length=1)]
+
+
 class Job(BaseModel):
     """Facts of a test; every entry is optional, and what is missing is filled in by hand on paper."""
 
@@ -47,6 +97,7 @@ class Job(BaseModel):
     instrument_serial: Line = ""
     certificate: Line = ""
     temperature: Line = ""
+    dcc: CertificateFacts | None = None
 
 
 def load_job(path: Path) -> Job:
@@ -167,7 +218,9 @@ class FrontPage:
     def to_dict(self) -> dict[str, Any]:
         """Return the content for JSON."""
         return {
-            "job": {name: text for name, text in self.job.model_dump().items() if text and name != "schema_"},
+            "job": {
+                name: text for name, text in self.job.model_dump().items() if text and name not in ("schema_", "dcc")
+            },
             "decision_rule": "ISO 14253-1, guard band U",
             "verdict": self.verdict,
             "items": [item.to_dict() for item in self.items],

@@ -50,6 +50,7 @@ HTML: Final = Output((".html", ".htm"))
 CALIBRATION: Final = Output((".yaml", ".yml"))
 TABLE: Final = Output((".csv",))
 URDF: Final = Output((".urdf", ".xml"))
+XML: Final = Output((".xml",))
 ANY: Final = Output()
 EXISTING: Final = "existing"
 """Marker of the path of a file that must exist, unless it is the bare name of one that comes with twin."""
