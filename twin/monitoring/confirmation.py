@@ -54,7 +54,7 @@ from twin.monitoring.written import (
     mattering,
     prepared,
     rms_length,
-    visible,
+    shown,
 )
 from twin.numerics.covariance import symmetric_root
 from twin.numerics.curves import bases_for
@@ -93,7 +93,7 @@ class ConfirmedValue:
         expanded: U of the factor (95 %), the other values free.
         matters: whether its effect is large enough to count.
         says: ``as written``, ``absent``, ``reversed``, ``otherwise``; ``not shown`` where these readings do not exclude that it is
-            absent or reversed.
+            absent or reversed by one mistake, alone or with a second one.
     """
 
     name: str
@@ -447,7 +447,7 @@ class _Task:
         state, others = best_hypothesis(self.weigher, list(groups.values()))
         _, chi2, estimate, covariance = self.weigher.fit(state, list(groups.values()))
         p_value = float(chi2_sf(chi2, self.weigher.rank))
-        values = self._values(state)
+        values = self._values(state, list(groups.values()))
         findings = () if state == Hypothesis() else self.sentences(state, groups, estimate, covariance)
         verdict: Verdict
         if state == Hypothesis():
@@ -541,7 +541,7 @@ class _Task:
         one, two, three = (float(rms_length(part.reshape(len(part), 3, 1))[0]) for part in (before, expected, measured))
         return one, two, float(high - low) / 2.0, three
 
-    def _values(self, hypothesis: Hypothesis) -> tuple[ConfirmedValue, ...]:
+    def _values(self, hypothesis: Hypothesis, groups: Sequence[Sequence[int]]) -> tuple[ConfirmedValue, ...]:
         """Return every written value with its effect at the tool and its factor."""
         if not self.written:
             return ()
@@ -553,7 +553,7 @@ class _Task:
         says = [words.get(held.get(k, 1.0), "otherwise") for k in range(len(factor))]
         says = [
             "not shown" if one == "as written" and not seen else one
-            for one, seen in zip(says, visible(factor, u), strict=True)
+            for one, seen in zip(says, shown(self.weigher, hypothesis, groups), strict=True)
         ]
         return tuple(
             ConfirmedValue(value.name, float(rms[k]), float(factor[k]), float(2.0 * u[k]), bool(matters[k]), says[k])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations_with_replacement
 from typing import Any, Final, final
 
 import numpy as np
@@ -509,14 +510,17 @@ class Weigher:
             found[list(groups[-1 - free])] = 1.0
         return found
 
+    def free(self, state: Hypothesis, groups: Sequence[Sequence[int]]) -> np.ndarray:
+        """Return the coefficients (columns, f) of what is free in a state."""
+        columns = [self.column(one, groups) for one in state.free]
+        return np.stack(columns, axis=1) if columns else np.zeros((len(self.slope), 0))
+
     def fit(self, state: Hypothesis, groups: Sequence[Sequence[int]]) -> tuple[float, float, np.ndarray, np.ndarray]:
         """Return the log likelihood ratio against everything in effect, χ², and estimate and covariance of the free ones (prior 1)."""
         x = self.fixed(state)
         y = self.slope - self.normal @ x
         ratio = float(x @ self.slope - 0.5 * x @ self.normal @ x)
-        free = (
-            np.stack([self.column(one, groups) for one in state.free], axis=1) if state.free else np.zeros((len(x), 0))
-        )
+        free = self.free(state, groups)
         precision = free.T @ self.normal @ free + np.eye(free.shape[1])
         covariance = np.linalg.inv(precision)
         estimate = covariance @ (free.T @ y)
@@ -557,13 +561,32 @@ class Weigher:
         wide = self.normal[np.ix_(some, some)] + np.eye(len(some)) * 1e-6
         chi2 = self.chi2 - float(self.slope[some] @ np.linalg.solve(wide, self.slope[some]))
         absorbed = float(np.trace(np.eye(len(self.precision)) - np.linalg.inv(self.precision)))
-        return chi2, self.rank - absorbed - self.count - self.constants
+        # Of what is free, only what the readings determine takes degrees of freedom.
+        taken = float(np.trace(np.linalg.solve(wide, self.normal[np.ix_(some, some)])))
+        return chi2, self.rank - absorbed - taken
 
 
-def visible(factor: np.ndarray, u: np.ndarray) -> np.ndarray:
-    """Return (k,) whether factors 0 and −1 are both excluded against 1 by `ODDS`."""
-    least = np.log(ODDS)
-    return np.asarray(((2.0 * factor - 1.0) / (2.0 * u**2) >= least) & (2.0 * factor / u**2 >= least))
+def mistakes(groups: Sequence[Sequence[int]], count: int) -> np.ndarray:
+    """Return (h, count) changes of the factors by one or two mistakes: groups of values absent (−1) or reversed (−2)."""
+    single = [(list(some), change) for some in groups for change in (-1.0, -2.0)]
+    found = np.zeros((len(single) * (len(single) + 1) // 2, count))
+    for row, (first, second) in zip(found, combinations_with_replacement(single, 2), strict=True):
+        for some, change in (first, second):
+            row[some] = change
+    return np.unique(found, axis=0)
+
+
+def shown(weigher: Weigher, state: Hypothesis, groups: Sequence[Sequence[int]]) -> np.ndarray:
+    """Return (k,) whether all that one or two mistakes more could do to a value, absent or reversed, is excluded by `ODDS`."""
+    free = weigher.free(state, groups)
+    projector = free @ np.linalg.solve(free.T @ weigher.normal @ free + np.eye(free.shape[1]), free.T)
+    normal = weigher.normal - weigher.normal @ projector @ weigher.normal
+    left = weigher.slope - weigher.normal @ weigher.fixed(state)
+    slope = left - weigher.normal @ projector @ left
+    own = slice(0, weigher.count)
+    changes = mistakes(groups, weigher.count)
+    ratio = changes @ slope[own] - 0.5 * np.einsum("hk,kl,hl->h", changes, normal[own, own], changes)
+    return np.asarray(~np.any((changes != 0.0) & (ratio > -np.log(ODDS))[:, None], axis=0))
 
 
 def groups_of(written: Sequence[WrittenValue]) -> dict[str, list[int]]:
