@@ -318,7 +318,7 @@ def confirm(
         after: readings afterwards; stations and targets may have been set up anew.
         calibration: the errors of the machine without the written values, with their covariance; None: plausible errors. Corrections
             of its control are taken as active.
-        written: what was written (`twin.monitoring.written`).
+        written: what was written (`twin.written_values`).
         tool_length_mm: length of the tool for the bound at the tool.
 
     Raises:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations_with_replacement
+from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Final, final
 
 import numpy as np
@@ -73,6 +75,48 @@ class WrittenValue:
 
 
 # --- What was written, read back ------------------------------------------------------------------
+
+
+def written_values(
+    machine: Machine,
+    calibration: Calibration | None = None,
+    *,
+    folder: str | Path | None = None,
+    adjusted: Mapping[str, float] = MappingProxyType({}),
+    compensated: bool = False,
+    tool_length_mm: float | None = None,
+) -> tuple[Calibration | None, tuple[WrittenValue, ...]]:
+    """Return the errors of the machine before, and what was put into it: arguments of `twin.confirm` and `twin.plan_confirmation`.
+
+    Args:
+        machine: the machine.
+        calibration: its errors before; None: those in the folder.
+        folder: folder that `twin control` wrote.
+        adjusted: new value of each squareness or location that was adjusted, µrad or µm.
+        compensated: whether a program compensated with the calibration was run.
+        tool_length_mm: length of the active tool; None: that of the machine file.
+
+    Raises:
+        InputError: no calibration where one is needed; an invalid folder; an error that cannot be adjusted.
+    """
+    length = machine.tool_length_mm if tool_length_mm is None else tool_length_mm
+    written = None if folder is None else Calibration.load(Path(folder) / "calibration.yaml", machine)
+    errors = written if calibration is None else calibration
+    values = () if written is None else written_by(written, length)
+    if written is not None and errors is not None:
+        if errors.control is not None and errors.control.errors_are == "remaining":
+            raise InputError(
+                "the errors of this calibration were measured under other tables",
+                expected="errors of the machine without tables",
+                file=errors.path,
+                value="errors_are: remaining",
+            )
+        errors = replace(errors.with_control(None), path=errors.path)
+    if compensated:
+        if errors is None:
+            raise InputError("no calibration", expected="the calibration that the program was compensated with")
+        values = (*values, *program_words(errors, length))
+    return errors, (*values, *(adjustment(errors, machine, name, to) for name, to in adjusted.items()))
 
 
 def written_by(calibration: Calibration, tool_length_mm: float) -> tuple[WrittenValue, ...]:
