@@ -19,6 +19,7 @@ from twin._common.units import UM
 from twin.display.numbers import listed
 from twin.identification.network import Network, Unknowns
 from twin.identification.unidentified import constant_unknowns
+from twin.machine.machine import Machine
 from twin.measurement.instruments import Instrument, StationInstruments, instrument_named
 from twin.measurement.observation import machine_state
 from twin.measurement.set_up import StationsAndTargets
@@ -58,6 +59,8 @@ RESERVE: Final = 2.0
 DURATIONS: Final = (8.0, 10.0, 12.0, 15.0, 20.0, 25.0, 30.0, 40.0, 50.0, 60.0, 80.0, 100.0, 120.0, 180.0)
 """Durations tried with a kit, in minutes."""
 FEWEST: Final = 4
+HIGHER_MM: Final = 100.0
+"""How much higher a second place of a sphere is: a table over Z, or times Z, needs heights that differ."""
 MOST: Final = 60
 """Poses of a probe in one plan."""
 BEYOND: Final = 1e-2
@@ -158,7 +161,8 @@ class ConfirmationPlan:
             + ", ".join(f"{name} {u:.2f}" for name, u in self.u.items())
         )
         if self.hidden:
-            lines.append(f"NOT SHOWN by any reading with this equipment: {', '.join(self.hidden)}")
+            cure = "plan with other places of the spheres (higher, nearer the rim, two of them), or with a kit"
+            lines.append(f"NOT SHOWN by any reading with this equipment: {', '.join(self.hidden)}; {cure}")
         if self.twice:
             lines.append(
                 f"MEASURE THIS PLAN TWICE, before and after the values are switched on: {listed(list(self.twice))} cannot be seen "
@@ -312,9 +316,9 @@ def plan_confirmation(  # noqa: PLR0913
     planner = _Planner(model, _Hypotheses(written, important), names, minutes, seed, progress)
     found, failed = list[ConfirmationPlan](), list[InputError]()
     with one_blas_thread():
-        if probe or (probe is None and kit is None):
+        for places in _places(machine, kit, sizes, spheres_mm) if probe or (probe is None and kit is None) else ():
             try:
-                found.append(planner.with_probe(kit, spheres_mm, sizes))
+                found.append(planner.with_probe(kit, places, sizes))
             except InputError as error:
                 failed.append(error)
         if not probe:
@@ -332,6 +336,22 @@ def plan_confirmation(  # noqa: PLR0913
         if one is not best
     )
     return replace(best, others=(*others, *map(str, failed)))
+
+
+def _places(
+    machine: Machine,
+    kit: Kit | None,
+    sizes: InstrumentSizes,
+    spheres_mm: Mapping[str, tuple[float, float, float]] | None,
+) -> list[Mapping[str, tuple[float, float, float]]]:
+    """Return the places of spheres to plan for: those given, else one sphere near the table's rim, low or high."""
+    if spheres_mm is not None or len(machine.linear) != 3 or not machine.rotary:
+        return [spheres_mm or {}]
+    low = sequence_task(machine, instrument_named("probe"), kit, None, 60.0, sizes).places_mm
+    ((name, (x, _, z)),) = low.items()
+    if all(machine.axes[i].side == "tool" for i in machine.rotary):
+        return [low]
+    return [low, {name: (round(-0.7 * x), round(0.7 * x), z + HIGHER_MM)}]
 
 
 @final
@@ -429,7 +449,9 @@ class _Planner:
             what = "the time budget is too short for a measurement"
             raise InputError(what, expected=f"{minutes:.0f} minutes or more", value=most)
         made = SequencePlan(
-            replace(task, minutes=minutes),
+            replace(
+                task, minutes=minutes, places_mm={n: p for n, p in task.places_mm.items() if n in set(chosen.place)}
+            ),
             PROBED,
             table,
             reached.dropped,
