@@ -356,7 +356,7 @@ def test_the_check_of_the_plan_decides(folder: Path, check: tuple[dict, np.ndarr
 
 @pytest.mark.slow
 def test_rates_of_the_planned_check(folder: Path, check: tuple[dict, np.ndarray]) -> None:
-    """Of 40 right machines at most 5 are not confirmed; of 40 with one table absent or reversed none is."""
+    """At most 5 of 40 right machines are not confirmed, and none of 40 with one table absent or reversed is."""
     found, rotary = check
     twice = bool(found["twice_for"])
     right = [probed(folder, rotary, 100 + k, {}, twice=twice)[1]["verdict"] for k in range(40)]

@@ -249,8 +249,8 @@ class Confirmation(Result):
         if self.values:
             lines += [
                 f"figures: RMS error of the tool point over the volume, tool length {self.tool_length_mm:g} mm, from the calibration "
-                f"and {count_with_noun(self.readings, 'reading')}; ± U (95 %), without what no reading determines. As written: neither one "
-                "mistake nor two explain the readings; acts … times: with all other values free, too",
+                f"and {count_with_noun(self.readings, 'reading')}; ± U (95 %), without what no reading determines. As written: "
+                "neither one mistake nor two explain the readings; acts … times: with all other values free, too",
                 "",
                 f"{'written value':<38}{'effect at the tool':>20}{'acts … times (U 95 %)':>24}   these readings say",
                 *(f"  {name:<36}{f'{um} µm RMS':>20}{times:>24}   {says}" for name, um, times, says in self.table()),

@@ -101,7 +101,7 @@ class WeakestMistake(Aim):
     def weight(self, covariance: np.ndarray) -> np.ndarray:
         """See `Aim.weight`."""
         count, strengths = self.changes.shape[1], self.strengths(covariance)
-        # Derivative of the sum of squares of what the mistakes lack; the single worst one changes with every reading.
+        # All mistakes that are not distinct yet count: the single worst one changes with every reading.
         part = np.maximum(1.0 - strengths / LAMBDA, 0.0) + BEYOND / (1.0 + strengths) ** 2
         along = np.linalg.solve(covariance[:count, :count], self.changes.T)
         found = np.zeros_like(covariance)
