@@ -96,7 +96,7 @@ class StatedKinematics:
                 return read(lines)
         raise InputError(
             "no kinematics of a control",
-            expected="$MC_TRAFO5_… or MD24500 ff., $TC_CARR…, $NK_…, N19680 ff., rows of MachAxis and Trans, or KINEMATICS and setp of LinuxCNC",
+            expected="$MC_TRAFO5_…, MD24500 ff., $TC_CARR…, $NK_…, N19680 ff., rows of MachAxis and Trans, or KINEMATICS of LinuxCNC",
             file=paths[0],
         )
 
@@ -332,8 +332,8 @@ def _tool_carrier(lines: Sequence[TableLine], wanted: str | None) -> StatedKinem
     kind = given.found["23"].text.upper() if "23" in given.found else "T"
     if kind not in ("T", "P", "M"):
         raise given.found["23"].error("$TC_CARR23: kinematic type", "T, P or M", kind)
-    for field in ("24", "25", "64", "65"):
-        given.check(field, 0.0, "$TC_CARR24, 25, 64, 65: the zero of a rotary axis is shifted")
+    for shift in ("24", "25", "64", "65"):
+        given.check(shift, 0.0, "$TC_CARR24, 25, 64, 65: the zero of a rotary axis is shifted")
 
     def vector(start: int, fine: int) -> np.ndarray:
         return sum((given.vector(*(str(at + i) for i in range(3))) for at in (start, fine)), np.zeros(3))

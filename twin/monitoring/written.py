@@ -555,7 +555,7 @@ class Weigher:
         return found
 
     def free(self, state: Hypothesis, groups: Sequence[Sequence[int]]) -> np.ndarray:
-        """Return the coefficients (columns, f) of what is free in a state."""
+        """Return the coefficients (columns, f) of the free columns of a state."""
         columns = [self.column(one, groups) for one in state.free]
         return np.stack(columns, axis=1) if columns else np.zeros((len(self.slope), 0))
 
@@ -605,7 +605,7 @@ class Weigher:
         wide = self.normal[np.ix_(some, some)] + np.eye(len(some)) * 1e-6
         chi2 = self.chi2 - float(self.slope[some] @ np.linalg.solve(wide, self.slope[some]))
         absorbed = float(np.trace(np.eye(len(self.precision)) - np.linalg.inv(self.precision)))
-        # Of what is free, only what the readings determine takes degrees of freedom.
+        # Free columns take degrees of freedom only where the readings determine them.
         taken = float(np.trace(np.linalg.solve(wide, self.normal[np.ix_(some, some)])))
         return chi2, self.rank - absorbed - taken
 

@@ -13,7 +13,7 @@ Manual: `twin doc plan`.
 #     result       Plan             the plan as displayed and written
 #
 # A measuring sequence: `sequences` (poses, reach, prediction), `measure` (SequencePlan), `programs` (for a control).
-# A check of what was written into a control: `confirmation` (ConfirmationPlan, of a Plan or a SequencePlan).
+# A check of a written correction: `confirmation` (ConfirmationPlan, with a Plan or a SequencePlan).
 # A thermal test: `drift` (schedules; DriftPlan).
 
 from twin.planning.confirmation import plan_confirmation

@@ -60,7 +60,7 @@ DURATIONS: Final = (8.0, 10.0, 12.0, 15.0, 20.0, 25.0, 30.0, 40.0, 50.0, 60.0, 8
 """Durations tried with a kit, in minutes."""
 FEWEST: Final = 4
 HIGHER_MM: Final = 100.0
-"""How much higher a second place of a sphere is: a table over Z, or times Z, needs heights that differ."""
+"""Height of a second place of the sphere above the first: a table over Z, or times Z, needs heights that differ."""
 MOST: Final = 60
 """Poses of a probe in one plan."""
 BEYOND: Final = 1e-2
