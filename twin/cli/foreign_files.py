@@ -217,9 +217,13 @@ def _converted(path: Path, machine: Machine, plan: Path | None, output: Path) ->
             path, machine, Given(plan=None if plan is None else Measurements.load(plan, machine, plan=True))
         )
     except InputError as error:
-        option = "" if error.setting is None else f" --{error.setting}"
-        more = f"{error.expected}: `twin convert {shlex.quote(str(path))} -o {shlex.quote(str(output))}{option} …`"
-        raise InputError(error.what, expected=more, file=error.file, line=error.line, value=error.value) from None
+        if error.setting is None:
+            raise
+        again = shlex.join(
+            ["twin", "convert", str(path), "-o", str(output), *(f"--{one.strip()}" for one in error.setting.split(","))]
+        )
+        expected = f"{error.expected}: `{again} …`"
+        raise InputError(error.what, expected=expected, file=error.file, line=error.line, value=error.value) from None
     conversion.save(output, machine)
     return CommandResult(conversion.to_text(), conversion.to_dict)
 

@@ -70,8 +70,7 @@ WIDER: Final = 5.0
 """Factor on the calibration's uncertainty in the model from which the noise of the readings is estimated."""
 UNSEEN: Final = 0.01
 """Share of the prior variance from which the readings do not determine a change."""
-FUNCTIONS: Final = 6
-"""Functions of each error motion where no calibration is given."""
+FUNCTIONS: Final = 6  # of each error motion, where no calibration is given
 ACTIVE: Final = (
     "kinematics act in tool centre point mode only: measure AFTER with the transformation active, at the programmed points for which "
     "the nominal kinematics give the axis positions of the table"
@@ -325,6 +324,12 @@ def confirm(
     Raises:
         InputError: neither readings before nor a calibration; written values without a calibration; readings that disagree with the
             commands, or that move no axis.
+
+    Examples:
+        >>> machine, tracker, draws = twin.Machine.load("dmu50"), twin.instruments.LaserTracker(), np.random.default_rng(1)
+        >>> task = twin.thesis_plan.plan(machine), machine, twin.Calibration.zero(machine), tracker, draws
+        >>> twin.confirm(twin.simulate(*task)[0], twin.simulate(*task)[0], machine).verdict
+        'unchanged'
     """
     if calibration is None and (before is None or written):
         raise InputError("no calibration", expected="the calibration of the machine before", file=after.source)

@@ -98,6 +98,12 @@ def written_values(
 
     Raises:
         InputError: no calibration where one is needed; an invalid folder; an error that cannot be adjusted.
+
+    Examples:
+        >>> machine = twin.Machine.load("dmu50")
+        >>> _, values = twin.written_values(machine, twin.Calibration.default(machine), compensated=True)
+        >>> [value.name for value in values][:2]
+        ["program's words of X", "program's words of Y"]
     """
     length = machine.tool_length_mm if tool_length_mm is None else tool_length_mm
     written = None if folder is None else Calibration.load(Path(folder) / "calibration.yaml", machine)

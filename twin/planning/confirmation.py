@@ -303,6 +303,14 @@ def plan_confirmation(  # noqa: PLR0913
 
     Raises:
         InputError: nothing that matters was written, or the time budget is too short.
+
+    Examples:
+        >>> machine = twin.Machine.load("dmu50")
+        >>> errors = twin.Calibration.default(machine)
+        >>> _, written = twin.written_values(machine, errors, compensated=True)
+        >>> found = twin.plan_confirmation(errors, written, probe=True, sizes=twin.InstrumentSizes(120.0))
+        >>> found.shown, found.minutes < 40
+        (True, True)
     """
     machine = calibration.machine
     model = _Sensitivity(calibration.with_control(None), written, constant_unknowns(machine, machine.names))
