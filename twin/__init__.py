@@ -43,10 +43,19 @@ if TYPE_CHECKING:
     from twin.model.effects.entries import effect_named
     from twin.model.iso16907 import Scope
     from twin.model.motion_curve import Curve
-    from twin.monitoring import WatchSettings, compare, watch
+    from twin.monitoring import WatchSettings, compare, confirm, watch, written_values
     from twin.monitoring.watch_page import watch_html
     from twin.nc import read_program
-    from twin.planning import InstrumentSizes, Kit, duration, judge, measuring_sequence, plan, separate
+    from twin.planning import (
+        InstrumentSizes,
+        Kit,
+        duration,
+        judge,
+        measuring_sequence,
+        plan,
+        plan_confirmation,
+        separate,
+    )
     from twin.planning import plots as planning_plots
     from twin.planning.drift import drift_plan
     from twin.reporting import machine_report as report
@@ -103,6 +112,7 @@ __all__ = [
     "compensate",
     "compensate_file",
     "compensate_files",
+    "confirm",
     "convert",
     "diagnose",
     "diagnosis_html",
@@ -129,6 +139,7 @@ __all__ = [
     "measurements_from_frame",
     "measuring_sequence",
     "plan",
+    "plan_confirmation",
     "planning_plots",
     "plot_curve",
     "plot_field",
@@ -143,6 +154,7 @@ __all__ = [
     "to_frame",
     "watch",
     "watch_html",
+    "written_values",
 ]
 
 

@@ -70,6 +70,8 @@ def test_options_that_may_be_missing_are_named(tmp_path: Path, capsys: pytest.Ca
     m = tmp_path / "m.csv"
     assert "(--at)" in refused(capsys, "convert", tmp_path / "x.rtl", "-o", m)
     assert "(--at)" in refused(capsys, "convert", tmp_path / "circle.b5r", "-o", m)
+    said = refused(capsys, "import", tmp_path / "x.rtl", "-o", m)
+    assert f"`twin convert {tmp_path / 'x.rtl'} -o {m} --at …`" in said and not m.exists()
     assert "(--plan)" in refused(capsys, "convert", tmp_path / "Round 1.csv", "-o", m)
     text = CASES["renishaw-laser"].GOOD.replace("Axis:X", "Axis:")
     (tmp_path / "x.rtl").write_text(text)

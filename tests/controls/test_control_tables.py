@@ -565,3 +565,29 @@ def test_poses_with_tables_are_those_of_their_kinematics(dmu50: Machine, tmp_pat
     found, expected = required.poses_with(known, q), required.kinematics_with(known).forward(q, required.volume.sides)
     assert found.point_mm == pytest.approx(expected.point_mm, abs=1e-9)
     assert np.abs(expected.point_mm - required.poses_with(errors, q).point_mm).max() > 1e-3
+
+
+def test_tables_that_make_the_machine_worse_are_not_written(dmu50: Machine, tmp_path: Path) -> None:
+    """Two constants that cancel, only one of which is shown: its table alone would double what it should correct."""
+    curves = {
+        name: Curve(name, "um", dmu50.by_name[name[3]].domain, "power", (value, slope))
+        for name, value, slope in (("E_XX", 20.0, 1.0), ("E_XZ", -20.0, -4.0))
+    }
+    none = MappingProxyType[str, float]({})
+    names = ("E_XX[0]", "E_XX[1]", "E_XZ[0]", "E_XZ[1]")
+    calibration = Calibration(
+        dmu50,
+        "drawn",
+        MappingProxyType(curves),
+        none,
+        none,
+        joint=Covariance(names, np.diag([30.0, 30.0, 1.0, 1.0]) ** 2),
+    )
+    for unproven in (False, True):
+        made = make(dmu50, calibration, Request("siemens", tool_length_mm=LENGTH, unproven=unproven))
+        if unproven:
+            assert write_folder(made, calibration, calibration, {}, tmp_path / "forced").remains.tables.rms_um < 5.0
+            continue
+        with pytest.raises(InputError, match="larger with these tables than without them; 1 more not written"):
+            write_folder(made, calibration, calibration, {}, tmp_path / "none")
+        assert not (tmp_path / "none").exists()

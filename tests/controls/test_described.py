@@ -140,6 +140,60 @@ def test_sinumerik_head_and_table_by_numbers(tmp_path: Path) -> None:
     assert data["axes"]["C"]["about"] == "0 0 1" and data["axes"]["C"]["at"] == "machine 300 250 -390"
 
 
+def carrier(kind: str, fields: dict[int, object], n: int = 1) -> str:
+    """Return a swivel data record: `$TC_CARR<field>[n]`, with the first field of a vector given."""
+    rows = [f'$TC_CARR23[{n}]="{kind}"']
+    for first, value in fields.items():
+        values = value if isinstance(value, tuple) else (value,)
+        rows += [f"$TC_CARR{first + i}[{n}]={one}" for i, one in enumerate(values)]
+    return "\n".join(rows) + "\n"
+
+
+HEAD_2 = {7: (0, 1, 0), 10: (0, -1, 1), 4: (0, 172, 172), 15: (0, 0, 93.8), 55: (1, 2, 0), 21: "B", 22: "C"}
+HEAD_2 |= {30: -180, 32: 180, 31: 0, 33: 180}
+
+
+@pytest.mark.parametrize("transformation", ["", "$MC_TRAFO_TYPE_1=72\n$MC_TRAFO5_TCARR_NO_1=2\n"])
+def test_sinumerik_tool_carrier(transformation: str, tmp_path: Path) -> None:
+    """The same head as a swivel data record, one offset of it as fine offset; type 72 says which of two records."""
+    other = carrier("P", {7: (1, 0, 0), 10: (0, 0, 1)}) if transformation else ""
+    found = stated(tmp_path, transformation + other + carrier("T", HEAD_2, 2))
+    machine = made(tmp_path, found.completed(bare("X Y Z B C", "")))
+    assert [(axis.lower, axis.upper) for axis in machine.axes[3:]] == [(-180.0, 180.0), (0.0, 180.0)]
+    q = commands(machine, 20)
+    tip, _ = poses(machine, q, 55.0)
+    lines = [((0, 1, 0), (1, 174, 265.8)), ((0, -1, 1), (1, 2, 93.8))]
+    expected = np.array([tip_of_head(one, lines, 55.0) for one in q])
+    np.testing.assert_allclose(tip + list(TABLE.values()), expected, rtol=0, atol=1e-9)
+
+
+def test_sinumerik_table_and_mixed_tool_carriers(tmp_path: Path) -> None:
+    """The correspondence to the machine data of types 40 and 56 (manual, p. 572)."""
+    turned_axes = {7: (1, 0, 0), 10: (0, 0, 1), 21: "A", 22: "C", 4: (300, 250, -400), 15: (0, 5, 60), 18: (1, 2, 3)}
+    axes = stated(tmp_path, carrier("P", turned_axes)).completed(bare("X Y Z", "A C", A=[-90, 90], C="unlimited"))[
+        "axes"
+    ]
+    assert (axes["A"]["at"], axes["C"]["at"]) == ("machine 300 250 -400", "machine 300 255 -340")
+    mixed = {7: (0, -1, 0), 10: (0, 0, 1), 21: "B", 22: "C", 1: (-1, -2, -93.8), 4: (1, 2, 93.8), 15: (300, 250, -390)}
+    data = stated(tmp_path, carrier("m", mixed)).completed(bare("X Y Z B", "C", B=[-90, 90], C="unlimited"))
+    same = stated(tmp_path, NUMBERS).completed(bare("X Y Z B", "C", B=[-90, 90], C="unlimited"))
+    assert data["axes"] == same["axes"]
+
+
+@pytest.mark.parametrize(
+    ("kind", "tool", "work", "about"),
+    [(21, "X Y Z C B", "", "001 010"), (35, "X Y Z", "B C", "010 001"), (48, "X Y Z A", "B", "100 010")],
+)
+def test_sinumerik_types_that_state_their_axes(kind: int, tool: str, work: str, about: str, tmp_path: Path) -> None:
+    names = [name for name in (*tool.split(), *work.split()) if name in "ABC"]
+    ranges = {name: [-90, 90] for name in names}
+    data = stated(tmp_path, HEAD.format(kind)).completed(bare(tool, work, **ranges))
+    assert [data["axes"][name]["about"].replace(" ", "") for name in names] == about.split()
+    wrong = ("X Y Z B C", "") if tool.endswith("C B") else (tool, work.translate(str.maketrans("BC", "CB")))
+    with pytest.raises(InputError, match="contradicts the control"):
+        stated(tmp_path, HEAD.format(kind)).completed(bare(*wrong, B=[-90, 90], C=[-90, 90], A=[-90, 90]))
+
+
 FANUC = "N19680Q1L1P{}\nN19681Q1L1P4\nN19682Q1L1P3\nN19684Q1L1P0\nN19686Q1L1P5\nN19687Q1L1P{}\nN19688Q1L1P{}\nN19689Q1L1P{}\n"
 FANUC += "N19666Q1L1P150.\nN19697Q1L1P3\nN19700Q1L1P10.\nN19701Q1L1P20.\nN19702Q1L1P-30.5\nN19709P1.\nN19711 P50.\nN19713P-25.\n"
 
@@ -231,7 +285,11 @@ def test_a_control_that_contradicts_an_answer_names_it(tmp_path: Path) -> None:
     ("text", "words"),
     [
         ("hello\n", ["no kinematics of a control"]),
-        (HEAD.format(72), ["another type", "24, 40 or 56"]),
+        (HEAD.format(257), ["another type", "24", "56 or 72", "257"]),
+        (HEAD.format(72), ["no tool carrier", "$TC_CARR…[1]"]),
+        (carrier("T", HEAD_2) + carrier("T", HEAD_2, 2), ["several tool carriers", "1, 2"]),
+        (carrier("X", HEAD_2), ["$TC_CARR23", "T, P or M", "control.txt:1"]),
+        (carrier("T", HEAD_2 | {24: 5}), ["zero of a rotary axis is shifted", "control.txt:"]),
         (HEAD.format(24), ["AXIS1", "missing or zero"]),
         (HEAD.format(24) + axes_of({1: (0, 0, 0), 2: (0, 1, 0)}), ["missing or zero"]),
         (HEAD.format(24) + "$MC_TRAFO5_BASE_TOOL_1[2]=94\n", ["two values", "control.txt:"]),

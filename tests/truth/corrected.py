@@ -7,7 +7,7 @@ locations, and no other error, is at the programmed point of the workpiece.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -82,5 +82,34 @@ def measure(
             point = seen(origin, turn, carried(truth, moved, carrier, places[name])) + sigma_mm * rng.standard_normal(3)
             numbers = [f"{v:.6f}" for v in (*pose, *point)]
             rows.append(",".join([*numbers[:5], name, carrier, *numbers[5:], *[f"{sigma_mm}"] * 3]))
+    file.write_text("\n".join(rows) + "\n")
+    return file
+
+
+def probe(
+    file: Path,
+    truth: TruthMachine,
+    rotary: np.ndarray,
+    control: Callable[[np.ndarray], np.ndarray],
+    rng: np.random.Generator,
+    place: tuple[float, float, float],
+) -> Path:
+    """Write what a touch probe finds at a sphere on the table: the commands (n, 5) at which its tip is at the centre, B and C given.
+
+    ``control`` returns what the control adds to commands (1, 5).
+    """
+    sphere, tip = np.array(place) + rng.uniform(-2, 2, 3), truth.tool_length
+    rows = ["X_mm,Y_mm,Z_mm,B_deg,C_deg,target,carrier,station,station_carrier,instrument,x_mm,y_mm,z_mm"]
+    for b, c in rotary:
+        q = np.array([250.0, 225.0, tip - 400.0, b, c])
+
+        def gap(q: np.ndarray) -> np.ndarray:
+            return np.asarray(truth.pose(q + control(q[None])[0])[:3, 3] - sphere)
+
+        for _ in range(6):
+            slope = np.stack([(gap(q + np.eye(5)[i]) - gap(q)) for i in range(3)], axis=1)
+            q[:3] -= np.linalg.solve(slope, gap(q))
+        q[:3] += 0.0015 * rng.standard_normal(3)
+        rows.append(",".join([*(f"{v:.6f}" for v in q), "sphere,work,tip,tool,probe,0,0,0"]))
     file.write_text("\n".join(rows) + "\n")
     return file

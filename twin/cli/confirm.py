@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -14,11 +13,6 @@ from twin._common.files import write_atomic
 from twin.cli.shared import complete, options
 from twin.cli.shared.command import EXISTING, HTML, CommandResult, JsonOption, command, progress_bar
 from twin.cli.shared.terminal import number, pairs
-
-if TYPE_CHECKING:
-    from twin.machine.machine import Machine
-    from twin.model.calibration import Calibration
-    from twin.monitoring.written import WrittenValue
 
 
 @command(
@@ -72,7 +66,9 @@ def confirm(
     the displacement of the tool. The exit status is 3 unless the verdict is that everything is confirmed, or that nothing moved.
     """
     from twin.measurement.table import Measurements
-    from twin.monitoring.confirmation import confirm as run
+    from twin.model.calibration import Calibration
+    from twin.monitoring import confirm as run
+    from twin.monitoring import written_values
 
     loaded = options.machine(machine)
     length = loaded.tool_length_mm if tool_length is None else tool_length
@@ -81,8 +77,17 @@ def confirm(
         raise InputError("two calibrations", expected="--calibration with readings BEFORE only", value=calibration)
     if written is not None and compensated:
         raise InputError("--written and --compensated exclude each other", expected="one of them", value=written)
-    errors, values = _errors_and_values(
-        loaded, before if is_calibration else calibration, written, adjusted, length, compensated=compensated
+    known = before if is_calibration else calibration
+    if compensated and known is None:
+        raise InputError("no calibration", expected="--calibration that the program was compensated with")
+    entries = pairs("--adjusted", adjusted, "E_C0Y=0, each error once")
+    errors, values = written_values(
+        loaded,
+        None if known is None else Calibration.load(known, loaded),
+        folder=written,
+        adjusted={name: number("--adjusted", text, entry) for name, text, entry in entries},
+        compensated=compensated,
+        tool_length_mm=length,
     )
     with progress_bar() as bar:
         found = run(
@@ -97,41 +102,3 @@ def confirm(
     if html_file is not None:
         write_atomic(html_file, found.to_html())
     return CommandResult(found.to_text(), found.to_dict, met=found.met)
-
-
-def _errors_and_values(
-    machine: Machine,
-    calibration: Path | None,
-    written: Path | None,
-    adjusted: list[str] | None,
-    tool_length_mm: float,
-    *,
-    compensated: bool,
-) -> tuple[Calibration | None, list[WrittenValue]]:
-    """Return the errors of the machine before, and what was written into it.
-
-    Raises:
-        InputError: no calibration where one is needed; an invalid folder; an error that cannot be adjusted.
-    """
-    from twin.model.calibration import Calibration
-    from twin.monitoring.written import adjustment, program_words, written_by
-
-    folder = None if written is None else Calibration.load(written / "calibration.yaml", machine)
-    errors = folder if calibration is None else Calibration.load(calibration, machine)
-    values = [] if folder is None else list(written_by(folder, tool_length_mm))
-    if folder is not None and errors is not None:
-        if errors.control is not None and errors.control.errors_are == "remaining":
-            raise InputError(
-                "the errors of this calibration were measured under other tables",
-                expected="errors of the machine without tables",
-                file=errors.path,
-                value="errors_are: remaining",
-            )
-        errors = replace(errors.with_control(None), path=errors.path)
-    if compensated:
-        if errors is None:
-            raise InputError("no calibration", expected="--calibration that the program was compensated with")
-        values += program_words(errors, tool_length_mm)
-    for name, text, entry in pairs("--adjusted", adjusted, "E_C0Y=0, each error once"):
-        values.append(adjustment(errors, machine, name, number("--adjusted", text, entry)))
-    return errors, values

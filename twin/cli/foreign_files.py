@@ -20,6 +20,7 @@ from twin.cli.shared.terminal import axis_values, three_numbers
 from twin.samples import TABLES
 
 if TYPE_CHECKING:
+    from twin.machine.machine import Machine
     from twin.measurement.importing import ImportedTable
 
 Files = Annotated[
@@ -174,20 +175,25 @@ def import_(
     machine: options.MachineOption = DEFAULT,
     json_file: JsonOption = None,
 ) -> CommandResult:
-    """Import a table of measured points: any CSV or Excel workbook.
+    """Import a table of measured points: any CSV or Excel workbook, or a file that `twin convert` reads without its options.
 
     Delimiter, decimal sign, encoding, units and the meaning of the columns are found from the file. If nothing is assumed, the
     measurement table is written. Otherwise only a mapping is written, for a person to confirm, and the exit status is 2; the same
     command with --columns then applies it. `twin doc import` lists the words that are known.
     """
     path = options.bundled_sample(file, "table", "table of measured points", [table.name for table in TABLES])
+    from twin.measurement.formats import other_format
     from twin.measurement.importing import import_table as run_import
 
     loaded = options.machine(machine)
     given = columns if columns is not None and columns.exists() else None
-    imported = run_import(
-        path, loaded, columns=given, sheet=sheet, plan=None if plan is None else options.plan_file(plan)
-    )
+    points = None if plan is None else options.plan_file(plan)
+    try:
+        imported = run_import(path, loaded, columns=given, sheet=sheet, plan=points)
+    except InputError:
+        if given is not None or other_format(path) is None:
+            raise
+        return _converted(path, loaded, points, output)
     if imported.confirmed:
         imported.save(output)
         return CommandResult(imported.to_text(), imported.to_dict)
@@ -195,6 +201,31 @@ def import_(
     if given is not None and proposal.exists():  # the lines given were completed
         proposal = output.with_name(f"{output.name}.columns.completed.yaml")
     return _proposed(imported, proposal, output, [sheet, plan, machine])
+
+
+def _converted(path: Path, machine: Machine, plan: Path | None, output: Path) -> CommandResult:
+    """Convert a file of another format, with what it says itself.
+
+    Raises:
+        InputError: it does not say enough; with the command that takes the rest.
+    """
+    from twin.measurement.formats import Given, convert
+    from twin.measurement.table import Measurements
+
+    try:
+        conversion = convert(
+            path, machine, Given(plan=None if plan is None else Measurements.load(plan, machine, plan=True))
+        )
+    except InputError as error:
+        if error.setting is None:
+            raise
+        again = shlex.join(
+            ["twin", "convert", str(path), "-o", str(output), *(f"--{one.strip()}" for one in error.setting.split(","))]
+        )
+        expected = f"{error.expected}: `{again} …`"
+        raise InputError(error.what, expected=expected, file=error.file, line=error.line, value=error.value) from None
+    conversion.save(output, machine)
+    return CommandResult(conversion.to_text(), conversion.to_dict)
 
 
 def _proposed(found: ImportedTable, path: Path, output: Path, others: list[object]) -> CommandResult:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, final
+from typing import TYPE_CHECKING, Annotated, Any, final
 
 import typer
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from twin.machine.machine import Machine
     from twin.measurement.table import Measurements
     from twin.model.calibration import Calibration
-    from twin.planning import InstrumentSizes, Kit, Plan
+    from twin.planning import InstrumentSizes, Kit, Plan, SequencePlan
 
 DriftOption = Annotated[
     str | None,
@@ -226,7 +226,7 @@ ProgramOption = Annotated[
     "twin plan -o plan.csv --kit dmu50 --reduce E_C0Y E_A0Z",
     'twin plan -o plan.csv --separate "cross_axis E_AX by Z" "cross_axis E_AY by Z" --after measured.csv',
     "twin plan --judge thesis_plan.csv --json judged.json",
-    "twin plan --confirm tables -o check.csv --tool-length 120",
+    "twin plan --confirm tables -o check.csv --tool-length 120 --program check.mpf",
     "twin plan --instrument probe -o plan.csv --tool-length 120 --minutes 45",
     "twin plan --drift spindle --instrument displacement --highest-rpm 12000 --minutes 300 -o spindle.csv --program spindle.mpf",
     'twin plan --instrument probe --sequence turns -o plan.csv --tool-length 120 --spheres "150,0,60" --program probe.ngc',
@@ -264,8 +264,8 @@ def plan(
     if (output is None) is (judged is None):
         raise InputError("no output, or two outputs", expected="either -o PLAN.csv or --judge PLAN.csv")
     _check_combination(after, causes, reduce, instrument)
-    if confirm is not None and (causes or reduce or judged or sequence or instrument or drift or calibration):
-        raise InputError("--confirm plans by itself", expected="no other aim, instrument or calibration", value=confirm)
+    if confirm is not None and (causes or reduce or judged or sequence or drift or calibration):
+        raise InputError("--confirm plans by itself", expected="no other aim or calibration", value=confirm)
     test = DriftRequest(drift, highest_rpm, spectrum, axis, feed, seed, program_file)
     for_drift = test.wanted(bool(causes or reduce or judged or sequence or radius))
     if instrument is not None and not for_drift:
@@ -277,7 +277,9 @@ def plan(
     loaded = options.machine(machine)
     own = Kit.default(loaded) if kit is None else Kit.load(bundled_kit(kit), loaded)
     if confirm is not None:
-        return _to_confirm(confirm, loaded, own, minutes, tool_length, seed, output)
+        sizes = _sizes(sphere_diameter, ball_diameter, clearance, radius, feed)
+        asked = _SequenceRequest(instrument, None, spheres, sizes, program_file)
+        return asked.to_confirm(confirm, loaded, None if kit is None else own, tool_length, minutes, seed, output)
     errors = options.calibration_of(calibration, loaded)
     if for_drift:
         own_sizes = InstrumentSizes(tool_length, **_sizes(sphere_diameter, ball_diameter, clearance, None, None))
@@ -293,38 +295,6 @@ def plan(
     if output is not None:
         made.save(output)
     return CommandResult(made.to_text(), made.to_dict, met=made.complete)
-
-
-def _to_confirm(
-    folder: Path,
-    machine: Machine,
-    kit: Kit,
-    minutes: float | None,
-    tool_length: float | None,
-    seed: int,
-    output: Path | None,
-) -> CommandResult:
-    """Plan the shortest measurement that shows what `twin control` wrote, and write it."""
-    from twin.model.calibration import Calibration
-    from twin.monitoring.written import written_by
-    from twin.planning.separate import plan_confirmation
-
-    calibration = Calibration.load(folder / "calibration.yaml", machine)
-    length = machine.tool_length_mm if tool_length is None else tool_length
-    with progress_bar() as bar:
-        made = plan_confirmation(
-            calibration,
-            written_by(calibration, length),
-            kit,
-            minutes=minutes,
-            tool_length_mm=length,
-            seed=seed,
-            progress=bar,
-        )
-    if output is not None:
-        made.plan.save(output)
-    text = made.plan.to_text() + "\n".join(made.lines()) + "\n"
-    return CommandResult(text, made.to_dict, met=made.plan.complete and made.shown and not made.hidden)
 
 
 def _made(
@@ -417,41 +387,89 @@ class _SequenceRequest:
         """Plan the sequence and write it."""
         from twin.measurement.instruments import instrument_named
         from twin.planning import measuring_sequence
-        from twin.planning.programs.controls import format_of, write_program
-        from twin.planning.programs.steps import program_steps
         from twin.planning.sequences.specification import SET_UPS, InstrumentSizes
 
         instrument = instrument_named(str(self.instrument))
         words = SET_UPS[instrument.name]
         name = words.target if instrument.specification.reads == "null" else words.station
-        places = {
-            f"{name} {k + 1}": three_numbers("--spheres", text, text, "x,y,z in mm")
-            for k, text in enumerate(self.spheres or [])
-        }
         made = measuring_sequence(
             machine,
             instrument,
             self.sequence,
             kit,
-            places_mm=places or None,
+            places_mm=self._places(name),
             minutes=SEQUENCE_MINUTES if minutes is None else minutes,
             sizes=InstrumentSizes(tool_length_mm, **self.sizes),
             seed=seed,
         )
-        text, program = made.to_text(), None
-        skipped: tuple[int, ...] = ()
-        if self.program is not None:
-            language = format_of(self.program)
-            steps = program_steps(made)
-            skipped, program = steps.skipped, {"file": str(self.program), "control": language.title}
-            text += f"note: program for {language.title}: {steps.poses} poses, NOT RUN ON A MACHINE. {language.unverified}\n"
-            if skipped:
-                text += f"note: NOT PROBED for lack of clearance: poses {', '.join(map(str, skipped))}\n"
-            write_program(steps, self.program)
+        report = {**made.to_dict(), **self._program(made)}
         if output is not None:
             made.save(output)
-        report = {**made.to_dict(), "program": program, "not_probed": list(skipped)}
-        return CommandResult(text, lambda: report, met=not skipped)
+        return CommandResult(made.to_text() + report.pop("note"), lambda: report, met=not report["not_probed"])
+
+    def to_confirm(
+        self,
+        folder: Path,
+        machine: Machine,
+        kit: Kit | None,
+        tool_length_mm: float | None,
+        minutes: float | None,
+        seed: int,
+        output: Path | None,
+    ) -> CommandResult:
+        """Plan the shortest measurement that shows what `twin control` wrote, and write it."""
+        from twin.model.calibration import Calibration
+        from twin.monitoring.written import written_by
+        from twin.planning import SequencePlan
+        from twin.planning.confirmation import plan_confirmation
+        from twin.planning.sequences.specification import InstrumentSizes
+
+        if self.instrument not in (None, "probe"):
+            raise InputError("no such instrument for --confirm", expected="probe, or a --kit", value=self.instrument)
+        calibration = Calibration.load(folder / "calibration.yaml", machine)
+        length = machine.tool_length_mm if tool_length_mm is None else tool_length_mm
+        with progress_bar() as bar:
+            made = plan_confirmation(
+                calibration,
+                written_by(calibration, length),
+                kit,
+                probe=True if self.instrument or self.spheres or self.sizes or self.program else None,
+                spheres_mm=self._places("sphere"),
+                sizes=InstrumentSizes(tool_length_mm, **self.sizes),
+                minutes=minutes,
+                seed=seed,
+                progress=bar,
+            )
+        report = {**made.to_dict(), **(self._program(made.plan) if isinstance(made.plan, SequencePlan) else {})}
+        if output is not None:
+            made.plan.save(output)
+        text = made.plan.to_text() + report.pop("note", "") + "\n".join(made.lines()) + "\n"
+        met = not report["not_probed"] if isinstance(made.plan, SequencePlan) else made.plan.complete
+        return CommandResult(text, lambda: report, met=met and made.shown and not made.hidden)
+
+    def _places(self, name: str) -> dict[str, tuple[float, float, float]] | None:
+        """Return the places of the parts on the table, by name; None if none are given."""
+        places = {
+            f"{name} {k + 1}": three_numbers("--spheres", text, text, "x,y,z in mm")
+            for k, text in enumerate(self.spheres or [])
+        }
+        return places or None
+
+    def _program(self, made: SequencePlan) -> dict[str, Any]:
+        """Write the program, if one is wanted; return entries of the report, with the note of the text."""
+        from twin.planning.programs.controls import format_of, write_program
+        from twin.planning.programs.steps import program_steps
+
+        if self.program is None:
+            return {"note": "", "program": None, "not_probed": []}
+        language = format_of(self.program)
+        steps = program_steps(made)
+        note = f"note: program for {language.title}: {steps.poses} poses, NOT RUN ON A MACHINE. {language.unverified}\n"
+        if steps.skipped:
+            note += f"note: NOT PROBED for lack of clearance: poses {', '.join(map(str, steps.skipped))}\n"
+        write_program(steps, self.program)
+        program = {"file": str(self.program), "control": language.title}
+        return {"note": note, "program": program, "not_probed": list(steps.skipped)}
 
 
 def _judged_sequence(plan: Path, machine: Machine, kit: Kit, table: Measurements) -> CommandResult:

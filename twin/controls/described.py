@@ -5,7 +5,9 @@ Checked against public descriptions:
 - SINUMERIK `$MC_TRAFO5_…` (MD24500 ff.), Commissioning Manual SINUMERIK Operate (IM9), 12/2017, p. 572 and 581, and 03/2013, p. 502:
   type 24 head, 40 table, 56 head and table; of a head BASE_TOOL leads from the tool adapter to the second axis and JOINT_OFFSET from
   there to the first, of a table BASE_TOOL from the machine's reference point to the first and JOINT_OFFSET (24558) to the second.
-  Kinematic chain `$NK_…`: Function Manual Transformations, 06/2019.
+  Types 16 to 21 (head), 32 to 35 (table) and 48 to 51 name their axes, and type 72 takes the vectors of a tool carrier; a tool carrier
+  `$TC_CARR…` corresponds to the machine data on p. 572, its fine offsets and axes are on p. 352 and 779. Types and kinematic chain
+  `$NK_…`: Function Manual Transformations, 06/2019, p. 148.
 - Fanuc 30i, A-79348E, p. 72 to 86: 19680 = 2, 12, 21; of a head 19709 to 19711 lead from the tool axis to the second axis, 19712 to
   19714 from there to the first; 19666 is the tool holder offset.
 - HEIDENHAIN iTNC 530, Technical Manual HSCI, p. 722: rows NR, KEY, AXIS, COORD from the tool to the workpiece.
@@ -37,7 +39,7 @@ SHORTEST: Final = 1e-6
 _MD: Final[Mapping[str, str]] = {
     "24100": "TRAFO_TYPE", "24500": "TRAFO5_PART_OFFSET", "24510": "TRAFO5_ROT_AX_OFFSET", "24520": "TRAFO5_ROT_SIGN_IS_PLUS",
     "24550": "TRAFO5_BASE_TOOL", "24558": "TRAFO5_JOINT_OFFSET_PART", "24560": "TRAFO5_JOINT_OFFSET", "24570": "TRAFO5_AXIS1",
-    "24572": "TRAFO5_AXIS2", "24574": "TRAFO5_BASE_ORIENT",
+    "24572": "TRAFO5_AXIS2", "24574": "TRAFO5_BASE_ORIENT", "24582": "TRAFO5_TCARR_NO",
 }  # fmt: skip
 """Names of SINUMERIK's machine data of the first transformation, by number."""
 
@@ -94,7 +96,7 @@ class StatedKinematics:
                 return read(lines)
         raise InputError(
             "no kinematics of a control",
-            expected="$MC_TRAFO5_… or MD24500 ff., $NK_…, N19680 ff., rows of MachAxis and Trans, or KINEMATICS and setp of LinuxCNC",
+            expected="$MC_TRAFO5_…, MD24500 ff., $TC_CARR…, $NK_…, N19680 ff., rows of MachAxis and Trans, or KINEMATICS of LinuxCNC",
             file=paths[0],
         )
 
@@ -269,9 +271,13 @@ def _sinumerik(lines: Sequence[TableLine]) -> StatedKinematics:
             value = {"TRUE": "1", "FALSE": "0"}.get(match["value"].upper(), match["value"])
             given.add(f"{name}[{match['index'] or 0}]", TableLine(line.path, line.number, value))
     kind = int(given.number("TRAFO_TYPE[0]", -1))
-    if kind not in (24, 40, 56):
-        expected = "MD24100 $MC_TRAFO_TYPE_1 = 24, 40 or 56 (generic transformation)"
-        raise InputError("transformation of another type, or none", expected=expected, file=given.path, value=kind)
+    if kind in (-1, 72):
+        wanted = f"{int(given.number('TRAFO5_TCARR_NO[0]', 1))}" if kind == 72 else None
+        return _tool_carrier(lines, wanted)
+    if kind not in _TYPES:
+        expected = f"MD24100 $MC_TRAFO_TYPE_1 = one of {', '.join(map(str, sorted(_TYPES)))} or 72"
+        raise InputError("transformation of another type", expected=expected, file=given.path, value=kind)
+    sides, letters = _TYPES[kind]
     for i, upright in enumerate((0.0, 0.0, 1.0)):
         given.check(f"TRAFO5_ROT_AX_OFFSET[{i}]", 0.0, "the zero of a rotary axis is shifted (MD24510)")
         given.check(f"TRAFO5_BASE_ORIENT[{i}]", upright, "the tool is not along Z at zero (MD24574)")
@@ -280,18 +286,79 @@ def _sinumerik(lines: Sequence[TableLine]) -> StatedKinematics:
     names = ("AXIS1", "AXIS2", "BASE_TOOL", "JOINT_OFFSET", "JOINT_OFFSET_PART")
     fields = {name: [f"TRAFO5_{name}[{i}]" for i in range(3)] for name in names}
     one, two = (
-        given.direction(*fields[f"AXIS{i}"]) * (1.0 if given.number(f"TRAFO5_ROT_SIGN_IS_PLUS[{i - 1}]", 1.0) else -1.0)
+        (np.eye(3)["ABC".index(letters[i - 1])] if letters else given.direction(*fields[f"AXIS{i}"]))
+        * (1.0 if given.number(f"TRAFO5_ROT_SIGN_IS_PLUS[{i - 1}]", 1.0) else -1.0)
         for i in (1, 2)
     )
     base, joint, part = (given.vector(*fields[name]) for name in names[2:])
-    axes = _axes(
-        {24: "TT", 40: "WW", 56: "TW"}[kind], one, two, base, joint, part if part.any() or kind == 56 else joint
-    )
+    axes = _axes(sides, one, two, base, joint, part if part.any() or sides == "TW" else joint)
+    if letters:
+        axes = (axes[0]._replace(name=letters[0]), axes[1]._replace(name=letters[1]))
     unchecked = (
         "the machine's reference point is the spindle nose with the linear axes at zero: the public table gives names and sums only",
         "the axes MD24570 and MD24572 are those of the tool's motion relative to the workpiece with a positive command",
+        *(("the vectors have the same meaning as those of types 24, 40 and 56",) if letters else ()),
     )
     return StatedKinematics(f"SINUMERIK, transformation type {kind}", given.path, axes, unchecked=unchecked)
+
+
+_TYPES: Final[Mapping[int, tuple[str, str]]] = {
+    24: ("TT", ""), 40: ("WW", ""), 56: ("TW", ""), 16: ("TT", "AB"), 18: ("TT", "BA"), 20: ("TT", "CA"), 21: ("TT", "CB"),
+    32: ("WW", "AB"), 33: ("WW", "AC"), 34: ("WW", "BA"), 35: ("WW", "BC"), 48: ("TW", "AB"), 49: ("TW", "AC"), 50: ("TW", "BA"),
+    51: ("TW", "BC"),
+}  # fmt: skip
+"""Sides (tool, workpiece) of the axes of each transformation type, and their letters where the type states them."""
+_CARRIER: Final = re.compile(r"\$TC_CARR(?P<field>\d+)\[(?P<n>\d+)\]\s*=\s*\"?(?P<value>[^\";\s]+)\"?", re.I)
+
+
+def _tool_carrier(lines: Sequence[TableLine], wanted: str | None) -> StatedKinematics:
+    """Return the kinematics of a tool carrier (swivel data record): the one with that number, else the only one."""
+    carriers: dict[str, _Parameters] = {}
+    for line in lines:
+        match = _CARRIER.search(line.text.partition(";")[0])
+        if match is not None:
+            given = carriers.setdefault(match["n"], _Parameters(line.path))
+            given.add(match["field"], TableLine(line.path, line.number, match["value"]))
+    if (wanted is None and len(carriers) != 1) or (wanted is not None and wanted not in carriers):
+        what = (
+            "no transformation and no tool carrier"
+            if not carriers
+            else "several tool carriers, or not the one of MD24582"
+        )
+        expected = f"$TC_CARR…[{wanted or 1}], of one carrier" if wanted else "MD24100 … or $TC_CARR… of one carrier"
+        raise InputError(what, expected=expected, file=lines[0].path, value=", ".join(carriers) or None)
+    number = wanted or next(iter(carriers))
+    given = carriers[number]
+    kind = given.found["23"].text.upper() if "23" in given.found else "T"
+    if kind not in ("T", "P", "M"):
+        raise given.found["23"].error("$TC_CARR23: kinematic type", "T, P or M", kind)
+    for shift in ("24", "25", "64", "65"):
+        given.check(shift, 0.0, "$TC_CARR24, 25, 64, 65: the zero of a rotary axis is shifted")
+
+    def vector(start: int, fine: int) -> np.ndarray:
+        return sum((given.vector(*(str(at + i) for i in range(3))) for at in (start, fine)), np.zeros(3))
+
+    l1, l2, l3 = vector(1, 41), vector(4, 44), vector(15, 55)
+    one, two = (given.direction(*(str(start + i) for i in range(3))) for start in (7, 10))
+    sides, base, head, table = {
+        "T": ("TT", l3, l2, l2), "P": ("WW", l2, l3, l3), "M": ("TW", l2, l1, l3),
+    }[kind]  # fmt: skip
+    axes, ranges = list[StatedAxis](), dict[str, Any]()
+    for axis, name, low, high in zip(
+        _axes(sides, one, two, base, head, table), ("21", "22"), ("30", "31"), ("32", "33"), strict=True
+    ):
+        letter = given.found[name].text.upper() if name in given.found else ""
+        known = re.fullmatch("[ABC][0-9]?", letter) is not None
+        axes.append(axis._replace(name=letter if known else None))
+        ends = [given.number(low), given.number(high)]
+        if known and ends[0] < ends[1]:
+            ranges[letter] = "unlimited" if ends[1] - ends[0] > MANY_TURNS else ends
+    unchecked = (
+        "the machine's reference point is the spindle nose with the linear axes at zero",
+        "the axes $TC_CARR7 to 12 are those of the tool's motion relative to the workpiece with a positive command",
+    )
+    title = f"SINUMERIK, tool carrier {number}, kinematic type {kind}"
+    return StatedKinematics(title, given.path, tuple(axes), ranges=ranges, unchecked=unchecked)
 
 
 def _axes(
@@ -563,7 +630,7 @@ def _limits(given: _Parameters) -> dict[str, Any]:
 
 _READERS: Final = (
     (re.compile(r"\$NK_NAME", re.I), _sinumerik_chain),
-    (re.compile(r"\$MC_TRAFO|(?:MD|N)\s?24[15]\d\d\b", re.I), _sinumerik),
+    (re.compile(r"\$MC_TRAFO|\$TC_CARR\d|(?:MD|N)\s?24[15]\d\d\b", re.I), _sinumerik),
     (re.compile(r"^N?19680\b|^N19680"), _fanuc),
     (re.compile(r"^\d+\s+MachAxis\s"), _heidenhain),
     (re.compile(r"^KINEMATICS\s*=|-kins\.|\b(?:maxkins|5axiskins)\."), _linuxcnc),

@@ -1,9 +1,11 @@
-"""Changes of a machine: two calibrations compared, and short check measurements watched over weeks.
+"""Changes of a machine: two calibrations compared, check measurements watched over weeks, a correction confirmed.
 
-Manuals: `twin doc compare`, `twin doc watch`.
+Manuals: `twin doc compare`, `twin doc watch`, `twin doc confirm`.
 """
 
 from twin.monitoring.compare import compare
+from twin.monitoring.confirmation import confirm
 from twin.monitoring.watch import WatchSettings, watch
+from twin.monitoring.written import written_values
 
-__all__ = ["WatchSettings", "compare", "watch"]
+__all__ = ["WatchSettings", "compare", "confirm", "watch", "written_values"]

@@ -54,7 +54,7 @@ from twin.monitoring.written import (
     mattering,
     prepared,
     rms_length,
-    visible,
+    shown,
 )
 from twin.numerics.covariance import symmetric_root
 from twin.numerics.curves import bases_for
@@ -70,8 +70,7 @@ WIDER: Final = 5.0
 """Factor on the calibration's uncertainty in the model from which the noise of the readings is estimated."""
 UNSEEN: Final = 0.01
 """Share of the prior variance from which the readings do not determine a change."""
-FUNCTIONS: Final = 6
-"""Functions of each error motion where no calibration is given."""
+FUNCTIONS: Final = 6  # of each error motion, where no calibration is given
 ACTIVE: Final = (
     "kinematics act in tool centre point mode only: measure AFTER with the transformation active, at the programmed points for which "
     "the nominal kinematics give the axis positions of the table"
@@ -93,7 +92,7 @@ class ConfirmedValue:
         expanded: U of the factor (95 %), the other values free.
         matters: whether its effect is large enough to count.
         says: ``as written``, ``absent``, ``reversed``, ``otherwise``; ``not shown`` where these readings do not exclude that it is
-            absent or reversed.
+            absent or reversed by one mistake, alone or with a second one.
     """
 
     name: str
@@ -249,7 +248,8 @@ class Confirmation(Result):
         if self.values:
             lines += [
                 f"figures: RMS error of the tool point over the volume, tool length {self.tool_length_mm:g} mm, from the calibration "
-                f"and {count_with_noun(self.readings, 'reading')}; ± U (95 %), without what no reading determines",
+                f"and {count_with_noun(self.readings, 'reading')}; ± U (95 %), without what no reading determines. As written: "
+                "neither one mistake nor two explain the readings; acts … times: with all other values free, too",
                 "",
                 f"{'written value':<38}{'effect at the tool':>20}{'acts … times (U 95 %)':>24}   these readings say",
                 *(f"  {name:<36}{f'{um} µm RMS':>20}{times:>24}   {says}" for name, um, times, says in self.table()),
@@ -318,12 +318,18 @@ def confirm(
         after: readings afterwards; stations and targets may have been set up anew.
         calibration: the errors of the machine without the written values, with their covariance; None: plausible errors. Corrections
             of its control are taken as active.
-        written: what was written (`twin.monitoring.written`).
+        written: what was written (`twin.written_values`).
         tool_length_mm: length of the tool for the bound at the tool.
 
     Raises:
         InputError: neither readings before nor a calibration; written values without a calibration; readings that disagree with the
             commands, or that move no axis.
+
+    Examples:
+        >>> machine, tracker, draws = twin.Machine.load("dmu50"), twin.instruments.LaserTracker(), np.random.default_rng(1)
+        >>> task = twin.thesis_plan.plan(machine), machine, twin.Calibration.zero(machine), tracker, draws
+        >>> twin.confirm(twin.simulate(*task)[0], twin.simulate(*task)[0], machine).verdict
+        'unchanged'
     """
     if calibration is None and (before is None or written):
         raise InputError("no calibration", expected="the calibration of the machine before", file=after.source)
@@ -447,7 +453,7 @@ class _Task:
         state, others = best_hypothesis(self.weigher, list(groups.values()))
         _, chi2, estimate, covariance = self.weigher.fit(state, list(groups.values()))
         p_value = float(chi2_sf(chi2, self.weigher.rank))
-        values = self._values(state)
+        values = self._values(state, list(groups.values()))
         findings = () if state == Hypothesis() else self.sentences(state, groups, estimate, covariance)
         verdict: Verdict
         if state == Hypothesis():
@@ -541,7 +547,7 @@ class _Task:
         one, two, three = (float(rms_length(part.reshape(len(part), 3, 1))[0]) for part in (before, expected, measured))
         return one, two, float(high - low) / 2.0, three
 
-    def _values(self, hypothesis: Hypothesis) -> tuple[ConfirmedValue, ...]:
+    def _values(self, hypothesis: Hypothesis, groups: Sequence[Sequence[int]]) -> tuple[ConfirmedValue, ...]:
         """Return every written value with its effect at the tool and its factor."""
         if not self.written:
             return ()
@@ -553,7 +559,7 @@ class _Task:
         says = [words.get(held.get(k, 1.0), "otherwise") for k in range(len(factor))]
         says = [
             "not shown" if one == "as written" and not seen else one
-            for one, seen in zip(says, visible(factor, u), strict=True)
+            for one, seen in zip(says, shown(self.weigher, hypothesis, groups), strict=True)
         ]
         return tuple(
             ConfirmedValue(value.name, float(rms[k]), float(factor[k]), float(2.0 * u[k]), bool(matters[k]), says[k])

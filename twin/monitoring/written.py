@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations_with_replacement
+from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Final, final
 
 import numpy as np
@@ -72,6 +75,54 @@ class WrittenValue:
 
 
 # --- What was written, read back ------------------------------------------------------------------
+
+
+def written_values(
+    machine: Machine,
+    calibration: Calibration | None = None,
+    *,
+    folder: str | Path | None = None,
+    adjusted: Mapping[str, float] = MappingProxyType({}),
+    compensated: bool = False,
+    tool_length_mm: float | None = None,
+) -> tuple[Calibration | None, tuple[WrittenValue, ...]]:
+    """Return the errors of the machine before, and what was put into it: arguments of `twin.confirm` and `twin.plan_confirmation`.
+
+    Args:
+        machine: the machine.
+        calibration: its errors before; None: those in the folder.
+        folder: folder that `twin control` wrote.
+        adjusted: new value of each squareness or location that was adjusted, µrad or µm.
+        compensated: whether a program compensated with the calibration was run.
+        tool_length_mm: length of the active tool; None: that of the machine file.
+
+    Raises:
+        InputError: no calibration where one is needed; an invalid folder; an error that cannot be adjusted.
+
+    Examples:
+        >>> machine = twin.Machine.load("dmu50")
+        >>> _, values = twin.written_values(machine, twin.Calibration.default(machine), compensated=True)
+        >>> [value.name for value in values][:2]
+        ["program's words of X", "program's words of Y"]
+    """
+    length = machine.tool_length_mm if tool_length_mm is None else tool_length_mm
+    written = None if folder is None else Calibration.load(Path(folder) / "calibration.yaml", machine)
+    errors = written if calibration is None else calibration
+    values = () if written is None else written_by(written, length)
+    if written is not None and errors is not None:
+        if errors.control is not None and errors.control.errors_are == "remaining":
+            raise InputError(
+                "the errors of this calibration were measured under other tables",
+                expected="errors of the machine without tables",
+                file=errors.path,
+                value="errors_are: remaining",
+            )
+        errors = replace(errors.with_control(None), path=errors.path)
+    if compensated:
+        if errors is None:
+            raise InputError("no calibration", expected="the calibration that the program was compensated with")
+        values = (*values, *program_words(errors, length))
+    return errors, (*values, *(adjustment(errors, machine, name, to) for name, to in adjusted.items()))
 
 
 def written_by(calibration: Calibration, tool_length_mm: float) -> tuple[WrittenValue, ...]:
@@ -509,14 +560,17 @@ class Weigher:
             found[list(groups[-1 - free])] = 1.0
         return found
 
+    def free(self, state: Hypothesis, groups: Sequence[Sequence[int]]) -> np.ndarray:
+        """Return the coefficients (columns, f) of the free columns of a state."""
+        columns = [self.column(one, groups) for one in state.free]
+        return np.stack(columns, axis=1) if columns else np.zeros((len(self.slope), 0))
+
     def fit(self, state: Hypothesis, groups: Sequence[Sequence[int]]) -> tuple[float, float, np.ndarray, np.ndarray]:
         """Return the log likelihood ratio against everything in effect, χ², and estimate and covariance of the free ones (prior 1)."""
         x = self.fixed(state)
         y = self.slope - self.normal @ x
         ratio = float(x @ self.slope - 0.5 * x @ self.normal @ x)
-        free = (
-            np.stack([self.column(one, groups) for one in state.free], axis=1) if state.free else np.zeros((len(x), 0))
-        )
+        free = self.free(state, groups)
         precision = free.T @ self.normal @ free + np.eye(free.shape[1])
         covariance = np.linalg.inv(precision)
         estimate = covariance @ (free.T @ y)
@@ -557,13 +611,32 @@ class Weigher:
         wide = self.normal[np.ix_(some, some)] + np.eye(len(some)) * 1e-6
         chi2 = self.chi2 - float(self.slope[some] @ np.linalg.solve(wide, self.slope[some]))
         absorbed = float(np.trace(np.eye(len(self.precision)) - np.linalg.inv(self.precision)))
-        return chi2, self.rank - absorbed - self.count - self.constants
+        # Free columns take degrees of freedom only where the readings determine them.
+        taken = float(np.trace(np.linalg.solve(wide, self.normal[np.ix_(some, some)])))
+        return chi2, self.rank - absorbed - taken
 
 
-def visible(factor: np.ndarray, u: np.ndarray) -> np.ndarray:
-    """Return (k,) whether factors 0 and −1 are both excluded against 1 by `ODDS`."""
-    least = np.log(ODDS)
-    return np.asarray(((2.0 * factor - 1.0) / (2.0 * u**2) >= least) & (2.0 * factor / u**2 >= least))
+def mistakes(groups: Sequence[Sequence[int]], count: int) -> np.ndarray:
+    """Return (h, count) changes of the factors by one or two mistakes: groups of values absent (−1) or reversed (−2)."""
+    single = [(list(some), change) for some in groups for change in (-1.0, -2.0)]
+    found = np.zeros((len(single) * (len(single) + 1) // 2, count))
+    for row, (first, second) in zip(found, combinations_with_replacement(single, 2), strict=True):
+        for some, change in (first, second):
+            row[some] = change
+    return np.unique(found, axis=0)
+
+
+def shown(weigher: Weigher, state: Hypothesis, groups: Sequence[Sequence[int]]) -> np.ndarray:
+    """Return (k,) whether all that one or two mistakes more could do to a value, absent or reversed, is excluded by `ODDS`."""
+    free = weigher.free(state, groups)
+    projector = free @ np.linalg.solve(free.T @ weigher.normal @ free + np.eye(free.shape[1]), free.T)
+    normal = weigher.normal - weigher.normal @ projector @ weigher.normal
+    left = weigher.slope - weigher.normal @ weigher.fixed(state)
+    slope = left - weigher.normal @ projector @ left
+    own = slice(0, weigher.count)
+    changes = mistakes(groups, weigher.count)
+    ratio = changes @ slope[own] - 0.5 * np.einsum("hk,kl,hl->h", changes, normal[own, own], changes)
+    return np.asarray(~np.any((changes != 0.0) & (ratio > -np.log(ODDS))[:, None], axis=0))
 
 
 def groups_of(written: Sequence[WrittenValue]) -> dict[str, list[int]]:

@@ -13,8 +13,10 @@ Manual: `twin doc plan`.
 #     result       Plan             the plan as displayed and written
 #
 # A measuring sequence: `sequences` (poses, reach, prediction), `measure` (SequencePlan), `programs` (for a control).
+# A check of a written correction: `confirmation` (ConfirmationPlan, with a Plan or a SequencePlan).
 # A thermal test: `drift` (schedules; DriftPlan).
 
+from twin.planning.confirmation import plan_confirmation
 from twin.planning.design import duration
 from twin.planning.kit import Kit
 from twin.planning.measure import SequencePlan, judge_sequence, measuring_sequence
@@ -34,5 +36,6 @@ __all__ = [
     "judge_sequence",
     "measuring_sequence",
     "plan",
+    "plan_confirmation",
     "separate",
 ]

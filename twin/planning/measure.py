@@ -188,7 +188,7 @@ def measuring_sequence(
     """
     reader = instrument_named(instrument) if isinstance(instrument, str) else instrument
     chosen = sequence_named(sequence, reader.name)
-    task = _task(machine, reader, kit, places_mm, minutes, sizes or InstrumentSizes())
+    task = sequence_task(machine, reader, kit, places_mm, minutes, sizes or InstrumentSizes())
     task = replace(task, seed=seed)
     with one_blas_thread():
         reached = reach(task, chosen.make(task))
@@ -234,7 +234,7 @@ def judge_sequence(table: Measurements, machine: Machine) -> Expectation:
     return expectation(machine, table, instrument_named(next(iter(names))))
 
 
-def _task(
+def sequence_task(
     machine: Machine,
     instrument: Instrument,
     kit: Kit | None,

@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from types import MappingProxyType
-from typing import Any, Final, final
+from typing import Final, final
 
 import numpy as np
 
@@ -21,30 +21,23 @@ from twin._common.arrays import read_only
 from twin._common.errors import InputError, closest_name
 from twin._common.records import TIME, is_temperature, sensor_of
 from twin._common.resources import Progress, one_blas_thread, silent
-from twin._common.units import UM
 from twin.diagnosis.candidates import SPECIFICATIONS, catalogue
 from twin.diagnosis.candidates.candidate import Candidate, Variant
 from twin.diagnosis.nuisance import RANK_TOLERANCE
 from twin.diagnosis.problem import Problem
 from twin.identification.network import Network, Unknowns
-from twin.identification.unidentified import constant_unknowns
 from twin.machine.machine import Machine
 from twin.measurement.agreement import agreeing_rows
 from twin.measurement.instruments import Instrument, Reads, StationInstruments, default_instrument
-from twin.measurement.observation import machine_state
 from twin.measurement.set_up import StationsAndTargets
 from twin.measurement.simulate import simulate
 from twin.measurement.table import Measurements
 from twin.model.calibration import Calibration
-from twin.monitoring.confirmation import ACTIVE
-from twin.monitoring.written import POSES, SEED, WrittenValue, effects_on, mattering
 from twin.planning.clearance import ANY_STATE, CandidateReadings, Session, candidates
 from twin.planning.design import DesignProblem, covariance_of, fill
 from twin.planning.kit import Kit, as_evaluated, setup_of
 from twin.planning.plan import ODDS, Plan, Separation
-from twin.planning.task import Aim, LinearAim, Task
-from twin.tool.forward import Kinematics
-from twin.tool.uncertainty import volume
+from twin.planning.task import LinearAim, Task
 
 POWER: Final = 1.645
 """One-sided 95 % quantile of the normal distribution: probability that the odds are reached."""
@@ -368,189 +361,3 @@ def _separation(
         sizes.append((worst, "um/h" if straight else candidate.names[0][1]))
     given = tuple(_given_size(one, cell) for one, cell in zip(causes, cells, strict=True))
     return Separation((causes[0].text, causes[1].text), (sizes[0], sizes[1]), (given[0], given[1]))
-
-
-# --- The shortest measurement that shows the sign of everything that was written into a control --------------------------
-
-SHOWN_U: Final = 0.2
-"""Standard uncertainty of a written value's factor from which `twin confirm` excludes, as a rule, that it is absent or reversed."""
-DURATIONS: Final = (8.0, 10.0, 12.0, 15.0, 20.0, 25.0, 30.0, 40.0, 50.0, 60.0, 80.0, 100.0, 120.0, 180.0)
-"""Durations tried, in minutes."""
-CONFIRM: Final = "the sign of every table and value of the kinematics"
-
-
-@final
-class WorstFactor(Aim):
-    """Largest standard uncertainty of the factors of written values.
-
-    Args:
-        some: indices of their coordinates.
-    """
-
-    name = CONFIRM
-    unit = "of the value as written"
-
-    def __init__(self, some: Sequence[int]) -> None:
-        self._some = list(some)
-
-    def weight(self, covariance: np.ndarray) -> np.ndarray:
-        """See `Aim.weight`."""
-        variance = np.diag(covariance)[self._some]
-        found = np.zeros(len(covariance))
-        # Smooth maximum: the single worst one changes with every reading.
-        found[self._some] = (variance / variance.max()) ** 4
-        return np.diag(found)
-
-    def value(self, covariance: np.ndarray) -> float:
-        """See `Aim.value`."""
-        return float(np.sqrt(np.diag(covariance)[self._some].max()))
-
-
-@final
-@dataclass(frozen=True)
-class ConfirmationPlan:
-    """A plan to confirm what was written, and what it shows.
-
-    Attributes:
-        u: standard uncertainty of the factor of each written value that matters, by name.
-        hidden: those that no reading with this equipment shows.
-        twice: those for which the plan must be measured before and after.
-        shown: whether it shows all others.
-    """
-
-    plan: Plan
-    u: Mapping[str, float]
-    hidden: tuple[str, ...]
-    twice: tuple[str, ...]
-    shown: bool
-
-    def lines(self) -> list[str]:
-        """Return the text lines: how well each written value is shown."""
-        lines = [
-            "",
-            "standard uncertainty of how many times each written value acts (as written: 1, absent: 0, reversed: -1):",
-        ]
-        lines += [f"  {name}: {u:.2f}{'' if u <= SHOWN_U else ' NOT ENOUGH'}" for name, u in self.u.items()]
-        if self.hidden:
-            lines.append(
-                f"NOT SHOWN by any reading with this equipment: {', '.join(self.hidden)}. Probe a sphere on the table in "
-                "several positions of the rotary axes instead"
-            )
-        if self.twice:
-            lines.append(
-                f"MEASURE THIS PLAN TWICE, before and after the values are switched on: {', '.join(self.twice)} cannot be seen "
-                "against the uncertainty of the calibration. Then: twin confirm BEFORE.csv AFTER.csv --written FOLDER"
-            )
-        if any(name.startswith("kinematics") for name in (*self.u, *self.hidden)):
-            lines.append(f"note: {ACTIVE}")
-        return lines
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the JSON object (``schema: twin.plan/1``)."""
-        found = {"u": dict(self.u), "not_shown": self.hidden, "twice_for": self.twice, "shown": self.shown}
-        return {**self.plan.to_dict(), "confirmation": found}
-
-
-@final
-@dataclass(frozen=True)
-class _Sensitivity:
-    """Derivatives of readings by written values, errors of the machine and set-up."""
-
-    calibration: Calibration
-    written: Sequence[WrittenValue]
-    unknowns: Unknowns
-
-    def important(self, tool_length_mm: float) -> list[int]:
-        """Return the indices of the written values that matter at the tool."""
-        machine = self.calibration.machine
-        zero, q = Calibration.zero(machine), volume(machine, POSES, SEED)
-        sides = {f"approach_{name}": np.ones(len(q)) for name in machine.names}
-        state = dict(zip(machine.names, q.T, strict=True)) | sides
-        by_error = Kinematics(machine, zero, tool_length_mm=tool_length_mm).sensitivities(q).error[:, :3]
-        effects = effects_on(by_error, machine, zero, self.written, self.unknowns, None, state)[0]
-        return np.flatnonzero(mattering(effects.reshape(len(q), 3, -1) / UM)[1]).tolist() if self.written else []
-
-    def rows(self, task: Task, plan: Measurements, instrument: Instrument, *, twice: bool) -> np.ndarray:
-        """Return (n, 3, f) derivatives: factors of written values, errors of the machine, set-up.
-
-        Measured before and after, the errors of the machine cancel, and the noise grows by √3 (`twin.monitoring.confirmation`).
-        """
-        machine = self.calibration.machine
-        setup = setup_of(as_evaluated(plan, task.kit.known), task.kit.setting, instrument)
-        rng, zero = np.random.default_rng(0), Calibration.zero(machine)
-        readings, _ = simulate(plan, machine, zero, instrument, rng, setting=task.kit.setting, noise=False)
-        instruments = StationInstruments.same(instrument, readings.station)
-        network = Network(machine, readings, instruments, self.unknowns)
-        view = network.view(np.zeros(len(self.unknowns)), setup, np.arange(len(readings)))
-        errors, state = zero if twice else self.calibration, machine_state(plan, machine)
-        own, _, _, known = effects_on(view.by_error, machine, errors, self.written, self.unknowns, None, state)
-        by_setup = np.zeros((len(plan), 3, len(setup)))
-        network.fill_setup_columns(view, setup, by_setup)
-        flat = np.concatenate([own, known], axis=1).reshape(len(plan), 3, -1)
-        return np.concatenate([flat, by_setup * setup.plausible], axis=2) / np.sqrt(3.0 if twice else 1.0)
-
-    def u(self, rows: np.ndarray) -> np.ndarray:
-        """Return (k,) the standard uncertainty of each factor, the others free with standard deviation 1."""
-        variance = np.diag(covariance_of(np.eye(rows.shape[2]), rows))[: len(self.written)]
-        return np.sqrt(variance / np.maximum(1.0 - variance, 1e-12))
-
-
-def plan_confirmation(
-    calibration: Calibration,
-    written: Sequence[WrittenValue],
-    kit: Kit | None = None,
-    *,
-    minutes: float | None = None,
-    tool_length_mm: float | None = None,
-    seed: int = 0,
-    progress: Progress = silent,
-) -> ConfirmationPlan:
-    """Return the shortest plan that shows the sign of every written value that matters (`twin.monitoring.confirmation`).
-
-    Args:
-        calibration: the machine's errors without the written values.
-        written: what was written.
-        kit: as in `plan`.
-        minutes: duration; None: the shortest of `DURATIONS` that suffices.
-        tool_length_mm: tool length.
-
-    Raises:
-        InputError: nothing that matters was written, or the time budget is too short.
-    """
-    machine = calibration.machine
-    model = _Sensitivity(calibration.with_control(None), written, constant_unknowns(machine, machine.names))
-    important = model.important(machine.tool_length_mm if tool_length_mm is None else tool_length_mm)
-    if not important:
-        what = "nothing that matters at the tool was written"
-        raise InputError(what, expected="tables or kinematics", file=calibration.path)
-    tried = DURATIONS if minutes is None else (minutes,)
-    with one_blas_thread():
-        task = Task.of(machine, kit, tried[-1], model.calibration, seed, progress)
-        every, instrument = candidates(machine, task.kit, task.rng), task.kit.instruments[0]
-        both = [model.rows(task, every.plan, instrument, twice=twice) for twice in (False, True)]
-        once, again = ([k for k in important if model.u(rows)[k] <= SHOWN_U / 2.0] for rows in both)
-        twice = len(again) > len(once)
-        seen, rows = (again, both[1]) if twice else (once, both[0])
-        hidden = tuple(written[k].name for k in important if k not in seen)
-        if not seen:
-            what = "no reading with this equipment shows what was written"
-            raise InputError(what, expected="another kit, with --kit", value=", ".join(hidden))
-        problem = DesignProblem(instrument, every, np.eye(rows.shape[2]), rows, WorstFactor(seen))
-        for duration in tried:
-            short = replace(task, minutes=duration)
-            try:
-                filled = fill(short, [problem])
-            except InputError:
-                if duration == tried[-1]:
-                    raise
-                continue
-            u = model.u(model.rows(short, filled.route.plan, instrument, twice=twice))
-            if u[seen].max() <= SHOWN_U:
-                break
-    return ConfirmationPlan(
-        Plan.of(short, CONFIRM, filled),
-        {written[k].name: float(u[k]) for k in seen},
-        hidden,
-        tuple(written[k].name for k in seen if k not in once) if twice else (),
-        bool(u[seen].max() <= SHOWN_U),
-    )

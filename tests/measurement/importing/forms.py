@@ -180,6 +180,13 @@ def sexagesimal(deg: float) -> str:
     return f"{'-' if deg < 0 else ''}{degrees}°{minutes:02d}'{seconds / 1e4:07.4f}\""
 
 
+def packed(deg: float) -> str:
+    """Degrees, minutes and seconds as a theodolite shows them: 45.30300 is 45° 30′ 30″."""
+    minutes, seconds = divmod(round(abs(deg) * 3600e4), 60 * 10**4)
+    degrees, minutes = divmod(minutes, 60)
+    return f"{'-' if deg < 0 else ''}{degrees}.{minutes:02d}{seconds:06d}"
+
+
 def spherical(
     own: Table, angle: str = "deg", clockwise: bool = False, zenith: bool = True, length: str = "m", stated: bool = True
 ) -> str:
@@ -200,7 +207,8 @@ def spherical(
         ]
     ]
     for i in range(len(p)):
-        angles = [sexagesimal(one) if angle == "dms" else text(one / ANGLES[angle], 9) for one in (hz[i], v[i])]
+        spelt = {"dms": sexagesimal, "d.mmss": packed}.get(angle) or (lambda one: text(one / ANGLES[angle], 9))
+        angles = [spelt(one) for one in (hz[i], v[i])]
         rows.append(
             [*(f"{value:g}" for value in own.q[i]), own.target[i], *angles, text(distance[i] / LENGTHS[length], 7)]
         )

@@ -161,7 +161,7 @@ def test_units_in_cells(
 
 
 @pytest.mark.sample(4)
-@pytest.mark.parametrize("angle", ["deg", "gon", "rad", "dms"])
+@pytest.mark.parametrize("angle", ["deg", "gon", "rad", "dms", "d.mmss"])
 @pytest.mark.parametrize("clockwise", [False, True])
 @pytest.mark.parametrize("zenith", [False, True])
 def test_angles_and_distance(
@@ -174,6 +174,15 @@ def test_angles_and_distance(
         check(
             read(put(tmp_path, forms.spherical(own, angle, clockwise, zenith, "mm", stated=False)), trunnion), own, 1e-4
         )
+
+
+def test_sixty_minutes_are_no_packed_angle(trunnion: Machine, own: forms.Table, tmp_path: Path) -> None:
+    """An angle of 27.61 in degrees, minutes and seconds is refused with its line, not read as 28° 01′."""
+    text = forms.spherical(own, "d.mmss")
+    first = text.splitlines()[1].split(";")[-3]
+    with pytest.raises(InputError, match=r"27\.6100") as refused:
+        read(put(tmp_path, text.replace(first, "27.6100", 1)), trunnion)
+    assert refused.value.line == 2 and "d.mmss" in str(refused.value)
 
 
 def test_the_conventions_of_angles_are_confirmed_where_the_readings_do_not_show_them(

@@ -275,9 +275,20 @@ def account_of(
 
 
 def write_folder(
-    made: ControlTables, errors: Calibration, known: Calibration, missing: Mapping[str, tuple[str, ...]], folder: Path
+    made: ControlTables,
+    errors: Calibration,
+    known: Calibration,
+    missing: Mapping[str, tuple[str, ...]],
+    folder: Path,
+    *,
+    alone: bool = True,
 ) -> Account:
-    """Write the folder, `calibration.yaml` last; `InputError` if an output is also an input, or cannot be written."""
+    """Write the folder, `calibration.yaml` last; ``alone``: whether these tables are all that is written.
+
+    Raises:
+        InputError: an output is also an input, or cannot be written; the machine would be worse with the tables alone, and
+            ``unproven`` is not set in the request.
+    """
     outputs = outputs_of(folder, made.request.kind, made.required.machine)
     inputs = [errors.path] if errors.path is not None else []
     inputs += [entry.file for entry in errors.control.tables] if errors.control is not None and made.increment else []
@@ -285,6 +296,18 @@ def write_folder(
         if path.resolve() in {one.resolve() for one in inputs}:
             raise InputError("an output is one of the inputs", expected="another folder", file=path)
     account = account_of(made, errors, known, missing)
+    before, after = account.remains.before.rms_um, account.remains.tables.rms_um
+    if alone and after > before and not made.request.unproven:
+        # Tables are proven one by one, and errors that cancel may have only one of theirs proven.
+        rest = len(made.unproven)
+        unproven = f"; {rest} more not written, as U exceeds their correction" if rest else ""
+        raise InputError(
+            f"the error over the volume is larger with these tables than without them{unproven}",
+            expected="a calibration with smaller uncertainties, or the tables all the same",
+            file=errors.path,
+            value=f"{after:.1f} um for {before:.1f} um RMS",
+            setting="force",
+        )
     folder.mkdir(parents=True, exist_ok=True)
     paths = _write(made.files, folder, made.request.form)
     if made.increment:

@@ -248,7 +248,7 @@ def write_kinematics(
     path = folder / kinematics.form.file
     write_atomic(path, kinematics.text)
     entry = (TableEntry.of(path, kinematics.form.name, CLASSES),)
-    account = None if tables is None else write_folder(tables, errors, known, missing, folder)
+    account = None if tables is None else write_folder(tables, errors, known, missing, folder, alone=False)
     if tables is not None:
         written = Calibration.load(folder / CALIBRATION, errors.machine).control
         old = () if written is None else written.tables

@@ -110,7 +110,9 @@ class Proposal:
     def assume(self, text: str, column: str, remark: str = "check") -> None:
         """Add an assumption, and a remark at the entry that it concerns."""
         self.assumptions.append(text)
-        self.remarks[column] = f"{self.remarks[column]}; {remark}" if column in self.remarks else remark
+        said = self.remarks.get(column, "")
+        if remark not in said.split("; "):
+            self.remarks[column] = f"{said}; {remark}" if said else remark
 
     def add(self, column: str, entry: OriginEntry) -> bool:
         """Add an entry; return False, with a note, if the column has one already."""

@@ -163,14 +163,18 @@ def _choose_conventions(found: Proposal) -> None:
     if own is None or (found.given is not None and found.given.spherical is not None):
         return
     spelt = " ".join([own.horizontal, *found.layout.units]).casefold()
-    angles = [own.angle] if own.angle is not None and UNCERTAIN_ANGLE not in spelt else ["deg", "gon", "rad"]
+    angles = [own.angle] if own.angle is not None and UNCERTAIN_ANGLE not in spelt else ["deg", "gon", "rad", "d.mmss"]
     lengths = [own.length] if own.length is not None else ["mm", "m", "inch"]
     misfits: list[tuple[float, SphericalEntry]] = []
     for angle, length, clockwise, zero in product(angles, lengths, (False, True), ("zenith", "horizon")):
         found.spherical = own.model_copy(
             update={"angle": angle, "length": length, "clockwise": clockwise, "vertical_from": zero}
         )
-        misfits.append((_misfit(found), found.spherical))
+        try:
+            misfits.append((_misfit(found), found.spherical))
+        except InputError:  # a cell is no angle in this unit, such as 45.7 in d.mmss
+            if [angle] == angles:
+                raise
     misfits.sort(key=lambda one: one[0])
     found.spherical = misfits[0][1]
     sense = "clockwise" if found.spherical.clockwise else "counter-clockwise"

@@ -31,7 +31,8 @@ class Unit:
     """A unit.
 
     ``table_unit``: unit of a measurement table into which it converts: the end of a column's name; ``factor``: number of table units in
-    one of it; ``zero``: its zero in table units.
+    one of it; ``zero``: its zero in table units; ``packed``: degrees before the decimal sign, minutes and seconds in two digits each
+    behind it, as theodolites show them (45.3030 is 45° 30′ 30″).
     """
 
     name: str
@@ -39,9 +40,20 @@ class Unit:
     factor: Decimal
     words: tuple[str, ...] = ()
     zero: Decimal = Decimal(0)
+    packed: bool = False
 
-    def to_table(self, value: Decimal) -> Decimal:
-        """Return a value in table units: exact where the factor is a finite decimal, else to 15 digits."""
+    def to_table(self, value: Decimal) -> Decimal | None:
+        """Return a value in table units: exact where the factor is a finite decimal, else to 15 digits; None if it is none.
+
+        No value of a packed unit has 60 minutes or seconds, or more.
+        """
+        if self.packed:
+            degrees, rest = divmod(abs(value), 1)
+            minutes, seconds = divmod(100 * rest, 1)
+            if minutes >= SIXTY or 100 * seconds >= SIXTY:
+                return None
+            size = degrees + minutes / SIXTY + 100 * seconds / SIXTY**2
+            return Decimal(f"{size.copy_sign(value):.15g}")
         if self.factor == 1 and not self.zero:
             return value
         converted = value * self.factor + self.zero
@@ -60,6 +72,7 @@ UNITS: Final = (
     Unit("nm", "mm", Decimal("0.000001")),
     Unit("inch", "mm", Decimal("25.4"), ("in", "inches", "zoll", "pouce", "pouces", '"')),
     Unit("deg", "deg", Decimal(1), ("°", "º", "degree", "degrees", "grad", "degré", "degrés", "dd")),
+    Unit("d.mmss", "deg", Decimal(1), ("dms", "d.ms", "dd.mmss", "ddd.mmss", "gms", "g.mmss"), packed=True),
     Unit("gon", "deg", Decimal("0.9"), ("gons", "gradian", "gradians", "grads", "neugrad")),
     Unit("rad", "deg", _DEG_PER_RAD, ("radian", "radians", "radiant")),
     Unit("mrad", "deg", _DEG_PER_RAD / 1000),

@@ -52,7 +52,7 @@ ATTEMPTS: Final = 4
 
 
 def _best_points(task: SequenceTask) -> SequencePoints:
-    reached = reach(task, _grid(task))
+    reached = reach(task, grid(task))
     candidates = _with_time(task, reached.points)
     if len(candidates) < FEWEST:
         why = ", ".join(f"{name}: {count}" for name, count in reached.dropped.items())
@@ -70,26 +70,26 @@ def _best_points(task: SequenceTask) -> SequencePoints:
     count = int(np.clip(task.minutes / mean, FEWEST, count))
     for _ in range(ATTEMPTS):
         chosen = exchange.choose(count, rng.permutation(len(candidates)), min(FEWEST, count))
-        ordered = _ordered(task, candidates.select(chosen))
-        needed = minutes_of(task.machine, task.kit, sequence_table(task, ordered))
-        set_up = len(set(ordered.place)) * task.words.set_up_s / 60.0
+        taken = ordered(task, candidates.select(chosen))
+        needed = minutes_of(task.machine, task.kit, sequence_table(task, taken))
+        set_up = len(set(taken.place)) * task.words.set_up_s / 60.0
         each = (needed - set_up) / count
         fitting = int(np.clip((task.minutes - set_up) / each, 0, min(len(candidates), MOST)))
         if needed <= task.minutes and fitting <= count:
-            return ordered
+            return taken
         count = fitting if fitting != count else count - 1
         if count < FEWEST:
             break
-    while needed > task.minutes and len(ordered) > FEWEST:
-        ordered = ordered.select(np.arange(len(ordered) - 1))
-        needed = minutes_of(task.machine, task.kit, sequence_table(task, ordered))
+    while needed > task.minutes and len(taken) > FEWEST:
+        taken = taken.select(np.arange(len(taken) - 1))
+        needed = minutes_of(task.machine, task.kit, sequence_table(task, taken))
     if needed > task.minutes:
         raise InputError(
             "time budget is too short for a measurement",
             expected=f"at least {np.ceil(needed):.0f} minutes, set-up included",
             value=task.minutes,
         )
-    return ordered
+    return taken
 
 
 def _with_time(task: SequenceTask, points: SequencePoints) -> SequencePoints:
@@ -102,7 +102,7 @@ def _with_time(task: SequenceTask, points: SequencePoints) -> SequencePoints:
     return points.select(np.isin(points.place, names[: max(affordable, 1)]))
 
 
-def _grid(task: SequenceTask) -> SequencePoints:
+def grid(task: SequenceTask) -> SequencePoints:
     """Return the poses of a grid of the rotary axes, for every place on the table; linear positions not yet computed."""
     if not task.rotary:
         raise InputError(
@@ -112,13 +112,13 @@ def _grid(task: SequenceTask) -> SequencePoints:
     for i in task.rotary:
         low, high = task.kit.ranges[i]
         count = int(np.ceil((high - low) / BEST_STEP_DEG)) + 1
-        grid = np.linspace(low, high, count)
-        grids.append(grid[:-1] if task.machine.axes[i].lower is None else grid)
+        steps = np.linspace(low, high, count)
+        grids.append(steps[:-1] if task.machine.axes[i].lower is None else steps)
     if np.prod([float(len(grid)) for grid in grids]) <= MOST_POSES:
         poses = np.array(list(product(*grids)))
     else:
         draw = np.random.default_rng(task.seed)
-        poses = np.stack([draw.choice(grid, MOST_CANDIDATES) for grid in grids], axis=1)
+        poses = np.stack([draw.choice(steps, MOST_CANDIDATES) for steps in grids], axis=1)
     names = list(task.places_mm)
     positions = np.tile(task.rest(), (len(poses) * len(names), 1))
     positions[:, list(task.rotary)] = np.tile(poses, (len(names), 1))
@@ -151,7 +151,7 @@ def _problem(task: SequenceTask, candidates: SequencePoints) -> tuple[np.ndarray
     return rows, np.eye(size), LinearAim(seen[None], "constant errors", "of the plausible size")
 
 
-def _ordered(task: SequenceTask, points: SequencePoints) -> SequencePoints:
+def ordered(task: SequenceTask, points: SequencePoints) -> SequencePoints:
     """Return the points place by place, each time continuing with the pose that is reached first."""
     order: list[int] = []
     here = points.positions[0]
