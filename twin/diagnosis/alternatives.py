@@ -168,7 +168,7 @@ def _margin(candidates: Candidates, form: Form, others: Sequence[Form]) -> float
 
 
 def ruled_out(candidates: Candidates, form: Form, others: Sequence[Form], share: float) -> tuple[Rival, ...]:
-    """Return the best alternatives to a cause that are ruled out; theirs is its ``share``, as far as they explain what it does."""
+    """Return the best alternatives to a cause that are ruled out; theirs is the part of its ``share`` that they explain."""
     margin = _margin(candidates, form, others)
     by_form = max(float(candidates.scan(others)[0][form.index]), 1e-30)
     used = {other.key for other in others} | {form.key}

@@ -54,9 +54,7 @@ from twin.model.effects.harmonic import APPROACH
 from twin.numerics.covariance import Covariance
 
 NEGLIGIBLE_EXCESS: Final = 0.01  # share of the excess below which residuals are no finding: real machines have some
-MOST_ALTERNATIVES: Final = (
-    5  # number of alternatives of a negligible cause up to which it is named: more tell a user nothing
-)
+MOST_ALTERNATIVES: Final = 5  # number of alternatives up to which a negligible cause is named
 
 
 @final
@@ -110,7 +108,7 @@ class SizedCauses:
 
     @cached_property
     def shares(self) -> np.ndarray:
-        """(k,) share of the excess of each cause: all that they do not leave, divided by what each explains (`Candidates.divided`).
+        """(k,) share of the excess of each cause: the part that all explain together, divided (`Candidates.divided`).
 
         Causes, patterns and the rest add up to one.
         """

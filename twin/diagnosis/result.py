@@ -43,7 +43,7 @@ class Rival:
 
     Attributes:
         effect, where: contract §5.
-        share: of the excess residual sum of squares: that of the cause, as far as it explains what the cause does.
+        share: of the excess residual sum of squares: the part of the cause's share that it would explain.
         log_odds: natural log of how many times less likely it is, both corrected for the number of tests.
     """
 
@@ -62,7 +62,7 @@ class Cause:
         effect, where, origin: contract §5.
         parameters: with standard uncertainties.
         p_value: of the χ² it explains given the other causes, corrected for the number of tests.
-        share: of the excess residual sum of squares (over measurement noise): its Shapley value in what all causes explain together;
+        share: of the excess residual sum of squares (over measurement noise): its Shapley value in the part that all causes explain;
             with the share that is unexplained, and a rest, the shares add up to one.
         equivalent: (effect, where) of the causes it is confounded with in these data.
         together: groups of these that replace it only together.
