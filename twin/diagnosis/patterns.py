@@ -161,6 +161,11 @@ class ChannelFunctions:
             self.own[pattern] = slice(self.count, self.count + len(numbers))
             self.count += len(numbers)
         self._first, self._second = np.concatenate(factors).T
+        # Functions of the highest orders are in no pair: only the others are multiplied with each other.
+        paired = (self._first > 0) & (self._second > 0)
+        self._pairs = np.flatnonzero(paired)
+        self._in_pairs, at = np.unique([self._first[paired], self._second[paired]], return_inverse=True)
+        self._pair_at = at.reshape(2, -1)
 
     def at(self, rows: np.ndarray) -> np.ndarray:
         """Return (rows, m) values of all functions at readings of the side."""
@@ -170,8 +175,11 @@ class ChannelFunctions:
     def with_vectors(self, rows: np.ndarray, vectors: np.ndarray) -> np.ndarray:
         """Return inner products (r, m) of all functions with (r, rows) vectors at readings of the side."""
         factors = self._factors(rows)
-        every = (vectors[:, None] * factors) @ factors.T
-        return np.asarray(every[:, self._first, self._second])
+        # The constant is the first factor.
+        along = (vectors @ factors.T)[:, np.maximum(self._first, self._second)]
+        some = factors[self._in_pairs]
+        along[:, self._pairs] = ((vectors[:, None] * some) @ some.T)[:, self._pair_at[0], self._pair_at[1]]
+        return np.asarray(along)
 
     def _factors(self, rows: np.ndarray) -> np.ndarray:
         """Return (factors, rows) values of the functions that the others are products of."""
