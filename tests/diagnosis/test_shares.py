@@ -1,4 +1,4 @@
-"""Shares of the excess: a division that adds up of the part that causes explain together; small causes that many others could replace."""
+"""Shares of the excess: they add up and divide what causes explain together; small causes that many others could replace."""
 
 from __future__ import annotations
 
