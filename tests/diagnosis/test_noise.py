@@ -58,7 +58,7 @@ def test_repeats_decide_where_they_contradict_the_named_instrument() -> None:
 
 
 def repeated(machine: Machine, folder: Path, seed: int, count: int, *, wrong: bool) -> Measurements:
-    """Return a few positions twice, without stated uncertainties, of a right machine or of one with an error that no cause describes."""
+    """Return positions read twice, without stated uncertainties, on a right machine or on one with an error that no cause describes."""
     rng = np.random.default_rng(seed)
     positions = np.zeros((count, 5))
     positions[:, :3] = np.round(rng.uniform([20.0, 20.0, -380.0], [480.0, 430.0, -20.0], (count, 3)), 3)
