@@ -336,11 +336,14 @@ def test_two_effects_are_both_found(look: Callable[..., Diagnosis], pair: tuple[
         if (cause.effect, cause.where) == truth.key:
             assert max(map(abs, pulls(cause, truth).values())) < 3.0
         own, other = seen[:, i], seen[:, 1 - i]
-        beside = own @ own - (own @ other) ** 2 / (other @ other)
         whole = np.sum(np.sum(seen, axis=1) ** 2)
+        # What it explains first, and what it adds to the other: the mean of both (Shapley value).
+        alone, by_other = (float(some @ (own + other)) ** 2 / float(some @ some) for some in (own, other))
+        wanted = 0.5 * (alone + whole - by_other)
         # Three standard deviations of noncentral χ² (Johnson, Kotz, Balakrishnan: 2 (dof + 2 λ)) of both.
-        scatter = np.sqrt(4.0 * beside / beside**2 + 2.0 * (result.dof + 2.0 * whole) / whole**2)
-        assert abs(cause.share - beside / whole) < 3.0 * scatter * beside / whole
+        scatter = np.sqrt(4.0 / wanted + 2.0 * (result.dof + 2.0 * whole) / whole**2)
+        assert abs(cause.share - wanted / whole) < 3.0 * scatter * wanted / whole
+    assert sum(cause.share for cause in result.causes) <= 1.0 + 1e-9
 
 
 def test_a_weak_effect_is_found_at_the_limit_of_the_data(look: Callable[..., Diagnosis]) -> None:

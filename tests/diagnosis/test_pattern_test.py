@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -70,8 +71,8 @@ def test_the_functions_of_a_pattern_are_products_of_half_waves_and_turns(searche
     data = searched.problem.network.data
     pattern = next(p for p in searched.patterns if p.names == ("X_mm", "C_deg") and p.side == "work")
     x, c = data.positions[:, 0], np.radians(data.positions[:, 4])
-    u = (x - x.min()) / np.ptp(x)
     own = data.carrier == "work"
+    u = (x - x[own].min()) / np.ptp(x[own])
     expected = [np.cos(np.pi * k * u) for k in range(1, 9)]
     turns = [f(k * c) for k in range(1, 5) for f in (np.cos, np.sin)]
     expected += turns + [a * b for a in expected for b in turns]
@@ -81,6 +82,17 @@ def test_the_functions_of_a_pattern_are_products_of_half_waves_and_turns(searche
     lost = next(p for p in searched.patterns if p.names == ("approach_Y", "X_mm") and p.side == "work")
     np.testing.assert_allclose(lost.at(slice(None))[:, 0], data.approach[:, 1] * own)
     np.testing.assert_allclose(lost.at(slice(None))[:, 3], data.approach[:, 1] * expected[2] * own)
+
+
+def test_a_column_carries_a_pattern_only_where_it_changes(searched: Searcher, dmu50: Machine) -> None:
+    """Z stands still in all readings of the tool side: no pattern of that side depends on it, those of the work side may."""
+    data = searched.problem.network.data
+    positions = np.array(data.positions)
+    positions[data.carrier == "tool", 2] = -200.0
+    still = patterns(dmu50, replace(data, positions=positions))
+    depending = {side: {name for p in still if p.side == side for name in p.names} for side in ("tool", "work")}
+    assert "Z_mm" not in depending["tool"] and "Z_mm" in depending["work"]
+    assert depending["work"] - depending["tool"] == {"Z_mm"}
 
 
 def test_the_score_of_a_pattern_is_the_one_of_plain_numpy(searched: Searcher) -> None:

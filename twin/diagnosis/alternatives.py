@@ -169,9 +169,10 @@ def _margin(candidates: Candidates, form: Form, others: Sequence[Form]) -> float
     return explained - candidates.critical_value(form, dof)
 
 
-def ruled_out(candidates: Candidates, form: Form, others: Sequence[Form], excess: float) -> tuple[Rival, ...]:
-    """Return the best alternatives to a cause that are ruled out."""
+def ruled_out(candidates: Candidates, form: Form, others: Sequence[Form], share: float) -> tuple[Rival, ...]:
+    """Return the best alternatives to a cause that are ruled out; theirs is the part of its ``share`` that they explain."""
     margin = _margin(candidates, form, others)
+    by_form = max(float(candidates.scan(others)[0][form.index]), 1e-30)
     used = {other.key for other in others} | {form.key}
     tried = [other for other in candidates.forms if other.key not in used]
     scores = candidates.scores(others, [other.index for other in tried])
@@ -180,7 +181,7 @@ def ruled_out(candidates: Candidates, form: Form, others: Sequence[Form], excess
         if dof > 0:
             log_odds = 0.5 * (margin - float(explained - candidates.critical_value(other, dof)))
             if other.key not in best or log_odds < best[other.key].log_odds:
-                best[other.key] = Rival(*other.key, float(np.clip(explained / excess, 0.0, 1.0)), log_odds)
+                best[other.key] = Rival(*other.key, share * min(float(explained) / by_form, 1.0), log_odds)
     rivals = [rival for rival in best.values() if rival.log_odds >= 0.5 * DEVIANCE_RULED_OUT]
     return tuple(rivals[i] for i in largest_first(np.array([-rival.log_odds for rival in rivals]))[:RUNNERS_UP])
 

@@ -7,7 +7,7 @@ readings add what they could not determine, and their residuals replace the stat
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Final, Literal, final
@@ -19,15 +19,22 @@ from twin._common.distributions import chi2_sf, f_sf
 from twin._common.units import UM
 from twin.diagnosis.alternatives import points_to_measure
 from twin.diagnosis.candidates.candidate import LARGEST_ERROR
-from twin.diagnosis.causes import SizedCauses, causes_with_alternatives, causes_with_payloads, notices, readback_causes
+from twin.diagnosis.causes import (
+    NEGLIGIBLE_EXCESS,
+    SizedCauses,
+    causes_with_alternatives,
+    causes_with_payloads,
+    notices,
+    readback_causes,
+)
 from twin.diagnosis.forms import LEAST_NONCENTRALITY, Candidates, Form
-from twin.diagnosis.gain import EmpiricalExtension, extend, gain, only_predicting, residuals_as_written
+from twin.diagnosis.gain import EmpiricalExtension, error_at_tool, extend, gain, only_predicting, residuals_as_written
 from twin.diagnosis.likelihood import PatternTest, scan_patterns
-from twin.diagnosis.problem import Problem, in_um, rewhitened, rms, unwhiten
+from twin.diagnosis.problem import Problem, in_um, rms, unwhiten
 from twin.diagnosis.readings import ReadingNoise
 from twin.diagnosis.result import Cause, DiagnosisResult, Trend, Unexplained, Verdict
 from twin.diagnosis.structure import Findings
-from twin.diagnosis.text import diagnosis_display, diagnosis_text, percent, symbol
+from twin.diagnosis.text import diagnosis_display, diagnosis_text, micrometres, percent, symbol
 from twin.display.numbers import listed
 from twin.display.results import Display, DisplayedResult
 from twin.identification.network import Network
@@ -71,11 +78,17 @@ class Diagnosis(DisplayedResult, DiagnosisResult):
 VERDICTS: Final = ("consistent", "untested", "larger", "systematic")  # verdicts on the residuals, the best first
 
 
-def with_limits(diagnosis: Diagnosis, network: Network) -> Diagnosis:
-    """Return the diagnosis with the limits of its extended calibration stated in the calibration."""
+Keys = Sequence[tuple[str, str]]
+
+
+def with_limits(diagnosis: Diagnosis, network: Network, indistinct: Mapping[tuple[str, str], Keys]) -> Diagnosis:
+    """Return the diagnosis with the limits of its extended calibration stated in the calibration.
+
+    ``indistinct``: causes that are not named because of their many alternatives, with these.
+    """
     extended, data = diagnosis.extended, network.data
     given = {error.name for error in extended.not_identifiable}
-    unknown = {name: why for name, why in _unknown(diagnosis) if name not in given}
+    unknown = {name: why for name, why in _unknown(diagnosis, indistinct) if name not in given}
     tool, work = (len(set(data.target[data.carrier == side].tolist())) for side in CARRIERS)
     set_up = MeasuredWith(
         stations=len(set(data.station.tolist())), targets_on_tool=tool, targets_on_work=work, points=len(data)
@@ -95,16 +108,20 @@ def with_limits(diagnosis: Diagnosis, network: Network) -> Diagnosis:
     return replace(diagnosis, extended=limited)
 
 
-def _unknown(diagnosis: Diagnosis) -> Iterator[tuple[str, str]]:
+def _unknown(diagnosis: Diagnosis, indistinct: Mapping[tuple[str, str], Keys]) -> Iterator[tuple[str, str]]:
     """Yield the errors that the readings could not determine and the calibration does not know, with the reason."""
     calibration, extended = diagnosis.calibration, diagnosis.extended
     machine = extended.machine
     every = (*machine.motion_names, *machine.squareness_names, *machine.location_names)
     known = {name.partition("[")[0] for name in extended.covariance.names}
+    unclear = {(cause.effect, cause.where): cause.equivalent for cause in diagnosis.causes}
+    yield from (
+        (where, f"cannot be separated from {' '.join(key)}")
+        for key, alternatives in (unclear | dict(indistinct)).items()
+        for _, where in alternatives
+        if where in every and where not in known
+    )
     for cause in diagnosis.causes:
-        for _, where in cause.equivalent:
-            if where in every and where not in known:
-                yield where, f"cannot be separated from {cause.effect} {cause.where}"
         if not cause.promised and cause.where in every and cause.where not in known:
             yield cause.where, "found in the readings, but not determined between the measured positions"
     if calibration.set_up is not None or calibration.instruments:
@@ -181,7 +198,7 @@ def conclude(sized: SizedCauses, calibration: Calibration, *, empirical: bool = 
     order = [k for k in largest_first(np.array([cause.share for cause in named])).tolist() if k not in sized.jumped]
     named = [named[k] for k in order]
     wanted = points_to_measure(findings.given_patterns, findings.beside_patterns([forms[k] for k in order]), named)
-    said = notices(sized, comparison, undecided)
+    said = (*notices(sized, comparison, undecided), *_indistinct(sized))
     causes = (*named, *read_too_early, *loads)
     unexplained = _jump(sized) or _unexplained(sized)
     extension = extend(sized, calibration) if empirical and unexplained is not None else None
@@ -227,7 +244,7 @@ def conclude(sized: SizedCauses, calibration: Calibration, *, empirical: bool = 
         directions=read_only(unwhiten(network, problem.view.by_base)),
         precision=read_only(np.einsum("nki,nkj->nij", weights, weights) * UM**2),
     )
-    return with_limits(diagnosis, network)
+    return with_limits(diagnosis, network, {one.keys[0]: one.keys for one in sized.indistinct})
 
 
 def _extended(
@@ -278,6 +295,21 @@ def _misshapen(sized: SizedCauses, unexplained: Unexplained | None) -> bool:
     return False
 
 
+def _indistinct(sized: SizedCauses) -> list[str]:
+    """Return a notice on each small cause that is not named because too many others fit as well."""
+    network, texts = sized.findings.problem.network, []
+    for one in sized.indistinct:
+        most_um = np.linalg.norm(np.nan_to_num(one.moved_um), axis=1).max(initial=0.0)
+        tool_um, _ = error_at_tool(network.data, network.machine, one.effects, Covariance.none())
+        at_tool = f", {micrometres(tool_um)} RMS at the tool" if one.effects else ""
+        texts.append(
+            f"something small is not named: up to {micrometres(most_um)} in the readings{at_tool}, at most "
+            f"{100.0 * NEGLIGIBLE_EXCESS:g} % of the excess; {len(one.keys)} causes fit it equally well "
+            f"({listed([symbol(*key) for key in one.keys], most=4)})"
+        )
+    return texts
+
+
 def _unidentifiable(findings: Findings) -> dict[tuple[str, str], str]:
     """Return the candidates that the data cannot show, with what each is confounded with."""
     candidates, task = findings.by_noise, findings.task
@@ -301,7 +333,6 @@ def _ranking(candidates: Candidates) -> tuple[tuple[str, str, float, float], ...
 
 SEEN_AT: Final = 0.05  # p-value below which a trend of the residuals with a column is reported
 NOISE_P_VALUE: Final = 1e-4  # p-value of the residuals from which on they count as noise
-NEGLIGIBLE_EXCESS: Final = 0.01  # share of the excess below which residuals are no finding: real machines have some
 
 
 def _jump(sized: SizedCauses) -> Unexplained | None:
@@ -310,9 +341,7 @@ def _jump(sized: SizedCauses) -> Unexplained | None:
     if not jumped:
         return None
     problem, data = findings.problem, findings.problem.network.data
-    others = [form for k, form in enumerate(sized.forms) if k not in jumped]
-    explained = findings.candidates.explained_by
-    share = float(np.clip((explained(sized.forms) - explained(others)) / sized.excess, 0.0, 1.0))
+    share = float(sized.shares[jumped].sum())
     shift = sized.estimate.signature[:, jumped].sum(axis=1)
     size = rms(in_um(problem.network, problem.project(shift)), problem.network.read)
     side = str(data.carrier[np.argmax(np.any(shift.reshape(-1, 3) != 0.0, axis=1))])
@@ -335,13 +364,11 @@ def _unexplained(sized: SizedCauses) -> Unexplained | None:
     problem, structure, by_noise = findings.problem, findings.structure, findings.task.by_noise
     read, signature = problem.network.read, sized.estimate.signature.sum(axis=1)
     residual_um = rms(in_um(problem.network, problem.project(problem.residual - signature)), read)
-    whitened_residual = by_noise.residual - rewhitened(signature, problem.network, by_noise.network)
-    chi2 = float(whitened_residual @ by_noise.project(whitened_residual))
-    chi2_share = float((chi2 - problem.dof) / max(by_noise.chi2 - problem.dof, 1e-30)) if forms else 1.0
     if structure.pattern_tests:
         patterns = [test.pattern for test in structure.pattern_tests]
         patterns_um = in_um(problem.network, structure.pattern(forms))
-        share = float(np.clip(structure.explained(forms) / sized.excess, 0.0, 1.0))
+        # Beside the patterns, what counts as discrepancy is unexplained as well.
+        share = max(sized.share_of_patterns, sized.share_left if findings.task.discrepancy.parts else 0.0)
         columns = tuple(dict.fromkeys(name for pattern in patterns for name in pattern.names))
         sides = {pattern.side for pattern in patterns}
         carrier = sides.pop() if len(sides) == 1 else "both"
@@ -351,16 +378,14 @@ def _unexplained(sized: SizedCauses) -> Unexplained | None:
             f"a pattern that depends on {' and '.join(columns)} on the {carrier} side, {size:.2g} µm RMS per coordinate, "
             f"{percent(share)} of the excess, matches no known effect"
         )
-        # Beside the patterns, what counts as discrepancy is unexplained as well.
-        share = max(share, chi2_share) if findings.task.discrepancy.parts else share
         or_on = tuple(dict.fromkeys(names for test in structure.pattern_tests for names in test.rivals))
         return Unexplained(share, columns, carrier, text, size, or_on)
-    p_value = _p_value(by_noise, findings.task.noise, chi2, len(forms))
-    if p_value >= NOISE_P_VALUE or (forms and chi2_share <= NEGLIGIBLE_EXCESS):
+    p_value = _p_value(by_noise, findings.task.noise, sized.chi2_left, len(forms))
+    if p_value >= NOISE_P_VALUE or (forms and sized.share_left <= NEGLIGIBLE_EXCESS):
         return None
     size = float(np.sqrt(max(residual_um**2 - _expected_um(by_noise) ** 2, 0.0)))
     what = "the residuals exceed the stated noise" + (" even with the causes in the model" if forms else "")
-    return Unexplained(chi2_share, (), "both", f"{what}, without a pattern in any column of the table", size)
+    return Unexplained(sized.share_left, (), "both", f"{what}, without a pattern in any column of the table", size)
 
 
 def _trends(findings: Findings) -> tuple[Trend, ...]:

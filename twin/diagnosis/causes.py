@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import chain
 from typing import Final, final
 
@@ -36,7 +37,7 @@ from twin.diagnosis.candidates.machine import FOLLOWING_ERROR, READ_BACK
 from twin.diagnosis.estimate import MANY_ROUNDS, Estimate, estimate, reweighted
 from twin.diagnosis.forms import DEVIANCE_RULED_OUT, Candidates, Form, log_p_value
 from twin.diagnosis.payload import CARRIED_INDEX, CENTRE_PRIOR, Load, axis_of_form, loaded_joints, weights
-from twin.diagnosis.problem import in_um
+from twin.diagnosis.problem import in_um, rewhitened
 from twin.diagnosis.result import Cause, Quantity, readable_unit
 from twin.diagnosis.search import LIMIT_SIGMA, TOO_LARGE
 from twin.diagnosis.second_opinion import Comparison, compare_with_search, second_opinion
@@ -52,6 +53,19 @@ from twin.model.effects.gravity_compliance import CARRIED_LOAD, PAYLOAD, AddedLo
 from twin.model.effects.harmonic import APPROACH
 from twin.numerics.covariance import Covariance
 
+NEGLIGIBLE_EXCESS: Final = 0.01  # share of the excess below which residuals are no finding: real machines have some
+MOST_ALTERNATIVES: Final = 5  # number of alternatives up to which a negligible cause is named
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Indistinct:
+    """A negligible cause with more than `MOST_ALTERNATIVES`: the readings say that something small is there, and not what."""
+
+    keys: tuple[tuple[str, str], ...]  # the cause, then its alternatives
+    moved_um: np.ndarray  # (n, 3) on each reading; NaN where no coordinate was measured
+    effects: tuple[Effect, ...]
+
 
 @final
 @dataclass(frozen=True, eq=False)
@@ -64,12 +78,43 @@ class SizedCauses:
     dropped: tuple[Form, ...]  # not significant against the variation between groups of readings
     doubts: tuple[str, ...]  # why each is not promised: not valid between positions, or impossible; empty if it is
     discrepancy: Discrepancy  # what the causes leave beyond the noise, in the weights of their sizes
+    indistinct: tuple[Indistinct, ...]  # what is not named, because too many causes fit it
 
     @property
     def excess(self) -> float:
         """Return the excess of χ² over its expectation from noise."""
         problem = self.findings.problem
         return max(problem.chi2 - problem.dof, self.estimate.explained, 1e-30)
+
+    @cached_property
+    def chi2_left(self) -> float:
+        """χ² that the causes leave, with the weights of the noise alone."""
+        by_noise = self.findings.task.by_noise
+        signature = rewhitened(self.estimate.signature.sum(axis=1), self.findings.problem.network, by_noise.network)
+        left = by_noise.residual - signature
+        return float(left @ by_noise.project(left))
+
+    @cached_property
+    def share_left(self) -> float:
+        """Share of the excess over measurement noise that the causes leave; 1 without causes."""
+        by_noise = self.findings.task.by_noise
+        excess = max(by_noise.chi2 - by_noise.dof, by_noise.chi2 - self.chi2_left, 1e-30)
+        return float(np.clip((self.chi2_left - by_noise.dof) / excess, 0.0, 1.0)) if self.forms else 1.0
+
+    @cached_property
+    def share_of_patterns(self) -> float:
+        """Share of the excess that the unnamed patterns explain beside the causes; 0 without patterns."""
+        return float(np.clip(self.findings.structure.explained(self.forms) / self.excess, 0.0, 1.0))
+
+    @cached_property
+    def shares(self) -> np.ndarray:
+        """(k,) share of the excess of each cause: the part that all explain together, divided (`Candidates.divided`).
+
+        Causes, patterns and the rest add up to one.
+        """
+        divided = self.findings.candidates.divided(self.forms)
+        explained = 1.0 - max(self.share_left, self.share_of_patterns)
+        return np.asarray(divided * (explained / max(float(divided.sum()), 1e-30)))
 
     @property
     def jumped(self) -> Collection[int]:
@@ -94,10 +139,11 @@ class SizedCauses:
 
 
 def estimate_sizes(findings: Findings) -> SizedCauses:
-    """Estimate the sizes of the causes, and drop one by one those that groups of readings do not confirm."""
+    """Estimate the sizes of the causes, and drop one by one those that groups of readings do not confirm or that tell nothing."""
     structure = findings.structure
     forms = one_for_each_number(findings.candidates, structure.forms)
     dropped: list[Form] = []
+    indistinct: list[Indistinct] = []
     while True:
         estimated = estimate(findings.problem, forms, findings.task.noise.dof, structure.random_effects)
         if structure.pattern_tests:
@@ -110,8 +156,14 @@ def estimate_sizes(findings: Findings) -> SizedCauses:
             ]
         log_p, weakest = max(judged, key=lambda pair: pair[0], default=(-np.inf, None))
         if weakest is None or log_p <= np.log(findings.candidates.level):
-            break
-        dropped.append(weakest)
+            weakest, keys = _least_distinct(findings, estimated, forms)
+            if weakest is None:
+                break
+            k = forms.index(weakest)
+            moved_um = in_um(findings.problem.network, estimated.signature[:, k])
+            indistinct.append(Indistinct((weakest.key, *keys), moved_um, estimated.effects[k]))
+        else:
+            dropped.append(weakest)
         forms = [form for form in forms if form is not weakest]
     sizes, discrepancy = reweighted(findings.task, forms, estimated, structure.random_effects)
     network = findings.problem.network
@@ -126,7 +178,25 @@ def estimate_sizes(findings: Findings) -> SizedCauses:
         or (IMPOSSIBLE if _is_impossible(form, quantities, effects) else "")
         for k, (form, quantities, effects) in enumerate(zip(forms, sizes.quantities, sizes.effects, strict=True))
     )
-    return SizedCauses(findings, tuple(forms), sizes, tuple(dropped), doubts, discrepancy)
+    return SizedCauses(findings, tuple(forms), sizes, tuple(dropped), doubts, discrepancy, tuple(indistinct))
+
+
+def _least_distinct(
+    findings: Findings, estimated: Estimate, forms: Sequence[Form]
+) -> tuple[Form | None, Sequence[tuple[str, str]]]:
+    """Return the cause that adds least, of those that add a negligible share and have too many alternatives, with these."""
+    problem, candidates = findings.problem, findings.candidates
+    negligible = NEGLIGIBLE_EXCESS * max(problem.chi2 - problem.dof, estimated.explained)
+    rest = {form: [other for other in forms if other is not form] for form in forms}
+    added = {form: float(candidates.scores(others, [form.index])[0, 0]) for form, others in rest.items()}
+    for form in sorted(forms, key=lambda form: added[form]):
+        if added[form] >= negligible:
+            break
+        form_beside, *others_beside = findings.beside_patterns([form, *rest[form]])
+        keys = equivalent(findings, form_beside, others_beside)
+        if len(keys) > MOST_ALTERNATIVES:
+            return form, keys
+    return None, ()
 
 
 def one_for_each_number(candidates: Candidates, forms: Sequence[Form]) -> list[Form]:
@@ -198,6 +268,10 @@ def causes_with_alternatives(sized: SizedCauses, calibration: Calibration) -> tu
         (form.key, *cause.equivalent, *variants[form.key]) for form, cause in zip(sized.forms, causes, strict=True)
     ]
     comparison = compare_with_search(second_opinion(candidates, structure.forms), groups)
+    small = {key for one in sized.indistinct for key in one.keys}
+    comparison = replace(
+        comparison, further=tuple(e for e in comparison.further if small.isdisjoint((*e.credible, *e.sum_of)))
+    )
     return [
         # The form of a curve that does not predict held-out positions is unknown, and so is its probability.
         replace(cause, probability=comparison.probability[k], credible=comparison.instead[k] or comparison.credible[k])
@@ -261,12 +335,11 @@ def _sizes(form: Form, quantities: Sequence[Quantity]) -> list[Quantity]:
 
 
 def _cause(sized: SizedCauses, k: int, calibration: Calibration) -> Cause:
-    """Return one cause; its share is relative to the other causes, its rivals also to the patterns."""
+    """Return one cause; its share is that among the other causes, its rivals are relative to the patterns too."""
     findings, form, network = sized.findings, sized.forms[k], sized.findings.problem.network
     candidates = findings.candidates
     others = [other for other in sized.forms if other is not form]
     form_beside, *others_beside = findings.beside_patterns([form, *others])
-    explained = candidates.scores(others, [form.index])[0, 0]
     doubt, quantities = sized.doubts[k], sized.estimate.quantities[k]
     text = evidence(form, sized.estimate, k) + curve_flaw(candidates, sized.forms, form, calibration)
     if form.candidate.specification in (PAYLOAD, CARRIED_LOAD) and form.variant.fixed:
@@ -283,7 +356,7 @@ def _cause(sized: SizedCauses, k: int, calibration: Calibration) -> Cause:
         origin=form.candidate.origin,
         parameters=quantities,
         p_value=candidates.p_value(_log_p_given_others(findings, sized.estimate, sized.forms, form)),
-        share=float(np.clip(explained / sized.excess, 0.0, 1.0)),
+        share=float(sized.shares[k]),
         equivalent=equal,
         together=groups,
         evidence=text,
@@ -292,7 +365,7 @@ def _cause(sized: SizedCauses, k: int, calibration: Calibration) -> Cause:
         promised=not doubt,
         bounded=doubt == IMPOSSIBLE or _bounded(form, quantities),
         below_increment=doubt == BELOW_INCREMENT,
-        rivals=ruled_out(findings.given_patterns, form_beside, others_beside, sized.excess),
+        rivals=ruled_out(findings.given_patterns, form_beside, others_beside, float(sized.shares[k])),
     )
 
 
@@ -418,9 +491,13 @@ def causes_with_payloads(
         at = [forms.index(form) for form in load.joints]
         factors, variances = load.covariances(shares, np.array([causes[k].parameters[0].u for k in at]))
         _, compliances = load.explained_under(shares)
+        loads = [_load_cause(candidates, load, payload, shares, variances) for payload in known]
+        # The loads take their share from that of the joints: all of it at most.
+        by_joints, by_loads = sum(causes[k].share for k in at), sum(cause.share for cause in loads)
+        load_causes += [replace(one, share=one.share * by_joints / max(by_loads, 1.0)) for one in loads]
         for k, factor, compliance in zip(at, factors.tolist(), compliances.tolist(), strict=True):
-            causes[k] = _less_certain(causes[k], factor, compliance, by_kind.get(False), load)
-        load_causes += [_load_cause(candidates, load, payload, shares, variances) for payload in known]
+            less = replace(causes[k], share=causes[k].share * max(1.0 - by_loads, 0.0))
+            causes[k] = _less_certain(less, factor, compliance, by_kind.get(False), load)
     return causes, load_causes
 
 
@@ -445,7 +522,7 @@ def _less_certain(cause: Cause, times: float, compliance: float, payload: Payloa
 def _load_cause(
     candidates: Candidates, load: Load, payload: Payload, shares: np.ndarray, variances: np.ndarray
 ) -> Cause:
-    """Return a payload or a carried load as a cause: it explains what the joints explain with it and not without."""
+    """Return a payload or a carried load as a cause; its share is that of the χ² of the joints that is not explained without it."""
     own_shares = slice(CARRIED_INDEX, None) if payload.carried else slice(0, CARRIED_INDEX)
     without = np.array(shares)
     without[own_shares] = 0.0
@@ -454,7 +531,6 @@ def _load_cause(
     log_p = (
         float(log_p_value(np.array(max(explained - by_others, 0.0)), 4.0, candidates.dof)) + load.joints[0].log_tests
     )
-    excess = max(candidates.problem.chi2 - candidates.problem.dof, explained)
     columns = [column for form in load.free for column in form.variant.columns]
     size = np.array([column.scale for column in columns])
     shape = np.kron(compliances, weights(shares) - weights(without))
@@ -473,7 +549,7 @@ def _load_cause(
         origin="machine",
         parameters=_quantities(payload, np.sqrt(variances[own_shares]), load.heaviest),
         p_value=candidates.p_value(min(log_p, 0.0)),
-        share=float(np.clip((explained - by_others) / excess, 0.0, 1.0)),
+        share=float(np.clip((explained - by_others) / max(explained, 1e-30), 0.0, 1.0)),
         equivalent=(),
         evidence=text,
         pattern_um=read_only(in_um(candidates.problem.network, (candidates.problem.signature(columns) / size) @ shape)),

@@ -112,9 +112,11 @@ def lines_that_predict(candidates: Candidates, kept: Sequence[Form], forms: Sequ
         form.key: form for form in candidates.forms if form.variant.fixed == {"first": 1.0} and len(form.columns) == 1
     }
     taken, chosen = {form.key for form in kept}, list(kept)
-    for key in dict.fromkeys(form.key for form in forms if form.key not in taken and form.key in lines):
-        if _predict_better(candidates, cells, chosen, [*chosen, lines[key]]):
-            chosen.append(lines[key])
+    tried = [lines[key] for key in dict.fromkeys(form.key for form in forms) if key not in taken and key in lines]
+    # Beside one that is taken another may predict that did not before.
+    while tried and (better := [line for line in tried if _predict_better(candidates, cells, chosen, [*chosen, line])]):
+        chosen.append(better[0])
+        tried.remove(better[0])
     return chosen[len(kept) :]
 
 

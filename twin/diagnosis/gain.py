@@ -272,7 +272,7 @@ def gain(
         float(np.nansum(in_um(network, sized.estimate.signature[:, k]) ** 2) / len(data))
         for k, doubt in enumerate(sized.doubts)
         if doubt and doubt != JUMPED
-    )
+    ) + sum(float(np.nansum(one.moved_um**2) / len(data)) for one in sized.indistinct)
     pattern_um = 0.0 if unexplained is None or not unexplained.depends_on else unexplained.size_um
     unseen = 0.0
     if extension is not None and extension.effects:
@@ -352,7 +352,7 @@ def error_at_tool(
             # Effects in several frames share the parameters of an added load.
             by_parameter[parameter.name] = by_parameter.get(parameter.name, 0.0) + moved(effect, derivative)
     known = [name for name in covariance.names if name in by_parameter]
-    columns = np.stack([by_parameter[name] for name in known], axis=2)
+    columns = np.stack([np.zeros_like(whole), *(by_parameter[name] for name in known)], axis=2)[:, :, 1:]
     variance = np.sum((columns @ covariance.of(known).matrix) * columns, axis=(1, 2))
     return float(np.sqrt(np.mean(np.sum(whole**2, axis=1)))), float(np.sqrt(np.mean(np.maximum(variance, 0.0))))
 

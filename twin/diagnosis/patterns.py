@@ -31,10 +31,10 @@ from twin.model.effects.harmonic import APPROACH, Waves
 from twin.model.effects.harmonic import terms as products_of
 from twin.numerics.functions import Functions, Rows, pieces
 
-ORDER_ALONE: Final = 16  # highest order of a single column
+ORDER_ALONE: Final = 32  # highest order of a single column
 ORDER_IN_PAIRS: Final = 8  # highest order of an axis in a pair
 ORDER_OF_SLOW_COLUMNS: Final = 4  # the same of a slowly changing column: time, temperatures, rounds, other channels
-ORDERS_TESTED: Final = (2, 4, 8, 16)  # orders up to which the functions of a pattern are tested together
+ORDERS_TESTED: Final = (2, 4, 8, 16, 32)  # orders up to which the functions of a pattern are tested together
 PERIODIC_RANGE_DEG: Final = 300.0  # range of a rotary axis, degrees, from which on its functions are periodic
 
 
@@ -161,6 +161,11 @@ class ChannelFunctions:
             self.own[pattern] = slice(self.count, self.count + len(numbers))
             self.count += len(numbers)
         self._first, self._second = np.concatenate(factors).T
+        # Functions of the highest orders are in no pair: only the others are multiplied with each other.
+        paired = (self._first > 0) & (self._second > 0)
+        self._pairs = np.flatnonzero(paired)
+        self._in_pairs, at = np.unique([self._first[paired], self._second[paired]], return_inverse=True)
+        self._pair_at = at.reshape(2, -1)
 
     def at(self, rows: np.ndarray) -> np.ndarray:
         """Return (rows, m) values of all functions at readings of the side."""
@@ -170,8 +175,11 @@ class ChannelFunctions:
     def with_vectors(self, rows: np.ndarray, vectors: np.ndarray) -> np.ndarray:
         """Return inner products (r, m) of all functions with (r, rows) vectors at readings of the side."""
         factors = self._factors(rows)
-        every = (vectors[:, None] * factors) @ factors.T
-        return np.asarray(every[:, self._first, self._second])
+        # The constant is the first factor.
+        along = (vectors @ factors.T)[:, np.maximum(self._first, self._second)]
+        some = factors[self._in_pairs]
+        along[:, self._pairs] = ((vectors[:, None] * some) @ some.T)[:, self._pair_at[0], self._pair_at[1]]
+        return np.asarray(along)
 
     def _factors(self, rows: np.ndarray) -> np.ndarray:
         """Return (factors, rows) values of the functions that the others are products of."""
@@ -182,9 +190,9 @@ class ChannelFunctions:
 def patterns(machine: Machine, data: Measurements) -> list[Pattern]:
     """Return the patterns of every column and pair, for every side with targets, in every frame that turns differently."""
     patterns = []
-    channels = _channels(machine, data)
     for side in _sides(machine, data):
         own = (data.carrier == side) != (data.station_carrier == side)
+        channels = _channels(machine, data, own)
         turning = any(not axis.linear and axis.side == side for axis in machine.axes)
         for field in ("base", "place") if turning else ("base",):
             patterns += [Pattern(side, field, (channel,), own, ORDER_ALONE) for channel in channels]
@@ -204,7 +212,8 @@ def _sides(machine: Machine, data: Measurements) -> list[str]:
     return [side for side in sides if any(axis.side == side for axis in machine.axes)] or sides
 
 
-def _channels(machine: Machine, data: Measurements) -> list[Channel]:
+def _channels(machine: Machine, data: Measurements, own: np.ndarray) -> list[Channel]:
+    """Return the columns that change in the readings ``own`` (n,) of a side: no other carries a pattern of it."""
     state = dict(machine_state(data, machine))
     if len(set(data.round)) > 2:
         rounds = list(dict.fromkeys(data.round))
@@ -212,10 +221,10 @@ def _channels(machine: Machine, data: Measurements) -> list[Channel]:
     channels = []
     for name, values in state.items():
         axis = machine.by_name.get(name)
-        distinct = len(np.unique(np.round(values, 6)))
+        distinct = len(np.unique(np.round(values[own], 6)))
         if distinct < 2:
             continue
-        waves = _waves(name, axis, values, distinct)
+        waves = _waves(name, axis, values[own], distinct)
         paired = 1 if waves.kind == "direction" else ORDER_IN_PAIRS if axis is not None else ORDER_OF_SLOW_COLUMNS
         channels.append(Channel(waves, values, paired))
     return channels

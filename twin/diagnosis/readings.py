@@ -129,16 +129,7 @@ def _noise_of(
         return ReadingNoise(read_only(covariance), dof, text)
     if not read.all():
         # An instrument that measures two coordinates is no tracker: the same noise in both.
-        residual, basis = _regressed(values)
-        dof = dof_each * np.count_nonzero(read) / len(read) - basis.shape[2]
-        if dof < LEAST_DOF:
-            return None
-        sigma = float(np.sqrt(np.sum(residual**2) / dof))
-        size = sigma * 1e6
-        text = Message(
-            "{source}: {size:.2g} µm a coordinate ({dof:.0f} degrees of freedom)", source=source, size=size, dof=dof
-        )
-        return ReadingNoise(read_only(np.tile(sigma**2 * np.eye(3), (len(seen), 1, 1))), dof, text)
+        return _isotropic(values, dof_each * np.count_nonzero(read) / len(read), len(seen), source)
     beam = points / np.linalg.norm(points, axis=1, keepdims=True)
     along_u = across_u = 1.0
     for _ in range(ITERATIONS):
@@ -150,7 +141,7 @@ def _noise_of(
         dof_along = dof_each - dof_used
         dof_across = 2.0 * dof_each - (basis.shape[2] - dof_used)
         if dof_along < LEAST_DOF:
-            return None
+            return _isotropic(values, 3.0 * dof_each, len(seen), source)
         along_u *= float(np.sqrt(np.sum(along**2) / dof_along))
         across_u *= float(np.sqrt((np.sum(residual**2) - np.sum(along**2)) / dof_across))
     if abs(np.log(along_u / across_u)) < 3.0 * np.sqrt(0.5 / dof_along + 0.5 / dof_across):
@@ -167,6 +158,19 @@ def _noise_of(
     )
     covariance = along_and_across(seen, np.full(len(seen), along_u), np.full(len(seen), across_u))
     return ReadingNoise(read_only(covariance), dof, text)
+
+
+def _isotropic(values: np.ndarray, dof: float, points: int, source: str) -> ReadingNoise | None:
+    """Return the noise that is the same in all coordinates, from ``dof`` degrees of freedom before regression (`_noise_of`)."""
+    residual, basis = _regressed(values)
+    dof -= basis.shape[2]
+    if dof < LEAST_DOF:
+        return None
+    sigma = float(np.sqrt(np.sum(residual**2) / dof))
+    text = Message(
+        "{source}: {size:.2g} µm a coordinate ({dof:.0f} degrees of freedom)", source=source, size=sigma * 1e6, dof=dof
+    )
+    return ReadingNoise(read_only(np.tile(sigma**2 * np.eye(3), (points, 1, 1))), dof, text)
 
 
 def _regressed(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -43,7 +43,7 @@ class Rival:
 
     Attributes:
         effect, where: contract §5.
-        share: of the excess residual sum of squares that it would explain.
+        share: of the excess residual sum of squares: the part of the cause's share that it would explain.
         log_odds: natural log of how many times less likely it is, both corrected for the number of tests.
     """
 
@@ -62,7 +62,8 @@ class Cause:
         effect, where, origin: contract §5.
         parameters: with standard uncertainties.
         p_value: of the χ² it explains given the other causes, corrected for the number of tests.
-        share: of the excess residual sum of squares (over measurement noise) that it explains.
+        share: of the excess residual sum of squares (over measurement noise): its Shapley value in the part that all causes explain;
+            with the share that is unexplained, and a rest, the shares add up to one.
         equivalent: (effect, where) of the causes it is confounded with in these data.
         together: groups of these that replace it only together.
         assumes: what it assumes of the instrument, in words, where an error of the instrument would fit as well; else empty.
@@ -243,7 +244,7 @@ class Unexplained:
     """A pattern in the residuals that no known effect explains.
 
     Attributes:
-        share: of the excess residual sum of squares.
+        share: of the excess residual sum of squares that the causes leave.
         depends_on: columns of the table; empty for excess noise without a pattern.
         carrier: ``tool``, ``work`` or ``both``.
         evidence: one sentence.

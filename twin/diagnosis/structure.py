@@ -232,15 +232,38 @@ def _further_pattern(
         if test.found and test.pattern.key not in seen
     ]
     near = [test for test in tests if test.log_p < tests[0].log_p + DEVIANCE_RULED_OUT][:MAX_PATTERNS_EVALUATED]
-    if len(near) < 2:
-        return near[0] if near else None
-    ratios = [Likelihood(candidates, [*present, test]).fit(structure.forms).twice_log_ratio for test in near]
+    # Functions of both columns may be clearer than the few of one: each column of a pair is tried alone.
+    of_pairs = {
+        (test.pattern.side, name) for test in near for name in test.pattern.names if len(test.pattern.names) > 1
+    }
+    near += [
+        t
+        for t in tests
+        if t not in near and len(t.pattern.names) == 1 and (t.pattern.side, *t.pattern.names) in of_pairs
+    ]
+    if not near:
+        return None
+    ratios, best = zip(*(_at_likeliest_level(candidates, structure.forms, present, test) for test in near), strict=True)
     likely = [i for i in range(len(near)) if ratios[i] > max(ratios) - DEVIANCE_RULED_OUT]
     chosen = min(likely, key=lambda i: (len(near[i].pattern.names), -ratios[i]))
     own = near[chosen].pattern
     rivals = [near[i].pattern for i in likely if len(near[i].pattern.names) == len(own.names)]
     names = dict.fromkeys(rival.names for rival in rivals if rival.names != own.names and rival.side == own.side)
-    return replace(near[chosen], rivals=tuple(names))
+    return replace(best[chosen], rivals=tuple(names))
+
+
+def _at_likeliest_level(
+    candidates: Candidates, forms: Sequence[Form], present: Sequence[PatternTest], test: PatternTest
+) -> tuple[float, PatternTest]:
+    """Return twice the log likelihood ratio of a pattern beside others at its likeliest level, and the pattern at this level.
+
+    What functions of too low an order leave of a column would be attributed to others.
+    """
+    levels = test.pattern.levels if len(test.pattern.names) == 1 else (test.level,)
+    tried = [replace(test, level=level) for level in levels if level >= test.level]
+    ratios = [Likelihood(candidates, [*present, one]).fit(forms).twice_log_ratio for one in tried]
+    best = first_largest(np.array(ratios))
+    return ratios[best], tried[best]
 
 
 def _worth(candidates: Candidates, structure: Structure) -> float:

@@ -29,6 +29,7 @@ INSTEAD_DESCRIBED: Final = 3  # number of other sets of columns that are describ
 BELOW_INCREMENT: Final = (
     "Nothing: the error is below the least increment of the axes, so no command and no compensation can correct it."
 )
+LEAST_REST: Final = 0.01  # smallest share of the excess that is stated beside causes and pattern
 MOST_READINGS: Final = 1000.0  # number of readings at one position above which the measurement is not suggested
 MOST_IN_ONE_COURSE: Final = (
     30.0  # the same, where another course of time and temperatures separates the causes without any
@@ -204,7 +205,18 @@ def _round_number(value: float) -> int:
 
 def percent(share: float) -> str:
     """Return a fraction of one in percent."""
+    if 0.995 <= share < 1.0:
+        return "more than 99 %"
     return "less than 1 %" if share < 0.005 else f"{100.0 * share:.0f} %"
+
+
+def rest(diagnosis: DiagnosisResult) -> str:
+    """Return the share of the excess that neither causes nor a pattern explain, in a sentence; empty if it is below 1 %."""
+    unexplained = diagnosis.unexplained
+    share = 1.0 - sum(cause.share for cause in diagnosis.causes) - (0.0 if unexplained is None else unexplained.share)
+    if not any(cause.share for cause in diagnosis.causes) or share < LEAST_REST:
+        return ""
+    return f"The rest, {percent(share)} of the excess, is not significant or too small to be named."
 
 
 def held_out_words(of: str) -> str:
@@ -542,6 +554,7 @@ def diagnosis_text(diagnosis: DiagnosisResult) -> str:  # noqa: C901, PLR0912
         lines += _wrapped(f"{absorbed}.", start=2, hang=2)
     if diagnosis.unexplained is not None:
         lines += _wrapped(f"Unexplained: {diagnosis.unexplained.evidence}.", hang=2)
+    lines += _wrapped(rest(diagnosis), hang=2)
     lines += _gain(diagnosis)
     if diagnosis.next_measurement:
         lines += ["", "What to measure next"]

@@ -92,8 +92,8 @@ def count_of(rows: Rows, points: int) -> int:
 
 
 def tabulated(values: np.ndarray) -> Functions:
-    """Return functions given by a table of values (n, count)."""
-    return Functions(len(values), values.shape[1], lambda rows: np.asarray(values[rows]), tabulated=True)
+    """Return functions given by a table of values (n, count); one of booleans takes an eighth of the memory of numbers."""
+    return Functions(len(values), values.shape[1], lambda rows: np.asarray(values[rows], dtype=float), tabulated=True)
 
 
 @final

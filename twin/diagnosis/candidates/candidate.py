@@ -161,7 +161,7 @@ def masked_columns(
     freedoms: Sequence[Freedom], mask: np.ndarray, weight: float, scale: float = LARGEST_ERROR
 ) -> tuple[Column, ...]:
     """Return one column for each degree of freedom, active where a mask (n,) is set; ``weight`` metres or radians a unit."""
-    function = tabulated(mask[:, None].astype(float))
+    function = tabulated(mask[:, None])
     return tuple(Column((SignatureTerm(freedom, function, 0, weight),), scale) for freedom in freedoms)
 
 

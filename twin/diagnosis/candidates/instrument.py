@@ -117,7 +117,7 @@ def _has_extent(points: np.ndarray) -> np.ndarray:
 
 
 def _columns(mask: np.ndarray, kept: list[int], centre: np.ndarray) -> tuple[Column, ...]:
-    function = tabulated(mask[:, None].astype(float))
+    function = tabulated(mask[:, None])
     at_centre = strain_displacements(centre[None])[0]
     return tuple(
         Column(
