@@ -39,6 +39,10 @@ TABLE_FORMATS: Final = {
     "isg": "isg:Isg",
     "grid": "grid:SpatialGrid",
     "siemens_eec": "siemens_eec:SiemensEec",
+    "klipper": "skew:Klipper",
+    "marlin": "skew:Marlin",
+    "reprapfirmware": "skew:RepRapFirmware",
+    "matrixkins": "skew:MatrixKins",
 }
 """Formats of compensation tables: `twin.controls.formats`."""
 KINEMATICS_FORMATS: Final = {
