@@ -11,7 +11,7 @@ from twin._common.bundled import DEFAULT
 from twin._common.errors import InputError
 from twin._common.files import write_atomic
 from twin.cli.shared import complete, options
-from twin.cli.shared.command import HTML, POSITIVE, CommandResult, JsonOption, command
+from twin.cli.shared.command import HTML, POSITIVE, CommandResult, JsonOption, Output, command
 from twin.cli.shared.terminal import tolerances
 
 ToleranceOption = Annotated[
@@ -48,12 +48,21 @@ SensorsOption = Annotated[
     ),
 ]
 
+CalibrationOutput = Annotated[
+    Path | None,
+    typer.Option(
+        "--output", "-o", help="Calibration to write, with the scales and squarenesses that the sheets determine."
+    ),
+    Output((".yaml", ".yml")),
+]
+
 
 @command(
     "twin evaluate measured.csv --html tests.html --json tests.json",
     "twin evaluate measured.csv --tolerance A=10 B=3 H=5",
     "twin evaluate measured.csv --tolerance X:A=8 Y:A=12 E_C0Y=20 --instrument tracker",
     "twin evaluate record.csv --iso230-3 --sensors d1=X1 d2=X2 X1-X2=76 d5=Z t5=ambient --html drift.html",
+    "twin evaluate diagonals.csv square.csv -m router.yaml -o mine.yaml",
 )
 def evaluate(
     measured: options.MeasuredArgument,
@@ -65,8 +74,9 @@ def evaluate(
     sensors: SensorsOption = None,
     json_file: JsonOption = None,
     html_file: Annotated[Path | None, typer.Option("--html", help="Write the report to this HTML file."), HTML] = None,
+    output: CalibrationOutput = None,
 ) -> CommandResult:
-    """Evaluate the standard tests for which a measurement table has the runs.
+    """Evaluate the standard tests for which a measurement table has the runs, or the sheets of artefacts.
 
     The exit status is 3 if a tolerance is not met, if no test gives its value, or if the table allows no test at all.
     """
@@ -74,13 +84,37 @@ def evaluate(
     from twin.measurement.table import Measurements
     from twin.standards import evaluate as run_evaluation
     from twin.standards import evaluate_drift
+    from twin.standards.artefacts import calibration_of, evaluate_sheets, is_sheet
 
     limits = tolerances(tolerance or [])
+    sheets = [is_sheet(path) for path in measured]
     if html_file is not None:
         options.need_pictures("the HTML report")
     loaded = options.machine(machine)
     reader = None if instrument is None else instrument_named(instrument)
-    if drift:
+    after: list[str] = []
+    if any(sheets):
+        if not all(sheets):
+            raise InputError(
+                "a sheet of an artefact beside other files",
+                expected="sheets only, or tables only",
+                value=measured[sheets.index(False)],
+            )
+        if drift or sensors or reader is not None or length is not None:
+            raise InputError(
+                "a sheet states its own instrument", expected="sheets with --tolerance, --html, --json, -o"
+            )
+        evaluation, found = evaluate_sheets(measured, loaded, tolerances=limits)
+        if output is not None:
+            calibration_of(evaluation, found, loaded).save(output)
+            after.append(
+                f"\nwritten: {output}; for the control: twin control --to FORMAT -m {machine} -c {output} -o FOLDER"
+            )
+    elif output is not None:
+        raise InputError(
+            "-o writes the calibration of artefacts", expected="sheets of twin plan --artefact", value=output
+        )
+    elif drift:
         if len(measured) > 1 or length is not None:
             raise InputError("--iso230-3 evaluates one record", expected="one file, without --length")
         evaluation = evaluate_drift(measured[0], loaded, tolerances=limits, instrument=reader, sensors=sensors or [])
@@ -95,4 +129,5 @@ def evaluate(
         from twin.standards.page import evaluation_html  # imports matplotlib, which is slow and needed only here
 
         write_atomic(html_file, evaluation_html(evaluation))
-    return CommandResult(evaluation.to_text(), evaluation.to_dict, met=evaluation.met and bool(evaluation.tests))
+    met = evaluation.met and bool(evaluation.tests)
+    return CommandResult(evaluation.to_text(), evaluation.to_dict, met=met, after=after)

@@ -593,9 +593,7 @@ class MatrixCorrection(Correction):
         found = []
         for moved, by, value in self.entries:
             at = self.machine.by_name[by].domain
-            found.append(
-                TableSummary.over(f"{moved} by {by}", at, abs(value) * max(map(abs, at)) / MM_PER_UM, "um")
-            )
+            found.append(TableSummary.over(f"{moved} by {by}", at, abs(value) * max(map(abs, at)) / MM_PER_UM, "um"))
         return tuple(found)
 
     def plus(self, old: MatrixCorrection) -> MatrixCorrection:

@@ -96,9 +96,7 @@ class SkewFormat(TableFormat[MatrixCorrection]):
         self.check(names)
         suffix = Path(self.written[0]).suffix
         path = single_file(files, suffix, f"the settings of {self.title} are one file", f"one {suffix} file")
-        lines = [
-            TableLine(path, line.number, line.text.partition(self.mark)[0].strip()) for line in table_lines(path)
-        ]
+        lines = [TableLine(path, line.number, line.text.partition(self.mark)[0].strip()) for line in table_lines(path)]
         whole = self._matrix([line for line in lines if line.text], path)
         for i, moved in enumerate(LETTERS):
             for j, by in enumerate(LETTERS):
