@@ -177,7 +177,9 @@ def balls(sheet: Sheet, truth: Truth, rng: np.random.Generator, scatter: float) 
             at = rotation @ (nominal * warm + own) + shift + np.array([300.0, 400.0, -50.0])
             centre[placement, ball] = np.linalg.solve(truth.matrix, at)
         k = AXES.index(row["axis"])
-        sheet.read(row, centre[placement, ball][k] + rng.uniform(-1, 1) * sheet.stated["machine deviation"][0], rng, scatter)
+        sheet.read(
+            row, centre[placement, ball][k] + rng.uniform(-1, 1) * sheet.stated["machine deviation"][0], rng, scatter
+        )
 
 
 def turn(a: int, b: int, angle: float, rng: np.random.Generator) -> np.ndarray:

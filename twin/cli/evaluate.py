@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -13,6 +13,11 @@ from twin._common.files import write_atomic
 from twin.cli.shared import complete, options
 from twin.cli.shared.command import HTML, POSITIVE, CommandResult, JsonOption, Output, command
 from twin.cli.shared.terminal import tolerances
+
+if TYPE_CHECKING:
+    from twin.machine.machine import Machine
+    from twin.measurement.instruments import Instrument
+    from twin.standards import EvaluationResult
 
 ToleranceOption = Annotated[
     list[str] | None,
@@ -83,45 +88,26 @@ def evaluate(
     from twin.measurement.instruments import instrument_named
     from twin.measurement.table import Measurements
     from twin.standards import evaluate as run_evaluation
-    from twin.standards import evaluate_drift
-    from twin.standards.artefacts import calibration_of, evaluate_sheets, is_sheet
+    from twin.standards.artefacts import is_sheet
 
     limits = tolerances(tolerance or [])
-    sheets = [is_sheet(path) for path in measured]
     if html_file is not None:
         options.need_pictures("the HTML report")
     loaded = options.machine(machine)
     reader = None if instrument is None else instrument_named(instrument)
     after: list[str] = []
-    if any(sheets):
-        if not all(sheets):
-            raise InputError(
-                "a sheet of an artefact beside other files",
-                expected="sheets only, or tables only",
-                value=measured[sheets.index(False)],
-            )
+    if any(map(is_sheet, measured)):
         if drift or sensors or reader is not None or length is not None:
             raise InputError(
                 "a sheet states its own instrument", expected="sheets with --tolerance, --html, --json, -o"
             )
-        evaluation, found = evaluate_sheets(measured, loaded, tolerances=limits)
-        if output is not None:
-            calibration_of(evaluation, found, loaded).save(output)
-            after.append(
-                f"\nwritten: {output}; for the control: twin control --to FORMAT -m {machine} -c {output} -o FOLDER"
-            )
+        evaluation, after = _sheets(measured, loaded, limits, output, machine)
     elif output is not None:
         raise InputError(
             "-o writes the calibration of artefacts", expected="sheets of twin plan --artefact", value=output
         )
-    elif drift:
-        if len(measured) > 1 or length is not None:
-            raise InputError("--iso230-3 evaluates one record", expected="one file, without --length")
-        evaluation = evaluate_drift(measured[0], loaded, tolerances=limits, instrument=reader, sensors=sensors or [])
-    elif sensors:
-        raise InputError(
-            "--sensors needs --iso230-3", expected="directions of displacement sensors", value=" ".join(sensors)
-        )
+    elif drift or sensors:
+        evaluation = _drift(measured, loaded, limits, reader, length, sensors or [], drift)
     else:
         data = Measurements.join([Measurements.load(path, loaded) for path in measured])
         evaluation = run_evaluation(data, loaded, tolerances=limits, instrument=reader, length_mm=length)
@@ -131,3 +117,44 @@ def evaluate(
         write_atomic(html_file, evaluation_html(evaluation))
     met = evaluation.met and bool(evaluation.tests)
     return CommandResult(evaluation.to_text(), evaluation.to_dict, met=met, after=after)
+
+
+def _drift(
+    measured: list[Path],
+    machine: Machine,
+    limits: dict[str, float],
+    reader: Instrument | None,
+    length: float | None,
+    sensors: list[str],
+    drift: bool,
+) -> EvaluationResult:
+    """Evaluate the thermal tests of one record."""
+    from twin.standards import evaluate_drift
+
+    if not drift:
+        raise InputError(
+            "--sensors needs --iso230-3", expected="directions of displacement sensors", value=" ".join(sensors)
+        )
+    if len(measured) > 1 or length is not None:
+        raise InputError("--iso230-3 evaluates one record", expected="one file, without --length")
+    return evaluate_drift(measured[0], machine, tolerances=limits, instrument=reader, sensors=sensors)
+
+
+def _sheets(
+    paths: list[Path], machine: Machine, limits: dict[str, float], output: Path | None, name: str
+) -> tuple[EvaluationResult, list[str]]:
+    """Evaluate the sheets of artefacts and write their calibration; return the result and what to print after it."""
+    from twin.standards.artefacts import calibration_of, evaluate_sheets, is_sheet
+
+    other = next((path for path in paths if not is_sheet(path)), None)
+    if other is not None:
+        raise InputError(
+            "a file that is not the sheet of an artefact, beside one",
+            expected="sheets only, or tables only",
+            value=other,
+        )
+    evaluation, found = evaluate_sheets(paths, machine, tolerances=limits)
+    if output is None:
+        return evaluation, []
+    calibration_of(evaluation, found, machine).save(output)
+    return evaluation, [f"For the control: twin control --to FORMAT -m {name} -c {output} -o FOLDER"]

@@ -295,12 +295,9 @@ def plan(
     from twin.planning.sequences.specification import InstrumentSizes
 
     loaded = options.machine(machine)
-    if artefact is not None:
-        if causes or reduce or judged or sequence or instrument or drift or confirm or calibration or kit or minutes:
-            raise InputError("--artefact plans by itself", expected="--plane and --size", value=artefact)
-        return _with_artefact(artefact, loaded, plane or "XY", size, output)
-    if plane is not None or size is not None:
-        raise InputError("--plane and --size need --artefact", expected="one of the artefacts", value=plane or size)
+    if artefact is not None or plane is not None or size is not None:
+        others = (causes, reduce, judged, sequence, instrument, drift, confirm, calibration, kit, minutes, program_file)
+        return _with_artefact(artefact, loaded, plane, size, output, alone=not any(others))
     own = Kit.default(loaded) if kit is None else Kit.load(bundled_kit(kit), loaded)
     if confirm is not None:
         return _to_confirm(confirm, loaded, own, minutes, tool_length, seed, output)
@@ -321,8 +318,15 @@ def plan(
     return CommandResult(made.to_text(), made.to_dict, met=made.complete)
 
 
-def _with_artefact(name: str, machine: Machine, plane: str, size: str | None, output: Path | None) -> CommandResult:
+def _with_artefact(
+    name: str | None, machine: Machine, plane: str | None, size: str | None, output: Path | None, *, alone: bool
+) -> CommandResult:
     """Write the sheet of an artefact, to be filled in."""
+    if name is None:
+        raise InputError("--plane and --size need --artefact", expected="one of the artefacts", value=plane or size)
+    if not alone:
+        raise InputError("--artefact plans by itself", expected="only --plane, --size, -m and -o beside it", value=name)
+    plane = plane or "XY"
     from twin._common.files import write_atomic
     from twin.standards.artefacts import artefact_named, plan_sheet
 

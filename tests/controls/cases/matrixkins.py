@@ -9,7 +9,9 @@ from pathlib import Path
 import numpy as np
 
 AGREES_UM = 1e-6
-GOOD = {"matrixkins.hal": "# note\nsetp matrixkins.C_xx 1.001\nsetp matrixkins.C_xy -0.002\nsetp matrixkins.C_zx 0.001\n"}
+GOOD = {
+    "matrixkins.hal": "# note\nsetp matrixkins.C_xx 1.001\nsetp matrixkins.C_xy -0.002\nsetp matrixkins.C_zx 0.001\n"
+}
 BAD = [
     ("matrixkins.hal", "1.001", "1,001", 2, "not a number"),
     ("matrixkins.hal", "1.001", "0.001", 2, "implausibly large"),

@@ -31,6 +31,7 @@ from twin.compensation.tables.design import (
 from twin.compensation.tables.remains import PointUncertainty, VolumeError, or_unknown, volume_error
 from twin.controls import ControlSection, Correction, TableFormat, TableSummary
 from twin.controls.correction import EXACT_UM, MM_PER_UM, CorrectionGrid, MatrixCorrection
+from twin.controls.formats.skew import SkewFormat
 from twin.machine.machine import Axis, Machine
 from twin.model.calibration import Calibration
 from twin.model.conditions import APPROACH, values_in_words
@@ -280,6 +281,8 @@ class MatrixDesign(Design[MatrixCorrection]):
     ) -> TablePlan[MatrixCorrection]:
         """See `Design.plan`."""
         machine, form = required.machine, request.form
+        if not isinstance(form, SkewFormat):
+            raise LookupError(f"{form.name} has corrections of another kind")
         axes = [machine.axes[i] for i in machine.linear]
         names = tuple(axis.name for axis in axes)
         form.check(names)

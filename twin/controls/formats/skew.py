@@ -6,8 +6,8 @@ Behaviour as in the public sources; formulas are restated here, x, y, z the comm
   github.com/MarlinFirmware/Marlin, ``Marlin/src/module/planner.h`` (`skew`), the same formula: the motors go to x − xy·y − (xz −
   xy·yz)·z, y − yz·z and z. It undoes a machine that moves to x + xy·y + xz·z and y + yz·z. ``SET_SKEW XY=AC,BD,AD`` takes the diagonals
   and a side of a parallelogram; xy is the cotangent of its angle at A, positive if AC is the longer diagonal.
-- Marlin, ``gcode/calibrate/M852.cpp``: ``I`` (or ``S``) is xy, ``J`` xz, ``K`` yz, each from −1 to 1, in the units of ``G20`` or ``G21``;
-  J and K need ``SKEW_CORRECTION_FOR_Z``. Positions whose correction would leave the range are not corrected, without a message.
+- Marlin, ``gcode/calibrate/M852.cpp``: ``I`` (or ``S``) is xy, ``J`` xz, ``K`` yz, each from −1 to 1, in the units of G20 or
+  G21; J and K need ``SKEW_CORRECTION_FOR_Z``. Positions whose correction would leave the range are not corrected, without a message.
 - RepRapFirmware, github.com/Duet3D/RepRapFirmware at 0e02e02, ``src/Movement/Move3.cpp`` (`AxisTransform`) and ``M556`` of ``GCodes``:
   the tangents X/S, Y/S and Z/S are **added**: x + X/S·y + Z/S·z and y + Y/S·z. ``P1`` would correct y instead of x.
 - LinuxCNC, github.com/LinuxCNC/linuxcnc at 1de03ef, ``src/hal/components/matrixkins.comp``: joints = C · axes, parameters ``C_xx`` …
@@ -27,6 +27,7 @@ from typing import ClassVar, Final, final
 import numpy as np
 
 from twin._common.errors import InputError
+from twin._common.families import BasicClass
 from twin.controls.correction import MatrixCorrection
 from twin.controls.format import TableFormat, TableLine, fixed_decimals, single_file, table_lines
 from twin.machine.machine import Machine
@@ -62,7 +63,7 @@ class SkewFormat(TableFormat[MatrixCorrection]):
     digit: ClassVar[float] = 2.0 * 0.5 * 10.0**-DIGITS
     carries = "squareness of X, Y and Z"
     leaves = "scale (given as a factor); everything that is not linear"
-    classes = ("L-SQU",)
+    classes: ClassVar[tuple[BasicClass, ...]] = ("L-SQU",)
     mark: ClassVar[str]
     rate: ClassVar[str]
 

@@ -1,9 +1,9 @@
 """Linear errors of a machine from readings with stated and repeated uncertainty: estimate, budget and coverage interval.
 
-The readings are y = A θ + N n + e with the errors θ, free unknowns n (places, zero of a gauge) and e, the sum of the contributions of a
-GUM budget (JCGM 100:2008). θ is the generalised least-squares estimate, which is linear in the readings: θ = G y. A contribution with the
-effect v on the readings has the effect G v on θ, so that what is common to all readings cancels where it must. The interval of 95 % is
-that of the propagated distributions (JCGM 101:2008): limits are rectangular, repeats have Student's distribution.
+The readings are y = A θ + N n + e with the errors θ, free unknowns n (places, zero of a gauge) and e, the sum of the contributions of
+a GUM budget (JCGM 100:2008). θ is the generalised least-squares estimate, which is linear in the readings: θ = G y. A contribution
+with the effect v on the readings has the effect G v on θ, so that what is common to all readings cancels where it must. The
+interval of 95 % is that of the propagated distributions (JCGM 101:2008): limits are rectangular, repeats have Student's distribution.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from twin.display.numbers import COVERAGE
 Shape = Literal["limit", "normal"]
 DRAWS: Final = 40_000
 SEED: Final = 98
-"""Year of JCGM 100's second edition's predecessor; any fixed seed gives the same interval for the same readings."""
+"""A fixed seed gives the same interval for the same readings."""
 STEPS: Final = 4
 """Gauss-Newton steps: each leaves the square of the angle, 1e-6 of a milliradian's effect."""
 RANK: Final = 1e-9
 PRIOR: Final = 0.01
-"""Standard uncertainty of every error before the readings, mm per mm: an error that they do not show takes part in the budget with it."""
+"""Standard uncertainty of every error before the readings, mm per mm: an error that they do not show is in the budget with it."""
 DETERMINED: Final = 0.3
 """Share of `PRIOR` below which the standard uncertainty of an error must be for it to count as determined."""
 SMALLEST_MM: Final = 1e-6

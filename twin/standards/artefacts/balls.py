@@ -154,7 +154,7 @@ class ScaleBar(_Balls):
     def steps(self, plane: str) -> tuple[str, ...]:
         """See `Artefact.steps`."""
         return (
-            f"Clamp the bar along {plane[0]}, along {plane[1]}, and along both diagonals of {plane}: four placements. Directions need not be exact.",
+            f"Clamp the bar along {plane[0]}, along {plane[1]}, and along both diagonals of {plane}; directions need not be exact.",
             "Find the centre of each ball with the control's own probing cycle, three times. Readings are the positions of the axes.",
             "ball_x_mm is the distance of the balls from the certificate, at 20 °C.",
         )

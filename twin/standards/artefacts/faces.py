@@ -6,8 +6,8 @@ the artefact turned by ψ from a to b, and its angle larger than a right one by 
     datum: b = c + ψ a          blade: a = c′ − (ψ + ε) b
 
 Turned over about a (`reversed`), the artefact has −ε: so both set-ups together show the squareness of the machine and that of the
-artefact. The gauge points towards + or − (`plunger`) and reads more when its plunger is pushed in. A contact of a probe is the same with
-a reading of zero and the position at the contact.
+artefact. The gauge points towards + or − (`plunger`) and reads more when its plunger is pushed in. A contact of a probe is the same
+with a reading of zero and the position at the contact.
 
 Reversal of a straightedge (ISO 230-1:2012, 8.2.2.1; equations 2.43 and 2.44 of Ellingsdalen 2021): turned by 180° about its length
 together with the gauge, the readings are the sum and the difference of its own shape and the straightness of the axis.
@@ -161,12 +161,13 @@ class Square(_TwoFaces):
 
     def steps(self, plane: str) -> tuple[str, ...]:
         """See `Artefact.steps`."""
-        a, b = plane
+        a, b = plane[0], plane[1]
         return (
             f"Clamp the square on the table: one face (datum) runs along {a}, the other one (blade) along {b}.",
             f"Gauge in the spindle. Datum: move along {a}, the plunger points along {b}. Blade: move along {b}, it points along {a}.",
             "plunger: the direction in which the plunger points at the face. The gauge reads more when it is pushed in.",
-            "Reversed: turn the square over, so that its angle counts the other way, and touch the same two faces. What was not measured stays empty.",
+            "Reversed: turn the square over, so that its angle counts the other way, and touch the same two faces.",
+            "What was not measured stays empty.",
         )
 
     def rows(self, machine: Machine, plane: str, size_mm: tuple[float, ...]) -> list[dict[str, str]]:
@@ -241,10 +242,10 @@ class Block(_TwoFaces):
 
     def steps(self, plane: str) -> tuple[str, ...]:
         """See `Artefact.steps`."""
-        a, b = plane
+        a, b = plane[0], plane[1]
         return (
             f"Clamp the block, its first size along {a}, the second one along {b}; enter its sizes and the ball's radius above.",
-            f"Touch each face at the places of the rows, in the direction of `plunger`. The reading is the position of {a} or {b} at contact.",
+            f"Touch each face where the rows say, in the direction of `plunger`. The reading is the position of {a} or {b} then.",
             f"Reversed: turn the block over about {a}, clamp it at the same place, and repeat. What was not measured stays empty.",
         )
 
@@ -328,7 +329,7 @@ class Straightedge(Artefact):
 
     def steps(self, plane: str) -> tuple[str, ...]:
         """See `Artefact.steps`."""
-        a, b = plane
+        a, b = plane[0], plane[1]
         return (
             f"Lay the straightedge along {a} on two supports, 0.22 of its length from the ends. The gauge touches it along +{b}.",
             f"Reversed: turn it by 180° about its length, so that the same face is touched along -{b}, at the same places of the face.",
@@ -380,7 +381,9 @@ class Straightedge(Artefact):
         line = np.column_stack([np.ones(len(at)), at])
         normal, reverse = (read - line @ (np.linalg.pinv(line) @ read) for read in reads)
         gain = 1e-3 * sheet.value("gauge per travel") * (np.abs(normal) + np.abs(reverse)) / 2.0
-        parts = np.square([repeats.rounding_mm(sheet.value("resolution")) / np.sqrt(6.0) + 0.0 * at, gain / np.sqrt(3.0)])
+        parts = np.square(
+            [repeats.rounding_mm(sheet.value("resolution")) / np.sqrt(6.0) + 0.0 * at, gain / np.sqrt(3.0)]
+        )
         sag = sheet.value("sag") / np.sqrt(3.0)
         u = np.sqrt(0.25 * np.square(spread).sum(axis=0) + parts.sum(axis=0) + sag**2)
         return at, 500.0 * (normal + reverse), 500.0 * (reverse - normal), 1e3 * u
