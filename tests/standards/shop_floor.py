@@ -1,7 +1,7 @@
 """A skewed machine, artefacts and gauges in plain numpy, which fill in the sheets of `twin plan --artefact`.
 
 Nothing here is computed by `twin`: positions come from the sheet, the tool goes to M q, and every error is drawn from the distribution
-that the sheet states: limits are rectangular, the scatter of repeats is normal.
+that the sheet states: limits are rectangular, the noise of repeats is normal.
 """
 
 from __future__ import annotations
@@ -62,11 +62,11 @@ class Sheet:
         writer.writerows(self.rows)
         return "\n".join(self.head) + "\n" + out.getvalue()
 
-    def read(self, row: dict[str, str], value: float, rng: np.random.Generator, scatter: float) -> None:
+    def read(self, row: dict[str, str], value: float, rng: np.random.Generator, noise: float) -> None:
         """Enter the three readings of a value, rounded to the resolution."""
         step = self.stated["resolution"][0]
         for k in (1, 2, 3):
-            row[f"reading_{k}_mm"] = f"{round((value + rng.normal(0.0, scatter)) / step) * step:.6f}"
+            row[f"reading_{k}_mm"] = f"{round((value + rng.normal(0.0, noise)) / step) * step:.6f}"
 
     def limit(self, key: str, rng: np.random.Generator) -> float:
         """Draw an error whose limit is stated."""
@@ -78,16 +78,16 @@ def place(row: dict[str, str], prefix: str = "") -> np.ndarray:
     return np.array([float(row[f"{prefix}{axis}_mm"]) for axis in AXES])
 
 
-def fill(sheet: Sheet, truth: Truth, rng: np.random.Generator, scatter: float) -> str:
-    """Return the sheet as the shop fills it in."""
+def fill(sheet: Sheet, truth: Truth, rng: np.random.Generator, noise: float) -> str:
+    """Return the sheet as a user fills it in."""
     kind = sheet.head[0].split()[-1]
     {"diagonals": lengths, "square": square, "block": block, "scale-bar": balls, "ball-plate": balls}[kind](
-        sheet, truth, rng, scatter
+        sheet, truth, rng, noise
     )
     return sheet.text()
 
 
-def lengths(sheet: Sheet, truth: Truth, rng: np.random.Generator, scatter: float) -> None:
+def lengths(sheet: Sheet, truth: Truth, rng: np.random.Generator, noise: float) -> None:
     wander: dict[tuple[float, ...], np.ndarray] = {}
     temperature = sheet.stated["temperature"][0] + rng.uniform(-1, 1) * sheet.stated["temperature"][1]
     expansion = sheet.stated["expansion"][0] + rng.uniform(-1, 1) * sheet.stated["expansion"][1]
@@ -100,7 +100,7 @@ def lengths(sheet: Sheet, truth: Truth, rng: np.random.Generator, scatter: float
             ends.append(truth.matrix @ q + wander.setdefault(tuple(q), rng.uniform(-size, size, 3)))
         true = float(np.linalg.norm(ends[1] - ends[0]))
         # A ruler that is too long by its scale error or too warm shows too little.
-        sheet.read(row, (true - zero) * (1.0 - scale) / (1.0 + 1e-6 * expansion * (temperature - 20.0)), rng, scatter)
+        sheet.read(row, (true - zero) * (1.0 - scale) / (1.0 + 1e-6 * expansion * (temperature - 20.0)), rng, noise)
 
 
 def surfaces(sheet: Sheet, rng: np.random.Generator) -> tuple[dict[str, float], float]:
@@ -109,7 +109,7 @@ def surfaces(sheet: Sheet, rng: np.random.Generator) -> tuple[dict[str, float], 
     return turned, 1e-3 * sheet.limit("angle", rng)
 
 
-def square(sheet: Sheet, truth: Truth, rng: np.random.Generator, scatter: float) -> None:
+def square(sheet: Sheet, truth: Truth, rng: np.random.Generator, noise: float) -> None:
     a, b = (AXES.index(axis) for axis in sheet.plane)
     turned, angle = surfaces(sheet, rng)
     gain, zero = 1.0 + 1e-3 * sheet.limit("gauge per travel", rng), {}
@@ -124,10 +124,10 @@ def square(sheet: Sheet, truth: Truth, rng: np.random.Generator, scatter: float)
             distance = tool[a] + np.tan(psi + own) * tool[b]
         distance += rng.uniform(-1, 1) * sheet.stated["machine deviation"][0]
         first = zero.setdefault((row["setup"], row["face"]), distance)
-        sheet.read(row, sign * (distance - first) * gain, rng, scatter)
+        sheet.read(row, sign * (distance - first) * gain, rng, noise)
 
 
-def block(sheet: Sheet, truth: Truth, rng: np.random.Generator, scatter: float) -> None:
+def block(sheet: Sheet, truth: Truth, rng: np.random.Generator, noise: float) -> None:
     a, b = (AXES.index(axis) for axis in sheet.plane)
     turned, angle = surfaces(sheet, rng)
     temperature = sheet.stated["temperature"][0] + rng.uniform(-1, 1) * sheet.stated["temperature"][1]
@@ -153,10 +153,10 @@ def block(sheet: Sheet, truth: Truth, rng: np.random.Generator, scatter: float) 
         goal = middle[axis] + seat[row["setup"]][axis] + slope * other - sign * (half[axis] + radius)
         rest = m[axis] @ q - m[axis, axis] * q[axis]
         found = (goal - rest) / m[axis, axis] + rng.uniform(-1, 1) * sheet.stated["machine deviation"][0]
-        sheet.read(row, float(found), rng, scatter)
+        sheet.read(row, float(found), rng, noise)
 
 
-def balls(sheet: Sheet, truth: Truth, rng: np.random.Generator, scatter: float) -> None:
+def balls(sheet: Sheet, truth: Truth, rng: np.random.Generator, noise: float) -> None:
     a, b = (AXES.index(axis) for axis in sheet.plane)
     temperature = sheet.stated["temperature"][0] + rng.uniform(-1, 1) * sheet.stated["temperature"][1]
     expansion = sheet.stated["expansion"][0] + rng.uniform(-1, 1) * sheet.stated["expansion"][1]
@@ -178,7 +178,7 @@ def balls(sheet: Sheet, truth: Truth, rng: np.random.Generator, scatter: float) 
             centre[placement, ball] = np.linalg.solve(truth.matrix, at)
         k = AXES.index(row["axis"])
         sheet.read(
-            row, centre[placement, ball][k] + rng.uniform(-1, 1) * sheet.stated["machine deviation"][0], rng, scatter
+            row, centre[placement, ball][k] + rng.uniform(-1, 1) * sheet.stated["machine deviation"][0], rng, noise
         )
 
 

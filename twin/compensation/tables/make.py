@@ -292,6 +292,9 @@ class MatrixDesign(Design[MatrixCorrection]):
         # The constant is the zero of the machine: settings leave it alone.
         fit = np.linalg.pinv(np.column_stack([linear, np.ones(len(linear))]))[:-1] * MM_PER_UM
         values = (fit @ required.linear_corrections(names, positions)).T
+        # Where the scale stays, a column of the whole matrix keeps its direction: what is square then has edges of other lengths.
+        kept = [1.0 if form.holds(name, name) else 1.0 + values[j, j] for j, name in enumerate(names)]
+        values = np.where(np.eye(len(names), dtype=bool), values, values / np.array(kept))
         spread = np.einsum("jn,nir->ijr", fit, required.linear_factors(names, positions))
         matrix, scale, proof = np.zeros(values.shape), {}, ProofOfTables(required, keep_all=request.unproven)
         for i, moved in enumerate(names):

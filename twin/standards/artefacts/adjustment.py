@@ -64,7 +64,7 @@ class Contribution:
 @final
 @dataclass(frozen=True, eq=False)
 class Repeats:
-    """Scatter of repeated readings: pooled standard deviation of one reading, its degrees of freedom, and readings per mean (m,)."""
+    """Noise of repeated readings: pooled standard deviation of one reading, its degrees of freedom, and readings per mean (m,)."""
 
     s_mm: float
     dof: int
@@ -72,7 +72,7 @@ class Repeats:
 
     @classmethod
     def of(cls, groups: Sequence[np.ndarray], assumed_mm: float) -> Repeats:
-        """Return the scatter of groups of readings; without a group of two, ``assumed_mm`` is taken as known."""
+        """Return the noise of groups of readings; without a group of two, ``assumed_mm`` is taken as known."""
         counts = np.array([len(group) for group in groups])
         dof = int(np.sum(counts - 1))
         squares = sum(float(np.sum(np.square(group - group.mean()))) for group in groups)
@@ -86,7 +86,7 @@ class Repeats:
     def rounding_mm(self, resolution_mm: float) -> float:
         """Return the limit of the rounding error of a mean: half the resolution if all repeats read the same.
 
-        Rounding of readings that differ by more than the resolution is part of their scatter (JCGM 100, F.2.2.1 and H.6).
+        Rounding of readings that differ by more than the resolution is part of their noise (JCGM 100, F.2.2.1 and H.6).
         """
         inside = 12.0 * (self.s_mm / resolution_mm) ** 2 if self.dof and resolution_mm > 0.0 else 0.0
         return 0.5 * resolution_mm * float(np.sqrt(max(0.0, 1.0 - inside)))

@@ -28,7 +28,7 @@ INSIDE: Final = 0.1
 NEAR: Final = 0.03
 """Largest relative difference of a length from its nominal value: more is a mistake, not an error of a machine."""
 EXPANSION: Final = Quantity(
-    "expansion", "µm/(m·K)", 11.5, 1.0, "thermal expansion of the artefact; steel 11.5, granite 6, aluminium 23"
+    "expansion", "µm/(m·K)", 11.5, 1.0, "thermal expansion of the artefact; iron alloys 11.5, granite 6, aluminium 23"
 )
 TEMPERATURE: Final = Quantity(
     "temperature", "°C", 20.0, 3.0, "temperature of the artefact or instrument, and how well it is known"
@@ -42,7 +42,7 @@ MACHINE: Final = Quantity(
     "mm",
     0.02,
     None,
-    "limit of what one position of the machine deviates by itself: backlash, steps, straightness",
+    "limit of the machine's own deviation at one position: backlash, steps, straightness",
 )
 
 

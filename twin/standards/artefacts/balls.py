@@ -127,7 +127,7 @@ def _centres(sheet: Sheet, axes: tuple[str, ...]) -> dict[str, dict[str, list[Sh
 
 
 def _rotation(places: np.ndarray, seen: np.ndarray) -> np.ndarray:
-    """Return the rotation (3, 3) that turns places (n, 3) nearest to what was seen (Kabsch)."""
+    """Return the rotation (3, 3) of places (n, 3) that is nearest to the readings (Kabsch)."""
     u, _, v = np.linalg.svd((places - places.mean(axis=0)).T @ (seen - seen.mean(axis=0)))
     return np.asarray(v.T @ np.diag([1.0, 1.0, np.sign(np.linalg.det(v.T @ u.T))]) @ u.T)
 

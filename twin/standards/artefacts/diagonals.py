@@ -41,7 +41,7 @@ class Diagonals(Artefact):
         Quantity(
             "instrument per length", "mm/m", 0.2, None, "limit of error of the ruler's scale (EU class II: 0.2 mm/m)"
         ),
-        Quantity("expansion", "µm/(m·K)", 11.5, 1.0, "thermal expansion of the ruler; steel 11.5"),
+        Quantity("expansion", "µm/(m·K)", 11.5, 1.0, "thermal expansion of the ruler; iron alloys 11.5"),
         TEMPERATURE,
         Quantity(
             "marks",

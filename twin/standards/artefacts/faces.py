@@ -226,7 +226,7 @@ class Block(_TwoFaces):
             "mm",
             1.0,
             0.005,
-            "effective radius of the probe's ball: half of what it measures too much of a ring or gauge block",
+            "effective radius of the probe's ball, from a ring or a gauge block",
         ),
         Quantity(
             "angle", "mm/m", 0.1, None, "limit of error of the block's right angle; both set-ups make it unimportant"
@@ -272,7 +272,7 @@ class Block(_TwoFaces):
     def touched(
         self, row: SheetRow, model: LinearModel, normal: int, readings: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """See `_TwoFaces.touched`: the reading replaces the position; its scatter is that of the gauge's place."""
+        """See `_TwoFaces.touched`: the reading replaces the position; its repeats give the noise."""
         place, mean = model.position(row), float(readings.mean())
         axis = model.axes[normal]
         if abs(mean - row.number(f"{axis}_mm")) > 20.0:
