@@ -46,15 +46,15 @@ def tool(motors: np.ndarray, *, scaled: bool) -> np.ndarray:
     c, b, a = (1e-6 * SQUARENESS[name] for name in ("E_C0Y", "E_B0Z", "E_A0Z"))
     x, y, z = motors.T
     own = [SCALE[name] if scaled else 0.0 for name in "XYZ"]
-    return np.column_stack(
-        [x * (1.0 + own[0]) - c * y + b * z, y * (1.0 + own[1]) - a * z, z * (1.0 + own[2])]
-    )
+    return np.column_stack([x * (1.0 + own[0]) - c * y + b * z, y * (1.0 + own[1]) - a * z, z * (1.0 + own[2])])
 
 
 def klipper_move(text: str) -> Callable[[np.ndarray], np.ndarray]:
     """Klipper, skew_correction: x less xy of y and (xz − xy yz) of z; y less yz of z. Marlin has the same expression."""
     xy, xz, yz = (float(re.findall(rf"^{one}_skew = (\S+)$", text, re.M)[0]) for one in ("xy", "xz", "yz"))
-    return lambda q: np.column_stack([q[:, 0] - xy * q[:, 1] - (xz - xy * yz) * q[:, 2], q[:, 1] - yz * q[:, 2], q[:, 2]])
+    return lambda q: np.column_stack(
+        [q[:, 0] - xy * q[:, 1] - (xz - xy * yz) * q[:, 2], q[:, 1] - yz * q[:, 2], q[:, 2]]
+    )
 
 
 def marlin_move(text: str) -> Callable[[np.ndarray], np.ndarray]:
@@ -190,7 +190,7 @@ def test_klipper_itself(klipper: ModuleType, dmu50: Machine) -> None:
         own = klipper.PrinterSkew.__new__(klipper.PrinterSkew)
         own.xy_factor, own.xz_factor, own.yz_factor = factors
         sent: list[list[float]] = []
-        own.next_transform = SimpleNamespace(move=lambda pos, speed: sent.append(pos))
+        own.next_transform = SimpleNamespace(move=lambda pos, speed, to=sent: to.append(pos))
         for corner in CORNERS:
             own.move([*corner.tolist(), 0.0], 50.0)
         assert out_of_square(tool(np.array(sent)[:, :3], scaled=False)) < 5e-8

@@ -40,11 +40,11 @@ class Sheet:
         lines = text.splitlines()
         self.head = [line for line in lines if line.startswith("#")]
         self.rows = list(csv.DictReader(io.StringIO("\n".join(line for line in lines if not line.startswith("#")))))
-        self.stated: dict[str, tuple[float, float]] = {}
+        self.stated: dict[str, tuple[float, float | None]] = {}
         for line in self.head:
             found = re.match(r"# ([a-z ]+): ([-\d.]+)(?: ± ([\d.]+))? ", line)
             if found:
-                self.stated[found[1]] = (float(found[2]), float(found[3] or 0.0))
+                self.stated[found[1]] = (float(found[2]), None if found[3] is None else float(found[3]))
         self.plane = next(line.split()[-1] for line in self.head if line.startswith("# plane"))
 
     def state(self, **values: str) -> Sheet:
@@ -71,7 +71,7 @@ class Sheet:
     def limit(self, key: str, rng: np.random.Generator) -> float:
         """Draw an error whose limit is stated."""
         value, spread = self.stated[key]
-        return float(rng.uniform(-1.0, 1.0)) * (spread or value)
+        return float(rng.uniform(-1.0, 1.0)) * (value if spread is None else spread)
 
 
 def place(row: dict[str, str], prefix: str = "") -> np.ndarray:

@@ -174,6 +174,7 @@ def estimate(sheets: Sequence[Observed], count: int) -> Estimate:
     dof = len(free) - count - int(np.sum(~unknown))
     residual_spread = np.sqrt(np.maximum(np.diag(_residual_cofactor(free, left[:, :rank])), 0.0))
     part = free.T @ rest
+    residuals = root @ part
     normalised = np.divide(part, residual_spread, out=np.zeros(whole), where=residual_spread > 1e-6)
     rng = np.random.default_rng(SEED)
     total, budget = np.zeros((DRAWS, count)), dict[str, np.ndarray]()
@@ -196,7 +197,7 @@ def estimate(sheets: Sequence[Observed], count: int) -> Estimate:
         budget={name: read_only(value + hidden) for name, value in budget.items()},
         dof=dof,
         p_value=float(chi2_sf(float(rest @ rest), dof)) if dof > 0 else float("nan"),
-        residuals=read_only(y[:measured]),
+        residuals=read_only(residuals[:measured]),
         normalised=read_only(normalised[:measured]),
     )
 

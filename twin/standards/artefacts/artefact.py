@@ -121,8 +121,10 @@ def linear_model(machine: Machine) -> LinearModel:
 def scale_curve(axis: Axis, scale: float, variance: float | None = None) -> Curve:
     """Return the positioning error of a scale error, zero at the axis's zero; ``variance`` of the scale, if known."""
     low, high = axis.domain
-    name = f"E_{DIRECTIONS[int(np.argmax(np.abs(axis.direction)))]}{axis.name}"
-    shape = np.array([0.5 * (low + high), 0.5 * (high - low)]) * 1e3
+    along = int(np.argmax(np.abs(axis.direction)))
+    name = f"E_{DIRECTIONS[along]}{axis.name}"
+    # An axis that carries the workpiece moves it against its positive direction, so that its error counts along the other one.
+    shape = np.array([0.5 * (low + high), 0.5 * (high - low)]) * 1e3 * np.sign(axis.direction[along])
     covariance = None if variance is None else read_only(variance * np.outer(shape, shape))
     values = (float(shape[0] * scale), float(shape[1] * scale))
     return Curve(name, "um", axis.domain, "power", values, covariance)

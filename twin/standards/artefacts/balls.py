@@ -6,6 +6,7 @@ the axes with the probe's tip at its centre, as the control's own cycle gives th
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import ClassVar, Final, final
 
 import numpy as np
@@ -54,18 +55,27 @@ class _Balls(Artefact):
         readings = np.array([row.readings.mean() for row in rows]).reshape(-1, size) - model.origin
         places = np.array([[row.number(name) for name in PLACE] for row in rows[::size]])
         warm = 1e-6 * sheet.value("expansion") * (sheet.value("temperature") - 20.0)
-        free, turned, start = np.zeros((3 * len(places), 6 * len(found))), np.zeros(places.shape), 0
-        turns = []
-        for k, balls in enumerate(found.values()):
-            own = slice(start, start + len(balls))
-            start += len(balls)
-            turn = _rotation(places[own], readings[own] @ model.nominal.T)
-            turns += [turn] * len(balls)
-            turned[own] = (places[own] - places[own].mean(axis=0)) @ turn.T * (1.0 + warm)
+        ends = np.cumsum([0, *map(len, found.values())])
+        owns = [slice(int(a), int(b)) for a, b in pairwise(ends)]
+
+        def laid(seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            """Return the places (balls, 3) as the placements are turned, and their rotations (balls, 3, 3)."""
+            turns = np.concatenate([[_rotation(places[own], seen[own])] * (own.stop - own.start) for own in owns])
+            middle = np.concatenate([[places[own].mean(axis=0)] * (own.stop - own.start) for own in owns])
+            return np.einsum("bij,bj->bi", turns, places - middle) * (1.0 + warm), turns
+
+        def free_of(turned: np.ndarray) -> np.ndarray:
+            """Return the effects (3·balls, 6·placements) of shifts and turns of the placements."""
+            free = np.zeros((3 * len(places), 6 * len(found)))
+            for k, own in enumerate(owns):
+                for i in range(3):
+                    free[3 * own.start + i : 3 * own.stop : 3, 6 * k + i] = 1.0
+                    free[3 * own.start : 3 * own.stop, 6 * k + 3 + i] = np.cross(np.eye(3)[i], turned[own]).ravel()
+            return free
+
+        turned, turns = laid(readings @ model.nominal.T)
+        for own in owns:
             _check_distances(sheet, rows[::size][own], turned[own], readings[own] @ model.nominal.T)
-            for i in range(3):
-                free[3 * own.start + i : 3 * own.stop : 3, 6 * k + i] = 1.0
-                free[3 * own.start : 3 * own.stop, 6 * k + 3 + i] = np.cross(np.eye(3)[i], turned[own]).ravel()
         back = np.linalg.pinv(model.nominal)  # equations in the directions of the axes, one a row of the sheet
 
         def per_axis(effect: np.ndarray) -> np.ndarray:
@@ -89,12 +99,12 @@ class _Balls(Artefact):
             Contribution("machine", sheet.value("machine deviation") * np.eye(count)),
             Contribution("resolution", repeats.rounding_mm(sheet.value("resolution")) * np.eye(count)),
         ]
-        free_rows = per_axis(free.T).T
 
         def at(errors: np.ndarray) -> Linearised:
             there = readings @ model.at(errors).T
             by = np.einsum("pij,mj->pmi", model.derivatives, readings).reshape(len(model.names), -1)
-            return per_axis((turned - there).ravel()), per_axis(by).T, -free_rows
+            now, _ = laid(there)  # turned anew, so that the turn that is left is small
+            return per_axis((now - there).ravel()), per_axis(by).T, -per_axis(free_of(now).T).T
 
         lines = tuple(row.line for row in rows)
         means = np.array([row.readings.mean() for row in rows])

@@ -90,14 +90,17 @@ class _TwoFaces(Artefact):
         normal = towards[:, normals].T
         means = np.array([group.mean() for group in groups])
         known_offset, free, more = self.offsets(sheet, sheet.rows)
-        turn, angle = np.zeros((count, 2)), np.zeros(count)
-        for k, row in enumerate(sheet.rows):
-            setup = SETUPS.index(row.cells["setup"])
-            running = plane[1] if normals[k] == plane[0] else plane[0]
-            blade = normals[k] == plane[0]
-            turn[k, setup] = (-1.0 if blade else 1.0) * places[k, running]
-            angle[k] = -(1.0 if setup == 0 else -1.0) * places[k, running] if blade else 0.0
-        unknown = np.column_stack([free, turn[:, np.abs(turn).max(axis=0) > 0.0]])
+        blade = np.array(normals) == plane[0]
+        running = towards[:, np.where(blade, plane[1], plane[0])].T
+        setups = np.array([row.cells["setup"] for row in sheet.rows])[:, None] == np.array(SETUPS)
+        turn = (
+            setups * np.where(blade, -1.0, 1.0)[:, None]
+        )  # of the surface, for a turn of each set-up, per running length
+        angle = (
+            np.where(blade, -1.0, 0.0)
+            * np.where(setups[:, 0], 1.0, -1.0)
+            * np.sum(running * (places @ model.nominal.T), axis=1)
+        )
         self._check(sheet, normals, places, plane)
         repeats = Repeats.of(groups, sheet.value("repeatability"))
         effects = [
@@ -110,11 +113,13 @@ class _TwoFaces(Artefact):
         def linearised(errors: np.ndarray) -> Linearised:
             there = places @ model.at(errors).T
             by = np.einsum("mi,pij,mj->mp", normal, model.derivatives, places)
-            # surface = tool − sign · reading: what the model says of the tool less the surface, against what was read.
+            unknown = np.column_stack([free, turn * np.sum(running * there, axis=1)[:, None]])
+            # The gauge shows the tool less the surface.
             return side * means - (np.sum(normal * there, axis=1) - known_offset), by, -unknown
 
         lines = tuple(row.line for row in sheet.rows)
-        return Observed(linearised, lines, means, tuple(effects), repeats)
+        shown = np.array([row.readings.mean() for row in sheet.rows])
+        return Observed(linearised, lines, shown, tuple(effects), repeats)
 
     faces_fixed: ClassVar[bool] = False
 
