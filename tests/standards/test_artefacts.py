@@ -104,8 +104,8 @@ def test_exact_readings_give_the_errors(kind: str, router: Machine, tmp_path: Pa
     found = evaluate_sheets([measured(tmp_path, sheet, truth, rng, 0.0)], router)[1]
     for name, value in zip(linear_model(router).names, found.values, strict=True):
         if name in SHOWN[kind]:
-            # Readings of 1 nm; the tangent of the artefact turned by 2 mrad against its angle.
-            within = 2e-7
+            # Readings of 1 nm. Errors that are not shown act through how far the artefact lies askew: 2 mrad times 2 mrad.
+            within = 2e-7 if kind in ("diagonals", "block") else 4e-6
             assert value == pytest.approx(true_of(name, truth), abs=within), name
 
 

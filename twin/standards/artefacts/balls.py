@@ -46,10 +46,7 @@ class _Balls(Artefact):
         model = linear_model(machine)
         plane_axes(sheet.plane, model)
         found = _centres(sheet, model.axes)
-        for placement, balls in found.items():
-            if len(balls) < self.least:
-                what, row = f"placement {placement} has too few balls", next(iter(balls.values()))[0]
-                raise row.error("placement", what, f"{self.least} or more")
+        self._check_counts(found)
         rows = [row for balls in found.values() for own in balls.values() for row in own]
         count, size = len(rows), len(model.axes)
         readings = np.array([row.readings.mean() for row in rows]).reshape(-1, size) - model.origin
@@ -109,6 +106,13 @@ class _Balls(Artefact):
         lines = tuple(row.line for row in rows)
         means = np.array([row.readings.mean() for row in rows])
         return Observed(at, lines, means, tuple(effects), repeats)
+
+    def _check_counts(self, found: dict[str, dict[str, list[SheetRow]]]) -> None:
+        """Raise `InputError` if a placement has too few balls."""
+        for placement, balls in found.items():
+            if len(balls) < self.least:
+                what, row = f"placement {placement} has too few balls", next(iter(balls.values()))[0]
+                raise row.error("placement", what, f"{self.least} or more")
 
 
 def _centres(sheet: Sheet, axes: tuple[str, ...]) -> dict[str, dict[str, list[SheetRow]]]:
