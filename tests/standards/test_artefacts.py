@@ -144,7 +144,7 @@ def test_coverage(kind: str, router: Machine, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_few_draws_are_covered(kind: str, router: Machine, tmp_path: Path) -> None:
-    """Of ten draws no more than three lie outside (by chance, less than 1 in 900)."""
+    """No more than three of ten draws lie outside (by chance, less than 1 in 900)."""
     outside = dict.fromkeys(SHOWN[kind], 0)
     for seed in range(10):
         rng = np.random.default_rng(900 + seed)
@@ -158,7 +158,7 @@ def test_few_draws_are_covered(kind: str, router: Machine, tmp_path: Path) -> No
 
 
 def test_a_square_without_reversal_is_as_good_as_the_square(router: Machine, tmp_path: Path) -> None:
-    """Its limit, 0.2 mm/m, is in the budget; with both set-ups it is not."""
+    """The limit of the square, 0.2 mm/m, is in the budget; with both set-ups it is not."""
     rng = np.random.default_rng(1)
     path = measured(tmp_path, empty(router, "square"), drawn(rng), rng, 0.001)
     index = linear_model(router).names.index("E_C0Y")
