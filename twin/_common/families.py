@@ -85,7 +85,7 @@ EFFECTS: Final = {
 ARTEFACTS: Final = {
     "diagonals": "diagonals:Diagonals",
     "square": "faces:Square",
-    "block": "faces:Block",
+    "block": "faces:GaugeBlock",
     "straightedge": "faces:Straightedge",
     "scale-bar": "balls:ScaleBar",
     "ball-plate": "balls:BallPlate",

@@ -35,7 +35,7 @@ SMALLEST_MM: Final = 1e-6
 
 @final
 @dataclass(frozen=True, eq=False)
-class Contribution:
+class BudgetLine:
     """One line of the budget.
 
     Attributes:
@@ -63,7 +63,7 @@ class Contribution:
 
 @final
 @dataclass(frozen=True, eq=False)
-class Repeats:
+class RepeatedReadings:
     """Noise of repeated readings: pooled standard deviation of one reading, its degrees of freedom, and readings per mean (m,)."""
 
     s_mm: float
@@ -71,7 +71,7 @@ class Repeats:
     counts: np.ndarray
 
     @classmethod
-    def of(cls, groups: Sequence[np.ndarray], assumed_mm: float) -> Repeats:
+    def of(cls, groups: Sequence[np.ndarray], assumed_mm: float) -> RepeatedReadings:
         """Return the noise of groups of readings; without a group of two, ``assumed_mm`` is taken as known."""
         counts = np.array([len(group) for group in groups])
         dof = int(np.sum(counts - 1))
@@ -109,13 +109,13 @@ class Observed:
     at: Callable[[np.ndarray], Linearised]  # the model at given errors (p,)
     lines: tuple[int, ...]  # line of the sheet of every equation
     readings: np.ndarray  # (m,) what was read, mm, for messages
-    contributions: tuple[Contribution, ...]
-    repeats: Repeats
+    contributions: tuple[BudgetLine, ...]
+    repeats: RepeatedReadings
 
 
 @final
 @dataclass(frozen=True, eq=False)
-class Estimate:
+class AdjustedErrors:
     """Errors with their budget.
 
     Attributes:
@@ -139,7 +139,7 @@ class Estimate:
     normalised: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
 
-def estimate(sheets: Sequence[Observed], count: int) -> Estimate:
+def estimate(sheets: Sequence[Observed], count: int) -> AdjustedErrors:
     """Return the ``count`` errors that the readings of all sheets determine together."""
     measured = sum(len(sheet.lines) for sheet in sheets)
     sheets = [*sheets, _before(count)]
@@ -148,7 +148,7 @@ def estimate(sheets: Sequence[Observed], count: int) -> Estimate:
     whole = int(starts[-1])
     spread = np.concatenate([sheet.repeats.spread for sheet in sheets])
     placed = [
-        Contribution(one.name, _padded(one.effects, int(start), whole), one.shape)
+        BudgetLine(one.name, _padded(one.effects, int(start), whole), one.shape)
         for sheet, start in zip(sheets, starts, strict=False)
         for one in sheet.contributions
     ]
@@ -190,7 +190,7 @@ def estimate(sheets: Sequence[Observed], count: int) -> Estimate:
     budget["repeat"] = np.sqrt(repeats)
     expanded = np.quantile(np.abs(total), COVERAGE, axis=0)
     hidden = np.where(unknown, np.nan, 0.0)
-    return Estimate(
+    return AdjustedErrors(
         values=read_only(errors + hidden),
         covariance=read_only(covariance),
         expanded=read_only(expanded + hidden),
@@ -208,8 +208,8 @@ def _before(count: int) -> Observed:
     def at(errors: np.ndarray) -> Linearised:
         return -errors, np.eye(count), np.zeros((count, 0))
 
-    known = Contribution("errors not shown", PRIOR * np.eye(count), "normal")
-    return Observed(at, (0,) * count, np.zeros(count), (known,), Repeats(0.0, 0, np.ones(count)))
+    known = BudgetLine("errors not shown", PRIOR * np.eye(count), "normal")
+    return Observed(at, (0,) * count, np.zeros(count), (known,), RepeatedReadings(0.0, 0, np.ones(count)))
 
 
 def _padded(effects: np.ndarray, start: int, whole: int) -> np.ndarray:

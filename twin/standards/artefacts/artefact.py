@@ -18,7 +18,7 @@ from twin.machine.machine import Axis, Machine
 from twin.model.calibration import Calibration
 from twin.model.motion_curve import Curve
 from twin.standards.artefacts.adjustment import Observed
-from twin.standards.artefacts.sheet import Quantity, Sheet, SheetRow
+from twin.standards.artefacts.sheet import Sheet, SheetQuantity, SheetRow
 from twin.tool.forward import Kinematics
 
 PROBE: Final = 1e-3
@@ -27,17 +27,17 @@ INSIDE: Final = 0.1
 """Share of a range that a plan leaves free at each end."""
 NEAR: Final = 0.03
 """Largest relative difference of a length from its nominal value: more is a mistake, not an error of a machine."""
-EXPANSION: Final = Quantity(
+EXPANSION: Final = SheetQuantity(
     "expansion", "µm/(m·K)", 11.5, 1.0, "thermal expansion of the artefact; iron alloys 11.5, granite 6, aluminium 23"
 )
-TEMPERATURE: Final = Quantity(
+TEMPERATURE: Final = SheetQuantity(
     "temperature", "°C", 20.0, 3.0, "temperature of the artefact or instrument, and how well it is known"
 )
-RESOLUTION: Final = Quantity("resolution", "mm", 0.01, None, "smallest step that can be read")
-REPEAT: Final = Quantity(
+RESOLUTION: Final = SheetQuantity("resolution", "mm", 0.01, None, "smallest step that can be read")
+REPEAT: Final = SheetQuantity(
     "repeatability", "mm", 0.01, None, "standard deviation of one reading; used only if nothing is read twice"
 )
-MACHINE: Final = Quantity(
+MACHINE: Final = SheetQuantity(
     "machine deviation",
     "mm",
     0.02,
@@ -146,7 +146,7 @@ class Artefact(ABC):
     name: ClassVar[str]
     title: ClassVar[str]
     shows: ClassVar[str]
-    quantities: ClassVar[tuple[Quantity, ...]]
+    quantities: ClassVar[tuple[SheetQuantity, ...]]
     columns: ClassVar[tuple[str, ...]]
     prefixes: ClassVar[tuple[str, ...]] = ("",)
     repeats: ClassVar[int] = 3

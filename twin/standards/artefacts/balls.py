@@ -12,7 +12,7 @@ from typing import ClassVar, Final, final
 import numpy as np
 
 from twin.machine.machine import Machine
-from twin.standards.artefacts.adjustment import Contribution, Linearised, Observed, Repeats
+from twin.standards.artefacts.adjustment import BudgetLine, Linearised, Observed, RepeatedReadings
 from twin.standards.artefacts.artefact import (
     EXPANSION,
     MACHINE,
@@ -25,12 +25,12 @@ from twin.standards.artefacts.artefact import (
     plane_axes,
     spans,
 )
-from twin.standards.artefacts.sheet import Quantity, Sheet, SheetRow
+from twin.standards.artefacts.sheet import Sheet, SheetQuantity, SheetRow
 
-CERTIFICATE: Final = Quantity(
+CERTIFICATE: Final = SheetQuantity(
     "places", "mm", 0.005, None, "limit of error of every ball's place, from the certificate or your own measurement"
 )
-LENGTH: Final = Quantity("artefact scale", "mm/m", 0.02, None, "limit of error of the artefact's scale")
+LENGTH: Final = SheetQuantity("artefact scale", "mm/m", 0.02, None, "limit of error of the artefact's scale")
 PLACE: Final = ("ball_x_mm", "ball_y_mm", "ball_z_mm")
 
 
@@ -80,21 +80,21 @@ class _Balls(Artefact):
             split = effect.reshape(*effect.shape[:-1], -1, 3) @ back.T
             return np.asarray(split.reshape(*effect.shape[:-1], -1))
 
-        repeats = Repeats.of([row.readings for row in rows], sheet.value("repeatability"))
+        repeats = RepeatedReadings.of([row.readings for row in rows], sheet.value("repeatability"))
         names = list(dict.fromkeys(row.cells["ball"] for row in rows))
         own_place = np.zeros((len(names), 3, len(places), 3))
         for k, row in enumerate(rows[::size]):
             own_place[names.index(row.cells["ball"]), :, k, :] = turns[k].T
         flat = turned.ravel()[None]
         effects = [
-            Contribution("artefact, places", per_axis(sheet.value("places") * own_place.reshape(-1, flat.size))),
-            Contribution("artefact, scale", per_axis(1e-3 * sheet.value("artefact scale") * flat)),
-            Contribution("temperature", per_axis(1e-6 * sheet.value("expansion") * sheet.limit("temperature") * flat)),
-            Contribution(
+            BudgetLine("artefact, places", per_axis(sheet.value("places") * own_place.reshape(-1, flat.size))),
+            BudgetLine("artefact, scale", per_axis(1e-3 * sheet.value("artefact scale") * flat)),
+            BudgetLine("temperature", per_axis(1e-6 * sheet.value("expansion") * sheet.limit("temperature") * flat)),
+            BudgetLine(
                 "expansion", per_axis(1e-6 * sheet.limit("expansion") * (sheet.value("temperature") - 20.0) * flat)
             ),
-            Contribution("machine", sheet.value("machine deviation") * np.eye(count)),
-            Contribution("resolution", repeats.rounding_mm(sheet.value("resolution")) * np.eye(count)),
+            BudgetLine("machine", sheet.value("machine deviation") * np.eye(count)),
+            BudgetLine("resolution", repeats.rounding_mm(sheet.value("resolution")) * np.eye(count)),
         ]
 
         def at(errors: np.ndarray) -> Linearised:

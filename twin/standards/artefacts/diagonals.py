@@ -8,7 +8,7 @@ from typing import Final, final
 import numpy as np
 
 from twin.machine.machine import Machine
-from twin.standards.artefacts.adjustment import Contribution, Linearised, Observed, Repeats
+from twin.standards.artefacts.adjustment import BudgetLine, Linearised, Observed, RepeatedReadings
 from twin.standards.artefacts.artefact import (
     NEAR,
     REPEAT,
@@ -20,7 +20,7 @@ from twin.standards.artefacts.artefact import (
     same,
     spans,
 )
-from twin.standards.artefacts.sheet import Quantity, Sheet
+from twin.standards.artefacts.sheet import Sheet, SheetQuantity
 
 LENGTHS: Final = ("AC", "BD", "AB", "DC", "AD", "BC")
 CORNERS: Final = {"A": (0, 0), "B": (1, 0), "C": (1, 1), "D": (0, 1)}
@@ -36,21 +36,21 @@ class Diagonals(Artefact):
     title = "diagonals of a rectangle"
     shows = "squareness of the plane; with the sides also both scales, as good as the ruler"
     quantities = (
-        Quantity("resolution", "mm", 0.5, None, "smallest step that can be read on the ruler"),
-        Quantity("instrument", "mm", 0.3, None, "limit of error of the ruler's zero, the same in all readings"),
-        Quantity(
+        SheetQuantity("resolution", "mm", 0.5, None, "smallest step that can be read on the ruler"),
+        SheetQuantity("instrument", "mm", 0.3, None, "limit of error of the ruler's zero, the same in all readings"),
+        SheetQuantity(
             "instrument per length", "mm/m", 0.2, None, "limit of error of the ruler's scale (EU class II: 0.2 mm/m)"
         ),
-        Quantity("expansion", "µm/(m·K)", 11.5, 1.0, "thermal expansion of the ruler; iron alloys 11.5"),
+        SheetQuantity("expansion", "µm/(m·K)", 11.5, 1.0, "thermal expansion of the ruler; iron alloys 11.5"),
         TEMPERATURE,
-        Quantity(
+        SheetQuantity(
             "marks",
             "mm",
             0.05,
             None,
             "limit of where a mark is in each direction: drill wander and the machine's own deviations",
         ),
-        Quantity("repeatability", "mm", 0.2, None, REPEAT.meaning),
+        SheetQuantity("repeatability", "mm", 0.2, None, REPEAT.meaning),
     )
     columns = ("length",)
     prefixes = ("from_", "to_")
@@ -99,7 +99,7 @@ class Diagonals(Artefact):
         warm = 1e-6 * sheet.value("expansion") * (sheet.value("temperature") - 20.0)
         lengths = means * (1.0 + warm)
         count = len(means)
-        repeats = Repeats.of(groups, sheet.value("repeatability"))
+        repeats = RepeatedReadings.of(groups, sheet.value("repeatability"))
         marks = {tuple(place.round(6)): place for pair in ends for place in pair}
         wander = np.zeros((len(marks), 3, count))
         for k, (a, b) in enumerate(ends):
@@ -129,7 +129,7 @@ class Diagonals(Artefact):
             at,
             tuple(row.line for row in sheet.rows),
             means,
-            tuple(Contribution(name, effect) for name, effect in effects.items()),
+            tuple(BudgetLine(name, effect) for name, effect in effects.items()),
             repeats,
         )
 

@@ -21,7 +21,7 @@ from twin.measurement.columns import RowNote
 from twin.model.calibration import Calibration
 from twin.model.calibration_file import UnidentifiedEntry
 from twin.numerics.covariance import Covariance
-from twin.standards.artefacts.adjustment import Estimate, Observed, estimate
+from twin.standards.artefacts.adjustment import AdjustedErrors, Observed, estimate
 from twin.standards.artefacts.artefact import Artefact, LinearModel, linear_model, plane_axes, scale_curve
 from twin.standards.artefacts.faces import Straightedge
 from twin.standards.artefacts.sheet import Sheet, read_sheet, sheet_text
@@ -107,7 +107,7 @@ class SheetData:
 
 def evaluate_sheets(
     paths: Sequence[Path], machine: Machine, *, tolerances: Mapping[str, float] | None = None
-) -> tuple[EvaluationResult, Estimate]:
+) -> tuple[EvaluationResult, AdjustedErrors]:
     """Evaluate the sheets of artefacts together.
 
     Args:
@@ -164,12 +164,12 @@ def evaluate_sheets(
     return result, found
 
 
-def _nothing(count: int) -> Estimate:
+def _nothing(count: int) -> AdjustedErrors:
     unknown = np.full(count, np.nan)
-    return Estimate(unknown, np.zeros((count, count)), unknown)
+    return AdjustedErrors(unknown, np.zeros((count, count)), unknown)
 
 
-def _check_contradiction(observed: Mapping[Sheet, Observed], found: Estimate) -> None:
+def _check_contradiction(observed: Mapping[Sheet, Observed], found: AdjustedErrors) -> None:
     """Raise `InputError` at the worst reading if the readings contradict each other beyond chance."""
     if not found.p_value < CONTRADICTION:
         return
@@ -187,7 +187,9 @@ def _check_contradiction(observed: Mapping[Sheet, Observed], found: Estimate) ->
     )
 
 
-def _linear_tests(observed: Mapping[Sheet, Observed], model: LinearModel, found: Estimate) -> Iterable[StandardTest]:
+def _linear_tests(
+    observed: Mapping[Sheet, Observed], model: LinearModel, found: AdjustedErrors
+) -> Iterable[StandardTest]:
     """Return the tests of squareness and scale."""
     titles = "; ".join(f"{artefact_named(sheet.artefact).title}, {sheet.plane}" for sheet in observed)
     remarks = []
@@ -262,7 +264,9 @@ def _straight(sheet: Sheet, machine: Machine) -> StandardTest:
     )
 
 
-def calibration_of(result: EvaluationResult, found: Estimate, machine: Machine, simulated: bool = False) -> Calibration:
+def calibration_of(
+    result: EvaluationResult, found: AdjustedErrors, machine: Machine, simulated: bool = False
+) -> Calibration:
     """Return the calibration with the scales and squarenesses that were determined.
 
     Standard uncertainties in it are U (95 %) divided by the factor of a normal distribution, so that intervals made from them have the

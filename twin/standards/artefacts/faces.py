@@ -23,7 +23,7 @@ import numpy as np
 
 from twin._common.errors import InputError
 from twin.machine.machine import Machine
-from twin.standards.artefacts.adjustment import Contribution, Linearised, Observed, Repeats
+from twin.standards.artefacts.adjustment import BudgetLine, Linearised, Observed, RepeatedReadings
 from twin.standards.artefacts.artefact import (
     EXPANSION,
     MACHINE,
@@ -39,12 +39,14 @@ from twin.standards.artefacts.artefact import (
     same,
     spans,
 )
-from twin.standards.artefacts.sheet import Quantity, Sheet, SheetRow
+from twin.standards.artefacts.sheet import Sheet, SheetQuantity, SheetRow
 
 SETUPS: Final = ("normal", "reversed")
 POINTS: Final = 3
 LARGEST_SLOPE: Final = 0.1
-GAUGE: Final = Quantity("gauge per travel", "mm/m", 10.0, None, "limit of error of the gauge's scale; 1 %: 10 mm/m")
+GAUGE: Final = SheetQuantity(
+    "gauge per travel", "mm/m", 10.0, None, "limit of error of the gauge's scale; 1 %: 10 mm/m"
+)
 INCHES: Final = (25.4, 50.8, 76.2)
 USUAL: Final = (200.0, 130.0)
 """Legs of a square of a workshop, mm; `LENGTH` of a straightedge."""
@@ -59,7 +61,7 @@ class _TwoFaces(Artefact):
     """Name, axis of the plane along which it is touched, and direction in which the plunger points towards it."""
 
     @abstractmethod
-    def offsets(self, sheet: Sheet, rows: Sequence[SheetRow]) -> tuple[np.ndarray, np.ndarray, list[Contribution]]:
+    def offsets(self, sheet: Sheet, rows: Sequence[SheetRow]) -> tuple[np.ndarray, np.ndarray, list[BudgetLine]]:
         """Return known offsets (m,) of the faces, columns (m, r) of unknown ones, and their contributions to the budget."""
 
     @abstractmethod
@@ -102,11 +104,11 @@ class _TwoFaces(Artefact):
             * np.sum(running * (places @ model.nominal.T), axis=1)
         )
         self._check(sheet, normals, places, plane)
-        repeats = Repeats.of(groups, sheet.value("repeatability"))
+        repeats = RepeatedReadings.of(groups, sheet.value("repeatability"))
         effects = [
-            Contribution("artefact, angle", 1e-3 * sheet.value("angle") * angle[None]),
-            Contribution("machine", same(sheet.value("machine deviation"), count)),
-            Contribution("resolution", same(repeats.rounding_mm(sheet.value("resolution")), count)),
+            BudgetLine("artefact, angle", 1e-3 * sheet.value("angle") * angle[None]),
+            BudgetLine("machine", same(sheet.value("machine deviation"), count)),
+            BudgetLine("resolution", same(repeats.rounding_mm(sheet.value("resolution")), count)),
             *more,
         ]
 
@@ -156,7 +158,7 @@ class Square(_TwoFaces):
     title = "square and dial gauge"
     shows = "squareness of the plane; with both set-ups free of the square's own error"
     quantities = (
-        Quantity("angle", "mm/m", 0.2, None, "limit of error of the square; both set-ups make it unimportant"),
+        SheetQuantity("angle", "mm/m", 0.2, None, "limit of error of the square; both set-ups make it unimportant"),
         RESOLUTION,
         GAUGE,
         MACHINE,
@@ -194,7 +196,7 @@ class Square(_TwoFaces):
         """See `_TwoFaces.touched`."""
         return model.position(row), readings
 
-    def offsets(self, sheet: Sheet, rows: Sequence[SheetRow]) -> tuple[np.ndarray, np.ndarray, list[Contribution]]:
+    def offsets(self, sheet: Sheet, rows: Sequence[SheetRow]) -> tuple[np.ndarray, np.ndarray, list[BudgetLine]]:
         """See `_TwoFaces.offsets`: the gauge is set anew on every face."""
         keys = [(row.cells["setup"], row.cells["face"], row.cells["plunger"]) for row in rows]
         free = np.array([[float(key == one) for one in dict.fromkeys(keys)] for key in keys])
@@ -206,34 +208,34 @@ class Square(_TwoFaces):
                     "reading", "beyond the travel of a dial gauge", "mm of a gauge near zero", f"{reading:g} mm"
                 )
         sign = np.array([1.0 if row.cells["plunger"][0] == "+" else -1.0 for row in rows])
-        gain = Contribution("gauge, scale", (1e-3 * sheet.value("gauge per travel") * sign * (means - zero))[None])
+        gain = BudgetLine("gauge, scale", (1e-3 * sheet.value("gauge per travel") * sign * (means - zero))[None])
         return np.zeros(len(rows)), free, [gain]
 
 
 @final
-class Block(_TwoFaces):
+class GaugeBlock(_TwoFaces):
     """1-2-3 block and a probe: four faces, normal and turned over."""
 
     name = "block"
     title = "1-2-3 block and probe"
     shows = "squareness of the plane; scales, as good as its size allows (10 µm of 50 mm are 200 µm/m)"
     quantities = (
-        Quantity(
+        SheetQuantity(
             "size",
             "mm",
             INCHES[2],
             0.005,
             "size of the block along the first axis of the plane (1-2-3 block: 76.2, 50.8 or 25.4)",
         ),
-        Quantity("second size", "mm", INCHES[1], 0.005, "size along the second axis"),
-        Quantity(
+        SheetQuantity("second size", "mm", INCHES[1], 0.005, "size along the second axis"),
+        SheetQuantity(
             "ball radius",
             "mm",
             1.0,
             0.005,
             "effective radius of the probe's ball, from a ring or a gauge block",
         ),
-        Quantity(
+        SheetQuantity(
             "angle", "mm/m", 0.1, None, "limit of error of the block's right angle; both set-ups make it unimportant"
         ),
         EXPANSION,
@@ -290,7 +292,7 @@ class Block(_TwoFaces):
         place[normal] = mean - model.origin[normal]
         return place, readings - mean
 
-    def offsets(self, sheet: Sheet, rows: Sequence[SheetRow]) -> tuple[np.ndarray, np.ndarray, list[Contribution]]:
+    def offsets(self, sheet: Sheet, rows: Sequence[SheetRow]) -> tuple[np.ndarray, np.ndarray, list[BudgetLine]]:
         """See `_TwoFaces.offsets`: the ball's centre is half the block's size and a radius away from its middle."""
         keys = [(row.cells["setup"], row.cells["plunger"][1]) for row in rows]
         free = np.array([[float(key == one) for one in dict.fromkeys(keys)] for key in keys])
@@ -304,9 +306,9 @@ class Block(_TwoFaces):
             1e-6 * sheet.limit("expansion") * (sheet.value("temperature") - 20.0) * side * half,
         ]
         more = [
-            Contribution("artefact, size", np.array(size)),
-            Contribution("probe, radius", (sheet.limit("ball radius") * side)[None]),
-            Contribution("temperature", np.array(warmth)),
+            BudgetLine("artefact, size", np.array(size)),
+            BudgetLine("probe, radius", (sheet.limit("ball radius") * side)[None]),
+            BudgetLine("temperature", np.array(warmth)),
         ]
         return side * (half * (1.0 + warm) + sheet.value("ball radius")), free, more
 
@@ -322,7 +324,7 @@ class Straightedge(Artefact):
         RESOLUTION,
         GAUGE,
         REPEAT,
-        Quantity(
+        SheetQuantity(
             "sag",
             "mm",
             0.0,
@@ -381,7 +383,7 @@ class Straightedge(Artefact):
         sides = [[1.0 if row.cells["plunger"][0] == "+" else -1.0 for row in own] for own in rows]
         reads = [np.array(side) * [row.readings.mean() for row in own] for side, own in zip(sides, rows, strict=True)]
         groups = [row.readings for own in rows for row in own]
-        repeats = Repeats.of(groups, sheet.value("repeatability"))
+        repeats = RepeatedReadings.of(groups, sheet.value("repeatability"))
         spread = repeats.spread.reshape(2, -1)
         line = np.column_stack([np.ones(len(at)), at])
         normal, reverse = (read - line @ (np.linalg.pinv(line) @ read) for read in reads)

@@ -37,7 +37,7 @@ _STATED: Final = re.compile(
 
 @final
 @dataclass(frozen=True)
-class Quantity:
+class SheetQuantity:
     """One statement that the budget of an artefact needs.
 
     Attributes:
@@ -62,7 +62,7 @@ class Quantity:
 
 @final
 @dataclass(frozen=True)
-class Statement:
+class SheetStatement:
     """A quantity as stated: value and limit in its unit, and whether it is still the default."""
 
     value: float
@@ -118,7 +118,7 @@ class Sheet:
     artefact: str
     machine: str
     plane: str
-    stated: Mapping[str, Statement]
+    stated: Mapping[str, SheetStatement]
     rows: tuple[SheetRow, ...]
     set_aside: tuple[RowNote, ...]
 
@@ -145,7 +145,9 @@ def is_sheet(path: Path) -> bool:
         return False
 
 
-def read_sheet(path: Path, quantities: Mapping[str, Sequence[Quantity]], columns: Mapping[str, Sequence[str]]) -> Sheet:
+def read_sheet(
+    path: Path, quantities: Mapping[str, Sequence[SheetQuantity]], columns: Mapping[str, Sequence[str]]
+) -> Sheet:
     """Read a sheet.
 
     ``quantities`` and ``columns``: what each artefact needs. It raises `InputError` with line and value for an unknown artefact, key,
@@ -188,7 +190,7 @@ def _given(path: Path, comments: Sequence[str]) -> Given:
     return given
 
 
-def _all_stated(path: Path, given: Given, quantities: Sequence[Quantity]) -> dict[str, Statement]:
+def _all_stated(path: Path, given: Given, quantities: Sequence[SheetQuantity]) -> dict[str, SheetStatement]:
     stated = {}
     for own in quantities:
         if own.key not in given:
@@ -212,7 +214,7 @@ def _check_columns(path: Path, header: Sequence[str], columns: Sequence[str]) ->
             raise InputError("unknown column, or one without its unit", expected=expected, file=path, value=name)
 
 
-def _statement(own: Quantity, line: int | None, text: str, path: Path) -> Statement:
+def _statement(own: SheetQuantity, line: int | None, text: str, path: Path) -> SheetStatement:
     match = _STATED.fullmatch(text)
     units = UNITS[own.unit]
     unit = "" if match is None else (match["unit"] + (f"({match['factor']}" if match["factor"] else "")).strip()
@@ -228,7 +230,9 @@ def _statement(own: Quantity, line: int | None, text: str, path: Path) -> Statem
     if own.limit is None and value < 0.0:
         raise InputError(f"{own.key} is a limit", expected="not negative", file=path, line=line, value=text)
     factor = units[unit]
-    return Statement(value * factor, limit * factor, match["assumed"] is not None, text.replace(ASSUMED, "").strip())
+    return SheetStatement(
+        value * factor, limit * factor, match["assumed"] is not None, text.replace(ASSUMED, "").strip()
+    )
 
 
 def _line_of(path: Path, text: str) -> int | None:
