@@ -42,7 +42,7 @@ class Sheet:
         self.rows = list(csv.DictReader(io.StringIO("\n".join(line for line in lines if not line.startswith("#")))))
         self.stated: dict[str, tuple[float, float | None]] = {}
         for line in self.head:
-            found = re.match(r"# ([a-z ]+): ([-\d.]+)(?: ± ([\d.]+))? ", line)
+            found = re.match(r"# ([a-z ]+): ([-\d.]+)(?: (?:±|\+/-) ([\d.]+))? ", line)
             if found:
                 self.stated[found[1]] = (float(found[2]), None if found[3] is None else float(found[3]))
         self.plane = next(line.split()[-1] for line in self.head if line.startswith("# plane"))

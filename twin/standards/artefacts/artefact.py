@@ -165,7 +165,7 @@ class Artefact(ABC):
 
     def statements(self, size_mm: tuple[float, ...]) -> list[str]:
         """Return the comment lines of the statements; ``size_mm``: as given to the plan."""
-        return [own.text() for own in self.quantities]
+        return [line for own in self.quantities for line in (f"#   {own.meaning}", own.text())]
 
     def all_columns(self, axes: Sequence[str]) -> tuple[str, ...]:
         """Return all columns of its sheet but the readings."""

@@ -170,7 +170,7 @@ class ScaleBar(_Balls):
         return (
             f"Clamp the bar along {plane[0]}, along {plane[1]}, and along both diagonals of {plane}; directions need not be exact.",
             "Find the centre of each ball with the control's own probing cycle, three times. Readings are the positions of the axes.",
-            "ball_x_mm is the distance of the balls from the certificate, at 20 °C.",
+            "ball_x_mm is the distance of the balls from the certificate, at 20 degC.",
         )
 
     def rows(self, machine: Machine, plane: str, size_mm: tuple[float, ...]) -> list[dict[str, str]]:
@@ -203,7 +203,7 @@ class BallPlate(_Balls):
     def steps(self, plane: str) -> tuple[str, ...]:
         """See `Artefact.steps`."""
         return (
-            "Enter the places of the balls from the certificate (20 °C), in the plate's own frame; three rows for each ball.",
+            "Enter the places of the balls from the certificate (20 degC), in the plate's own frame; three rows for each ball.",
             f"Clamp the plate in {plane}. Its direction need not be exact. Further placements get another name in `placement`.",
             "Find the centre of each ball with the control's own probing cycle, three times. Readings are the positions of the axes.",
         )

@@ -58,7 +58,8 @@ class Diagonals(Artefact):
     def steps(self, plane: str) -> tuple[str, ...]:
         """See `Artefact.steps`."""
         return (
-            f"Drill or prick a mark at each of the four positions ({plane}); approach every one from the same side.",
+            f"Drill or prick a mark at each of the four positions; approach every one from the same side. A is the corner at the lower "
+            f"{plane[0]} and {plane[1]}; B lies along {plane[0]}, D along {plane[1]}, C opposite.",
             "Measure the six distances with one ruler or with calipers over pins; three times and not one after the other.",
             "Enter the readings. The two diagonals alone give the squareness; a length that was not measured stays empty.",
         )

@@ -259,7 +259,11 @@ class GaugeBlock(_TwoFaces):
     def statements(self, size_mm: tuple[float, ...]) -> list[str]:
         """See `Artefact.statements`."""
         own = dict(zip(("size", "second size"), size_mm, strict=False))
-        return [quantity.text(own.get(quantity.key)) for quantity in self.quantities]
+        return [
+            line
+            for quantity in self.quantities
+            for line in (f"#   {quantity.meaning}", quantity.text(own.get(quantity.key)))
+        ]
 
     def rows(self, machine: Machine, plane: str, size_mm: tuple[float, ...]) -> list[dict[str, str]]:
         """See `Artefact.rows`."""
@@ -339,7 +343,7 @@ class Straightedge(Artefact):
         a, b = plane[0], plane[1]
         return (
             f"Lay the straightedge along {a} on two supports, 0.22 of its length from the ends. The gauge touches it along +{b}.",
-            f"Reversed: turn it by 180° about its length, so that the same face is touched along -{b}, at the same places of the face.",
+            f"Reversed: half a turn about its length, so that the same face is touched along -{b}, at the same places.",
             "The gauge reads more when the plunger is pushed in. Both ends may read the same: set the zero as you like.",
         )
 

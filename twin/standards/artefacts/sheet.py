@@ -26,6 +26,8 @@ UNITS: Final[Mapping[str, Mapping[str, float]]] = {
     "µm/(m·K)": {"µm/(m·K)": 1.0, "um/(m.K)": 1.0, "um/(m K)": 1.0, "ppm/K": 1.0},
 }
 """Units that are read, with their factor to the one that is written."""
+ASCII: Final = {"mm": "mm", "mm/m": "mm/m", "°C": "degC", "µm/(m·K)": "um/(m.K)"}
+"""Units as written: a spreadsheet that saves the sheet in another encoding changes other letters."""
 ASSUMED: Final = "(assumed)"
 READING: Final = re.compile(r"reading_\d+_(mm|in)")
 INCH_MM: Final = 25.4
@@ -56,8 +58,8 @@ class SheetQuantity:
 
     def text(self, value: float | None = None) -> str:
         """Return the comment line with the default, or with another value."""
-        spread = "" if self.limit is None else f" ± {self.limit:g}"
-        return f"# {self.key}: {self.value if value is None else value:g}{spread} {self.unit} {ASSUMED}"
+        spread = "" if self.limit is None else f" +/- {self.limit:g}"
+        return f"# {self.key}: {self.value if value is None else value:g}{spread} {ASCII[self.unit]} {ASSUMED}"
 
 
 @final
