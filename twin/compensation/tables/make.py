@@ -305,7 +305,7 @@ class MatrixDesign(Design[MatrixCorrection]):
                 content = TableSummary.over(f"{moved} by {by}", axes[j].domain, 0.0, "um")
                 # An entry that the format does not hold is no table that could be refused.
                 judge = proof if holds else ProofOfTables(required, keep_all=False)
-                if judge.keeps(content, (moved, by), BASIC, values[i, j] * along, along[:, None] * spread[i, j]):
+                if judge.keeps(content, (by,), BASIC, values[i, j] * along, along[:, None] * spread[i, j]):
                     if holds:
                         matrix[i, j] = values[i, j]
                     else:

@@ -11,7 +11,7 @@ Behaviour as in the public sources; formulas are restated here, x, y, z the comm
 - RepRapFirmware, github.com/Duet3D/RepRapFirmware at 0e02e02, ``src/Movement/Move3.cpp`` (`AxisTransform`) and ``M556`` of ``GCodes``:
   the tangents X/S, Y/S and Z/S are **added**: x + X/S·y + Z/S·z and y + Y/S·z. ``P1`` would correct y instead of x.
 - LinuxCNC, github.com/LinuxCNC/linuxcnc at 1de03ef, ``src/hal/components/matrixkins.comp``: joints = C · axes, parameters ``C_xx`` …
-  ``C_zz``. Version 2.9 does not have it; ``halcompile --install matrixkins.comp`` adds it.
+  ``C_zz``. Version 2.9 of Debian does not have it; whether it compiles for that version was not tried.
 
 All of them keep the zero of the machine where it is. Skew settings of three numbers hold no scale: that belongs into the steps per mm.
 """
@@ -344,8 +344,8 @@ class MatrixKins(SkewFormat):
     def loading(self, correction: MatrixCorrection, largest: Mapping[str, float]) -> tuple[str, ...]:
         """See `TableFormat.loading`."""
         return (
-            "LinuxCNC 2.9 does not have matrixkins: take matrixkins.comp of the master branch and run `halcompile --install "
-            "matrixkins.comp` (package linuxcnc-uspace-dev).",
+            "LinuxCNC 2.9 does not have matrixkins. It is matrixkins.comp in the source of later versions, and is compiled by `halcompile "
+            "--install matrixkins.comp` (package linuxcnc-uspace-dev). That it compiles for 2.9 was not tried.",
             "INI file: [KINS] KINEMATICS = matrixkins. Add the lines of matrixkins.hal to the HAL file after the line that loads the "
             "kinematics. matrixkins moves three joints; more axes pass through.",
             "Change the parameters only with the machine switched off: the joints jump by the change. Home again.",
