@@ -344,8 +344,8 @@ class MatrixKins(SkewFormat):
     def loading(self, correction: MatrixCorrection, largest: Mapping[str, float]) -> tuple[str, ...]:
         """See `TableFormat.loading`."""
         return (
-            "LinuxCNC 2.9 does not have matrixkins. It is matrixkins.comp in the source of later versions, and is compiled by `halcompile "
-            "--install matrixkins.comp` (package linuxcnc-uspace-dev). That it compiles for 2.9 was not tried.",
+            "LinuxCNC 2.9 does not have matrixkins. It is matrixkins.comp in the source of later versions; compile it with "
+            "`halcompile --install matrixkins.comp` (package linuxcnc-uspace-dev). That it compiles for 2.9 was not tried.",
             "INI file: [KINS] KINEMATICS = matrixkins. Add the lines of matrixkins.hal to the HAL file after the line that loads the "
             "kinematics. matrixkins moves three joints; more axes pass through.",
             "Change the parameters only with the machine switched off: the joints jump by the change. Home again.",
