@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from tests.cli.commands import refused, status
 from tests.standards.shop_floor import Sheet, Truth, fill
 from twin._common.errors import InputError
 from twin.compensation.tables import Request, make
@@ -333,3 +335,29 @@ def test_every_artefact_has_a_plan(router: Machine) -> None:
         plan_sheet(router, "square", "XY", (700.0, 100.0))
     with pytest.raises(InputError, match="not a plane"):
         plan_sheet(router, "square", "XB")
+
+
+def test_from_the_command_line(router: Machine, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Sheet, evaluation, calibration and settings; what is refused leaves nothing behind."""
+    sheet, mine, page, found = (tmp_path / name for name in ("s.csv", "mine.yaml", "page.html", "found.json"))
+    assert status("plan", "--artefact", "diagonals", "--size", "500,600", "-m", router.path, "-o", sheet) == 0
+    assert "not filled in" in refused(capsys, "evaluate", sheet, "-m", router.path, "-o", mine)
+    assert "of another machine" in refused(
+        capsys, "evaluate", measured(tmp_path, Sheet(sheet.read_text()), Truth(), np.random.default_rng(1), 0.1)
+    )
+    sheet.write_text(fill(Sheet(sheet.read_text()), Truth({}, {"E_C0Y": 3e-3}), np.random.default_rng(1), 0.1))
+    assert "need --artefact" in refused(capsys, "plan", "--plane", "XY", "-m", router.path, "-o", tmp_path / "x.csv")
+    assert "states its own instrument" in refused(capsys, "evaluate", sheet, "-m", router.path, "--length", "100")
+    assert not mine.exists() and not (tmp_path / "x.csv").exists()
+    arguments = ("evaluate", sheet, "-m", router.path, "-o", mine, "--html", page, "--json", found)
+    assert status(*arguments, "--tolerance", "E_C0Y=100") == 3
+    (value,) = [
+        test["values"]["E_C0Y_urad"] for test in json.loads(found.read_text())["tests"] if test["name"] == "E_C0Y"
+    ]
+    assert value == pytest.approx(3000.0, abs=600.0) and "E_C0Y" in page.read_text()
+    assert status("control", "--to", "marlin", "-m", router.path, "-c", mine, "-o", tmp_path / "settings") == 0
+    (factor,) = re.findall(r"^M852 I(\S+) ", (tmp_path / "settings" / "skew.gcode").read_text(), re.M)
+    assert float(factor) == pytest.approx(-3e-3, abs=6e-4)
+    assert "the calibration of artefacts" in refused(
+        capsys, "evaluate", mine, "-m", router.path, "-o", tmp_path / "y.yaml"
+    )
