@@ -21,8 +21,9 @@ from twin._common.families import BASIC
 from twin._common.units import DEG
 from twin.cli.doc import page_text
 from twin.controls import ControlCurve, ControlTerm, Correction, TableFormat, TableSum, read_tables, table_formats
-from twin.controls.correction import EXACT_UM, AxisErrors, CorrectionGrid, VolumetricCorrection
+from twin.controls.correction import EXACT_UM, AxisErrors, CorrectionGrid, MatrixCorrection, VolumetricCorrection
 from twin.controls.formats.linuxcnc import LinuxCnc
+from twin.controls.formats.skew import SkewFormat
 from twin.machine.machine import Machine
 
 MACHINE = Machine.load("dmu50")
@@ -87,7 +88,20 @@ def grids(draw: st.DrawFn, form: TableFormat[CorrectionGrid]) -> CorrectionGrid:
     return CorrectionGrid(MACHINE, at, rng.normal(0, 40, (*counts, 3)))
 
 
-DRAWN = {TableSum: terms, VolumetricCorrection: component_errors, CorrectionGrid: grids}
+@st.composite
+def matrices(draw: st.DrawFn, form: SkewFormat) -> MatrixCorrection:
+    """Draw skew and scale of up to 9 mm per m, in the entries that a firmware has."""
+    entry = st.floats(-0.009, 0.009)
+    rows = [[draw(entry) if form.holds(moved, by) and draw(st.booleans()) else 0.0 for by in "XYZ"] for moved in "XYZ"]
+    return MatrixCorrection(MACHINE, np.array(rows))
+
+
+DRAWN = {
+    TableSum: terms,
+    VolumetricCorrection: component_errors,
+    CorrectionGrid: grids,
+    MatrixCorrection: matrices,
+}
 
 
 @every_format
@@ -176,6 +190,7 @@ def examples() -> list[tuple[str, Correction]]:
         ("terms", found),
         ("isg", VolumetricCorrection(tuple(errors), MACHINE, 80.0)),
         ("grid", CorrectionGrid(MACHINE, at, rng.normal(0, 30, (6, 6, 6, 3)))),
+        ("matrix", MatrixCorrection(MACHINE, rng.normal(0, 1e-3, (3, 3)))),
     ]
 
 

@@ -39,6 +39,10 @@ TABLE_FORMATS: Final = {
     "isg": "isg:Isg",
     "grid": "grid:SpatialGrid",
     "siemens_eec": "siemens_eec:SiemensEec",
+    "klipper": "skew:Klipper",
+    "marlin": "skew:Marlin",
+    "reprapfirmware": "skew:RepRapFirmware",
+    "matrixkins": "skew:MatrixKins",
 }
 """Formats of compensation tables: `twin.controls.formats`."""
 KINEMATICS_FORMATS: Final = {
@@ -78,6 +82,15 @@ EFFECTS: Final = {
     "carried_load": "gravity_compliance:CARRIED_LOAD",
 }
 """Effects of a machine: `twin.model.effects`."""
+ARTEFACTS: Final = {
+    "diagonals": "diagonals:Diagonals",
+    "square": "faces:Square",
+    "block": "faces:GaugeBlock",
+    "straightedge": "faces:Straightedge",
+    "scale-bar": "balls:ScaleBar",
+    "ball-plate": "balls:BallPlate",
+}
+"""Artefacts and simple instruments for squareness and scale: `twin.standards.artefacts`."""
 LIVE_FORMATS: Final = ("linuxcnc-kinematics",)
 """Kinematics modules that a control executes in every cycle: `twin.compensation.live`."""
 SEQUENCES: Final = ("best", "turns", "ak1", "ak2", "ak4", "bk1", "bk2", "bk4", "circles")

@@ -98,6 +98,10 @@ def _listed(page: str) -> dict[str, list[str]]:
                 for form in kinematics_formats()
             ],
         }
+    if page == "artefacts":
+        from twin.standards.artefacts import artefacts
+
+        return {"ARTEFACTS": [f"| `{one.name}` | {one.shows} |" for one in artefacts()]}
     if page == "convert":
         from twin.measurement.formats import FORMATS
         from twin.measurement.formats.heidenhain import MASK

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -12,8 +12,13 @@ from twin._common.errors import InputError
 from twin._common.files import write_atomic
 from twin.cli.report import UNSIGNED, DccOption, JobOption
 from twin.cli.shared import complete, options
-from twin.cli.shared.command import HTML, POSITIVE, CommandResult, JsonOption, command
+from twin.cli.shared.command import HTML, POSITIVE, CommandResult, JsonOption, Output, command
 from twin.cli.shared.terminal import tolerances
+
+if TYPE_CHECKING:
+    from twin.machine.machine import Machine
+    from twin.measurement.instruments import Instrument
+    from twin.standards import EvaluationResult
 
 ToleranceOption = Annotated[
     list[str] | None,
@@ -49,6 +54,14 @@ SensorsOption = Annotated[
     ),
 ]
 
+CalibrationOutput = Annotated[
+    Path | None,
+    typer.Option(
+        "--output", "-o", help="Calibration to write, with the scales and squarenesses that the sheets determine."
+    ),
+    Output((".yaml", ".yml")),
+]
+
 
 @command(
     "twin evaluate measured.csv --html tests.html --json tests.json",
@@ -56,6 +69,7 @@ SensorsOption = Annotated[
     "twin evaluate measured.csv --tolerance X:A=8 Y:A=12 E_C0Y=20 --instrument tracker",
     "twin evaluate measured.csv --instrument tracker --job job.yaml --dcc iso230_2.xml",
     "twin evaluate record.csv --iso230-3 --sensors d1=X1 d2=X2 X1-X2=76 d5=Z t5=ambient --html drift.html",
+    "twin evaluate diagonals.csv square.csv -m router.yaml -o mine.yaml",
 )
 def evaluate(
     measured: options.MeasuredArgument,
@@ -69,29 +83,35 @@ def evaluate(
     dcc_file: DccOption = None,
     json_file: JsonOption = None,
     html_file: Annotated[Path | None, typer.Option("--html", help="Write the report to this HTML file."), HTML] = None,
+    output: CalibrationOutput = None,
 ) -> CommandResult:
-    """Evaluate the standard tests for which a measurement table has the runs.
+    """Evaluate the standard tests for which a measurement table has the runs, or the sheets of artefacts.
 
     The exit status is 3 if a tolerance is not met, if no test gives its value, or if the table allows no test at all.
     """
     from twin.measurement.instruments import instrument_named
     from twin.measurement.table import Measurements
     from twin.standards import evaluate as run_evaluation
-    from twin.standards import evaluate_drift
+    from twin.standards.artefacts import is_sheet
 
     limits = tolerances(tolerance or [])
     if html_file is not None:
         options.need_pictures("the HTML report")
     loaded = options.machine(machine)
     reader = None if instrument is None else instrument_named(instrument)
-    if drift:
-        if len(measured) > 1 or length is not None:
-            raise InputError("--iso230-3 evaluates one record", expected="one file, without --length")
-        evaluation = evaluate_drift(measured[0], loaded, tolerances=limits, instrument=reader, sensors=sensors or [])
-    elif sensors:
+    after: list[str] = []
+    if any(map(is_sheet, measured)):
+        if drift or sensors or reader is not None or length is not None:
+            raise InputError(
+                "a sheet states its own instrument", expected="sheets with --tolerance, --html, --json, -o"
+            )
+        evaluation, after = _sheets(measured, loaded, limits, output, machine)
+    elif output is not None:
         raise InputError(
-            "--sensors needs --iso230-3", expected="directions of displacement sensors", value=" ".join(sensors)
+            "-o writes the calibration of artefacts", expected="sheets of twin plan --artefact", value=output
         )
+    elif drift or sensors:
+        evaluation = _drift(measured, loaded, limits, reader, length, sensors or [], drift)
     else:
         data = Measurements.join([Measurements.load(path, loaded) for path in measured])
         evaluation = run_evaluation(data, loaded, tolerances=limits, instrument=reader, length_mm=length)
@@ -110,4 +130,46 @@ def evaluate(
     for path, content in written.items():
         write_atomic(path, content)
     text = evaluation.to_text() + ("" if dcc_file is None else f"\n{UNSIGNED}\n")
-    return CommandResult(text, evaluation.to_dict, met=evaluation.met and bool(evaluation.tests))
+    met = evaluation.met and bool(evaluation.tests)
+    return CommandResult(text, evaluation.to_dict, met=met, after=after)
+
+
+def _drift(
+    measured: list[Path],
+    machine: Machine,
+    limits: dict[str, float],
+    reader: Instrument | None,
+    length: float | None,
+    sensors: list[str],
+    drift: bool,
+) -> EvaluationResult:
+    """Evaluate the thermal tests of one record."""
+    from twin.standards import evaluate_drift
+
+    if not drift:
+        raise InputError(
+            "--sensors needs --iso230-3", expected="directions of displacement sensors", value=" ".join(sensors)
+        )
+    if len(measured) > 1 or length is not None:
+        raise InputError("--iso230-3 evaluates one record", expected="one file, without --length")
+    return evaluate_drift(measured[0], machine, tolerances=limits, instrument=reader, sensors=sensors)
+
+
+def _sheets(
+    paths: list[Path], machine: Machine, limits: dict[str, float], output: Path | None, name: str
+) -> tuple[EvaluationResult, list[str]]:
+    """Evaluate the sheets of artefacts and write their calibration; return the result and what to print after it."""
+    from twin.standards.artefacts import calibration_of, evaluate_sheets, is_sheet
+
+    other = next((path for path in paths if not is_sheet(path)), None)
+    if other is not None:
+        raise InputError(
+            "a file that is not the sheet of an artefact, beside one",
+            expected="sheets only, or tables only",
+            value=other,
+        )
+    evaluation, found = evaluate_sheets(paths, machine, tolerances=limits)
+    if output is None:
+        return evaluation, []
+    calibration_of(evaluation, found, machine).save(output)
+    return evaluation, [f"For the control: twin control --to FORMAT -m {name} -c {output} -o FOLDER"]

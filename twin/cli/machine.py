@@ -34,7 +34,9 @@ KINDS: Final[Mapping[str, tuple[str, str, str, Mapping[str, str]]]] = {
     "6": ("head C B, gantry", "X Y Z C B", "", {}),
     "7": ("nutating head B (45°), table C", "X Y Z B", "C", {"B": "0 1 1"}),
     "8": ("four axes: rotary table A", "Z", "X Y A", {}),
-    "9": ("three axes", "Z", "X Y", {}),
+    "9": ("three axes, mill with a cross table", "Z", "X Y", {}),
+    "10": ("three axes, router with a gantry", "Y X Z", "", {}),
+    "11": ("three axes, printer with a moving bed", "Z X", "Y", {}),
 }
 """Kinds of machine that are offered: name, axes of the tool and of the workpiece from the bed outwards, and inclined axes."""
 RANGES: Final = {"X": "0 500", "Y": "0 400", "Z": "-400 0", "A": "-120 30", "B": "-110 110", "C": "unlimited"}

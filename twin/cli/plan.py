@@ -211,6 +211,22 @@ ConfirmOption = Annotated[
         help="Folder that twin control wrote: make the shortest measurement that shows a wrong sign of any table or value in it.",
     ),
 ]
+ArtefactOption = Annotated[
+    str | None,
+    typer.Option(
+        "--artefact",
+        help="Plan squareness and scale with simple means: {artefacts}.",
+        autocompletion=complete.artefacts,
+    ),
+]
+PlaneOption = Annotated[
+    str | None,
+    typer.Option("--plane", help="Two linear axes, with --artefact; default: XY, first axis along the datum."),
+]
+SizeOption = Annotated[
+    str | None,
+    typer.Option("--size", help='Lengths along both axes in mm, or of the artefact, with --artefact: "400,300".'),
+]
 ProgramOption = Annotated[
     Path | None,
     typer.Option(
@@ -229,6 +245,7 @@ ProgramOption = Annotated[
     "twin plan --confirm tables -o check.csv --tool-length 120 --program check.mpf",
     "twin plan --instrument probe -o plan.csv --tool-length 120 --minutes 45",
     "twin plan --drift spindle --instrument displacement --highest-rpm 12000 --minutes 300 -o spindle.csv --program spindle.mpf",
+    "twin plan --artefact diagonals --plane XY -m router.yaml -o diagonals.csv",
     'twin plan --instrument probe --sequence turns -o plan.csv --tool-length 120 --spheres "150,0,60" --program probe.ngc',
 )
 def plan(
@@ -255,6 +272,9 @@ def plan(
     highest_rpm: HighestOption = None,
     spectrum: SpectrumOption = False,
     axis: AxisOption = None,
+    artefact: ArtefactOption = None,
+    plane: PlaneOption = None,
+    size: SizeOption = None,
     tool_length: options.ToolOption = None,
     seed: Annotated[int, typer.Option("--seed", help="Random seed of the candidate poses, or of the speeds.")] = 0,
     json_file: JsonOption = None,
@@ -275,6 +295,9 @@ def plan(
     from twin.planning.sequences.specification import InstrumentSizes
 
     loaded = options.machine(machine)
+    if artefact is not None or plane is not None or size is not None:
+        others = (causes, reduce, judged, sequence, instrument, drift, confirm, calibration, kit, minutes, program_file)
+        return _with_artefact(artefact, loaded, plane, size, output, alone=not any(others))
     own = Kit.default(loaded) if kit is None else Kit.load(bundled_kit(kit), loaded)
     if confirm is not None:
         sizes = _sizes(sphere_diameter, ball_diameter, clearance, radius, feed)
@@ -295,6 +318,37 @@ def plan(
     if output is not None:
         made.save(output)
     return CommandResult(made.to_text(), made.to_dict, met=made.complete)
+
+
+def _with_artefact(
+    name: str | None, machine: Machine, plane: str | None, size: str | None, output: Path | None, *, alone: bool
+) -> CommandResult:
+    """Write the sheet of an artefact, to be filled in."""
+    if name is None:
+        raise InputError("--plane and --size need --artefact", expected="one of the artefacts", value=plane or size)
+    if not alone:
+        raise InputError("--artefact plans by itself", expected="only --plane, --size, -m and -o beside it", value=name)
+    plane = plane or "XY"
+    from twin._common.files import write_atomic
+    from twin.standards.artefacts import artefact_named, plan_sheet
+
+    try:
+        sizes = tuple(float(part) for part in size.split(",")) if size else ()
+    except ValueError:
+        raise InputError("--size is not one or two lengths", expected='"400,300" in mm', value=size) from None
+    text, steps = plan_sheet(machine, name, plane, sizes)
+    own = artefact_named(name)
+    if output is not None:
+        write_atomic(output, text)
+    lines = [f"{own.title} in {plane} of {machine.name}: {own.shows}", ""]
+    lines += [f"  {k}. {step}" for k, step in enumerate(steps, start=1)]
+    lines += [
+        "",
+        "The sheet states what the uncertainty needs. Correct what is marked (assumed), enter the readings, then:",
+        f"  twin evaluate {output} -m {machine.path} -o mine.yaml",
+    ]
+    report = {"schema": "twin.plan/1", "artefact": name, "plane": plane, "steps": list(steps)}
+    return CommandResult("\n".join(lines) + "\n", lambda: report)
 
 
 def _made(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from typing import Any, Final, Literal, Self, final
 
@@ -39,6 +39,9 @@ class TableSummary:
         """Return the summary of a table with nodes at the positions ``at``."""
         step = at[1] - at[0] if len(at) > 1 else 0.0
         return cls(name, at[0], at[-1], len(at), step, largest, unit)
+
+
+MM_PER_UM: Final = 1e-3
 
 
 class Correction(ABC):
@@ -534,3 +537,69 @@ def _place(nodes: tuple[float, ...], q: np.ndarray) -> tuple[np.ndarray, np.ndar
     inside = np.clip(q, at[0], at[-1])
     start = np.clip(np.searchsorted(at, inside, side="right") - 1, 0, len(at) - 2)
     return start, (inside - at[start]) / (at[start + 1] - at[start])
+
+
+# --- Corrections that are linear in the positions of the linear axes: skew and scale of a firmware ---
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class MatrixCorrection(Correction):
+    """Correction c = M q of the linear axes: skew and scale settings, zero at the zero of the machine.
+
+    Attributes:
+        matrix: (n, n) in mm per mm, rows and columns by the linear axes in command order.
+        scale: by axis, the entry of `matrix` on the diagonal that the format cannot hold; for instructions only.
+    """
+
+    machine: Machine
+    matrix: np.ndarray
+    scale: Mapping[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        read_only(self.matrix)
+
+    @property
+    def linear(self) -> tuple[str, ...]:
+        """Names of the linear axes."""
+        return tuple(self.machine.axes[i].name for i in self.machine.linear)
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """See `Correction.axes`."""
+        return tuple(name for name, row in zip(self.linear, self.matrix, strict=True) if row.any())
+
+    def shift(self, axis: str, positions: Mapping[str, Any]) -> Any:
+        """See `Correction.shift`."""
+        row = self.matrix[self.linear.index(axis)]
+        total: Any = 0.0
+        for name, value in zip(self.linear, row.tolist(), strict=True):
+            if value != 0.0:
+                total = total + positions[name] * (value / MM_PER_UM)
+        return total
+
+    @property
+    def entries(self) -> tuple[tuple[str, str, float], ...]:
+        """Entries of the matrix that are not zero: the axis moved, the axis it depends on, the value."""
+        return tuple(
+            (moved, by, float(self.matrix[i, j]))
+            for i, moved in enumerate(self.linear)
+            for j, by in enumerate(self.linear)
+            if self.matrix[i, j] != 0.0
+        )
+
+    def contents(self) -> tuple[TableSummary, ...]:
+        """See `Correction.contents`."""
+        found = []
+        for moved, by, value in self.entries:
+            at = self.machine.by_name[by].domain
+            found.append(TableSummary.over(f"{moved} by {by}", at, abs(value) * max(map(abs, at)) / MM_PER_UM, "um"))
+        return tuple(found)
+
+    def plus(self, old: MatrixCorrection) -> MatrixCorrection:
+        """Add the entries; see `Correction.plus`."""
+        return replace(self, matrix=old.matrix + self.matrix)
+
+    def rounded(self, axis: str) -> int:
+        """See `Correction.rounded`."""
+        return int(np.count_nonzero(self.matrix[self.linear.index(axis)]))

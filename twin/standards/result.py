@@ -55,20 +55,35 @@ class StandardValue:
     unit: str  # ``um`` or ``urad``
     meaning: str  # the standard's term
     u: float = float("nan")  # standard uncertainty from that of the readings alone; NaN if unknown
+    interval: float | None = None  # half width of the 95 % interval where it is not that of a normal distribution
 
     @property
     def expanded(self) -> float:
         """Expanded uncertainty (95 %)."""
-        return COVERAGE_FACTOR * self.u
+        return COVERAGE_FACTOR * self.u if self.interval is None else self.interval
 
     @property
     def text(self) -> str:
         """Symbol, value and unit with hard spaces, so that lines do not break within."""
-        return f"{self.symbol} {figure(self.value, readable(self.unit))}".replace(" ", HARD_SPACE)
+        spread = "" if self.interval is None else f" ± {figure(self.interval, readable(self.unit))}"
+        return f"{self.symbol} {figure(self.value, readable(self.unit))}{spread}".replace(" ", HARD_SPACE)
+
+
+@final
+@dataclass(frozen=True)
+class ArtefactValue:
+    """A squareness or scale error with its budget."""
+
+    name: str  # ``E_C0Y`` …, or ``scale X``
+    value: float  # µrad, or µm/m
+    u: float  # standard uncertainty
+    U95: float  # half width of the 95 % interval
+    budget: Mapping[str, float]  # standard uncertainty by contribution
 
 
 Detail = (
-    Positioning
+    ArtefactValue
+    | Positioning
     | UnidirectionalPositioning
     | CircularTest
     | AngularError

@@ -30,6 +30,7 @@ LISTS: Final[Mapping[str, Sequence[str]]] = MappingProxyType(
         "relative_instruments": families.SEQUENCE_INSTRUMENTS,
         "sequences": tuple(families.SEQUENCES),
         "drifts": tuple(families.DRIFTS),
+        "artefacts": tuple(families.ARTEFACTS),
         "drift_instruments": families.DRIFT_INSTRUMENTS,
         "measured_formats": tuple(families.MEASURED_FORMATS),
         "table_formats": tuple(families.TABLE_FORMATS),
@@ -175,7 +176,7 @@ def programs(incomplete: str) -> list[str]:
     return _named_or_file(lambda: _samples(suffixes), suffixes)(incomplete)
 
 
-drifts, instruments, sequences = map(_listed, ("drifts", "instruments", "sequences"))
+artefacts, drifts, instruments, sequences = map(_listed, ("artefacts", "drifts", "instruments", "sequences"))
 machines = _named_or_file(lambda: _bundled(".yaml"), YAML)
 calibrations = _named_or_file(list, YAML)
 kits = _named_or_file(lambda: _bundled(".kit.yaml"), YAML)

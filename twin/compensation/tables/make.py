@@ -30,7 +30,8 @@ from twin.compensation.tables.design import (
 )
 from twin.compensation.tables.remains import PointUncertainty, VolumeError, or_unknown, volume_error
 from twin.controls import ControlSection, Correction, TableFormat, TableSummary
-from twin.controls.correction import CorrectionGrid
+from twin.controls.correction import EXACT_UM, MM_PER_UM, CorrectionGrid, MatrixCorrection
+from twin.controls.formats.skew import SkewFormat
 from twin.machine.machine import Axis, Machine
 from twin.model.calibration import Calibration
 from twin.model.conditions import APPROACH, values_in_words
@@ -263,9 +264,78 @@ def _state(required: RequiredCorrections, linear: np.ndarray) -> dict[str, np.nd
     return dict(zip(required.machine.names, _full(required, linear).T, strict=True))
 
 
+# --- Skew and scale settings: the part of the required corrections that is linear in the positions of the linear axes
+
+PER_AXIS: Final = 5
+"""Positions of each linear axis at which the linear part is fitted."""
+
+
+@final
+class MatrixDesign(Design[MatrixCorrection]):
+    """Compute the linear part of the corrections by least squares over the volume; the format says which entries it holds."""
+
+    correction = MatrixCorrection
+
+    def plan(
+        self, required: RequiredCorrections, request: Request, old: MatrixCorrection | None
+    ) -> TablePlan[MatrixCorrection]:
+        """See `Design.plan`."""
+        machine, form = required.machine, request.form
+        if not isinstance(form, SkewFormat):
+            raise LookupError(f"{form.name} has corrections of another kind")
+        axes = [machine.axes[i] for i in machine.linear]
+        names = tuple(axis.name for axis in axes)
+        form.check(names)
+        mesh = np.meshgrid(*(np.linspace(*required.range_of(axis), PER_AXIS) for axis in axes), indexing="ij")
+        linear = np.stack(mesh, axis=-1).reshape(-1, len(names))
+        positions = _full(required, linear)
+        # The constant is the zero of the machine: settings leave it alone.
+        fit = np.linalg.pinv(np.column_stack([linear, np.ones(len(linear))]))[:-1] * MM_PER_UM
+        values = (fit @ required.linear_corrections(names, positions)).T
+        # Where the scale stays, a column of the whole matrix keeps its direction: what is square then has edges of other lengths.
+        kept = [1.0 if form.holds(name, name) else 1.0 + values[j, j] for j, name in enumerate(names)]
+        values = np.where(np.eye(len(names), dtype=bool), values, values / np.array(kept))
+        spread = np.einsum("jn,nir->ijr", fit, required.linear_factors(names, positions))
+        matrix, scale, proof = np.zeros(values.shape), {}, ProofOfTables(required, keep_all=request.unproven)
+        for i, moved in enumerate(names):
+            for j, by in enumerate(names):
+                along, holds = linear[:, j] / MM_PER_UM, form.holds(moved, by)
+                if not (holds or i == j) or abs(values[i, j]) * np.abs(along).max() < EXACT_UM:
+                    continue
+                content = TableSummary.over(f"{moved} by {by}", axes[j].domain, 0.0, "um")
+                # An entry that the format does not hold is no table that could be refused.
+                judge = proof if holds else ProofOfTables(required, keep_all=False)
+                if judge.keeps(content, (by,), BASIC, values[i, j] * along, along[:, None] * spread[i, j]):
+                    if holds:
+                        matrix[i, j] = values[i, j]
+                    else:
+                        scale[moved] = float(values[i, j])
+
+        correction = MatrixCorrection(machine, matrix, scale)
+
+        def compared(back: MatrixCorrection) -> tuple[Table, ...]:
+            rows = []
+            for content, (moved, by, value) in zip(correction.contents(), correction.entries, strict=True):
+                read = back.matrix[names.index(moved), names.index(by)]
+                reach = max(abs(content.low), abs(content.high)) / MM_PER_UM
+                rounding = reach * form.digit
+                rows.append(Table(content, 0.0, rounding, request.tolerance_um, abs(read - value) * reach))
+            return tuple(rows)
+
+        return TablePlan(correction, compared, unproven=tuple(proof.unproven))
+
+    def share(
+        self, required: RequiredCorrections, effect: Effect, others: Sequence[Axis], request: Request
+    ) -> tuple[Share, str]:
+        """See `Design.share`."""
+        if required.class_of(effect) == "L-SQU":
+            return "whole", ""
+        return "line", "only the part that is linear in the positions, in the entries that the format has"
+
+
 # --- Make the files of a control from a calibration, read them back and compare them with the model
 
-DESIGNS: Final[tuple[Design[Any], ...]] = (AxisTables(), ComponentErrors(), GridDesign())
+DESIGNS: Final[tuple[Design[Any], ...]] = (AxisTables(), ComponentErrors(), GridDesign(), MatrixDesign())
 
 
 def design_of(form: TableFormat[Any]) -> Design[Any]:
