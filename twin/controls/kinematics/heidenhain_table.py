@@ -104,6 +104,11 @@ class HeidenhainTable(KinematicsFormat):
             rows.append((words[1], words[2], value))
         return _followed(rows, machine, path)
 
+    def label(self, name: str, machine: Machine) -> str:
+        """See `KinematicsFormat.label`: a row of the description by its transformation and the axis that follows it."""
+        before = (*(axis.name for axis in rotary_axes(machine)), "MachBase")[int(name[0]) - 1]
+        return f"Trans {name[1]} → {before}" if before != "MachBase" else f"Trans {name[1]} (last)"
+
     def loading(self, machine: Machine) -> tuple[str, ...]:
         """See `KinematicsFormat.loading`."""
         return (
