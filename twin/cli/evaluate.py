@@ -9,9 +9,10 @@ import typer
 
 from twin._common.bundled import DEFAULT
 from twin._common.errors import InputError
-from twin._common.files import write_atomic
+from twin._common.families import Language
 from twin.cli.shared import complete, options
 from twin.cli.shared.command import HTML, POSITIVE, CommandResult, JsonOption, command
+from twin.cli.shared.paper import JobOption, LangOption, LogoOption, PdfOption, paper
 from twin.cli.shared.terminal import tolerances
 
 ToleranceOption = Annotated[
@@ -52,6 +53,7 @@ SensorsOption = Annotated[
 @command(
     "twin evaluate measured.csv --html tests.html --json tests.json",
     "twin evaluate measured.csv --tolerance A=10 B=3 H=5",
+    "twin evaluate measured.csv --tolerance A=10 --job job.yaml --lang de --pdf certificate.pdf",
     "twin evaluate measured.csv --tolerance X:A=8 Y:A=12 E_C0Y=20 --instrument tracker",
     "twin evaluate record.csv --iso230-3 --sensors d1=X1 d2=X2 X1-X2=76 d5=Z t5=ambient --html drift.html",
 )
@@ -65,6 +67,10 @@ def evaluate(
     sensors: SensorsOption = None,
     json_file: JsonOption = None,
     html_file: Annotated[Path | None, typer.Option("--html", help="Write the report to this HTML file."), HTML] = None,
+    pdf_file: PdfOption = None,
+    job: JobOption = None,
+    logo: LogoOption = None,
+    lang: LangOption = Language.en,
 ) -> CommandResult:
     """Evaluate the standard tests for which a measurement table has the runs.
 
@@ -76,8 +82,7 @@ def evaluate(
     from twin.standards import evaluate_drift
 
     limits = tolerances(tolerance or [])
-    if html_file is not None:
-        options.need_pictures("the HTML report")
+    page = paper(html_file, pdf_file, job, logo, lang)
     loaded = options.machine(machine)
     reader = None if instrument is None else instrument_named(instrument)
     if drift:
@@ -91,8 +96,8 @@ def evaluate(
     else:
         data = Measurements.join([Measurements.load(path, loaded) for path in measured])
         evaluation = run_evaluation(data, loaded, tolerances=limits, instrument=reader, length_mm=length)
-    if html_file is not None:
+    if page.wanted:
         from twin.standards.page import evaluation_html  # imports matplotlib, which is slow and needed only here
 
-        write_atomic(html_file, evaluation_html(evaluation))
+        page.write(lambda sheet: evaluation_html(evaluation, sheet), [*measured, loaded.path])
     return CommandResult(evaluation.to_text(), evaluation.to_dict, met=evaluation.met and bool(evaluation.tests))

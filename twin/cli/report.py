@@ -12,6 +12,7 @@ import typer
 from twin._common.bundled import DEFAULT
 from twin._common.errors import InputError
 from twin._common.families import Language
+from twin._common.messages import Message, joined
 from twin._common.provenance import warning_texts
 from twin.cli.shared import options
 from twin.cli.shared.command import HTML, CommandResult, JsonOption, command, progress_bar
@@ -20,10 +21,19 @@ from twin.cli.shared.paper import JobOption, LangOption, LogoOption, PdfOption, 
 from twin.cli.shared.terminal import tolerances
 
 if TYPE_CHECKING:
+    from twin._common.distributions import Verdict
     from twin.display.sheet import Sheet
     from twin.reporting import MachineReport
     from twin.reporting.front import FrontPage
 
+WORDS: Final[dict[Verdict, Message]] = {"fail": Message("fail"), "undecided": Message("undecided"), "pass": Message("pass")}
+VERDICTS: Final = {"fail": Message("FAIL"), "undecided": Message("UNDECIDED"), "pass": Message("PASS")}
+KINDS: Final = {
+    "do": Message("do"),
+    "measure": Message("measure"),
+    "never": Message("do not"),
+    "unknown": Message("not known"),
+}
 SHOWN: Final = 8
 """Number of items out of tolerance that are printed."""
 FrontToleranceOption = Annotated[
@@ -134,12 +144,20 @@ def report(
 
 
 def _result(found: MachineReport, front: FrontPage, sheet: Sheet, unused: Iterable[str]) -> CommandResult:
-    verdict, counts = front.verdict, [f"{front.count(k)} {k}" for k in ("fail", "undecided", "pass") if front.count(k)]
-    judged = [] if verdict is None else [f"tolerances (ISO 14253-1): {verdict.upper()}; items: {', '.join(counts)}"]
+    judged = []
+    if front.verdict is not None:
+        counts = [Message("{count} {word}", count=front.count(k), word=WORDS[k]) for k in WORDS if front.count(k)]
+        judged = [
+            Message(
+                "tolerances (ISO 14253-1): {verdict}; items: {counts}",
+                verdict=VERDICTS[front.verdict],
+                counts=joined(", ", counts),
+            )
+        ]
     items = front.not_accepted
     more = [f"and {len(items) - SHOWN} further items, all in the JSON"] if len(items) > SHOWN else []
     return CommandResult(
-        "\n".join([*_first_screen(found), *judged, *unused, ""]),
+        joined("\n", [*_first_screen(found), *judged, *unused, ""]),
         lambda: found.to_dict() | {"first_page": sheet.to_dict() | front.to_dict()},
         met=not found.unmet and not front.not_accepted,
         after=[f"not met: {text}" for text in (*found.unmet, *(item.text for item in items[:SHOWN]), *more)],
@@ -147,11 +165,12 @@ def _result(found: MachineReport, front: FrontPage, sheet: Sheet, unused: Iterab
 
 
 def _first_screen(found: MachineReport) -> list[str]:
-    names = {"do": "do", "measure": "measure", "never": "do not", "unknown": "not known"}
+    advice = found.advice
+    steps = [Message("{kind}: {title}. {text}", kind=KINDS[s.kind], title=s.title, text=s.text) for s in advice.steps]
     return [
         *([*warning_texts(found.warnings), ""] if found.warnings else []),
-        found.advice.headline,
-        *(f"  {line}" for line in found.advice.largest_errors),
-        *(f"{names[step.kind]}: {step.title}. {step.text}" for step in found.advice.steps),
+        advice.headline,
+        *(joined("", ["  ", line]) for line in advice.largest_errors),
+        *steps,
         found.datum,
     ]

@@ -390,11 +390,7 @@ def _compensate(calibration: Calibration, found: Budget, outcome: CompensationFo
                 largest=figure(outcome.out_of_range_um, "µm"),
             )
         )
-    short = Message(
-        "RMS at the tool {start} → {rms}: run the programs that `twin compensate` writes.",
-        start=start,
-        rms=exact if outcome.judged is None else figure(outcome.judged.rms_um, "µm"),
-    )
+    short = Message("It leads to the figure above: run the programs that `twin compensate` writes.")
     yield Step("do", _with_measured(Message("compensate the programs"), calibration), joined(" ", texts), short)
 
 
@@ -465,12 +461,15 @@ def _kinematics(calibration: Calibration, found: Budget) -> Iterator[Step]:
         "do",
         Message("Enter the location of the rotary axes in the control's kinematics"),
         joined(" ", texts),
-        Message("RMS at the tool {start} → {rest}, in tool centre point mode.", **sizes)
-        if not unknown
-        else Message(
-            "RMS at the tool {start} → {rest}, in tool centre point mode; first determine {names}.",
-            names=listed(unknown),
-            **sizes,
+        joined(
+            " ",
+            [
+                Message(
+                    "It removes {share:.0f} % of the RMS error in tool centre point mode.",
+                    share=100.0 * (1.0 - rest / found.total.rms_um),
+                ),
+                *([Message("First determine {names}.", names=listed(unknown))] if unknown else []),
+            ],
         ),
     )
 
@@ -554,10 +553,7 @@ def _tables(found: Budget, tables: Sequence[TablesLeft]) -> Iterator[Step]:
         )
         title = _with_measured(Message("use the control's axis tables"), calibration)
         short = Message(
-            "RMS at the tool {start} → {rest} ({kind}).",
-            start=figure(best.remains.before.rms_um, "µm"),
-            rest=figure(best.remains.tables.rms_um, "µm"),
-            kind=best.kind,
+            "They remove {share:.0f} % of the RMS error ({kind}).", share=100.0 * best.remains.reduction, kind=best.kind
         )
         yield Step("do", title, joined(" ", [text, how]), short)
     else:

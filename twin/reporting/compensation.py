@@ -124,7 +124,14 @@ class CompensationForecast:
         """All available cases, in the order of the report."""
         return tuple(
             one
-            for one in (self.without_tables, self.before, self.exact, self.identified, self.with_uncertainty)
+            for one in (
+                self.without_tables,
+                self.before,
+                self.expected_before,
+                self.exact,
+                self.identified,
+                self.with_uncertainty,
+            )
             if one is not None
         )
 

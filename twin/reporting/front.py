@@ -203,8 +203,8 @@ def check_tolerances(machine: Machine, tolerances: Mapping[str, float]) -> None:
 def _tool_items(report: MachineReport, given: Mapping[str, float]) -> list[FrontItem]:
     """Return the items of the tool point: the largest error over the volume before compensation, and as expected after it.
 
-    Both have one meaning: mean and 95 % interval over the same machines, drawn from the covariance, without the errors that could not be
-    determined. These make U incomplete, as errors do that are absent or have no uncertainty.
+    Both have one meaning: mean and 95 % interval over the same machines, drawn from the covariance, without the errors that could
+    not be determined. These make U incomplete, as errors do that are absent or have no uncertainty.
     """
     outcome, total = report.compensation, report.budget.total
     gaps = report.gaps.absent or report.gaps.left_out or outcome.not_identified

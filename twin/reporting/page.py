@@ -88,12 +88,12 @@ APPENDIX: Final = (
 )
 ARCSEC: Final = 180.0 * 3600.0 / np.pi * 1e-6
 """Arc seconds in a microradian."""
-VISIBLE: Final = 5e-7
-"""Difference of a control's parameter from which it is listed: half of its last decimal."""
+VISIBLE: Final = 1.5e-6
+"""Difference of a control's parameter from which it is listed; the sixth decimal is its last one."""
 
 
 def machine_html(report: MachineReport, front: FrontPage | None = None, sheet: Sheet | None = None) -> str:
-    """Return the page as self-contained HTML in the language of its sheet; sentences without translation stay English and are counted."""
+    """Return the page as self-contained HTML in the language of its sheet; untranslated sentences stay English and are counted."""
 
     def stops_of(name: str) -> tuple[PositionEstimates, ...]:
         return tuple(stop for comparison in report.comparisons for stop in comparison.stops.get(name, ()))
@@ -190,8 +190,8 @@ def _held_note(report: MachineReport) -> Message:
     unknown = [error.name for error in report.gaps.not_identified if error.name in report.machine.location_names]
     texts = [
         Message(
-            "mm, degrees, components of unit vectors. Counted from the spindle nose with all axes at zero; where the control counts from "
-            "other points, enter the differences. Other values stay as they are."
+            "mm, degrees, components of unit vectors. Counted from the spindle nose with all axes at zero; where the control counts "
+            "from other points, enter the differences. Other values stay as they are."
         ),
         *([Message("Not measured, and therefore unchanged here: {names}.", names=listed(unknown))] if unknown else []),
         *(
@@ -219,7 +219,8 @@ def _trend(history: Sequence[EarlierReport]) -> Html | None:
     level = [50.0 - 44.0 * one.value / top for one in history]
     points = " ".join(f"{x:.1f},{y:.1f}" for x, y in zip(at, level, strict=True))
     bars = "".join(
-        f"<path d='M{x:.1f} {y - 44.0 * u / top:.1f}V{y + 44.0 * u / top:.1f}' stroke='#555'/><circle cx='{x:.1f}' cy='{y:.1f}' r='2.5'/>"
+        f"<path d='M{x:.1f} {y - 44.0 * u / top:.1f}V{y + 44.0 * u / top:.1f}' stroke='#555'/>"
+        f"<circle cx='{x:.1f}' cy='{y:.1f}' r='2.5'/>"
         for x, y, u in zip(at, level, half, strict=True)
     )
     ends = [say(Number(figure(one.value, "µm"))) + f", {one.made:%Y-%m-%d}" for one in (history[0], history[-1])]
@@ -229,7 +230,8 @@ def _trend(history: Sequence[EarlierReport]) -> Html | None:
     )
     return Html(
         f"<svg class=trend role=img viewBox='0 0 200 64'><title>{html.escape(' … '.join(ends))}</title>"
-        f"<path d='M4 50H196' stroke='#bbb'/><polyline points='{points}' fill='none' stroke='{ACCENT}' stroke-width='1.5'/>{bars}{text}</svg>"
+        f"<path d='M4 50H196' stroke='#bbb'/><polyline points='{points}' fill='none' stroke='{ACCENT}' stroke-width='1.5'/>"
+        f"{bars}{text}</svg>"
     )
 
 
