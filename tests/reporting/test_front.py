@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from datetime import UTC, datetime
+from html import unescape
 from html.parser import HTMLParser
 from itertools import pairwise
 from math import isnan, nan
@@ -16,11 +17,12 @@ from tests.cli.commands import refused
 from twin import cli
 from twin._common.distributions import decide, is_accepted
 from twin._common.families import Language
+from twin.display.sheet import Job
 from twin.machine.machine import Machine
 from twin.model.calibration import Calibration
 from twin.reporting import machine_report
-from twin.reporting.front import TOOL, FrontPage, Job, front_page
-from twin.reporting.page import machine_html
+from twin.reporting.front import TOOL, FrontPage, front_page
+from twin.reporting.page import machine_html, sheet_of
 
 MINE = """
 schema: twin.calibration/1
@@ -47,18 +49,19 @@ def pages(dmu50: Machine, tmp_path_factory: pytest.TempPathFactory) -> dict[str,
     path = tmp_path_factory.mktemp("front") / "mine.yaml"
     path.write_text(MINE)
     report = machine_report(dmu50, Calibration.load(path, dmu50), made=datetime(2026, 1, 2, tzinfo=UTC))
-    front = front_page(report, Job(operator="A <b>"), dict.fromkeys(dmu50.motion_names, 4.0) | TOLERANCES)
+    front = front_page(report, dict.fromkeys(dmu50.motion_names, 4.0) | TOLERANCES)
     verdicts = {item.name: item.verdict for item in front.judged}
     assert [verdicts[name] for name in TOLERANCES] == ["fail", "undecided", "undecided"]
     assert {item.name for item in front.not_accepted} >= {"E_XX", "E_YY"} and front.items[0] not in front.not_accepted
     assert front.verdict == "fail"
-    return {language.value: machine_html(report, front, language) for language in Language}
+    job = Job(operator="A <b>")
+    return {one.value: machine_html(report, front, sheet_of(report, job, one)) for one in Language}
 
 
 def first(page: str) -> str:
     """Return the text of the first page and of the tables in its language."""
-    (body,) = re.findall(r"<section class=front.*(?=<div lang=)", page, re.S)
-    return re.sub(r"<[^>]+>", " ", body)
+    (body,) = re.findall(r"<section class=front.*?</section>(?=\s*<div class=details)", page, re.S)
+    return unescape(re.sub(r"<[^>]+>", " ", body))
 
 
 @pytest.mark.parametrize(
@@ -100,7 +103,7 @@ def test_error_after_compensation_is_that_of_the_appendix(dmu50: Machine, tmp_pa
     """
     front = judged(dmu50, tmp_path, MINE.replace("squareness: {E_C0Y: 60.0}", ""), tool_after=50.0)
     report = machine_report(dmu50, Calibration.load(tmp_path / "c.yaml", dmu50), made=datetime(2026, 1, 2, tzinfo=UTC))
-    levels = report.compensation.before, report.compensation.with_uncertainty
+    levels = report.compensation.expected_before, report.compensation.judged
     for item, level in zip(front.items[: len(TOOL)], levels, strict=True):
         assert level is not None
         assert (item.value, item.rms, item.quantile_95) == (level.max_um, level.rms_um, level.quantile(0.95))
@@ -209,7 +212,7 @@ def test_contrast(pair: str, pages: dict[str, str]) -> None:
 def test_the_first_page_is_one_sheet(pages: dict[str, str], language: str, tmp_path: Path) -> None:
     """Printed without the appendix, the first page is one page of A4."""
     page = pages[language]
-    start, end = page.index("<h1 class=appendix"), page.index("</body>")
+    start, end = page.index("<div class=details"), page.index("</body>")
     path, pdf = tmp_path / "front.html", tmp_path / "front.pdf"
     path.write_text(page[:start].replace("break-after:page", "") + page[end:], encoding="utf-8")
     run_chromium(path.as_uri(), f"--print-to-pdf={pdf}", "--no-pdf-header-footer")
@@ -226,6 +229,6 @@ def test_bad_input(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypat
     monkeypatch.setenv("TWIN_BROWSER", str(tmp_path / "absent"))
     assert "TWIN_BROWSER" in refused(capsys, "report", "-o", out, "--pdf", tmp_path / "r.pdf")
     monkeypatch.delenv("TWIN_BROWSER")
-    monkeypatch.setattr("twin.reporting.page.shutil.which", lambda name: None)
+    monkeypatch.setattr("twin.display.sheet.shutil.which", lambda name: None)
     assert "Chromium" in refused(capsys, "report", "-o", out, "--pdf", tmp_path / "r.pdf")
     assert not out.exists() and not (tmp_path / "r.pdf").exists()
