@@ -76,7 +76,7 @@ def in_both_languages(report: MachineReport) -> Pages:
 
 def details(page: str, quotes: str = QUOTED) -> str:
     """Return the text of the appendix and its text alternatives, without quoted files and code."""
-    body = page[page.index("<div class=details") :]
+    body = page[page.index("<h2>", page.index("<div class=details")) :]
     body = re.sub(r"<iframe.*?</iframe>", " ", body, flags=re.S)
     alternatives = " ".join(re.findall(r'alt="([^"]*)"', body))
     return unescape(re.sub(r"<[^>]+>", " ", re.sub(quotes, " ", body, flags=re.S)) + alternatives)

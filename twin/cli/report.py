@@ -26,7 +26,11 @@ if TYPE_CHECKING:
     from twin.reporting import MachineReport
     from twin.reporting.front import FrontPage
 
-WORDS: Final[dict[Verdict, Message]] = {"fail": Message("fail"), "undecided": Message("undecided"), "pass": Message("pass")}
+WORDS: Final[dict[Verdict, Message]] = {
+    "fail": Message("fail"),
+    "undecided": Message("undecided"),
+    "pass": Message("pass"),
+}
 VERDICTS: Final = {"fail": Message("FAIL"), "undecided": Message("UNDECIDED"), "pass": Message("PASS")}
 KINDS: Final = {
     "do": Message("do"),

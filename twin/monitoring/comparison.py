@@ -11,7 +11,7 @@ from typing import Any, Final, Literal, final
 
 import numpy as np
 
-from twin._common.messages import Message
+from twin._common.messages import Message, Number
 from twin._common.provenance import ILLUSTRATIVE, SourceWarning, warning_texts, warnings_to_json
 from twin._common.records import json_form
 from twin.display import finite_or_none, first_rows, measured, note, readable, render, table
@@ -253,7 +253,13 @@ class Changes(DisplayedResult):
             verdict=VERDICTS[self.verdict],
             badges=warning_texts(self.warnings),
             rows=[
-                (error.name, error.iso_class, _stated(error), answer(error.significant), number(self._alone_um(error)))
+                (
+                    error.name,
+                    error.iso_class,
+                    Number(_stated(error)),
+                    answer(error.significant),
+                    Number(number(self._alone_um(error))),
+                )
                 for error in other
             ],
             colour="#e8f3ea" if self.verdict in ("same", "unchanged", "reworded") else "#fdf2df",

@@ -14,7 +14,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.projections.polar import PolarAxes
 
-from twin._common.messages import Message
+from twin._common.messages import Message, Number
 from twin._common.provenance import warning_texts
 from twin._common.units import DEG
 from twin.display import Html, figure, readable, render
@@ -419,8 +419,8 @@ def evaluation_html(result: EvaluationResult, sheet: Sheet | None = None) -> str
         >>> page = twin.evaluation_html(twin.evaluate(data, machine))
         >>> _ = Path("tests.html").write_text(page, encoding="utf-8")
     """
-    failed = sum(not check.met for check in result.checks)
-    undecided = sum(check.conformity == "neither" for check in result.checks)
+    failed = sum(check.word == "FAIL" for check in result.checks)
+    undecided = sum(check.word in ("UNDECIDED", "NOT EVALUATED") for check in result.checks)
     count = len(result.checks)
     if not count:
         headline = Message(
@@ -505,6 +505,6 @@ def _targets(test: StandardTest) -> list[tuple[str, ...]]:
         detail.R_i,
     )
     return [
-        (f"{target:g}".replace("-", "−"), *(figure(float(column[i])) for column in columns))
+        (Number(f"{target:g}".replace("-", "−")), *(figure(float(column[i])) for column in columns))
         for i, target in enumerate(detail.target)
     ]
