@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from datetime import UTC, datetime
+from hashlib import sha256
 from html import unescape
 from html.parser import HTMLParser
 from itertools import pairwise
@@ -16,12 +18,14 @@ from tests.browser import run_chromium
 from tests.cli.commands import refused
 from twin import cli
 from twin._common.distributions import decide, is_accepted
+from twin._common.errors import InputError
 from twin._common.families import Language
+from twin._common.files import write_json
 from twin.display.sheet import Job
 from twin.machine.machine import Machine
 from twin.model.calibration import Calibration
 from twin.reporting import machine_report
-from twin.reporting.front import TOOL, FrontPage, front_page
+from twin.reporting.front import TOOL, FrontPage, earlier_report, front_page
 from twin.reporting.page import machine_html, sheet_of
 
 MINE = """
@@ -232,3 +236,89 @@ def test_bad_input(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypat
     monkeypatch.setattr("twin.display.sheet.shutil.which", lambda name: None)
     assert "Chromium" in refused(capsys, "report", "-o", out, "--pdf", tmp_path / "r.pdf")
     assert not out.exists() and not (tmp_path / "r.pdf").exists()
+
+
+LOCATED = (
+    MINE
+    + """location: {E_A0B: 165.0, E_X0C: 12.0}
+covariance: {parameters: [E_A0B, E_X0C], lower: "25\n\n  0 4"}
+"""
+)
+
+
+def test_the_control_s_own_names_and_differences(dmu50: Machine, tmp_path: Path) -> None:
+    """The second axis of SINUMERIK's transformation turns with a tilted first one by the sine of the tilt, known with its u.
+
+    On the DMU 50 a tilt of B about x turns the axis (0, 1, −1)/√2 by 165 µrad: its components change by 165/√2 · 1e-6.
+    """
+    path = tmp_path / "c.yaml"
+    path.write_text(LOCATED)
+    calibration = Calibration.load(path, dmu50)
+    made = datetime(2026, 1, 2, tzinfo=UTC)
+    report = machine_report(dmu50, calibration, made=made, kinematics="siemens-trafo5")
+    held = report.kinematics_of_control
+    assert held is not None
+    change = {held.form.label(name, dmu50): should - held.present[name] for name, should in held.values.items()}
+    assert {"MD24550[1]", "MD24560[0]", "MD24500[2]", "MD24570[1]", "MD24572[0]"} <= {*change}
+    for name in ("MD24570[1]", "MD24570[2]"):
+        assert abs(change[name]) == pytest.approx(165e-6 / 2**0.5, rel=0.01)
+    assert held.u["AXIS1[1]"] == pytest.approx(5e-6 / 2**0.5, rel=0.01)
+    steps = [step.title for step in report.advice.steps]
+    assert "Enter the location of the rotary axes in the control's kinematics" in steps
+    # The control already holds the new values: nothing remains to be entered.
+    file = tmp_path / held.form.file
+    file.write_text(held.text)
+    again = machine_report(
+        dmu50, calibration, made=made, kinematics="siemens-trafo5", present=file
+    ).kinematics_of_control
+    assert again is not None
+    assert max(abs(value - again.present[name]) for name, value in again.values.items()) < 2e-6
+    file.write_text(held.text.replace("BASE_TOOL_1[0]=250", "BASE_TOOL_1[0]=270"))
+    with pytest.raises(InputError, match="counted from other points"):
+        machine_report(dmu50, calibration, made=made, kinematics="siemens-trafo5", present=file)
+
+
+def test_history_is_of_the_same_machine(dmu50: Machine, tmp_path: Path) -> None:
+    path, earlier = tmp_path / "c.yaml", tmp_path / "r.json"
+    path.write_text(MINE)
+    report = machine_report(dmu50, Calibration.load(path, dmu50), made=datetime(2026, 1, 2, tzinfo=UTC))
+    first = front_page(report)
+    write_json(earlier, report.to_dict() | {"first_page": first.to_dict()})
+    point = earlier_report(earlier, dmu50)
+    front = front_page(report, history=[replace(point, made=datetime(2025, 1, 2, tzinfo=UTC), value=90.0)])
+    assert [one.value for one in front.history] == [90.0, first.items[0].value] and point.value == first.items[0].value
+    assert "<svg class=trend" in machine_html(report, front) and "<svg class=trend" not in machine_html(report, first)
+    with pytest.raises(InputError, match="another machine"):
+        earlier_report(earlier, Machine.load("trunnion_ac"))
+    earlier.write_text("[]")
+    with pytest.raises(InputError, match="not an earlier report"):
+        earlier_report(earlier, dmu50)
+
+
+def test_every_page_that_is_handed_over_has_the_same_sheet(
+    without_pictures: None, dmu50: Machine, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Number, facts and sources stand on the pages of `evaluate` and `compare` as on that of `report`; the terminal follows --lang."""
+    job, older, newer, table = (tmp_path / name for name in ("job.yaml", "a.yaml", "b.yaml", "m.csv"))
+    job.write_text("schema: twin.job/1\nreport_number: 2026-117/1\noperator: A. Weber\n")
+    older.write_text(MINE)
+    newer.write_text(MINE.replace("60.0", "90.0"))
+    rows = [f"{x},225,-200,0,0,K,tool,{x},0,0,{way},{n}" for n in (1, 2) for way in (1, -1) for x in (0, 100, 200, 300)]
+    table.write_text(
+        "X_mm,Y_mm,Z_mm,B_deg,C_deg,target,carrier,x_mm,y_mm,z_mm,approach_X,round\n" + "\n".join(rows) + "\n"
+    )
+    more = ["--job", str(job), "--lang", "de", "--html"]
+    for words, said in (
+        (["evaluate", str(table), "--instrument", "tracker"], "Normprüfungen"),
+        (["compare", str(older), str(newer)], "geschrieben:"),
+    ):
+        out = tmp_path / f"{words[0]}.html"
+        with pytest.raises(SystemExit):
+            cli.main([*words, *more, str(out)])
+        page = out.read_text()
+        assert said in capsys.readouterr().out
+        assert "Protokoll Nr. 2026-117/1" in page and "A. Weber" in page and "Unterschrift" in page
+        digest = sha256(Path(words[1]).read_bytes()).hexdigest()
+        assert digest in page and 'content:"2026-117/1"' in page and "<html lang=de>" in page
+    job.write_text('schema: twin.job/1\nreport_number: a"b\n')
+    assert "report_number" in refused(capsys, "evaluate", table, "--job", job, "--html", tmp_path / "x.html")

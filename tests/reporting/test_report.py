@@ -233,7 +233,7 @@ def test_page_has_the_numbers_of_the_json(page: str, contents: dict[str, Any]) -
     for one in contents["budget"]["errors"]:
         (row,) = [row for row in rows if len(row) == 7 and row[1] == one["name"]]
         assert row[4:6] == [figure(one["rms_um"]), figure(one["max_um"])]
-        assert row[6] == (UNKNOWN if one["U_rms_um"] is None else figure(one["U_rms_um"]))
+        assert row[6].strip() == (UNKNOWN if one["U_rms_um"] is None else figure(one["U_rms_um"]))
     text = Reader(page).text.replace("\u00a0", " ")
     for step in contents["summary"]["steps"]:
         assert step["title"] in text

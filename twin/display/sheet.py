@@ -1,4 +1,4 @@
-"""What makes a page a document that can be handed over: facts of the test, report number, sources, language, and print to PDF.
+"""A page as a document to be handed over: facts of the test, report number, sources, language, and print to PDF.
 
 Every page that twin writes takes a `Sheet` (`twin/display/templates/page.html.j2`): heading and facts stand above it, sources and the
 line to sign below it, and number and page n of m at the foot of every printed page.

@@ -311,7 +311,7 @@ def machine_report(  # noqa: PLR0913
         conditions: temperatures and time; effects whose channel is not given are omitted and listed.
         identified: JSON file that ``twin identify`` wrote with the calibration.
         measured: measurement tables of the same machine with their files, to be compared with the calibration.
-        kinematics: format of the control's kinematics (`twin.controls.kinematics`), to be shown beside what they should be.
+        kinematics: format of the control's kinematics (`twin.controls.kinematics`), to be compared with the calibration.
         present: file of the control with its present kinematics; None for the machine file's geometry.
         seed: random seed of the draws from the covariance.
         progress: progress callback: called with stage and completed fraction.

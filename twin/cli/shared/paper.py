@@ -27,7 +27,7 @@ JobOption = Annotated[
     ),
 ]
 LogoOption = Annotated[Path | None, typer.Option("--logo", help="PNG or SVG picture for the page, up to 512 KiB.")]
-LangOption = Annotated[Language, typer.Option("--lang", help="Language of the page and of what is printed.")]
+LangOption = Annotated[Language, typer.Option("--lang", help="Language of the page and of the printed text.")]
 PdfOption = Annotated[
     Path | None,
     typer.Option("--pdf", help="Print the page to this PDF file, through Chromium, Chrome or Edge (or TWIN_BROWSER)."),
@@ -39,7 +39,7 @@ PICTURES: Final = "the HTML report"
 @final
 @dataclass(frozen=True)
 class Paper:
-    """Where a page goes, and the facts on it."""
+    """Files of a page, and the facts on it."""
 
     html: Path | None
     pdf: Path | None
