@@ -12,6 +12,7 @@ from itertools import pairwise
 from math import isnan, nan
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from tests.browser import run_chromium
@@ -24,6 +25,7 @@ from twin._common.files import write_json
 from twin.display.sheet import Job
 from twin.machine.machine import Machine
 from twin.model.calibration import Calibration
+from twin.numerics.covariance import Covariance
 from twin.reporting import machine_report
 from twin.reporting.front import TOOL, FrontPage, earlier_report, front_page
 from twin.reporting.page import machine_html, sheet_of
@@ -238,22 +240,14 @@ def test_bad_input(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypat
     assert not out.exists() and not (tmp_path / "r.pdf").exists()
 
 
-LOCATED = (
-    MINE
-    + """location: {E_A0B: 165.0, E_X0C: 12.0}
-covariance: {parameters: [E_A0B, E_X0C], lower: "25\n\n  0 4"}
-"""
-)
-
-
 def test_the_control_s_own_names_and_differences(dmu50: Machine, tmp_path: Path) -> None:
     """The second axis of SINUMERIK's transformation turns with a tilted first one by the sine of the tilt, known with its u.
 
     On the DMU 50 a tilt of B about x turns the axis (0, 1, −1)/√2 by 165 µrad: its components change by 165/√2 · 1e-6.
     """
-    path = tmp_path / "c.yaml"
-    path.write_text(LOCATED)
-    calibration = Calibration.load(path, dmu50)
+    covariance = Covariance(("E_A0B", "E_X0C"), np.diag([25.0, 4.0]))
+    located = {"E_A0B": 165.0, "E_X0C": 12.0}
+    calibration = replace(Calibration.zero(dmu50), location=located, joint=covariance)
     made = datetime(2026, 1, 2, tzinfo=UTC)
     report = machine_report(dmu50, calibration, made=made, kinematics="siemens-trafo5")
     held = report.kinematics_of_control

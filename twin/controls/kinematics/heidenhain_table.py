@@ -50,9 +50,9 @@ class HeidenhainTable(KinematicsFormat):
         "signs: Trans moves the system from tool to table, with the machine zero (spindle nose with all axes at zero) as origin; a "
         "positive command of a rotary axis moves the tool relative to the workpiece right-handed about the axis of the current system",
         "header and end line of the table, and the number of decimals that the control keeps in COORD (6 for mm, 8 for degrees here)",
-        "TNC 640 and TNC7 store the kinematics as configuration objects (Technical Manual MANUALplus 620, 2012, p. 735 to 758, of the same "
-        "family: CfgKinComposModel): no public description gives their fields for these controls, so they are not written; enter the "
-        "differences of this table there by hand",
+        "TNC 640 and TNC7 store the kinematics as configuration objects (Technical Manual MANUALplus 620, 2012, p. 735 to 758, of the "
+        "same family: CfgKinComposModel): no public description gives their fields for these controls, so they are not written; enter "
+        "the differences of this table there by hand",
     )
 
     def nominal(self, machine: Machine) -> Values:
