@@ -424,6 +424,32 @@ def test_calibrations_under_different_control_tables_are_refused(tmp_path: Path)
     assert found.verdict == "same" and "same tables" in found.notices[0]
 
 
+def test_one_statement_on_one_error() -> None:
+    """Two squareness errors of high correlation: each alone is within its uncertainty, the one that explains both is not.
+
+    Given that E_A0Z did not change, E_C0Y changed by d₁ − ρ d₂ with u √(2 (1 − ρ²)) (conditional normal distribution).
+    """
+    u, rho, change = 15.0, 0.99, np.array([28.0, 12.0])
+    covariance = Covariance(("E_C0Y", "E_A0Z"), u**2 * np.array([[1.0, rho], [rho, 1.0]]))
+    one, two = (
+        replace(
+            twin.Calibration.zero(MACHINE),
+            squareness={"E_C0Y": factor * change[0], "E_A0Z": factor * change[1]},
+            joint=covariance,
+        )
+        for factor in (0.0, 1.0)
+    )
+    found = twin.compare(one, two, poses=50)
+    by_itself = {error.name: error for error in found.errors}
+    assert by_itself["E_C0Y"].largest == pytest.approx(28.0) and not by_itself["E_C0Y"].significant
+    stated = {error.name: error for error in found.stated}
+    assert stated["E_C0Y"].largest == pytest.approx(change[0] - rho * change[1])
+    assert stated["E_C0Y"].u == pytest.approx(u * np.sqrt(2.0 * (1.0 - rho**2)))
+    assert stated["E_C0Y"].significant and not stated["E_A0Z"].significant
+    text = found.to_text()
+    assert "+16.1 ± 5.9" in text and "+16.1 ± 5.9" in found.to_html() and "28.0" not in text.split("each error;")[1]
+
+
 @pytest.mark.slow
 def test_the_command_prints_and_writes_the_comparison(tmp_path: Path) -> None:
     older, newer, report = tmp_path / "a.yaml", tmp_path / "b.yaml", tmp_path / "r.json"

@@ -17,11 +17,11 @@ import yaml
 from scipy import stats
 
 from tests.cli.commands import refused, status
+from twin.display.sheet import load_job
 from twin.machine.machine import Machine
 from twin.model.calibration import Calibration
 from twin.numerics.covariance import Covariance
 from twin.reporting.certificate import calibration_certificate
-from twin.reporting.front import load_job
 
 SCHEMA = Path(__file__).parent / "dcc_schema"
 NS = {"dcc": "https://ptb.de/dcc", "si": "https://ptb.de/si"}

@@ -3,24 +3,32 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from datetime import UTC, datetime
+from hashlib import sha256
+from html import unescape
 from html.parser import HTMLParser
 from itertools import pairwise
 from math import isnan, nan
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from tests.browser import run_chromium
 from tests.cli.commands import refused
 from twin import cli
 from twin._common.distributions import decide, is_accepted
+from twin._common.errors import InputError
 from twin._common.families import Language
+from twin._common.files import write_json
+from twin.display.sheet import Job
 from twin.machine.machine import Machine
 from twin.model.calibration import Calibration
+from twin.numerics.covariance import Covariance
 from twin.reporting import machine_report
-from twin.reporting.front import TOOL, FrontPage, Job, front_page
-from twin.reporting.page import machine_html
+from twin.reporting.front import TOOL, FrontPage, earlier_report, front_page
+from twin.reporting.page import machine_html, sheet_of
 
 MINE = """
 schema: twin.calibration/1
@@ -47,18 +55,19 @@ def pages(dmu50: Machine, tmp_path_factory: pytest.TempPathFactory) -> dict[str,
     path = tmp_path_factory.mktemp("front") / "mine.yaml"
     path.write_text(MINE)
     report = machine_report(dmu50, Calibration.load(path, dmu50), made=datetime(2026, 1, 2, tzinfo=UTC))
-    front = front_page(report, Job(operator="A <b>"), dict.fromkeys(dmu50.motion_names, 4.0) | TOLERANCES)
+    front = front_page(report, dict.fromkeys(dmu50.motion_names, 4.0) | TOLERANCES)
     verdicts = {item.name: item.verdict for item in front.judged}
     assert [verdicts[name] for name in TOLERANCES] == ["fail", "undecided", "undecided"]
     assert {item.name for item in front.not_accepted} >= {"E_XX", "E_YY"} and front.items[0] not in front.not_accepted
     assert front.verdict == "fail"
-    return {language.value: machine_html(report, front, language) for language in Language}
+    job = Job(operator="A <b>")
+    return {one.value: machine_html(report, front, sheet_of(report, job, one)) for one in Language}
 
 
 def first(page: str) -> str:
     """Return the text of the first page and of the tables in its language."""
-    (body,) = re.findall(r"<section class=front.*(?=<div lang=)", page, re.S)
-    return re.sub(r"<[^>]+>", " ", body)
+    (body,) = re.findall(r"<section class=front.*?</section>(?=\s*<div class=details)", page, re.S)
+    return unescape(re.sub(r"<[^>]+>", " ", body))
 
 
 @pytest.mark.parametrize(
@@ -100,7 +109,7 @@ def test_error_after_compensation_is_that_of_the_appendix(dmu50: Machine, tmp_pa
     """
     front = judged(dmu50, tmp_path, MINE.replace("squareness: {E_C0Y: 60.0}", ""), tool_after=50.0)
     report = machine_report(dmu50, Calibration.load(tmp_path / "c.yaml", dmu50), made=datetime(2026, 1, 2, tzinfo=UTC))
-    levels = report.compensation.before, report.compensation.with_uncertainty
+    levels = report.compensation.expected_before, report.compensation.judged
     for item, level in zip(front.items[: len(TOOL)], levels, strict=True):
         assert level is not None
         assert (item.value, item.rms, item.quantile_95) == (level.max_um, level.rms_um, level.quantile(0.95))
@@ -152,7 +161,7 @@ def test_both_languages_have_the_same_numbers_and_no_foreign_words(pages: dict[s
     numbers = [re.findall(r"\d+(?:[.,]\d+)?", re.sub(dates, "", text)) for text in (english, german)]
     assert sorted(numbers[0]) == sorted(number.replace(",", ".") for number in numbers[1])
     assert not re.search(r"\b(the|of|and|is|not|error|axis|with|unknown|before|after|pass|fail)\b", german)
-    assert "nicht bestanden" in german and "Rechtwinkligkeit Y zu X" in german
+    assert "nicht bestanden" in german and "Positionierabweichung X" in german
 
 
 def test_accessible(pages: dict[str, str]) -> None:
@@ -209,7 +218,7 @@ def test_contrast(pair: str, pages: dict[str, str]) -> None:
 def test_the_first_page_is_one_sheet(pages: dict[str, str], language: str, tmp_path: Path) -> None:
     """Printed without the appendix, the first page is one page of A4."""
     page = pages[language]
-    start, end = page.index("<h1 class=appendix"), page.index("</body>")
+    start, end = page.index("<div class=details"), page.index("</body>")
     path, pdf = tmp_path / "front.html", tmp_path / "front.pdf"
     path.write_text(page[:start].replace("break-after:page", "") + page[end:], encoding="utf-8")
     run_chromium(path.as_uri(), f"--print-to-pdf={pdf}", "--no-pdf-header-footer")
@@ -226,6 +235,84 @@ def test_bad_input(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypat
     monkeypatch.setenv("TWIN_BROWSER", str(tmp_path / "absent"))
     assert "TWIN_BROWSER" in refused(capsys, "report", "-o", out, "--pdf", tmp_path / "r.pdf")
     monkeypatch.delenv("TWIN_BROWSER")
-    monkeypatch.setattr("twin.reporting.page.shutil.which", lambda name: None)
+    monkeypatch.setattr("twin.display.sheet.shutil.which", lambda name: None)
     assert "Chromium" in refused(capsys, "report", "-o", out, "--pdf", tmp_path / "r.pdf")
     assert not out.exists() and not (tmp_path / "r.pdf").exists()
+
+
+def test_the_control_s_own_names_and_differences(dmu50: Machine, tmp_path: Path) -> None:
+    """The second axis of SINUMERIK's transformation turns with a tilted first one by the sine of the tilt, known with its u.
+
+    On the DMU 50 a tilt of B about x turns the axis (0, 1, −1)/√2 by 165 µrad: its components change by 165/√2 · 1e-6.
+    """
+    covariance = Covariance(("E_A0B", "E_X0C"), np.diag([25.0, 4.0]))
+    located = {"E_A0B": 165.0, "E_X0C": 12.0}
+    calibration = replace(Calibration.zero(dmu50), location=located, joint=covariance)
+    made = datetime(2026, 1, 2, tzinfo=UTC)
+    report = machine_report(dmu50, calibration, made=made, kinematics="siemens-trafo5")
+    held = report.kinematics_of_control
+    assert held is not None
+    change = {held.form.label(name, dmu50): should - held.present[name] for name, should in held.values.items()}
+    assert {"MD24550[1]", "MD24560[0]", "MD24500[2]", "MD24570[1]", "MD24572[0]"} <= {*change}
+    for name in ("MD24570[1]", "MD24570[2]"):
+        assert abs(change[name]) == pytest.approx(165e-6 / 2**0.5, rel=0.01)
+    assert held.u["AXIS1[1]"] == pytest.approx(5e-6 / 2**0.5, rel=0.01)
+    steps = [step.title for step in report.advice.steps]
+    assert "Enter the location of the rotary axes in the control's kinematics" in steps
+    # The control already holds the new values: nothing remains to be entered.
+    file = tmp_path / held.form.file
+    file.write_text(held.text)
+    again = machine_report(
+        dmu50, calibration, made=made, kinematics="siemens-trafo5", present=file
+    ).kinematics_of_control
+    assert again is not None
+    assert max(abs(value - again.present[name]) for name, value in again.values.items()) < 2e-6
+    file.write_text(held.text.replace("BASE_TOOL_1[0]=250", "BASE_TOOL_1[0]=270"))
+    with pytest.raises(InputError, match="counted from other points"):
+        machine_report(dmu50, calibration, made=made, kinematics="siemens-trafo5", present=file)
+
+
+def test_history_is_of_the_same_machine(dmu50: Machine, tmp_path: Path) -> None:
+    path, earlier = tmp_path / "c.yaml", tmp_path / "r.json"
+    path.write_text(MINE)
+    report = machine_report(dmu50, Calibration.load(path, dmu50), made=datetime(2026, 1, 2, tzinfo=UTC))
+    first = front_page(report)
+    write_json(earlier, report.to_dict() | {"first_page": first.to_dict()})
+    point = earlier_report(earlier, dmu50)
+    front = front_page(report, history=[replace(point, made=datetime(2025, 1, 2, tzinfo=UTC), value=90.0)])
+    assert [one.value for one in front.history] == [90.0, first.items[0].value] and point.value == first.items[0].value
+    assert "<svg class=trend" in machine_html(report, front) and "<svg class=trend" not in machine_html(report, first)
+    with pytest.raises(InputError, match="another machine"):
+        earlier_report(earlier, Machine.load("trunnion_ac"))
+    earlier.write_text("[]")
+    with pytest.raises(InputError, match="not an earlier report"):
+        earlier_report(earlier, dmu50)
+
+
+def test_every_page_that_is_handed_over_has_the_same_sheet(
+    without_pictures: None, dmu50: Machine, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Number, facts and sources stand on the pages of `evaluate` and `compare` as on that of `report`; the terminal follows --lang."""
+    job, older, newer, table = (tmp_path / name for name in ("job.yaml", "a.yaml", "b.yaml", "m.csv"))
+    job.write_text("schema: twin.job/1\nreport_number: 2026-117/1\noperator: A. Weber\n")
+    older.write_text(MINE)
+    newer.write_text(MINE.replace("60.0", "90.0"))
+    rows = [f"{x},225,-200,0,0,K,tool,{x},0,0,{way},{n}" for n in (1, 2) for way in (1, -1) for x in (0, 100, 200, 300)]
+    table.write_text(
+        "X_mm,Y_mm,Z_mm,B_deg,C_deg,target,carrier,x_mm,y_mm,z_mm,approach_X,round\n" + "\n".join(rows) + "\n"
+    )
+    more = ["--job", str(job), "--lang", "de", "--html"]
+    for words, said in (
+        (["evaluate", str(table), "--instrument", "tracker"], "Normprüfungen"),
+        (["compare", str(older), str(newer)], "geschrieben:"),
+    ):
+        out = tmp_path / f"{words[0]}.html"
+        with pytest.raises(SystemExit):
+            cli.main([*words, *more, str(out)])
+        page = out.read_text()
+        assert said in capsys.readouterr().out
+        assert "Protokoll Nr. 2026-117/1" in page and "A. Weber" in page and "Unterschrift" in page
+        digest = sha256(Path(words[1]).read_bytes()).hexdigest()
+        assert digest in page and 'content:"2026-117/1"' in page and "<html lang=de>" in page
+    job.write_text('schema: twin.job/1\nreport_number: a"b\n')
+    assert "report_number" in refused(capsys, "evaluate", table, "--job", job, "--html", tmp_path / "x.html")

@@ -20,11 +20,12 @@ from tests.reporting.test_report import IDENTIFIED, MINE, TOOL_MM
 from twin._common.families import Language
 from twin._common.messages import PLACE
 from twin.display.markup import templates
+from twin.display.sheet import catalogue
 from twin.machine.machine import Machine
 from twin.model.calibration import Calibration
 from twin.model.conditions import Conditions
 from twin.reporting import machine_report
-from twin.reporting.page import catalogue, machine_html
+from twin.reporting.page import machine_html, sheet_of
 from twin.reporting.result import MachineReport
 
 GERMAN = catalogue(Language.de)
@@ -69,13 +70,13 @@ def in_both_languages(report: MachineReport) -> Pages:
         patch.setattr(Figure, "savefig", lambda figure, file, **more: file.write(b"<svg/>"))
         english = machine_html(report)
         patch.setattr(Figure, "savefig", noted)
-        german = machine_html(report, language=Language.de)
+        german = machine_html(report, sheet=sheet_of(report, language=Language.de))
     return Pages(english, german, tuple(labels))
 
 
 def details(page: str, quotes: str = QUOTED) -> str:
     """Return the text of the appendix and its text alternatives, without quoted files and code."""
-    body = page[page.rindex("<div lang=") :] if "<div lang=" in page else page
+    body = page[page.index("<h2>", page.index("<div class=details")) :]
     body = re.sub(r"<iframe.*?</iframe>", " ", body, flags=re.S)
     alternatives = " ".join(re.findall(r'alt="([^"]*)"', body))
     return unescape(re.sub(r"<[^>]+>", " ", re.sub(quotes, " ", body, flags=re.S)) + alternatives)
@@ -139,8 +140,8 @@ def test_both_languages_have_the_same_places(english: str) -> None:
 
 
 def test_effects_on_the_first_page_are_german(pages: list[Pages]) -> None:
-    front, _, _ = pages[1].german.partition("<h1 class=appendix")
-    assert "Wärmedehnung des Maßstabs Z" in front and "Thermal expansion" not in front
+    details, _, _ = pages[1].german.partition("<h1 class=appendix")
+    assert "Wärmedehnung des Maßstabs Z" in details and "Thermal expansion" not in details
 
 
 def test_the_3d_field_is_german(pages: list[Pages]) -> None:

@@ -69,7 +69,8 @@ class Message(str):
 def joined(separator: str, parts: Sequence[str]) -> Message:
     """Return parts with a separator between them; a separator without letters needs no translation."""
     places = {f"part{i}": part for i, part in enumerate(parts)}
-    return Message(separator.join(f"{{{name}}}" for name in places), **places)
+    identifier = separator.join(f"{{{name}}}" for name in places)
+    return Message._made(identifier.format(**places), identifier, places)
 
 
 @dataclass

@@ -61,7 +61,7 @@ class SourceWarning:
     @property
     def text(self) -> str:
         """Title and sentence on one line."""
-        return f"{self.title}: {self.sentence}"
+        return Message("{title}: {sentence}", title=self.title, sentence=self.sentence)
 
     def to_dict(self) -> dict[str, str]:
         """Return the warning as JSON data."""

@@ -8,15 +8,17 @@ from typing import Annotated
 import typer
 
 from twin._common.bundled import DEFAULT
+from twin._common.families import Language
 from twin._common.files import folder_entries, write_atomic
 from twin.cli.shared import complete, options
 from twin.cli.shared.command import EXISTING, HTML, POSITIVE, CommandResult, JsonOption, command, progress_bar
+from twin.cli.shared.paper import JobOption, LangOption, LogoOption, PdfOption, paper
 from twin.cli.shared.terminal import pairs
 
 
 @command(
     "twin compare last_year.yaml this_year.yaml --tool-length 120",
-    "twin compare before.yaml after.yaml --tolerance 0.01 --json changes.json",
+    "twin compare before.yaml after.yaml --tolerance 0.01 --json changes.json --html changes.html",
 )
 def compare(
     first: Annotated[
@@ -44,6 +46,11 @@ def compare(
     rpm: options.RpmOption = None,
     load: options.LoadOption = None,
     json_file: JsonOption = None,
+    html_file: Annotated[Path | None, typer.Option("--html", help="Write the changes to this HTML file."), HTML] = None,
+    pdf_file: PdfOption = None,
+    job: JobOption = None,
+    logo: LogoOption = None,
+    lang: LangOption = Language.en,
 ) -> CommandResult:
     """Compare two calibrations of a machine: changes, their significance, and their effect at the tool.
 
@@ -53,6 +60,7 @@ def compare(
     from twin.model.calibration import Calibration
     from twin.monitoring import compare as compared
 
+    page = paper(html_file, pdf_file, job, logo, lang, drawn=False)
     loaded = options.machine(machine)
     older, newer = (Calibration.load(path, loaded) for path in (first, second))
     with progress_bar() as bar:
@@ -64,6 +72,7 @@ def compare(
             tolerance_mm=tolerance,
             progress=bar,
         )
+    page.write(comparison.to_html, [first, second])
     return CommandResult(
         comparison.to_text(), comparison.to_dict, met=not comparison.unjudged and comparison.good_enough is not False
     )

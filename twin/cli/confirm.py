@@ -9,9 +9,10 @@ import typer
 
 from twin._common.bundled import DEFAULT
 from twin._common.errors import InputError
-from twin._common.files import write_atomic
+from twin._common.families import Language
 from twin.cli.shared import complete, options
 from twin.cli.shared.command import EXISTING, HTML, CommandResult, JsonOption, command, progress_bar
+from twin.cli.shared.paper import JobOption, LangOption, LogoOption, PdfOption, paper
 from twin.cli.shared.terminal import number, pairs
 
 
@@ -59,6 +60,10 @@ def confirm(
     tool_length: options.ToolOption = None,
     json_file: JsonOption = None,
     html_file: Annotated[Path | None, typer.Option("--html", help="Write the verdict to this HTML file."), HTML] = None,
+    pdf_file: PdfOption = None,
+    job: JobOption = None,
+    logo: LogoOption = None,
+    lang: LangOption = Language.en,
 ) -> CommandResult:
     """Confirm that tables, kinematics, an adjustment or a compensated program took effect; or that a crash moved nothing.
 
@@ -70,6 +75,7 @@ def confirm(
     from twin.monitoring import confirm as run
     from twin.monitoring import written_values
 
+    page = paper(html_file, pdf_file, job, logo, lang, drawn=False)
     loaded = options.machine(machine)
     length = loaded.tool_length_mm if tool_length is None else tool_length
     is_calibration = before.suffix.lower() in (".yaml", ".yml")
@@ -99,6 +105,5 @@ def confirm(
             tool_length_mm=length,
             progress=bar,
         )
-    if html_file is not None:
-        write_atomic(html_file, found.to_html())
+    page.write(found.to_html, [path for path in (before, after, calibration) if path is not None])
     return CommandResult(found.to_text(), found.to_dict, met=found.met)

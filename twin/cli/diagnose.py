@@ -9,9 +9,10 @@ import typer
 
 from twin._common.bundled import DEFAULT
 from twin._common.errors import InputError
-from twin._common.files import write_atomic
+from twin._common.families import Language
 from twin.cli.shared import complete, options
 from twin.cli.shared.command import CALIBRATION, HTML, CommandResult, JsonOption, command, progress_bar
+from twin.cli.shared.paper import JobOption, LangOption, LogoOption, PdfOption, paper
 
 
 @command(
@@ -33,6 +34,10 @@ def diagnose(
     ] = None,
     json_file: JsonOption = None,
     html_file: Annotated[Path | None, typer.Option("--html", help="Write the report to this HTML file."), HTML] = None,
+    pdf_file: PdfOption = None,
+    job: JobOption = None,
+    logo: LogoOption = None,
+    lang: LangOption = Language.en,
     extended: Annotated[
         Path | None,
         typer.Option(
@@ -55,8 +60,7 @@ def diagnose(
 
     if empirical and extended is None:
         raise InputError("--empirical needs --extended", expected="--extended CALIBRATION.yaml as well")
-    if html_file is not None:
-        options.need_pictures("the HTML report")
+    page = paper(html_file, pdf_file, job, logo, lang)
     loaded = options.machine(machine)
     errors = options.calibration_of(calibration, loaded)
     if extended is not None and errors.corrected_in_control and errors.control is not None:
@@ -74,8 +78,9 @@ def diagnose(
         diagnosis = run_diagnosis(data, loaded, errors, instrument=reader, empirical=empirical, progress=bar)
     if extended is not None:
         diagnosis.extended.save(extended)
-    if html_file is not None:
+    if page.wanted:
         from twin.diagnosis.page import diagnosis_html
 
-        write_atomic(html_file, diagnosis_html(diagnosis))
+        files = [*measured, *([] if errors.path is None else [errors.path])]
+        page.write(lambda sheet: diagnosis_html(diagnosis, sheet), files)
     return CommandResult(diagnosis.to_text(), diagnosis.to_dict, met=not diagnosis.data.set_aside)

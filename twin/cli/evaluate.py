@@ -9,10 +9,11 @@ import typer
 
 from twin._common.bundled import DEFAULT
 from twin._common.errors import InputError
+from twin._common.families import Language
 from twin._common.files import write_atomic
-from twin.cli.report import UNSIGNED, DccOption, JobOption
 from twin.cli.shared import complete, options
 from twin.cli.shared.command import HTML, POSITIVE, CommandResult, JsonOption, Output, command
+from twin.cli.shared.paper import UNSIGNED, DccOption, JobOption, LangOption, LogoOption, PdfOption, paper
 from twin.cli.shared.terminal import tolerances
 
 if TYPE_CHECKING:
@@ -66,6 +67,7 @@ CalibrationOutput = Annotated[
 @command(
     "twin evaluate measured.csv --html tests.html --json tests.json",
     "twin evaluate measured.csv --tolerance A=10 B=3 H=5",
+    "twin evaluate measured.csv --tolerance A=10 --job job.yaml --lang de --pdf certificate.pdf",
     "twin evaluate measured.csv --tolerance X:A=8 Y:A=12 E_C0Y=20 --instrument tracker",
     "twin evaluate measured.csv --instrument tracker --job job.yaml --dcc iso230_2.xml",
     "twin evaluate record.csv --iso230-3 --sensors d1=X1 d2=X2 X1-X2=76 d5=Z t5=ambient --html drift.html",
@@ -84,6 +86,9 @@ def evaluate(
     json_file: JsonOption = None,
     html_file: Annotated[Path | None, typer.Option("--html", help="Write the report to this HTML file."), HTML] = None,
     output: CalibrationOutput = None,
+    pdf_file: PdfOption = None,
+    logo: LogoOption = None,
+    lang: LangOption = Language.en,
 ) -> CommandResult:
     """Evaluate the standard tests for which a measurement table has the runs, or the sheets of artefacts.
 
@@ -95,8 +100,7 @@ def evaluate(
     from twin.standards.artefacts import is_sheet
 
     limits = tolerances(tolerance or [])
-    if html_file is not None:
-        options.need_pictures("the HTML report")
+    page = paper(html_file, pdf_file, job, logo, lang)
     loaded = options.machine(machine)
     reader = None if instrument is None else instrument_named(instrument)
     after: list[str] = []
@@ -115,23 +119,22 @@ def evaluate(
     else:
         data = Measurements.join([Measurements.load(path, loaded) for path in measured])
         evaluation = run_evaluation(data, loaded, tolerances=limits, instrument=reader, length_mm=length)
-    written: dict[Path, str] = {}
+    certificate = None
     if dcc_file is not None:
         from twin.reporting.certificate import evaluation_certificate
-        from twin.reporting.front import load_job
 
-        written[dcc_file] = evaluation_certificate(evaluation, None if job is None else load_job(job), job)
-    elif job is not None:
-        raise InputError("--job without --dcc", expected="--dcc FILE, the certificate that the job's facts are for")
-    if html_file is not None:
+        certificate = evaluation_certificate(evaluation, page.job, job)
+    elif job is not None and not page.wanted:
+        raise InputError("--job without a page", expected="--html, --pdf or --dcc, for which the job's facts are")
+    if page.wanted:
         from twin.standards.page import evaluation_html  # imports matplotlib, which is slow and needed only here
 
-        written[html_file] = evaluation_html(evaluation)
-    for path, content in written.items():
-        write_atomic(path, content)
-    text = evaluation.to_text() + ("" if dcc_file is None else f"\n{UNSIGNED}\n")
+        page.write(lambda sheet: evaluation_html(evaluation, sheet), [*measured, loaded.path])
+    if dcc_file is not None and certificate is not None:
+        write_atomic(dcc_file, certificate)
+        after = [*after, UNSIGNED]
     met = evaluation.met and bool(evaluation.tests)
-    return CommandResult(text, evaluation.to_dict, met=met, after=after)
+    return CommandResult(evaluation.to_text(), evaluation.to_dict, met=met, after=after)
 
 
 def _drift(

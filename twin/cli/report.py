@@ -10,38 +10,37 @@ from typing import TYPE_CHECKING, Annotated, Final
 import typer
 
 from twin._common.bundled import DEFAULT
+from twin._common.errors import InputError
 from twin._common.families import Language
 from twin._common.files import write_atomic
+from twin._common.messages import Message, joined
 from twin._common.provenance import warning_texts
 from twin.cli.shared import options
-from twin.cli.shared.command import HTML, XML, CommandResult, JsonOption, Output, command, progress_bar
+from twin.cli.shared.command import HTML, CommandResult, JsonOption, command, progress_bar
+from twin.cli.shared.complete import one_of
+from twin.cli.shared.paper import UNSIGNED, DccOption, JobOption, LangOption, LogoOption, PdfOption, paper
 from twin.cli.shared.terminal import tolerances
 
 if TYPE_CHECKING:
-    from twin.machine.machine import Machine
+    from twin._common.distributions import Verdict
+    from twin.display.sheet import Sheet
     from twin.reporting import MachineReport
-    from twin.reporting.front import FrontPage, Job
+    from twin.reporting.front import FrontPage
 
+WORDS: Final[dict[Verdict, Message]] = {
+    "fail": Message("fail"),
+    "undecided": Message("undecided"),
+    "pass": Message("pass"),
+}
+VERDICTS: Final = {"fail": Message("FAIL"), "undecided": Message("UNDECIDED"), "pass": Message("PASS")}
+KINDS: Final = {
+    "do": Message("do"),
+    "measure": Message("measure"),
+    "never": Message("do not"),
+    "unknown": Message("not known"),
+}
 SHOWN: Final = 8
 """Number of items out of tolerance that are printed."""
-JobOption = Annotated[
-    Path | None,
-    typer.Option(
-        "--job",
-        help="YAML file (schema: twin.job/1) of the first page: machine, serial_number, operator, customer, place, date, "
-        "instrument, instrument_serial, certificate, temperature; all optional text; dcc: facts of a certificate.",
-    ),
-]
-DccOption = Annotated[
-    Path | None,
-    typer.Option(
-        "--dcc",
-        help="Also write a digital calibration certificate (DCC 3.1.2, XML) to this file; its facts come from --job "
-        "(twin doc certificates). It is not signed.",
-    ),
-    XML,
-]
-UNSIGNED = "the certificate is not signed: a file is no signature"
 FrontToleranceOption = Annotated[
     list[str] | None,
     typer.Option(
@@ -50,17 +49,26 @@ FrontToleranceOption = Annotated[
         "before (tool) or after compensation (tool_after): tool=50 E_XX=8.",
     ),
 ]
-LangOption = Annotated[Language, typer.Option("--lang", help="Language of the report.")]
-PdfOption = Annotated[
-    Path | None,
-    typer.Option("--pdf", help="Also print to this PDF file, through Chromium, Chrome or Edge (or TWIN_BROWSER)."),
-    Output((".pdf",)),
-]
-LogoOption = Annotated[
-    Path | None, typer.Option("--logo", help="PNG or SVG picture for the first page, up to 512 KiB.")
-]
 IdentifiedOption = Annotated[
     Path | None, typer.Option("--identified", help="JSON file of `twin identify --json` for this calibration.")
+]
+KinematicsOption = Annotated[
+    str | None,
+    typer.Option(
+        "--kinematics",
+        help="Format of the control's kinematics: what it holds now and should hold, in its own names.",
+        **one_of("kinematics_formats"),
+    ),
+]
+PresentOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--present", help="File of the control with its present kinematics; default: the machine file's geometry."
+    ),
+]
+HistoryOption = Annotated[
+    list[Path] | None,
+    typer.Option("--history", help="JSON of an earlier report of the machine, for the trend; repeatable."),
 ]
 ComparedOption = Annotated[
     list[Path] | None, typer.Option("--measured", help="Measurement table to compare with the calibration; repeatable.")
@@ -70,7 +78,8 @@ ComparedOption = Annotated[
 @command(
     "twin report -o machine.html --calibration mine.yaml --tool-length 120",
     "twin report -o machine.html -c mine.yaml --identified identified.json --measured measured.csv --json machine.json",
-    "twin report -o signed.html -c mine.yaml --job job.yaml --logo shop.png --tolerance tool=50 E_XX=8 --lang de --pdf signed.pdf",
+    "twin report -o signed.html -c mine.yaml --job job.yaml --tolerance tool=50 E_XX=8 --lang de --pdf signed.pdf",
+    "twin report -o machine.html -c mine.yaml --kinematics siemens-trafo5 --present trafo5.mpf --history last_year.json",
     "twin report -o machine.html -c mine.yaml --job job.yaml --dcc machine.xml",
     "twin report -o warm.html -c better.yaml --temperature X=23.1 bed=21 --time 7200",
 )
@@ -88,32 +97,37 @@ def report(
     job: JobOption = None,
     logo: LogoOption = None,
     tolerance: FrontToleranceOption = None,
+    kinematics: KinematicsOption = None,
+    present: PresentOption = None,
+    history: HistoryOption = None,
     lang: LangOption = Language.en,
     pdf_file: PdfOption = None,
     dcc_file: DccOption = None,
     seed: Annotated[int, typer.Option("--seed", min=0, help="Random seed of the Monte Carlo draws.")] = 0,
     json_file: JsonOption = None,
 ) -> CommandResult:
-    """Write a report of a machine: largest errors, their effect at the tool, recommended actions, uncertainty and sources.
+    """Write a report of a machine: error at the tool before and after, verdict, actions, what the control should hold, and the details.
 
     The exit status is 3 if a value exceeds its tolerance or is unknown, or if something asked for could not be shown.
     """
     from twin.measurement.table import Measurements
     from twin.reporting import machine_report
     from twin.reporting.certificate import calibration_certificate
-    from twin.reporting.front import front_page
-    from twin.reporting.page import find_browser, page_to_pdf
+    from twin.reporting.front import check_tolerances, earlier_report, front_page
 
-    options.need_pictures("the report")
+    page = paper(output, pdf_file, job, logo, lang)
     loaded = options.machine(machine)
-    limits, facts, picture = _of_first_page(loaded, tolerance or [], job, logo)
-    browser = None if pdf_file is None else find_browser()
+    limits = tolerances(tolerance or [])
+    check_tolerances(loaded, limits)
+    if present is not None and kinematics is None:
+        raise InputError("--present needs --kinematics", expected="the format of the file", value=present)
+    earlier = [earlier_report(path, loaded) for path in history or []]
     errors = options.calibration_of(calibration, loaded)
-    certificate = None if dcc_file is None else calibration_certificate(errors, facts, job)
+    certificate = None if dcc_file is None else calibration_certificate(errors, page.job, job)
     at = options.conditions(temperature, time, rpm, load)
     with progress_bar() as bar:
         bar("reading", 0.0)
-        machine_page = machine_report(
+        found = machine_report(
             loaded,
             errors,
             made=datetime.now().astimezone(),
@@ -121,54 +135,54 @@ def report(
             conditions=at,
             identified=identified,
             measured=[(path, Measurements.load(path, loaded)) for path in measured or []],
+            kinematics=kinematics,
+            present=present,
             seed=seed,
             progress=lambda stage, part: bar(stage, 0.5 * part),
         )
-        from twin.reporting.page import machine_html  # imports matplotlib and meshcat: slow, and needed only here
+        from twin.reporting.page import (
+            machine_html,
+            sheet_of,
+        )  # imports matplotlib and meshcat: slow, and needed only here
 
         bar("drawing", 0.5)
-        front = front_page(machine_page, facts, limits, picture)
-        page = machine_html(machine_page, front, lang)
-        printed = None if browser is None else page_to_pdf(page, browser)
-    write_atomic(output, page)
-    if pdf_file is not None and printed is not None:
-        write_atomic(pdf_file, printed)
+        front = front_page(found, limits, earlier)
+        sheet = sheet_of(found, page.job, lang, page.logo)
+        page.put(machine_html(found, front, sheet))
     if dcc_file is not None and certificate is not None:
         write_atomic(dcc_file, certificate)
     unsigned = [] if dcc_file is None else [UNSIGNED]
-    return _result(machine_page, front, [*options.unused(at, errors), *unsigned])
+    return _result(found, front, sheet, [*options.unused(at, errors), *unsigned])
 
 
-def _of_first_page(
-    machine: Machine, tolerance: list[str], job: Path | None, logo: Path | None
-) -> tuple[dict[str, float], Job | None, str]:
-    """Return tolerances by item, facts of the test and the logo."""
-    from twin.reporting.front import check_tolerances, load_job, logo_uri
-
-    limits = tolerances(tolerance)
-    check_tolerances(machine, limits)
-    return limits, None if job is None else load_job(job), "" if logo is None else logo_uri(logo)
-
-
-def _result(found: MachineReport, front: FrontPage, unused: Iterable[str]) -> CommandResult:
-    verdict, counts = front.verdict, [f"{front.count(k)} {k}" for k in ("fail", "undecided", "pass") if front.count(k)]
-    judged = [] if verdict is None else [f"tolerances (ISO 14253-1): {verdict.upper()}; items: {', '.join(counts)}"]
+def _result(found: MachineReport, front: FrontPage, sheet: Sheet, unused: Iterable[str]) -> CommandResult:
+    judged = []
+    if front.verdict is not None:
+        counts = [Message("{count} {word}", count=front.count(k), word=WORDS[k]) for k in WORDS if front.count(k)]
+        judged = [
+            Message(
+                "tolerances (ISO 14253-1): {verdict}; items: {counts}",
+                verdict=VERDICTS[front.verdict],
+                counts=joined(", ", counts),
+            )
+        ]
     items = front.not_accepted
     more = [f"and {len(items) - SHOWN} further items, all in the JSON"] if len(items) > SHOWN else []
     return CommandResult(
-        "\n".join([*_first_screen(found), *judged, *unused, ""]),
-        lambda: found.to_dict() | {"first_page": front.to_dict()},
+        joined("\n", [*_first_screen(found), *judged, *unused, ""]),
+        lambda: found.to_dict() | {"first_page": sheet.to_dict() | front.to_dict()},
         met=not found.unmet and not front.not_accepted,
         after=[f"not met: {text}" for text in (*found.unmet, *(item.text for item in items[:SHOWN]), *more)],
     )
 
 
 def _first_screen(found: MachineReport) -> list[str]:
-    names = {"do": "do", "measure": "measure", "never": "do not", "unknown": "not known"}
+    advice = found.advice
+    steps = [Message("{kind}: {title}. {text}", kind=KINDS[s.kind], title=s.title, text=s.text) for s in advice.steps]
     return [
         *([*warning_texts(found.warnings), ""] if found.warnings else []),
-        found.advice.headline,
-        *(f"  {line}" for line in found.advice.largest_errors),
-        *(f"{names[step.kind]}: {step.title}. {step.text}" for step in found.advice.steps),
+        advice.headline,
+        *(joined("", ["  ", line]) for line in advice.largest_errors),
+        *steps,
         found.datum,
     ]

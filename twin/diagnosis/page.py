@@ -10,6 +10,7 @@ from html import escape
 from pathlib import Path
 from typing import Any, Final
 
+from twin._common.messages import Message
 from twin._common.provenance import warning_texts
 from twin.diagnosis import plots, text
 from twin.diagnosis.plots import plot_panel, plot_unexplained
@@ -18,6 +19,7 @@ from twin.diagnosis.text import column
 from twin.display import Html, render
 from twin.display.figures import embedded
 from twin.display.numbers import listed, lower
+from twin.display.sheet import Sheet
 from twin.measurement.columns import assumptions, grouped_notes
 from twin.model.effects.specification import NOTHING
 
@@ -25,11 +27,12 @@ UNLISTED_P_VALUE: Final = 0.5  # p-value above which a cause tested is not liste
 COLOURS: Final = {"well": "#e8f3ea", "wrong": "#fdf2df", "unknown": "#fbe4de", "disturbed": "#e6eff8"}
 
 
-def diagnosis_html(diagnosis: DiagnosisResult) -> str:
+def diagnosis_html(diagnosis: DiagnosisResult, sheet: Sheet | None = None) -> str:
     """Return one self-contained HTML page; needs matplotlib (extra ``plots``).
 
     Args:
         diagnosis: the result of `twin.diagnosis.diagnose`.
+        sheet: facts of the test, for a page that is handed over.
 
     Examples:
         >>> from pathlib import Path
@@ -48,6 +51,9 @@ def diagnosis_html(diagnosis: DiagnosisResult) -> str:
     return render(
         "diagnosis/templates/diagnosis.html.j2",
         found=diagnosis,
+        sheet=sheet,
+        heading=Message("Diagnosis of a machine tool"),
+        machine_name=machine,
         NOTHING=NOTHING,
         title=f"{title}: {machine}",
         headline=title,

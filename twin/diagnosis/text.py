@@ -14,6 +14,7 @@ from typing import Any, Final, Literal, final
 
 import numpy as np
 
+from twin._common.messages import Message, say
 from twin._common.provenance import CORRECTED_IN_CONTROL, warning_texts
 from twin.diagnosis.candidates import SPECIFICATIONS
 from twin.diagnosis.result import Cause, DiagnosisResult, Extension, Unexplained, readable_unit
@@ -237,6 +238,14 @@ WELL_BELOW: Final = 0.8  # share of the expected RMS residual below which the re
 COVERED_RATIO: Final = 0.9
 """Ratio of the RMS residual with and without the calibration's uncertainty below which that uncertainty makes it consistent."""
 DOUBTED_NOISE_RATIO: Final = 1.2  # ratio of the residual to the stated noise above which the stated noise is doubted
+RESULT: Final = Message("Result")
+WHAT_TO_DO: Final = Message("What to do")
+NOTE: Final = Message("Note")
+AT_THE_TOOL: Final = Message("At the tool")
+CAUTION: Final = Message("Caution")
+NOT_EXTENDED: Final = Message("Not extended")
+EXTENDED: Final = Message("Extended")
+WHERE_TO_LOOK: Final = Message("Where to look")
 COMPENSATE: Final = "Compensate with the present calibration."
 KEEP: Final = (
     "Switch the correction in the control on for machining: it holds this calibration, and programs run as they are."
@@ -249,34 +258,44 @@ def headline(diagnosis: DiagnosisResult) -> tuple[str, Mood]:  # noqa: C901, PLR
     """Return the verdict in one sentence, and its mood (the colour it is shown in)."""
     kinds = {kind(cause.effect) for cause in diagnosis.causes}
     if diagnosis.verdict == "consistent":
-        return "The readings agree with the model: no error found", "well"
+        return Message("The readings agree with the model: no error found"), "well"
     if diagnosis.verdict == "unexplained":
         if kinds and noisier_than_stated(diagnosis):
-            return ("The readings are noisier than stated; the causes found may be artefacts of that noise", "unknown")
+            return (
+                Message("The readings are noisier than stated; the causes found may be artefacts of that noise"),
+                "unknown",
+            )
         if kinds:
-            rest = "explain all of it" if diagnosis.unexplained is not None else "predict held-out readings"
-            return f"There is an error, and the causes found do not {rest}", "unknown"
+            part = (
+                Message("explain all of it")
+                if diagnosis.unexplained is not None
+                else Message("predict held-out readings")
+            )
+            return Message("There is an error, and the causes found do not {part}", part=part), "unknown"
         if diagnosis.unexplained is not None and not diagnosis.unexplained.depends_on:
-            return "The readings are noisier than stated", "unknown"
-        return "There is an error that no known cause explains", "unknown"
+            return Message("The readings are noisier than stated"), "unknown"
+        return Message("There is an error that no known cause explains"), "unknown"
     if diagnosis.verdict == "ambiguous":
         if diagnosis.causes and not diagnosis.causes[0].equivalent:
             return (
-                "There are errors: most causes are identified, but for some these readings cannot decide between alternatives",
+                Message(
+                    "There are errors: most causes are identified, but for some these readings cannot decide between alternatives"
+                ),
                 "wrong",
             )
-        return "There is an error, but these readings cannot decide which of several causes it has", "wrong"
+        return Message("There is an error, but these readings cannot decide which of several causes it has"), "wrong"
     if kinds == {"instrument"}:
-        return ("The measurement was disturbed; these readings show no error of the machine", "disturbed")
+        return (Message("The measurement was disturbed; these readings show no error of the machine"), "disturbed")
     if kinds == {"calibration"}:
-        return "The calibration is wrong, not the machine. Found:", "wrong"
+        return Message("The calibration is wrong, not the machine"), "wrong"
     if "instrument" in kinds:
         return (
-            "The machine has an error that its model does not contain, and the measurement was disturbed. Found:",
+            Message("The machine has an error that its model does not contain, and the measurement was disturbed"),
             "wrong",
         )
-    many = "an error" if len(diagnosis.causes) == 1 else f"{len(diagnosis.causes)} errors"
-    return f"The machine has {many} that its model does not contain. Found:", "wrong"
+    count = len(diagnosis.causes)
+    many = Message("an error") if count == 1 else Message("{count} errors", count=count)
+    return Message("The machine has {many} that its model does not contain", many=many), "wrong"
 
 
 def facts(diagnosis: DiagnosisResult) -> list[tuple[str, str]]:
@@ -294,18 +313,18 @@ def facts(diagnosis: DiagnosisResult) -> list[tuple[str, str]]:
                 "calibration"
             )
         return [
-            ("Result", f"The RMS residual is {diagnosis.rms_um:.3g} µm, {why}."),
-            ("What to do", f"Nothing. {KEEP if CORRECTED_IN_CONTROL in diagnosis.warnings else COMPENSATE}"),
+            (RESULT, f"The RMS residual is {diagnosis.rms_um:.3g} µm, {why}."),
+            (WHAT_TO_DO, f"Nothing. {KEEP if CORRECTED_IN_CONTROL in diagnosis.warnings else COMPENSATE}"),
             (
-                "Note",
+                NOTE,
                 f"This covers only errors that these readings can show. The others are listed under {NEXT_SECTION}.",
             ),
         ]
-    lines = [("At the tool", _at_tool(diagnosis))]
+    lines: list[tuple[str, str]] = [(AT_THE_TOOL, _at_tool(diagnosis))]
     if diagnosis.verdict == "unexplained":
         lines += _when_unexplained(diagnosis)
     elif all(cause.below_increment for cause in causes):
-        lines.append(("What to do", BELOW_INCREMENT))
+        lines.append((WHAT_TO_DO, BELOW_INCREMENT))
     elif diagnosis.verdict == "ambiguous":
         lines += _when_ambiguous(diagnosis)
     elif len(causes) == 1:
@@ -314,7 +333,7 @@ def facts(diagnosis: DiagnosisResult) -> list[tuple[str, str]]:
         for cause in causes[:CAUSES_DESCRIBED]:
             lines.append((cause_title(cause.effect, cause.where), " ".join(text for _, text in advised(cause)[:2])))
         if any(cause.origin == "instrument" for cause in causes):
-            lines.append(("Caution", "Do not compensate for errors of the instrument."))
+            lines.append((CAUTION, "Do not compensate for errors of the instrument."))
     return [fact for fact in [*lines, *extended(diagnosis)] if fact[1]]
 
 
@@ -325,7 +344,7 @@ def extended(diagnosis: DiagnosisResult) -> list[tuple[str, str]]:
         return []
     made = unexplained.extension
     if not made.written:
-        return [("Not extended", f"The unexplained pattern is not in the extended calibration: {made.reason}.")]
+        return [(NOT_EXTENDED, f"The unexplained pattern is not in the extended calibration: {made.reason}.")]
     names = " and ".join(f"“{term.where}”" for term in made.made)
     text = (
         f"{names} is in the extended calibration without a known cause. It is valid for the measured conditions only, {inside(made)}; "
@@ -341,7 +360,7 @@ def extended(diagnosis: DiagnosisResult) -> list[tuple[str, str]]:
     others = [str(term.reason) for term in made.terms if term.reason is not None]
     if others:
         text += f" Another part of the unexplained pattern is not included: {'; '.join(others)}."
-    return [("Extended", text)]
+    return [(EXTENDED, text)]
 
 
 def inside(made: Extension) -> str:
@@ -353,9 +372,9 @@ def inside(made: Extension) -> str:
 def advised(cause: Cause) -> list[tuple[str, str]]:
     """Return where to look, what to do and what to avoid, each with its heading; below the least increment only what to do."""
     if cause.below_increment:
-        return [("What to do", BELOW_INCREMENT)]
+        return [(WHAT_TO_DO, BELOW_INCREMENT)]
     texts = advice(cause.effect, cause.where)
-    return [("Where to look", texts.look), ("What to do", to_do(cause)), ("Caution", texts.never)]
+    return [(WHERE_TO_LOOK, texts.look), (WHAT_TO_DO, to_do(cause)), (CAUTION, texts.never)]
 
 
 def to_do(cause: Cause) -> str:
@@ -444,8 +463,8 @@ def _when_unexplained(diagnosis: DiagnosisResult) -> list[tuple[str, str]]:
         rest = f"With these causes in the model the RMS residual is {micrometres(diagnosis.gain.rms_after_um)}"
         return [
             ("Residual", f"{rest}, {times:.2g} times the stated noise."),
-            ("What to do", f"{check} Then diagnose again."),
-            ("Caution", f"Do not compensate with this result: {spurious}"),
+            (WHAT_TO_DO, f"{check} Then diagnose again."),
+            (CAUTION, f"Do not compensate with this result: {spurious}"),
         ]
     if not unexplained.depends_on:
         over = f"{share} remains, without a pattern in any column of the table."
@@ -454,8 +473,8 @@ def _when_unexplained(diagnosis: DiagnosisResult) -> list[tuple[str, str]]:
             over = f"The RMS residual is {diagnosis.rms_um:.3g} µm, {stated}. It has no pattern in any column of the table."
         return [
             ("Residual" if diagnosis.causes else "Result", over),
-            ("What to do", check),
-            ("Caution", f"Do not compensate yet: {spurious}"),
+            (WHAT_TO_DO, check),
+            (CAUTION, f"Do not compensate yet: {spurious}"),
         ]
     names = listed([column(name) for name in unexplained.depends_on])
     caution = "Do not compensate or repair on suspicion: no known error has this pattern."
@@ -470,15 +489,15 @@ def _when_unexplained(diagnosis: DiagnosisResult) -> list[tuple[str, str]]:
         return [
             ("Residual", f"{moment}: {share}."),
             (
-                "What to do",
+                WHAT_TO_DO,
                 "Look for what happened then: a collision, a lost reference, a holder that slipped. Measure again.",
             ),
-            ("Caution", caution),
+            (CAUTION, caution),
         ]
     return [
         ("Residual", f"{share} depends on {names} ({side(unexplained.carrier)}).{instead(unexplained)}"),
-        ("What to do", f"Look for what depends on {names}, and measure more densely over it."),
-        ("Caution", caution),
+        (WHAT_TO_DO, f"Look for what depends on {names}, and measure more densely over it."),
+        (CAUTION, caution),
     ]
 
 
@@ -508,17 +527,17 @@ def _when_ambiguous(diagnosis: DiagnosisResult) -> list[tuple[str, str]]:
     pairs = separating_points(diagnosis.next_measurement, diagnosis.expected_rms_um)
     if any(pair.rows for pair in pairs):
         when_ambiguous.append(
-            ("What to do", f"First measure the points under {NEXT_SECTION}: they separate the causes. Then compensate.")
+            (WHAT_TO_DO, f"First measure the points under {NEXT_SECTION}: they separate the causes. Then compensate.")
         )
     elif pairs:
-        when_ambiguous.append(("What to do", " ".join(dict.fromkeys(pair.verdict for pair in pairs))))
+        when_ambiguous.append((WHAT_TO_DO, " ".join(dict.fromkeys(pair.verdict for pair in pairs))))
     if machine_or_instrument(causes):
         what = "The undecided part" if certain else "The error"
         when_ambiguous.append(
-            ("Note", f"{what} may be the instrument's, not the machine's; an instrument error must not be compensated.")
+            (NOTE, f"{what} may be the instrument's, not the machine's; an instrument error must not be compensated.")
         )
     caution = "Order no repair for the undecided part." if certain else "Order no repair on this result alone."
-    when_ambiguous.append(("Caution", caution))
+    when_ambiguous.append((CAUTION, caution))
     return when_ambiguous
 
 
@@ -529,16 +548,14 @@ HARD_SPACE: Final = "\u00a0"
 
 def diagnosis_text(diagnosis: DiagnosisResult) -> str:  # noqa: C901, PLR0912
     """Return the verdict, each cause, what to do, the gain and what to measure next, in lines of at most `WIDTH` characters."""
-    lines = _wrapped(
-        f"{diagnosis.verdict.upper()}. {headline(diagnosis)[0].removesuffix(' Found:').removesuffix('.')}."
-    )
+    lines = _wrapped(f"{diagnosis.verdict.upper()}. {say(headline(diagnosis)[0])}.")
     for text in (*warning_texts(diagnosis.warnings), *assumptions(diagnosis.data.notices)):
-        lines += _wrapped(text, hang=2)
+        lines += _wrapped(say(text), hang=2)
     for cause in diagnosis.causes:
         lines += ["", *_cause(cause)]
     lines.append("")
     for name, text in facts(diagnosis):
-        lines += _wrapped(f"{name}: {text}", hang=2)
+        lines += _wrapped(f"{say(name)}: {say(text)}", hang=2)
     lines += [
         "",
         *_wrapped(
@@ -557,7 +574,7 @@ def diagnosis_text(diagnosis: DiagnosisResult) -> str:  # noqa: C901, PLR0912
     lines += _wrapped(rest(diagnosis), hang=2)
     lines += _gain(diagnosis)
     if diagnosis.next_measurement:
-        lines += ["", "What to measure next"]
+        lines += ["", say("What to measure next")]
     for separating_point in separating_points(diagnosis.next_measurement, diagnosis.expected_rms_um):
         lines += _wrapped(
             f"To separate {lower(separating_point.names[0])} from {lower(separating_point.names[1])}: {separating_point.verdict}",
@@ -601,7 +618,7 @@ def diagnosis_display(diagnosis: DiagnosisResult) -> Display:
 
 def _cause(cause: Cause) -> list[str]:
     lines = _wrapped(
-        f"{cause_title(cause.effect, cause.where)} ({symbol(cause.effect, cause.where)}, {cause.origin})", hang=2
+        f"{say(cause_title(cause.effect, cause.where))} ({symbol(cause.effect, cause.where)}, {cause.origin})", hang=2
     )
     lines += _wrapped(sentence(cause), start=4, hang=4)
     if cause.parameters:

@@ -8,7 +8,7 @@ from functools import cache
 from math import isfinite
 from typing import TYPE_CHECKING, Any, Final, final
 
-from twin._common.messages import Message, Number, Quoted, is_translated, say_html
+from twin._common.messages import Message, Number, Quoted, is_translated, say, say_html
 from twin.display.numbers import (
     UNKNOWN,
     capital,
@@ -89,6 +89,7 @@ def templates() -> Environment:
     }
     templates.filters["quoted"] = Quoted
     templates.filters["with_joined_units"] = lambda text: with_joined_units(str(text), "&nbsp;")
+    templates.globals["say"] = say
     templates.globals["page"] = templates.get_template(PARTS).module
     return templates
 

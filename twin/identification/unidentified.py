@@ -16,6 +16,7 @@ from typing import Final, NamedTuple, final
 import numpy as np
 
 from twin._common.units import count_with_noun
+from twin.display.numbers import listed
 from twin.identification.inputs import PreparedData
 from twin.identification.network import Network, Unknowns
 from twin.identification.solve import FitSolution, solve
@@ -447,14 +448,14 @@ def _remedy(
     if confounded and relative:
         return "measure at more positions of all axes, or identify squareness and locations only"
     if confounded and average:
-        return "measure a reference on the machine"
+        return _reference(axis, machine)
     if confounded and len(setup.targets) > 2:
         places = " and ".join(dict.fromkeys(word.target_place for word in words))
         return f"enter {places}, or measure with another instrument too"
     if confounded:
         return "measure a third target that is not on a line with the others"
     if average and not machine.by_name[axis].linear and not setup.target_known.all():
-        return _location_remedy(name, parts, words, direction)
+        return _location_remedy(name, machine, parts, words, direction)
     if average:
         return NO_REFERENCE
     if relative:
@@ -463,7 +464,11 @@ def _remedy(
 
 
 def _location_remedy(
-    name: str, parts: Mapping[str, _Part], words: Sequence[SetUpWords], direction: NullDirection | None
+    name: str,
+    machine: Machine,
+    parts: Mapping[str, _Part],
+    words: Sequence[SetUpWords],
+    direction: NullDirection | None,
 ) -> str:
     """Say which places of the set-up determine the location of a rotary axis: any of those with which it is confounded.
 
@@ -471,7 +476,24 @@ def _location_remedy(
     """
     moved = [parts[one] for one in _moved(name, direction) if one in parts] if direction is not None else []
     places = list(dict.fromkeys(part.enter for part in moved if part.enter)) or [word.target_place for word in words]
-    return ", or ".join([f"enter {places[0]}", *places[1:], "measure a reference on the machine"])
+    return ", or ".join([f"enter {places[0]}", *places[1:], _reference(split_name(name)[2], machine)])
+
+
+def _reference(axis: str, machine: Machine) -> str:
+    """Say what to probe in a shop, and where, so that the average line of an axis is determined.
+
+    The tip must be known, because a shift of the tip looks like a shift of the axis.
+    """
+    one = machine.by_name[axis]
+    if one.linear:
+        return "probe a granite square or a sphere plate on the table, and identify both tables together"
+    others = listed([other.name for other in machine.axes if not other.linear and other.name != axis])
+    also = f", and again with {others} turned" if others else ""
+    return (
+        f"probe a sphere on the table, at least 100 mm from the axis of {axis} (or a bore there, for two directions), at four "
+        f"positions of {axis} 90° apart or over its whole range{also}, with a probe whose length and run-out are calibrated "
+        "(station_x_mm …), and identify both tables together: `twin plan --instrument probe` plans it"
+    )
 
 
 def unknown_reference(solution: FitSolution, unknowns: Unknowns) -> list[str]:

@@ -17,9 +17,10 @@ from twin.model.calibration import Calibration
 from twin.model.conditions import Conditions, needed_values
 from twin.model.datum import MEAN_LINES
 from twin.model.effects import Effect, split_name
-from twin.monitoring.comparison import Changes, Culprits, ErrorChange, meaning_of
+from twin.monitoring.comparison import Changes, Culprits, meaning_of
 from twin.monitoring.pairs import (
     FALSE_ALARMS_OF_A_TEST,
+    ErrorChange,
     NotCompared,
     Pair,
     holm_adjusted,

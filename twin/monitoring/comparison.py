@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from textwrap import wrap
 from types import MappingProxyType
@@ -11,14 +11,16 @@ from typing import Any, Final, Literal, final
 
 import numpy as np
 
-from twin._common.provenance import ILLUSTRATIVE, SourceWarning, warnings_to_json
+from twin._common.messages import Message, Number
+from twin._common.provenance import ILLUSTRATIVE, SourceWarning, warning_texts, warnings_to_json
 from twin._common.records import json_form
-from twin.display import finite_or_none, first_rows, measured, note, readable, table
+from twin.display import finite_or_none, first_rows, measured, note, readable, render, table
 from twin.display.numbers import COVERAGE_FACTOR
 from twin.display.results import Display, DisplayedResult
+from twin.display.sheet import Sheet
 from twin.machine.machine import Machine
 from twin.model.effects import split_name
-from twin.monitoring.pairs import FALSE_ALARMS, FALSE_ALARMS_OF_A_TEST, NotCompared, Status
+from twin.monitoring.pairs import FALSE_ALARMS, FALSE_ALARMS_OF_A_TEST, ErrorChange, NotCompared
 from twin.monitoring.tool import ToolChange, ToolDisplacement
 from twin.tool.uncertainty import DEFINITION
 
@@ -35,47 +37,6 @@ AT_TOOL: Final = MappingProxyType(
 """Keys in JSON of results after aligning the workpiece."""
 CANCELLED_RATIO: Final = 0.05
 """Ratio of the joint effect of changes at the tool to their single effects below which they cancel."""
-
-
-@final
-@dataclass(frozen=True)
-class ErrorChange:
-    """The change of one error, second calibration less first."""
-
-    name: str  # ISO 230-1 name, or the effect's own
-    kind: Literal["curve", "number", "effect"]  # ``curve``, ``number`` (squareness, location) or ``effect``
-    iso_class: str  # class of ISO/TR 16907
-    axis: str
-    unit: str  # for an effect, that of the number ``label``
-    status: Status  # ``known``; ``same``: identical numbers; ``unknown``: a calibration does not state its uncertainty
-    label: str  # for an effect, the number that ``largest`` belongs to: the one with the largest change in standard uncertainties
-    rms: float  # of a curve, over the common part of both domains; else the absolute value of ``largest``
-    largest: float  # the largest change of a curve with its sign, or the change of the number
-    at: float  # position of the axis of the largest change, mm or degrees; NaN unless a curve
-    u: float  # standard uncertainty (k = 1) of ``largest``; NaN if unknown
-    band: float  # half width at ``at`` of the simultaneous 95 % band of the whole curve; for a number 1.96 u; NaN if unknown.
-    p_value: float  # of the χ² of the change; NaN if unknown
-    p_adjusted: float  # p-value corrected for the number of errors tested (Holm)
-    without_variance: float  # largest change in directions without an uncertainty, in ``unit``; zero if none
-    notes: tuple[str, ...]  # assumptions made
-
-    @property
-    def significant(self) -> bool | None:
-        """Return whether the change is significant by itself, corrected for the number of errors; None if unknown."""
-        if self.status == "same":
-            return False
-        return None if self.status == "unknown" else self.p_adjusted <= FALSE_ALARMS_OF_A_TEST
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the entry of the JSON; null for unknown values."""
-        renamed = {"name": "error", "iso_class": "class", "label": "number", "band": "band95"}
-        entry = json_form(self, rename=renamed, leave_out=("without_variance", "notes"))
-        return entry | {
-            "number": self.label or None,
-            "significant": self.significant,
-            "without_uncertainty": self.without_variance,
-            "notes": list(self.notes),
-        }
 
 
 @final
@@ -155,6 +116,22 @@ class Changes(DisplayedResult):
         alone = np.sqrt(sum(tool.by_error[name].rms_um ** 2 for name in names))
         return len(names) > 1 and bool(tool.judged.rms_um <= CANCELLED_RATIO * alone)
 
+    @cached_property
+    def stated(self) -> tuple[ErrorChange, ...]:
+        """Return one statement on each error: that of the smallest set for its errors, the test by itself for all others.
+
+        Beside a set that explains the change, the others are not significant: what each of them shows by itself is that change again.
+        """
+        named = {error.name: error for error in self.culprits.errors}
+        return tuple(
+            named.get(error.name, replace(error, p_adjusted=1.0) if self._explained and error.significant else error)
+            for error in self.errors
+        )
+
+    @property
+    def _explained(self) -> bool:
+        return bool(self.culprits.errors) and self.culprits.left_p_value > FALSE_ALARMS_OF_A_TEST
+
     @property
     def unjudged(self) -> tuple[str, ...]:
         """Return the names of errors that could not be compared or tested (exit status 3 on the command line)."""
@@ -222,9 +199,34 @@ class Changes(DisplayedResult):
         """Return the text report."""
         return comparison_text(self)
 
+    def to_html(self, sheet: Sheet | None = None) -> str:
+        """Return one self-contained HTML page; ``sheet``: facts of the test, for a page that is handed over."""
+        other = sorted((one for one in self.stated if one.status != "same"), key=lambda one: not one.significant)
+        return render(
+            "monitoring/templates/comparison.html.j2",
+            title=f"{self.machine.name}: {self.verdict}",
+            sheet=sheet,
+            heading=Message("Comparison of two calibrations"),
+            machine_name=self.machine.name,
+            found=self,
+            verdict=VERDICTS[self.verdict],
+            badges=warning_texts(self.warnings),
+            rows=[
+                (
+                    error.name,
+                    error.iso_class,
+                    Number(_stated(error)),
+                    answer(error.significant),
+                    Number(number(self._alone_um(error))),
+                )
+                for error in other
+            ],
+            colour="#e8f3ea" if self.verdict in ("same", "unchanged", "reworded") else "#fdf2df",
+        )
+
     def display(self) -> Display:
         """Return the meaning and the errors, the significant ones first."""
-        other = [error for error in self.errors if error.status != "same"]
+        other = [error for error in self.stated if error.status != "same"]
         other.sort(key=lambda error: (not error.significant, -self._alone_um(error)))
         shown, more = first_rows(len(other), lambda i: self._cells(other[i]))
         headers = ("error", "class", "largest change", "significant", "at the tool, µm RMS")
@@ -247,17 +249,37 @@ class Changes(DisplayedResult):
             error.name,
             error.iso_class,
             measured(error.largest, error.u, readable(error.unit)),
-            "unknown" if error.significant is None else "yes" if error.significant else "no",
+            answer(error.significant),
             f"{self._alone_um(error):.3g}" if error.name in self.tool.by_error else "",
         )
 
     def _alone_um(self, error: ErrorChange) -> float:
-        """Return the RMS at the tool of one error alone; zero if it was not tested."""
-        found = self.tool.by_error.get(error.name)
+        """Return the RMS at the tool of the stated change of one error alone; zero if it was not tested."""
+        found = self.tool.by_cause.get(error.name) or self.tool.by_error.get(error.name)
         return 0.0 if found is None else found.rms_um
 
 
 MOST_NAMED: Final = 6
+VERDICTS: Final[Mapping[Verdict, Message]] = MappingProxyType(
+    {
+        "changed": Message("CHANGED"),
+        "unchanged": Message("UNCHANGED"),
+        "same": Message("IDENTICAL NUMBERS"),
+        "reworded": Message("DIFFERENT NUMBERS, UNCHANGED AT THE TOOL"),
+        "unknown": Message("UNKNOWN"),
+    }
+)
+_ANSWERS: Final = (Message("no"), Message("yes"), Message("unknown"))
+
+
+def answer(value: bool | None) -> Message:
+    """Return yes, no or unknown."""
+    return _ANSWERS[2 if value is None else value]
+
+
+def _stated(error: ErrorChange) -> str:
+    half = error.band if error.kind == "curve" else COVERAGE_FACTOR * error.u
+    return f"{plus_minus(error.largest, half)} {readable(error.unit)}"
 
 
 def meaning_of(found: Changes) -> tuple[str, ...]:
@@ -561,13 +583,9 @@ def comparison_text(found: Changes) -> str:
 
 
 def _verdict(found: Changes) -> list[str]:
-    head = {
-        "changed": "CHANGED",
-        "unchanged": "UNCHANGED, where it could be tested" if found.unjudged else "UNCHANGED",
-        "same": "IDENTICAL NUMBERS",
-        "reworded": "DIFFERENT NUMBERS, UNCHANGED AT THE TOOL",
-        "unknown": "UNKNOWN",
-    }[found.verdict]
+    head = VERDICTS[found.verdict]
+    if found.verdict == "unchanged" and found.unjudged:
+        head = Message("UNCHANGED, where it could be tested")
     lines = [f"{found.machine.name}: {found.second} less {found.first}", ""]
     lines += [f"{warning.title} (one or both): {warning.sentence}" for warning in found.warnings]
     lines += ["", head] if found.warnings else [head]
@@ -605,10 +623,11 @@ def _at_tool(found: Changes) -> list[str]:
 
 def _errors(found: Changes) -> list[str]:
     lines = [
-        "each error by itself; u: standard uncertainty (k = 1); band: 95 % for the whole curve; p: corrected for all errors (Holm)",
+        "each error; those named above as estimated there, all others by themselves; u: standard uncertainty (k = 1); band: 95 % for "
+        "the whole curve; p: corrected for all tests",
         f"  {'':<28}{'class':<7}{'RMS':>8}{'largest':>10}  {'at':<12}{'u':>8}{'band':>9}{'p':>9}   tool RMS",
     ]
-    lines += [_error(found, error) for error in found.errors]
+    lines += [_error(found, error) for error in found.stated]
     for error in found.errors:
         notes = list(error.notes)
         if error.without_variance > 0.0:
@@ -649,7 +668,7 @@ def _error(found: Changes, error: ErrorChange) -> str:
         return f"  {name:<28}{error.iso_class:<7}{'identical numbers':>18}"
     judged = "  *" if error.significant else ""
     p = f"{error.p_adjusted:.2g}" if np.isfinite(error.p_adjusted) else "unknown"
-    alone = found.tool.by_error.get(error.name)
+    alone = found.tool.by_cause.get(error.name) or found.tool.by_error.get(error.name)
     tool = f"{number(alone.rms_um):>8} µm" if alone else ""
     return (
         f"  {name:<27} {error.iso_class:<7}{number(error.rms):>8}{with_sign(error.largest):>10}  {at:<12}{_value(error.u):>8}"

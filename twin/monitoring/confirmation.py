@@ -16,19 +16,19 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Final, Literal, final
+from typing import Final, final
 
 import numpy as np
 
 from twin._common.distributions import chi2_sf
 from twin._common.errors import InputError
-from twin._common.provenance import SIMULATED, SourceWarning, merge_warnings, warning_texts, warnings_to_json
+from twin._common.messages import Message, Number, joined
+from twin._common.provenance import SIMULATED, SourceWarning, merge_warnings
 from twin._common.resources import Progress, one_blas_thread, silent
-from twin._common.units import UM, count_with_noun
+from twin._common.units import UM
 from twin.compensation.live import errors_while_on
-from twin.display import readable, render
+from twin.display import readable
 from twin.display.numbers import listed
-from twin.display.results import Result
 from twin.identification.inputs import reading_noise
 from twin.identification.network import Network, Unknowns, axes_with_known_places, spaces_for
 from twin.identification.solve import solve
@@ -40,6 +40,7 @@ from twin.model.calibration import Calibration
 from twin.model.conditions import Conditions
 from twin.model.effects import MACHINE_EFFECTS, unit_of
 from twin.model.effects.base import motion_in_words
+from twin.monitoring.confirmed import Confirmation, ConfirmedValue, MotionBound, MovedError, Verdict
 from twin.monitoring.written import (
     POSES,
     SEED,
@@ -61,11 +62,9 @@ from twin.numerics.curves import bases_for
 from twin.tool.forward import Kinematics
 from twin.tool.uncertainty import volume, without_missing_channels
 
-SCHEMA: Final = "twin.confirmation/1"
 UNEXPLAINED_BELOW: Final = 0.01
 """Rate of false alarms of the test whether anything is left that no hypothesis explains."""
-DRAWS, MOST_ALTERNATIVES = 400, 8
-MOST_EXPANDED: Final = 10.0  # U of a factor from which nothing of it is seen
+DRAWS: Final = 400
 WIDER: Final = 5.0
 """Factor on the calibration's uncertainty in the model from which the noise of the readings is estimated."""
 UNSEEN: Final = 0.01
@@ -75,230 +74,6 @@ ACTIVE: Final = (
     "kinematics act in tool centre point mode only: measure AFTER with the transformation active, at the programmed points for which "
     "the nominal kinematics give the axis positions of the table"
 )
-Verdict = Literal["confirmed", "undecided", "not in effect", "wrong", "changed otherwise", "unchanged", "moved"]
-
-
-# --- The result -----------------------------------------------------------------------------------
-
-
-@final
-@dataclass(frozen=True)
-class ConfirmedValue:
-    """One written value and what the readings say of it.
-
-    Attributes:
-        effect_um: its effect at the tool point, RMS over the volume.
-        factor: how many times it acts: 1 as written, 0 not, −1 reversed.
-        expanded: U of the factor (95 %), the other values free.
-        matters: whether its effect is large enough to count.
-        says: ``as written``, ``absent``, ``reversed``, ``otherwise``; ``not shown`` where these readings do not exclude that it is
-            absent or reversed by one mistake, alone or with a second one.
-    """
-
-    name: str
-    effect_um: float
-    factor: float
-    expanded: float
-    matters: bool
-    says: str
-
-
-@final
-@dataclass(frozen=True)
-class MovedError:
-    """A constant error that changed.
-
-    Attributes:
-        size: change with ``expanded`` (95 %), in ``unit``.
-        tool_um: largest displacement of the tool point by it over the volume.
-        words: the error in words.
-        look: where to look.
-    """
-
-    name: str
-    size: float
-    expanded: float
-    unit: str
-    tool_um: float
-    words: str
-    look: str
-
-
-@final
-@dataclass(frozen=True)
-class MotionBound:
-    """Upper bound, 95 %, of how far scales, squareness and locations moved the tool point, µm.
-
-    Attributes:
-        box_um: over the positions that the readings span.
-        volume_um: over the whole volume.
-        unseen: names of the errors whose change these readings do not show.
-    """
-
-    box_um: float
-    volume_um: float
-    box: Mapping[str, tuple[float, float]]
-    unseen: tuple[str, ...]
-
-
-@final
-@dataclass(frozen=True, repr=False)
-class Confirmation(Result):
-    """Verdict on what was written into a machine, or on what a crash moved.
-
-    Attributes:
-        findings: what is not as written, one sentence each, the verdict's reason.
-        alternatives: what the readings do not distinguish from it.
-        before_um, expected_um, expanded_um, measured_um: RMS error of the tool point over the volume: before, expected afterwards
-            with U (95 %), and as measured; without the errors that no reading determines. NaN without
-            written values or their uncertainty.
-        tool_length_mm: length of the tool.
-        p_value: of χ² of the residuals that remain.
-        noise: standard deviation of the readings, in units of the stated one.
-    """
-
-    machine: Machine
-    verdict: Verdict
-    findings: tuple[str, ...]
-    alternatives: tuple[str, ...]
-    values: tuple[ConfirmedValue, ...]
-    moved: tuple[MovedError, ...]
-    tool_length_mm: float
-    before_um: float
-    expected_um: float
-    expanded_um: float
-    measured_um: float
-    bound: MotionBound
-    p_value: float
-    noise: float
-    readings: int
-    notices: tuple[str, ...]
-    warnings: tuple[SourceWarning, ...]
-
-    @property
-    def met(self) -> bool:
-        """Whether everything is confirmed, or nothing moved."""
-        return self.verdict in ("confirmed", "unchanged")
-
-    @property
-    def headline(self) -> str:
-        """The verdict in one line."""
-        if self.verdict == "unchanged":
-            return f"nothing moved the tool by more than {_figure(self.bound.box_um)} µm"
-        said = "; ".join(self.findings) or self.verdict
-        if not np.isfinite(self.measured_um):
-            return said
-        before, expected, measured = map(_figure, (self.before_um, self.expected_um, self.measured_um))
-        half = f"{self.expanded_um:.{0 if min(self.expected_um / 9.95, self.expanded_um) >= 1.0 else 1}f}"
-        return f"before {before}, expected {expected} ± {half}, measured {measured} µm: {said}"
-
-    @property
-    def brief(self) -> str:
-        """Machine and headline."""
-        return f"{self.machine.name}: {self.headline}"
-
-    @property
-    def to_measure(self) -> tuple[str, ...]:
-        """Names of the written values that matter and that these readings do not show."""
-        if self.verdict != "undecided":
-            return ()
-        return tuple(value.name for value in self.values if value.matters and value.says == "not shown")
-
-    def table(self) -> list[tuple[str, str, str, str]]:
-        """Return every written value: name, effect at the tool, factor, what the readings say."""
-        return [
-            (
-                value.name,
-                f"{value.effect_um:.1f}",
-                f"{value.factor:.2f} ± {value.expanded:.2f}" if value.expanded < MOST_EXPANDED else "not seen",
-                value.says if value.matters or value.says != "not shown" else "not shown, too small to matter",
-            )
-            for value in self.values
-        ]
-
-    def sentences(self) -> list[str]:
-        """Return what belongs to the headline: what is not excluded, what moved and where to look, the bound, what to measure."""
-        said = [f"these readings do not exclude: {text}" for text in self.alternatives[:MOST_ALTERNATIVES]]
-        said += [
-            f"{one.words} ({one.name}) changed by {one.size:+.3g} ± {one.expanded:.2g} {readable(one.unit)}, "
-            f"up to {_figure(one.tool_um)} µm at the tool. {one.look}"
-            for one in self.moved
-        ]
-        bound = self.bound
-        if not self.values:
-            where = ", ".join(f"{name} {low:.0f} … {high:.0f}" for name, (low, high) in bound.box.items())
-            said.append(
-                f"{'besides, ' if self.moved else ''}scales, squareness and locations moved the tool by at most "
-                f"{_figure(bound.box_um)} µm (95 %) where the readings are ({where}), {_figure(bound.volume_um)} µm over the volume"
-            )
-        if bound.unseen:
-            said.append(
-                f"a change of {', '.join(bound.unseen)} is not seen by these readings: stations and targets set up anew hide it, or "
-                "its axis rests"
-            )
-        if self.to_measure:
-            said.append(
-                f"to decide, measure what shows {listed(list(self.to_measure))}: twin plan --confirm makes the shortest measurement"
-            )
-        return said
-
-    def to_text(self) -> str:
-        """Return the text report."""
-        lines = [self.brief, *warning_texts(self.warnings), ""]
-        if self.values:
-            lines += [
-                f"figures: RMS error of the tool point over the volume, tool length {self.tool_length_mm:g} mm, from the calibration "
-                f"and {count_with_noun(self.readings, 'reading')}; ± U (95 %), without what no reading determines. As written: "
-                "neither one mistake nor two explain the readings; acts … times: with all other values free, too",
-                "",
-                f"{'written value':<38}{'effect at the tool':>20}{'acts … times (U 95 %)':>24}   these readings say",
-                *(f"  {name:<36}{f'{um} µm RMS':>20}{times:>24}   {says}" for name, um, times, says in self.table()),
-                "",
-            ]
-        lines += [*self.sentences(), *(f"note: {text}" for text in self.notices)]
-        return "\n".join(lines) + "\n"
-
-    def to_html(self) -> str:
-        """Return one self-contained HTML page."""
-        return render(
-            "monitoring/templates/confirmation.html.j2",
-            title=self.brief,
-            found=self,
-            badges=warning_texts(self.warnings),
-            heads=("written value", "effect at the tool, µm RMS", "acts … times (U 95 %)", "these readings say"),
-            colour="#e8f3ea" if self.met else "#fdf2df" if self.verdict == "undecided" else "#fbe4de",
-        )
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the JSON object (``schema: twin.confirmation/1``); unknown numbers are null."""
-        figures = {
-            name: getattr(self, name)
-            for name in ("before_um", "expected_um", "expanded_um", "measured_um", "p_value", "noise")
-        }
-        return {
-            "schema": SCHEMA,
-            "machine": self.machine.name,
-            "verdict": self.verdict.replace(" ", "_"),
-            "headline": self.headline,
-            "findings": list(self.findings),
-            "not_excluded": list(self.alternatives),
-            **{name: value if np.isfinite(value) else None for name, value in figures.items()},
-            "tool_length_mm": self.tool_length_mm,
-            "readings": self.readings,
-            "written": [vars(value) for value in self.values],
-            "to_measure": list(self.to_measure),
-            "moved": [vars(one) for one in self.moved],
-            "bound": {**vars(self.bound), "box": {name: list(ends) for name, ends in self.bound.box.items()}},
-            "notices": list(self.notices),
-            "warnings": warnings_to_json(self.warnings),
-        }
-
-
-def _figure(value: float) -> str:
-    return f"{value:.0f}" if not abs(value) < 9.95 else f"{value:.1f}"
-
-
-# --- From readings to the verdict -----------------------------------------------------------------
 
 
 def confirm(
@@ -460,7 +235,9 @@ class _Task:
             if p_value < UNEXPLAINED_BELOW:
                 verdict = "changed otherwise"
                 findings = (
-                    "changed otherwise: no single scale, squareness, location or written value explains the readings",
+                    Message(
+                        "changed otherwise: no single scale, squareness, location or written value explains the readings"
+                    ),
                 )
             elif not self.written:
                 verdict = "unchanged"
@@ -469,7 +246,12 @@ class _Task:
                     "undecided",
                     [value.name for value in values if value.matters and value.says == "not shown"],
                 )
-                findings = (f"undecided: these readings cannot show the sign of {_names(seen, groups, self.written)}",)
+                findings = (
+                    Message(
+                        "undecided: these readings cannot show the sign of {names}",
+                        names=_names(seen, groups, self.written),
+                    ),
+                )
             else:
                 verdict = "confirmed"
         elif not self.written:
@@ -486,7 +268,9 @@ class _Task:
             verdict=verdict,
             findings=findings,
             alternatives=tuple(
-                dict.fromkeys("; ".join(self.sentences(one, groups)) for one in others if _differs(state, one, values))
+                dict.fromkeys(
+                    joined("; ", self.sentences(one, groups)) for one in others if _differs(state, one, values)
+                )
             ),
             values=values,
             moved=self._moved(state, estimate, covariance),
@@ -646,39 +430,49 @@ class _Task:
         for (factor, axis), some in by_value.items():
             names = [self.written[k].name for k in some]
             left = [value.name for k, value in enumerate(self.written) if k not in some]
-            few = f"only {_names(left, groups, self.written)} took effect" if left else "nothing changed"
+            few = (
+                Message("only {names} took effect", names=_names(left, groups, self.written))
+                if left
+                else Message("nothing changed")
+            )
             words = few if len(left) < len(names) else ""
             found.append(self._mistake(factor, axis, _names(names, groups, self.written), words))
         for k, one in enumerate(state.free):
             if one < 0:
                 name, members = list(groups.items())[-1 - one]
                 about = dict(state.factors).get(members[0], 1.0)
-                size = (
-                    ""
-                    if estimate is None or covariance is None
-                    else f"{about + estimate[k]:.2f} ± {2 * np.sqrt(covariance[k, k]):.2f}"
-                )
-                found.append(f"{name} acts with {size or 'another share'} {'times' if size else 'of'} its values")
-            elif estimate is None or covariance is None:
-                found.append(f"{'changed otherwise' if self.written else 'moved'}: {self.unknowns.columns[one].entity}")
+                if estimate is None or covariance is None:
+                    found.append(Message("{name} acts with another share of its values", name=name))
+                else:
+                    size = Number(f"{about + estimate[k]:.2f} ± {2 * np.sqrt(covariance[k, k]):.2f}")
+                    found.append(Message("{name} acts with {size} times its values", name=name, size=size))
             else:
-                name, change, expanded, unit = self._constant(one, float(estimate[k]), float(covariance[k, k]))
+                what = self.unknowns.columns[one].entity
+                if estimate is not None and covariance is not None:
+                    name, change, expanded, unit = self._constant(one, float(estimate[k]), float(covariance[k, k]))
+                    what = Message(
+                        "{name} by {size}", name=name, size=Number(f"{change:+.3g} ± {expanded:.2g} {readable(unit)}")
+                    )
                 found.append(
-                    f"{'changed otherwise' if self.written else 'moved'}: {name} by {change:+.3g} ± {expanded:.2g} {readable(unit)}"
+                    Message("changed otherwise: {what}", what=what)
+                    if self.written
+                    else Message("moved: {what}", what=what)
                 )
-        return tuple(found) or ("everything in effect as written" if self.written else "nothing moved",)
+        return tuple(found) or (
+            Message("everything in effect as written") if self.written else Message("nothing moved"),
+        )
 
     def _mistake(self, factor: float, axis: int | None, names: str, left: str) -> str:
         """Return a sentence on values that do not act as written; ``left``: words on the others, if few act."""
         if axis is not None:
-            return f"{names}: moves {self.machine.names[axis]} instead"
+            return Message("{names}: moves {axis} instead", names=names, axis=self.machine.names[axis])
         if factor == 0.0:
-            return f"not in effect: {left or names}"
+            return Message("not in effect: {names}", names=left or names)
         if factor == -1.0:
-            return f"sign of {names} reversed: the error doubled"
+            return Message("sign of {names} reversed: the error doubled", names=names)
         if factor == 2.0:
-            return f"{names} in effect twice"
-        return f"{names} in effect with {factor:g} times the values: wrong unit?"
+            return Message("{names} in effect twice", names=names)
+        return Message("{names} in effect with {factor:g} times the values: wrong unit?", names=names, factor=factor)
 
 
 def _differs(one: Hypothesis, other: Hypothesis, values: Sequence[ConfirmedValue]) -> bool:

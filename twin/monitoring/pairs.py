@@ -30,6 +30,7 @@ import numpy as np
 
 from twin._common.arrays import read_only
 from twin._common.distributions import chi2_log_sf, chi2_sf, normal_isf
+from twin._common.records import json_form
 from twin.display.numbers import COVERAGE_FACTOR
 from twin.machine.machine import Axis
 from twin.model.calibration import Calibration
@@ -380,6 +381,47 @@ def whiten(change: np.ndarray, covariance: np.ndarray, exact: np.ndarray | None 
         read_only(safe[:, None] * vectors[:, keep]),
         read_only(without_variance),
     )
+
+
+@final
+@dataclass(frozen=True)
+class ErrorChange:
+    """The change of one error, second calibration less first."""
+
+    name: str  # ISO 230-1 name, or the effect's own
+    kind: Literal["curve", "number", "effect"]  # ``curve``, ``number`` (squareness, location) or ``effect``
+    iso_class: str  # class of ISO/TR 16907
+    axis: str
+    unit: str  # for an effect, that of the number ``label``
+    status: Status  # ``known``; ``same``: identical numbers; ``unknown``: a calibration does not state its uncertainty
+    label: str  # for an effect, the number that ``largest`` belongs to: the one with the largest change in standard uncertainties
+    rms: float  # of a curve, over the common part of both domains; else the absolute value of ``largest``
+    largest: float  # the largest change of a curve with its sign, or the change of the number
+    at: float  # position of the axis of the largest change, mm or degrees; NaN unless a curve
+    u: float  # standard uncertainty (k = 1) of ``largest``; NaN if unknown
+    band: float  # half width at ``at`` of the simultaneous 95 % band of the whole curve; for a number 1.96 u; NaN if unknown.
+    p_value: float  # of the χ² of the change; NaN if unknown
+    p_adjusted: float  # p-value corrected for the number of errors tested (Holm)
+    without_variance: float  # largest change in directions without an uncertainty, in ``unit``; zero if none
+    notes: tuple[str, ...]  # assumptions made
+
+    @property
+    def significant(self) -> bool | None:
+        """Return whether the change is significant by itself, corrected for the number of errors; None if unknown."""
+        if self.status == "same":
+            return False
+        return None if self.status == "unknown" else self.p_adjusted <= FALSE_ALARMS_OF_A_TEST
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the entry of the JSON; null for unknown values."""
+        renamed = {"name": "error", "iso_class": "class", "label": "number", "band": "band95"}
+        entry = json_form(self, rename=renamed, leave_out=("without_variance", "notes"))
+        return entry | {
+            "number": self.label or None,
+            "significant": self.significant,
+            "without_uncertainty": self.without_variance,
+            "notes": list(self.notes),
+        }
 
 
 def holm_adjusted(p_values: Sequence[float]) -> list[float]:

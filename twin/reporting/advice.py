@@ -12,66 +12,23 @@ from typing import Any, Final, Literal, final
 from twin._common.errors import InputError
 from twin._common.messages import Message, Number, Quoted, joined
 from twin._common.records import json_form
-from twin.compensation.tables import CorrectedShare, RemainingErrors, Request, account_of, make
-from twin.controls import TableSum, table_formats
+from twin.controls.kinematics.format import rotary_axes
 from twin.display import expanded, figure, with_half
 from twin.display.numbers import capital, listed, lower
+from twin.machine.machine import Machine
 from twin.model.calibration import Calibration
 from twin.model.conditions import SETTINGS, needed_values
-from twin.reporting.compensation import CompensationForecast
+from twin.reporting.compensation import CompensationForecast, TablesLeft
 from twin.reporting.contributions import Budget
 from twin.reporting.identified import Identified, PointComparison
-from twin.tool.forward import Kinematics
-
-
-@final
-@dataclass(frozen=True)
-class TablesLeft:
-    """Errors that remain with the tables of one format."""
-
-    kind: str  # name of the format: one with tables of single axes, not volumetric as ``isg`` and ``grid``
-    at: Mapping[str, float]  # positions of the other axes while one moves, by axis; mm, degrees
-    tool_length_mm: float  # tool length for which the tables are made
-    remains: RemainingErrors  # the error at the tool with them
-    carried: tuple[CorrectedShare, ...]  # every error, and the part of it that the format compensates
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the content for JSON."""
-        return json_form(self, rename={"kind": "format", "remains": "error_at_tool"}, leave_out=("carried",))
-
-
-def tables_left(
-    real: Kinematics, errors: Calibration, missing: Mapping[str, tuple[str, ...]]
-) -> tuple[TablesLeft, ...]:
-    """Make the tables of every format and return the remaining errors, the most effective format first.
-
-    Empty if the control has tables already, the estimate did not converge or there are no errors. Formats that cannot hold tables of
-    this machine are omitted. ``real`` has the errors that can be evaluated, ``errors`` all, ``missing`` the others by channel.
-    """
-    if errors.control is not None or not errors.settled or real.calibration.empty:
-        return ()
-    tables: list[TablesLeft] = []
-    required = None
-    for form in table_formats():
-        if form.correction is not TableSum:
-            continue
-        request = Request(form.name, tool_length_mm=real.tool_length_mm, conditions=real.conditions)
-        try:
-            made = make(real.machine, real.calibration, request, required)
-        except InputError:
-            continue
-        required = made.required
-        account = account_of(made, errors, real.calibration, missing)
-        tables.append(TablesLeft(form.name, made.required.at, real.tool_length_mm, account.remains, account.carried))
-    return tuple(sorted(tables, key=lambda one: -one.remains.reduction))
-
 
 Kind = Literal["do", "measure", "never", "unknown"]
 Rating = Literal["well", "wrong", "unknown"]
 NAMED: Final = 3
 WORTH: Final = 0.05
 """Smallest share of the RMS error over the volume that an action must remove to be recommended."""
-MECHANICAL: Final = ("L-SQU", "R-POR")
+LOCATION: Final = "R-POR"
+MECHANICAL: Final = ("L-SQU", LOCATION)
 TABLES: Final = {
     "L-POS": Message("positioning"),
     "L-STR": Message("straightness"),
@@ -93,6 +50,7 @@ class Step:
     kind: Kind
     title: str
     text: str  # with numbers
+    short: str = ""  # one sentence for the first page; empty for what does not belong there
 
 
 @final
@@ -126,6 +84,7 @@ def advise(
                 "measure",
                 Message("Measure the machine"),
                 joined(" ", [Message("An empty calibration does not describe an accurate machine."), _IDENTIFY]),
+                _IDENTIFY,
             ),
             Step(
                 "never",
@@ -181,7 +140,12 @@ def _corrections(
         )
         yield Step("never", Message("Compensate or adjust with this calibration"), text)
     else:
-        yield from _one_of(_compensate(calibration, found, outcome), _adjust(found), _tables(found, tables))
+        yield from _one_of(
+            _kinematics(calibration, found),
+            _compensate(calibration, found, outcome),
+            _tables(found, tables),
+            _adjust(found),
+        )
 
 
 def _module(calibration: Calibration, found: Budget, outcome: CompensationForecast) -> Iterator[Step]:
@@ -205,7 +169,7 @@ def _module(calibration: Calibration, found: Budget, outcome: CompensationForeca
         )
         texts += _not_corrected(outcome)
     texts.append(Message("Programs run as they are."))
-    yield Step("do", Message("Keep the correction in the control switched on"), joined(" ", texts))
+    yield Step("do", Message("Keep the correction in the control switched on"), joined(" ", texts), texts[-1])
     text = Message(
         "A measurement with it switched on shows the errors that remain: `twin identify measured.csv -o remaining.yaml{machine} "
         "--control linuxcnc-kinematics={file}`. `twin control --to linuxcnc-kinematics --add -c remaining.yaml -o live2/` then makes a "
@@ -213,7 +177,7 @@ def _module(calibration: Calibration, found: Budget, outcome: CompensationForeca
         machine=calibration.machine.as_option,
         file="calibration.yaml" if calibration.path is None else calibration.path.name,
     )
-    yield Step("measure", Message("Measure what remains"), text)
+    yield Step("measure", Message("Measure what remains"), text, Message("With the module switched off."))
     control = calibration.control
     text = Message(
         "Programs, tables and kinematics made from these errors would correct them a second time. `twin compensate` and `twin control` "
@@ -247,6 +211,9 @@ _ORDER: Final = ("unknown", "do", "measure", "never")
 _IDENTIFY: Final = Message(
     "`twin plan` gives the positions to measure; `twin identify` makes a calibration with uncertainty from the readings."
 )
+
+
+_DIAGNOSE: Final = Message("`twin diagnose` names it.")
 
 
 def _one_of(*ways: Iterator[Step]) -> Iterator[Step]:
@@ -293,7 +260,7 @@ def _incomplete(
             "`twin diagnose` looks for its cause.",
             chi2=fit.reduced_chi2,
         )
-        yield Step("measure", Message("Find the cause of the lack of fit"), text)
+        yield Step("measure", Message("Find the cause of the lack of fit"), text, _DIAGNOSE)
     elif identified.doubtful:
         text = Message(
             "The residuals are larger than the stated noise (reduced chi² {chi2:.3g}), and no reading was repeated: "
@@ -301,14 +268,14 @@ def _incomplete(
             "part of those errors. `twin diagnose` looks for the cause.",
             chi2=fit.reduced_chi2,
         )
-        yield Step("unknown", Message("The calibration does not describe the readings"), text)
+        yield Step("unknown", Message("The calibration does not describe the readings"), text, _DIAGNOSE)
     elif fit.p_value is not None and fit.p_value < REPEATS:
         text = Message(
             "The noise of the readings is larger than stated (reduced chi² {chi2:.3g}): the uncertainties here are too small. "
             "Identify again with `--uncertainty repeats`, or use `twin diagnose`.",
             chi2=fit.reduced_chi2,
         )
-        yield Step("measure", Message("Find the cause of the noise"), text)
+        yield Step("measure", Message("Find the cause of the noise"), text, _DIAGNOSE)
 
 
 def _misfit(points: Sequence[PointComparison], calibration: Calibration) -> Iterator[Step]:
@@ -323,7 +290,7 @@ def _misfit(points: Sequence[PointComparison], calibration: Calibration) -> Iter
                 residual=figure(point.rms_after_um, "µm"),
                 options=_about(calibration),
             )
-            yield Step("measure", Message("Find the cause of the outliers"), text)
+            yield Step("measure", Message("Find the cause of the outliers"), text, _DIAGNOSE)
 
 
 def _control(calibration: Calibration, outcome: CompensationForecast) -> Iterator[Step]:
@@ -368,7 +335,8 @@ def _control(calibration: Calibration, outcome: CompensationForecast) -> Iterato
                 rms=figure(outcome.before.rms_um, "µm"),
             )
             texts = [compensated, active]
-    yield Step("do", Message("Keep the control's tables active"), joined(" ", texts))
+    short = Message("All figures are with them.") if control.errors_are != "remaining" else texts[0]
+    yield Step("do", Message("Keep the control's tables active"), joined(" ", texts), short)
 
 
 def _compensate(calibration: Calibration, found: Budget, outcome: CompensationForecast) -> Iterator[Step]:
@@ -422,7 +390,8 @@ def _compensate(calibration: Calibration, found: Budget, outcome: CompensationFo
                 largest=figure(outcome.out_of_range_um, "µm"),
             )
         )
-    yield Step("do", _with_measured(Message("compensate the programs"), calibration), joined(" ", texts))
+    short = Message("It leads to the figure above: run the programs that `twin compensate` writes.")
+    yield Step("do", _with_measured(Message("compensate the programs"), calibration), joined(" ", texts), short)
 
 
 def _not_corrected(outcome: CompensationForecast) -> list[Message]:
@@ -457,10 +426,70 @@ def _options(found: Budget, calibration: Calibration) -> str:
     return f"{_about(calibration)}{tool}{' --temperature' if warm else ''}{warm}{held}"
 
 
+def _kinematics(calibration: Calibration, found: Budget) -> Iterator[Step]:
+    """Yield the entry of the rotary axes' locations in the control's kinematics, if they matter and the control can hold them."""
+    if not has_table_kinematics(found.kinematics.machine) or (calibration.control and calibration.control.kinematics):
+        return
+    names = [error for error in found.errors if error.iso_class == LOCATION and not error.illustrative]
+    significant = [error for error in names if isfinite(error.peak_half) and error.peak > error.peak_half]
+    rest = found.rms_without_um(*(error.name for error in names)) if significant else found.total.rms_um
+    if found.total.rms_um - rest < WORTH * found.total.rms_um:
+        return
+    sizes = {"start": figure(found.total.rms_um, "µm"), "rest": figure(rest, "µm")}
+    texts = [
+        Message(
+            "{names}: the kinematics of tool centre point mode hold these values. RMS error at the tool in that mode: {start} "
+            "before, {rest} after. `twin control --kinematics siemens-chain -o kinematics/{options}` writes them (other controls: "
+            "`twin doc control`); `twin report --kinematics` shows them beside the present ones. Compensate programs and write tables "
+            "with the `calibration.yaml` written beside them.",
+            names=listed(
+                [
+                    Message("{words} ({size})", words=e.words, size=with_half(e.peak, e.peak_half, e.unit))
+                    for e in significant
+                ]
+            ),
+            options=_options(found, calibration),
+            **sizes,
+        )
+    ]
+    unknown = [
+        error.name for error in calibration.not_identifiable if error.name in found.kinematics.machine.location_names
+    ]
+    if unknown:
+        texts.append(Message("First determine {names}: without them no kinematics are written.", names=listed(unknown)))
+    yield Step(
+        "do",
+        Message("Enter the location of the rotary axes in the control's kinematics"),
+        joined(" ", texts),
+        joined(
+            " ",
+            [
+                Message(
+                    "It removes {share:.0f} % of the RMS error in tool centre point mode.",
+                    share=100.0 * (1.0 - rest / found.total.rms_um),
+                ),
+                *([Message("First determine {names}.", names=listed(unknown))] if unknown else []),
+            ],
+        ),
+    )
+
+
+def has_table_kinematics(machine: Machine) -> bool:
+    """Return whether a control's kinematics can be written for a machine (`twin.controls.kinematics.format`)."""
+    try:
+        rotary_axes(machine)
+    except InputError:
+        return False
+    return True
+
+
 def _adjust(found: Budget) -> Iterator[Step]:
-    """Yield mechanical adjustments of errors that are large and significant."""
-    significant, without_interval = list[Message](), list[Message]()
+    """Yield mechanical adjustments of errors that are large and significant, without those that the control's kinematics can hold."""
+    significant, without_interval, names = list[Message](), list[Message](), list[Message]()
+    in_control = has_table_kinematics(found.kinematics.machine)
     for error in found.errors:
+        if in_control and error.iso_class == LOCATION:
+            continue
         # The RMS error cannot fall by more than that of the error removed.
         if error.iso_class not in MECHANICAL or error.illustrative or error.rms_um < WORTH * found.total.rms_um:
             continue
@@ -471,18 +500,21 @@ def _adjust(found: Budget) -> Iterator[Step]:
             words = Message("{words} ({name})", words=lower(error.words), name=error.name)
             without_interval.append(words)
         elif error.peak > error.peak_half:
+            size = with_half(error.peak, error.peak_half, error.unit)
+            names.append(Message("{words} ({size})", words=error.words, size=size))
             significant.append(
                 Message(
                     "{words} ({name}) by {size}: this reduces the error over the volume to {rms} RMS.",
                     words=error.words,
                     name=error.name,
-                    size=with_half(error.peak, error.peak_half, error.unit),
+                    size=size,
                     rms=figure(rest, "µm"),
                 )
             )
     if significant:
         again = Message("Measure again after the adjustment: this calibration is then no longer valid.")
-        yield Step("do", Message("Adjust the machine mechanically"), joined(" ", [*significant, again]))
+        short = Message("{names}; measure again afterwards.", names=listed(names))
+        yield Step("do", Message("Adjust the machine mechanically"), joined(" ", [*significant, again]), short)
     if without_interval:
         text = Message("The uncertainty of {names} is unknown.", names=listed(without_interval))
         yield Step("measure", Message("Measure before any adjustment"), text)
@@ -520,7 +552,10 @@ def _tables(found: Budget, tables: Sequence[TablesLeft]) -> Iterator[Step]:
             options=_options(found, calibration),
         )
         title = _with_measured(Message("use the control's axis tables"), calibration)
-        yield Step("do", title, joined(" ", [text, how]))
+        short = Message(
+            "They remove {share:.0f} % of the RMS error ({kind}).", share=100.0 * best.remains.reduction, kind=best.kind
+        )
+        yield Step("do", title, joined(" ", [text, how]), short)
     else:
         yield Step("never", Message("Rely on the control's axis tables alone"), text)
 
@@ -554,7 +589,9 @@ def _unknown(calibration: Calibration, outcome: CompensationForecast) -> Iterato
     if outcome.not_identified:
         names = listed(outcome.not_identified)
         texts.append(Message("U at the tool includes the plausible size of {names} (machine file).", names=names))
-    yield Step("measure", Message("Determine the errors that were not identified"), joined(" ", texts))
+    names = listed([error.name for error in calibration.not_identifiable])
+    short = Message("{names}: page 2 says what to measure, and where.", names=names)
+    yield Step("measure", Message("Determine the errors that were not identified"), joined(" ", texts), short)
 
 
 def _measure(found: Budget, outcome: CompensationForecast, instrument: str | None) -> Iterator[Step]:
@@ -562,7 +599,7 @@ def _measure(found: Budget, outcome: CompensationForecast, instrument: str | Non
     if not known:
         if found.errors:
             text = Message("U at the tool is unknown: the calibration gives no uncertainty.")
-            yield Step("measure", Message("Determine the uncertainty"), joined(" ", [text, _IDENTIFY]))
+            yield Step("measure", Message("Determine the uncertainty"), joined(" ", [text, _IDENTIFY]), _IDENTIFY)
         return
     reasons = []
     if outcome.judged is not None and outcome.exact is not None and outcome.judged.rms_um > 2.0 * outcome.exact.rms_um:
@@ -586,7 +623,9 @@ def _measure(found: Budget, outcome: CompensationForecast, instrument: str | Non
             machine=found.kinematics.machine.as_option,
             aim=aim,
         )
-        yield Step("measure", Message("Measure the most uncertain errors again"), joined(" ", [*reasons, largest]))
+        short = Message("{names}.", names=names)
+        title = Message("Measure the most uncertain errors again")
+        yield Step("measure", title, joined(" ", [*reasons, largest]), short)
     if found.without_uncertainty:
         text = Message(
             "{names}: the calibration gives a value but no uncertainty.", names=listed(found.without_uncertainty)

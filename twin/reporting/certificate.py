@@ -21,11 +21,11 @@ from twin._common.errors import InputError
 from twin._common.provenance import SourceWarning, warning_texts
 from twin._common.xml_files import parse_xml
 from twin.display.numbers import COVERAGE_FACTOR
+from twin.display.sheet import CertificateFacts, Contact, Job
 from twin.measurement.certificate import DCC, SI
 from twin.model.calibration import Calibration
 from twin.model.effects import split_name, unit_of
 from twin.model.motion_curve import Curve
-from twin.reporting.front import CertificateFacts, Contact, Job
 from twin.standards import EvaluationResult
 from twin.standards.iso230_2 import Positioning
 from twin.standards.result import StandardTest, StandardValue, ToleranceCheck

@@ -9,6 +9,7 @@ and McCleary 1972). Its 95 % interval follows from the spread of the readings.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
@@ -17,9 +18,12 @@ from typing import Any, Final, final
 import numpy as np
 
 from twin._common.arrays import read_only
+from twin._common.errors import InputError
 from twin._common.messages import Message
 from twin._common.records import json_form
 from twin._common.units import UM
+from twin.compensation.tables import CorrectedShare, RemainingErrors, Request, account_of, make
+from twin.controls import TableSum, table_formats
 from twin.diagnosis.candidates.candidate import first_component
 from twin.diagnosis.plots import group_means, group_numbers
 from twin.diagnosis.readings import readings
@@ -34,7 +38,7 @@ from twin.model.conditions import APPROACH, required_channels
 from twin.model.effects import split_name
 from twin.reporting.contributions import Budget, without
 from twin.reporting.identified import PointComparison, PositionEstimates, is_motion, sum_of_effects
-from twin.tool.forward import rms_and_max
+from twin.tool.forward import Kinematics, rms_and_max
 from twin.tool.inverse import Inverse, Status
 from twin.tool.population import TAIL, Spread
 from twin.tool.uncertainty import ToolUncertainty
@@ -44,6 +48,7 @@ MACHINES_A_STEP: Final = 50
 """Machines drawn at once: 50 at 2,000 poses are 2.4 MB."""
 SIZES: Final = 16_000
 """Number of magnitudes kept of a distribution over all drawn machines and poses."""
+_BEFORE: Final = Message("uncompensated, with uncertainty")
 SHARES: Final = (0.5, 0.95, 0.99)
 
 
@@ -97,6 +102,7 @@ class CompensationForecast:
     exact: ErrorDistribution | None  # if the calibration is exact; None if the machine runs no programs
     with_uncertainty: ErrorDistribution | None  # on drawn machines; None if unknown
     identified: ErrorDistribution | None  # the same without the errors that could not be determined
+    expected_before: ErrorDistribution | None  # as ``judged``, uncompensated; None if U is unknown
     not_identified: tuple[str, ...]
     complete: bool  # whether all errors have an uncertainty; if not, ``with_uncertainty`` is a lower bound
     poses: int
@@ -118,7 +124,14 @@ class CompensationForecast:
         """All available cases, in the order of the report."""
         return tuple(
             one
-            for one in (self.without_tables, self.before, self.exact, self.identified, self.with_uncertainty)
+            for one in (
+                self.without_tables,
+                self.before,
+                self.expected_before,
+                self.exact,
+                self.identified,
+                self.with_uncertainty,
+            )
             if one is not None
         )
 
@@ -135,6 +148,7 @@ class CompensationForecast:
                 "compensated": self.with_uncertainty,
                 "compensated_identified_errors": self.judged,
                 "not_identified": self.not_identified,
+                "uncompensated_identified_errors": self.expected_before,
                 "compensated_complete": self.with_uncertainty is not None and self.complete,
                 "out_of_range": self.out_of_range,
                 "out_of_range_max_um": self.out_of_range_um,
@@ -170,6 +184,8 @@ def forecast_compensation(found: Budget, seed: int) -> CompensationForecast:
     worst_out = np.nan
     uncertainty = ToolUncertainty(real)
     deviations = _Deviations(uncertainty, q, sides, seed)
+    alone = ToolUncertainty(real, "identified") if uncertainty.unknown else uncertainty
+    judged = _Deviations(alone, q, sides, seed) if uncertainty.unknown else deviations
     if real.machine.runs_programs:
         name = Message("compensated, with uncertainty")
         commands, beyond, unoriented = _commanded(found)
@@ -184,20 +200,20 @@ def forecast_compensation(found: Budget, seed: int) -> CompensationForecast:
             everything = Message("compensated, with uncertainty and errors not identified")
             with_uncertainty = deviations.distribution(everything if uncertainty.unknown else name, remaining)
         if uncertainty.unknown:
-            alone = ToolUncertainty(real, "identified")
-            identified = (
-                _Deviations(alone, q, sides, seed).distribution(name, remaining)
-                if alone.parameters
-                else _distribution(name, remaining)
-            )
+            identified = judged.distribution(name, remaining) if alone.parameters else _distribution(name, remaining)
+    expected_before = None
     if uncertainty.parameters:
-        uncompensated = deviations.distribution("uncompensated, with uncertainty", found.error_um).machines
+        every = deviations.distribution(_BEFORE, found.error_um)
+        uncompensated = every.machines
+        if alone.parameters:
+            expected_before = judged.distribution(_BEFORE, found.error_um) if uncertainty.unknown else every
     return CompensationForecast(
         before=ErrorDistribution(Message("uncompensated"), read_only(np.sort(before))),
         without_tables=without_tables,
         exact=exact,
         with_uncertainty=with_uncertainty,
         identified=identified,
+        expected_before=expected_before,
         not_identified=uncertainty.unknown,
         complete=not uncertainty.without_uncertainty,
         poses=len(q),
@@ -260,6 +276,48 @@ class _Deviations:
 def _spread(values: np.ndarray) -> Spread:
     low, high = np.quantile(values, (TAIL, 1.0 - TAIL))
     return Spread(float(values.mean()), float(low), float(high), float(values.max()))
+
+
+@final
+@dataclass(frozen=True)
+class TablesLeft:
+    """Errors that remain with the tables of one format."""
+
+    kind: str  # name of the format: one with tables of single axes, not volumetric as ``isg`` and ``grid``
+    at: Mapping[str, float]  # positions of the other axes while one moves, by axis; mm, degrees
+    tool_length_mm: float  # tool length for which the tables are made
+    remains: RemainingErrors  # the error at the tool with them
+    carried: tuple[CorrectedShare, ...]  # every error, and the part of it that the format compensates
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the content for JSON."""
+        return json_form(self, rename={"kind": "format", "remains": "error_at_tool"}, leave_out=("carried",))
+
+
+def tables_left(
+    real: Kinematics, errors: Calibration, missing: Mapping[str, tuple[str, ...]]
+) -> tuple[TablesLeft, ...]:
+    """Make the tables of every format and return the remaining errors, the most effective format first.
+
+    Empty if the control has tables already, the estimate did not converge or there are no errors. Formats that cannot hold tables of
+    this machine are omitted. ``real`` has the errors that can be evaluated, ``errors`` all, ``missing`` the others by channel.
+    """
+    if errors.control is not None or not errors.settled or real.calibration.empty:
+        return ()
+    tables: list[TablesLeft] = []
+    required = None
+    for form in table_formats():
+        if form.correction is not TableSum:
+            continue
+        request = Request(form.name, tool_length_mm=real.tool_length_mm, conditions=real.conditions)
+        try:
+            made = make(real.machine, real.calibration, request, required)
+        except InputError:
+            continue
+        required = made.required
+        account = account_of(made, errors, real.calibration, missing)
+        tables.append(TablesLeft(form.name, made.required.at, real.tool_length_mm, account.remains, account.carried))
+    return tuple(sorted(tables, key=lambda one: -one.remains.reduction))
 
 
 # --- Compare measured points with a calibration ---------------------------------------------------

@@ -98,9 +98,9 @@ class Budget:
         """Contributions of single errors by name."""
         return {error.name: error for error in self.errors}
 
-    def rms_without_um(self, name: str) -> float:
-        """Return the RMS error over the volume with one error removed, µm."""
-        others = {effect.name for effect in self.kinematics.calibration.effects} - {name}
+    def rms_without_um(self, *names: str) -> float:
+        """Return the RMS error over the volume with some errors removed, µm."""
+        others = {effect.name for effect in self.kinematics.calibration.effects} - {*names}
         ((nominal, found),) = self._partial.poses([others])
         remaining = found.point_mm - nominal.point_mm
         return float(np.sqrt(np.mean(np.sum(remaining**2, axis=1)))) * 1e3

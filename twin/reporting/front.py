@@ -2,133 +2,28 @@
 
 from __future__ import annotations
 
-import base64
-import re
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
-from datetime import date
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from datetime import datetime
 from math import isfinite, nan
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal, final
-from xml.etree import ElementTree
-
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
-from pydantic_core import PydanticCustomError
+from typing import Any, Final, final
 
 from twin._common.distributions import Verdict, decide, is_accepted
 from twin._common.errors import InputError, closest_name
-from twin._common.files import read_bytes
+from twin._common.files import read_json
 from twin._common.provenance import UNSETTLED_ESTIMATE
 from twin._common.records import json_form
-from twin._common.yaml_files import load_yaml
 from twin.display import UNKNOWN, readable, with_half
 from twin.machine.machine import Machine
 from twin.model.effects import unit_of
-from twin.reporting.contributions import Contribution
-from twin.reporting.result import MachineReport
-
-SCHEMA: Final = "twin.job/1"
-LOGO_BYTES: Final = 512 * 1024
-"""Largest size of a logo."""
-PNG: Final = b"\x89PNG\r\n\x1a\n"
-EXPECTED: Final = "a PNG or an SVG picture"
-Line = Annotated[str, Field(max_length=80)]
-
-
-def _country(value: object) -> object:
-    """Return a country code of ISO 3166-1; raise an error for anything else, such as NO without quotes, which YAML reads as false."""
-    if isinstance(value, str) and re.fullmatch("[A-Z]{2}", value):
-        return value
-    expected = 'two capital letters of ISO 3166-1, in quotes: "NO"'
-    raise PydanticCustomError("country", "Input should be {expected}", {"expected": expected})
-
-
-Country = Annotated[str, BeforeValidator(_country)]
-Name = Annotated[str, Field(min_length=1, max_length=120)]
-
-
-class Contact(BaseModel):
-    """Name and address of a laboratory or customer."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-    name: Name
-    email: Name
-    city: Name
-    street: str = ""
-    post_code: str = ""
-    country: Country | None = None
-
-
-class Person(BaseModel):
-    """A person responsible for the certificate."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-    name: Name
-    role: str = ""
-
-
-class CertificateFacts(BaseModel):
-    """Facts that a certificate must state and twin cannot know: entry ``dcc`` of a job file."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-    number: Name
-    country: Country
-    begin: date
-    end: date
-    performed_at: Literal["laboratory", "customer", "laboratoryBranch", "customerBranch", "other"]
-    manufacturer: Name
-    laboratory: Contact
-    customer: Contact
-    responsible: Annotated[tuple[Person, ...], Field(min_length=1)]
-
-
-class Job(BaseModel):
-    """Facts of a test; every entry is optional, and what is missing is filled in by hand on paper."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-    schema_: Literal["twin.job/1"] = Field(default="twin.job/1", alias="schema")
-    machine: Line = ""
-    serial_number: Line = ""
-    operator: Line = ""
-    customer: Line = ""
-    place: Line = ""
-    date: Line = ""
-    instrument: Line = ""
-    instrument_serial: Line = ""
-    certificate: Line = ""
-    temperature: Line = ""
-    dcc: CertificateFacts | None = None
-
-
-def load_job(path: Path) -> Job:
-    """Read a job file (``schema: twin.job/1``); `InputError` for an unknown key, or a value that is not text of 80 characters."""
-    return load_yaml(path, Job, SCHEMA)[0]
-
-
-def logo_uri(path: Path) -> str:
-    """Return a PNG or SVG picture as a data URI; raise `InputError` if the file is larger than 512 KiB, or not such a picture."""
-    content = read_bytes(path, most_bytes=LOGO_BYTES)
-    if content.startswith(PNG):
-        return _uri("png", content)
-    if b"<!ENTITY" in content or not content.strip():
-        raise InputError("not a logo", expected=EXPECTED, file=path)
-    try:
-        root = ElementTree.fromstring(content)
-    except ElementTree.ParseError:
-        raise InputError("not a logo", expected=EXPECTED, file=path) from None
-    if root.tag != "{http://www.w3.org/2000/svg}svg":
-        raise InputError("not a logo", expected=EXPECTED, file=path)
-    return _uri("svg+xml", content)
-
-
-def _uri(kind: str, content: bytes) -> str:
-    return f"data:image/{kind};base64,{base64.b64encode(content).decode()}"
-
+from twin.reporting.advice import Step
+from twin.reporting.result import SCHEMA, MachineReport
 
 TOOL: Final = ("tool", "tool_after")
 """Names of the error of the tool point before compensation, and as expected after it."""
-FINDINGS: Final = 3
-ROWS: Final = 17
+ACTIONS: Final = 3
+ROWS: Final = 9
 """Largest number of items on the first page, so that it stays one page."""
 _REASONS: Final = {
     "unknown": "unknown",
@@ -175,13 +70,22 @@ class FrontItem:
 
 @final
 @dataclass(frozen=True)
+class EarlierReport:
+    """The error of the tool point in a report of the same machine."""
+
+    made: datetime
+    value: float  # largest error, uncompensated, µm
+    half: float  # U (95 %), µm; NaN if unknown
+
+
+@final
+@dataclass(frozen=True)
 class FrontPage:
     """Content of the first page."""
 
-    job: Job
     items: tuple[FrontItem, ...]  # the tool point, then the errors in the order of their effect at the tool
-    findings: tuple[Contribution, ...]  # of largest effect at the tool
-    logo: str = field(default="", repr=False)
+    actions: tuple[Step, ...]  # at most `ACTIONS`
+    history: tuple[EarlierReport, ...]  # in the order of time, this report last; empty without earlier reports
 
     @property
     def judged(self) -> tuple[FrontItem, ...]:
@@ -195,15 +99,15 @@ class FrontPage:
 
     @property
     def shown(self) -> tuple[FrontItem, ...]:
-        """Items on the first page: the tool point, then failed, undecided and passed items, then those of largest effect."""
-        rest = sorted(self.items[len(TOOL) :], key=lambda item: _URGENCY[item.verdict])
+        """Items on the first page: the tool point, then those with a tolerance: failed, undecided and passed."""
+        rest = sorted((one for one in self.judged if one.name not in TOOL), key=lambda item: _URGENCY[item.verdict])
         return (*self.items[: len(TOOL)], *rest)[:ROWS]
 
     @property
     def hidden(self) -> tuple[FrontItem, ...]:
-        """Items that only the appendix lists."""
+        """Items with a tolerance that do not stand on the first page."""
         shown = {item.name for item in self.shown}
-        return tuple(item for item in self.items if item.name not in shown)
+        return tuple(item for item in self.judged if item.name not in shown)
 
     @property
     def not_accepted(self) -> tuple[FrontItem, ...]:
@@ -218,23 +122,21 @@ class FrontPage:
     def to_dict(self) -> dict[str, Any]:
         """Return the content for JSON."""
         return {
-            "job": {
-                name: text for name, text in self.job.model_dump().items() if text and name not in ("schema_", "dcc")
-            },
             "decision_rule": "ISO 14253-1, guard band U",
             "verdict": self.verdict,
             "items": [item.to_dict() for item in self.items],
-            "findings": [finding.name for finding in self.findings],
+            "actions": [action.title for action in self.actions],
+            "history": [json_form(one, leave_out=("made",)) | {"made": one.made.isoformat()} for one in self.history],
         }
 
 
 def front_page(
-    report: MachineReport, job: Job | None = None, tolerances: Mapping[str, float] | None = None, logo: str = ""
+    report: MachineReport, tolerances: Mapping[str, float] | None = None, history: Sequence[EarlierReport] = ()
 ) -> FrontPage:
     """Return the content of the first page; raise `InputError` for a tolerance of an unknown name.
 
-    ``tolerances``: largest permitted absolute value, µm or µrad, by ISO 230-1 name, ``tool`` or ``tool_after``; ``logo``: data URI of
-    `logo_uri`.
+    ``tolerances``: largest permitted absolute value, µm or µrad, by ISO 230-1 name, ``tool`` or ``tool_after``; ``history``: earlier
+    reports of the machine (`earlier_report`).
     """
     given = dict(tolerances or {})
     check_tolerances(report.machine, given)
@@ -256,7 +158,33 @@ def front_page(
     items += [FrontItem(name, unit_of(name), nan, nan, given[name], "undecided", "unknown") for name in missing]
     if any(warning.name == UNSETTLED_ESTIMATE.name for warning in report.warnings):
         items = [replace(item, verdict="undecided", reason="unsettled") if item.verdict else item for item in items]
-    return FrontPage(Job() if job is None else job, tuple(items), tuple(errors[:FINDINGS]), logo)
+    before = items[0]
+    now = EarlierReport(report.sources.made, before.value, before.half)
+    points = sorted((*history, now), key=lambda one: one.made) if history else ()
+    return FrontPage(tuple(items), _actions(report.advice.steps), tuple(points))
+
+
+def _actions(steps: Sequence[Step]) -> tuple[Step, ...]:
+    """Return the actions of the first page: two corrections at most, then what to measure, then further corrections."""
+    useful = [step for step in steps if step.short]
+    todo, other = ([step for step in useful if (step.kind == "do") is wanted] for wanted in (True, False))
+    chosen = [*todo[: ACTIONS - 1], *other, *todo[ACTIONS - 1 :]][:ACTIONS]
+    return tuple(step for step in useful if step in chosen)
+
+
+def earlier_report(path: Path, machine: Machine) -> EarlierReport:
+    """Read the JSON of an earlier report of the same machine (`SCHEMA`); `InputError` for another machine or another file."""
+    expected = f"JSON of `twin report --json` for {machine.name}"
+    found = read_json(path, expected)
+    try:
+        name, made = str(found["machine"]), datetime.fromisoformat(found["sources"]["made"])
+        item = next(one for one in found["first_page"]["items"] if one["name"] == TOOL[0])
+        value, half = (nan if item[key] is None else float(item[key]) for key in ("value", "U_95"))
+    except (KeyError, TypeError, ValueError, StopIteration):
+        raise InputError("not an earlier report", expected=expected, file=path) from None
+    if found.get("schema") != SCHEMA or name != machine.name:
+        raise InputError("a report of another machine", expected=expected, file=path, value=name)
+    return EarlierReport(made, value, half)
 
 
 def check_tolerances(machine: Machine, tolerances: Mapping[str, float]) -> None:
@@ -275,20 +203,19 @@ def check_tolerances(machine: Machine, tolerances: Mapping[str, float]) -> None:
 def _tool_items(report: MachineReport, given: Mapping[str, float]) -> list[FrontItem]:
     """Return the items of the tool point: the largest error over the volume before compensation, and as expected after it.
 
-    Before: U is the largest over the volume, which is conservative. After: mean and 95 % interval over machines drawn from the
-    covariance, so that the value contains the uncertainty of the calibration (`CompensationForecast.with_uncertainty`).
+    Both have one meaning: mean and 95 % interval over the same machines, drawn from the covariance, without the errors that could
+    not be determined. These make U incomplete, as errors do that are absent or have no uncertainty.
     """
     outcome, total = report.compensation, report.budget.total
-    # Errors that are absent from the calibration count as zero in the total, so its U is a lower bound.
-    complete = total.u_complete and not report.gaps.absent and not report.gaps.left_out
-    after = outcome.with_uncertainty
-    halves = (total.u_max_um, nan if after is None else after.max_half_um)
+    gaps = report.gaps.absent or report.gaps.left_out or outcome.not_identified
+    complete = total.u_complete and not gaps
+    before = outcome.before if outcome.expected_before is None else outcome.expected_before
     rows = []
-    for name, level, half in zip(TOOL, (outcome.before, after), halves, strict=True):
+    for name, level in zip(TOOL, (before, outcome.judged), strict=True):
         if level is None or not report.budget.errors:
             rows.append(FrontItem(name, "um", nan, nan, given.get(name), None, ""))
         else:
-            item = FrontItem(name, "um", level.max_um, half, given.get(name), None, "")
+            item = FrontItem(name, "um", level.max_um, level.max_half_um, given.get(name), None, "")
             rows.append(replace(item, rms=level.rms_um, quantile_95=level.quantile(0.95)))
     return [_judged(item, complete, bool(report.illustrative)) for item in rows]
 

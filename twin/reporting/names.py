@@ -38,7 +38,9 @@ _KINDS: Final = MappingProxyType(
     {
         "positioning": partial(Message, "Positioning of {axis}"),
         "straightness": partial(Message, "Straightness of {axis} in {direction}"),
-        "pitch": partial(Message, "Angular error motion of {axis} about {direction}"),
+        "roll": partial(Message, "Roll of {axis} (about {direction})"),
+        "pitch": partial(Message, "Pitch of {axis} (about {direction})"),
+        "yaw": partial(Message, "Yaw of {axis} (about {direction})"),
         "angular_positioning": partial(Message, "Angular positioning of {axis}"),
         "tilt": partial(Message, "Tilt error motion of {axis} about {direction}"),
         "axial": partial(Message, "Axial error motion of {axis} in {direction}"),
@@ -76,14 +78,20 @@ def item_named(name: str, machine: Machine, to: str = "") -> str:
 
 
 def motion_kind(name: str, machine: Machine) -> str:
-    """Return the kind of an error of an axis: a key of `_KINDS`; ``pitch`` is any angle of a linear axis."""
+    """Return the kind of an error of an axis: a key of `_KINDS`.
+
+    Roll is about the axis itself; of the others, yaw is about z, for a vertical axis about y, and pitch is the third.
+    """
     component, average, axis = split_name(name)
     one = machine.by_name[axis]
     if average:
         return "square" if one.linear else "displaced" if component < 3 else "tilted"
     along = max(range(3), key=lambda i: abs(one.direction[i]))
     if one.linear:
-        return "pitch" if component >= 3 else "positioning" if component == along else "straightness"
+        if component >= 3:
+            yaw = 4 if along == 2 else 5
+            return "roll" if component == along + 3 else "yaw" if component == yaw else "pitch"
+        return "positioning" if component == along else "straightness"
     if component >= 3:
         return "angular_positioning" if component == along + 3 else "tilt"
     return "axial" if component == along else "radial"

@@ -7,35 +7,31 @@ text is in the templates next to this module, one per section.
 from __future__ import annotations
 
 import html
-import os
 import re
-import shutil
-import subprocess
-import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from importlib import resources
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final
 
-import yaml
+import numpy as np
 from matplotlib.figure import Figure
 
-from twin._common.errors import InputError
 from twin._common.families import Language
-from twin._common.messages import Message, Number, Translation, joined, say, say_html, translated
+from twin._common.messages import Message, Number, joined, say, say_html, translated
 from twin.controls import ControlSection
-from twin.display import Html, place, render, with_half
+from twin.display import Html, figure, place, render, with_half
 from twin.display.figures import embedded
-from twin.display.numbers import COVERAGE_FACTOR, listed
+from twin.display.markup import ACCENT
+from twin.display.numbers import COVERAGE_FACTOR, listed, signed
+from twin.display.sheet import Job, Sheet, translation_of
 from twin.model.display import uncertainty_of
 from twin.model.effects import Effect
 from twin.numerics.curves import Basis, basis_named
 from twin.reporting import plots
 from twin.reporting.compensation import MACHINES
-from twin.reporting.contributions import Motion
-from twin.reporting.front import FrontPage, front_page
+from twin.reporting.contributions import Contribution, Motion
+from twin.reporting.front import EarlierReport, FrontPage, front_page
 from twin.reporting.identified import PositionEstimates
 from twin.reporting.names import CLASSES, item_named
 from twin.reporting.result import MachineReport
@@ -43,7 +39,6 @@ from twin.reporting.scene.draw import field_html
 from twin.reporting.scene.path import scale_top_um
 from twin.tool.uncertainty import DEFINITION
 
-COLOURS: Final = {"well": "#e8f3ea", "wrong": "#fdf2df", "unknown": "#fbe4de"}
 MARKS: Final = {
     "do": Message("✔ Do"),
     "measure": Message("◎ Measure"),
@@ -53,6 +48,8 @@ MARKS: Final = {
 SYMBOLS: Final = {"pass": "✔", "fail": "✘", "undecided": "?"}
 ROWS: Final = 40
 """Largest number of excluded rows that are listed."""
+FILES: Final = ("calibration", "identification", "measured")
+"""Roles of the files named on the first page."""
 VIEWER: Final = "<!-- the field in 3D -->"
 """Placeholder of the viewer until the rest of the page is rendered."""
 PARAMETERS: Final = MappingProxyType(
@@ -77,19 +74,26 @@ PARAMETERS: Final = MappingProxyType(
 AT_TOOL: Final[list[str]] = [Message("at the tool, RMS [µm]"), Message("largest [µm]"), "U [µm]"]
 SECTIONS: Final = (
     (Message("Error budget at the tool"), "budget"),
-    (Message("Error motions, axis by axis"), "motions"),
-    (Message("Squareness and location of the rotary axes"), "constants"),
     (Message("Error over the working volume"), "field"),
     (Message("Before and after compensation"), "compensation"),
     (Message("Uncertainty"), "known"),
     (Message("Not covered by this calibration"), "gaps"),
+)
+"""Heading and template of every section of the main part, after the first page."""
+APPENDIX: Final = (
+    (Message("Error motions, axis by axis"), "motions"),
+    (Message("Squareness and location of the rotary axes"), "constants"),
+    (Message("Planes"), "planes"),
     (Message("Sources"), "sources"),
 )
-"""Heading and template of every section below the summary."""
+ARCSEC: Final = 180.0 * 3600.0 / np.pi * 1e-6
+"""Arc seconds in a microradian."""
+VISIBLE: Final = 1.5e-6
+"""Difference of a control's parameter from which it is listed; the sixth decimal is its last one."""
 
 
-def machine_html(report: MachineReport, front: FrontPage | None = None, language: Language = Language.en) -> str:
-    """Return the page as self-contained HTML; sentences without translation stay English and are counted."""
+def machine_html(report: MachineReport, front: FrontPage | None = None, sheet: Sheet | None = None) -> str:
+    """Return the page as self-contained HTML in the language of its sheet; untranslated sentences stay English and are counted."""
 
     def stops_of(name: str) -> tuple[PositionEstimates, ...]:
         return tuple(stop for comparison in report.comparisons for stop in comparison.stops.get(name, ()))
@@ -98,22 +102,30 @@ def machine_html(report: MachineReport, front: FrontPage | None = None, language
         return item_named(name, report.machine, references.get(name, ""))
 
     references = {constant.name: constant.to for constant in report.constants}
-    translation = None if language is Language.en else Translation(catalogue(language))
+    first = front_page(report) if front is None else front
+    sheet = sheet_of(report) if sheet is None else sheet
+    translation = translation_of(sheet.language)
     with translated(translation):
         page = render(
             "reporting/templates/report.html.j2",
             title=f"{report.machine.name}: report of the machine",
             report=report,
-            front=front_page(report) if front is None else front,
-            lang=language.value,
+            front=first,
+            items={item.name: item for item in first.items},
+            sheet=sheet,
             translation=translation,
             item_named=item_named,
             words_of=words_of,
             symbols=SYMBOLS,
             over=_over(report),
             sections=SECTIONS,
-            colours=COLOURS,
+            appendix=APPENDIX,
             marks=MARKS,
+            conditions=_conditions(report),
+            trend=_trend(first.history),
+            held_rows=_held_rows(report),
+            held_note=_held_note(report),
+            in_shop=_in_shop,
             stops_of=stops_of,
             plots=plots,
             AT_TOOL=AT_TOOL,
@@ -136,10 +148,91 @@ def machine_html(report: MachineReport, front: FrontPage | None = None, language
         return page.replace(VIEWER, _viewer(report)) if VIEWER in page else page
 
 
-def catalogue(language: Language) -> dict[str, str]:
-    """Return the format strings of a language other than English, by identifier."""
-    text = (resources.files("twin.reporting") / "wording" / f"{language.value}.yaml").read_text(encoding="utf-8")
-    return dict(yaml.safe_load(text))
+def sheet_of(report: MachineReport, job: Job | None = None, language: Language = Language.en, logo: str = "") -> Sheet:
+    """Return the sheet of a report, with the files from which it was made, without machine file and URDF."""
+    files = tuple((Path(one.path).name, one.sha256) for one in report.sources.files if one.role in FILES)
+    version = report.sources.programs.get("twin", "")
+    return Sheet(Job() if job is None else job, report.sources.made, files, version, language, logo)
+
+
+def _conditions(report: MachineReport) -> tuple[tuple[str, Number], ...]:
+    channels = report.kinematics.conditions.channels
+    return tuple((name, Number(f"{value:g}")) for name, value in channels.items() if np.ndim(value) == 0)
+
+
+def _in_shop(error: Contribution) -> str:
+    """Return an angle as shops state it: µm/m for squareness, seconds of arc for other angles; empty for a displacement."""
+    if error.unit != "urad":
+        return ""
+    factor, unit = (1.0, "um/m") if error.iso_class == "L-SQU" else (ARCSEC, "″")
+    return with_half(factor * error.peak, factor * error.peak_half, unit)
+
+
+def _held_rows(report: MachineReport) -> list[tuple[str, ...]]:
+    """Return the parameters of the control that change: name, present value, new value, and difference with U."""
+    held, rows = report.kinematics_of_control, list[tuple[str, ...]]()
+    if held is None:
+        return rows
+    for name, should in held.values.items():
+        now, half = held.present[name], COVERAGE_FACTOR * held.u[name]
+        if abs(should - now) > VISIBLE:
+            change = f"{should - now:+.6f}" + (f" ± {half:.6f}" if np.isfinite(half) else "")
+            rows.append(
+                (held.form.label(name, held.machine), *(signed(one) for one in (f"{now:.6f}", f"{should:.6f}", change)))
+            )
+    return rows
+
+
+def _held_note(report: MachineReport) -> Message:
+    held = report.kinematics_of_control
+    if held is None:
+        return Message("")
+    unknown = [error.name for error in report.gaps.not_identified if error.name in report.machine.location_names]
+    texts = [
+        Message(
+            "mm, degrees, components of unit vectors. Counted from the spindle nose with all axes at zero; where the control counts "
+            "from other points, enter the differences. Other values stay as they are."
+        ),
+        *([Message("Not measured, and therefore unchanged here: {names}.", names=listed(unknown))] if unknown else []),
+        *(
+            [
+                Message(
+                    "{count} assumptions on the control are not checked: `twin control --kinematics` lists them.",
+                    count=len(held.form.unchecked),
+                )
+            ]
+            if held.form.unchecked
+            else []
+        ),
+    ]
+    return joined(" ", texts)
+
+
+def _trend(history: Sequence[EarlierReport]) -> Html | None:
+    """Return a small picture of the error of the tool point in the reports of a machine over time, with U; None without history."""
+    if not history:
+        return None
+    days = np.array([(one.made - history[0].made).total_seconds() for one in history])
+    at = 8.0 + 184.0 * (days / days[-1] if days[-1] > 0.0 else np.linspace(0.0, 1.0, len(days)))
+    half = [one.half if np.isfinite(one.half) else 0.0 for one in history]
+    top = max(one.value + more for one, more in zip(history, half, strict=True) if np.isfinite(one.value)) or 1.0
+    level = [50.0 - 44.0 * one.value / top for one in history]
+    points = " ".join(f"{x:.1f},{y:.1f}" for x, y in zip(at, level, strict=True))
+    bars = "".join(
+        f"<path d='M{x:.1f} {y - 44.0 * u / top:.1f}V{y + 44.0 * u / top:.1f}' stroke='#555'/>"
+        f"<circle cx='{x:.1f}' cy='{y:.1f}' r='2.5'/>"
+        for x, y, u in zip(at, level, half, strict=True)
+    )
+    ends = [say(Number(figure(one.value, "µm"))) + f", {one.made:%Y-%m-%d}" for one in (history[0], history[-1])]
+    text = "".join(
+        f"<text x='{x}' y='61' font-size='8' text-anchor='{anchor}'>{html.escape(end)}</text>"
+        for x, anchor, end in ((2, "start", ends[0]), (198, "end", ends[1]))
+    )
+    return Html(
+        f"<svg class=trend role=img viewBox='0 0 200 64'><title>{html.escape(' … '.join(ends))}</title>"
+        f"<path d='M4 50H196' stroke='#bbb'/><polyline points='{points}' fill='none' stroke='{ACCENT}' stroke-width='1.5'/>"
+        f"{bars}{text}</svg>"
+    )
 
 
 def _embedded(picture: Figure, words: str, caption: str = "", kind: str = "") -> Html:
@@ -218,69 +311,3 @@ def _rows_of(rows: Sequence[tuple[int, str]]) -> list[str]:
 def _tables_of(control: ControlSection) -> list[str]:
     others = [f"{entry.file.name} ({entry.format})" for entry in (*control.kinematics, *control.live)]
     return [*(f"{table.file.name} ({' '.join(table.classes)})" for table in control.tables), *others]
-
-
-# --- Print an HTML page to PDF through an installed browser, headless and without network ---------
-
-VARIABLE: Final = "TWIN_BROWSER"
-"""Environment variable that names the browser."""
-BROWSERS: Final = (
-    "chromium",
-    "chromium-browser",
-    "google-chrome",
-    "google-chrome-stable",
-    "microsoft-edge",
-    "msedge",
-    "chrome",
-)
-WORKING: Final = f"a working browser; {VARIABLE} names another"
-TIMEOUT_S: Final = 120.0
-OPTIONS: Final = (
-    "--headless=new --no-first-run --disable-background-networking --disable-component-update --disable-sync --disable-extensions "
-    "--no-pdf-header-footer --host-resolver-rules=MAP\x00*\x00~NOTFOUND"
-)
-
-
-def find_browser() -> str:
-    """Return the path of a browser of the Chromium family; `InputError` if there is none, or ``TWIN_BROWSER`` names no program."""
-    named = os.environ.get(VARIABLE)
-    if named:
-        browser = shutil.which(named)
-        if browser is None:
-            raise InputError(
-                f"{VARIABLE} names no program", expected="the path of Chromium, Chrome or Edge", value=named
-            )
-        return browser
-    browser = next((path for path in map(shutil.which, BROWSERS) if path), None)
-    if browser is None:
-        raise InputError(
-            "no PDF without a browser",
-            expected=f"Chromium, Chrome or Edge (Debian: apt install chromium), or its path in {VARIABLE}; or print the HTML file",
-        )
-    return browser
-
-
-def page_to_pdf(page: str, browser: str) -> bytes:
-    """Return self-contained HTML as PDF; raise `InputError` if the browser failed or took longer than `TIMEOUT_S`."""
-    with tempfile.TemporaryDirectory(prefix="twin-pdf-", ignore_cleanup_errors=True) as name:
-        folder = Path(name)
-        source, target = folder / "page.html", folder / "page.pdf"
-        source.write_text(page, encoding="utf-8")
-        options = [option.replace("\x00", " ") for option in OPTIONS.split(" ")]
-        if hasattr(os, "geteuid") and os.geteuid() == 0:
-            options.append("--no-sandbox")  # Chromium refuses to run as root otherwise
-        call = [browser, *options, f"--user-data-dir={folder / 'profile'}", f"--print-to-pdf={target}", source.as_uri()]
-        try:
-            done = subprocess.run(call, capture_output=True, timeout=TIMEOUT_S, check=False)
-        except (OSError, subprocess.TimeoutExpired) as error:
-            raise InputError(
-                "the browser did not print the page", expected=WORKING, value=type(error).__name__, file=browser
-            ) from error
-        if done.returncode or not target.is_file() or not target.read_bytes().startswith(b"%PDF"):
-            raise InputError(
-                "the browser did not print the page",
-                expected=WORKING,
-                value=f"exit status {done.returncode}",
-                file=browser,
-            )
-        return target.read_bytes()

@@ -87,7 +87,7 @@ def plot_budget(rows: Sequence[Contribution], *, total: Contribution) -> Figure:
     plot_markers(plot, [one.max_um for one in shown], at, BACKWARD, "D", label=say("largest"))
     whisker: dict[str, Any] = {"color": "#777777", "linewidth": 1.6}
     for y, one in zip(at, shown, strict=True):
-        if np.isfinite(one.u_rms_um):
+        if np.isfinite(one.u_rms_um) and (one is not total or one.u_rms_um <= total.max_um):
             ends = [max(one.rms_um - one.u_rms_um, 0.0), one.rms_um + one.u_rms_um]
             plot.plot(ends, [y, y], **whisker, solid_capstyle="butt")
     if any(np.isfinite(one.u_rms_um) for one in shown):
@@ -225,15 +225,16 @@ def plot_slice(one: Slice, values: np.ndarray, top: float, label: str) -> Figure
 
 def plot_compensation(outcome: CompensationForecast) -> Figure:
     """Draw the cumulative distribution of the error over the positions, before and after compensation."""
-    plot = _plot(6.2, 3.3 + LINE * len(outcome.levels), legend=len(outcome.levels))
+    levels = [level for level in outcome.levels if level is not outcome.expected_before]
+    plot = _plot(6.2, 3.3 + LINE * len(levels), legend=len(levels))
     colours = [*([RUN] if outcome.without_tables is not None else []), BACKWARD, THIRD, FORWARD]
-    smallest = [level.size_um[level.size_um > 0.0].min(initial=np.inf) for level in outcome.levels]
-    for level, colour, style in zip(outcome.levels, colours, ("-", "--", "-.", ":"), strict=False):
+    smallest = [level.size_um[level.size_um > 0.0].min(initial=np.inf) for level in levels]
+    for level, colour, style in zip(levels, colours, ("-", "--", "-.", ":"), strict=False):
         share = 100.0 * (np.arange(len(level.size_um)) + 1) / len(level.size_um)
         thin = np.unique(np.linspace(0, len(share) - 1, 600).astype(int))
         text = say("{name}: {rms}", name=level.name, rms=figure(level.rms_um, "µm RMS"))
         plot.plot(level.size_um[thin], share[thin], color=colour, linestyle=style, linewidth=2.0, label=text)
-    if any(level.size_um[-1] > 0.0 for level in outcome.levels):
+    if any(level.size_um[-1] > 0.0 for level in levels):
         plot.set_xscale("log")
         plot.set_xlim(left=max(min(smallest), 0.01))
         plot.xaxis.set_major_formatter(lambda value, position: f"{value:g}")

@@ -19,6 +19,7 @@ from twin._common.provenance import SIMULATED, SourceWarning, merge_warnings, wa
 from twin._common.records import json_form
 from twin._common.resources import Progress, silent
 from twin._common.units import count_with_noun
+from twin.compensation.tables.axis_tables import ConstantKinematics, make_kinematics
 from twin.compute.parallel import versions
 from twin.controls import ControlSection, file_sha256
 from twin.display import figure
@@ -32,8 +33,8 @@ from twin.model.conditions import Conditions
 from twin.model.datum import EXPLANATION, MEAN_LINES, Datum
 from twin.model.display import uncertainty_of
 from twin.model.effects import split_name, unit_of
-from twin.reporting.advice import MachineAdvice, TablesLeft, advise, tables_left
-from twin.reporting.compensation import CompensationForecast, forecast_compensation
+from twin.reporting.advice import MachineAdvice, advise
+from twin.reporting.compensation import CompensationForecast, TablesLeft, forecast_compensation, tables_left
 from twin.reporting.contributions import Budget, Field, Motion, budget, field, motions
 from twin.reporting.identified import Identified, PointComparison
 from twin.reporting.names import named
@@ -183,6 +184,9 @@ class MachineReport(Result):
     comparisons: tuple[PointComparison, ...]  # one a table
     gaps: Gaps
     tables: tuple[TablesLeft, ...]  # remaining errors with tables in the control, by format
+    kinematics_of_control: (
+        ConstantKinematics | None
+    )  # what the control holds and should hold; None if its format was not given
     advice: MachineAdvice
     sources: Sources
 
@@ -274,6 +278,7 @@ class MachineReport(Result):
                 "field": self.field,
                 "compensation": self.compensation,
                 "control_tables": self.tables,
+                "control_kinematics": None if self.kinematics_of_control is None else _held(self.kinematics_of_control),
                 "identification": self.identified,
                 "measured": self.comparisons,
                 "gaps": self.gaps,
@@ -292,6 +297,8 @@ def machine_report(  # noqa: PLR0913
     conditions: Conditions | None = None,
     identified: Path | None = None,
     measured: Sequence[tuple[Path, Measurements]] = (),
+    kinematics: str | None = None,
+    present: Path | None = None,
     seed: int = SEED,
     progress: Progress = silent,
 ) -> MachineReport:
@@ -304,6 +311,8 @@ def machine_report(  # noqa: PLR0913
         conditions: temperatures and time; effects whose channel is not given are omitted and listed.
         identified: JSON file that ``twin identify`` wrote with the calibration.
         measured: measurement tables of the same machine with their files, to be compared with the calibration.
+        kinematics: format of the control's kinematics (`twin.controls.kinematics`), to be compared with the calibration.
+        present: file of the control with its present kinematics; None for the machine file's geometry.
         seed: random seed of the draws from the covariance.
         progress: progress callback: called with stage and completed fraction.
 
@@ -339,6 +348,7 @@ def machine_report(  # noqa: PLR0913
     )
     progress("control's tables", 0.9)
     tables = tables_left(real, calibration, left_out)
+    held = None if kinematics is None else make_kinematics(known, kinematics, real.tool_length_mm, present=present)
     progress("words", 0.95)
     return MachineReport(
         machine=machine,
@@ -354,9 +364,19 @@ def machine_report(  # noqa: PLR0913
         comparisons=comparisons,
         gaps=gaps,
         tables=tables,
+        kinematics_of_control=held,
         advice=advise(calibration, error_budget, outcome, identification, left_out, comparisons, tables),
         sources=origin,
     )
+
+
+def _held(found: ConstantKinematics) -> dict[str, Any]:
+    """Return the control's kinematics for JSON."""
+    rows = [
+        {"name": found.form.label(name, found.machine), "now": found.present[name], "should": value, "u": found.u[name]}
+        for name, value in found.values.items()
+    ]
+    return {"format": found.form.name, "values": json_form(rows)}
 
 
 def _comparisons(

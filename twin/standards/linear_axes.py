@@ -7,6 +7,7 @@ from typing import Final, Literal
 
 import numpy as np
 
+from twin._common.messages import Message
 from twin._common.units import MM, UM
 from twin.machine.machine import Machine
 from twin.standards.iso230_1 import PAIRS, LineKind, Straightness, angular_error, squareness, straightness
@@ -125,18 +126,30 @@ def _values(found: Positioning, u: float) -> tuple[StandardValue, ...]:
     edge = np.sqrt(2.0 * (mean**2 + 4.0 * s**2))
     reversal = np.sqrt(2.0) * mean
     rows = (
-        ("A", "A", found.A, "bi-directional accuracy", edge),
-        ("A↑", "A_forward", found.A_forward, "unidirectional accuracy, positive approach", edge),
-        ("A↓", "A_backward", found.A_backward, "unidirectional accuracy, negative approach", edge),
-        ("E", "E", found.E, "bi-directional systematic deviation", reversal),
-        ("E↑", "E_forward", found.E_forward, "unidirectional systematic deviation, positive approach", reversal),
-        ("E↓", "E_backward", found.E_backward, "unidirectional systematic deviation, negative approach", reversal),
-        ("M", "M", found.M, "range of the mean bi-directional deviation", mean),
-        ("R", "R", found.R, "bi-directional repeatability", np.sqrt(8.0 * s**2 + 2.0 * mean**2)),
-        ("R↑", "R_forward", found.R_forward, "unidirectional repeatability, positive approach", 4.0 * s),
-        ("R↓", "R_backward", found.R_backward, "unidirectional repeatability, negative approach", 4.0 * s),
-        ("B", "B", found.B, "reversal error", reversal),
-        ("B̄", "B_mean", found.B_mean, "mean reversal error", reversal / np.sqrt(len(found.target))),
+        ("A", "A", found.A, Message("bi-directional accuracy"), edge),
+        ("A↑", "A_forward", found.A_forward, Message("unidirectional accuracy, positive approach"), edge),
+        ("A↓", "A_backward", found.A_backward, Message("unidirectional accuracy, negative approach"), edge),
+        ("E", "E", found.E, Message("bi-directional systematic deviation"), reversal),
+        (
+            "E↑",
+            "E_forward",
+            found.E_forward,
+            Message("unidirectional systematic deviation, positive approach"),
+            reversal,
+        ),
+        (
+            "E↓",
+            "E_backward",
+            found.E_backward,
+            Message("unidirectional systematic deviation, negative approach"),
+            reversal,
+        ),
+        ("M", "M", found.M, Message("range of the mean bi-directional deviation"), mean),
+        ("R", "R", found.R, Message("bi-directional repeatability"), np.sqrt(8.0 * s**2 + 2.0 * mean**2)),
+        ("R↑", "R_forward", found.R_forward, Message("unidirectional repeatability, positive approach"), 4.0 * s),
+        ("R↓", "R_backward", found.R_backward, Message("unidirectional repeatability, negative approach"), 4.0 * s),
+        ("B", "B", found.B, Message("reversal error"), reversal),
+        ("B̄", "B_mean", found.B_mean, Message("mean reversal error"), reversal / np.sqrt(len(found.target))),
     )
     return tuple(StandardValue(sign, key, value, found.unit, words, float(uu)) for sign, key, value, words, uu in rows)
 
@@ -147,9 +160,9 @@ def _values_of_one_direction(found: UnidirectionalPositioning, u: float) -> tupl
     s = u / np.sqrt(2.0 * (n - 1)) if n > 1 else float("nan")
     arrow, side = ("↑", "forward") if found.direction > 0 else ("↓", "backward")
     rows = (
-        ("A", found.A, "unidirectional accuracy", np.sqrt(2.0 * (mean**2 + 4.0 * s**2))),
-        ("E", found.E, "unidirectional systematic deviation", np.sqrt(2.0) * mean),
-        ("R", found.R, "unidirectional repeatability", 4.0 * s),
+        ("A", found.A, Message("unidirectional accuracy"), np.sqrt(2.0 * (mean**2 + 4.0 * s**2))),
+        ("E", found.E, Message("unidirectional systematic deviation"), np.sqrt(2.0) * mean),
+        ("R", found.R, Message("unidirectional repeatability"), 4.0 * s),
     )
     return tuple(
         StandardValue(f"{key}{arrow}", f"{key}_{side}", value, found.unit, words, float(uu))

@@ -14,8 +14,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.projections.polar import PolarAxes
 
+from twin._common.messages import Message, Number
 from twin._common.provenance import warning_texts
-from twin._common.units import DEG, count_with_noun
+from twin._common.units import DEG
 from twin.display import Html, figure, readable, render
 from twin.display.figures import (
     BACKWARD,
@@ -30,12 +31,13 @@ from twin.display.figures import (
     style_axes,
     text_box_style,
 )
+from twin.display.sheet import Sheet
 from twin.measurement.columns import grouped_notes
 from twin.standards.iso230_1 import AngularError, Straightness
 from twin.standards.iso230_2 import Positioning, UnidirectionalPositioning
 from twin.standards.iso230_3 import DriftSeries
 from twin.standards.iso230_4 import CircularTest, RotaryMotion
-from twin.standards.result import SENTENCES, EvaluationResult, StandardTest
+from twin.standards.result import SENTENCES, WORDS, EvaluationResult, StandardTest
 
 BESIDE: Final[dict[str, Any]] = {"loc": "upper left", "frameon": False, "borderaxespad": 0.0, "fontsize": 9}
 """Options of a legend to the right of its plot."""
@@ -401,11 +403,12 @@ PLOTS: Final[tuple[tuple[type, Callable[[Any], Figure]], ...]] = (
 COLOURS: Final = {"met": "#e8f3ea", "failed": "#fbe4de", "none": "#f3f3f3"}
 
 
-def evaluation_html(result: EvaluationResult) -> str:
+def evaluation_html(result: EvaluationResult, sheet: Sheet | None = None) -> str:
     """Return one self-contained HTML page.
 
     Args:
         result: the result of `twin.evaluate`.
+        sheet: facts of the test, for a certificate.
 
     Examples:
         >>> from pathlib import Path
@@ -416,20 +419,27 @@ def evaluation_html(result: EvaluationResult) -> str:
         >>> page = twin.evaluation_html(twin.evaluate(data, machine))
         >>> _ = Path("tests.html").write_text(page, encoding="utf-8")
     """
-    failed = sum(not check.met for check in result.checks)
-    undecided = sum(check.conformity == "neither" for check in result.checks)
-    if not result.checks:
-        headline = f"{count_with_noun(len(result.tests), 'standard test')} evaluated"
+    failed = sum(check.word == "FAIL" for check in result.checks)
+    undecided = sum(check.word in ("UNDECIDED", "NOT EVALUATED") for check in result.checks)
+    count = len(result.checks)
+    if not count:
+        headline = Message(
+            "{count} standard tests evaluated; no tolerance was given, so there is no verdict", count=len(result.tests)
+        )
     elif failed:
-        headline = f"{failed} of {count_with_noun(len(result.checks), 'tolerance check')} not met"
+        headline = Message("FAIL: {failed} of {count} tolerances not met", failed=failed, count=count)
     elif undecided:
-        headline = f"{undecided} of {count_with_noun(len(result.checks), 'tolerance check')} undecided"
+        headline = Message("UNDECIDED: {undecided} of {count} tolerances", undecided=undecided, count=count)
     else:
-        headline = "All tolerances met" if len(result.checks) > 1 else "The tolerance is met"
+        headline = Message("PASS: all tolerances are met ({count})", count=count)
     pictures = [test for test in result.tests if _figure(test, draw=False)][:MOST_PICTURES]
     return render(
         "standards/templates/evaluation.html.j2",
         found=result,
+        sheet=sheet,
+        heading=Message("Certificate of a test of a machine tool"),
+        machine_name=result.machine,
+        words=WORDS,
         title=f"{headline}: {result.machine}",
         headline=headline,
         colour=COLOURS["none" if not result.checks else "failed" if failed or undecided else "met"],
@@ -495,6 +505,6 @@ def _targets(test: StandardTest) -> list[tuple[str, ...]]:
         detail.R_i,
     )
     return [
-        (f"{target:g}".replace("-", "−"), *(figure(float(column[i])) for column in columns))
+        (Number(f"{target:g}".replace("-", "−")), *(figure(float(column[i])) for column in columns))
         for i, target in enumerate(detail.target)
     ]

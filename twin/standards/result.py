@@ -11,6 +11,7 @@ import numpy as np
 
 from twin._common.distributions import Verdict, decide, is_accepted
 from twin._common.errors import InputError
+from twin._common.messages import Message, Number, joined, say
 from twin._common.provenance import SourceWarning, warning_texts, warnings_to_json
 from twin._common.records import json_form
 from twin._common.units import count_with_noun
@@ -35,12 +36,33 @@ CONFORMITY: Final[Mapping[Verdict, Conformity]] = {
     "fail": "nonconforming",
     "undecided": "neither",
 }
-SENTENCES: Final[Mapping[Conformity, str]] = {
-    "conforming": "conformity is proven: the value plus U is within the tolerance",
-    "nonconforming": "nonconformity is proven: the value minus U is outside the tolerance",
-    "neither": "neither conformity nor nonconformity is proven: the margin is within U",
-    "unknown": "by the value alone: the uncertainty of the readings is unknown, so that conformity cannot be proven",
+SENTENCES: Final[Mapping[Conformity, Message]] = {
+    "conforming": Message("conformity is proven: the value plus U is within the tolerance"),
+    "nonconforming": Message("nonconformity is proven: the value minus U is outside the tolerance"),
+    "neither": Message("neither conformity nor nonconformity is proven: the margin is within U"),
+    "unknown": Message(
+        "by the value alone: the uncertainty of the readings is unknown, so that conformity cannot be proven"
+    ),
 }
+WORDS: Final = {
+    "PASS": Message("PASS"),
+    "FAIL": Message("FAIL"),
+    "UNDECIDED": Message("UNDECIDED"),
+    "NOT EVALUATED": Message("NOT EVALUATED"),
+}
+KINDS: Final[Mapping[str, Message]] = {
+    text: text
+    for text in (
+        Message("positioning"),
+        Message("straightness"),
+        Message("squareness"),
+        Message("angular error"),
+        Message("circular"),
+        Message("rotary error motion"),
+        Message("kinematic"),
+    )
+}
+"""Kinds of tests in the language of a page."""
 """Decision by ISO 14253-1, in words."""
 
 
@@ -65,8 +87,13 @@ class StandardValue:
     @property
     def text(self) -> str:
         """Symbol, value and unit with hard spaces, so that lines do not break within."""
-        spread = "" if self.interval is None else f" ± {figure(self.interval, readable(self.unit))}"
-        return f"{self.symbol} {figure(self.value, readable(self.unit))}{spread}".replace(" ", HARD_SPACE)
+        parts: list[str | Number] = [
+            self.symbol,
+            Number(figure(self.value, readable(self.unit)).replace(" ", HARD_SPACE)),
+        ]
+        if self.interval is not None:
+            parts += ["±", Number(figure(self.interval, readable(self.unit)).replace(" ", HARD_SPACE))]
+        return joined(HARD_SPACE, parts)
 
 
 @final
@@ -138,7 +165,7 @@ class StandardTest:
     @property
     def title(self) -> str:
         """Name and kind: ``X: positioning``."""
-        return f"{self.name}: {self.kind}"
+        return Message("{name}: {kind}", name=self.name, kind=KINDS.get(self.kind, self.kind))
 
     def to_dict(self) -> dict[str, Any]:
         """Return the entry of the JSON; null for values that are not determined."""
@@ -187,13 +214,26 @@ class ToleranceCheck:
     @property
     def text(self) -> str:
         """The check in one line."""
+        word = WORDS[self.word]
         if self.value is None:
-            return f"{self.asked} = {self.limit:g}: {self.word}: no test of this table gives it"
+            return Message(
+                "{asked} = {limit:g}: {word}: no test of this table gives it",
+                asked=self.asked,
+                limit=self.limit,
+                word=word,
+            )
         unit, expanded = readable(self.value.unit), self.value.expanded
-        u = f", U {figure(expanded, unit)}" if np.isfinite(expanded) else ""
-        return (
-            f"{self.word} {self.test}: {self.value.symbol} {figure(self.value.value, unit, digits=4)}{u}, "
-            f"tolerance {self.limit:g} {unit}; {SENTENCES[self.conformity]}"
+        u = joined("", [", U ", figure(expanded, unit)]) if np.isfinite(expanded) else ""
+        return Message(
+            "{word} {test}: {symbol} {value}{u}, tolerance {limit:g} {unit}; {sentence}",
+            word=word,
+            test=self.test,
+            symbol=self.value.symbol,
+            value=figure(self.value.value, unit, digits=4),
+            u=u,
+            limit=self.limit,
+            unit=unit,
+            sentence=SENTENCES[self.conformity],
         )
 
     def to_dict(self) -> dict[str, Any]:
@@ -254,31 +294,42 @@ class EvaluationResult(DisplayedResult):
 
     def to_text(self) -> str:
         """Return all tests with their values, the tolerances and what was not evaluated, as text."""
-        lines = [f"{self.machine}: {count_with_noun(len(self.tests), 'standard test')} from {self.data.source}"]
-        lines += [*warning_texts(self.warnings)]
+        count = len(self.tests)
+        head = Message(
+            "{machine}: {count} standard tests from {source}",
+            machine=self.machine,
+            count=count,
+            source=self.data.source,
+        )
+        lines = [say(head), *map(say, warning_texts(self.warnings))]
+        if not self.checks:
+            lines.append(say("No tolerance was given, so there is no verdict."))
         for check in self.checks:
-            lines += wrap(with_joined_units(check.text, HARD_SPACE), WIDTH, subsequent_indent="    ")
+            lines += wrap(with_joined_units(say(check.text), HARD_SPACE), WIDTH, subsequent_indent="    ")
         for test in self.tests:
             lines += [
                 "",
-                f"{test.title}, {test.standard}",
+                f"{say(test.title)}, {test.standard}",
                 *wrap(test.place, WIDTH, initial_indent="  ", subsequent_indent="  "),
             ]
             lines += wrap(
-                "   ".join(value.text for value in test.values), WIDTH, initial_indent=INDENT, subsequent_indent=INDENT
+                "   ".join(say(value.text) for value in test.values),
+                WIDTH,
+                initial_indent=INDENT,
+                subsequent_indent=INDENT,
             )
-            for remark in test.remarks if len(self.tests) <= FEW_TESTS else ():
+            for remark in test.remarks if count <= FEW_TESTS else ():
                 lines += wrap(remark, WIDTH, initial_indent="  ", subsequent_indent="    ")
         for heading, entries in (
-            ("Remarks:", _grouped_remarks(self.tests) if len(self.tests) > FEW_TESTS else []),
-            ("Not evaluated:", [f"{one.test}: {one.why}" for one in self.not_evaluated]),
-            ("Assumptions:", self.assumptions),
-            ("Uncertainty:", [self.uncertainty] if self.uncertainty else []),
-            ("Notes:", [*self.data.notices, *grouped_notes(self.data.set_aside)]),
+            (Message("Remarks:"), _grouped_remarks(self.tests) if count > FEW_TESTS else []),
+            (Message("Not evaluated:"), [f"{one.test}: {one.why}" for one in self.not_evaluated]),
+            (Message("Assumptions:"), self.assumptions),
+            (Message("Uncertainty:"), [self.uncertainty] if self.uncertainty else []),
+            (Message("Notes:"), [*self.data.notices, *grouped_notes(self.data.set_aside)]),
         ):
-            lines += ["", heading] if entries else []
+            lines += ["", say(heading)] if entries else []
             for entry in entries:
-                lines += wrap(entry, WIDTH, initial_indent="  ", subsequent_indent="    ")
+                lines += wrap(say(entry), WIDTH, initial_indent="  ", subsequent_indent="    ")
         return "\n".join(lines) + "\n"
 
     @property
@@ -330,7 +381,7 @@ def check_tolerances(tolerances: Mapping[str, float], tests: Sequence[StandardTe
             size, expanded = abs(value.value), value.expanded
             verdict = decide(size, expanded, limit)
             conformity = CONFORMITY[verdict] if np.isfinite(expanded) and np.isfinite(size) else "unknown"
-            title = f"{test.title} ({test.place})" if test.place else test.title
+            title = Message("{title} ({place})", title=test.title, place=test.place) if test.place else test.title
             checks.append(ToleranceCheck(asked, limit, title, value, is_accepted(verdict, size, limit), conformity))
     return tuple(checks)
 

@@ -25,7 +25,9 @@ import typer
 
 from twin._common.bundled import bundled_folder, find_bundled, find_program
 from twin._common.errors import InputError, closest_name, did_you_mean
+from twin._common.families import Language
 from twin._common.files import check_writable, names_beside, read_bytes, tracked_files, write_json
+from twin._common.messages import say, translated
 from twin.cli.shared.complete import ListingCommand
 from twin.cli.shared.installation import NOT_ALL_MET
 from twin.cli.shared.terminal import echo, is_silenced, positive, print_error, silenced, usable_number
@@ -64,6 +66,9 @@ QuietOption = Annotated[bool, typer.Option("--quiet", help="Print errors only.")
 JsonOption = Annotated[Path | None, typer.Option("--json", help="Write the result as JSON to this file."), ANY]
 
 
+WRITTEN: Final = "\nwritten: {}"
+
+
 @final
 @dataclass(frozen=True)
 class CommandResult:
@@ -72,7 +77,7 @@ class CommandResult:
     text: str  # printed to standard output
     report: Callable[[], Any]  # returns the content of the `--json` file
     met: bool = True  # whether all requirements were met; exit status 3 if not
-    written: str = "\nwritten: {}"  # line with ``{}`` in place of the files' names; empty for no line
+    written: str = WRITTEN  # line with ``{}`` in place of the files' names; empty for no line
     after: Sequence[str] = ()  # lines printed after that line
     errors: Sequence[str] = ()  # lines printed to standard error
     status: int | None = None  # exit status, if not the one that follows from ``met``; None otherwise
@@ -115,9 +120,10 @@ def command(*examples: str, name: str | None = None) -> Callable[[Function], Fun
                         _check_output(values[parameter], mark)
                 for parameter in (value for value in values if MACHINE in hints[value]):
                     find_bundled(values[parameter], ".yaml", "a machine file")
-                result = function(*arguments, **options)
-                if result is not None:
-                    _report(result, outputs, values.get("json_file"))
+                with _in_language(values.get("lang")):
+                    result = function(*arguments, **options)
+                    if result is not None:
+                        _report(result, outputs, values.get("json_file"))
 
         _add_option(checked, "quiet", QuietOption)
         epilog = "\n\n".join(("Examples:", *examples))
@@ -170,18 +176,31 @@ def progress_bar() -> Iterator[Any]:
 def _report(result: CommandResult, outputs: Sequence[Path], json_file: Path | None) -> None:
     if json_file is not None:
         write_json(json_file, result.report(), check=result.check_json)
-    echo(result.text, end="")
+    echo(say(result.text), end="")
     if result.show is not None:
         result.show()
     if outputs and result.written:
-        echo(result.written.format(", ".join(map(str, outputs))))
+        files = ", ".join(map(str, outputs))
+        echo("\n" + say("written: {files}", files=files) if result.written == WRITTEN else result.written.format(files))
     for line in result.after:
-        echo(line)
+        echo(say(line))
     for line in result.errors:
         print_error(line)
     status = result.status if result.status is not None else 0 if result.met else NOT_ALL_MET
     if status:
         raise typer.Exit(status)
+
+
+@contextmanager
+def _in_language(language: Language | None) -> Iterator[None]:
+    """Print in a language (``--lang``) inside the context; None for English."""
+    if language in (None, Language.en):
+        yield
+        return
+    from twin.display.sheet import translation_of
+
+    with translated(translation_of(Language(language))):
+        yield
 
 
 def _check_numbers(values: Mapping[str, Any], hints: Mapping[str, list[Any]]) -> None:

@@ -9,7 +9,8 @@ transformation, and are left to tables.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, Final, final
 
 import numpy as np
@@ -45,7 +46,7 @@ from twin.controls.correction import (
     rest_geometry,
 )
 from twin.controls.kinematics import kinematics_named
-from twin.controls.kinematics.format import KinematicsFormat, TableGeometry, linear_shift, table_geometry
+from twin.controls.kinematics.format import KinematicsFormat, TableGeometry, Values, linear_shift, table_geometry
 from twin.machine.error_names import component_names
 from twin.machine.machine import Axis, Machine
 from twin.model.calibration import Calibration
@@ -118,6 +119,8 @@ def nodes_at(truth: Truth, nodes: np.ndarray) -> Nodes:
 ITERATIONS: Final = 3
 STEP: Final = 1e-4
 """Step of the derivatives, mm, degrees or of a direction."""
+OTHER_POINTS_UM: Final = 1000.0
+"""Displacement of the tool centre point from which kinematics are not those of the machine file."""
 NEGLIGIBLE_SINGULAR_VALUE: Final = 1e-6
 """Relative singular value of combinations of parameters that do not move the point, such as a shift along an axis."""
 ROUND_TRIP_UM: Final = 0.1
@@ -139,6 +142,9 @@ class ConstantKinematics:
     left_rms_um: float
     left_max_um: float
     round_trip_um: float  # largest displacement of the functional point by rounding in the file
+    present: Values  # the control's parameters before, by the names of the format
+    values: Values  # the parameters as written
+    u: Values  # their standard uncertainties from that of the location errors; NaN if unknown
 
     @property
     def unmet(self) -> tuple[str, ...]:
@@ -162,14 +168,20 @@ def real_geometry(calibration: Calibration) -> TableGeometry:
 
 
 def make_kinematics(
-    calibration: Calibration, kind: str, tool_length_mm: float | None = None, notes: Sequence[str] = ()
+    calibration: Calibration,
+    kind: str,
+    tool_length_mm: float | None = None,
+    notes: Sequence[str] = (),
+    present: Path | None = None,
 ) -> ConstantKinematics:
     """Return the kinematics of a control for the location errors of a calibration, as a file and as read back.
 
-    `InputError` for an unknown format, a machine that the transformation cannot represent, or no location errors.
+    ``present``: file of the control with the parameters that it holds now; None for those of the machine file's geometry. `InputError`
+    for an unknown format, a machine that the transformation cannot represent, no location errors, or present parameters whose geometry
+    differs from the machine file's by more than `OTHER_POINTS_UM`.
     """
     machine, form = calibration.machine, kinematics_named(kind)
-    nominal = form.nominal(machine)
+    nominal = form.nominal(machine) if present is None else form.values(present, machine)
     if not any(calibration.location.values()):
         raise InputError(
             "no location errors of rotary axes: the kinematics of the control need no correction",
@@ -185,21 +197,54 @@ def make_kinematics(
         return linear_shift(machine, geometry, q, length)
 
     vector = np.array(list(nominal.values()))
+    if present is not None and (apart := float(np.abs(shift(vector)).max())) > OTHER_POINTS_UM:
+        raise InputError(
+            "the present kinematics are those of another machine, or counted from other points than in the machine file",
+            expected=f"the tool centre point within {OTHER_POINTS_UM / 1e3:g} mm of that of the machine file",
+            file=present,
+            value=f"{apart / 1e3:.3f} mm",
+        )
     # The errors are small: the derivatives at the nominal machine serve all iterations.
     steps = STEP * np.eye(len(names))
     by = np.stack([(shift(vector + h) - shift(vector - h)).ravel() / (2.0 * STEP) for h in steps], axis=1)
     back_to = np.linalg.pinv(by, rcond=NEGLIGIBLE_SINGULAR_VALUE)
     for _ in range(ITERATIONS):
         vector = vector + back_to @ (goal - shift(vector)).ravel()
-    text = form.write(dict(zip(names, vector.tolist(), strict=True)), machine, notes)
+    values = dict(zip(names, vector.tolist(), strict=True))
+    text = form.write(values, machine, notes)
     back = form.read_back(text, machine)
     read = linear_shift(machine, back, q, length)
     left, rounded = np.linalg.norm(goal - read, axis=1), np.linalg.norm(read - shift(vector), axis=1)
     displaced = np.linalg.norm(goal, axis=1)
     rms = [float(np.sqrt(np.mean(one**2))) for one in (displaced, left)]
     return ConstantKinematics(
-        form, machine, text, back, rms[0], float(displaced.max()), rms[1], float(left.max()), float(rounded.max())
+        form,
+        machine,
+        text,
+        back,
+        rms[0],
+        float(displaced.max()),
+        rms[1],
+        float(left.max()),
+        float(rounded.max()),
+        nominal,
+        values,
+        dict(zip(names, _uncertainties(calibration, q, length, back_to).tolist(), strict=True)),
     )
+
+
+def _uncertainties(calibration: Calibration, q: np.ndarray, length_mm: float, back_to: np.ndarray) -> np.ndarray:
+    """Return the standard uncertainties of a control's parameters from those of the location errors; NaN if these are unknown."""
+    names = [name for name in calibration.location if name in calibration.covariance.names]
+    if len(names) < len(calibration.location):
+        return np.full(len(back_to), np.nan)
+
+    def shift(name: str, by: float) -> np.ndarray:
+        moved = {**calibration.location, name: calibration.location[name] + by}
+        return linear_shift(calibration.machine, real_geometry(replace(calibration, location=moved)), q, length_mm)
+
+    rates = np.stack([back_to @ (shift(name, 0.5) - shift(name, -0.5)).ravel() for name in names], axis=1)
+    return np.sqrt(np.einsum("pi,ij,pj->p", rates, calibration.covariance.of(names).matrix, rates))
 
 
 # --- Tables of one axis over another: which tables a format needs, and their values ---------------

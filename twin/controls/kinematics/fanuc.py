@@ -105,6 +105,14 @@ class FanucTable(KinematicsFormat):
 
     def read(self, path: Path, machine: Machine) -> TableGeometry:
         """See `KinematicsFormat.read`; other parameters and comments are ignored, and a missing shift is zero."""
+        return self.geometry(self.values(path, machine), machine)
+
+    def label(self, name: str, machine: Machine) -> str:
+        """See `KinematicsFormat.label`."""
+        return f"No. {name}" if name in _LENGTHS else name
+
+    def values(self, path: Path, machine: Machine) -> Values:
+        """See `KinematicsFormat.values`."""
         lines_by_parameter: dict[str, TableLine] = {}
         for line in table_lines(path):
             match = _LINE.match(line.text)
@@ -119,7 +127,7 @@ class FanucTable(KinematicsFormat):
         for axis in "XYZ":
             name = f"{_SHIFT} {axis}"
             values[name] = lines_by_parameter[name].decimal(name) if name in lines_by_parameter else 0.0
-        return self.geometry(values, machine)
+        return values
 
     def loading(self, machine: Machine) -> tuple[str, ...]:
         """See `KinematicsFormat.loading`."""

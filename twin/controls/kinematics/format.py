@@ -242,6 +242,15 @@ class KinematicsFormat(ABC):
     def read(self, path: Path, machine: Machine) -> TableGeometry:
         """Return the geometry in a file; raise `InputError` if it is invalid, or the machine cannot have this transformation."""
 
+    def values(self, path: Path, machine: Machine) -> Values:
+        """Return the parameters in a file of the control by their names; `InputError` as `read`, or if the format has no such names."""
+        what = f"single values of {self.title} cannot be read"
+        raise InputError(what, expected="the machine file's own geometry, and the differences from it", file=path)
+
+    def label(self, name: str, machine: Machine) -> str:
+        """Return the control's own name of a parameter, as its operator finds it."""
+        return name
+
     @abstractmethod
     def loading(self, machine: Machine) -> tuple[str, ...]:
         """Return instructions to enter and activate the parameters, one text per step."""

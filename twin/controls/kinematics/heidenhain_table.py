@@ -50,7 +50,9 @@ class HeidenhainTable(KinematicsFormat):
         "signs: Trans moves the system from tool to table, with the machine zero (spindle nose with all axes at zero) as origin; a "
         "positive command of a rotary axis moves the tool relative to the workpiece right-handed about the axis of the current system",
         "header and end line of the table, and the number of decimals that the control keeps in COORD (6 for mm, 8 for degrees here)",
-        "TNC 640 and TNC7 store the kinematics as configuration objects, which are not written",
+        "TNC 640 and TNC7 store the kinematics as configuration objects (Technical Manual MANUALplus 620, 2012, p. 735 to 758, of the "
+        "same family: CfgKinComposModel): no public description gives their fields for these controls, so they are not written; enter "
+        "the differences of this table there by hand",
     )
 
     def nominal(self, machine: Machine) -> Values:
@@ -103,6 +105,11 @@ class HeidenhainTable(KinematicsFormat):
             value = TableLine(path, line.number, words[3]).decimal("COORD") if words[1] == "Trans" else 0.0
             rows.append((words[1], words[2], value))
         return _followed(rows, machine, path)
+
+    def label(self, name: str, machine: Machine) -> str:
+        """See `KinematicsFormat.label`: a row of the description by its transformation and the axis that follows it."""
+        before = (*(axis.name for axis in rotary_axes(machine)), "MachBase")[int(name[0]) - 1]
+        return f"Trans {name[1]} → {before}" if before != "MachBase" else f"Trans {name[1]} (last)"
 
     def loading(self, machine: Machine) -> tuple[str, ...]:
         """See `KinematicsFormat.loading`."""

@@ -122,6 +122,14 @@ class LinuxCncTrt(KinematicsFormat):
 
     def read(self, path: Path, machine: Machine) -> TableGeometry:
         """See `KinematicsFormat.read`; other lines of a HAL file are ignored, and a missing shift is zero."""
+        return self.geometry(self.values(path, machine), machine)
+
+    def label(self, name: str, machine: Machine) -> str:
+        """See `KinematicsFormat.label`."""
+        return name if name.startswith(_SHIFT) else f"{self._kind(machine)[0]}-kins.{name}"
+
+    def values(self, path: Path, machine: Machine) -> Values:
+        """See `KinematicsFormat.values`."""
         kind, conventional = self._kind(machine)
         lines_by_name: dict[str, TableLine] = {}
         for line in table_lines(path):
@@ -139,7 +147,7 @@ class LinuxCncTrt(KinematicsFormat):
         given = lines_by_name.get("conventional-directions", TableLine(path, None, "0"))
         if int(given.decimal("conventional-directions")) != conventional:
             raise given.error(f"conventional-directions of {machine.name}", str(conventional), given.text)
-        return self.geometry(values, machine)
+        return values
 
     def loading(self, machine: Machine) -> tuple[str, ...]:
         """See `KinematicsFormat.loading`."""

@@ -154,6 +154,12 @@ class SiemensChain(KinematicsFormat):
             raise TableLine(path, None, "").error(what, " ".join(expected), len(points))
         return TableGeometry(np.array(points), np.array(directions), place - work_origin(machine), turn)
 
+    def label(self, name: str, machine: Machine) -> str:
+        """See `KinematicsFormat.label`: element and coordinate."""
+        element, _, index = name.partition("[")
+        axes = dict(zip(_AXES, (axis.name for axis in rotary_axes(machine)), strict=True))
+        return f"{name} [rad]" if element == _TURN else f"$NK_OFF_DIR {axes.get(element, element)}[{index}"
+
     def loading(self, machine: Machine) -> tuple[str, ...]:
         """See `KinematicsFormat.loading`."""
         return (

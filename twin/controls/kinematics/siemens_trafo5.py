@@ -38,6 +38,8 @@ _LINE: Final = re.compile(
 )
 TILT: Final = "WORK_ZERO_ROTATION"
 """Rotation vector of the workpiece about the centre of the table, degrees; a comment in the file."""
+_NUMBERS: Final = dict(BASE_TOOL=24550, JOINT_OFFSET=24560, PART_OFFSET=24500, AXIS1=24570, AXIS2=24572)
+"""Machine data of the first transformation."""
 VECTORS: Final = ("BASE_TOOL", "JOINT_OFFSET", "PART_OFFSET", "AXIS1", "AXIS2")
 
 
@@ -94,6 +96,15 @@ class SiemensTrafo5(KinematicsFormat):
 
     def read(self, path: Path, machine: Machine) -> TableGeometry:
         """See `KinematicsFormat.read`; other machine data are ignored."""
+        return self.geometry(self.values(path, machine), machine)
+
+    def label(self, name: str, machine: Machine) -> str:
+        """See `KinematicsFormat.label`."""
+        vector, _, index = name.partition("[")
+        return name if vector == TILT else f"MD{_NUMBERS[vector]}[{index}"
+
+    def values(self, path: Path, machine: Machine) -> Values:
+        """See `KinematicsFormat.values`."""
         lines_by_name: dict[str, TableLine] = {}
         for line in table_lines(path):
             match = _LINE.match(line.text)
@@ -114,7 +125,7 @@ class SiemensTrafo5(KinematicsFormat):
         for name in ("AXIS1", "AXIS2"):
             if np.linalg.norm([values[f"{name}[{i}]"] for i in range(3)]) < SHORTEST:
                 raise lines_by_name[f"{name}[0]"].error(f"{name} has no direction", "a vector other than zero", "0 0 0")
-        return self.geometry(values, machine)
+        return values
 
     def loading(self, machine: Machine) -> tuple[str, ...]:
         """See `KinematicsFormat.loading`."""
