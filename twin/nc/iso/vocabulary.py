@@ -64,7 +64,7 @@ GROUPS: dict[str, tuple[str, ...]] = {
         *(str(code) for code in range(505, 600)),
     ),
     "machine": ("53", "153"),
-    "plane tilt": ("68.2", "53.1", "53.6", "69", "254", "255"),
+    "plane tilt": ("68.2", "53.1", "53.3", "53.6", "69", "253", "254", "255", "268", "269"),
     "shift": ("10", "52", "92", "92.1", "92.2", "92.3"),
     "still": ("4", "22", "23", "25", "26"),
     "reference": ("28", "30", "30.1", "75", "27", "31", "38", "38.2", "38.3", "38.4", "38.5"),
@@ -127,10 +127,6 @@ REFUSED_CODES: dict[str, tuple[str, str]] = {
         for code in ("41.1", "41.2", "42.1", "42.2", "43.2", "43.3")
     },
     "43.1": ("tool length by G43.1, given by the block or along the tool axis", "G43 with an H word"),
-    **{
-        code: (f"feature coordinate system of Haas (G{code})", "a dynamic work offset (G254), or axis positions")
-        for code in ("253", "268", "269")
-    },
     "29": ("return from the reference point G29", "a G0 block with the position"),
     **{code: (f"macro call G{code}", NO_CALLS) for code in ("65", "66", "66.1", "72.1", "72.2")},
 }
