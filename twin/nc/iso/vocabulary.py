@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from twin.nc.text import line_pattern, number
 
@@ -229,6 +229,22 @@ TCP_OFF: frozenset[str] = frozenset({"G49", "G170", "TRAFOOF"})
 """Words that switch tool centre point control on and off."""
 DIRECTION_FORMS: frozenset[str] = frozenset({"DC", "ACP", "ACN"})
 """Forms that give the direction in which a rotary axis turns to its value."""
+
+
+def is_leader(text: str) -> bool:
+    """Return whether a line is no block of any program: a character that begins no word, before any word with a number.
+
+    Such text stands before the tape mark ``%`` (the title of a listing, say); controls begin to read behind it (ISO 6983-1).
+    """
+    kinds = (match.lastgroup for match in TOKEN.finditer(text.strip()))
+    return next((kind for kind in kinds if kind != "name"), "") == "bad"
+
+
+def leader_lines(lines: Sequence[str]) -> int:
+    """Return the number of lines before the tape mark of a program that has such text before it; else 0."""
+    if not (lines and is_leader(lines[0]) and not lines[0].lstrip().startswith("%")):
+        return 0
+    return next((i for i, line in enumerate(lines) if line.lstrip().startswith("%")), 0)
 
 
 def canonical(word: str) -> str:
