@@ -485,6 +485,9 @@ class IsoMotion(IsoDrilling):
         if self.parks and kind is Kind.RAPID and self.cycle is None and not (centre or self.vector):
             block.moves += (self.parking_move(block),)
             return
+        if kind is Kind.ARC and not centre and all(word.incremental and word.value == 0.0 for word in block.words):
+            self.note("increments of zero where G2 or G3 is in force: nothing moves")
+            return
         start, rotary = self.position[: self.linear], self.position[self.linear :]
         self.apply_words(block)
         vector = self._vector(block, centre) if centre else None

@@ -236,13 +236,16 @@ def is_leader(text: str) -> bool:
 
     Such text stands before the tape mark ``%`` (the title of a listing, say); controls begin to read behind it (ISO 6983-1).
     """
-    kinds = (match.lastgroup for match in TOKEN.finditer(text.strip()))
+    text = text.strip()
+    if text[:1] in ("%", "O", "o") or OKUMA_HEADER.fullmatch(text) or PROGRAM_NAME.fullmatch(text):
+        return False
+    kinds = (match.lastgroup for match in TOKEN.finditer(text))
     return next((kind for kind in kinds if kind != "name"), "") == "bad"
 
 
 def leader_lines(lines: Sequence[str]) -> int:
     """Return the number of lines before the tape mark of a program that has such text before it; else 0."""
-    if not (lines and is_leader(lines[0]) and not lines[0].lstrip().startswith("%")):
+    if not (lines and is_leader(lines[0])):
         return 0
     return next((i for i, line in enumerate(lines) if line.lstrip().startswith("%")), 0)
 
