@@ -7,6 +7,7 @@ errors, written here again.
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,6 +23,7 @@ from twin.controls.offsets import OffsetTable
 from twin.machine.machine import Machine
 from twin.model.calibration import Calibration
 from twin.nc import DIALECTS
+from twin.nc.chunks import ChunkRewriter
 
 LENGTH = 30.0
 ZERO = np.array([0.0, 0.0, 30.0])
@@ -461,3 +463,27 @@ def test_a_shift_cancelled_within_its_plane_is_doubtful_until_all_axes_are_shift
     ):
         with pytest.raises(InputError, match=words):
             compensated(SHIFTED + text, dmu50, errors)
+
+
+def test_lines_within_a_plane_written_together_are_those_written_one_by_one(
+    dmu50: Machine, errors: Calibration, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Rotary axes have no values in a plane, but in the blocks between planes, of the same chunk."""
+    inside = "".join(f"X{i % 17}.5 Y{i % 11}. Z{i % 5}.25\n" for i in range(60))
+    text = HEAD + "".join(
+        f"G0 B{b}. C-20.\nG68.2 X10. Y5. Z2. I{b}. J25. K-40.\nG53.1\n{INSIDE}{inside}G69\nG0 X0. Y0. Z60. B0. C0.\n"
+        for b in (10, 20, 30)
+    )
+    sizes: list[int] = []
+    run = ChunkRewriter._run
+
+    def counted(*given: Any) -> bytes | None:
+        written = run(*given)
+        sizes.append(0 if written is None else written.count(b"\n"))
+        return written
+
+    monkeypatch.setattr(ChunkRewriter, "_run", counted)
+    together = compensated(text, dmu50, errors).text
+    assert sum(sizes) > 170  # most lines of the three planes
+    monkeypatch.setattr(ChunkRewriter, "_run", lambda *_: None)
+    assert together == compensated(text, dmu50, errors).text
