@@ -126,7 +126,7 @@ class PoseComparison:
     def distance_mm(self, nominal: Commands, commanded: Commands, approach: np.ndarray | None = None) -> np.ndarray:
         """Return (lines,) the largest distance between the functional points on each line; 0 on a line without points."""
         inputs = (*nominal.inputs, *commanded.inputs, *self._sides(approach))
-        return self._function("_distance", nominal, commanded).largest(inputs, nominal.counts)
+        return self._function(self._distance, nominal, commanded).largest(inputs, nominal.counts)
 
     def poses(self, nominal: np.ndarray, commanded: np.ndarray, approach: np.ndarray | None = None) -> ComparedPoses:
         """Return the deviations in point and orientation at (n, axes) nominal and given commands."""
@@ -144,7 +144,7 @@ class PoseComparison:
     ) -> tuple[Totals, Totals]:
         """Return the totals of `QUANTITIES` with nominal and with written commands, where the poses of both are known."""
         inputs = (*nominal.inputs, *written.inputs, *self._sides(before), *self._sides(after))
-        both = self._function("_totals", nominal, written).totals(inputs, nominal.counts, SLACK)
+        both = self._function(self._totals, nominal, written).totals(inputs, nominal.counts, SLACK)
         parts = (slice(0, QUANTITIES), slice(QUANTITIES, None))
         first, last = (
             Totals(both.count, both.squares[p] * UNITS**2, both.largest[p, p] * UNITS, both.line[p]) for p in parts
@@ -157,14 +157,14 @@ class PoseComparison:
         return (np.zeros(len(self._real.machine.axes)) if approach is None else approach,)
 
     @builds_expressions
-    def _function(self, name: str, nominal: Commands, given: Commands) -> AlongFunction:
-        """Return a function for lines of commands or of words, by the name of what makes it, made when first needed."""
+    def _function(self, make: Callable[..., ca.Function], nominal: Commands, given: Commands) -> AlongFunction:
+        """Return a function for lines of commands or of words, made when first needed."""
         words = nominal.converted is not None, given.converted is not None
         if self._like is not None and not any(words):
-            return self._like._function(name, nominal, given)
-        key = name, *words
+            return self._like._function(getattr(self._like, make.__name__), nominal, given)
+        key = make.__name__, *words
         if key not in self._along:
-            self._along[key] = AlongFunction(getattr(self, name)(*words))
+            self._along[key] = AlongFunction(make(*words))
         return self._along[key]
 
     def _distance(self, *words: bool) -> ca.Function:
