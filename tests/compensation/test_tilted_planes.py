@@ -14,6 +14,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tests.model.errors import random_calibration
+from tests.nc.nc_support import AXES
 from tests.truth.reference import D, about, translation
 from twin._common.errors import InputError
 from twin.compensation import Compensation, Compensator, Options
@@ -23,6 +24,7 @@ from twin.controls.offsets import OffsetTable
 from twin.machine.machine import Machine
 from twin.model.calibration import Calibration
 from twin.nc import DIALECTS
+from twin.nc.blocks import Kind
 from twin.nc.chunks import ChunkRewriter
 
 LENGTH = 30.0
@@ -487,3 +489,9 @@ def test_lines_within_a_plane_written_together_are_those_written_one_by_one(
     assert sum(sizes) > 170  # most lines of the three planes
     monkeypatch.setattr(ChunkRewriter, "_run", lambda *_: None)
     assert together == compensated(text, dmu50, errors).text
+
+
+def test_g53_3_moves_at_rapid() -> None:
+    read = ISO.read(PLANES["G53.3"][0].encode(), "part")
+    kinds = [move.kind for move in ISO.moves(read, AXES, tcp=False).moves]
+    assert kinds[-4:] == [Kind.RAPID] + [Kind.LINEAR] * 3
