@@ -7,12 +7,14 @@ errors, written here again.
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from tests.model.errors import random_calibration
+from tests.nc.nc_support import AXES
 from tests.truth.reference import D, about, translation
 from twin._common.errors import InputError
 from twin.compensation import Compensation, Compensator, Options
@@ -22,6 +24,8 @@ from twin.controls.offsets import OffsetTable
 from twin.machine.machine import Machine
 from twin.model.calibration import Calibration
 from twin.nc import DIALECTS
+from twin.nc.blocks import Kind
+from twin.nc.chunks import ChunkRewriter
 
 LENGTH = 30.0
 ZERO = np.array([0.0, 0.0, 30.0])
@@ -169,13 +173,81 @@ PLANES = {
         TURNED,
         (10, 5, 2),
     ),
+    "G68.2 P2": (
+        f"{HEAD}G68.2 P2 Q0 X0 Y0 Z0 R0\n"
+        + "".join(
+            "G68.2 P2 Q{} X{:.6f} Y{:.6f} Z{:.6f}\n".format(i, *(np.array([10, 5, 2]) + TURNED.apply(point)))
+            for i, point in enumerate([(0, 0, 0), (40, 0, 0), (-25, 30, 0)], 1)
+        )
+        + f"G53.1\n{INSIDE}G69\n",
+        TURNED,
+        (10, 5, 2),
+    ),
+    "G68.2 P3": (
+        f"{HEAD}G68.2 P3 Q1 X10 Y5 Z2 I{X_AXIS[0]} J{X_AXIS[1]} K{X_AXIS[2]}\n"
+        f"G68.2 P3 Q2 I{NORMAL[0]} J{NORMAL[1]} K{NORMAL[2]}\nG53.1\n{INSIDE}G69\n",
+        TURNED,
+        (10, 5, 2),
+    ),
+    "G68.2 P3 where the axes stand": (
+        f"{HEAD}G0 B{B:.4f} C{C:.4f}\nG68.2 P3 Q1 X10 Y5 Z2 I{X_AXIS[0]} J{X_AXIS[1]} K{X_AXIS[2]}\n"
+        f"G68.2 P3 Q2 I{NORMAL[0]} J{NORMAL[1]} K{NORMAL[2]}\n{INSIDE}G69\n",
+        TURNED,
+        (10, 5, 2),
+    ),
+    "G53.3": (
+        f"{HEAD}G68.2 X10. Y5. Z2. I30. J25. K-40.\nG53.3 X0. Y0. Z20.\n{INSIDE.removeprefix('G0 X0. Y0. Z20.')[1:]}G69\n",
+        Rotation.from_euler("ZXZ", [30, 25, -40], degrees=True),
+        (10, 5, 2),
+    ),
+    "G268": (f"{HEAD}G268 X10. Y5. Z2. I20. J-30. K15. Q123\nG253\n{INSIDE}G269\n", TURNED, (10, 5, 2)),
+    "G268 where the axes stand": (
+        f"{HEAD}G0 B{B:.4f} C{C:.4f}\nG268 X10. Y5. Z2. I20. J-30. K15. Q123\n{INSIDE}G269\n",
+        TURNED,
+        (10, 5, 2),
+    ),
+    "CYCLE800 by solid angles": (
+        f'{HEAD}CYCLE800(0,"TC1",100000,64,10,5,2,35,28,0,1,2,3,1)\n{INSIDE}CYCLE800()\n',
+        Rotation.from_euler("ZY", [35, 28], degrees=True),
+        (10, 5, 2, 1, 2, 3),
+    ),
+    "CYCLE800 after another": (
+        f'{HEAD}CYCLE800(0,"TC1",0,57,1,1,1,9,8,7,0,0,0,1)\nG0 X5 Y5 Z40\n'
+        f'CYCLE800(0,"TC1",10,57,10,5,2,20,-30,15,0,0,0,1)\n{INSIDE}CYCLE800(0,"0",0,57,0,0,0,0,0,0,0,0,0,1)\n',
+        Rotation.from_euler("XYZ", [20, -30, 15], degrees=True),
+        (10, 5, 2),
+    ),
+    "CYCLE800 added to another": (
+        f'{HEAD}CYCLE800(0,"TC1",0,57,10,5,2,20,0,0,0,0,0,1)\nG0 X5 Y5 Z40\n'
+        f'CYCLE800(0,"TC1",1,57,0,0,0,0,-30,15,0,0,0,1)\n{INSIDE}CYCLE800()\n',
+        Rotation.from_euler("XYZ", [20, -30, 15], degrees=True),
+        (10, 5, 2),
+    ),
     "G254": (f"{HEAD}G0 B40. C-25.\nG254\n{INSIDE}G255\n", MACHINE_AXES, (0, 0, 0)),
 }
 REFUSED = [
     (f"{HEAD}G68.2 I30. J25. K0.\nG0 X1.\n", "24.8° off the tilted plane", 5),
     (f"{HEAD}G68.2 I30. J25. K0.\n" + "X1.\nX2.\n" * 60, "24.8° off the tilted plane", 5),
     (f"{HEAD}G68.2 I30. J25. K0.\nG0 X1. B5.\n", "between G68.2 and G53.1", 5),
-    (f"{HEAD}G268 I30. J25. K0.\n", "feature coordinate system", 4),
+    (f"{HEAD}G268 I30. J25. K0.\n", "G268 without Q123", 4),
+    (f"{HEAD}G268 I30. J25. K0. Q321\n", "G268 without Q123", 4),
+    (f"{HEAD}G268 I30. J25. K0. Q123 R5.\n", "G268 with R", 4),
+    (f"{HEAD}G253\n", "G253 without a tilted plane", 4),
+    (f"{HEAD}G68.2 P4 I30. J25. K0.\n", "G68.2 with P4", 4),
+    (f"{HEAD}G68.2 P2 Q0 X0. Y0. Z5.\n", "Q0 with a shift", 4),
+    (f"{HEAD}G68.2 P2 Q1 X0. Y0. Z5.\nG0 X5.\n", "P2 that is not complete", 5),
+    (f"{HEAD}G68.2 P2 Q1 X0. Y0. Z5.\n" + "X5.\nY5.\n" * 60, "P2 that is not complete", 5),
+    (f"{HEAD}G68.2 P2 Q1 X0. Y0. Z5.\nG53.1\n", "P2 that is not complete", 5),
+    (f"{HEAD}G68.2 P2 Q1 X0. Y0. Z5.\nG68.2 I5. J5.\n", "P2 that is not complete", 5),
+    (f"{HEAD}G68.2 P2 Q1 X0. Y0. Z5.\nG68.2 P2 Q3 X9. Y0. Z5.\n", "out of order", 5),
+    (f"{HEAD}G68.2 P2 Q1 X0. Y0. Z5.\nG68.2 P2 Q2 X9. Y0.\n", "out of order, or with other words", 5),
+    (f"{HEAD}G68.2 P2 Q1 X0 Y0 Z5\nG68.2 P2 Q2 X9 Y0 Z5\nG68.2 P2 Q3 X8 Y0 Z5\n", "vector of length zero", 6),
+    (f"{HEAD}G68.2 P3 Q1 X0 Y0 Z5 I1 J0 K0\nG68.2 P2 Q2 X9 Y0 Z5\n", "out of order", 5),
+    (f"{HEAD}G68.2 P3 Q1 X0 Y0 Z5 I1 J0 K0.02\nG68.2 P3 Q2 I0 J0 K1\n", "not perpendicular", 5),
+    (f"{HEAD}G68.2 I30. J25. K0.\nG53.3 X5. F100\nG69\nG53.3 X5 I2\n", "unknown word", 7),
+    (f'{HEAD}CYCLE800(0,"T",0,64,0,0,0,20,-30,15,0,0,0,1)\n', "CYCLE800 of this kind", 4),
+    (f'{HEAD}CYCLE800(0,"T",100,57,0,0,0,20,-30,15,0,0,0,1)\n', "CYCLE800 of this kind", 4),
+    (f'{HEAD}CYCLE800(0,"0",0,57,0,0,0,20,-30,15,0,0,0,1)\n', "CYCLE800 of this kind", 4),
     ("G90 G21\nG54\nG0 X0 Y0 Z60\nG254\n", "G254 at unknown positions", 4),
     (f"{HEAD}G254 X5.\n", "unknown word in a block with a tilted plane", 4),
     (f"{HEAD}G254\nG0 B5.\n", "rotary axes or tool centre point", 5),
@@ -261,10 +333,10 @@ def test_the_words_of_the_output_lead_to_the_compensated_commands(
 
     text, rotation, origin = PLANES[name]
     result = compensated(text, dmu50, errors)
-    begin = r"G53\.1|G53\.6|G254|G68\.2|CYCLE800\(0|PLANE (?:SPATIAL|EULER|VECTOR|POINTS|RELATIV)|L B\+Q121"
-    lines = re.split(r"G69|G255|CYCLE800\(\)|PLANE RESET", re.split(begin, result.text)[-1].partition("\n")[2])[
-        0
-    ].splitlines()
+    begin = r"G53\.1|G53\.6|(?=G53\.3)|G254|G253|G68\.2|G268|CYCLE800\(0,\"TC1|PLANE (?:SPATIAL|EULER|VECTOR|POINTS|RELATIV)|L B\+Q121"
+    body = re.split(begin, result.text)[-1]
+    body = body if body.startswith("G53.3") else body.partition("\n")[2]
+    lines = re.split(r"G69|G269|G255|CYCLE800\((?:0,\"0.*)?\)|PLANE RESET", body)[0].splitlines()
     position, words = {}, []
     for line in lines:
         found = re.findall(r"([XYZ])([-+]?[\d.]+)", line)
@@ -276,6 +348,22 @@ def test_the_words_of_the_output_lead_to_the_compensated_commands(
     for row, point in zip(rows, of_plane(rotation, origin, np.array(words)), strict=True):
         assert np.linalg.norm(in_work(result.commands[row])[0] - point) < 1e-6
         assert result.commands[row, 3:] == pytest.approx(result.nominal[row, 3:], abs=1e-9)
+
+
+@pytest.mark.parametrize("mode", [(57, 27), (39, 54), (45, 30)])
+def test_rotations_that_are_added_undo_themselves(dmu50: Machine, errors: Calibration, mode: tuple[int, int]) -> None:
+    """The opposite angles in the opposite order lead back to the plane before."""
+    rng = np.random.default_rng(mode[0])
+    for _ in range(3):
+        a, b, c = rng.uniform(-25, 25, 3).round(3)
+        plane = 'CYCLE800(0,"TC1",0,57,10,5,2,20,-30,15,0,0,0,1)\n'
+        added = f'CYCLE800(0,"TC1",1,{mode[0]},0,0,0,{a},{b},{c},3,-4,5,1)\n'
+        undone = f'CYCLE800(0,"TC1",1,{mode[1]},-3,4,-5,{-c},{-b},{-a},0,0,0,1)\n'
+        end = f"{INSIDE}CYCLE800()\n"
+        once, there_and_back = (
+            compensated(f"{HEAD}{text}{end}", dmu50, errors) for text in (plane, plane + added + undone)
+        )
+        assert there_and_back.nominal[-4:] == pytest.approx(once.nominal[-4:], abs=2e-6)
 
 
 def test_the_same_solid_on_every_control(dmu50: Machine, errors: Calibration) -> None:
@@ -377,3 +465,33 @@ def test_a_shift_cancelled_within_its_plane_is_doubtful_until_all_axes_are_shift
     ):
         with pytest.raises(InputError, match=words):
             compensated(SHIFTED + text, dmu50, errors)
+
+
+def test_lines_within_a_plane_written_together_are_those_written_one_by_one(
+    dmu50: Machine, errors: Calibration, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Rotary axes have no values in a plane, but in the blocks between planes, of the same chunk."""
+    inside = "".join(f"X{i % 17}.5 Y{i % 11}. Z{i % 5}.25\n" for i in range(60))
+    text = HEAD + "".join(
+        f"G0 B{b}. C-20.\nG68.2 X10. Y5. Z2. I{b}. J25. K-40.\nG53.1\n{INSIDE}{inside}G69\nG0 X0. Y0. Z60. B0. C0.\n"
+        for b in (10, 20, 30)
+    )
+    sizes: list[int] = []
+    run = ChunkRewriter._run
+
+    def counted(*given: Any) -> bytes | None:
+        written = run(*given)
+        sizes.append(0 if written is None else written.count(b"\n"))
+        return written
+
+    monkeypatch.setattr(ChunkRewriter, "_run", counted)
+    together = compensated(text, dmu50, errors).text
+    assert sum(sizes) > 170  # most lines of the three planes
+    monkeypatch.setattr(ChunkRewriter, "_run", lambda *_: None)
+    assert together == compensated(text, dmu50, errors).text
+
+
+def test_g53_3_moves_at_rapid() -> None:
+    read = ISO.read(PLANES["G53.3"][0].encode(), "part")
+    kinds = [move.kind for move in ISO.moves(read, AXES, tcp=False).moves]
+    assert kinds[-4:] == [Kind.RAPID] + [Kind.LINEAR] * 3

@@ -61,6 +61,7 @@ class Run:
         self.tcp = self.rapid = False
         self.plane: tuple[np.ndarray, np.ndarray] | None = None
         self.pending: tuple[np.ndarray, np.ndarray] | None = None
+        self.given: list[dict[str, float]] = []
 
     def at(self) -> np.ndarray:
         """Return the axis positions."""
@@ -97,6 +98,34 @@ class Run:
         self.plane, self.pending = (turn, origin), None
         self.forget("XYZ")
 
+    def swivel(self, parts: list[str]) -> None:
+        """Execute CYCLE800 of SINUMERIK: a new plane or one within the present one, by angles about x, y, z or by solid angles."""
+        if not any(parts) or parts[1] == '"0"':
+            self.plane = None
+            self.forget("XYZ")
+            return
+        values = [float(part) if part and part[0] != '"' else 0.0 for part in parts]
+        solid = values[3] == 64
+        turn = Rotation.from_euler("ZY" if solid else "XYZ", values[7 : 9 if solid else 10], degrees=True).as_matrix()
+        origin = np.array(values[4:7]) + turn @ values[10:13]
+        if values[2] % 10 and self.plane:
+            turn, origin = self.plane[0] @ turn, self.plane[1] + self.plane[0] @ origin
+        self.tilt(turn, origin)
+
+    def through(self, step: int, words: dict[str, float]) -> None:
+        """Take a block of a plane by points or vectors, and define the plane from the last one."""
+        self.given = [*(self.given if step > 1 else []), words]
+        first, last = self.given[0], self.given[-1]
+        origin = np.array([first[axis] for axis in "XYZ"])
+        if "I" in last:
+            x, z = (np.array([one[axis] for axis in "IJK"]) for one in (first, last))
+        elif step == 3:
+            x, side = (np.array([one[axis] for axis in "XYZ"]) - origin for one in self.given[1:])
+            z = np.cross(x, side)
+        if step == (2 if "I" in last else 3):
+            x, z = x / np.linalg.norm(x), z / np.linalg.norm(z)
+            self.pending = np.stack([x, np.cross(z, x), z], axis=1), origin
+
     def program_frame(self, added: bool, kind: str, values: dict[str, float]) -> None:
         """Shift or turn the coordinates as SINUMERIK does."""
         if not added:
@@ -129,13 +158,7 @@ def run_iso(text: str) -> Run:
             code_of_cycle = called[1] if called else ""
             continue
         if "@" in bare:
-            parts = [part.strip() for part in bare.split("@")[1].split(",")]
-            if any(parts):
-                values = [float(part) if part and part[0] != '"' else 0.0 for part in parts]
-                run.tilt(Rotation.from_euler("XYZ", values[7:10], degrees=True).as_matrix(), np.array(values[4:7]))
-            else:
-                run.plane = None
-                run.forget("XYZ")
+            run.swivel([part.strip() for part in bare.split("@")[1].split(",")])
             continue
         framed = re.match(r"(A?)(TRANS|ROT)\b(.*)", bare)
         if framed:
@@ -149,7 +172,7 @@ def run_iso(text: str) -> Run:
         name = re.search(r'T="([^"]*)"', line)
         codes = [value.lstrip("0") or "0" for word, value in words if word == "G"]
         unit = {"20": 25.4, "70": 25.4, "700": 25.4, "21": 1.0, "710": 1.0}.get(next(iter({*codes} & _UNITS), ""), unit)
-        scaled = {*"XYZRIJK"} - ({*"IJK"} if "68.2" in codes else set())
+        scaled = {*"XYZRIJK"} - ({*"IJK"} if {"68.2", "268"} & {*codes} else set())
         values = {
             word: float(value) * (unit if word in scaled else 1.0) for word, value in words if word not in ("G", "M")
         }
@@ -170,20 +193,26 @@ def run_iso(text: str) -> Run:
             if one in ("49", "170") or (okuma and one == "53"):
                 run.forget(run.switched() if run.tcp else "Z")
                 run.tcp, run.length = False, 0.0
-            if one == "68.2":
+            if one == "268":
+                turn = Rotation.from_euler("xyz", [values[k] for k in "IJK"], degrees=True).as_matrix()
+                run.pending = turn, np.array([values[axis] for axis in "XYZ"])
+            if one == "68.2" and values.get("P"):
+                if values["Q"]:
+                    run.through(int(values["Q"]), values)
+            elif one == "68.2":
                 turn = Rotation.from_euler("ZXZ", [values.get(k, 0.0) for k in "IJK"], degrees=True).as_matrix()
                 run.pending = turn, np.array([values.get(axis, 0.0) for axis in "XYZ"])
-            if one == "53.1" and run.pending:
+            if one in ("53.1", "53.3", "53.6", "253") and run.pending:
                 run.tilt(*run.pending)
             if one == "254":
                 run.tilt(np.linalg.inv(table_of(run.words["B"], run.words["C"])[:3, :3]), np.zeros(3), stands=True)
-            if one in ("69", "255"):
+            if one in ("69", "255", "269"):
                 run.plane = None
                 run.forget("XYZ")
             relative = {"90": False, "91": True}.get(one, relative)
             to_initial = {"98": True, "99": False}.get(one, to_initial)
-            if one in ("0", "1", "2", "3"):
-                code, cycle = one, {}
+            if one in ("0", "1", "2", "3", "53.3"):
+                code, cycle = one.replace("53.3", "0"), {}
             if one == "80":
                 cycle = {}
             if one in _CYCLES:
@@ -209,13 +238,16 @@ def run_iso(text: str) -> Run:
             run.shift = np.array([values.get(axis, place) for axis, place in zip("XYZ", run.shift, strict=True)])
             run.forget("XYZ")
             continue
-        if {"68.2", "28", "4"} & {*codes} or not axes:
+        if {"68.2", "268", "28", "4"} & {*codes} or not axes:
             if "28" in codes:
                 run.forget("".join(axes))
             continue
         if machine:
             run.forget("".join(axes))
             continue
+        if run.pending and not {*axes} & {*"BC"}:
+            run.plane, run.pending = run.pending, None  # the program has positioned the rotary axes
+            run.forget("XYZ")
         if cycle:
             cycle |= {axis: values[axis] for axis in "ZR" if axis in values}
             axes = axes if called_by_name(cycle) else {axis: value for axis, value in axes.items() if axis != "Z"}

@@ -171,3 +171,13 @@ def test_the_first_arc_shows_how_centres_are_written(way, arcs, heading):
 def test_centres_that_are_not_all_written_alike_are_refused(text, message):
     with pytest.raises(InputError, match=message):
         read_moves(ISO, f"G0 X10 Y0 Z0 B0 C0\n{text}\n")
+
+
+def test_increments_of_zero_under_g2_move_nothing():
+    """A reference return in G91 and axes one by one, where an arc was the last motion (a post of NX)."""
+    head, tail = "G21 G90\nG0 X0 Y0 Z0 B0 C0\nG2 X4 Y4 I4 J0\n", "G90\nG1 X9 Y1\n"
+    still, plain = (read_moves(ISO, head + text + tail).moves for text in ("G91\nX0. Y0.\nB0.\n", ""))
+    assert [move.position for move in still] == [move.position for move in plain]
+    for block in ("G91 X0 Y1", "G90 X0 Y0"):
+        with pytest.raises(InputError, match="without centre or radius"):
+            read_moves(ISO, f"{head}{block}\n")

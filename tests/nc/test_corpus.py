@@ -47,6 +47,7 @@ CONTROLS = {
     "okuma": "Okuma",
     "sinumerik": "SINUMERIK",
     "tnc": "HEIDENHAIN",
+    "twp": "LinuxCNC",
 }
 
 

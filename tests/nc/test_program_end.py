@@ -88,3 +88,22 @@ def test_what_a_control_may_execute_is_refused(language: str, text: str, line: i
     with pytest.raises(InputError) as raised:
         read(language, text)
     assert raised.value.line == line and said in str(raised.value)
+
+
+TITLE = "=========\nListing made by 11x\nDate : 3/2/2007\nX5 Y7 = plate\n"
+
+
+def test_text_before_the_tape_mark_is_not_read_but_kept() -> None:
+    program = f"%\nO1\n{ISO_HEAD}{BEHIND['iso']}M30\n%\n"
+    plain, titled = read("iso", program), read("iso", TITLE + program)
+    assert [move.position for move in titled.moves] == [move.position for move in plain.moves]
+    assert any("before %" in notice.text for notice in titled.notices)
+    dialect = dialect_for(Path("part.nc"))
+    assert dialect.with_comments(TITLE + program, ["corrected"]) == f"{TITLE}%\nO1\n(corrected)\n{program[5:]}"
+
+
+@pytest.mark.parametrize("text", ["=====\nG1 X5\n", "Listing made by 11x\nG0 X0\nG1 X5 F9\n"])
+def test_such_text_without_a_tape_mark_is_refused(text: str) -> None:
+    with pytest.raises(InputError, match="unexpected text") as caught:
+        read("iso", text)
+    assert caught.value.line == 1

@@ -88,6 +88,16 @@ def rotation_along(first: Sequence[float], normal: Sequence[float]) -> Rows:
     return tuple(tuple(row) for row in np.stack([x, np.cross(z, x), z], axis=1).tolist())
 
 
+def rotation_through(points: Sequence[Sequence[float]]) -> Rows:
+    """Return the rotation matrix of a plane through three points: x towards the second one, the third on the side of positive y.
+
+    It raises `ValueError` for points on one line.
+    """
+    first, second, third = np.array(points, dtype=float)
+    x = second - first
+    return rotation_along(x.tolist(), np.cross(x, third - first).tolist())
+
+
 PARALLEL: Final = 1e-3
 """Sine of the least angle between the two directions that define a plane."""
 

@@ -294,8 +294,8 @@ class ChunkRewriter(ChunkWriter):
         general = new.count == 0
         general[list(moves.special)] = True
         general |= moves.by_vector
-        exact = self._exact_in_steps(moves.named[~general], new.positions[new.rows(np.flatnonzero(~general))])
-        bulk = scan.simple & (np.diff(of_line) > 0) & exact
+        general[~general] = ~self._exact_in_steps(np.flatnonzero(~general), moves.named, new)
+        bulk = scan.simple & (np.diff(of_line) > 0)
         bulk[at_line[general]] = False
         out: list[bytes] = []
         for begin, end, together in runs(bulk, scan.blank):
@@ -310,15 +310,22 @@ class ChunkRewriter(ChunkWriter):
                 at += 1
         return b"".join(out)
 
-    def _exact_in_steps(self, named: np.ndarray, positions: np.ndarray) -> bool:
-        """Return whether values are exact in steps, and each axis has a value in all rows, or in none and no word either."""
-        known = np.isfinite(positions)
-        everywhere = np.array([axis.all() for axis in known.T])
-        written = np.bitwise_or.reduce(named, initial=0) >> np.arange(known.shape[1]) & 1 > 0
-        if not self._grids.exact or not np.all(everywhere | ~([axis.any() for axis in known.T] | written)):
-            return False
-        largest = [np.abs(axis).max(initial=0.0) for axis in positions.T[everywhere]]
-        return max(largest, default=0.0) < LARGEST_STEPS * float(self._grids.step.min())
+    def _exact_in_steps(self, which: np.ndarray, named: np.ndarray, new: NewPositions) -> np.ndarray:
+        """Return (which,) the moves whose values are exact in steps and that have values of the same axes, among them all named ones.
+
+        The axes are those of most moves: in a tilted plane, say, rotary axes have none.
+        """
+        positions, count = new.positions[new.rows(which)], new.count[which]
+        if not (self._grids.exact and len(positions)):
+            return np.zeros(len(which), dtype=bool)
+        bits = np.isfinite(positions) @ (1 << np.arange(positions.shape[1]))
+        first = np.cumsum(count) - count
+        low, high = np.minimum.reduceat(bits, first), np.maximum.reduceat(bits, first)
+        patterns, times = np.unique(low, return_counts=True)
+        usual = patterns[np.argmax(times)]
+        same = (low == usual) & (high == usual) & (named[which] & ~usual == 0)
+        largest = float(np.fmax.reduce(np.abs(positions), axis=None, initial=0.0))
+        return same & (largest < LARGEST_STEPS * float(self._grids.step.min()))
 
     def _run(
         self, scan: Scan, begin: int, end: int, of_line: np.ndarray, moves: MoveColumns, new: NewPositions

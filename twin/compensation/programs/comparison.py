@@ -107,12 +107,20 @@ class ComparedPoses:
 
 @final
 class PoseComparison:
-    """Compares poses of a machine with errors with nominal ones; ``of_words``: commands as an expression of words of the tip."""
+    """Compares poses of a machine with errors with nominal ones.
+
+    ``of_words``: commands as an expression of words of the tip; ``like``: the comparison of the same machines for other words, whose
+    functions of commands are shared.
+    """
 
     def __init__(
-        self, real: Kinematics, nominal: Kinematics, of_words: Callable[[Any], Any] = lambda words: words
+        self,
+        real: Kinematics,
+        nominal: Kinematics,
+        of_words: Callable[[Any], Any] = lambda words: words,
+        like: PoseComparison | None = None,
     ) -> None:
-        self._real, self._nominal, self._of_words = real, nominal, of_words
+        self._real, self._nominal, self._of_words, self._like = real, nominal, of_words, like
         self._along: dict[tuple[str, bool, bool], AlongFunction] = {}
 
     def distance_mm(self, nominal: Commands, commanded: Commands, approach: np.ndarray | None = None) -> np.ndarray:
@@ -152,6 +160,8 @@ class PoseComparison:
     def _function(self, make: Callable[..., ca.Function], nominal: Commands, given: Commands) -> AlongFunction:
         """Return a function for lines of commands or of words, made when first needed."""
         words = nominal.converted is not None, given.converted is not None
+        if self._like is not None and not any(words):
+            return self._like._function(getattr(self._like, make.__name__), nominal, given)
         key = make.__name__, *words
         if key not in self._along:
             self._along[key] = AlongFunction(make(*words))
@@ -166,6 +176,8 @@ class PoseComparison:
     @cached_property
     @builds_expressions
     def _poses(self) -> BatchFunction:
+        if self._like is not None:
+            return self._like._poses
         inputs, meant, given, share = self._symbols(False, False)
         sides = self._real.symbols()[1:]
         distance, (angle, *_), beyond = self._compared(meant, given, sides)

@@ -386,8 +386,9 @@ class FrameSpaces:
         key: tuple[Hashable, ...] = tuple(sorted(shift.items())), origin, length, *(() if turn is None else (turn,))
         if key not in self._made:
             plain = replace(setup, work_offset=shift, work_origin_mm=origin, offsets=None, tools=None)
+            like = next((one for one in (base, *self._made.values()) if one.tool_length_mm == length), None)
             self._made[key] = WordSpace(
-                base.machine, plain, length, turn=None if turn is None else np.array(turn, dtype=float)
+                base.machine, plain, length, turn=None if turn is None else np.array(turn, dtype=float), like=like
             )
         space = self._made[key]
         if frame.plane is None:
@@ -396,7 +397,7 @@ class FrameSpaces:
         key = (*key, frame.plane, frame.shift, frame.turn, frame.inclined, tuple(rotary.tolist()))
         if key not in self._made:
             self._made[key] = WordSpace(
-                base.machine, space.setup, length, self._tilt(space, frame.plane, frame, rotary)
+                base.machine, space.setup, length, self._tilt(space, frame.plane, frame, rotary), like=space
             )
         return self._made[key]
 

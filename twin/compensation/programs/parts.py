@@ -535,6 +535,7 @@ class ProgramRun:
         whole = bool(context or self._prepared.backlash.axes or self._prepared.by_block)
         columns = section.path.columns
         ends = [len(columns)] if whole else _ends(columns, within.options.tolerance_mm)
+        portions = self._source.parts * len(ends) * max(len(part.moves) / len(columns), 1.0)
         self._end = None if context else self._end
         for begin, end in pairwise([0, *ends]):
             pieces = Pieces(
@@ -547,7 +548,7 @@ class ProgramRun:
                 conditions=conditions.part(section.begin - context, section.end),
                 posted=self._posted,
             )
-            with equal_portions(self._source.parts * len(ends)):
+            with equal_portions(portions):
                 corrected = correct(pieces, self._stage, context=context, before=self._end)
             self._end = corrected.end
             yield corrected

@@ -114,8 +114,9 @@ class PreparedMachine:
             else like.real
         )
         self.backlash = Backlash(calibration)
-        self.comparison = self.compared(self.real)
-        self.nominal_comparison = self.compared(self.space.nominal)
+        self.comparison: PoseComparison = self.compared(self.real, None if like is None else like.comparison)
+        nominal = None if like is None else like.nominal_comparison
+        self.nominal_comparison: PoseComparison = self.compared(self.space.nominal, nominal)
         if calibration.corrections and options.method == "thesis":
             raise InputError(
                 "the method of the thesis does not model the control's own tables and would correct their share twice",
@@ -178,9 +179,9 @@ class PreparedMachine:
     def _acts_as(self) -> dict[str, str]:
         return {effect.name: error_motion_of(effect, self.machine) for effect in self.calibration.effects}
 
-    def compared(self, real: Kinematics) -> PoseComparison:
-        """Return the pose comparison of a machine with errors with the nominal pose."""
-        return PoseComparison(real, self.space.nominal, self.space.commands_at)
+    def compared(self, real: Kinematics, like: PoseComparison | None = None) -> PoseComparison:
+        """Return the pose comparison of a machine with errors with the nominal pose; ``like``: as of `PoseComparison`."""
+        return PoseComparison(real, self.space.nominal, self.space.commands_at, like)
 
     def outside(self, commands: np.ndarray) -> np.ndarray:
         """(n,) whether commands (mm, degrees) leave an axis's range."""
@@ -242,7 +243,7 @@ class CorrectionAim:
         _ = self.point, self.point_inverse, self.orientation_inverse, self.at_point, self.at_axis, self.by_class
         found = copy(self)  # with these
         found.prepared = prepared
-        vars(found).pop("comparison", None)
+        vars(found)["comparison"] = prepared.compared(self.point, self.comparison)
         return found
 
     def _table_at_point(self, table: ControlCorrection) -> bool:

@@ -136,7 +136,7 @@ class WordSpace:
 
     ``tilt``: the tilted plane of the words; None if they are parallel to the linear axes; ``turn``: (3, 3) axes of the words x, y, z
     along the linear axes, as columns, outside a tilted plane; None if they are parallel. ``order``: (axes,) column of the commands of
-    each word.
+    each word. ``like``: words of the same machine with the same tool length, whose models are shared.
     """
 
     def __init__(
@@ -146,16 +146,22 @@ class WordSpace:
         tool_length_mm: float | None,
         tilt: Tilt | None = None,
         turn: np.ndarray | None = None,
+        *,
+        like: WordSpace | None = None,
     ) -> None:
         self.machine, self.setup, self.tool_length_mm = machine, setup, tool_length_mm
-        self.axes = replace(
-            axis_words(machine),
+        self._like = like
+        self.axes: AxisWords = replace(
+            axis_words(machine) if like is None else like.axes,
             offsets_known=setup.offsets is not None,
             tools_known=setup.tools is not None,
             one_tool=setup.one_tool,
         )
-        self.nominal = Kinematics(machine, Calibration.zero(machine), tool_length_mm=tool_length_mm)
-        self.inverse = Inverse(self.nominal)
+        if like is None:
+            self.nominal = Kinematics(machine, Calibration.zero(machine), tool_length_mm=tool_length_mm)
+            self.inverse = Inverse(self.nominal)
+        else:
+            self.nominal, self.inverse = like.nominal, like.inverse
         self.order = np.array([machine.names.index(name) for name in self.axes.names])
         self.offset = np.array([setup.work_offset.get(name, 0.0) for name in self.axes.names])
         self.origin = np.array(setup.work_origin_mm)
@@ -167,7 +173,7 @@ class WordSpace:
     @cached_property
     def branches(self) -> Branches:
         """Rotary solutions for tool vectors."""
-        return Branches(self.nominal)
+        return Branches(self.nominal) if self._like is None else self._like.branches
 
     def commands(self, words: np.ndarray, tcp: np.ndarray) -> np.ndarray:
         """Return the (n, axes) commands that the control derives from (n, axes) words; ``tcp``: (n,) mode of each."""
@@ -210,7 +216,7 @@ class WordSpace:
     @cached_property
     @builds_expressions
     def _linear_axes_of_many(self) -> BatchFunction:
-        return BatchFunction(self._linear_axes)
+        return BatchFunction(self._linear_axes) if self._like is None else self._like._linear_axes_of_many
 
     @cached_property
     def _linear_axes(self) -> ca.Function:
@@ -218,6 +224,8 @@ class WordSpace:
 
         The tip is linear in the commands of the linear axes: three equations with three unknowns.
         """
+        if self._like is not None:
+            return self._like._linear_axes
         scale = self.machine.scale[self.order]
         linear, rotary = ca.SX.sym("linear", 3), ca.SX.sym("rotary", len(self.order) - 3)
         words = ca.vertcat(linear, rotary) * ca.DM(scale)

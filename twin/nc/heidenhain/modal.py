@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 from typing import Final, NamedTuple, final
 
 from twin.nc.arcs import MOST_TURNS, ArcMisfit, arc_by_centre, arc_by_radius
-from twin.nc.blocks import Arc, Kind, Move, Plane, Rows, product, rotation_about, rotation_along
+from twin.nc.blocks import Arc, Kind, Move, Plane, Rows, product, rotation_about, rotation_along, rotation_through
 from twin.nc.heidenhain import vocabulary
 from twin.nc.modal import BESIDE, CORRECTION_DEG, Block, Interpreter, Span
 from twin.nc.text import MM_PER_INCH
@@ -484,11 +484,8 @@ class HeidenhainFrame(HeidenhainPaths):
             turned = rotation_about("XYZ", numbers)
             return turned if plane is None else product(plane.rotation, turned) or turned
         points = [numbers[i : i + 3] for i in range(0, len(numbers), 3)]
-        if kind == "POINTS":
-            x, y = ([b - a for a, b in zip(points[0], other, strict=True)] for other in points[1:])
-            points = [x, [x[1] * y[2] - x[2] * y[1], x[2] * y[0] - x[0] * y[2], x[0] * y[1] - x[1] * y[0]]]
         try:
-            return rotation_along(*points)
+            return rotation_through(points) if kind == "POINTS" else rotation_along(*points)
         except ValueError as error:
             raise self.error(f"PLANE {way} with {error}", "two directions across each other") from None
 

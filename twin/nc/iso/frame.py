@@ -9,12 +9,24 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import Any, Final, Literal, NamedTuple, final
 
+import numpy as np
+
+from twin._common.errors import InputError
 from twin.nc.arcs import FROM_START, CentreWords
-from twin.nc.blocks import AxisWords, Plane, Rows, WordFrame, product, rotation_about
+from twin.nc.blocks import (
+    AxisWords,
+    Plane,
+    Rows,
+    WordFrame,
+    product,
+    rotation_about,
+    rotation_along,
+    rotation_through,
+)
 from twin.nc.iso import vocabulary
 from twin.nc.iso.cycles import Drilling
 from twin.nc.modal import AxisWord, Block, Interpreter, Span
-from twin.nc.text import MM_PER_INCH
+from twin.nc.text import MM_PER_INCH, unit_vector
 
 
 class Item(NamedTuple):
@@ -93,6 +105,8 @@ class IsoFrame(Interpreter):
     default).
     """
 
+    in_leader = False
+    """Whether the line stands before the tape mark ``%`` and is not read."""
     without_frames = False
     """Whether the program has words that no program of SINUMERIK has, so that G58 and G59 select work offsets."""
     _next_tool = ""
@@ -182,74 +196,154 @@ class IsoFrame(Interpreter):
         return str(int(value))
 
 
-# --- Tilted planes of ISO programs: ``G68.2`` with ``G53.1`` (Fanuc), ``CYCLE800`` (SINUMERIK) ----
+# --- Tilted planes of ISO programs: ``G68.2`` with ``G53.1`` (Fanuc), ``G268`` with ``G253`` (Haas), ``CYCLE800`` (SINUMERIK) ----
+# Public descriptions beside the manuals: LinuxCNC's remap "Tilted Work Plane" (G68.2 P2 and P3, G53.3); Autodesk's and FreeCAD's posts
+# for Haas (G268 Q123: about the fixed axes X, Y, Z, in this order).
 
 _ORDER: Final = {1: "X", 2: "Y", 3: "Z"}
-_PLANE_WORDS: Final = tuple("XYZIJKPQSTDHF")
-_POSITIONING_WORDS: Final = tuple("PSTDHF")
-"""Words of a block with G68.2, and with G53.1: those of the plane, and of spindle, tool and feed."""
+_PLANE_WORDS: Final = frozenset("XYZIJKPQRSTDHF")
+_POSITIONING_WORDS: Final = frozenset("PSTDHF")
+"""Words of a block that defines a plane, and of one that positions the axes: those of the plane, and of spindle, tool and feed."""
+_FRAME_WORDS: Final = frozenset("XYZIJKPQR")
 TILTS: Final = frozenset(vocabulary.GROUPS["plane tilt"])
-_DESELECTED: Final = (["0", '"0"'], ["0", '""'], ["", '"0"'])
-"""Arguments of CYCLE800 that deselect the swivel data."""
+_DEFINING: Final = frozenset({"68.2", "268"})
+_ENDING: Final = frozenset({"69", "255", "269"})
+_STEPS: Final[dict[float, tuple[str, ...]]] = {2.0: ("XYZ", "XYZ", "XYZ"), 3.0: ("XYZIJK", "IJK")}
+"""Words of the blocks with Q1, Q2, … that define a plane by three points (P2), and by the directions of x and z (P3)."""
+_SQUARE: Final = 1e-5
+"""Cosine of the angle between the directions of x and z up to which it does not matter which of them a control corrects."""
 _CHOICES: Final = {"0": 0, "1": 1, "2": -1}
+_SOLID_ANGLE: Final = 64
+"""MODE of CYCLE800: about Z, then about the turned Y."""
 
 
 class IsoTilt(IsoFrame):
-    """The tilted plane in force, and one that is defined while the rotary axes are not yet positioned."""
+    """The tilted plane in force, and one that is defined while the rotary axes are not yet positioned.
+
+    ``points``: the blocks of a plane by several blocks (G68.2 P2, P3) that is not yet complete.
+    """
 
     inch = False
     pending: Plane | None = None
+    points: tuple[list[float], ...] = ()
+    _form = 0.0
 
     def tilt_words(self, block: IsoBlock) -> None:
-        """Apply ``G68.2``, ``G53.1``, ``G53.6``, ``G69``, ``G254`` and ``G255``, and take their words from a block."""
-        codes = {span.name for span in block.codes}
-        if not codes & TILTS:
+        """Apply a G word of tilted planes and take its words from a block; the positions behind ``G53.3`` stay for the motion."""
+        code = next((span.name for span in block.codes if span.name in TILTS), "")
+        if not code:
             return
-        words = _PLANE_WORDS if "68.2" in codes else _POSITIONING_WORDS
+        positions = code == "53.3"
+        words = _PLANE_WORDS if code in _DEFINING else _POSITIONING_WORDS | frozenset("XYZ" if positions else "")
         stray = next((item for item in (*block.items, *block.others) if item.name not in words), None)
-        if stray is not None and "69" not in codes:
+        if stray is not None and code != "69":
             shown = block.text[stray.start : stray.end].strip()
-            raise self.error("unknown word in a block with a tilted plane", f"no words but {' '.join(words)}", shown)
-        if codes & {"69", "255"}:
-            self.pending = None
+            raise self.error(
+                "unknown word in a block with a tilted plane", f"no words but {' '.join(sorted(words))}", shown
+            )
+        if self.points and code not in (*_DEFINING, *_ENDING):
+            raise self._incomplete()
+        if code in _ENDING:
+            self.pending, self.points = None, ()
             self._check_unshifted()
             self.select(block, plane=None)
             return
-        if "68.2" in codes:
-            self._check_allowed(block)
-            items = [item for item in (*block.items, *block.others) if item.name in "XYZIJKPQ"]
-            values = {item.name: self.known_value(item.name, item.value, vocabulary.KNOWN_VALUE) for item in items}
-            unit = MM_PER_INCH if self.inch else 1.0
-            x, y, z = (values.get(letter, 0.0) * unit for letter in "XYZ")
-            self.pending = Plane((x, y, z), self._turned_plane(values))
-        elif "254" in codes:
-            self._check_allowed(block)
+        if code in _DEFINING:
+            self._check_allowed(within=False)
+            self._define(block, code)
+        elif code == "254":
+            self._check_allowed(within=False)
             at = self.stands("G254")
             self._tilt(block, Plane((0.0, 0.0, 0.0), None, at_deg=at))
             self.position[self.linear :] = at
         else:
-            word = "G53.1" if "53.1" in codes else "G53.6"
-            if self.pending is None:
-                raise self.error(f"{word} without a tilted plane", "G68.2 before it")
-            choice = next((item.value.strip() for item in block.others if item.name == "P"), "0")
-            if choice not in _CHOICES:
-                raise self.error(f"{word} with an unknown P", "P0, P1 or P2", choice)
-            self._tilt(block, replace(self.pending, choice=_CHOICES[choice], stays=word == "G53.1"))
-        block.items, block.others = [], []
+            self._position(block, code)
+        if positions:
+            self.note(
+                "G53.3 turns the rotary axes and goes to its X, Y, Z at rapid; G0 is in force after it (LinuxCNC)"
+            )
+            self.motion = 0
+        block.items, block.others = block.items if positions else [], []
 
-    def _turned_plane(self, values: dict[str, float]) -> Rows:
-        """Return the axes of a plane by ``G68.2``: Euler angles, or with P1 an angle about X, Y or Z.
+    def _position(self, block: IsoBlock, code: str) -> None:
+        """Let the control position the rotary axes: ``G53.1``, ``G53.3``, ``G53.6``, ``G253``."""
+        if self.pending is None:
+            raise self.error(
+                f"G{code} without a tilted plane", "G268 before it" if code == "253" else "G68.2 before it"
+            )
+        choice = next((item.value.strip() for item in block.others if item.name == "P"), "0")
+        if choice not in _CHOICES:
+            raise self.error(f"G{code} with an unknown P", "P0, P1 or P2", choice)
+        self._tilt(block, replace(self.pending, choice=_CHOICES[choice], stays=code == "53.1"))
+
+    def _define(self, block: IsoBlock, code: str) -> None:
+        """Take the definition of a plane, or one block of several."""
+        items = [item for item in (*block.items, *block.others) if item.name in _FRAME_WORDS]
+        values = {item.name: self.known_value(item.name, item.value, vocabulary.KNOWN_VALUE) for item in items}
+        unit = MM_PER_INCH if self.inch else 1.0
+        values |= {letter: values[letter] * unit for letter in "XYZ" if letter in values}
+        form = values.pop("P", 0.0)
+        if form in _STEPS and code == "68.2":
+            self.pending = self._by_blocks(form, values)
+            return
+        if self.points:
+            raise self._incomplete()
+        x, y, z = (values.get(letter, 0.0) for letter in "XYZ")
+        self.pending = Plane((x, y, z), self._turned_plane(code, form, values))
+
+    def _turned_plane(self, code: str, form: float, values: dict[str, float]) -> Rows:
+        """Return the axes of a plane by angles: Euler angles of ``G68.2``, with P1 one about X, Y or Z; fixed axes of ``G268 Q123``.
 
         Several angles with P1 are refused: public descriptions differ in whether the axes turn with each other.
         """
         angles = [values.get(letter, 0.0) for letter in "IJK"]
-        if not values.get("P"):
+        if values.get("R"):
+            raise self.error(f"tilted plane by G{code} with R", "the plane without a further rotation")
+        if code == "268":
+            if form or values.get("Q") != 123.0:
+                raise self.error("G268 without Q123", "Q123: angles I, J, K about the fixed axes X, Y, Z")
+            return rotation_about("ZYX", angles[::-1])
+        if not form:
             if "Q" in values:
                 raise self.error("G68.2 with Q", "Euler angles I, J, K (without P and Q)")
             return rotation_about("ZXZ", angles)
-        if values["P"] != 1.0 or sum(map(bool, angles)) > 1:
-            raise self.error(f"G68.2 with P{values['P']:g}", "Euler angles I, J, K (without P), or P1 with one angle")
+        if form != 1.0 or sum(map(bool, angles)) > 1:
+            expected = "Euler angles I, J, K (without P), P1 with one angle, three points (P2) or two vectors (P3)"
+            raise self.error(f"G68.2 with P{form:g}", expected)
         return rotation_about("XYZ", angles)
+
+    def _by_blocks(self, form: float, values: dict[str, float]) -> Plane | None:
+        """Take one block of a plane by three points or two vectors; return the plane when it is complete."""
+        steps, step = _STEPS[form], values.pop("Q", 0.0)
+        if form == 2.0 and step == 0.0 and not self.points:
+            if any(values.values()):
+                raise self.error("G68.2 P2 Q0 with a shift or an angle", "zeros, or no such block: controls differ")
+            return None
+        words = steps[len(self.points)]
+        if (self.points and form != self._form) or step != len(self.points) + 1 or values.keys() != {*words}:
+            expected = f"G68.2 P{form:g} with " + ", ".join(f"Q{i} {' '.join(one)}" for i, one in enumerate(steps, 1))
+            raise self.error("block of a tilted plane out of order, or with other words", expected)
+        self._form = form
+        self.points = *self.points, [values[letter] for letter in words]
+        if len(self.points) < len(steps):
+            return None
+        points, self.points = self.points, ()
+        x, y, z = points[0][:3]
+        try:
+            if form == 2.0:
+                self.note("G68.2 P2: the zero of the plane is its first point (Fanuc)")
+                return Plane((x, y, z), rotation_through(points))
+            first, normal = (unit_vector((one[0], one[1], one[2]))[0] for one in (points[0][3:], points[1]))
+            if abs(sum(a * b for a, b in zip(first, normal, strict=True))) > _SQUARE:
+                raise self.error("two vectors that are not perpendicular", "perpendicular ones: controls differ")
+            return Plane((x, y, z), rotation_along(first, normal))
+        except ValueError as error:
+            raise self.error(f"G68.2 P{form:g} with {error}", "two directions across each other") from None
+
+    def _incomplete(self) -> InputError:
+        return self.error(
+            f"tilted plane by G68.2 P{self._form:g} that is not complete", "all its blocks one after another"
+        )
 
     def stand_at_plane(self, block: IsoBlock) -> bool:
         """Apply a pending plane where the program itself positions the rotary axes; return whether a block does nothing else.
@@ -257,6 +351,8 @@ class IsoTilt(IsoFrame):
         A block that names rotary axes only positions them, any other one finds them in position.
         """
         plane, rotary = self.pending, [word for word in block.words if word.axis >= self.linear]
+        if self.points:
+            raise self._incomplete()
         if plane is None:
             return False
         if self.tcp or (rotary and len(rotary) < len(block.words)):
@@ -270,37 +366,50 @@ class IsoTilt(IsoFrame):
         return bool(rotary)
 
     def swivel(self, block: IsoBlock, arguments: str) -> None:
-        """Apply ``CYCLE800(FR, TC, ST, MODE, X0, Y0, Z0, A, B, C, X1, Y1, Z1, DIR, …)``."""
+        """Apply ``CYCLE800(FR, TC, ST, MODE, X0, Y0, Z0, A, B, C, X1, Y1, Z1, DIR, …)``; TC ``"0"``, or nothing, ends the plane."""
         texts = [part.strip() for part in arguments.strip()[1:-1].split(",")]
-        if not any(texts) or texts in _DESELECTED:
+        texts += [""] * (14 - len(texts))
+        shown = f"CYCLE800{arguments}"
+        values = [self.value_of(text) if text else 0.0 for text in (texts[0], *texts[2:14])]
+        deselects = texts[1] == '"0"' or (texts[:2] == ["0", '""'] and not any(texts[2:]))
+        if not any(texts) or (deselects and not any(values[3:12])):
             self.pending = None
             self._check_unshifted()
             self.select(block, plane=None)
             return
-        self._check_allowed(block)
-        shown = f"CYCLE800{arguments}"
-        texts += [""] * (14 - len(texts))
-        values = [self.value_of(text) if text else 0.0 for text in (texts[0], *texts[2:14])]
+        self._check_allowed(within=True)
         if any(value != value for value in values):
             raise self.error("CYCLE800 with an unknown value", "numbers, or variables set to numbers before", shown)
         retract, new, mode = (int(value) for value in values[:3])
-        order = "".join(_ORDER.get(mode >> shift & 3, "") for shift in (0, 2, 4))
-        if mode >> 6 or len(order) != 3 or new % 10:
-            expected = "rotations axis by axis (MODE 27, 39, 45, 54 or 57) of a new plane (ST 0)"
-            raise self.error("CYCLE800 of this kind", expected, shown)
+        # ST: units 0 new, 1 added to the plane in force; tens: the tool tip is tracked; 100,000 and 200,000: how DIR selects.
+        if new % 10 > 1 or new // 10 % 10 > 1 or new // 100 not in (0, 1000, 2000) or deselects:
+            raise self.error("CYCLE800 of this kind", "ST 0 (new plane) or 1 (added), and a swivel data record", shown)
         if values[12] not in (-1.0, 0.0, 1.0):
             raise self.error("CYCLE800 with an unknown DIR", "DIR 1, -1 or 0", shown)
         unit = MM_PER_INCH if self.inch else 1.0
-        turned = rotation_about(order, values[6:9])
-        before, after = ([value * unit for value in values[i : i + 3]] for i in (3, 9))
-        x, y, z = (
-            before[i] + sum(part * value for part, value in zip(turned[i], after, strict=True)) for i in range(3)
-        )
-        plane = Plane((x, y, z), turned, int(values[12]), stays=retract == 0)
+        turned = self._swivelled(mode, values[6:9], shown)
+        before, after = (np.array(values[i : i + 3]) * unit for i in (3, 9))
+        zero, below = before + np.array(turned) @ after, self.frame.plane
+        if new % 10 and below is not None and below.rotation is not None:
+            zero = np.array(below.origin_mm) + np.array(below.rotation) @ zero
+            turned = product(below.rotation, turned) or turned
+        x, y, z = zero.tolist()
+        stays = retract == 0 and not new // 10 % 10
+        plane = Plane((x, y, z), turned, int(values[12]), stays=stays)
         if values[12]:
             self._tilt(block, plane)
         else:
             self.pending = replace(plane, stays=True)
+
+    def _swivelled(self, mode: int, angles: list[float], shown: str) -> Rows:
+        """Return the axes of a plane by three angles of CYCLE800; ``shown``: the block."""
+        order = "".join(_ORDER.get(mode >> shift & 3, "") for shift in (0, 2, 4))
+        if mode == _SOLID_ANGLE and not angles[2]:
+            return rotation_about("ZY", angles[:2])
+        if mode >> 6 or len(order) != 3:
+            expected = "rotations axis by axis (MODE 27, 30, 39, 45, 54, 57), or solid angles (MODE 64)"
+            raise self.error("CYCLE800 of this kind", expected, shown)
+        return rotation_about(order, angles)
 
     def _tilt(self, block: IsoBlock, plane: Plane) -> None:
         self.pending = None
@@ -312,11 +421,12 @@ class IsoTilt(IsoFrame):
             what = "tilted plane while the coordinates are shifted or turned"
             raise self.error(what, "the shift ended before (TRANS, G52, G92.1)")
 
-    def _check_allowed(self, block: IsoBlock) -> None:
+    def _check_allowed(self, *, within: bool) -> None:
+        """Raise `InputError` where no plane can be defined; ``within``: one may be in force."""
         self._check_unshifted()
         if self.tcp:
             raise self.error("tilted plane under tool centre point control", "tool centre point control off before it")
-        if self.frame.plane is not None:
+        if self.frame.plane is not None and not within:
             raise self.error("tilted plane within a tilted plane", "the first one cancelled (G69, CYCLE800()) before")
 
 
@@ -328,8 +438,8 @@ _GROUPS: Final = frozenset({"shift", "distance", "units", "plane", "feed"})
 """Groups of G words that a block with a shift may have."""
 _OFFSETS: Final = ("G54", "G55", "G56", "G57", "G58", "G59", "G59.1", "G59.2", "G59.3")
 """The work offset of each P word of ``G10 L2``, from 1 on."""
-_OF_LINUXCNC: Final = frozenset({"59.1", "59.2", "59.3", "92.2", "92.3", "38.2", "38.3", "38.4", "38.5"})
-_OF_FANUC: Final = frozenset({"54.1", "154", "68.2", "65"})
+_OF_LINUXCNC: Final = frozenset({"53.3", "59.1", "59.2", "59.3", "92.2", "92.3", "38.2", "38.3", "38.4", "38.5"})
+_OF_FANUC: Final = frozenset({"54.1", "154", "68.2", "65", "268"})
 _NOT_OF_SINUMERIK: Final = frozenset({*_OF_LINUXCNC, *_OF_FANUC, "20", "21", "28", "43", "49", "80", "98", "99"})
 _BESIDE_OFFSET: Final = frozenset({"0", "1", "17", "18", "19", "20", "21", "40", "49", "69", "80", "90", "91", "94"})
 """G words without a P word of their own."""

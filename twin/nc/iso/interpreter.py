@@ -74,7 +74,7 @@ class IsoInterpreter(IsoMotion):
         stripped = text[begin:].strip(" \t\r\n\f\x1a")
         if stripped[:1] == "%":
             self._tape_mark(stripped)
-        if not stripped or stripped[0] in "%;":
+        if not stripped or stripped[0] in "%;" or self._before_program(stripped):
             return None
         if self.end.word:
             self._behind_end(text, stripped)
@@ -100,6 +100,11 @@ class IsoInterpreter(IsoMotion):
             self.assign(name, value)
         self._assignments.clear()
         return applied
+
+    def _before_program(self, text: str) -> bool:
+        """Return whether the first line, or one after it, stands before the tape mark and is not read."""
+        self.in_leader = self.in_leader or (self._line == 0 and vocabulary.is_leader(text))
+        return self.in_leader
 
     def _is_name(self, text: str) -> bool:
         """Return whether a line is the name of the program: ``<NAME>``, or behind ``%`` a name after O in place of a number."""
@@ -132,6 +137,9 @@ class IsoInterpreter(IsoMotion):
 
     def _tape_mark(self, text: str) -> None:
         """Take note of a line with %: the second one, or one behind a block, ends the program or begins another."""
+        if self.in_leader:
+            self.in_leader = False
+            self.note("the lines before % are not read: controls begin to read behind it (ISO 6983-1)")
         if self.end.word:
             if text.strip("%"):
                 self.end.begins(text)

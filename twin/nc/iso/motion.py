@@ -428,7 +428,9 @@ class IsoMotion(IsoDrilling):
     @property
     def runs_allowed(self) -> bool:
         """See `Interpreter.runs_allowed`: no pending work offset, incremental mode or tool vector, nor a cycle that changes."""
-        plain = not (self.beside or self._on_contour or self.incremental or self.pending or self.end.word)
+        plain = not (
+            self.beside or self._on_contour or self.incremental or self.pending or self.points or self.end.word
+        )
         return plain and self.steady and self.set_up and self.vector is None
 
     def leave_contour(self) -> None:
@@ -482,6 +484,9 @@ class IsoMotion(IsoDrilling):
             return
         if self.parks and kind is Kind.RAPID and self.cycle is None and not (centre or self.vector):
             block.moves += (self.parking_move(block),)
+            return
+        if kind is Kind.ARC and not centre and all(word.incremental and word.value == 0.0 for word in block.words):
+            self.note("increments of zero where G2 or G3 is in force: nothing moves")
             return
         start, rotary = self.position[: self.linear], self.position[self.linear :]
         self.apply_words(block)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from twin.nc.text import line_pattern, number
 
@@ -64,7 +64,7 @@ GROUPS: dict[str, tuple[str, ...]] = {
         *(str(code) for code in range(505, 600)),
     ),
     "machine": ("53", "153"),
-    "plane tilt": ("68.2", "53.1", "53.6", "69", "254", "255"),
+    "plane tilt": ("68.2", "53.1", "53.3", "53.6", "69", "253", "254", "255", "268", "269"),
     "shift": ("10", "52", "92", "92.1", "92.2", "92.3"),
     "still": ("4", "22", "23", "25", "26"),
     "reference": ("28", "30", "30.1", "75", "27", "31", "38", "38.2", "38.3", "38.4", "38.5"),
@@ -127,10 +127,6 @@ REFUSED_CODES: dict[str, tuple[str, str]] = {
         for code in ("41.1", "41.2", "42.1", "42.2", "43.2", "43.3")
     },
     "43.1": ("tool length by G43.1, given by the block or along the tool axis", "G43 with an H word"),
-    **{
-        code: (f"feature coordinate system of Haas (G{code})", "a dynamic work offset (G254), or axis positions")
-        for code in ("253", "268", "269")
-    },
     "29": ("return from the reference point G29", "a G0 block with the position"),
     **{code: (f"macro call G{code}", NO_CALLS) for code in ("65", "66", "66.1", "72.1", "72.2")},
 }
@@ -233,6 +229,25 @@ TCP_OFF: frozenset[str] = frozenset({"G49", "G170", "TRAFOOF"})
 """Words that switch tool centre point control on and off."""
 DIRECTION_FORMS: frozenset[str] = frozenset({"DC", "ACP", "ACN"})
 """Forms that give the direction in which a rotary axis turns to its value."""
+
+
+def is_leader(text: str) -> bool:
+    """Return whether a line is no block of any program: a character that begins no word, before any word with a number.
+
+    Such text stands before the tape mark ``%`` (the title of a listing, say); controls begin to read behind it (ISO 6983-1).
+    """
+    text = text.strip()
+    if text[:1] in ("%", "O", "o") or OKUMA_HEADER.fullmatch(text) or PROGRAM_NAME.fullmatch(text):
+        return False
+    kinds = (match.lastgroup for match in TOKEN.finditer(text))
+    return next((kind for kind in kinds if kind != "name"), "") == "bad"
+
+
+def leader_lines(lines: Sequence[str]) -> int:
+    """Return the number of lines before the tape mark of a program that has such text before it; else 0."""
+    if not (lines and is_leader(lines[0])):
+        return 0
+    return next((i for i, line in enumerate(lines) if line.lstrip().startswith("%")), 0)
 
 
 def canonical(word: str) -> str:
