@@ -183,7 +183,8 @@ class AxisWords:
         tools_known: whether the lengths of the machine's tools are known.
         one_tool: whether all moves must use a tool of one length, where the lengths are unknown.
         harmless: words in capitals that leave positions, frames, offsets and modes alone on this machine, in addition to those of the
-            dialect: auxiliary functions of its builder, for example.
+            dialect: auxiliary functions of its builder, for example; and names of subprograms that need not be given (``O9021``).
+        auxiliary_axes: names of axes that programs name and the model of the machine does not have: they stand still in every feed.
         references: positions of the axes after a reference return, mm and degrees, by its word (``G28``, ``G30 P3``) and axis.
     """
 
@@ -197,6 +198,7 @@ class AxisWords:
     one_tool: bool = True
     harmless: tuple[str, ...] = ()
     references: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    auxiliary_axes: tuple[str, ...] = ()
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -195,6 +195,9 @@ class Inliner(ABC):
     def body(self, call: Call, line: Line) -> list[Line] | None:
         """Return the lines of a subprogram with the values of its parameters; None if there is no such subprogram."""
 
+    def check_missing(self, call: Call, line: Line) -> None:
+        """Raise `InputError` for a subprogram that must be in its file; the interpreter decides about others that are not given."""
+
     def scope(self, call: Call, line: Line) -> Scope:
         """Return the local parameters of a subprogram whose values are not in the lines of `body`; at the call."""
         return {}
@@ -272,8 +275,7 @@ class Inliner(ABC):
         body = None if call is None else self.body(call, line)
         if call is None or body is None:
             if call is not None and call.certain:
-                where = " or in ".join(["this file", *map(str, self.folders)])
-                raise refused(f"no subprogram {call.name}", f"it in {where}", line)
+                self.check_missing(call, line)
             self.assign(line)
             yield line
             return

@@ -285,8 +285,13 @@ class AptReader:
         return None
 
     def _lose(self, statement: Statement) -> None:
-        """Make all that follows unknown: locations have no absolute form that does not depend on the statements before."""
+        """Make all that follows unknown: locations have no absolute form that does not depend on the statements before.
+
+        A statement whose word the machine file names as harmless has no effect.
+        """
         shown = " ".join(statement.raw.split())[:60]
+        if statement.word in self.axes.harmless:
+            return
         self.note(f"the effect of {shown} {UNKNOWN_FROM_HERE}")
         self.unknown = self.unknown or f"the effect of {shown} is not known"
 

@@ -42,7 +42,7 @@ _VALUE: Final = r"[+-]?[ \t]*[\d.,]+"
 _FEED: Final = re.compile(rf"(?<![A-Z\d])F[ \t]*(?:MAX|(U)?[ \t]*({_VALUE})|([A-Z]))", re.ASCII | re.IGNORECASE)
 _MISC: Final = re.compile(r"(?<![A-Z\d])M(\d+)", re.ASCII | re.IGNORECASE)
 _TOOL: Final = re.compile(rf"TOOL[ \t]+CALL\b.*?[ \t]S[ \t]*(?:({_VALUE})|([A-Z]))", re.ASCII | re.IGNORECASE)
-_DWELL: Final = re.compile(rf"CYCL[ \t]+DEF[ \t]+9\.1[ \t]+\D*({_VALUE})", re.ASCII | re.IGNORECASE)
+_DWELL: Final = re.compile(rf"CYCLE?[ \t]+DEF[ \t]+9\.1[ \t]+\D*({_VALUE})", re.ASCII | re.IGNORECASE)
 _SPEED: Final = re.compile(
     rf"[ \t]*(?:N?\d+[ \t]*)?(?:LN?|CR?|M\d+\.?|I?[A-CU-Z][ \t]*{_VALUE})[ \t].*?(?<![A-Z\d])S[ \t]*({_VALUE})",
     re.ASCII | re.IGNORECASE,

@@ -252,7 +252,12 @@ class HeidenhainInterpreter(HeidenhainFrame):
         self.select_tool(block, body)
 
     def _call(self, block: PathBlock, body: str, upper: str) -> None:
-        if upper.startswith(("CALL", "IF")):
+        called = vocabulary.PROGRAM_CALL.match(body)
+        if called is not None:
+            name = called[1].strip()
+            short = re.split(r"[\\/:]", name)[-1]
+            self.call_outside(name, short, re.sub(r"\.h$", "", short, flags=re.IGNORECASE))
+        elif upper.startswith(("CALL", "IF")):
             raise self.error("subprogram call or repetition", vocabulary.NO_CALLS)
 
     def _transform(self, block: PathBlock, body: str, upper: str) -> None:
@@ -271,8 +276,9 @@ class HeidenhainInterpreter(HeidenhainFrame):
             raise self.error(f"coordinate transformation {name}", vocabulary.NO_TRANSFORMATION)
 
     def _cycle(self, block: PathBlock, body: str, upper: str) -> None:
-        if upper.startswith("CYCL CALL"):
-            self._call_here(block, upper)
+        called = vocabulary.CYCLE_CALL.match(upper)
+        if called is not None:
+            self._call_here(block, upper[called.end() :])
             return
         match = vocabulary.CYCLE.match(body)
         if match is None:
@@ -299,10 +305,9 @@ class HeidenhainInterpreter(HeidenhainFrame):
             raise self.error(what, vocabulary.NO_TRANSFORMATION)
         self._assignments(body)
 
-    def _call_here(self, block: PathBlock, upper: str) -> None:
-        """Execute the cycle in force at the present position: ``CYCL CALL``, with M functions, but not at other places."""
-        rest = upper.removeprefix("CYCL CALL").split()
-        if any(not vocabulary.HARMLESS_CALL.fullmatch(word) for word in rest):
+    def _call_here(self, block: PathBlock, words: str) -> None:
+        """Execute the cycle in force at the present position: ``CYCL CALL``, with M functions (``words``), but not at other places."""
+        if any(not vocabulary.HARMLESS_CALL.fullmatch(word) for word in words.split()):
             raise self.error("cycle call at other places", f"CYCL CALL, M99 or M89; or {vocabulary.EXPANDED_CYCLE}")
         block.positions = False
         self.call_cycle(block)
@@ -373,6 +378,8 @@ class HeidenhainInterpreter(HeidenhainFrame):
             take = _TOKENS.get(match.lastgroup or "")
             if take is not None:
                 take(self, block, match)
+        for name, value, incremental in block.beside:
+            self.take_auxiliary_axis(name, value, incremental=incremental, feeds=not block.rapid_text)
         if block.retracts:
             self.note("M140 retracts along the tool axis; the positions of the linear axes are unknown afterwards")
         arc = keyword in vocabulary.ARCS
@@ -387,6 +394,13 @@ class HeidenhainInterpreter(HeidenhainFrame):
             self.call_cycle(block)
         if block.retracts:
             self.mark_unknown(block, range(self.linear), moved=True)
+
+    def _axis(self, block: PathBlock, match: re.Match[str]) -> None:
+        prefix, name, written = match.group(2, 3, 4)
+        if name.upper() in self.auxiliary_axes:
+            block.beside.append((name.upper(), self.known(name, written), bool(prefix)))
+        else:
+            self.add(block, self._axis_word(match))
 
     def _axis_word(self, match: re.Match[str]) -> AxisWord:
         prefix, name, written = match.group(2, 3, 4)
@@ -561,7 +575,7 @@ class HeidenhainInterpreter(HeidenhainFrame):
 
 
 _TOKENS: Final[Mapping[str, Callable[[HeidenhainInterpreter, PathBlock, re.Match[str]], None]]] = {
-    "axis": lambda state, block, match: state.add(block, state._axis_word(match)),
+    "axis": HeidenhainInterpreter._axis,
     "side": HeidenhainInterpreter._side,
     "feed": HeidenhainInterpreter._feed,
     "sense": HeidenhainInterpreter._sense,
@@ -577,6 +591,7 @@ _STATEMENTS: Final[Mapping[str, Callable[[HeidenhainInterpreter, PathBlock, str,
     "BEGIN": HeidenhainInterpreter._begin,
     "CALL": HeidenhainInterpreter._call,
     "CYCL": HeidenhainInterpreter._cycle,
+    "CYCLE": HeidenhainInterpreter._cycle,
     "FN": HeidenhainInterpreter._fn,
     "FUNCTION": HeidenhainInterpreter._function,
     "IF": HeidenhainInterpreter._call,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable, Mapping
 from typing import Any, Final, final
@@ -166,6 +167,8 @@ class IsoInterpreter(IsoMotion):
         if block.skip and not _changes_nothing(block):
             self.note("block skip: assumed to be executed", once=True)
         self._machine_axes(block)
+        if self._calls_outside(block):
+            return block
         groups = self._g_words(block) if block.codes else frozenset()
         if groups and self._frame_words(block, groups):
             return block
@@ -196,6 +199,18 @@ class IsoInterpreter(IsoMotion):
             self.cycle = None
         return block
 
+    def _calls_outside(self, block: IsoBlock) -> bool:
+        """Return whether a block calls a program by its number that is not given, and may; its other words are arguments."""
+        calls = [word for word in block.m_words if word in vocabulary.CALLING_M]
+        calls += [f"G{span.name}" for span in block.codes if span.name == "65"]
+        if not calls:
+            return False
+        number = next((item.value for item in block.others if item.name == "P"), "")
+        if not number.isdigit():
+            raise self.error("subprogram call", f"{calls[0]} with the number of a program, P", calls[0])
+        self.call_outside(f"O{int(number)}")
+        return True
+
     def _frame_words(self, block: IsoBlock, groups: frozenset[str]) -> bool:
         """Apply G words that tilt, shift or turn the coordinates; return whether the block does nothing else."""
         if "plane tilt" in groups:
@@ -207,9 +222,11 @@ class IsoInterpreter(IsoMotion):
 
     def _reference(self, block: IsoBlock) -> None:
         """Apply a reference return, an approach of a fixed point, or probing, which passes through."""
-        which = [self.index[item.name] for item in block.items] or list(range(len(self.names)))
+        which = [self.index[item.name] for item in block.items]
+        if not which and not any(item.name in self.auxiliary_axes for item in block.others):
+            which = list(range(len(self.names)))
         self.leave_contour()
-        self.check_plane(max(which) >= self.linear)
+        self.check_plane(max(which, default=0) >= self.linear)
         words = [
             span.name for span in block.codes if vocabulary.GROUP_OF.get(span.name) == "reference" or block.approaches
         ]
@@ -261,8 +278,20 @@ class IsoInterpreter(IsoMotion):
             return True
         if name in _NORMAL and self._has_vector(block, item):
             return False
+        if name in self.auxiliary_axes:
+            at_rest = any(vocabulary.GROUP_OF.get(span.name) in ("reference", "machine") for span in block.codes)
+            self.take_auxiliary_axis(
+                name,
+                math.nan if at_rest else self.known_value(name, item.value, "a number"),
+                incremental=self.incremental and not at_rest,
+                feeds=self.motion in (1, 2, 3) and not at_rest,
+            )
+            return False
         if name in _AXIS_LETTERS or (name[0] in _AXIS_LETTERS and name[1:].isdigit()):
             raise self.unknown_axis(f"{name}{item.value}")
+        if name == "L" and not block.items:
+            self.call_outside(f"L{item.value}")
+            return False
         if name == "L":
             raise self.error("subprogram call or repetition", vocabulary.NO_CALLS, shown)
         if name == "N":
@@ -338,6 +367,9 @@ class IsoInterpreter(IsoMotion):
             for variable, value in vocabulary.ASSIGNED.findall(block.text[match.end() :].split(";")[0]):
                 self.assign(variable, self.value_of(value))
             return True
+        if name in ("CALL", "EXTCALL") and (called := vocabulary.CALLED_BY_NAME.search(block.text, start)) is not None:
+            self.call_outside(called[1])
+            return True
         if name in vocabulary.CONTROL_FLOW:
             raise self.error("control flow", vocabulary.NO_CALLS)
         return False
@@ -374,7 +406,11 @@ class IsoInterpreter(IsoMotion):
             raise self.error("colon inside a block", "a block number or label at the start of the block")
         block.head_end = match.end()
 
-    def _bad(self, block: IsoBlock, match: re.Match[str]) -> None:
+    def _bad(self, block: IsoBlock, match: re.Match[str]) -> bool:
+        called = vocabulary.O_CALL.match(block.text, match.start("bad"))
+        if called is not None:
+            self.call_outside(f"O{called[1]}", called[1].strip("<>"))
+            return True
         character, rest = match["bad"], block.text[match.start("bad") :].strip()
         letter = character.upper()
         if letter in self.index or letter in "FGMIJKRSTDHN":
@@ -409,7 +445,7 @@ class IsoInterpreter(IsoMotion):
         if len(word) < 2:
             raise self.missing_number("M", value)
         block.m_words.append(word)
-        if word not in vocabulary.HARMLESS_M | self.harmless | self.tcp_on | self.tcp_off:
+        if word not in vocabulary.HARMLESS_M | vocabulary.CALLING_M | self.harmless | self.tcp_on | self.tcp_off:
             if not word[1:].isdigit() or int(word[1:]) in SWITCHING_M:
                 self.lose(block, word)
             else:

@@ -132,7 +132,7 @@ REFUSED_CODES: dict[str, tuple[str, str]] = {
         for code in ("253", "268", "269")
     },
     "29": ("return from the reference point G29", "a G0 block with the position"),
-    **{code: (f"macro call G{code}", NO_CALLS) for code in ("65", "66", "66.1", "72.1", "72.2")},
+    **{code: (f"macro call G{code}", NO_CALLS) for code in ("66", "66.1", "72.1", "72.2")},
 }
 OKUMA_HEADER = re.compile(r"\$[^=%\s]++%", re.ASCII)
 """The first line of a program of Okuma: its file name."""
@@ -147,7 +147,11 @@ OKUMA_CODES: Mapping[str, str] = {"56": "43", "53": "49"}
 """G codes of Okuma by those of Fanuc: the tool length offset G56 H, and its end."""
 OKUMA_LENGTHS: frozenset[str] = frozenset({"HA", "HB", "HC"})
 """Names of the three length offsets of the tool in the spindle (Okuma)."""
-REFUSED_M: frozenset[str] = frozenset({"M97", "M98", "M198", "M96"})
+REFUSED_M: frozenset[str] = frozenset({"M97", "M96"})
+CALLING_M: frozenset[str] = frozenset({"M98", "M198"})
+"""M words that call the program P."""
+O_CALL = re.compile(r"[Oo][ \t]*(\d+|<[^>]*>)[ \t]*(?:CALL)(?!\w)", re.ASCII | re.IGNORECASE)
+CALLED_BY_NAME = re.compile(r"CALL[ \t]*\(?[ \t]*\"([^\"]+)\"", re.ASCII | re.IGNORECASE)
 RESTORING_M: frozenset[str] = frozenset({"M72", "M73"})
 """M codes of LinuxCNC that restore modal words saved before."""
 HARMLESS_M: frozenset[str] = frozenset(
