@@ -277,6 +277,10 @@ class Arc:
     angle_rad: float
 
 
+NO_POSITION: Final = "the program has not given a position of"
+"""Beginning of the reason why nothing is known of where a block goes, or of where an arc begins."""
+
+
 @final
 class Move(NamedTuple):
     """One block that moves axes, with all modal state made explicit.
@@ -292,7 +296,7 @@ class Move(NamedTuple):
         vector: tool vector (i, j, k), unit length, from tip to spindle in the work frame, or None.
         normal: surface normal of an ``LN`` block, unit length, or None (kept as written).
         unknown: why nothing is known of where the block goes (`twin.nc.modal.Interpreter.unknown`); empty if that is known. Such a
-            block passes through unchanged; ``position`` is NaN and ``arc`` None.
+            block passes through unchanged; ``position`` is NaN, except behind an arc from an unknown start, and ``arc`` None.
         whole: whether the block stays one block, an arc an arc: under cutter radius compensation.
     """
 

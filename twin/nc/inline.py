@@ -197,6 +197,7 @@ class Inliner(ABC):
 
     def check_missing(self, call: Call, line: Line) -> None:
         """Raise `InputError` for a subprogram that must be in its file; the interpreter decides about others that are not given."""
+        return
 
     def scope(self, call: Call, line: Line) -> Scope:
         """Return the local parameters of a subprogram whose values are not in the lines of `body`; at the call."""

@@ -14,7 +14,19 @@ import numpy as np
 from twin._common.errors import InputError
 from twin.nc.arcs import ArcMisfit
 from twin.nc.arithmetic import evaluate, key_of
-from twin.nc.blocks import Arc, AxisWords, FrameChange, Kind, LostPositions, Move, MoveColumns, Notice, WordFrame
+from twin.nc.auxiliary_axes import NOT_IN_MODEL, AuxiliaryAxes
+from twin.nc.blocks import (
+    NO_POSITION,
+    Arc,
+    AxisWords,
+    FrameChange,
+    Kind,
+    LostPositions,
+    Move,
+    MoveColumns,
+    Notice,
+    WordFrame,
+)
 from twin.nc.text import LARGEST, ProgramEnd, number, unit_vector
 
 
@@ -105,14 +117,10 @@ AUXILIARY: Final = (
 )
 """End of the notice on an M word that is not known."""
 CALLED_OUTSIDE: Final = (
-    "is not given and named as harmless: its call is left as written, and it must leave positions, frame, offsets and modes as they were"
+    "is not given and is named as harmless: its call is left as written; it must leave positions, frame, offsets and modes as "
+    "they were"
 )
 """End of the notice on a subprogram that is not given."""
-NOT_IN_MODEL: Final = (
-    "is not in the model of the machine: its words are left as written, and it stands still in all feeds; a shift of tool or "
-    "workpiece by it must be in the work offset or the tool length"
-)
-"""End of the notice on an auxiliary axis."""
 UNKNOWN_AXIS: Final = "unknown axis"
 BESIDE: Final = (
     "cutter radius compensation: the programmed points are corrected, arcs stay arcs and blocks stay whole; what the errors change "
@@ -201,12 +209,7 @@ class Interpreter(ABC):
         self._tool_line = self._length_line = 0
         self._tool_chosen = False
         self._auxiliary: tuple[str, int] | None = None
-        self.auxiliary_axes = frozenset(axes.auxiliary_axes)
-        self._beside: dict[str, object] = {}
-        """Positions of the auxiliary axes; another object for each one that is not known."""
-        self._beside_fed: dict[str, object] | None = None
-        """Those at the feeds so far."""
-        self._beside_moved = False
+        self.auxiliary_axes = AuxiliaryAxes(axes.auxiliary_axes)
         self.turned_to = np.full((1, len(self.names) - self.linear), np.nan)
 
     @abstractmethod
@@ -351,40 +354,35 @@ class Interpreter(ABC):
         """Pass the call of a subprogram that is not given; raise `InputError` unless one of its names is named as harmless."""
         if self.harmless.isdisjoint(name.upper() for name in names):
             expected = f"it in this file, beside it or in a folder of subprograms; or {names[-1]} named as harmless"
-            raise self.error(f"no subprogram {names[0]}", f"{expected}, if it leaves positions, frame and modes as they were")
+            raise self.error(
+                f"no subprogram {names[0]}", f"{expected}, if it leaves positions, frame and modes as they were"
+            )
         self.note(f"{names[0]} {CALLED_OUTSIDE}", once=True)
 
     def take_auxiliary_axis(self, name: str, value: float, *, incremental: bool, feeds: bool) -> None:
-        """Take the word of an axis that the model does not have; raise `InputError` for a feed that moves it. ``value``: NaN: unknown."""
-        before = self._beside.get(name)
-        if incremental:
-            value = value + before if isinstance(before, float) else 0.0 if value == 0.0 else math.nan
-            if before is None and value == 0.0:
-                return
-        new = value if value == value else object()
-        if new == before:
-            return
-        if feeds:
-            what, expected = f"feed of {name}, which is not in the model of the machine", f"a rapid to a position of {name} before it"
-            raise self.error(what, expected)
+        """Take the word of an auxiliary axis, NaN if unknown; raise `InputError` for a feed that moves it."""
+        if self.auxiliary_axes.move(name, value, incremental=incremental) and feeds:
+            what = f"feed of {name}, which is not in the model of the machine"
+            raise self.error(what, f"a rapid to a position of {name} before it")
         self.note(f"{name} {NOT_IN_MODEL}", once=True)
-        self._beside, self._beside_moved = {**self._beside, name: new}, True
-
-    def _check_auxiliary_axes(self) -> None:
-        """Raise `InputError` for a feed at other positions of the auxiliary axes than before."""
-        self._beside_moved = False
-        if self._beside_fed not in (None, self._beside):
-            fed = self._beside_fed or {}
-            name = next(name for name, value in self._beside.items() if fed.get(name) != value)
-            was, now = (_shown(where.get(name)) for where in (fed, self._beside))
-            what = f"feed with {name} at {now}, after feeds with it at {was}"
-            raise self.error(what, f"one position of {name} in all feeds: what it moves is not in the model of the machine")
-        self._beside_fed = self._beside
 
     def unknown_move(self, kind: Kind, axis_bits: int) -> Move:
         """Return the move of a block that names some axes (bits) where nothing is known."""
         self.position = [math.nan] * len(self.names)
         return Move(self._line, kind, self.tcp, tuple(self.position), self.named(axis_bits), unknown=self.unknown)
+
+    def arc_from_unknown(self, block: Block, start: Sequence[float], plane: Sequence[int]) -> bool:
+        """Add the move of an arc whose start is not known, which passes through; return whether it is one.
+
+        ``start``: the position before it, ``plane``: its two axes. Under cutter radius compensation it is not one: the arc is refused.
+        """
+        missing = [self.names[axis] for axis in plane if start[axis] != start[axis]]
+        if not missing or self.beside:
+            return False
+        reason, end = f"{NO_POSITION} {', '.join(missing)}", tuple(self.position)
+        block.moves += (Move(self._line, Kind.ARC, self.tcp, end, self.named(block.axis_bits), unknown=reason),)
+        block.unknown_axes = tuple(range(len(self.names)))
+        return True
 
     def _place(self, position: Sequence[float]) -> None:
         """Take machine coordinates into account where nothing is known; NaN for axes without any."""
@@ -460,8 +458,10 @@ class Interpreter(ABC):
     def use_set_up(self, kind: Kind) -> None:
         """Record that a move uses the work offset, the tool and the length in force."""
         self.use_offset()
-        if self._beside_moved and kind is not Kind.RAPID:
-            self._check_auxiliary_axes()
+        if self.auxiliary_axes.moved and kind is not Kind.RAPID and (wrong := self.auxiliary_axes.feed()):
+            raise self.error(
+                wrong, "one position in all feeds: what this axis moves is not in the model of the machine"
+            )
         self.use_tool(cutting=kind is not Kind.RAPID)
 
     def use_tool(self, *, cutting: bool) -> None:
@@ -490,7 +490,7 @@ class Interpreter(ABC):
             self._tool_chosen or (self._fed_length != self._held_length and not self.tcp)
         )
         same_offset = self.offset == self.used_offset or self._offset_known
-        return same_tool and same_offset and not (self.unknown or self.doubtful or self._beside_moved)
+        return same_tool and same_offset and not (self.unknown or self.doubtful or self.auxiliary_axes.moved)
 
     def check_plane(self, rotary: bool, *, machine: bool = False) -> None:
         """Raise `InputError` for a move that the plane does not allow; ``rotary``: it names rotary axes, ``machine``: coordinates."""
@@ -663,7 +663,3 @@ class Interpreter(ABC):
         if self.unknown:
             self._place(position)
         return tuple(position)
-
-
-def _shown(position: object) -> str:
-    return f"{position:g}" if isinstance(position, float) else "an unknown position"

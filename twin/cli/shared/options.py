@@ -72,7 +72,7 @@ AuxiliaryOption = Annotated[
     list[str] | None,
     typer.Option(
         "--auxiliary-axes",
-        help="Axes that the program names and the machine's model does not have (W, U): left as written if they stand still in all feeds.",
+        help="Axes that the program names and the machine's model does not have (W, U): left as written, at rest in all feeds.",
     ),
 ]
 MachineOption = Annotated[

@@ -122,7 +122,9 @@ def _auxiliary(machine: Machine, setup: Setup) -> tuple[str, ...]:
     for name in names:
         if name not in set("XYZABCUVW") - {*machine.names}:
             expected = f"a letter of an axis that the model does not have (it has {', '.join(machine.names)})"
-            raise InputError("auxiliary axis", expected=expected, file=machine.path, value=name, setting="auxiliary axes")
+            raise InputError(
+                "auxiliary axis", expected=expected, file=machine.path, value=name, setting="auxiliary axes"
+            )
     return names
 
 

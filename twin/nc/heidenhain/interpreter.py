@@ -397,7 +397,7 @@ class HeidenhainInterpreter(HeidenhainFrame):
 
     def _axis(self, block: PathBlock, match: re.Match[str]) -> None:
         prefix, name, written = match.group(2, 3, 4)
-        if name.upper() in self.auxiliary_axes:
+        if name.upper() in self.auxiliary_axes.names:
             block.beside.append((name.upper(), self.known(name, written), bool(prefix)))
         else:
             self.add(block, self._axis_word(match))
@@ -526,6 +526,12 @@ class HeidenhainInterpreter(HeidenhainFrame):
         else:
             self.centre = dict(enumerate(self.position[: self.linear]))
 
+    def _apply_words_of_path(self, block: PathBlock) -> None:
+        """Set the position from the axis words of a path; raise `InputError` for a sense outside an arc."""
+        if block.arc_words and block.keyword not in vocabulary.ARCS:
+            raise self.error("DR outside a circular block", "C, CP or CR")
+        self.apply_words(block)
+
     def _only_places(self, block: PathBlock) -> bool:
         """Return whether a block is a rapid, or turns rotary axes alone without tool centre point control."""
         turns_only = not block.axis_bits & (1 << self.linear) - 1 and not self.tcp
@@ -554,15 +560,15 @@ class HeidenhainInterpreter(HeidenhainFrame):
             block.moves += (self.parking_move(block),)
             return
         start, rotary = self.position[: self.linear], self.position[self.linear :]
-        self.apply_words(block)
+        self._apply_words_of_path(block)
         sweep = self.polar_end(block, start) if block.keyword in vocabulary.POLAR else None
         normal = self._directed(block.axis_bits, block.tool, block.normal)
         arc: Arc | None = None
         if block.keyword in vocabulary.ARCS:
             kind = Kind.ARC
+            if self.arc_from_unknown(block, start, self.plane[:2]):
+                return
             arc = self.arc(block, start, sweep)
-        elif block.arc_words:
-            raise self.error("DR outside a circular block", "C, CP or CR")
         self.use_set_up(kind)
         if block.polar:
             names |= {self.names[axis] for axis in self.plane[:2]}

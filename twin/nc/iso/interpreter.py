@@ -167,10 +167,8 @@ class IsoInterpreter(IsoMotion):
         if block.skip and not _changes_nothing(block):
             self.note("block skip: assumed to be executed", once=True)
         self._machine_axes(block)
-        if self._calls_outside(block):
-            return block
         groups = self._g_words(block) if block.codes else frozenset()
-        if groups and self._frame_words(block, groups):
+        if self._calls_outside(block) or (groups and self._frame_words(block, groups)):
             return block
         groups = self._with_probing(block, groups)
         drills = not groups & _WITHOUT_CYCLE and self.take_cycle_words(block)
@@ -206,8 +204,8 @@ class IsoInterpreter(IsoMotion):
         if not calls:
             return False
         number = next((item.value for item in block.others if item.name == "P"), "")
-        if not number.isdigit():
-            raise self.error("subprogram call", f"{calls[0]} with the number of a program, P", calls[0])
+        if not number.isdigit() or len(calls) > 1 or (calls != ["G65"] and (block.items or block.codes)):
+            raise self.error("subprogram call", f"{calls[0]} with the number of a program, P, in a block of its own")
         self.call_outside(f"O{int(number)}")
         return True
 
@@ -223,7 +221,7 @@ class IsoInterpreter(IsoMotion):
     def _reference(self, block: IsoBlock) -> None:
         """Apply a reference return, an approach of a fixed point, or probing, which passes through."""
         which = [self.index[item.name] for item in block.items]
-        if not which and not any(item.name in self.auxiliary_axes for item in block.others):
+        if not which and not any(item.name in self.auxiliary_axes.names for item in block.others):
             which = list(range(len(self.names)))
         self.leave_contour()
         self.check_plane(max(which, default=0) >= self.linear)
@@ -278,22 +276,10 @@ class IsoInterpreter(IsoMotion):
             return True
         if name in _NORMAL and self._has_vector(block, item):
             return False
-        if name in self.auxiliary_axes:
-            at_rest = any(vocabulary.GROUP_OF.get(span.name) in ("reference", "machine") for span in block.codes)
-            self.take_auxiliary_axis(
-                name,
-                math.nan if at_rest else self.known_value(name, item.value, "a number"),
-                incremental=self.incremental and not at_rest,
-                feeds=self.motion in (1, 2, 3) and not at_rest,
-            )
-            return False
         if name in _AXIS_LETTERS or (name[0] in _AXIS_LETTERS and name[1:].isdigit()):
-            raise self.unknown_axis(f"{name}{item.value}")
-        if name == "L" and not block.items:
-            self.call_outside(f"L{item.value}")
-            return False
+            return self._auxiliary_axis(block, item)
         if name == "L":
-            raise self.error("subprogram call or repetition", vocabulary.NO_CALLS, shown)
+            return self._called_by_number(block, item, shown)
         if name == "N":
             raise self.error("block number inside a block", "N at the start of the block", shown)
         if name == "O":
@@ -305,6 +291,30 @@ class IsoInterpreter(IsoMotion):
                 what = "unknown word in a block that moves axes"
                 raise self.error(what, "words whose effect on the motion is known", shown)
             self.lose(block, shown)
+        return False
+
+    def _called_by_number(self, block: IsoBlock, item: Item, shown: str) -> bool:
+        """Take ``L900`` of SINUMERIK, a call of a program that is not given; return False: it is no word of the motion."""
+        if block.items:
+            raise self.error("subprogram call or repetition", vocabulary.NO_CALLS, shown)
+        self.call_outside(f"L{item.value}")
+        return False
+
+    def _auxiliary_axis(self, block: IsoBlock, item: Item) -> bool:
+        """Take the word of an auxiliary axis, and return False: it is no word of the motion; raise `InputError` for another axis.
+
+        Its place in coordinates of the machine, or at its reference, is unknown.
+        """
+        if item.name not in self.auxiliary_axes.names:
+            raise self.unknown_axis(f"{item.name}{item.value}")
+        elsewhere = any(vocabulary.GROUP_OF.get(span.name) in ("reference", "machine") for span in block.codes)
+        value = math.nan if elsewhere else self.known_value(item.name, item.value, "a number")
+        self.take_auxiliary_axis(
+            item.name,
+            value,
+            incremental=self.incremental and not elsewhere,
+            feeds=self.motion in (1, 2, 3) and not elsewhere,
+        )
         return False
 
     def _has_vector(self, block: IsoBlock, normal: Item) -> bool:

@@ -492,6 +492,8 @@ class IsoMotion(IsoDrilling):
         elif motion >= 2:
             if vector is not None or (self.length_vector and self.tcp):
                 raise self.error("arc with a tool vector", vocabulary.LINEAR)
+            if self.arc_from_unknown(block, start, PLANES[self.plane][:2]):
+                return
             arc = self._arc(block, centre, start)
         elif centre and vector is None:
             first = centre[0]
