@@ -121,12 +121,16 @@ CALLED_OUTSIDE: Final = (
     "they were"
 )
 """End of the notice on a subprogram that is not given."""
+SHORTEST_RULE: Final = 20
+"""Equals signs of a line above and below the header that NX lists."""
 UNKNOWN_AXIS: Final = "unknown axis"
 BESIDE: Final = (
     "cutter radius compensation: the programmed points are corrected, arcs stay arcs and blocks stay whole; what the errors change "
     "over the radius of the tool, and along a block, is not corrected"
 )
 """Notice on cutter radius compensation."""
+NEARLY: Final = 1.0 - 1e-6
+"""Share of a least increment that is a whole one but for floating point."""
 CORRECTION_DEG: Final = 0.1
 """Turn of a rotary axis that is a correction rather than a motion of the program."""
 _WITH_LETTER = re.compile(r"[A-Za-z_]")
@@ -147,6 +151,7 @@ class Interpreter(ABC):
         lost_positions: lines after which axis positions are unknown.
         frame, frames: the coordinates in force, and the lines that change them.
         drilled: see `twin.nc.blocks.Interpretation`.
+        increments: least increments of the axes, mm and degrees.
         stated_offsets: values of work offsets that the program has set, by axis; None for those that it has not.
         tcp_word: the word that switched it last; empty: none yet.
         motion: motion code in force, None before the first and in languages without.
@@ -170,6 +175,7 @@ class Interpreter(ABC):
     used_offset: str | None = None
     _offset_line = 0
     _inclined = False
+    _listing = False
 
     def __init__(
         self, source: str, axes: AxisWords, *, tcp: bool, tcp_on: Iterable[str], tcp_off: Iterable[str]
@@ -178,7 +184,7 @@ class Interpreter(ABC):
         self.names = axes.names
         self.index = {name.upper(): i for i, name in enumerate(self.names)}
         self.linear = len(axes.linear)
-        self._rotary_increments = [axes.increment[name] for name in axes.rotary]
+        self.increments = [axes.increment[name] for name in axes.names]
         self.inch = False
         self.position: list[float] = [math.nan] * len(self.names)
         self.vector: tuple[float, float, float] | None = None
@@ -241,6 +247,15 @@ class Interpreter(ABC):
                     at + 1,
                 )
         return moves
+
+    def is_listing(self, text: str) -> bool:
+        """Return whether a line is of what a CAM system lists above a program, from a first line of equals signs to the next one."""
+        rule = not text.strip("=") and len(text) >= SHORTEST_RULE
+        inside = self._listing
+        if rule and (inside or self._line == 0):
+            self._listing = not inside
+            self.note("the listing above the program is left as written: a control does not read it", once=True)
+        return inside or self._listing
 
     def may_end(self, tail: str) -> bool:
         """Return whether a program may be divided here; ``tail``: its lines after the last move."""
@@ -518,7 +533,7 @@ class Interpreter(ABC):
         at = self.position[self.linear :]
         if any(value != value for value in at):
             raise self.error(f"{what} at unknown positions of the rotary axes", "a position of each of them before it")
-        return tuple(round(value / step) * step for value, step in zip(at, self._rotary_increments, strict=True))
+        return tuple(round(value / step) * step for value, step in zip(at, self.increments[self.linear :], strict=True))
 
     def select(self, block: Block, **changes: Any) -> None:
         """Change the frame from this block on; positions in the new coordinates are unknown until the program gives them."""

@@ -99,7 +99,7 @@ class HeidenhainInterpreter(HeidenhainFrame):
             self.take_parameters(body)
             self._assignments(body)
             self.end_preset(block)
-        elif body and body[0] not in ";*%":
+        elif body and body[0] not in ";*%" and not self.is_listing(body):
             self._body(block, body)
             if vocabulary.ENDING.match(body):
                 self.end.reached("END PGM", self._line)

@@ -75,7 +75,7 @@ class IsoInterpreter(IsoMotion):
         stripped = text[begin:].strip(" \t\r\n\f\x1a")
         if stripped[:1] == "%":
             self._tape_mark(stripped)
-        if not stripped or stripped[0] in "%;":
+        if not stripped or stripped[0] in "%;" or self.is_listing(stripped):
             return None
         if self.end.word:
             self._behind_end(text, stripped)

@@ -23,7 +23,7 @@ from twin.nc.blocks import Arc, AxisWords, Kind, Move
 from twin.nc.iso import cycles, vocabulary
 from twin.nc.iso.cycles import Drilling, Stroke
 from twin.nc.iso.frame import IsoBlock, IsoShift, Item
-from twin.nc.modal import BESIDE, CORRECTION_DEG, AxisWord, Span
+from twin.nc.modal import BESIDE, CORRECTION_DEG, NEARLY, AxisWord, Span
 from twin.nc.text import MM_PER_INCH, number
 
 INCH_CODES: Final = frozenset({"20", "70", "700"})
@@ -209,7 +209,10 @@ class IsoDrilling(IsoShift):
 
     @property
     def _retract(self) -> float:
-        return self._initial if self._to_initial else self._height.get("R", math.nan)
+        top = self._height.get("R", math.nan)
+        if self._to_initial and self.control == "LinuxCNC":
+            return max(self._initial, top)
+        return self._initial if self._to_initial else top
 
     def _kept_words(self, block: IsoBlock, *, stated: bool) -> None:
         """Take over the words of a cycle left to the control other than depth and R, which are written again with it."""
@@ -238,8 +241,8 @@ class IsoDrilling(IsoShift):
             raise self._refused(what, "the words named as harmless in the machine file, or G80 before")
         if self._initial != self._initial and (self._to_initial or self.incremental):
             raise self._refused(f"position of {axis} unknown", f"a position of {axis} before the cycle")
-        if self._to_initial and self._initial < top - 1e-9:
-            raise self._refused(f"{axis} is below R", f"{axis} at R or above before the cycle, or G99")
+        if self._to_initial and self._retract < top - 1e-9:
+            self._begin_below(axis)
         if not self._level_given:
             self.note("drilling cycle without G98 or G99: G98 is assumed (retract to the initial level)", once=True)
         if at < max(top, self._retract) - 1e-9 and (self.cycle is not None or at < top - 1e-9):
@@ -256,6 +259,15 @@ class IsoDrilling(IsoShift):
             )
         except ValueError as error:
             raise self._refused("cycle", str(error)) from None
+
+    def _begin_below(self, axis: str) -> None:
+        """Note a cycle with G98 from below R; raise `InputError` where the way back from its bottom would not lead straight up."""
+        if self.code not in cycles.STRAIGHT_BACK or not self._initial > self._height.get("Z", math.nan):
+            raise self._refused(f"{axis} is below R", f"{axis} at R or above before the cycle, or G99")
+        self.note(
+            f"the tool is below R where the cycle begins: G98 returns it to that height of {axis} (Fanuc, Haas), LinuxCNC to R",
+            once=True,
+        )
 
     def note_kept(self, name: str) -> None:
         """Note that a cycle is left to the control."""
@@ -322,10 +334,14 @@ class IsoDrilling(IsoShift):
         return same and self.plane == self._cycle_plane == 17 and not self.tcp and not self._stated_incremental
 
     def strokes(self) -> list[Stroke]:
-        """Return the strokes of the cycle from the present height, without those that do not move; only their blocks behind stay."""
+        """Return the strokes of the cycle from the present height, without those that do not move; only their blocks behind stay.
+
+        A way shorter than the least increment of the axis is none: it may be rounded away.
+        """
         height, strokes = self.position[self.drilling], list[Stroke]()
+        shortest = NEARLY * self.increments[self.drilling]
         for stroke in () if self.cycle is None else self.cycle.strokes:
-            if stroke.height == stroke.height and (abs(stroke.height - height) > 1e-9 or height != height):
+            if stroke.height == stroke.height and (abs(stroke.height - height) > shortest or height != height):
                 height = stroke.height
                 strokes.append(stroke)
             elif stroke.after or stroke.kept is not None:
