@@ -95,7 +95,7 @@ class IsoInterpreter(IsoMotion):
             if kind != "note" and _TOKENS[kind](self, block, match):
                 break
         applied = self._apply(block) if self._started or block.names else None
-        self._any = True
+        self._any |= self._started or bool(block.names)
         self._end(block)
         for name, value in self._assignments:
             self.assign(name, value)

@@ -262,8 +262,11 @@ class IsoDrilling(IsoShift):
 
     def _begin_below(self, axis: str) -> None:
         """Note a cycle with G98 from below R; raise `InputError` where the way back from its bottom would not lead straight up."""
-        if self.code not in cycles.STRAIGHT_BACK or not self._initial > self._height.get("Z", math.nan):
-            raise self._refused(f"{axis} is below R", f"{axis} at R or above before the cycle, or G99")
+        above = self.code in cycles.STRAIGHT_BACK and self._initial > self._height.get("Z", math.nan)
+        if not above or self.control != "Fanuc":
+            expected = f"{axis} at R or above before the cycle, or G99"
+            expected += ", or a program number (Fanuc, Haas: O1234): controls differ in the height of the retract" if above else ""
+            raise self._refused(f"{axis} is below R", expected)
         self.note(
             f"the tool is below R where the cycle begins: G98 returns it to that height of {axis} (Fanuc, Haas), LinuxCNC to R",
             once=True,
