@@ -334,6 +334,8 @@ class FlowRun:
         self._structure = FlowStructure(flows, lambda what, expected, at: refused(what, expected, lines[at]))
         self._left: dict[int, int] = {}
         self._counts: dict[int, int] = {}
+        self._states: dict[int, tuple[dict[str, float], dict[str, str], dict[int, int], dict[int, int]]] = {}
+        """What decided about the last way back from each statement."""
         self._labels: dict[str, list[int]] = {}
         for i, line in enumerate(lines):
             for name in inliner.labels(line):
@@ -341,8 +343,23 @@ class FlowRun:
 
     def after(self, at: int) -> int:
         """Return the index of the line to execute after a statement, and record what it writes in `added`."""
-        flow = self._flows[at]
         self.added.append(self._lines[at]._replace(text=self._inliner.comment(self._lines[at].text)))
+        following = self._next(at)
+        if following <= at:
+            self._check_progress(at)
+        return following
+
+    def _check_progress(self, at: int) -> None:
+        """Raise `InputError` for a way back on which nothing has changed since the last time: it would be taken for ever."""
+        state = (dict(self._inliner.values), dict(self._scope), dict(self._left), dict(self._counts))
+        if self._states.get(at) == state:
+            expected = "parameters of its condition that the program changes; what the control changes, by probing, is not known"
+            raise refused("the loop never ends", expected, self._lines[at])
+        self._states[at] = state
+
+    def _next(self, at: int) -> int:
+        """Return the index of the line to execute after a statement."""
+        flow = self._flows[at]
         first = self._structure.first.get(at)
         if first is not None:
             return self._end(at, first)

@@ -265,7 +265,11 @@ class IsoDrilling(IsoShift):
         above = self.code in cycles.STRAIGHT_BACK and self._initial > self._height.get("Z", math.nan)
         if not above or self.control != "Fanuc":
             expected = f"{axis} at R or above before the cycle, or G99"
-            expected += ", or a program number (Fanuc, Haas: O1234): controls differ in the height of the retract" if above else ""
+            expected += (
+                ", or a program number (Fanuc, Haas: O1234): controls differ in the height of the retract"
+                if above
+                else ""
+            )
             raise self._refused(f"{axis} is below R", expected)
         self.note(
             f"the tool is below R where the cycle begins: G98 returns it to that height of {axis} (Fanuc, Haas), LinuxCNC to R",
