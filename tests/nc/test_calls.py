@@ -125,7 +125,7 @@ def test_subprograms_in_other_folders(tmp_path: Path, name: str) -> None:
     assert moved(dialect.moves(program, AXES, tcp=False))[-1][1][2] == -250.0
     assert str(folders[1] / other) in {origin.file for origin in program.origins}
     program, dialect = read_program(tmp_path / "main" / main, subprograms=folders[:1])
-    expected = "no subprogram .*in a folder of subprograms; or .* named as harmless"
+    expected = r"no subprogram .*in a folder of subprograms; or .* named as harmless"
     with pytest.raises(InputError, match=expected) as caught:
         dialect.moves(program, AXES, tcp=False)
     assert caught.value.line == 2

@@ -30,10 +30,10 @@ class AuxiliaryAxes:
         self._fed: dict[str, object] | None = None
         """Those at the feeds so far."""
 
-    def move(self, name: str, value: float, *, incremental: bool) -> bool:
-        """Take a word, NaN for an unknown value, and return whether it moves the axis."""
+    def move(self, name: str, value: float | str, *, incremental: bool) -> bool:
+        """Take a word and return whether it moves the axis; ``value``: NaN if unknown, a text for a fixed place of the machine."""
         before = self._at.get(name)
-        if incremental:
+        if incremental and not isinstance(value, str):
             if value == 0.0:
                 return False
             value = before + value if isinstance(before, float) else math.nan
@@ -55,4 +55,6 @@ class AuxiliaryAxes:
 
 
 def _shown(position: object) -> str:
+    if isinstance(position, str):
+        return position
     return f"{position:g}" if isinstance(position, float) else "an unknown position"

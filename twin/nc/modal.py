@@ -374,8 +374,8 @@ class Interpreter(ABC):
             )
         self.note(f"{names[0]} {CALLED_OUTSIDE}", once=True)
 
-    def take_auxiliary_axis(self, name: str, value: float, *, incremental: bool, feeds: bool) -> None:
-        """Take the word of an auxiliary axis, NaN if unknown; raise `InputError` for a feed that moves it."""
+    def take_auxiliary_axis(self, name: str, value: float | str, *, incremental: bool, feeds: bool) -> None:
+        """Take the word of an auxiliary axis (`AuxiliaryAxes.move`); raise `InputError` for a feed that moves it."""
         if self.auxiliary_axes.move(name, value, incremental=incremental) and feeds:
             what = f"feed of {name}, which is not in the model of the machine"
             raise self.error(what, f"a rapid to a position of {name} before it")

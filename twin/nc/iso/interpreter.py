@@ -303,18 +303,18 @@ class IsoInterpreter(IsoMotion):
     def _auxiliary_axis(self, block: IsoBlock, item: Item) -> bool:
         """Take the word of an auxiliary axis, and return False: it is no word of the motion; raise `InputError` for another axis.
 
-        Its place in coordinates of the machine, or at its reference, is unknown.
+        Its place in coordinates of the machine, or at its reference, is another one than any place in those of the program.
         """
         if item.name not in self.auxiliary_axes.names:
             raise self.unknown_axis(f"{item.name}{item.value}")
-        elsewhere = any(vocabulary.GROUP_OF.get(span.name) in ("reference", "machine") for span in block.codes)
-        value = math.nan if elsewhere else self.known_value(item.name, item.value, "a number")
-        self.take_auxiliary_axis(
-            item.name,
-            value,
-            incremental=self.incremental and not elsewhere,
-            feeds=self.motion in (1, 2, 3) and not elsewhere,
-        )
+        groups = {vocabulary.GROUP_OF.get(span.name) for span in block.codes}
+        value: float | str = self.known_value(item.name, item.value, "a number")
+        if "reference" in groups:
+            value = "its reference"
+        elif "machine" in groups:
+            value = math.nan if self.incremental else f"{value:g} of the machine"
+        feeds = self.motion in (1, 2, 3) and "reference" not in groups
+        self.take_auxiliary_axis(item.name, value, incremental=self.incremental, feeds=feeds)
         return False
 
     def _has_vector(self, block: IsoBlock, normal: Item) -> bool:
@@ -372,13 +372,13 @@ class IsoInterpreter(IsoMotion):
         name, start = match.group(10).upper(), match.start(10)
         if name.startswith("EX"):
             self._check_exponent(block, start, match.end())
+        if name in ("CALL", "EXTCALL") and (called := vocabulary.CALLED_BY_NAME.search(block.text, start)) is not None:
+            self.call_outside(called[1])
+            return True
         block.names.append(Item(name, start, match.end(), start, match.end(), match.group(12) or ""))
         if name in ("DEF", "EXTERN", "PROC"):
             for variable, value in vocabulary.ASSIGNED.findall(block.text[match.end() :].split(";")[0]):
                 self.assign(variable, self.value_of(value))
-            return True
-        if name in ("CALL", "EXTCALL") and (called := vocabulary.CALLED_BY_NAME.search(block.text, start)) is not None:
-            self.call_outside(called[1])
             return True
         if name in vocabulary.CONTROL_FLOW:
             raise self.error("control flow", vocabulary.NO_CALLS)
