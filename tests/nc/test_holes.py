@@ -14,10 +14,10 @@ from tests.model.errors import random_calibration
 from tests.nc import rs274
 from tests.nc.nc_support import AXES
 from twin._common.errors import InputError
-from twin.compensation import Compensation, Compensator
+from twin.compensation import Compensation, Compensator, Options
 from twin.machine.machine import Machine
 from twin.model.calibration import Calibration
-from twin.nc import DIALECTS
+from twin.nc import DIALECTS, read_program
 
 ISO = DIALECTS[0]
 START = "G90 G21 G17\nG0 X300. Y200. Z-300. B0. C0.\n"
@@ -217,3 +217,15 @@ def test_what_is_refused(text: str, words: str) -> None:
     with pytest.raises(InputError, match=words) as caught:
         ISO.moves(ISO.read((START + text).encode(), "part"), AXES, tcp=False)
     assert caught.value.line == 4
+
+
+def test_a_way_below_the_least_increment_is_no_stroke(dmu50: Machine, tmp_path: Path) -> None:
+    """Inches of a postprocessor with five decimals, and a height that a tool change makes unknown, stopped the check of the output."""
+    path = tmp_path / "a.nc"
+    for head in ("G20 G90 G0 X10 Y9 Z-11.79999 B0 C0\n", "G20 G90 G0 X10 Y9 Z-11.8 B0 C0\nG80 G49\n"):
+        for cycle in ("G85 G98", "G86 G99", "G81 G99"):
+            path.write_text(f"O1\n{head}{cycle} X10.5 Y9.5 Z-12.2 R-11.8 F9.8\nX10.9\nG80\nM30\n")
+            result = Compensator(dmu50, Calibration.default(dmu50), Options()).compensate(*read_program(path))
+            assert result.report.complete
+            depths = [line for line in result.text.split("\n") if "Z-12." in line and "(" not in line]
+            assert len(depths) == 2, result.text

@@ -60,7 +60,7 @@ class HeidenhainInterpreter(HeidenhainFrame):
     @property
     def runs_allowed(self) -> bool:
         """See `Interpreter.runs_allowed`: no tool vector, and no block that continues."""
-        beside = self.beside or self.on_contour or self.pending
+        beside = self.beside or self.on_contour or self.pending or self._listing
         return self.set_up and self.vector is None and not (self.continued or self.modal or beside or self.end.word)
 
     def may_end(self, tail: str) -> bool:
@@ -78,7 +78,7 @@ class HeidenhainInterpreter(HeidenhainFrame):
         """Begin a line and return its match if it is a simple block; only ``LN`` can have vectors."""
         self._line, self._block_text = line, text
         special = self.continued or self.modal or self.beside or self.on_contour
-        special = special or self.parks or self.pending is not None or bool(self.end.word)
+        special = special or self._listing or self.parks or self.pending is not None or bool(self.end.word)
         found = None if special else self._simple.pattern.fullmatch(text)
         if found is not None and found[2] in ("L", "l") and any(found.groups()[self._simple.behind]):
             return None

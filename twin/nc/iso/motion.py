@@ -451,7 +451,9 @@ class IsoMotion(IsoDrilling):
     @property
     def runs_allowed(self) -> bool:
         """See `Interpreter.runs_allowed`: no pending work offset, incremental mode or tool vector, nor a cycle that changes."""
-        plain = not (self.beside or self._on_contour or self.incremental or self.pending or self.end.word)
+        plain = not (
+            self.beside or self._on_contour or self.incremental or self.pending or self._listing or self.end.word
+        )
         return plain and self.steady and self.set_up and self.vector is None
 
     def leave_contour(self) -> None:
