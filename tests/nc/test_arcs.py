@@ -188,7 +188,7 @@ FROM_UNKNOWN = {
 
 @pytest.mark.parametrize("language", FROM_UNKNOWN)
 def test_an_arc_from_an_unknown_start_is_left_as_written(dmu50: Machine, tmp_path: Path, language: str) -> None:
-    """Its end is known, and what follows is corrected; behind corrected blocks it is refused, because its start has moved."""
+    """Correct what follows its known end; refuse it behind corrected blocks, because its start has moved."""
     text, arc, line = FROM_UNKNOWN[language]
     path = tmp_path / "a"
     path.write_text(text)

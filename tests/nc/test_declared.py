@@ -1,4 +1,4 @@
-"""What a user declares: axes that the model does not have and stand still, and subprograms that are not given."""
+"""Declarations of a user: axes that the model does not have and stand still, and subprograms that are not given."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def test_plain_language() -> None:
     st.lists(st.tuples(st.sampled_from(["G0 W{}", "G1 X{}", "G1 X{} W5", "G0 X{}"]), st.integers(0, 6)), max_size=12)
 )
 def test_accepted_if_and_only_if_no_feed_sees_another_place(blocks: list[tuple[str, int]]) -> None:
-    """The rule in another form: the places in force at feeds, and at their ends, are all the same."""
+    """The rule in another form: all places in force at feeds are the same."""
     at, fed, legal = 5, set[int](), True
     for form, value in blocks:
         if "W5" in form:

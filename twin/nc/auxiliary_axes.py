@@ -26,9 +26,9 @@ class AuxiliaryAxes:
         self.names = frozenset(names)
         self.moved = False
         self._at: dict[str, object] = {}
-        """Their positions; another object for each one that is not known."""
+        """Positions of the axes; another object for each one that is not known."""
         self._fed: dict[str, object] | None = None
-        """Those at the feeds so far."""
+        """Positions at the feeds so far."""
 
     def move(self, name: str, value: float | str, *, incremental: bool) -> bool:
         """Take a word and return whether it moves the axis; ``value``: NaN if unknown, a text for a fixed place of the machine."""

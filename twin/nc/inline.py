@@ -335,7 +335,7 @@ class FlowRun:
         self._left: dict[int, int] = {}
         self._counts: dict[int, int] = {}
         self._states: dict[int, tuple[dict[str, float], dict[str, str], dict[int, int], dict[int, int]]] = {}
-        """What decided about the last way back from each statement."""
+        """Values and counts at the last way back from each statement."""
         self._labels: dict[str, list[int]] = {}
         for i, line in enumerate(lines):
             for name in inliner.labels(line):

@@ -117,8 +117,8 @@ AUXILIARY: Final = (
 )
 """End of the notice on an M word that is not known."""
 CALLED_OUTSIDE: Final = (
-    "is not given and is named as harmless: its call is left as written; it must leave positions, frame, offsets and modes as "
-    "they were"
+    "is not given and is named as harmless: its call is left as written; it must leave positions, frame, offsets and modes "
+    "unchanged"
 )
 """End of the notice on a subprogram that is not given."""
 SHORTEST_RULE: Final = 20
@@ -249,7 +249,7 @@ class Interpreter(ABC):
         return moves
 
     def is_listing(self, text: str) -> bool:
-        """Return whether a line is of what a CAM system lists above a program, from a first line of equals signs to the next one."""
+        """Return whether a line is in the listing of a CAM system above a program, from a line of equals signs to the next one."""
         rule = not text.strip("=") and len(text) >= SHORTEST_RULE
         inside = self._listing
         if rule and (inside or self._line == 0):
@@ -370,7 +370,7 @@ class Interpreter(ABC):
         if self.harmless.isdisjoint(name.upper() for name in names):
             expected = f"it in this file, beside it or in a folder of subprograms; or {names[-1]} named as harmless"
             raise self.error(
-                f"no subprogram {names[0]}", f"{expected}, if it leaves positions, frame and modes as they were"
+                f"no subprogram {names[0]}", f"{expected}, if it leaves positions, frame and modes unchanged"
             )
         self.note(f"{names[0]} {CALLED_OUTSIDE}", once=True)
 

@@ -64,7 +64,7 @@ HarmlessOption = Annotated[
     list[str] | None,
     typer.Option(
         "--harmless",
-        help="Words and subprograms that leave positions, frame, offsets and modes as they were (M77 O9021 L900 FIN): macros of the "
+        help="Words and subprograms that leave positions, frame, offsets and modes unchanged (M77 O9021 L900 FIN): macros of the "
         "machine's builder that are not given. The machine file can name them, too.",
     ),
 ]
