@@ -49,6 +49,8 @@ MOVED = {
     "an arc at another place": ("G1 X5\nG0 W0\nG2 X7 I1\n", 4, "feed with W at 0"),
     "its reference": ("G1 X5\nG91 G28 W0\nG90 G1 X7\n", 4, "feed with W at its reference, after feeds with it at 5"),
     "the machine's coordinates": ("G1 X5\nG53 G0 W5\nG1 X7\n", 4, "feed with W at 5 of the machine"),
+    "a run of simple blocks": ("G1 X5\nG0 W0\n" + "G1 X7\nX8\n" * 40, 4, "feed with W at 0"),
+    "a run that the block with it begins": ("G1 X5\nG0 W0 X6\nG0 X7\n" + "G1 X7\nX8\n" * 40, 5, "feed with W at 0"),
     "an increment": ("G1 X5\nG91 G0 W1\nG1 X1\n", 4, "feed with W at 6"),
     "an unknown value": ("G1 X5\nG0 W#7\n", 3, "the value of W is unknown"),
 }

@@ -129,8 +129,6 @@ BESIDE: Final = (
     "over the radius of the tool, and along a block, is not corrected"
 )
 """Notice on cutter radius compensation."""
-NEARLY: Final = 1.0 - 1e-6
-"""Share of a least increment that is a whole one but for floating point."""
 CORRECTION_DEG: Final = 0.1
 """Turn of a rotary axis that is a correction rather than a motion of the program."""
 _WITH_LETTER = re.compile(r"[A-Za-z_]")
@@ -151,7 +149,6 @@ class Interpreter(ABC):
         lost_positions: lines after which axis positions are unknown.
         frame, frames: the coordinates in force, and the lines that change them.
         drilled: see `twin.nc.blocks.Interpretation`.
-        increments: least increments of the axes, mm and degrees.
         stated_offsets: values of work offsets that the program has set, by axis; None for those that it has not.
         tcp_word: the word that switched it last; empty: none yet.
         motion: motion code in force, None before the first and in languages without.
@@ -184,7 +181,7 @@ class Interpreter(ABC):
         self.names = axes.names
         self.index = {name.upper(): i for i, name in enumerate(self.names)}
         self.linear = len(axes.linear)
-        self.increments = [axes.increment[name] for name in axes.names]
+        self._rotary_increments = [axes.increment[name] for name in axes.rotary]
         self.inch = False
         self.position: list[float] = [math.nan] * len(self.names)
         self.vector: tuple[float, float, float] | None = None
@@ -533,7 +530,7 @@ class Interpreter(ABC):
         at = self.position[self.linear :]
         if any(value != value for value in at):
             raise self.error(f"{what} at unknown positions of the rotary axes", "a position of each of them before it")
-        return tuple(round(value / step) * step for value, step in zip(at, self.increments[self.linear :], strict=True))
+        return tuple(round(value / step) * step for value, step in zip(at, self._rotary_increments, strict=True))
 
     def select(self, block: Block, **changes: Any) -> None:
         """Change the frame from this block on; positions in the new coordinates are unknown until the program gives them."""

@@ -130,8 +130,9 @@ class HeidenhainWriter(WordWriter[PathBlock]):
         place = 1 if block.positions else 0
         for move in block.moves[place:]:
             for row in segments[place][1] if place in segments else [list(move.position)]:
-                if words := self._missing(block, row, 0):
-                    lines.append(f"{indent}L {' '.join(words)} R0 FMAX{end}")
+                # Rounding may have left no way to go.
+                words = self._missing(block, row, 0) or [self._added(block, call.axis, row[call.axis])]
+                lines.append(f"{indent}L {' '.join(words)} R0 FMAX{end}")
         shift = self.said.value[call.axis] - call.top
         if call.surface == call.surface:
             lines += self._definition(block, call, shift, indent, end)

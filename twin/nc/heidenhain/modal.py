@@ -16,7 +16,7 @@ from typing import Final, NamedTuple, final
 from twin.nc.arcs import MOST_TURNS, ArcMisfit, arc_by_centre, arc_by_radius
 from twin.nc.blocks import Arc, Kind, Move, Plane, Rows, product, rotation_about, rotation_along
 from twin.nc.heidenhain import vocabulary
-from twin.nc.modal import BESIDE, CORRECTION_DEG, NEARLY, Block, Interpreter, Span
+from twin.nc.modal import BESIDE, CORRECTION_DEG, Block, Interpreter, Span
 from twin.nc.text import MM_PER_INCH
 
 # --- Data of one block ----------------------------------------------------------------------------
@@ -178,7 +178,7 @@ class HeidenhainCycles(Interpreter):
             clearance, surface = (self._parameter(what, name) * unit for name in ("Q200", _SURFACE))
             second = self._parameter(what, "Q204") * unit if "Q204" in cycle.given else clearance
             top, level = surface + clearance, surface + max(second, clearance)
-        if abs(top - at) > NEARLY * self.increments[axis]:
+        if abs(top - at) > 1e-9:
             self.position[axis] = top
             named = frozenset((name,))
             block.moves += (Move(self._line, Kind.RAPID, False, tuple(self.position), named),)

@@ -23,7 +23,7 @@ from twin.nc.blocks import Arc, AxisWords, Kind, Move
 from twin.nc.iso import cycles, vocabulary
 from twin.nc.iso.cycles import Drilling, Stroke
 from twin.nc.iso.frame import IsoBlock, IsoShift, Item
-from twin.nc.modal import BESIDE, CORRECTION_DEG, NEARLY, AxisWord, Span
+from twin.nc.modal import BESIDE, CORRECTION_DEG, AxisWord, Span
 from twin.nc.text import MM_PER_INCH, number
 
 INCH_CODES: Final = frozenset({"20", "70", "700"})
@@ -341,14 +341,10 @@ class IsoDrilling(IsoShift):
         return same and self.plane == self._cycle_plane == 17 and not self.tcp and not self._stated_incremental
 
     def strokes(self) -> list[Stroke]:
-        """Return the strokes of the cycle from the present height, without those that do not move; only their blocks behind stay.
-
-        A way shorter than the least increment of the axis is none: it may be rounded away.
-        """
+        """Return the strokes of the cycle from the present height, without those that do not move; only their blocks behind stay."""
         height, strokes = self.position[self.drilling], list[Stroke]()
-        shortest = NEARLY * self.increments[self.drilling]
         for stroke in () if self.cycle is None else self.cycle.strokes:
-            if stroke.height == stroke.height and (abs(stroke.height - height) > shortest or height != height):
+            if stroke.height == stroke.height and (abs(stroke.height - height) > 1e-9 or height != height):
                 height = stroke.height
                 strokes.append(stroke)
             elif stroke.after or stroke.kept is not None:
