@@ -432,7 +432,10 @@ class IsoInterpreter(IsoMotion):
                 raise self.error("comment within a comment before words", "a comment without parentheses in it", rest)
             raise self.error("comment or argument list without closing parenthesis", "( ... )", rest)
         if letter == "O":
-            raise self.error("control flow", vocabulary.NO_CALLS, rest)
+            only = vocabulary.O_SUB.match(rest) is not None
+            raise self.error("control flow", vocabulary.MAIN_PROGRAM if only else vocabulary.NO_CALLS, rest)
+        if character in "@^":
+            raise self.error("polar words of LinuxCNC", "X and Y in place of @ and ^", rest)
         raise self.error("unexpected character", "words of a letter and a number", rest)
 
     # ------------------------------------------------------------------ words

@@ -28,6 +28,7 @@ from twin.nc.text import MM_PER_INCH, number
 
 INCH_CODES: Final = frozenset({"20", "70", "700"})
 CODES: Final = cycles.FANUC | cycles.FANUC_KEPT
+_AT_REFERENCE: Final = "after a reference return: programs: {references: …} in the machine file"
 _MODAL: Final = frozenset("RQP")
 _REPEATS: Final = frozenset("LK")
 _DRILLING: Final = {17: 2, 18: 1, 19: 0}
@@ -240,7 +241,9 @@ class IsoDrilling(IsoShift):
             what = f"in force where {self.unknown}"
             raise self._refused(what, "the words named as harmless in the machine file, or G80 before")
         if self._initial != self._initial and (self._to_initial or self.incremental):
-            raise self._refused(f"position of {axis} unknown", f"a position of {axis} before the cycle")
+            raise self._refused(
+                f"position of {axis} unknown", f"a position of {axis} before the cycle ({_AT_REFERENCE}), or G99"
+            )
         if self._to_initial and self._retract < top - 1e-9:
             self._begin_below(axis)
         if not self._level_given:
@@ -598,7 +601,11 @@ class IsoMotion(IsoDrilling):
         if radius is not None and not words:
             return self.valid_arc(arc_by_radius(plane, from_, to, radius, clockwise, turns))
         if not words or radius is not None:
-            return self.valid_arc(ArcMisfit("arc without centre or radius, or with both", "either I, J, K or R (CR=)"))
+            return self.valid_arc(
+                ArcMisfit(
+                    "arc without centre or radius, or with both", "either I, J, K or R (CR=): controls differ without"
+                )
+            )
         plain = {axis: value for axis, (value, form) in words.items() if form is None}
         block.centres, hint = self._centre_words(from_, to, (plain.get(a), plain.get(b))) if plain else (FROM_START, "")
         middle = list(start)

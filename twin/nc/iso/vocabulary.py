@@ -105,7 +105,8 @@ USER_VARIABLES = ((0, 999), (3000, 3012), (3901, 3902), (98000, 98499))
 """Variables without an effect of their own: local and common ones, messages, timers, counters of parts (Fanuc 30i, Haas, LinuxCNC)."""
 
 REFUSED_CODES: dict[str, tuple[str, str]] = {
-    **{code: (f"canned cycle G{code}", EXPANDED_CYCLE) for code in ("84.2", "84.3", "87")},
+    **{code: (f"canned cycle G{code}", EXPANDED_CYCLE) for code in ("84.2", "84.3")},
+    "87": ("canned cycle G87: back boring (Fanuc) or boring with a retract by hand (Haas)", EXPANDED_CYCLE),
     **{
         code: (f"thread or tapping G{code}", LINEAR)
         for code in ("33", "33.1", "34", "35", "63", "331", "332", "32", "92.5")
@@ -151,6 +152,8 @@ REFUSED_M: frozenset[str] = frozenset({"M97", "M96"})
 CALLING_M: frozenset[str] = frozenset({"M98", "M198"})
 """M words that call the program P."""
 O_CALL = re.compile(r"[Oo][ \t]*(\d+|<[^>]*>)[ \t]*(?:CALL)(?!\w)", re.ASCII | re.IGNORECASE)
+O_SUB = re.compile(r"[Oo][ \t]*(?:\d+|<[^>]*>)[ \t]*SUB(?!\w)", re.ASCII | re.IGNORECASE)
+MAIN_PROGRAM = "the program that calls this subprogram, with this file beside it"
 CALLED_BY_NAME = re.compile(r"CALL[ \t]*\(?[ \t]*\"([^\"]+)\"", re.ASCII | re.IGNORECASE)
 RESTORING_M: frozenset[str] = frozenset({"M72", "M73"})
 """M codes of LinuxCNC that restore modal words saved before."""
