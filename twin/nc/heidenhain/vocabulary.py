@@ -71,7 +71,7 @@ TOOL = re.compile(
 )
 TOOL_LENGTH = re.compile(rf"(?<![A-Z\d])DL[ \t]*=?[ \t]*({_VALUE})", re.ASCII | re.IGNORECASE)
 CYCLE = re.compile(r"CYCLE?[ \t]+DEF[ \t]+(\d{1,9})(?!\d)(?:\.(\d++))?+(.*)", re.ASCII | re.IGNORECASE)
-PROGRAM_CALL = re.compile(r"CALL[ \t]+PGM[ \t]+\"?([^\";]+)", re.ASCII | re.IGNORECASE)
+PROGRAM_CALL = re.compile(r"CALL[ \t]++PGM[ \t]++\"?+([^\";]++)", re.ASCII | re.IGNORECASE)
 CYCLE_CALL = re.compile(r"CYCLE?[ \t]+CALL(?!\w)")
 """Posts of older controls write CYCLE in full."""
 SHIFT = re.compile(rf"(?<![A-Z])(I?)([XYZABCUVW])[ \t]*({_VALUE})", re.ASCII | re.IGNORECASE)

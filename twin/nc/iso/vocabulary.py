@@ -154,7 +154,7 @@ CALLING_M: frozenset[str] = frozenset({"M98", "M198"})
 O_CALL = re.compile(r"[Oo][ \t]*(\d+|<[^>]*>)[ \t]*(?:CALL)(?!\w)", re.ASCII | re.IGNORECASE)
 O_SUB = re.compile(r"[Oo][ \t]*(?:\d+|<[^>]*>)[ \t]*SUB(?!\w)", re.ASCII | re.IGNORECASE)
 MAIN_PROGRAM = "the program that calls this subprogram, with this file beside it"
-CALLED_BY_NAME = re.compile(r"CALL[ \t]*\(?[ \t]*\"([^\"]+)\"", re.ASCII | re.IGNORECASE)
+CALLED_BY_NAME = re.compile(r"CALL[ \t]*+\(?+[ \t]*+\"([^\"]++)\"", re.ASCII | re.IGNORECASE)
 RESTORING_M: frozenset[str] = frozenset({"M72", "M73"})
 """M codes of LinuxCNC that restore modal words saved before."""
 HARMLESS_M: frozenset[str] = frozenset(
