@@ -20,7 +20,7 @@ OFFSETS = {
 LENGTHS = {"1": 80.0, "2": 131.5, "12": 65.25, "MILL_D10": 92.5}
 ROTARY_INCREMENT = 0.001
 _WORD = re.compile(r"([A-Z]+\d(?=\s*=)|[A-Z]+)\s*=?\s*([-+]?(?:\d+\.?\d*|\.\d+))")
-_CYCLES = {"81", "82", "83", "84"}
+_CYCLES = {"81", "82", "83", "84", "85"}
 _UNITS = {"20", "21", "70", "700", "710"}
 
 
@@ -140,6 +140,7 @@ class Run:
 def run_iso(text: str) -> Run:
     """Execute a program of Fanuc, Haas, Okuma or SINUMERIK."""
     run, okuma, chosen = Run(), "G15 H" in text, ""
+    text = re.sub(r"\A=+\n.*?\n=+\n", "", text, flags=re.DOTALL)  # what a CAM system lists above
     cycle: dict[str, float] = {}
     code, relative, initial, to_initial, unit = "0", False, np.nan, True, 1.0
     for line in _with_subprograms(re.sub(r"\(\*.*", "", text)):
@@ -160,6 +161,8 @@ def run_iso(text: str) -> Run:
         if "@" in bare:
             run.swivel([part.strip() for part in bare.split("@")[1].split(",")])
             continue
+        if re.search(r"G65\b|M98\b", bare):
+            continue  # a macro of the machine's builder, which is not given
         framed = re.match(r"(A?)(TRANS|ROT)\b(.*)", bare)
         if framed:
             run.program_frame(
@@ -279,7 +282,7 @@ def _with_subprograms(text: str) -> Iterator[str]:
     lines = text.splitlines()
     for line in lines:
         call = re.search(r"^[^(]*\bM98\s*P0*(\d+)(?:\s*L(\d+))?", line)
-        if call:
+        if call and not call[1].startswith("9"):
             begin = next(i for i, one in enumerate(lines) if re.match(rf"O0*{call[1]}\b", one))
             end = next(i for i, one in enumerate(lines) if i > begin and re.search(r"\bM99\b", one))
             yield from lines[begin + 1 : end] * int(call[2] or 1)
@@ -293,6 +296,7 @@ def _written_out(text: str) -> Iterator[str]:
     """Yield the blocks of a program in plain language without numbers and comments, its subprograms written out."""
     points = re.sub(r"(\d),(\d)", r"\1.\2", text)
     blocks = [re.sub(r"^/?N?\d+\s+|;.*|~\s*$", "", line.strip()).strip() for line in points.splitlines()]
+    blocks = [re.sub(r"^CYCLE ", "CYCL ", block) for block in blocks]
     ends = [i for i, block in enumerate(blocks) if re.search(r"\bM30\b|END PGM", block)]
     for block in blocks[: ends[0] + 1]:
         called = re.match(r'CALL LBL (\d+|"\w+")$', block)

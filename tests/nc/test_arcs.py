@@ -11,7 +11,10 @@ from hypothesis import strategies as st
 
 from tests.nc.nc_support import read_moves
 from twin._common.errors import InputError
-from twin.nc import dialect_for
+from twin.compensation import Compensator, Options
+from twin.machine.machine import Machine
+from twin.model.calibration import Calibration
+from twin.nc import dialect_for, read_program
 from twin.nc.blocks import Kind
 
 ISO = dialect_for(Path("a.nc"))
@@ -181,3 +184,35 @@ def test_increments_of_zero_under_g2_move_nothing():
     for block in ("G91 X0 Y1", "G90 X0 Y0"):
         with pytest.raises(InputError, match="without centre or radius"):
             read_moves(ISO, f"{head}{block}\n")
+
+
+FROM_UNKNOWN = {
+    "iso": ("O1\nG21 G90 G1 F100\nG3 X260 Y235 I0 J10\nG1 Z-290\nX270\nM30\n", "G3 X260 Y235 I0 J10", 2),
+    "heidenhain": (
+        "BEGIN PGM A MM\nCC X+250 Y+235\nC X+260 Y+235 DR+\nL Z-290 F100\nL X+270\nEND PGM A MM\n",
+        "C X+260 Y+235 DR+",
+        2,
+    ),
+}
+
+
+@pytest.mark.parametrize("language", FROM_UNKNOWN)
+def test_an_arc_from_an_unknown_start_is_left_as_written(dmu50: Machine, tmp_path: Path, language: str) -> None:
+    """Correct what follows its known end; refuse it behind corrected blocks, because its start has moved."""
+    text, arc, line = FROM_UNKNOWN[language]
+    path = tmp_path / "a"
+    path.write_text(text)
+    compensator = Compensator(dmu50, Calibration.default(dmu50), Options(language=language))
+    result = compensator.compensate(*read_program(path, language))
+    (left,) = result.report.not_corrected
+    assert left.lines == (line + 1,) and "has not given a position of X, Y" in left.reason
+    assert f"{arc}\n" in result.text and not result.report.complete
+    assert result.nominal[-1][:3] == pytest.approx([270, 235, -290])
+    assert "Y234.9" in result.text.replace("+", "") or "Y235.0" in result.text.replace("+", "")
+    back = {"iso": "G91 G28 Z0\nG90 G2 X280 Y225 R10\n", "heidenhain": "M77\nL M140 MB MAX\nC X+280 Y+235 DR+\n"}[
+        language
+    ]
+    end = "M30" if language == "iso" else "END"
+    path.write_text(text.replace(end, back + end))
+    with pytest.raises(InputError, match=r"arc where the program has not given a position of"):
+        compensator.compensate(*read_program(path, language))

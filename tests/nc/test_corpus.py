@@ -28,6 +28,8 @@ End = tuple[np.ndarray, bool, float]
 SETUP = Setup(
     offsets=OffsetTable(Path("o.csv"), {name: dict(zip("XYZ", row, strict=True)) for name, row in OFFSETS.items()}),
     tools=ToolTable(Path("t.csv"), LENGTHS),
+    harmless=("O9021", "O9100", "WARM_UP"),
+    auxiliary_axes=("W",),
 )
 BETWEEN = 400
 """Most blocks of the output between two ends of the original that are compared."""
@@ -36,6 +38,8 @@ LAST_FEED = {
     "haas_facing.nc": (250 + 40, 225 + 30, -390 + 131.5 + 12),
     "mill_begins_in_increments.nc": (250 - 20, 225 + 15, -390 + 80 + 50),
     "tnc_facing.h": (250 - 52.5, 225 - 10, -390 + 80 + 22),
+    "fanuc_quill_and_macros.ptp": (250 + 45, 225 - 22.5, -390 + 131.5 + 12),
+    "tnc_older_post.h": (250 - 30, 225 - 20, -390 + 131.5 + 8),
     "tnc_contour.h": (250 - 60, 225 - 45, -390 + 80 + 15),
 }
 CONTROLS = {

@@ -75,6 +75,21 @@ CYCLES = {
     "G86": ("G98 G86 X310. Y210. Z-330. R-310. F50.\nG80\n", [-300, -310, -300], "RRR"),
     "G76": ("G98 G76 X310. Y210. Z-330. R-310. Q.1 P500 F50.\nG80\n", [-300, -310, -300], "RRR"),
     "from below R": ("G99 G81 X310. Y210. Z-330. R-290. F50.\nG80\n", [-300, -290, -330, -290], "RRFR"),
+    "from below R to the initial level": (
+        "O1\nG98 G81 X310. Y210. Z-330. R-290. F50.\nG80\n",
+        [-300, -290, -330, -300],
+        "RRFR",
+    ),
+    "from below R in steps": (
+        "O1\nG98 G73 X310. Y210. Z-330. R-290. Q60. F50.\nG80\n",
+        [-300, -290, -330, -300],
+        "RRFR",
+    ),
+    "from below R to R on LinuxCNC": (
+        "#<a>=1\nG98 G81 X310. Y210. Z-330. R-290. F50.\nG80\n",
+        [-300, -290, -330, -290],
+        "RRFR",
+    ),
     "CYCLE81 once": ("G0 X310. Y210.\nCYCLE81(-300,-312,2,-330)\n", [-300, -310, -330, -300], "RRFR"),
 }
 KEPT = ("G99 G74", "G99 G76", "G99 G84", "G99 G86", "CYCLE83", "CYCLE84", "CYCLE86")
@@ -317,6 +332,12 @@ def test_cycles_are_the_same_from_file_to_file(dmu50: Machine, errors: Calibrati
     source.write_text(START + IN_PLACE[name] + "G0 Z-290.\nX300.\n")
     Compensator(dmu50, errors).compensate_file(source, output)
     assert output.read_text() == compensated(source.read_text(), dmu50, errors).text
+
+
+@pytest.mark.parametrize("cycle", ["G85 Z-330.", "G84 Z-330.", "G81 Z-299."])
+def test_a_way_back_from_below_r_that_leads_down_is_refused(cycle: str) -> None:
+    with pytest.raises(InputError, match="Z is below R"):
+        read(f"O1\nG21 G90 G0 X1 Y2 Z-300.\n{cycle} X310. Y210. R-290. F50.\n")
 
 
 @pytest.mark.parametrize("name", REFUSED)

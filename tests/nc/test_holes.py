@@ -14,10 +14,12 @@ from tests.model.errors import random_calibration
 from tests.nc import rs274
 from tests.nc.nc_support import AXES
 from twin._common.errors import InputError
-from twin.compensation import Compensation, Compensator
+from twin.compensation import Compensation, Compensator, Options
+from twin.compensation.programs.words import Setup
+from twin.controls.offsets import ToolTable
 from twin.machine.machine import Machine
 from twin.model.calibration import Calibration
-from twin.nc import DIALECTS
+from twin.nc import DIALECTS, read_program
 
 ISO = DIALECTS[0]
 START = "G90 G21 G17\nG0 X300. Y200. Z-300. B0. C0.\n"
@@ -217,3 +219,21 @@ def test_what_is_refused(text: str, words: str) -> None:
     with pytest.raises(InputError, match=words) as caught:
         ISO.moves(ISO.read((START + text).encode(), "part"), AXES, tcp=False)
     assert caught.value.line == 4
+
+
+def test_a_stroke_that_rounding_leaves_no_way_is_written(dmu50: Machine, tmp_path: Path) -> None:
+    """Check inches with five decimals of a postprocessor, a height that a length of zero makes unknown, and half a least increment."""
+    options = Options(setup=Setup(tools=ToolTable(Path("t.csv"), {"1": 80.0})))
+    compensator = Compensator(dmu50, Calibration.default(dmu50), options)
+    iso = "G20 G90 G0 X10 Y9 Z{} B0 C0\n{}{} X10.5 Y9.5 Z-12.2 R-11.8 F9.8\nX10.9\nG80\nM30\n"
+    texts = [iso.format("-11.79999", "", cycle) for cycle in ("G85 G98", "G81 G98", "G76 G98")]
+    texts += [iso.format("-11.8", "G80 G49\n", cycle) for cycle in ("G86 G99", "G81 G99")]
+    for text in texts:
+        (tmp_path / "a.nc").write_text(f"O1\n{text}")
+        result = compensator.compensate(*read_program(tmp_path / "a.nc"))
+        assert len([line for line in result.text.split("\n") if "Z-12." in line and "(" not in line]) == 2, result.text
+    cycle = "CYCL DEF 200 DRILLING ~\n Q200=+2 ~\n Q201=-9 ~\n Q206=+99 ~\n Q202=+9 ~\n Q210=+0 ~\n Q203=-302.0002 ~\n"
+    cycle += " Q204=+2 ~\n Q211=+0\n"
+    path = tmp_path / "a.h"
+    path.write_text(f"BEGIN PGM A MM\nL X+250 Y+225 Z-300 B+0 C+0 FMAX\n{cycle}L X+260 FMAX M99\nEND PGM A MM\n")
+    assert compensator.compensate(*read_program(path)).text.count("CYCL CALL") == 1

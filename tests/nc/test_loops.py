@@ -227,7 +227,7 @@ def test_the_output_lands_where_the_executed_program_meant(tmp_path: Path, dmu50
 
 REFUSED = [
     ("main.nc", "WHILE [#1 LT 3] DO1\nG1 X1\nEND1\n", 2, r"value of \[#1 LT 3\] is unknown"),
-    ("main.nc", "#1=0\nWHILE [#1 LT 3] DO1\nG1 X1\nEND1\n", 3, "does a loop never end"),
+    ("main.nc", "#1=0\nWHILE [#1 LT 3] DO1\nG1 X1\nEND1\n", 5, "the loop never ends"),
     ("main.nc", "#1=1\nWHILE [#1 LT 3] DO1\nG1 X1\n", 3, "without its end"),
     ("main.nc", "#1=1\nG1 X1\nEND1\n", 4, "without its beginning"),
     ("main.nc", "GOTO 20\nN10 G1 X1\n", 2, "no label N20"),
@@ -254,3 +254,19 @@ def test_what_cannot_be_executed_is_refused(tmp_path: Path, file: str, text: str
     with pytest.raises(InputError, match=words) as caught:
         interpreted(path)
     assert caught.value.line == line
+
+
+ENDLESS = {
+    "a condition that only the control changes": "#5070=1\nO4 while [#5070 NE 0]\nG38.3 X5\nO4 endwhile\n",
+    "a jump": "#1=1\nN5 G91 G1 X1\nIF [#1 GT 0] GOTO 5\n",
+    "counted loops within": "#1=1\nO4 while [#1 NE 0]\nO5 repeat [3]\nG91 G1 X1\nO5 endrepeat\nO4 endwhile\n",
+}
+
+
+@pytest.mark.parametrize("name", ENDLESS)
+def test_a_loop_that_never_ends_is_refused_at_once(tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("twin.nc.inline.MOST_LINES", 50)
+    path = tmp_path / "a.ngc"
+    path.write_text(f"G21 G90 G0 X1 Y2 Z3\n{ENDLESS[name]}M2\n")
+    with pytest.raises(InputError, match="the loop never ends"):
+        read_program(path)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.nc.nc_support import AXES
+from tests.nc.nc_support import AXES, read_moves
 from twin._common.errors import InputError
 from twin.nc import dialect_for
 from twin.nc.blocks import Interpretation
@@ -90,20 +90,19 @@ def test_what_a_control_may_execute_is_refused(language: str, text: str, line: i
     assert raised.value.line == line and said in str(raised.value)
 
 
-TITLE = "=========\nListing made by 11x\nDate : 3/2/2007\nX5 Y7 = plate\n"
+@pytest.mark.parametrize(("language", "begin"), [("iso", "%\nO1\n"), ("heidenhain", "BEGIN PGM A MM\n")])
+def test_a_listing_above_the_program_is_left_as_written(language: str, begin: str) -> None:
+    """As NX saves it: between two lines of equals signs; without the second one there is no program."""
+    dialect = dialect_for(Path("a"), None, language)
+    rule, block = "=" * 60, "G1 X5 Y6\n" if language == "iso" else "L X+5 Y+6 F100\n"
+    reading = read_moves(dialect, f"{rule}\nPart : D:\\a X7.prt\nG1 X9\nL X+9 F1\n{rule}\n{begin}{block}")
+    assert [move.position[:2] for move in reading.moves] == [(5, 6)]
+    assert reading.notices[0].text.startswith("the listing above the program")
+    assert not read_moves(dialect, f"{rule}\nPart : 7\n{begin}{block}").moves
+    with pytest.raises(InputError):
+        read_moves(dialect, f"{begin}{block}{rule}\nPart : 7\n{rule}\n")
 
 
-def test_text_before_the_tape_mark_is_not_read_but_kept() -> None:
-    program = f"%\nO1\n{ISO_HEAD}{BEHIND['iso']}M30\n%\n"
-    plain, titled = read("iso", program), read("iso", TITLE + program)
-    assert [move.position for move in titled.moves] == [move.position for move in plain.moves]
-    assert any("before %" in notice.text for notice in titled.notices)
-    dialect = dialect_for(Path("part.nc"))
-    assert dialect.with_comments(TITLE + program, ["corrected"]) == f"{TITLE}%\nO1\n(corrected)\n{program[5:]}"
-
-
-@pytest.mark.parametrize("text", ["=====\nG1 X5\n", "Listing made by 11x\nG0 X0\nG1 X5 F9\n"])
-def test_such_text_without_a_tape_mark_is_refused(text: str) -> None:
-    with pytest.raises(InputError, match="unexpected text") as caught:
-        read("iso", text)
-    assert caught.value.line == 1
+def test_comments_above_the_tape_mark_are_not_a_program() -> None:
+    reading = read_moves(dialect_for(Path("a"), None, "iso"), "(TOOLS)\n%\n(T1)\nO1\nG1 X5 Y6\nM30\n%\n")
+    assert len(reading.moves) == 1 and not [one for one in reading.notices if "behind" in one.text]

@@ -56,6 +56,7 @@ MethodOption = Annotated[
     "twin compensate warm.nc -o warm.compensated.nc -c better.yaml --log machine.csv --time 7200",
     "twin compensate a.nc b.nc c.h -o out/ --workers 2",
     "twin compensate main.h -o out.h --subprograms macros cycles",
+    "twin compensate bore.nc -o out.nc --harmless O9021 M77 --auxiliary-axes W",
 )
 def compensate(
     programs: options.ProgramsArgument,
@@ -66,6 +67,8 @@ def compensate(
     mode: options.ModeOption = options.Mode.axis,
     language: options.LanguageOption = None,
     subprograms: options.SubprogramsOption = None,
+    harmless: options.HarmlessOption = None,
+    auxiliary_axes: options.AuxiliaryOption = None,
     tolerance: ToleranceOption = 1e-3,
     json_file: JsonOption = None,
     report_file: Annotated[Path | None, typer.Option("--report", help="Write the report as text, too."), ANY] = None,
@@ -103,7 +106,7 @@ def compensate(
 
     loaded = options.machine(machine)
     settings = Options(
-        setup=options.setup(loaded, work_offset, work_origin, offsets, tools),
+        setup=options.setup(loaded, work_offset, work_origin, offsets, tools, harmless, auxiliary_axes),
         tool_length_mm=tool_length,
         tcp=mode is options.Mode.tcp,
         scope=None if scope is None else Scope.parse(scope),
@@ -236,6 +239,8 @@ def check(
     mode: options.ModeOption = options.Mode.axis,
     language: options.LanguageOption = None,
     subprograms: options.SubprogramsOption = None,
+    harmless: options.HarmlessOption = None,
+    auxiliary_axes: options.AuxiliaryOption = None,
     tool_length: options.ToolOption = None,
     work_offset: options.OffsetOption = None,
     work_origin: options.OriginOption = None,
@@ -254,7 +259,7 @@ def check(
 
     loaded = options.machine(machine)
     settings = Options(
-        setup=options.setup(loaded, work_offset, work_origin, offsets, tools),
+        setup=options.setup(loaded, work_offset, work_origin, offsets, tools, harmless, auxiliary_axes),
         tool_length_mm=tool_length,
         tcp=mode is options.Mode.tcp,
         language=language,

@@ -113,7 +113,8 @@ class Machine(DisplayedResult):
         default_calibration: path of the calibration that is used if none is given, or None.
         tool_length_mm: tool length that is used if none is given.
         tcp_on, tcp_off: program words that switch tool centre point control on and off on this machine.
-        harmless: program words that leave positions, frames, offsets and modes alone on this machine.
+        harmless: program words and subprograms that leave positions, frames, offsets and modes alone on this machine.
+        auxiliary_axes: axes that programs name and the model does not have (a quill, a pallet, a tailstock).
         references: axis positions after a reference return, mm and degrees, by its word (``G28``, ``G30 P3``, ``G74``) and axis.
         origin_mm: axis coordinates at which the URDF's linear joints are zero, by axis; 0 for those that are not named.
 
@@ -135,6 +136,7 @@ class Machine(DisplayedResult):
         self.tcp_on = tuple(word.upper() for word in entries.programs.tcp_on)
         self.tcp_off = tuple(word.upper() for word in entries.programs.tcp_off)
         self.harmless = tuple(word.upper() for word in entries.programs.harmless)
+        self.auxiliary_axes = tuple(name.upper() for name in entries.programs.auxiliary_axes)
         self.references = entries.programs.references
         self.default_calibration = None if entries.calibration is None else _relative_to(path, entries.calibration)
         if not is_file(self.urdf):

@@ -333,6 +333,7 @@ class Programs(FileEntry):
     tcp_on: tuple[str, ...] = ()
     tcp_off: tuple[str, ...] = ()
     harmless: tuple[str, ...] = ()
+    auxiliary_axes: tuple[Annotated[str, Field(pattern=r"^[A-CU-Za-cu-z]$")], ...] = ()
     references: Mapping[Annotated[str, Field(pattern=r"^(?:G28|G30(?: P[234])?|G74)$")], Mapping[str, _Position]] = {}
 
 

@@ -75,7 +75,7 @@ def arc_by_centre(
         return ArcMisfit("circular block with an unknown start position", "an absolute position before it")
     if first < 1e-9:
         return ArcMisfit("arc of radius zero", "a centre different from the start point")
-    if _misses(abs(first - last), max(first, last)):
+    if not meets(start, end, centre):
         return ArcMisfit(
             f"the end point of the arc is {abs(first - last):.4f} mm off its circle of radius {first:.4f} mm",
             f"equal distances of start and end from the centre, within {SLACK_MM} mm or {100 * SLACK_RATIO:g} %",

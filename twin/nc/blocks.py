@@ -193,7 +193,8 @@ class AxisWords:
         tools_known: whether the lengths of the machine's tools are known.
         one_tool: whether all moves must use a tool of one length, where the lengths are unknown.
         harmless: words in capitals that leave positions, frames, offsets and modes alone on this machine, in addition to those of the
-            dialect: auxiliary functions of its builder, for example.
+            dialect: auxiliary functions of its builder, for example; and names of subprograms that need not be given (``O9021``).
+        auxiliary_axes: names of axes that programs name and the model of the machine does not have: they stand still in every feed.
         references: positions of the axes after a reference return, mm and degrees, by its word (``G28``, ``G30 P3``) and axis.
     """
 
@@ -207,6 +208,7 @@ class AxisWords:
     one_tool: bool = True
     harmless: tuple[str, ...] = ()
     references: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    auxiliary_axes: tuple[str, ...] = ()
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -285,6 +287,10 @@ class Arc:
     angle_rad: float
 
 
+NO_POSITION: Final = "the program has not given a position of"
+"""Beginning of the reason why nothing is known of where a block goes, or of where an arc begins."""
+
+
 @final
 class Move(NamedTuple):
     """One block that moves axes, with all modal state made explicit.
@@ -300,7 +306,7 @@ class Move(NamedTuple):
         vector: tool vector (i, j, k), unit length, from tip to spindle in the work frame, or None.
         normal: surface normal of an ``LN`` block, unit length, or None (kept as written).
         unknown: why nothing is known of where the block goes (`twin.nc.modal.Interpreter.unknown`); empty if that is known. Such a
-            block passes through unchanged; ``position`` is NaN and ``arc`` None.
+            block passes through unchanged; ``position`` is NaN, except behind an arc from an unknown start, and ``arc`` None.
         whole: whether the block stays one block, an arc an arc: under cutter radius compensation.
     """
 

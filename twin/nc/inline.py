@@ -195,6 +195,10 @@ class Inliner(ABC):
     def body(self, call: Call, line: Line) -> list[Line] | None:
         """Return the lines of a subprogram with the values of its parameters; None if there is no such subprogram."""
 
+    def check_missing(self, call: Call, line: Line) -> None:
+        """Raise `InputError` for a subprogram that must be in its file; the interpreter decides about others that are not given."""
+        return
+
     def scope(self, call: Call, line: Line) -> Scope:
         """Return the local parameters of a subprogram whose values are not in the lines of `body`; at the call."""
         return {}
@@ -272,8 +276,7 @@ class Inliner(ABC):
         body = None if call is None else self.body(call, line)
         if call is None or body is None:
             if call is not None and call.certain:
-                where = " or in ".join(["this file", *map(str, self.folders)])
-                raise refused(f"no subprogram {call.name}", f"it in {where}", line)
+                self.check_missing(call, line)
             self.assign(line)
             yield line
             return
@@ -331,6 +334,8 @@ class FlowRun:
         self._structure = FlowStructure(flows, lambda what, expected, at: refused(what, expected, lines[at]))
         self._left: dict[int, int] = {}
         self._counts: dict[int, int] = {}
+        self._states: dict[int, tuple[dict[str, float], dict[str, str], dict[int, int], dict[int, int]]] = {}
+        """Values and counts at the last way back from each statement."""
         self._labels: dict[str, list[int]] = {}
         for i, line in enumerate(lines):
             for name in inliner.labels(line):
@@ -338,8 +343,23 @@ class FlowRun:
 
     def after(self, at: int) -> int:
         """Return the index of the line to execute after a statement, and record what it writes in `added`."""
-        flow = self._flows[at]
         self.added.append(self._lines[at]._replace(text=self._inliner.comment(self._lines[at].text)))
+        following = self._next(at)
+        if following <= at:
+            self._check_progress(at)
+        return following
+
+    def _check_progress(self, at: int) -> None:
+        """Raise `InputError` for a way back on which nothing has changed since the last time: it would be taken for ever."""
+        state = (dict(self._inliner.values), dict(self._scope), dict(self._left), dict(self._counts))
+        if self._states.get(at) == state:
+            expected = "parameters of its condition that the program changes; what the control changes, by probing, is not known"
+            raise refused("the loop never ends", expected, self._lines[at])
+        self._states[at] = state
+
+    def _next(self, at: int) -> int:
+        """Return the index of the line to execute after a statement."""
+        flow = self._flows[at]
         first = self._structure.first.get(at)
         if first is not None:
             return self._end(at, first)

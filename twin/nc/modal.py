@@ -14,7 +14,19 @@ import numpy as np
 from twin._common.errors import InputError
 from twin.nc.arcs import ArcMisfit
 from twin.nc.arithmetic import evaluate, key_of
-from twin.nc.blocks import Arc, AxisWords, FrameChange, Kind, LostPositions, Move, MoveColumns, Notice, WordFrame
+from twin.nc.auxiliary_axes import NOT_IN_MODEL, AuxiliaryAxes
+from twin.nc.blocks import (
+    NO_POSITION,
+    Arc,
+    AxisWords,
+    FrameChange,
+    Kind,
+    LostPositions,
+    Move,
+    MoveColumns,
+    Notice,
+    WordFrame,
+)
 from twin.nc.text import LARGEST, ProgramEnd, number, unit_vector
 
 
@@ -104,6 +116,13 @@ AUXILIARY: Final = (
     "the machine file (programs: harmless) if that is so"
 )
 """End of the notice on an M word that is not known."""
+CALLED_OUTSIDE: Final = (
+    "is not given and is named as harmless: its call is left as written; it must leave positions, frame, offsets and modes "
+    "unchanged"
+)
+"""End of the notice on a subprogram that is not given."""
+SHORTEST_RULE: Final = 20
+"""Equals signs of a line above and below the header that NX lists."""
 UNKNOWN_AXIS: Final = "unknown axis"
 BESIDE: Final = (
     "cutter radius compensation: the programmed points are corrected, arcs stay arcs and blocks stay whole; what the errors change "
@@ -153,6 +172,7 @@ class Interpreter(ABC):
     used_offset: str | None = None
     _offset_line = 0
     _inclined = False
+    _listing = False
 
     def __init__(
         self, source: str, axes: AxisWords, *, tcp: bool, tcp_on: Iterable[str], tcp_off: Iterable[str]
@@ -192,6 +212,7 @@ class Interpreter(ABC):
         self._tool_line = self._length_line = 0
         self._tool_chosen = False
         self._auxiliary: tuple[str, int] | None = None
+        self.auxiliary_axes = AuxiliaryAxes(axes.auxiliary_axes)
         self.turned_to = np.full((1, len(self.names) - self.linear), np.nan)
 
     @abstractmethod
@@ -224,6 +245,15 @@ class Interpreter(ABC):
                 )
         return moves
 
+    def is_listing(self, text: str) -> bool:
+        """Return whether a line is in the listing of a CAM system above a program, from a line of equals signs to the next one."""
+        rule = not text.strip("=") and len(text) >= SHORTEST_RULE
+        inside = self._listing
+        if rule and (inside or self._line == 0):
+            self._listing = not inside
+            self.note("the listing above the program is left as written: a control does not read it", once=True)
+        return inside or self._listing
+
     def may_end(self, tail: str) -> bool:
         """Return whether a program may be divided here; ``tail``: its lines after the last move."""
         return True
@@ -254,7 +284,9 @@ class Interpreter(ABC):
 
     def unknown_axis(self, shown: str) -> InputError:
         """Return the error for an axis that this machine does not have."""
-        return self.error(UNKNOWN_AXIS, f"one of this machine's axes ({', '.join(self.names)})", shown)
+        name = shown[:1].upper()
+        expected = f"one of this machine's axes ({', '.join(self.names)}), or {name} named as an auxiliary axis that stands still"
+        return self.error(UNKNOWN_AXIS, expected, shown)
 
     # ------------------------------------------------------------------ values
 
@@ -330,10 +362,39 @@ class Interpreter(ABC):
         if self._auxiliary is None:
             self._auxiliary = word, self._line
 
+    def call_outside(self, *names: str) -> None:
+        """Pass the call of a subprogram that is not given; raise `InputError` unless one of its names is named as harmless."""
+        if self.harmless.isdisjoint(name.upper() for name in names):
+            expected = f"it in this file, beside it or in a folder of subprograms; or {names[-1]} named as harmless"
+            raise self.error(
+                f"no subprogram {names[0]}", f"{expected}, if it leaves positions, frame and modes unchanged"
+            )
+        self.note(f"{names[0]} {CALLED_OUTSIDE}", once=True)
+
+    def take_auxiliary_axis(self, name: str, value: float | str, *, incremental: bool, feeds: bool) -> None:
+        """Take the word of an auxiliary axis (`AuxiliaryAxes.move`); raise `InputError` for a feed that moves it."""
+        if self.auxiliary_axes.move(name, value, incremental=incremental) and feeds:
+            what = f"feed of {name}, which is not in the model of the machine"
+            raise self.error(what, f"a rapid to a position of {name} before it")
+        self.note(f"{name} {NOT_IN_MODEL}", once=True)
+
     def unknown_move(self, kind: Kind, axis_bits: int) -> Move:
         """Return the move of a block that names some axes (bits) where nothing is known."""
         self.position = [math.nan] * len(self.names)
         return Move(self._line, kind, self.tcp, tuple(self.position), self.named(axis_bits), unknown=self.unknown)
+
+    def arc_from_unknown(self, block: Block, start: Sequence[float], plane: Sequence[int]) -> bool:
+        """Add the move of an arc whose start is not known, which passes through; return whether it is one.
+
+        ``start``: the position before it, ``plane``: its two axes. Under cutter radius compensation it is not one: the arc is refused.
+        """
+        missing = [self.names[axis] for axis in plane if start[axis] != start[axis]]
+        if not missing or self.beside:
+            return False
+        reason, end = f"{NO_POSITION} {', '.join(missing)}", tuple(self.position)
+        block.moves += (Move(self._line, Kind.ARC, self.tcp, end, self.named(block.axis_bits), unknown=reason),)
+        block.unknown_axes = tuple(range(len(self.names)))
+        return True
 
     def _place(self, position: Sequence[float]) -> None:
         """Take machine coordinates into account where nothing is known; NaN for axes without any."""
@@ -409,6 +470,10 @@ class Interpreter(ABC):
     def use_set_up(self, kind: Kind) -> None:
         """Record that a move uses the work offset, the tool and the length in force."""
         self.use_offset()
+        if self.auxiliary_axes.moved and kind is not Kind.RAPID and (wrong := self.auxiliary_axes.feed()):
+            raise self.error(
+                wrong, "one position in all feeds: what this axis moves is not in the model of the machine"
+            )
         self.use_tool(cutting=kind is not Kind.RAPID)
 
     def use_tool(self, *, cutting: bool) -> None:
@@ -437,7 +502,7 @@ class Interpreter(ABC):
             self._tool_chosen or (self._fed_length != self._held_length and not self.tcp)
         )
         same_offset = self.offset == self.used_offset or self._offset_known
-        return same_tool and same_offset and not (self.unknown or self.doubtful)
+        return same_tool and same_offset and not (self.unknown or self.doubtful or self.auxiliary_axes.moved)
 
     def check_plane(self, rotary: bool, *, machine: bool = False) -> None:
         """Raise `InputError` for a move that the plane does not allow; ``rotary``: it names rotary axes, ``machine``: coordinates."""

@@ -60,6 +60,21 @@ SubprogramsOption = Annotated[
     ),
     EXISTING,
 ]
+HarmlessOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--harmless",
+        help="Words and subprograms that leave positions, frame, offsets and modes unchanged (M77 O9021 L900 FIN): macros of the "
+        "machine's builder that are not given. The machine file can name them, too.",
+    ),
+]
+AuxiliaryOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--auxiliary-axes",
+        help="Axes that the program names and the machine's model does not have (W, U): left as written, at rest in all feeds.",
+    ),
+]
 MachineOption = Annotated[
     str,
     typer.Option(
@@ -248,8 +263,10 @@ def setup(
     origin: str | None,
     offsets: Path | None = None,
     tools: Path | None = None,
+    harmless: Sequence[str] | None = None,
+    auxiliary_axes: Sequence[str] | None = None,
 ) -> Setup:
-    """Return work offsets (words ``AXIS=value`` or a table), work origin and tools of a program."""
+    """Return work offsets (words ``AXIS=value`` or a table), work origin, tools, harmless words and auxiliary axes of a program."""
     from twin.compensation.programs.words import Setup
     from twin.controls.offsets import load_offsets, load_tools
 
@@ -260,6 +277,8 @@ def setup(
         else three_numbers("--work-origin", origin, origin, "x,y,z in mm"),
         offsets=None if offsets is None else load_offsets(offsets),
         tools=None if tools is None else load_tools(tools),
+        harmless=tuple(harmless or ()),
+        auxiliary_axes=tuple(auxiliary_axes or ()),
     )
 
 

@@ -199,6 +199,8 @@ MANY_WORDS: Final[Mapping[str, re.Pattern[str]]] = {
     "--only": re.compile(r"E_[A-Z0-9*?]+"),
     "--reduce": re.compile(r"E_[A-Z0-9*?]+"),
     "--spheres": re.compile(r"-?[\d.]+,-?[\d.]+,-?[\d.]+"),
+    "--harmless": re.compile(r"[A-Za-z]\w*|[A-Za-z]+ [\w ]+"),
+    "--auxiliary-axes": re.compile(r"[A-Za-z]"),
     "--subprograms": re.compile(r"[^-].*/|\.\.?|(?!-)(?:.*/)?[^./]+"),
 }
 """Options that take several words, each with the pattern of every word after the first."""

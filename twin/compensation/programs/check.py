@@ -194,7 +194,7 @@ def check_program(program: str | Path, machine: Machine, *, options: Options | N
 
 def _with_needs(found: ProgramCheck, read: Program, dialect: Dialect, axes: AxisWords, *, tcp: bool) -> ProgramCheck:
     """Return the tools, work offsets and axes that a program names, up to the first line that cannot be read on any machine."""
-    rotary = tuple(name for name in "ABCUVW" if name not in axes.linear)
+    rotary = tuple(name for name in "ABCUVW" if name not in (*axes.linear, *axes.auxiliary_axes))
     increment = dict.fromkeys((*axes.linear, *rotary), 0.001)
     every = replace(axes, rotary=rotary, increment=increment, offsets_known=True, tools_known=True, references={})
     try:

@@ -30,6 +30,7 @@ from twin.compensation.programs.motions import (
 from twin.compensation.programs.words import Tilt, WordSpace
 from twin.model.calibration import Calibration
 from twin.nc.blocks import (
+    NO_POSITION,
     FrameChange,
     Interpretation,
     Kind,
@@ -189,7 +190,10 @@ class Follower:
                 self._words = self._space.switched_if_known(self._words, tcp=move.tcp)
             self._tcp = move.tcp
         if move.unknown and not move.machine:
-            self._lose(move)
+            if move.unknown.startswith(NO_POSITION):
+                self._pass_arc(move, text_of)
+            else:
+                self._lose(move)
             return None
         words, end = self._words, np.array(move.position)
         if move.machine:
@@ -288,22 +292,15 @@ class Follower:
         return np.where(unknown, space.start, rotary)
 
     def _unknown_position(self, move: Move, end: np.ndarray, unmoved: np.ndarray, text_of: TextOf) -> None:
-        """Pass a move to an unknown position through; `InputError` for an arc, whose centre would not suit a corrected start.
+        """Pass a move to an unknown position through; see `_check_arc`.
 
         ``unmoved``: (axes,) which axes it leaves, or names by an increment, where something has moved them.
         """
         space = self._space
         missing = unmoved | (np.isnan(end) & (np.arange(len(end)) < 3))
         names = ", ".join(name for name, unknown in zip(space.axes.names, missing, strict=True) if unknown)
-        reason = f"the program has not given a position of {names}"
-        if move.arc is not None:
-            raise InputError(
-                f"arc where {reason}",
-                expected=f"a position of these axes before it{self._cure(missing)}",
-                file=self._source,
-                line=move.line + 1,
-                value=text_of(move.line).strip(),
-            )
+        reason = f"{NO_POSITION} {names}"
+        self._check_arc(move, reason, self._cure(missing), text_of)
         turns = missing[:3].any() and not (move.tcp or move.named & {*space.axes.linear})
         if turns or move.kind is Kind.RAPID:
             text = f"position of {names} not yet known: {'turn' if turns else 'rapid'} passed through unchanged"
@@ -313,6 +310,27 @@ class Follower:
         commands = space.positions(end)
         commands[:3] = np.nan if move.tcp or space.tilt is not None else commands[:3]
         self._pass(commands, self._named(move))
+
+    def _pass_arc(self, move: Move, text_of: TextOf) -> None:
+        """Pass an arc from an unknown start through; see `_check_arc`."""
+        self._check_arc(move, move.unknown, "", text_of)
+        self.unknown.append(LostBlock(move.line, True, move.unknown))
+        end, named = np.array(move.position), self._named(move)
+        self._words = np.where(named, end, self._words)
+        commands = self._space.positions(self._words)
+        commands[:3] = np.nan if move.tcp or self._space.tilt is not None else commands[:3]
+        self._pass(commands, named)
+
+    def _check_arc(self, move: Move, reason: str, cure: str, text_of: TextOf) -> None:
+        """Raise `InputError` for an arc left as written behind corrected blocks: its centre would not suit a corrected start."""
+        if move.kind is Kind.ARC and self._count:
+            raise InputError(
+                f"arc where {reason}",
+                expected=f"a position of these axes before it{cure}",
+                file=self._source,
+                line=move.line + 1,
+                value=text_of(move.line).strip(),
+            )
 
     def _cure(self, missing: np.ndarray) -> str:
         """Return the entries of the machine file that would make the positions of some axes known; empty if there are none."""

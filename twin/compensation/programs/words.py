@@ -47,6 +47,7 @@ class Setup:
         offsets: the machine's work offsets, from which the program selects; they replace the two above.
         tools: lengths of the tools that the program calls.
         one_tool: whether a program without that table must keep to one tool. Its length is of no effect on a machine without errors.
+        harmless, auxiliary_axes: those of the job, in addition to those of the machine file (`twin.Machine`).
 
     Examples:
         >>> from pathlib import Path
@@ -64,6 +65,8 @@ class Setup:
     offsets: OffsetTable | None = None
     tools: ToolTable | None = None
     one_tool: bool = True
+    harmless: tuple[str, ...] = ()
+    auxiliary_axes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         """Raise `InputError` if offsets are given twice."""
@@ -113,6 +116,18 @@ def axis_words(machine: Machine) -> AxisWords:
     )
 
 
+def _auxiliary(machine: Machine, setup: Setup) -> tuple[str, ...]:
+    """Return the auxiliary axes of a machine and a job; raise `InputError` for one that is no such name, or an axis of the model."""
+    names = tuple(dict.fromkeys(name.upper() for name in (*machine.auxiliary_axes, *setup.auxiliary_axes)))
+    for name in names:
+        if name not in set("XYZABCUVW") - {*machine.names}:
+            expected = f"a letter of an axis that the model does not have (it has {', '.join(machine.names)})"
+            raise InputError(
+                "auxiliary axis", expected=expected, file=machine.path, value=name, setting="auxiliary axes"
+            )
+    return names
+
+
 def turns_tool(moves: Iterable[Move], axes: AxisWords) -> bool:
     """Return whether any move names a rotary axis or gives a tool vector."""
     rotary = set(axes.rotary)
@@ -156,6 +171,8 @@ class WordSpace:
             offsets_known=setup.offsets is not None,
             tools_known=setup.tools is not None,
             one_tool=setup.one_tool,
+            harmless=(*machine.harmless, *(word.upper() for word in setup.harmless)),
+            auxiliary_axes=_auxiliary(machine, setup),
         )
         if like is None:
             self.nominal = Kinematics(machine, Calibration.zero(machine), tool_length_mm=tool_length_mm)

@@ -214,6 +214,7 @@ _AUXILIARY = frozenset({*range(15), 19, 30})
 """Auxiliary functions of DIN 66025: stops, spindle, tool change, coolant, clamps."""
 _IDENTITY = [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0]
 _CSYS_IDENTITY = [1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0]
+_IDENTITY_ROWS = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
 _OWN_BLOCK = re.compile(r"[ \t]*(?:(?:/\d?|N\d+)[ \t]*)?[A-Z#$][ \t]*[-+.\d#\[=<]", re.ASCII | re.IGNORECASE)
 """Beginning of a block of a control in the text of ``INSERT``."""
 _PARALLEL = 1e-6
@@ -243,6 +244,7 @@ class AptReader:
         self.cycle = False
         self._side = self._on_contour = False
         self._at: tuple[float, ...] = (math.nan,) * 3
+        self._csys: list[float] | None = None
         self._circle: tuple[Statement, list[float]] | None = None
         self.end = ProgramEnd()
         self._noted: set[str] = set()
@@ -285,8 +287,13 @@ class AptReader:
         return None
 
     def _lose(self, statement: Statement) -> None:
-        """Make all that follows unknown: locations have no absolute form that does not depend on the statements before."""
+        """Make all that follows unknown: locations have no absolute form that does not depend on the statements before.
+
+        A statement whose word the machine file names as harmless has no effect.
+        """
         shown = " ".join(statement.raw.split())[:60]
+        if statement.word in self.axes.harmless:
+            return
         self.note(f"the effect of {shown} {UNKNOWN_FROM_HERE}")
         self.unknown = self.unknown or f"the effect of {shown} is not known"
 
@@ -337,7 +344,13 @@ class AptReader:
             self.note("MSYS is not the identity: its frame is assumed to be the work frame", once=True)
 
     def _coordinates(self, statement: Statement) -> None:
-        if [number(text) for text in statement.texts] != _CSYS_IDENTITY:
+        """Take the coordinate system of the set-up: the same one for all locations is the work frame, wherever its zero is."""
+        values = [number(text) for text in statement.texts]
+        shifted = self._csys is None and values[:3] + values[4:7] + values[8:11] == _IDENTITY_ROWS and len(values) == 12
+        if shifted and values != _CSYS_IDENTITY and self._at[0] != self._at[0]:
+            self.note("CSYS is shifted: the locations are taken to be in its coordinates, the work frame", once=True)
+            self._csys = values
+        elif values != (self._csys or _CSYS_IDENTITY):
             self._lose(statement)
 
     def _transformation(self, statement: Statement) -> None:

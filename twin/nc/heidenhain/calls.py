@@ -134,6 +134,11 @@ class HeidenhainInliner(Inliner):
             part = lines[begin + 1 : ends[behind]]
         return list(part)
 
+    def check_missing(self, call: Call, line: Line) -> None:
+        """See `Inliner.check_missing`: a label."""
+        if not call.outside:
+            raise refused(f"no subprogram {call.name}", "its label in this file", line)
+
     def beyond(self, name: str, line: Line) -> list[Line] | None:
         """See `Inliner.beyond`: a label behind the subprogram; its ``LBL 0`` returns from it."""
         if not self._called:

@@ -42,7 +42,7 @@ _VALUE: Final = r"[+-]?[ \t]*[\d.,]+"
 _FEED: Final = re.compile(rf"(?<![A-Z\d])F[ \t]*(?:MAX|(U)?[ \t]*({_VALUE})|([A-Z]))", re.ASCII | re.IGNORECASE)
 _MISC: Final = re.compile(r"(?<![A-Z\d])M(\d+)", re.ASCII | re.IGNORECASE)
 _TOOL: Final = re.compile(rf"TOOL[ \t]+CALL\b.*?[ \t]S[ \t]*(?:({_VALUE})|([A-Z]))", re.ASCII | re.IGNORECASE)
-_DWELL: Final = re.compile(rf"CYCL[ \t]+DEF[ \t]+9\.1[ \t]+\D*({_VALUE})", re.ASCII | re.IGNORECASE)
+_DWELL: Final = re.compile(rf"CYCLE?[ \t]+DEF[ \t]+9\.1[ \t]+\D*({_VALUE})", re.ASCII | re.IGNORECASE)
 _SPEED: Final = re.compile(
     rf"[ \t]*(?:N?\d+[ \t]*)?(?:LN?|CR?|M\d+\.?|I?[A-CU-Z][ \t]*{_VALUE})[ \t].*?(?<![A-Z\d])S[ \t]*({_VALUE})",
     re.ASCII | re.IGNORECASE,
@@ -130,8 +130,9 @@ class HeidenhainWriter(WordWriter[PathBlock]):
         place = 1 if block.positions else 0
         for move in block.moves[place:]:
             for row in segments[place][1] if place in segments else [list(move.position)]:
-                if words := self._missing(block, row, 0):
-                    lines.append(f"{indent}L {' '.join(words)} R0 FMAX{end}")
+                # Rounding may have left no way to go.
+                words = self._missing(block, row, 0) or [self._added(block, call.axis, row[call.axis])]
+                lines.append(f"{indent}L {' '.join(words)} R0 FMAX{end}")
         shift = self.said.value[call.axis] - call.top
         if call.surface == call.surface:
             lines += self._definition(block, call, shift, indent, end)

@@ -60,7 +60,7 @@ class HeidenhainInterpreter(HeidenhainFrame):
     @property
     def runs_allowed(self) -> bool:
         """See `Interpreter.runs_allowed`: no tool vector, and no block that continues."""
-        beside = self.beside or self.on_contour or self.pending
+        beside = self.beside or self.on_contour or self.pending or self._listing
         return self.set_up and self.vector is None and not (self.continued or self.modal or beside or self.end.word)
 
     def may_end(self, tail: str) -> bool:
@@ -78,7 +78,7 @@ class HeidenhainInterpreter(HeidenhainFrame):
         """Begin a line and return its match if it is a simple block; only ``LN`` can have vectors."""
         self._line, self._block_text = line, text
         special = self.continued or self.modal or self.beside or self.on_contour
-        special = special or self.parks or self.pending is not None or bool(self.end.word)
+        special = special or self._listing or self.parks or self.pending is not None or bool(self.end.word)
         found = None if special else self._simple.pattern.fullmatch(text)
         if found is not None and found[2] in ("L", "l") and any(found.groups()[self._simple.behind]):
             return None
@@ -99,7 +99,7 @@ class HeidenhainInterpreter(HeidenhainFrame):
             self.take_parameters(body)
             self._assignments(body)
             self.end_preset(block)
-        elif body and body[0] not in ";*%":
+        elif body and body[0] not in ";*%" and not self.is_listing(body):
             self._body(block, body)
             if vocabulary.ENDING.match(body):
                 self.end.reached("END PGM", self._line)
@@ -252,7 +252,12 @@ class HeidenhainInterpreter(HeidenhainFrame):
         self.select_tool(block, body)
 
     def _call(self, block: PathBlock, body: str, upper: str) -> None:
-        if upper.startswith(("CALL", "IF")):
+        called = vocabulary.PROGRAM_CALL.match(body)
+        if called is not None:
+            name = called[1].strip()
+            short = re.split(r"[\\/:]", name)[-1]
+            self.call_outside(name, short, re.sub(r"\.h$", "", short, flags=re.IGNORECASE))
+        elif upper.startswith(("CALL", "IF")):
             raise self.error("subprogram call or repetition", vocabulary.NO_CALLS)
 
     def _transform(self, block: PathBlock, body: str, upper: str) -> None:
@@ -271,8 +276,9 @@ class HeidenhainInterpreter(HeidenhainFrame):
             raise self.error(f"coordinate transformation {name}", vocabulary.NO_TRANSFORMATION)
 
     def _cycle(self, block: PathBlock, body: str, upper: str) -> None:
-        if upper.startswith("CYCL CALL"):
-            self._call_here(block, upper)
+        called = vocabulary.CYCLE_CALL.match(upper)
+        if called is not None:
+            self._call_here(block, upper[called.end() :])
             return
         match = vocabulary.CYCLE.match(body)
         if match is None:
@@ -299,10 +305,9 @@ class HeidenhainInterpreter(HeidenhainFrame):
             raise self.error(what, vocabulary.NO_TRANSFORMATION)
         self._assignments(body)
 
-    def _call_here(self, block: PathBlock, upper: str) -> None:
-        """Execute the cycle in force at the present position: ``CYCL CALL``, with M functions, but not at other places."""
-        rest = upper.removeprefix("CYCL CALL").split()
-        if any(not vocabulary.HARMLESS_CALL.fullmatch(word) for word in rest):
+    def _call_here(self, block: PathBlock, words: str) -> None:
+        """Execute the cycle in force at the present position: ``CYCL CALL``, with M functions (``words``), but not at other places."""
+        if any(not vocabulary.HARMLESS_CALL.fullmatch(word) for word in words.split()):
             raise self.error("cycle call at other places", f"CYCL CALL, M99 or M89; or {vocabulary.EXPANDED_CYCLE}")
         block.positions = False
         self.call_cycle(block)
@@ -373,6 +378,8 @@ class HeidenhainInterpreter(HeidenhainFrame):
             take = _TOKENS.get(match.lastgroup or "")
             if take is not None:
                 take(self, block, match)
+        for name, value, incremental in block.beside:
+            self.take_auxiliary_axis(name, value, incremental=incremental, feeds=not block.rapid_text)
         if block.retracts:
             self.note("M140 retracts along the tool axis; the positions of the linear axes are unknown afterwards")
         arc = keyword in vocabulary.ARCS
@@ -387,6 +394,13 @@ class HeidenhainInterpreter(HeidenhainFrame):
             self.call_cycle(block)
         if block.retracts:
             self.mark_unknown(block, range(self.linear), moved=True)
+
+    def _axis(self, block: PathBlock, match: re.Match[str]) -> None:
+        prefix, name, written = match.group(2, 3, 4)
+        if name.upper() in self.auxiliary_axes.names:
+            block.beside.append((name.upper(), self.known(name, written), bool(prefix)))
+        else:
+            self.add(block, self._axis_word(match))
 
     def _axis_word(self, match: re.Match[str]) -> AxisWord:
         prefix, name, written = match.group(2, 3, 4)
@@ -512,6 +526,12 @@ class HeidenhainInterpreter(HeidenhainFrame):
         else:
             self.centre = dict(enumerate(self.position[: self.linear]))
 
+    def _apply_words_of_path(self, block: PathBlock) -> None:
+        """Set the position from the axis words of a path; raise `InputError` for a sense outside an arc."""
+        if block.arc_words and block.keyword not in vocabulary.ARCS:
+            raise self.error("DR outside a circular block", "C, CP or CR")
+        self.apply_words(block)
+
     def _only_places(self, block: PathBlock) -> bool:
         """Return whether a block is a rapid, or turns rotary axes alone without tool centre point control."""
         turns_only = not block.axis_bits & (1 << self.linear) - 1 and not self.tcp
@@ -540,15 +560,15 @@ class HeidenhainInterpreter(HeidenhainFrame):
             block.moves += (self.parking_move(block),)
             return
         start, rotary = self.position[: self.linear], self.position[self.linear :]
-        self.apply_words(block)
+        self._apply_words_of_path(block)
         sweep = self.polar_end(block, start) if block.keyword in vocabulary.POLAR else None
         normal = self._directed(block.axis_bits, block.tool, block.normal)
         arc: Arc | None = None
         if block.keyword in vocabulary.ARCS:
             kind = Kind.ARC
+            if self.arc_from_unknown(block, start, self.plane[:2]):
+                return
             arc = self.arc(block, start, sweep)
-        elif block.arc_words:
-            raise self.error("DR outside a circular block", "C, CP or CR")
         self.use_set_up(kind)
         if block.polar:
             names |= {self.names[axis] for axis in self.plane[:2]}
@@ -561,7 +581,7 @@ class HeidenhainInterpreter(HeidenhainFrame):
 
 
 _TOKENS: Final[Mapping[str, Callable[[HeidenhainInterpreter, PathBlock, re.Match[str]], None]]] = {
-    "axis": lambda state, block, match: state.add(block, state._axis_word(match)),
+    "axis": HeidenhainInterpreter._axis,
     "side": HeidenhainInterpreter._side,
     "feed": HeidenhainInterpreter._feed,
     "sense": HeidenhainInterpreter._sense,
@@ -577,6 +597,7 @@ _STATEMENTS: Final[Mapping[str, Callable[[HeidenhainInterpreter, PathBlock, str,
     "BEGIN": HeidenhainInterpreter._begin,
     "CALL": HeidenhainInterpreter._call,
     "CYCL": HeidenhainInterpreter._cycle,
+    "CYCLE": HeidenhainInterpreter._cycle,
     "FN": HeidenhainInterpreter._fn,
     "FUNCTION": HeidenhainInterpreter._function,
     "IF": HeidenhainInterpreter._call,

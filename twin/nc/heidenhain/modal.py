@@ -85,6 +85,7 @@ class PathBlock(Block):
         call_words: its words that say so (``M99``, ``M89``).
         call: what it calls.
         positions: whether its first move is that of its own words.
+        beside: words of auxiliary axes: name, value and whether it is an increment.
         leads: whether the control itself finds the path to its end: a lead-in or lead-out, a tangential arc.
     """
 
@@ -107,6 +108,7 @@ class PathBlock(Block):
     call: CycleCall | None = None
     positions: bool = True
     leads: bool = False
+    beside: list[tuple[str, float, bool]] = field(default_factory=list)
 
     @property
     def indent(self) -> str:

@@ -51,7 +51,7 @@ EVIDENCE = line_pattern(
     r"(?:BEGIN|END|CALL|SEL)[ \t]++PGM(?!\w)",
     r"BLK[ \t]++FORM(?!\w)",
     r"TOOL[ \t]++(?:CALL|DEF)(?!\w)",
-    r"CYCL[ \t]++(?:DEF|CALL)(?!\w)",
+    r"CYCLE?+[ \t]++(?:DEF|CALL)(?!\w)",
     r"(?:CALL[ \t]++)?+LBL[ \t]++[\d\"Q]",
     r"FN[ \t]*+\d++[ \t]*+:",
     r"PLANE[ \t]++(?:SPATIAL|RESET|PROJECTED|EULER|VECTOR|POINTS|RELATIVE|AXIAL)(?!\w)",
@@ -70,7 +70,10 @@ TOOL = re.compile(
     r"TOOL[ \t]+CALL[ \t]+(?:\"([^\"]*)\"|(Q[SLR]?\d+|\d+(?:\.\d+)?))(?:[ \t]|$)", re.ASCII | re.IGNORECASE
 )
 TOOL_LENGTH = re.compile(rf"(?<![A-Z\d])DL[ \t]*=?[ \t]*({_VALUE})", re.ASCII | re.IGNORECASE)
-CYCLE = re.compile(r"CYCL[ \t]+DEF[ \t]+(\d{1,9})(?!\d)(?:\.(\d++))?+(.*)", re.ASCII | re.IGNORECASE)
+CYCLE = re.compile(r"CYCLE?[ \t]+DEF[ \t]+(\d{1,9})(?!\d)(?:\.(\d++))?+(.*)", re.ASCII | re.IGNORECASE)
+PROGRAM_CALL = re.compile(r"CALL[ \t]++PGM[ \t]++\"?+([^\";]++)", re.ASCII | re.IGNORECASE)
+CYCLE_CALL = re.compile(r"CYCLE?[ \t]+CALL(?!\w)")
+"""Posts of older controls write CYCLE in full."""
 SHIFT = re.compile(rf"(?<![A-Z])(I?)([XYZABCUVW])[ \t]*({_VALUE})", re.ASCII | re.IGNORECASE)
 TILT = re.compile(rf"(?<![A-Z])([ABC])[ \t]*({_VALUE})", re.ASCII | re.IGNORECASE)
 TILT_REST = re.compile(rf"(?:F[ \t]*{_VALUE}|(?:SETUP|ABST)[ \t]*{_VALUE}|[ \t])*", re.ASCII | re.IGNORECASE)
@@ -82,7 +85,7 @@ HARMLESS_CALL = re.compile(r"M0*(?:[3-9]|1[34])", re.ASCII)
 """M functions of ``CYCL CALL``: spindle and coolant."""
 PARAMETER = re.compile(r"Q[LRS]?\d++[ \t]*+=", re.ASCII | re.IGNORECASE)
 ASSIGNED = re.compile(r"(Q[LR]?\d++)[ \t]*+=[ \t]*+([^;\r\n~]*+)", re.ASCII | re.IGNORECASE)
-WITH_NUMBERS = frozenset({"CYCL", "FN", "PLANE", "Q", "QL", "QR", "TOOL"})
+WITH_NUMBERS = frozenset({"CYCL", "CYCLE", "FN", "PLANE", "Q", "QL", "QR", "TOOL"})
 QUOTED = re.compile(r"\"[^\"]*+\"")
 EXPONENT = re.compile(r"(?<![\\/:.\d])[+-]?(?:\d++[.,]?+\d*+|[.,]\d++)E[+-]?\d+", re.ASCII | re.IGNORECASE)
 """A number with an exponent outside paths, in one of the statements `WITH_NUMBERS`; the control knows none."""

@@ -10,7 +10,6 @@ from typing import Final, final
 
 import numpy as np
 
-from twin._common.errors import InputError
 from twin._common.families import PROGRAM_SUFFIXES
 from twin.nc.blocks import AxisWords, Kind, MoveColumns, NewPositions, Program
 from twin.nc.chunks import (
@@ -79,7 +78,6 @@ def _dwell(values: Mapping[str, str]) -> float:
 # --- ISO programs processed in chunks (`twin.nc.chunks`) ------------------------------------
 
 _LINE: Final = re.compile(rb"[^\r\n]*+(?:\r\n|\n|\r)")
-_MARK: Final = re.compile(rb"(?:\A|[\r\n])[ \t]*+%")
 
 
 @final
@@ -215,15 +213,6 @@ class Iso(Dialect):
         style, code = style_in(texts, Style(point=True)), line_code(lines)
         return IsoRewriter(source, axes, newline_of(texts), style, tcp=tcp, code=code)
 
-    def read(self, data: bytes, source: str) -> Program:
-        """See `Dialect.read`; raise `InputError` if the first line is no block, and no tape mark comes before the blocks."""
-        program = super().read(data, source)
-        first = program.texts[0]
-        if vocabulary.is_leader(first.removeprefix(BOM)) and _MARK.search(data) is None:
-            expected = "blocks of words of a letter and a number; or a line with % before them"
-            raise InputError("unexpected text", expected=expected, file=source, line=1, value=first.strip()[:60])
-        return program
-
     def inliner(self, program: Program, folders: Sequence[Path]) -> Inliner:
         """See `Dialect.inliner`."""
         return IsoInliner(program, folders)
@@ -231,7 +220,7 @@ class Iso(Dialect):
     def with_comments(self, text: str, comments: Sequence[str]) -> str:
         """See `Dialect.with_comments`: after tape mark and number, in round brackets, or after a semicolon as of a SINUMERIK."""
         lines = first_lines(text)
-        at = place = vocabulary.leader_lines(lines)
+        at = place = 0
         while place < len(lines) and (_is_tape(lines[place]) or _comment(lines[place]) is not None):
             at = place + 1 if _is_tape(lines[place]) else at
             place += 1

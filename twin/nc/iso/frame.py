@@ -105,8 +105,6 @@ class IsoFrame(Interpreter):
     default).
     """
 
-    in_leader = False
-    """Whether the line stands before the tape mark ``%`` and is not read."""
     without_frames = False
     """Whether the program has words that no program of SINUMERIK has, so that G58 and G59 select work offsets."""
     _next_tool = ""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable, Mapping
 from typing import Any, Final, final
@@ -74,7 +75,7 @@ class IsoInterpreter(IsoMotion):
         stripped = text[begin:].strip(" \t\r\n\f\x1a")
         if stripped[:1] == "%":
             self._tape_mark(stripped)
-        if not stripped or stripped[0] in "%;" or self._before_program(stripped):
+        if not stripped or stripped[0] in "%;" or self.is_listing(stripped):
             return None
         if self.end.word:
             self._behind_end(text, stripped)
@@ -94,17 +95,12 @@ class IsoInterpreter(IsoMotion):
             if kind != "note" and _TOKENS[kind](self, block, match):
                 break
         applied = self._apply(block) if self._started or block.names else None
-        self._any = True
+        self._any |= self._started or bool(block.names)
         self._end(block)
         for name, value in self._assignments:
             self.assign(name, value)
         self._assignments.clear()
         return applied
-
-    def _before_program(self, text: str) -> bool:
-        """Return whether the first line, or one after it, stands before the tape mark and is not read."""
-        self.in_leader = self.in_leader or (self._line == 0 and vocabulary.is_leader(text))
-        return self.in_leader
 
     def _is_name(self, text: str) -> bool:
         """Return whether a line is the name of the program: ``<NAME>``, or behind ``%`` a name after O in place of a number."""
@@ -137,9 +133,6 @@ class IsoInterpreter(IsoMotion):
 
     def _tape_mark(self, text: str) -> None:
         """Take note of a line with %: the second one, or one behind a block, ends the program or begins another."""
-        if self.in_leader:
-            self.in_leader = False
-            self.note("the lines before % are not read: controls begin to read behind it (ISO 6983-1)")
         if self.end.word:
             if text.strip("%"):
                 self.end.begins(text)
@@ -175,7 +168,7 @@ class IsoInterpreter(IsoMotion):
             self.note("block skip: assumed to be executed", once=True)
         self._machine_axes(block)
         groups = self._g_words(block) if block.codes else frozenset()
-        if groups and self._frame_words(block, groups):
+        if self._calls_outside(block) or (groups and self._frame_words(block, groups)):
             return block
         groups = self._with_probing(block, groups)
         drills = not groups & _WITHOUT_CYCLE and self.take_cycle_words(block)
@@ -204,6 +197,18 @@ class IsoInterpreter(IsoMotion):
             self.cycle = None
         return block
 
+    def _calls_outside(self, block: IsoBlock) -> bool:
+        """Return whether a block calls a program by its number that is not given, and may; its other words are arguments."""
+        calls = [word for word in block.m_words if word in vocabulary.CALLING_M]
+        calls += [f"G{span.name}" for span in block.codes if span.name == "65"]
+        if not calls:
+            return False
+        number = next((item.value for item in block.others if item.name == "P"), "")
+        if not number.isdigit() or len(calls) > 1 or (calls != ["G65"] and (block.items or block.codes)):
+            raise self.error("subprogram call", f"{calls[0]} with the number of a program, P, in a block of its own")
+        self.call_outside(f"O{int(number)}")
+        return True
+
     def _frame_words(self, block: IsoBlock, groups: frozenset[str]) -> bool:
         """Apply G words that tilt, shift or turn the coordinates; return whether the block does nothing else."""
         if "plane tilt" in groups:
@@ -215,9 +220,11 @@ class IsoInterpreter(IsoMotion):
 
     def _reference(self, block: IsoBlock) -> None:
         """Apply a reference return, an approach of a fixed point, or probing, which passes through."""
-        which = [self.index[item.name] for item in block.items] or list(range(len(self.names)))
+        which = [self.index[item.name] for item in block.items]
+        if not which and not any(item.name in self.auxiliary_axes.names for item in block.others):
+            which = list(range(len(self.names)))
         self.leave_contour()
-        self.check_plane(max(which) >= self.linear)
+        self.check_plane(max(which, default=0) >= self.linear)
         words = [
             span.name for span in block.codes if vocabulary.GROUP_OF.get(span.name) == "reference" or block.approaches
         ]
@@ -270,9 +277,9 @@ class IsoInterpreter(IsoMotion):
         if name in _NORMAL and self._has_vector(block, item):
             return False
         if name in _AXIS_LETTERS or (name[0] in _AXIS_LETTERS and name[1:].isdigit()):
-            raise self.unknown_axis(f"{name}{item.value}")
+            return self._auxiliary_axis(block, item)
         if name == "L":
-            raise self.error("subprogram call or repetition", vocabulary.NO_CALLS, shown)
+            return self._called_by_number(block, item, shown)
         if name == "N":
             raise self.error("block number inside a block", "N at the start of the block", shown)
         if name == "O":
@@ -284,6 +291,30 @@ class IsoInterpreter(IsoMotion):
                 what = "unknown word in a block that moves axes"
                 raise self.error(what, "words whose effect on the motion is known", shown)
             self.lose(block, shown)
+        return False
+
+    def _called_by_number(self, block: IsoBlock, item: Item, shown: str) -> bool:
+        """Take ``L900`` of SINUMERIK, a call of a program that is not given; return False: it is no word of the motion."""
+        if block.items:
+            raise self.error("subprogram call or repetition", vocabulary.NO_CALLS, shown)
+        self.call_outside(f"L{item.value}")
+        return False
+
+    def _auxiliary_axis(self, block: IsoBlock, item: Item) -> bool:
+        """Take the word of an auxiliary axis, and return False: it is no word of the motion; raise `InputError` for another axis.
+
+        Its place in coordinates of the machine, or at its reference, is another one than any place in those of the program.
+        """
+        if item.name not in self.auxiliary_axes.names:
+            raise self.unknown_axis(f"{item.name}{item.value}")
+        groups = {vocabulary.GROUP_OF.get(span.name) for span in block.codes}
+        value: float | str = self.known_value(item.name, item.value, "a number")
+        if "reference" in groups:
+            value = "its reference"
+        elif "machine" in groups:
+            value = math.nan if self.incremental else f"{value:g} of the machine"
+        feeds = self.motion in (1, 2, 3) and "reference" not in groups
+        self.take_auxiliary_axis(item.name, value, incremental=self.incremental, feeds=feeds)
         return False
 
     def _has_vector(self, block: IsoBlock, normal: Item) -> bool:
@@ -341,6 +372,9 @@ class IsoInterpreter(IsoMotion):
         name, start = match.group(10).upper(), match.start(10)
         if name.startswith("EX"):
             self._check_exponent(block, start, match.end())
+        if name in ("CALL", "EXTCALL") and (called := vocabulary.CALLED_BY_NAME.search(block.text, start)) is not None:
+            self.call_outside(called[1])
+            return True
         block.names.append(Item(name, start, match.end(), start, match.end(), match.group(12) or ""))
         if name in ("DEF", "EXTERN", "PROC"):
             for variable, value in vocabulary.ASSIGNED.findall(block.text[match.end() :].split(";")[0]):
@@ -382,7 +416,11 @@ class IsoInterpreter(IsoMotion):
             raise self.error("colon inside a block", "a block number or label at the start of the block")
         block.head_end = match.end()
 
-    def _bad(self, block: IsoBlock, match: re.Match[str]) -> None:
+    def _bad(self, block: IsoBlock, match: re.Match[str]) -> bool:
+        called = vocabulary.O_CALL.match(block.text, match.start("bad"))
+        if called is not None:
+            self.call_outside(f"O{called[1]}", called[1].strip("<>"))
+            return True
         character, rest = match["bad"], block.text[match.start("bad") :].strip()
         letter = character.upper()
         if letter in self.index or letter in "FGMIJKRSTDHN":
@@ -394,7 +432,10 @@ class IsoInterpreter(IsoMotion):
                 raise self.error("comment within a comment before words", "a comment without parentheses in it", rest)
             raise self.error("comment or argument list without closing parenthesis", "( ... )", rest)
         if letter == "O":
-            raise self.error("control flow", vocabulary.NO_CALLS, rest)
+            only = vocabulary.O_SUB.match(rest) is not None
+            raise self.error("control flow", vocabulary.MAIN_PROGRAM if only else vocabulary.NO_CALLS, rest)
+        if character in "@^":
+            raise self.error("polar words of LinuxCNC", "X and Y in place of @ and ^", rest)
         raise self.error("unexpected character", "words of a letter and a number", rest)
 
     # ------------------------------------------------------------------ words
@@ -417,7 +458,7 @@ class IsoInterpreter(IsoMotion):
         if len(word) < 2:
             raise self.missing_number("M", value)
         block.m_words.append(word)
-        if word not in vocabulary.HARMLESS_M | self.harmless | self.tcp_on | self.tcp_off:
+        if word not in vocabulary.HARMLESS_M | vocabulary.CALLING_M | self.harmless | self.tcp_on | self.tcp_off:
             if not word[1:].isdigit() or int(word[1:]) in SWITCHING_M:
                 self.lose(block, word)
             else:

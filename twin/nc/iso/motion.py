@@ -28,6 +28,7 @@ from twin.nc.text import MM_PER_INCH, number
 
 INCH_CODES: Final = frozenset({"20", "70", "700"})
 CODES: Final = cycles.FANUC | cycles.FANUC_KEPT
+_AT_REFERENCE: Final = "after a reference return: programs: {references: …} in the machine file"
 _MODAL: Final = frozenset("RQP")
 _REPEATS: Final = frozenset("LK")
 _DRILLING: Final = {17: 2, 18: 1, 19: 0}
@@ -209,7 +210,10 @@ class IsoDrilling(IsoShift):
 
     @property
     def _retract(self) -> float:
-        return self._initial if self._to_initial else self._height.get("R", math.nan)
+        top = self._height.get("R", math.nan)
+        if self._to_initial and self.control == "LinuxCNC":
+            return max(self._initial, top)
+        return self._initial if self._to_initial else top
 
     def _kept_words(self, block: IsoBlock, *, stated: bool) -> None:
         """Take over the words of a cycle left to the control other than depth and R, which are written again with it."""
@@ -237,9 +241,11 @@ class IsoDrilling(IsoShift):
             what = f"in force where {self.unknown}"
             raise self._refused(what, "the words named as harmless in the machine file, or G80 before")
         if self._initial != self._initial and (self._to_initial or self.incremental):
-            raise self._refused(f"position of {axis} unknown", f"a position of {axis} before the cycle")
-        if self._to_initial and self._initial < top - 1e-9:
-            raise self._refused(f"{axis} is below R", f"{axis} at R or above before the cycle, or G99")
+            raise self._refused(
+                f"position of {axis} unknown", f"a position of {axis} before the cycle ({_AT_REFERENCE}), or G99"
+            )
+        if self._to_initial and self._retract < top - 1e-9:
+            self._begin_below(axis)
         if not self._level_given:
             self.note("drilling cycle without G98 or G99: G98 is assumed (retract to the initial level)", once=True)
         if at < max(top, self._retract) - 1e-9 and (self.cycle is not None or at < top - 1e-9):
@@ -256,6 +262,22 @@ class IsoDrilling(IsoShift):
             )
         except ValueError as error:
             raise self._refused("cycle", str(error)) from None
+
+    def _begin_below(self, axis: str) -> None:
+        """Note a cycle with G98 from below R; raise `InputError` where the way back from its bottom would not lead straight up."""
+        above = self.code in cycles.STRAIGHT_BACK and self._initial > self._height.get("Z", math.nan)
+        if not above or self.control != "Fanuc":
+            expected = f"{axis} at R or above before the cycle, or G99"
+            expected += (
+                ", or a program number (Fanuc, Haas: O1234): controls differ in the height of the retract"
+                if above
+                else ""
+            )
+            raise self._refused(f"{axis} is below R", expected)
+        self.note(
+            f"the tool is below R where the cycle begins: G98 returns it to that height of {axis} (Fanuc, Haas), LinuxCNC to R",
+            once=True,
+        )
 
     def note_kept(self, name: str) -> None:
         """Note that a cycle is left to the control."""
@@ -429,7 +451,13 @@ class IsoMotion(IsoDrilling):
     def runs_allowed(self) -> bool:
         """See `Interpreter.runs_allowed`: no pending work offset, incremental mode or tool vector, nor a cycle that changes."""
         plain = not (
-            self.beside or self._on_contour or self.incremental or self.pending or self.points or self.end.word
+            self.beside
+            or self._on_contour
+            or self.incremental
+            or self.pending
+            or self.points
+            or self._listing
+            or self.end.word
         )
         return plain and self.steady and self.set_up and self.vector is None
 
@@ -497,6 +525,8 @@ class IsoMotion(IsoDrilling):
         elif motion >= 2:
             if vector is not None or (self.length_vector and self.tcp):
                 raise self.error("arc with a tool vector", vocabulary.LINEAR)
+            if self.arc_from_unknown(block, start, PLANES[self.plane][:2]):
+                return
             arc = self._arc(block, centre, start)
         elif centre and vector is None:
             first = centre[0]
@@ -580,7 +610,11 @@ class IsoMotion(IsoDrilling):
         if radius is not None and not words:
             return self.valid_arc(arc_by_radius(plane, from_, to, radius, clockwise, turns))
         if not words or radius is not None:
-            return self.valid_arc(ArcMisfit("arc without centre or radius, or with both", "either I, J, K or R (CR=)"))
+            return self.valid_arc(
+                ArcMisfit(
+                    "arc without centre or radius, or with both", "either I, J, K or R (CR=): controls differ without"
+                )
+            )
         plain = {axis: value for axis, (value, form) in words.items() if form is None}
         block.centres, hint = self._centre_words(from_, to, (plain.get(a), plain.get(b))) if plain else (FROM_START, "")
         middle = list(start)

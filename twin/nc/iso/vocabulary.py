@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 from twin.nc.text import line_pattern, number
 
@@ -71,7 +71,7 @@ GROUPS: dict[str, tuple[str, ...]] = {
     "mode": ("61", "61.1", "62", "64", "60", "641", "642", "643", "644", "645"),
     "": (
         *("5.1", "5.4", "5", "8", "9", "13.1", "15", "40.1", "50", "50.1", "50.2", "67", "69.1", "80", "80.5"),
-        *("601", "602", "603", "103", "187", "450", "451", "460", "461", "462", "621", "340", "341"),
+        *("65", "601", "602", "603", "103", "187", "450", "451", "460", "461", "462", "621", "340", "341"),
     ),
 }
 """The G codes whose effect is known. Every other one is refused (`REFUSED_CODES`), or nothing is known after it.
@@ -105,7 +105,8 @@ USER_VARIABLES = ((0, 999), (3000, 3012), (3901, 3902), (98000, 98499))
 """Variables without an effect of their own: local and common ones, messages, timers, counters of parts (Fanuc 30i, Haas, LinuxCNC)."""
 
 REFUSED_CODES: dict[str, tuple[str, str]] = {
-    **{code: (f"canned cycle G{code}", EXPANDED_CYCLE) for code in ("84.2", "84.3", "87")},
+    **{code: (f"canned cycle G{code}", EXPANDED_CYCLE) for code in ("84.2", "84.3")},
+    "87": ("canned cycle G87: back boring (Fanuc) or boring with a retract by hand (Haas)", EXPANDED_CYCLE),
     **{
         code: (f"thread or tapping G{code}", LINEAR)
         for code in ("33", "33.1", "34", "35", "63", "331", "332", "32", "92.5")
@@ -128,7 +129,7 @@ REFUSED_CODES: dict[str, tuple[str, str]] = {
     },
     "43.1": ("tool length by G43.1, given by the block or along the tool axis", "G43 with an H word"),
     "29": ("return from the reference point G29", "a G0 block with the position"),
-    **{code: (f"macro call G{code}", NO_CALLS) for code in ("65", "66", "66.1", "72.1", "72.2")},
+    **{code: (f"macro call G{code}", NO_CALLS) for code in ("66", "66.1", "72.1", "72.2")},
 }
 OKUMA_HEADER = re.compile(r"\$[^=%\s]++%", re.ASCII)
 """The first line of a program of Okuma: its file name."""
@@ -143,7 +144,13 @@ OKUMA_CODES: Mapping[str, str] = {"56": "43", "53": "49"}
 """G codes of Okuma by those of Fanuc: the tool length offset G56 H, and its end."""
 OKUMA_LENGTHS: frozenset[str] = frozenset({"HA", "HB", "HC"})
 """Names of the three length offsets of the tool in the spindle (Okuma)."""
-REFUSED_M: frozenset[str] = frozenset({"M97", "M98", "M198", "M96"})
+REFUSED_M: frozenset[str] = frozenset({"M97", "M96"})
+CALLING_M: frozenset[str] = frozenset({"M98", "M198"})
+"""M words that call the program P."""
+O_CALL = re.compile(r"[Oo][ \t]*(\d+|<[^>]*>)[ \t]*(?:CALL)(?!\w)", re.ASCII | re.IGNORECASE)
+O_SUB = re.compile(r"[Oo][ \t]*(?:\d+|<[^>]*>)[ \t]*SUB(?!\w)", re.ASCII | re.IGNORECASE)
+MAIN_PROGRAM = "the program that calls this subprogram, with this file beside it"
+CALLED_BY_NAME = re.compile(r"CALL[ \t]*+\(?+[ \t]*+\"([^\"]++)\"", re.ASCII | re.IGNORECASE)
 RESTORING_M: frozenset[str] = frozenset({"M72", "M73"})
 """M codes of LinuxCNC that restore modal words saved before."""
 HARMLESS_M: frozenset[str] = frozenset(
@@ -229,25 +236,6 @@ TCP_OFF: frozenset[str] = frozenset({"G49", "G170", "TRAFOOF"})
 """Words that switch tool centre point control on and off."""
 DIRECTION_FORMS: frozenset[str] = frozenset({"DC", "ACP", "ACN"})
 """Forms that give the direction in which a rotary axis turns to its value."""
-
-
-def is_leader(text: str) -> bool:
-    """Return whether a line is no block of any program: a character that begins no word, before any word with a number.
-
-    Such text stands before the tape mark ``%`` (the title of a listing, say); controls begin to read behind it (ISO 6983-1).
-    """
-    text = text.strip()
-    if text[:1] in ("%", "O", "o") or OKUMA_HEADER.fullmatch(text) or PROGRAM_NAME.fullmatch(text):
-        return False
-    kinds = (match.lastgroup for match in TOKEN.finditer(text))
-    return next((kind for kind in kinds if kind != "name"), "") == "bad"
-
-
-def leader_lines(lines: Sequence[str]) -> int:
-    """Return the number of lines before the tape mark of a program that has such text before it; else 0."""
-    if not (lines and is_leader(lines[0])):
-        return 0
-    return next((i for i, line in enumerate(lines) if line.lstrip().startswith("%")), 0)
 
 
 def canonical(word: str) -> str:

@@ -189,7 +189,7 @@ class IsoWriter(WordWriter[IsoBlock]):
             if stroke.height == stroke.height:
                 move = block.moves[place]
                 for row in segments[place][1] if place in segments else [list(move.position)]:
-                    words = self._missing(block, row, 0)
+                    words = self._missing(block, row, 0) or self._again(block, row)
                     code = CODE[move.kind]
                     if words and self.motion != code:
                         words.insert(0, self.g(code))
@@ -204,6 +204,11 @@ class IsoWriter(WordWriter[IsoBlock]):
                 out.append(block.skip + stroke.after + end)
         self._mark_stale(block)
         return "".join(out)
+
+    def _again(self, block: IsoBlock, row: list[float]) -> list[str]:
+        """Return the word of the drilling axis for a stroke to where it stands: rounding may have left no way to it; none if unknown."""
+        height = row[block.drilling_axis]
+        return [self._added(block, block.drilling_axis, height)] if math.isfinite(height) else []
 
     def _own(self, block: IsoBlock, drilling: Drilling, kept: Kept) -> str:
         """Return the control's own cycle at the height reached, its heights shifted by the correction there."""
