@@ -65,8 +65,6 @@ class Drilling(NamedTuple):
 
 
 FANUC: Final = frozenset({"73", "81", "82", "83", "85", "89"})
-STRAIGHT_BACK: Final = frozenset({"73", "81", "82", "83"})
-"""Cycles whose last stroke leads from the bottom to the height of the retract."""
 FANUC_TAPPING: Final = frozenset({"74", "84"})
 FANUC_KEPT: Final = FANUC_TAPPING | {"76", "86", "88"}
 """Cycles left to the control: threads, and boring with a spindle that is turned or stopped at the bottom."""

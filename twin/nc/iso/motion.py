@@ -245,7 +245,10 @@ class IsoDrilling(IsoShift):
                 f"position of {axis} unknown", f"a position of {axis} before the cycle ({_AT_REFERENCE}), or G99"
             )
         if self._to_initial and self._retract < top - 1e-9:
-            self._begin_below(axis)
+            raise self._refused(
+                f"{axis} is below R",
+                f"{axis} at R or above before the cycle, or G99: controls differ in the height to which G98 returns",
+            )
         if not self._level_given:
             self.note("drilling cycle without G98 or G99: G98 is assumed (retract to the initial level)", once=True)
         if at < max(top, self._retract) - 1e-9 and (self.cycle is not None or at < top - 1e-9):
@@ -262,22 +265,6 @@ class IsoDrilling(IsoShift):
             )
         except ValueError as error:
             raise self._refused("cycle", str(error)) from None
-
-    def _begin_below(self, axis: str) -> None:
-        """Note a cycle with G98 from below R; raise `InputError` where the way back from its bottom would not lead straight up."""
-        above = self.code in cycles.STRAIGHT_BACK and self._initial > self._height.get("Z", math.nan)
-        if not above or self.control != "Fanuc":
-            expected = f"{axis} at R or above before the cycle, or G99"
-            expected += (
-                ", or a program number (Fanuc, Haas: O1234): controls differ in the height of the retract"
-                if above
-                else ""
-            )
-            raise self._refused(f"{axis} is below R", expected)
-        self.note(
-            f"the tool is below R where the cycle begins: G98 returns it to that height of {axis} (Fanuc, Haas), LinuxCNC to R",
-            once=True,
-        )
 
     def note_kept(self, name: str) -> None:
         """Note that a cycle is left to the control."""

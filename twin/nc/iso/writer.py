@@ -206,7 +206,7 @@ class IsoWriter(WordWriter[IsoBlock]):
         return "".join(out)
 
     def _again(self, block: IsoBlock, row: list[float]) -> list[str]:
-        """Return the word of the drilling axis for a stroke to where it stands: rounding may have left no way to it; none if unknown."""
+        """Return the word of the drilling axis for a stroke to where it stands, unless unknown: rounding may have left no way to it."""
         height = row[block.drilling_axis]
         return [self._added(block, block.drilling_axis, height)] if math.isfinite(height) else []
 
