@@ -340,7 +340,10 @@ def returned() -> Mapping[str, type]:
     return found
 
 
-COMPUTING = {"Dialect", "Display", "Effect", "ErrorMotion", "InputError", "Kinematics", "Scope"}
+COMPUTING = {
+    *("Contrasts", "Dialect", "Display", "Effect", "ErrorMotion"),
+    *("InputError", "Kinematics", "Scope", "WrittenValue"),
+}
 """Classes that the API returns and that are no results: they compute, or are parts or settings."""
 DISPLAYED = {
     *(
@@ -411,6 +414,14 @@ def results(
         *(twin.calibrated_urdf(drawn), record, thermal),
         twin.report(dmu50, Calibration.zero(dmu50), made=datetime(2026, 1, 2, tzinfo=UTC)),
         twin.check_program(arc, dmu50, options=options),
+        twin.Artefact("a.xml", "1", "bar", ("S1", "S2"), np.array([[0, 1]]), np.array([0.3]), np.array([[1e-12]]), 1),
+        twin.plan_confirmation(
+            drawn,
+            twin.written_values(dmu50, drawn, compensated=True)[1],
+            probe=True,
+            sizes=twin.InstrumentSizes(TOOL_MM),
+        ),
+        twin.confirm(readings, readings, dmu50),
     ]
     return {type(one).__name__: one for one in made}
 

@@ -244,7 +244,7 @@ def test_no_correlation_stated_is_never_too_confident(dmu50: Machine, tmp_path: 
     _, u, _ = estimate(dmu50, data, silent)
     _, with_covariance, _ = estimate(dmu50, data, loaded(tmp_path, DISTANCES))
     assert np.all(u > 0.999 * with_covariance) and np.all(u[:2] < 4.0 * COMMON)
-    assert silent.enlarged == len(LABELS) and "states no correlation" in silent.text
+    assert silent.enlarged == len(LABELS) and "states no correlation" in silent.brief
     bound = silent.covariance * 1e12 - OF_LENGTHS
     assert np.linalg.eigvalsh(bound)[0] > -1e-9
 

@@ -33,7 +33,7 @@ class Truth:
         return m
 
 
-class Sheet:
+class FilledSheet:
     """An empty sheet as text: its statements and its rows."""
 
     def __init__(self, text: str) -> None:
@@ -47,13 +47,13 @@ class Sheet:
                 self.stated[found[1]] = (float(found[2]), None if found[3] is None else float(found[3]))
         self.plane = next(line.split()[-1] for line in self.head if line.startswith("# plane"))
 
-    def state(self, **values: str) -> Sheet:
+    def state(self, **values: str) -> FilledSheet:
         """Replace statements, as a user who knows better; names with _ for blanks."""
         for key, text in values.items():
             name = key.replace("_", " ")
             place = next(i for i, line in enumerate(self.head) if line.startswith(f"# {name}:"))
             self.head[place] = f"# {name}: {text}"
-        return Sheet(self.text())
+        return FilledSheet(self.text())
 
     def text(self) -> str:
         out = io.StringIO()
@@ -78,7 +78,7 @@ def place(row: dict[str, str], prefix: str = "") -> np.ndarray:
     return np.array([float(row[f"{prefix}{axis}_mm"]) for axis in AXES])
 
 
-def fill(sheet: Sheet, truth: Truth, rng: np.random.Generator, noise: float) -> str:
+def fill(sheet: FilledSheet, truth: Truth, rng: np.random.Generator, noise: float) -> str:
     """Return the sheet as a user fills it in."""
     kind = sheet.head[0].split()[-1]
     {"diagonals": lengths, "square": square, "block": block, "scale-bar": balls, "ball-plate": balls}[kind](
@@ -87,7 +87,7 @@ def fill(sheet: Sheet, truth: Truth, rng: np.random.Generator, noise: float) -> 
     return sheet.text()
 
 
-def lengths(sheet: Sheet, truth: Truth, rng: np.random.Generator, noise: float) -> None:
+def lengths(sheet: FilledSheet, truth: Truth, rng: np.random.Generator, noise: float) -> None:
     wander: dict[tuple[float, ...], np.ndarray] = {}
     temperature = sheet.stated["temperature"][0] + rng.uniform(-1, 1) * sheet.stated["temperature"][1]
     expansion = sheet.stated["expansion"][0] + rng.uniform(-1, 1) * sheet.stated["expansion"][1]
@@ -103,13 +103,13 @@ def lengths(sheet: Sheet, truth: Truth, rng: np.random.Generator, noise: float) 
         sheet.read(row, (true - zero) * (1.0 - scale) / (1.0 + 1e-6 * expansion * (temperature - 20.0)), rng, noise)
 
 
-def surfaces(sheet: Sheet, rng: np.random.Generator) -> tuple[dict[str, float], float]:
+def surfaces(sheet: FilledSheet, rng: np.random.Generator) -> tuple[dict[str, float], float]:
     """Return how each set-up is turned (rad), and the error of the artefact's right angle (rad)."""
     turned = {setup: float(rng.uniform(-2e-3, 2e-3)) for setup in ("normal", "reversed")}
     return turned, 1e-3 * sheet.limit("angle", rng)
 
 
-def square(sheet: Sheet, truth: Truth, rng: np.random.Generator, noise: float) -> None:
+def square(sheet: FilledSheet, truth: Truth, rng: np.random.Generator, noise: float) -> None:
     a, b = (AXES.index(axis) for axis in sheet.plane)
     turned, angle = surfaces(sheet, rng)
     gain, zero = 1.0 + 1e-3 * sheet.limit("gauge per travel", rng), {}
@@ -127,7 +127,7 @@ def square(sheet: Sheet, truth: Truth, rng: np.random.Generator, noise: float) -
         sheet.read(row, sign * (distance - first) * gain, rng, noise)
 
 
-def block(sheet: Sheet, truth: Truth, rng: np.random.Generator, noise: float) -> None:
+def block(sheet: FilledSheet, truth: Truth, rng: np.random.Generator, noise: float) -> None:
     a, b = (AXES.index(axis) for axis in sheet.plane)
     turned, angle = surfaces(sheet, rng)
     temperature = sheet.stated["temperature"][0] + rng.uniform(-1, 1) * sheet.stated["temperature"][1]
@@ -156,7 +156,7 @@ def block(sheet: Sheet, truth: Truth, rng: np.random.Generator, noise: float) ->
         sheet.read(row, float(found), rng, noise)
 
 
-def balls(sheet: Sheet, truth: Truth, rng: np.random.Generator, noise: float) -> None:
+def balls(sheet: FilledSheet, truth: Truth, rng: np.random.Generator, noise: float) -> None:
     a, b = (AXES.index(axis) for axis in sheet.plane)
     temperature = sheet.stated["temperature"][0] + rng.uniform(-1, 1) * sheet.stated["temperature"][1]
     expansion = sheet.stated["expansion"][0] + rng.uniform(-1, 1) * sheet.stated["expansion"][1]

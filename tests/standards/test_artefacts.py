@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from tests.cli.commands import refused, status
-from tests.standards.shop_floor import Sheet, Truth, fill
+from tests.standards.shop_floor import FilledSheet, Truth, fill
 from twin._common.errors import InputError
 from twin.compensation.tables import Request, make
 from twin.display.numbers import COVERAGE_FACTOR
@@ -88,11 +88,11 @@ def true_of(name: str, truth: Truth) -> float:
     return truth.square[name] if name.startswith("E_") else truth.scale[name[-1]]
 
 
-def empty(machine: Machine, kind: str, plane: str = "XY") -> Sheet:
-    return Sheet(plan_sheet(machine, kind, plane, SIZES.get(kind, ()))[0])
+def empty(machine: Machine, kind: str, plane: str = "XY") -> FilledSheet:
+    return FilledSheet(plan_sheet(machine, kind, plane, SIZES.get(kind, ()))[0])
 
 
-def measured(folder: Path, sheet: Sheet, truth: Truth, rng: np.random.Generator, noise: float) -> Path:
+def measured(folder: Path, sheet: FilledSheet, truth: Truth, rng: np.random.Generator, noise: float) -> Path:
     path = folder / "sheet.csv"
     path.write_text(fill(sheet, truth, rng, noise))
     return path
@@ -117,7 +117,7 @@ def test_exact_readings_give_the_errors(kind: str, router: Machine, tmp_path: Pa
 )
 def test_other_planes(kind: str, plane: str, name: str, router: Machine, tmp_path: Path) -> None:
     rng = np.random.default_rng(6)
-    sheet = Sheet(plan_sheet(router, kind, plane, (76.2, 50.8))[0]).state(resolution="0.000001 mm", **EXACT[kind])
+    sheet = FilledSheet(plan_sheet(router, kind, plane, (76.2, 50.8))[0]).state(resolution="0.000001 mm", **EXACT[kind])
     truth = drawn(rng)
     found = evaluate_sheets([measured(tmp_path, sheet, truth, rng, 0.0)], router)[1]
     assert found.values[linear_model(router).names.index(name)] == pytest.approx(
@@ -213,7 +213,7 @@ def test_the_straightedge_separates_itself(router: Machine, tmp_path: Path) -> N
 
 
 def test_the_calibration_and_its_settings(router: Machine, tmp_path: Path) -> None:
-    """Sheet → calibration → firmware: the file says what was not measured, and carries the stated intervals."""
+    """FilledSheet → calibration → firmware: the file says what was not measured, and carries the stated intervals."""
     rng = np.random.default_rng(3)
     truth = Truth({"X": 8e-4}, {"E_C0Y": 2.5e-3})
     result, found = evaluate_sheets([measured(tmp_path, empty(router, "ball-plate"), truth, rng, 0.005)], router)
@@ -263,7 +263,7 @@ def test_refused_statements(old: str, new: str, line: int | None, what: str, rou
     assert caught.value.line == line and Path(str(caught.value.file)) == path
 
 
-def with_reading(sheet: Sheet, row: int, *values: str) -> Sheet:
+def with_reading(sheet: FilledSheet, row: int, *values: str) -> FilledSheet:
     for k, value in enumerate(values, start=1):
         sheet.rows[row][f"reading_{k}_mm"] = value
     return sheet
@@ -298,7 +298,7 @@ def test_inches(router: Machine, tmp_path: Path) -> None:
     """A column reading_1_in is in inches: the same result as in mm."""
     path = measured(tmp_path, empty(router, "block"), Truth({}, {"E_C0Y": 1e-3}), np.random.default_rng(1), 0.01)
     first = evaluate_sheets([path], router)[1]
-    sheet = Sheet(path.read_text())
+    sheet = FilledSheet(path.read_text())
     for row in sheet.rows:
         for k in (1, 2, 3):
             row[f"reading_{k}_in"] = repr(float(row.pop(f"reading_{k}_mm")) / 25.4)
@@ -338,14 +338,14 @@ def test_every_artefact_has_a_plan(router: Machine) -> None:
 
 
 def test_from_the_command_line(router: Machine, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Sheet, evaluation, calibration and settings; what is refused leaves nothing behind."""
+    """FilledSheet, evaluation, calibration and settings; what is refused leaves nothing behind."""
     sheet, mine, page, found = (tmp_path / name for name in ("s.csv", "mine.yaml", "page.html", "found.json"))
     assert status("plan", "--artefact", "diagonals", "--size", "500,600", "-m", router.path, "-o", sheet) == 0
     assert "not filled in" in refused(capsys, "evaluate", sheet, "-m", router.path, "-o", mine)
     assert "of another machine" in refused(
-        capsys, "evaluate", measured(tmp_path, Sheet(sheet.read_text()), Truth(), np.random.default_rng(1), 0.1)
+        capsys, "evaluate", measured(tmp_path, FilledSheet(sheet.read_text()), Truth(), np.random.default_rng(1), 0.1)
     )
-    sheet.write_text(fill(Sheet(sheet.read_text()), Truth({}, {"E_C0Y": 3e-3}), np.random.default_rng(1), 0.1))
+    sheet.write_text(fill(FilledSheet(sheet.read_text()), Truth({}, {"E_C0Y": 3e-3}), np.random.default_rng(1), 0.1))
     assert "need --artefact" in refused(capsys, "plan", "--plane", "XY", "-m", router.path, "-o", tmp_path / "x.csv")
     assert "states its own instrument" in refused(capsys, "evaluate", sheet, "-m", router.path, "--length", "100")
     assert not mine.exists() and not (tmp_path / "x.csv").exists()

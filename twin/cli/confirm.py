@@ -15,6 +15,13 @@ from twin.cli.shared.command import EXISTING, HTML, CommandResult, JsonOption, c
 from twin.cli.shared.paper import JobOption, LangOption, LogoOption, PdfOption, paper
 from twin.cli.shared.terminal import number, pairs
 
+AdjustedOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--adjusted", help="Squareness or location adjusted at the machine, and its new value: E_C0Y=0 (µrad, µm)."
+    ),
+]
+
 
 @command(
     "twin confirm before.csv after.csv --written tables --tool-length 120",
@@ -51,12 +58,7 @@ def confirm(
     compensated: Annotated[
         bool, typer.Option("--compensated", help="AFTER was measured with a program compensated with the calibration.")
     ] = False,
-    adjusted: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--adjusted", help="Squareness or location adjusted at the machine, and its new value: E_C0Y=0 (µrad, µm)."
-        ),
-    ] = None,
+    adjusted: AdjustedOption = None,
     tool_length: options.ToolOption = None,
     json_file: JsonOption = None,
     html_file: Annotated[Path | None, typer.Option("--html", help="Write the verdict to this HTML file."), HTML] = None,
@@ -77,7 +79,6 @@ def confirm(
 
     page = paper(html_file, pdf_file, job, logo, lang, drawn=False)
     loaded = options.machine(machine)
-    length = loaded.tool_length_mm if tool_length is None else tool_length
     is_calibration = before.suffix.lower() in (".yaml", ".yml")
     if calibration is not None and is_calibration:
         raise InputError("two calibrations", expected="--calibration with readings BEFORE only", value=calibration)
@@ -93,7 +94,7 @@ def confirm(
         folder=written,
         adjusted={name: number("--adjusted", text, entry) for name, text, entry in entries},
         compensated=compensated,
-        tool_length_mm=length,
+        tool_length_mm=tool_length,
     )
     with progress_bar() as bar:
         found = run(
@@ -102,7 +103,7 @@ def confirm(
             loaded,
             calibration=errors,
             written=values,
-            tool_length_mm=length,
+            tool_length_mm=tool_length,
             progress=bar,
         )
     page.write(found.to_html, [path for path in (before, after, calibration) if path is not None])

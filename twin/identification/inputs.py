@@ -91,7 +91,7 @@ def prepare(machine: Machine, data: Measurements, instrument: Instrument | None)
         )
     plane = _mirrored_planes(agreeing, setup)
     _check_artefacts(agreeing, setup)
-    certified = [artefact.text for artefact in agreeing.artefacts]
+    certified = [artefact.brief for artefact in agreeing.artefacts]
     all_notices = (*notices, *data.notices, *sensors, *_unobserved_axes(machine, agreeing), *plane, *certified)
     return PreparedData(instruments, replace(agreeing, notices=all_notices), setup)
 

@@ -30,6 +30,7 @@ from twin._common.files import read_text
 from twin._common.units import MM, UM, count_with_noun
 from twin._common.xml_files import Element, parse_xml
 from twin._common.yaml_files import MAX_VALUE
+from twin.display.results import Result
 
 DCC: Final = "https://ptb.de/dcc"
 SI: Final = "https://ptb.de/si"
@@ -85,8 +86,8 @@ class Contrasts(NamedTuple):
 
 
 @final
-@dataclass(frozen=True, eq=False)
-class Artefact:
+@dataclass(frozen=True, eq=False, repr=False)
+class Artefact(Result):
     """Known distances between targets, or their coordinates in the artefact's own frame, from a calibration certificate.
 
     Attributes:
@@ -130,7 +131,7 @@ class Artefact:
         return _loaded(Path(path), tuple(dict.fromkeys(targets)))
 
     @property
-    def text(self) -> str:
+    def brief(self) -> str:
         """The certificate and what is used of it, in one line."""
         what = count_with_noun(len(self.pairs), "distance") if len(self.pairs) else "coordinates"
         correlation = (

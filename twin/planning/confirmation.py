@@ -17,6 +17,7 @@ from twin._common.errors import InputError
 from twin._common.resources import Progress, one_blas_thread, silent
 from twin._common.units import UM
 from twin.display.numbers import listed
+from twin.display.results import Result
 from twin.identification.network import Network, Unknowns
 from twin.identification.unidentified import constant_unknowns
 from twin.machine.machine import Machine
@@ -114,8 +115,8 @@ class WeakestMistake(Aim):
 
 
 @final
-@dataclass(frozen=True)
-class ConfirmationPlan:
+@dataclass(frozen=True, repr=False)
+class ConfirmationPlan(Result):
     """A plan to confirm what was written, and what it shows.
 
     Attributes:
@@ -138,6 +139,12 @@ class ConfirmationPlan:
     alone: tuple[str, ...]
     others: tuple[str, ...] = ()
     set_up: float = 0.0
+
+    @property
+    def brief(self) -> str:
+        """Duration, and what is shown."""
+        lacking = len(self.hidden) + sum(u > SHOWN_U for u in self.u.values())
+        return f"plan to confirm {len(self.u) + len(self.hidden)} written values in {self.minutes:.0f} min: {lacking} not shown"
 
     @property
     def minutes(self) -> float:

@@ -18,7 +18,7 @@ from twin.machine.machine import Axis, Machine
 from twin.model.calibration import Calibration
 from twin.model.motion_curve import Curve
 from twin.standards.artefacts.adjustment import Observed
-from twin.standards.artefacts.sheet import Sheet, SheetQuantity, SheetRow
+from twin.standards.artefacts.sheet import ArtefactSheet, SheetQuantity, SheetRow
 from twin.tool.forward import Kinematics
 
 PROBE: Final = 1e-3
@@ -130,7 +130,7 @@ def scale_curve(axis: Axis, scale: float, variance: float | None = None) -> Curv
     return Curve(name, "um", axis.domain, "power", values, covariance)
 
 
-class Artefact(ABC):
+class ArtefactKind(ABC):
     """One artefact or simple instrument.
 
     Attributes:
@@ -160,7 +160,7 @@ class Artefact(ABC):
         """Return the rows of an empty sheet; `InputError` if the size does not fit the ranges."""
 
     @abstractmethod
-    def observed(self, sheet: Sheet, machine: Machine) -> Observed | None:
+    def observed(self, sheet: ArtefactSheet, machine: Machine) -> Observed | None:
         """Return the equations of the readings; None if they show neither scale nor squareness. `InputError` as `read_sheet`."""
 
     def statements(self, size_mm: tuple[float, ...]) -> list[str]:

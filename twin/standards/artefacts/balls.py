@@ -20,12 +20,12 @@ from twin.standards.artefacts.artefact import (
     REPEAT,
     RESOLUTION,
     TEMPERATURE,
-    Artefact,
+    ArtefactKind,
     linear_model,
     plane_axes,
     spans,
 )
-from twin.standards.artefacts.sheet import Sheet, SheetQuantity, SheetRow
+from twin.standards.artefacts.sheet import ArtefactSheet, SheetQuantity, SheetRow
 
 CERTIFICATE: Final = SheetQuantity(
     "places", "mm", 0.005, None, "limit of error of every ball's place, from the certificate or your own measurement"
@@ -34,15 +34,15 @@ LENGTH: Final = SheetQuantity("artefact scale", "mm/m", 0.02, None, "limit of er
 PLACE: Final = ("ball_x_mm", "ball_y_mm", "ball_z_mm")
 
 
-class _Balls(Artefact):
-    """Artefact with balls at known places."""
+class _Balls(ArtefactKind):
+    """ArtefactKind with balls at known places."""
 
     columns = ("placement", "ball", "axis", *PLACE)
     quantities = (CERTIFICATE, LENGTH, EXPANSION, TEMPERATURE, RESOLUTION, MACHINE, REPEAT)
     least: ClassVar[int]
 
-    def observed(self, sheet: Sheet, machine: Machine) -> Observed:
-        """See `Artefact.observed`; a row is one axis at one ball."""
+    def observed(self, sheet: ArtefactSheet, machine: Machine) -> Observed:
+        """See `ArtefactKind.observed`; a row is one axis at one ball."""
         model = linear_model(machine)
         plane_axes(sheet.plane, model)
         found = _centres(sheet, model.axes)
@@ -115,7 +115,7 @@ class _Balls(Artefact):
                 raise row.error("placement", what, f"{self.least} or more")
 
 
-def _centres(sheet: Sheet, axes: tuple[str, ...]) -> dict[str, dict[str, list[SheetRow]]]:
+def _centres(sheet: ArtefactSheet, axes: tuple[str, ...]) -> dict[str, dict[str, list[SheetRow]]]:
     """Return the rows by placement and ball, one for every axis in order; `InputError` if an axis is missing or there twice."""
     found: dict[str, dict[str, dict[str, SheetRow]]] = {}
     for row in sheet.rows:
@@ -146,7 +146,7 @@ def _rotation(places: np.ndarray, seen: np.ndarray) -> np.ndarray:
     return np.asarray(v.T @ np.diag([1.0, 1.0, np.sign(np.linalg.det(v.T @ u.T))]) @ u.T)
 
 
-def _check_distances(sheet: Sheet, rows: list[SheetRow], places: np.ndarray, seen: np.ndarray) -> None:
+def _check_distances(sheet: ArtefactSheet, rows: list[SheetRow], places: np.ndarray, seen: np.ndarray) -> None:
     """Raise `InputError` if the distance of two balls is far from the artefact's."""
     for k in range(1, len(places)):
         known, read = (float(np.linalg.norm(one[k] - one[0])) for one in (places, seen))
@@ -166,7 +166,7 @@ class ScaleBar(_Balls):
     least = 2
 
     def steps(self, plane: str) -> tuple[str, ...]:
-        """See `Artefact.steps`."""
+        """See `ArtefactKind.steps`."""
         return (
             f"Clamp the bar along {plane[0]}, along {plane[1]}, and along both diagonals of {plane}; directions need not be exact.",
             "Find the centre of each ball with the control's own probing cycle, three times. Readings are the positions of the axes.",
@@ -174,7 +174,7 @@ class ScaleBar(_Balls):
         )
 
     def rows(self, machine: Machine, plane: str, size_mm: tuple[float, ...]) -> list[dict[str, str]]:
-        """See `Artefact.rows`."""
+        """See `ArtefactKind.rows`."""
         length = size_mm[0] if size_mm else min(high - low for low, high in spans(machine, plane, ()))
         spans(machine, plane, (length, length))
         model = linear_model(machine)
@@ -187,7 +187,7 @@ class ScaleBar(_Balls):
         return found
 
     def all_columns(self, axes: object) -> tuple[str, ...]:
-        """See `Artefact.all_columns`: the positions are the readings."""
+        """See `ArtefactKind.all_columns`: the positions are the readings."""
         return self.columns
 
 
@@ -201,7 +201,7 @@ class BallPlate(_Balls):
     least = 3
 
     def steps(self, plane: str) -> tuple[str, ...]:
-        """See `Artefact.steps`."""
+        """See `ArtefactKind.steps`."""
         return (
             "Enter the places of the balls from the certificate (20 degC), in the plate's own frame; three rows for each ball.",
             f"Clamp the plate in {plane}. Its direction need not be exact. Further placements get another name in `placement`.",
@@ -209,7 +209,7 @@ class BallPlate(_Balls):
         )
 
     def rows(self, machine: Machine, plane: str, size_mm: tuple[float, ...]) -> list[dict[str, str]]:
-        """See `Artefact.rows`."""
+        """See `ArtefactKind.rows`."""
         ends = spans(machine, plane, size_mm)
         (a, b), model = (high - low for low, high in ends), linear_model(machine)
         found = []
@@ -221,5 +221,5 @@ class BallPlate(_Balls):
         return found
 
     def all_columns(self, axes: object) -> tuple[str, ...]:
-        """See `Artefact.all_columns`: the positions are the readings."""
+        """See `ArtefactKind.all_columns`: the positions are the readings."""
         return self.columns

@@ -13,14 +13,14 @@ from twin.standards.artefacts.artefact import (
     NEAR,
     REPEAT,
     TEMPERATURE,
-    Artefact,
+    ArtefactKind,
     linear_model,
     plane_axes,
     positions,
     same,
     spans,
 )
-from twin.standards.artefacts.sheet import Sheet, SheetQuantity
+from twin.standards.artefacts.sheet import ArtefactSheet, SheetQuantity
 
 LENGTHS: Final = ("AC", "BD", "AB", "DC", "AD", "BC")
 CORNERS: Final = {"A": (0, 0), "B": (1, 0), "C": (1, 1), "D": (0, 1)}
@@ -29,7 +29,7 @@ SLACK: Final = 1.0001
 
 
 @final
-class Diagonals(Artefact):
+class Diagonals(ArtefactKind):
     """Squareness from the difference of two diagonals; scales from all lengths."""
 
     name = "diagonals"
@@ -56,7 +56,7 @@ class Diagonals(Artefact):
     prefixes = ("from_", "to_")
 
     def steps(self, plane: str) -> tuple[str, ...]:
-        """See `Artefact.steps`."""
+        """See `ArtefactKind.steps`."""
         return (
             f"Drill or prick a mark at each of the four positions; approach every one from the same side. A is the corner at the lower "
             f"{plane[0]} and {plane[1]}; B lies along {plane[0]}, D along {plane[1]}, C opposite.",
@@ -65,7 +65,7 @@ class Diagonals(Artefact):
         )
 
     def rows(self, machine: Machine, plane: str, size_mm: tuple[float, ...]) -> list[dict[str, str]]:
-        """See `Artefact.rows`."""
+        """See `ArtefactKind.rows`."""
         ends = spans(machine, plane, size_mm)
         at = {
             name: {axis: end[one] for axis, end, one in zip(plane, ends, place, strict=True)}
@@ -76,8 +76,8 @@ class Diagonals(Artefact):
             for name in LENGTHS
         ]
 
-    def observed(self, sheet: Sheet, machine: Machine) -> Observed:
-        """See `Artefact.observed`."""
+    def observed(self, sheet: ArtefactSheet, machine: Machine) -> Observed:
+        """See `ArtefactKind.observed`."""
         model = linear_model(machine)
         plane_axes(sheet.plane, model)
         ends = [(model.position(row, "from_"), model.position(row, "to_")) for row in sheet.rows]
@@ -135,7 +135,7 @@ class Diagonals(Artefact):
         )
 
 
-def _check_triangles(sheet: Sheet, ends: list[tuple[np.ndarray, np.ndarray]], means: np.ndarray) -> None:
+def _check_triangles(sheet: ArtefactSheet, ends: list[tuple[np.ndarray, np.ndarray]], means: np.ndarray) -> None:
     """Raise `InputError` if three lengths between three marks cannot be a triangle."""
     sides = {}
     for k, (a, b) in enumerate(ends):

@@ -22,9 +22,9 @@ from twin.model.calibration import Calibration
 from twin.model.calibration_file import UnidentifiedEntry
 from twin.numerics.covariance import Covariance
 from twin.standards.artefacts.adjustment import AdjustedErrors, Observed, estimate
-from twin.standards.artefacts.artefact import Artefact, LinearModel, linear_model, plane_axes, scale_curve
+from twin.standards.artefacts.artefact import ArtefactKind, LinearModel, linear_model, plane_axes, scale_curve
 from twin.standards.artefacts.faces import Straightedge
-from twin.standards.artefacts.sheet import Sheet, read_sheet, sheet_text
+from twin.standards.artefacts.sheet import ArtefactSheet, read_sheet, sheet_text
 from twin.standards.iso230_1 import straightness
 from twin.standards.result import (
     ArtefactValue,
@@ -48,15 +48,15 @@ UNCERTAINTY: Final = (
 
 
 @cache
-def artefact_named(name: str) -> Artefact:
+def artefact_named(name: str) -> ArtefactKind:
     """Return the artefact of that name; raise `InputError` if there is none."""
     if name not in families.ARTEFACTS:
         raise InputError("no such artefact", expected=f"one of {' '.join(families.ARTEFACTS)}", value=name)
-    found: Artefact = families.member("twin.standards.artefacts", families.ARTEFACTS, name)
+    found: ArtefactKind = families.member("twin.standards.artefacts", families.ARTEFACTS, name)
     return found
 
 
-def artefacts() -> tuple[Artefact, ...]:
+def artefacts() -> tuple[ArtefactKind, ...]:
     """Return all artefacts."""
     return tuple(map(artefact_named, families.ARTEFACTS))
 
@@ -84,7 +84,7 @@ def plan_sheet(machine: Machine, name: str, plane: str, size_mm: Sequence[float]
 class SheetData:
     """The sheets of an evaluation, as `twin.standards.result.EvaluatedData`."""
 
-    sheets: tuple[Sheet, ...]
+    sheets: tuple[ArtefactSheet, ...]
 
     @property
     def source(self) -> str:
@@ -169,7 +169,7 @@ def _nothing(count: int) -> AdjustedErrors:
     return AdjustedErrors(unknown, np.zeros((count, count)), unknown)
 
 
-def _check_contradiction(observed: Mapping[Sheet, Observed], found: AdjustedErrors) -> None:
+def _check_contradiction(observed: Mapping[ArtefactSheet, Observed], found: AdjustedErrors) -> None:
     """Raise `InputError` at the worst reading if the readings contradict each other beyond chance."""
     if not found.p_value < CONTRADICTION:
         return
@@ -188,7 +188,7 @@ def _check_contradiction(observed: Mapping[Sheet, Observed], found: AdjustedErro
 
 
 def _linear_tests(
-    observed: Mapping[Sheet, Observed], model: LinearModel, found: AdjustedErrors
+    observed: Mapping[ArtefactSheet, Observed], model: LinearModel, found: AdjustedErrors
 ) -> Iterable[StandardTest]:
     """Return the tests of squareness and scale."""
     titles = "; ".join(f"{artefact_named(sheet.artefact).title}, {sheet.plane}" for sheet in observed)
@@ -236,7 +236,7 @@ def _axes_of(name: str) -> tuple[str, ...]:
     return {"C": ("X", "Y"), "B": ("X", "Z"), "A": ("Y", "Z")}[name[2]]
 
 
-def _straight(sheet: Sheet, machine: Machine) -> StandardTest:
+def _straight(sheet: ArtefactSheet, machine: Machine) -> StandardTest:
     """Return the straightness that a reversed straightedge shows."""
     own = artefact_named(sheet.artefact)
     if not isinstance(own, Straightedge):

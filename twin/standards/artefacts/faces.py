@@ -30,7 +30,7 @@ from twin.standards.artefacts.artefact import (
     REPEAT,
     RESOLUTION,
     TEMPERATURE,
-    Artefact,
+    ArtefactKind,
     LinearModel,
     capped,
     linear_model,
@@ -39,7 +39,7 @@ from twin.standards.artefacts.artefact import (
     same,
     spans,
 )
-from twin.standards.artefacts.sheet import Sheet, SheetQuantity, SheetRow
+from twin.standards.artefacts.sheet import ArtefactSheet, SheetQuantity, SheetRow
 
 SETUPS: Final = ("normal", "reversed")
 POINTS: Final = 3
@@ -53,7 +53,7 @@ USUAL: Final = (200.0, 130.0)
 LENGTH: Final = 500.0
 
 
-class _TwoFaces(Artefact):
+class _TwoFaces(ArtefactKind):
     """Artefact with faces at a right angle."""
 
     columns = ("setup", "face", "plunger")
@@ -61,7 +61,9 @@ class _TwoFaces(Artefact):
     """Name, axis of the plane along which it is touched, and direction in which the plunger points towards it."""
 
     @abstractmethod
-    def offsets(self, sheet: Sheet, rows: Sequence[SheetRow]) -> tuple[np.ndarray, np.ndarray, list[BudgetLine]]:
+    def offsets(
+        self, sheet: ArtefactSheet, rows: Sequence[SheetRow]
+    ) -> tuple[np.ndarray, np.ndarray, list[BudgetLine]]:
         """Return known offsets (m,) of the faces, columns (m, r) of unknown ones, and their contributions to the budget."""
 
     @abstractmethod
@@ -70,8 +72,8 @@ class _TwoFaces(Artefact):
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return the commands (n,) of a row, and what the gauge read there, mm."""
 
-    def observed(self, sheet: Sheet, machine: Machine) -> Observed:
-        """See `Artefact.observed`."""
+    def observed(self, sheet: ArtefactSheet, machine: Machine) -> Observed:
+        """See `ArtefactKind.observed`."""
         model = linear_model(machine)
         plane = plane_axes(sheet.plane, model)
         count = len(sheet.rows)
@@ -125,7 +127,7 @@ class _TwoFaces(Artefact):
 
     faces_fixed: ClassVar[bool] = False
 
-    def _check(self, sheet: Sheet, normals: Sequence[int], places: np.ndarray, plane: tuple[int, int]) -> None:
+    def _check(self, sheet: ArtefactSheet, normals: Sequence[int], places: np.ndarray, plane: tuple[int, int]) -> None:
         """Raise `InputError` unless both directions were touched at two places each."""
         for axis, running in (plane, plane[::-1]):
             spread = max(
@@ -167,7 +169,7 @@ class Square(_TwoFaces):
     faces = (("datum", 1, 1), ("blade", 0, 1))
 
     def steps(self, plane: str) -> tuple[str, ...]:
-        """See `Artefact.steps`."""
+        """See `ArtefactKind.steps`."""
         a, b = plane[0], plane[1]
         return (
             f"Clamp the square on the table: one face (datum) runs along {a}, the other one (blade) along {b}.",
@@ -178,7 +180,7 @@ class Square(_TwoFaces):
         )
 
     def rows(self, machine: Machine, plane: str, size_mm: tuple[float, ...]) -> list[dict[str, str]]:
-        """See `Artefact.rows`."""
+        """See `ArtefactKind.rows`."""
         ends = spans(machine, plane, capped(machine, plane, size_mm, USUAL))
         found = []
         for setup in SETUPS:
@@ -196,7 +198,9 @@ class Square(_TwoFaces):
         """See `_TwoFaces.touched`."""
         return model.position(row), readings
 
-    def offsets(self, sheet: Sheet, rows: Sequence[SheetRow]) -> tuple[np.ndarray, np.ndarray, list[BudgetLine]]:
+    def offsets(
+        self, sheet: ArtefactSheet, rows: Sequence[SheetRow]
+    ) -> tuple[np.ndarray, np.ndarray, list[BudgetLine]]:
         """See `_TwoFaces.offsets`: the gauge is set anew on every face."""
         keys = [(row.cells["setup"], row.cells["face"], row.cells["plunger"]) for row in rows]
         free = np.array([[float(key == one) for one in dict.fromkeys(keys)] for key in keys])
@@ -248,7 +252,7 @@ class GaugeBlock(_TwoFaces):
     faces_fixed = True
 
     def steps(self, plane: str) -> tuple[str, ...]:
-        """See `Artefact.steps`."""
+        """See `ArtefactKind.steps`."""
         a, b = plane[0], plane[1]
         return (
             f"Clamp the block, its first size along {a}, the second one along {b}; enter its sizes and the ball's radius above.",
@@ -257,7 +261,7 @@ class GaugeBlock(_TwoFaces):
         )
 
     def statements(self, size_mm: tuple[float, ...]) -> list[str]:
-        """See `Artefact.statements`."""
+        """See `ArtefactKind.statements`."""
         own = dict(zip(("size", "second size"), size_mm, strict=False))
         return [
             line
@@ -266,7 +270,7 @@ class GaugeBlock(_TwoFaces):
         ]
 
     def rows(self, machine: Machine, plane: str, size_mm: tuple[float, ...]) -> list[dict[str, str]]:
-        """See `Artefact.rows`."""
+        """See `ArtefactKind.rows`."""
         ends = spans(machine, plane, capped(machine, plane, size_mm, INCHES[:0:-1]))
         found = []
         for setup in SETUPS:
@@ -296,7 +300,9 @@ class GaugeBlock(_TwoFaces):
         place[normal] = mean - model.origin[normal]
         return place, readings - mean
 
-    def offsets(self, sheet: Sheet, rows: Sequence[SheetRow]) -> tuple[np.ndarray, np.ndarray, list[BudgetLine]]:
+    def offsets(
+        self, sheet: ArtefactSheet, rows: Sequence[SheetRow]
+    ) -> tuple[np.ndarray, np.ndarray, list[BudgetLine]]:
         """See `_TwoFaces.offsets`: the ball's centre is half the block's size and a radius away from its middle."""
         keys = [(row.cells["setup"], row.cells["plunger"][1]) for row in rows]
         free = np.array([[float(key == one) for one in dict.fromkeys(keys)] for key in keys])
@@ -318,7 +324,7 @@ class GaugeBlock(_TwoFaces):
 
 
 @final
-class Straightedge(Artefact):
+class Straightedge(ArtefactKind):
     """Straightedge and dial gauge with reversal: straightness of one axis."""
 
     name = "straightedge"
@@ -339,7 +345,7 @@ class Straightedge(Artefact):
     columns = ("setup", "plunger")
 
     def steps(self, plane: str) -> tuple[str, ...]:
-        """See `Artefact.steps`."""
+        """See `ArtefactKind.steps`."""
         a, b = plane[0], plane[1]
         return (
             f"Lay the straightedge along {a} on two supports, 0.22 of its length from the ends. The gauge touches it along +{b}.",
@@ -348,7 +354,7 @@ class Straightedge(Artefact):
         )
 
     def rows(self, machine: Machine, plane: str, size_mm: tuple[float, ...]) -> list[dict[str, str]]:
-        """See `Artefact.rows`."""
+        """See `ArtefactKind.rows`."""
         (span,) = spans(machine, plane[:1], capped(machine, plane[:1], size_mm, (LENGTH,)))
         return [
             {"setup": setup, "plunger": f"{sign}{plane[1]}"} | positions(machine, {plane[0]: float(q)})
@@ -356,10 +362,12 @@ class Straightedge(Artefact):
             for q in np.linspace(*span, 3 * POINTS)
         ]
 
-    def observed(self, sheet: Sheet, machine: Machine) -> None:
-        """See `Artefact.observed`: a straightedge alone shows neither."""
+    def observed(self, sheet: ArtefactSheet, machine: Machine) -> None:
+        """See `ArtefactKind.observed`: a straightedge alone shows neither."""
 
-    def separated(self, sheet: Sheet, machine: Machine) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    def separated(
+        self, sheet: ArtefactSheet, machine: Machine
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Return positions (n,) mm, straightness of the axis (n,) and shape of the straightedge (n,) in µm, u of both (n,) in µm.
 
         Both are deviations along the positive direction of the second axis of the plane, the shape in the normal set-up.

@@ -113,7 +113,7 @@ class SheetRow:
 
 @final
 @dataclass(frozen=True, eq=False)
-class Sheet:
+class ArtefactSheet:
     """A sheet that was filled in; rows without a reading are left out."""
 
     path: Path
@@ -149,7 +149,7 @@ def is_sheet(path: Path) -> bool:
 
 def read_sheet(
     path: Path, quantities: Mapping[str, Sequence[SheetQuantity]], columns: Mapping[str, Sequence[str]]
-) -> Sheet:
+) -> ArtefactSheet:
     """Read a sheet.
 
     ``quantities`` and ``columns``: what each artefact needs. It raises `InputError` with line and value for an unknown artefact, key,
@@ -173,7 +173,7 @@ def read_sheet(
         what = "no readings: the sheet is not filled in"
         raise InputError(what, expected="numbers in the columns reading_1_mm …", file=path)
     empty = tuple(RowNote(row.line, "no reading") for row in every if not len(row.readings))
-    return Sheet(path, artefact, machine, plane, stated, filled, empty)
+    return ArtefactSheet(path, artefact, machine, plane, stated, filled, empty)
 
 
 Given = dict[str, tuple[int | None, str]]
