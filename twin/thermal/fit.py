@@ -160,7 +160,7 @@ class Fitted:
 class HeldOutErrors:
     """Errors of models on averaged rows that they were not fitted to (displacements,), and the weight of models of few terms.
 
-    ``between``: (displacements, terms + 1, terms + 1) covariance of the coefficients by what they change without one block of time.
+    ``between``: (displacements, terms + 1, terms + 1) covariance of the coefficients by their changes without one block of time.
     """
 
     factor: np.ndarray
