@@ -492,7 +492,7 @@ def _load_cause(
 
 
 def _quantities(payload: Payload, u: np.ndarray, heaviest: float) -> tuple[Quantity, ...]:
-    """Return mass and coordinates of the centre of a load as far as the readings determine them, of a carried load at least the ratio.
+    """Return those of mass and centre of a load that the readings determine; of a carried load its ratio, if no others.
 
     A mass whose 95 % interval reaches beyond its physical range is the prior's, not that of the readings.
     """
