@@ -93,7 +93,7 @@ def test_everything_identified_predicts_a_sector_of_c_that_was_not_measured(
 
 
 def test_three_positions_of_a_rotary_axis_give_no_curve(data: Measurements, machine: Machine) -> None:
-    """Of four C a straight line; of three none. Three positions of a linear axis give its scale."""
+    """Four positions of C give a straight line, three none. Three positions of a linear axis give its scale."""
     power = {axis.name: POWER for axis in machine.axes}
     three = np.where(data.positions == 270.0, 180.0, np.array(data.positions))
     three[:, 0] = np.resize([300.0, 400.0, 500.0], len(three))
