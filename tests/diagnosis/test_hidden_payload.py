@@ -15,13 +15,13 @@ import numpy as np
 import pytest
 
 from twin._common.errors import InputError
-from twin.diagnosis import Diagnosis, diagnose
+from twin.diagnosis import Diagnosis, causes, diagnose
 from twin.diagnosis.candidates import catalogue
 from twin.diagnosis.result import Cause
 from twin.machine.machine import Machine
 from twin.measurement.table import Measurements
 from twin.model.calibration import Calibration
-from twin.model.effects import GravityCompliance
+from twin.model.effects import GravityCompliance, Payload
 from twin.tool.forward import Kinematics
 
 G = 9.81
@@ -324,17 +324,37 @@ def test_nothing_hidden_nothing_found(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_a_corrected_own_weight_bounds_the_payload(tmp_path: Path) -> None:
-    """If the control corrects the arm's own sag, only products of mass and compliance are known, and the mass is at its bound."""
+    """If the control corrects the arm's own sag, only products of mass and compliance are known, and the mass is not named."""
     corrected = {name: 1e-3 * value for name, value in COMPLIANCE.items()}
     found, _ = measured(tmp_path, corrected, Carried(2.4e3, (35.0, -20.0, 60.0)))
     causes = by_name(found)
     payload = causes["payload", "tool"]
     assert payload.bounded and "only the products of mass and compliance are known" in payload.evidence
+    assert "mass" not in {q.name for q in payload.parameters} and "do not determine the mass" in payload.evidence
+    mass = next(e.payloads[0].mass_kg for e in found.extended.extra if isinstance(e, GravityCompliance) and e.payloads)
     for name in ("J2", "J3"):
         cause = causes["gravity_compliance", name]
         assert cause.bounded and "a lower limit" in cause.evidence
-        mass = next(q.value for q in payload.parameters if q.name == "mass")
         assert cause.parameters[0].value * mass == pytest.approx(COMPLIANCE[name] * 2.4, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("mass", "u", "named"),
+    [
+        (2.0, 0.8, True),
+        (2.0, 1.1, False),  # reaches below zero
+        (38.0, 0.8, True),
+        (38.0, 1.1, False),  # reaches beyond the largest, 40 kg
+        (40.0, 0.0, False),
+        (20.0, 11.0, False),
+    ],
+)
+def test_a_mass_is_named_if_its_interval_lies_within_its_range(mass: float, u: float, named: bool) -> None:
+    payload = Payload("tool", mass, (10.0, 20.0, 30.0))
+    # The prior's standard deviation is 0.577 of the range: the readings do not determine y.
+    found = causes._quantities(payload, np.array([u / 40.0, 0.1, 0.53, 0.5]), 40.0)
+    assert [q.name for q in found] == [*(["mass"] if named else []), "centre_x_mm", "centre_z_mm"]
+    assert [q.u for q in found[-2:]] == [50.0, 250.0]
 
 
 def test_a_joint_that_its_own_weight_does_not_load_asks_for_no_payload(tmp_path: Path) -> None:

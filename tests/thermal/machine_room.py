@@ -60,6 +60,47 @@ def simulate(
     return found
 
 
+def structure(
+    seed: int, hours: float = 46.0, sensors: int = 8, nodes: int = 8, step: float = 20.0
+) -> dict[str, np.ndarray]:
+    """Return columns of a record of a spindle in a network of heat capacities, a row every two minutes.
+
+    Capacities, conductances, speeds and room are drawn. Two nodes have no sensor, heat falls as the bearing warms, and the exponent of
+    the speed is neither one nor two, so that no sum of the fitted terms is exact.
+    """
+    rng = np.random.default_rng(seed)
+    capacity = np.exp(rng.normal(np.log(3000.0), 0.8, nodes))
+    conductance = np.zeros((nodes, nodes))
+    for i in range(1, nodes):
+        conductance[i, rng.integers(0, i)] = np.exp(rng.normal(0.0, 0.5))
+    conductance += conductance.T
+    to_room = np.exp(rng.normal(np.log(0.4), 0.5, nodes))
+    heat, exponent = rng.uniform(6.0, 14.0) * (np.arange(nodes) == 0), rng.uniform(1.0, 2.0)
+    speeds = [0.0 if k % 2 else float(rng.choice([1000, 2000, 3000, 4000, 5000])) for k in range(int(hours // 4) + 1)]
+    period, phase, size = rng.uniform(18.0, 26.0) * 3600.0, rng.uniform(0.0, 6.28), rng.uniform(0.5, 2.5)
+    temperature, hall, rows = rng.normal(0.0, 0.5, nodes), 0.0, []
+    for k in range(int(hours * 3600 / step)):
+        speed = speeds[int(k * step / 14400)]
+        hall += step / 5400.0 * -hall + rng.normal(0.0, 0.25) * np.sqrt(2.0 * step / 5400.0)
+        room = size * np.sin(6.28 * k * step / period + phase) + hall + 0.5 * np.sin(6.28 * k * step / 1900.0)
+        flow = conductance @ temperature - conductance.sum(axis=1) * temperature + to_room * (room - temperature)
+        flow += heat * (speed / 5000.0) ** exponent * (1.0 - 0.02 * temperature[0])
+        temperature = temperature + step * flow / capacity
+        if k % round(2 * MINUTE / step) == 0:
+            rows.append([k * step, speed, room, *temperature])
+    time_s, speed, room, *warm = np.array(rows).T
+    found = {"time_s": time_s, "spindle_rpm": speed, "T_room_degC": 22.0 + room}
+    seen = rng.permutation(nodes)[2:]
+    for k in range(1, sensors):
+        one, other = rng.choice(seen, 2)
+        share = rng.uniform(0.6, 1.0)
+        found[f"T_{k}_degC"] = 22.0 + share * warm[one] + (1.0 - share) * warm[other] + rng.normal(0.0, 0.03, len(room))
+    for name in ("Y_um", "Z_um"):
+        by_node = rng.normal(0.0, 4.0, nodes) * (rng.random(nodes) < 0.5)
+        found[name] = by_node @ (np.array(warm) - np.array(warm)[:, :1]) + rng.normal(0.0, 0.1, len(room))
+    return found
+
+
 def write(columns: dict[str, np.ndarray], path: Path, start: int = 0, stop: int | None = None) -> Path:
     """Write columns, or some of their rows, as a CSV record."""
     table = np.stack(list(columns.values()), axis=1)[start:stop]

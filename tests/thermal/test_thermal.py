@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from tests.conftest import beside
-from tests.thermal.machine_room import simulate, write
+from tests.thermal.machine_room import simulate, structure, write
 from twin import cli
 from twin._common.errors import InputError
 from twin.thermal import ThermalModel, ThermalRecord, ThermalTerm, fit_thermal, load_model, save_model
@@ -210,20 +210,65 @@ def test_the_first_part_of_a_real_record_predicts_the_rest() -> None:
     assert any("3750 rpm" in text for text in rest.warnings)
 
 
+def after(whole: ThermalRecord, share: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return the share of the readings after a part of a record that 95 % intervals cover, and their RMS error, by displacement."""
+    part = round(share * len(whole))
+    rest = fit_thermal(whole.rows(0, part)).predict(whole.rows(part, len(whole)))
+    return np.mean(np.abs(rest.residual_um) <= 1.96 * rest.standard_uncertainty_um, axis=0), rest.rms_um
+
+
+def ridge_on_lags(whole: ThermalRecord, part: int) -> np.ndarray:
+    """Return the RMS error of ridge regression on lags of all inputs, its penalty chosen by blocks of time, by displacement."""
+    start, speed = whole.temperature_degC - whole.temperature_degC[0], np.asarray(whole.speed_rpm)[:, None] / 1000.0
+    inputs = np.concatenate([start, speed, speed**2], axis=1)
+    columns = [inputs]
+    for tau in (600.0, 1800.0, 5400.0, 14400.0):
+        columns.append(np.stack([lagged(one, whole.time_s, tau) for one in inputs.T], axis=1))
+    x, y = np.concatenate(columns, axis=1), whole.displacement_um
+    x = (x - x[:part].mean(axis=0)) / x[:part].std(axis=0)
+
+    def predicted(rows: np.ndarray, penalty: float) -> np.ndarray:
+        centre = y[rows].mean(axis=0)
+        normal = x[rows].T @ x[rows] + penalty * np.eye(x.shape[1])
+        return np.asarray(centre + x @ np.linalg.solve(normal, x[rows].T @ (y[rows] - centre)))
+
+    fitted = np.arange(0, part, 5)
+    found = []
+    for k in range(y.shape[1]):
+        off = {
+            penalty: sum(
+                np.sum((predicted(np.setdiff1d(fitted, block), penalty) - y)[block, k] ** 2)
+                for block in np.array_split(fitted, 5)
+            )
+            for penalty in 10.0 ** np.arange(-2.0, 4.1)
+        }
+        found.append(np.sqrt(np.mean((predicted(fitted, min(off, key=off.__getitem__)) - y)[part:, k] ** 2)))
+    return np.array(found)
+
+
 @pytest.mark.slow
 def test_intervals_cover_the_rest_of_a_real_record() -> None:
-    """95 % intervals after 50, 60, 70 and 80 % of the record cover nine in ten of the readings of the rest and more.
+    """95 % intervals after 50, 60, 70 and 80 % of the record, for each displacement.
 
-    Models of few terms alone covered 85 %, with errors of d1 and d2 twice as large.
+    Models of few terms alone covered 85 %, with errors of d1 and d2 twice as large; without the jackknife 61 to 68 % of some.
     """
     whole = ThermalRecord.load(beside("data", "real", "spindle-thermal", "first-half.csv"))
-    inside, size_um = [], []
-    for share in (0.5, 0.6, 0.7, 0.8):
-        part = round(share * len(whole))
-        rest = whole.rows(part, len(whole))
-        predicted = fit_thermal(whole.rows(0, part)).predict(rest)
-        off = rest.displacement_um - predicted.displacement_um
-        inside.append(np.mean(np.abs(off) <= 1.96 * predicted.standard_uncertainty_um))
-        size_um.append(np.sqrt(np.mean(off**2, axis=0)))
-    assert np.mean(inside) >= 0.9, inside
-    assert np.all(np.mean(size_um, axis=0)[:2] <= 2.0)
+    inside, size_um = map(np.array, zip(*(after(whole, share) for share in (0.5, 0.6, 0.7, 0.8)), strict=True))
+    assert np.all(inside.mean(axis=0) >= 0.92) and inside.min() >= 0.75, inside
+    assert np.all(size_um.mean(axis=0) <= (2.0, 2.0, 7.5, 7.5, 5.5)), size_um
+
+
+@pytest.mark.slow
+def test_intervals_cover_what_a_network_of_heat_capacities_does_next(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The second half from the first, over drawn machines that no sum of the fitted terms describes exactly."""
+    monkeypatch.undo()
+    inside, ratios = [], []
+    for seed in range(8):
+        whole = ThermalRecord.load(write(structure(seed), tmp_path / "record.csv"))
+        covered, rms_um = after(whole, 0.5)
+        inside.append(covered)
+        ratios.append(rms_um / ridge_on_lags(whole, len(whole) // 2))
+    assert np.mean(inside) >= 0.94, inside
+    assert np.exp(np.mean(np.log(ratios))) <= 0.6, ratios

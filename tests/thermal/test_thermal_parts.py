@@ -120,11 +120,11 @@ def test_the_white_noise_is_that_of_the_rows() -> None:
 
 def test_candidates_and_their_values_by_hand() -> None:
     terms = candidates([("bed",), ("a", "b")], True, 139.0 * 60.0)
-    lags = (60.0, 120.0, 240.0, 480.0, 960.0)
+    lags = (60.0, 120.0, 240.0, 480.0, 960.0, 1900.0)
     expected = [("thermal_lag", group, tau, 0.0, 8.0) for group in (("bed",), ("a", "b")) for tau in (0.0, *lags)]
     expected += [("spindle_shift", (), 0.0, power, 15.0) for power in (1.0, 2.0)]
     expected += [("spindle_growth", (), tau, power, 15.0) for power in (1.0, 2.0) for tau in lags]
-    expected += [("thermal_drift", (), tau, 0.0, 5.0) for tau in (*lags[1:], 1920.0)]
+    expected += [("thermal_drift", (), tau, 0.0, 5.0) for tau in (*lags[1:], 3800.0)]
     assert [(one.effect, one.sensors, one.time_constant_s, one.exponent, one.prior) for one in terms] == expected
     rows = record(
         3,
@@ -172,15 +172,19 @@ def test_held_out_parts_and_their_errors(monkeypatch: pytest.MonkeyPatch) -> Non
         fitted.append(rows.tolist())
         return []
 
-    def errors(problem: Any, models: Any, weight: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        assert weight == 0.25
+    def errors(
+        problem: Any, models: Any, weight: np.ndarray, rows: np.ndarray, between: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        # A part that follows is predicted with the weight that the other two choose.
+        assert weight == (0.2 if len(left_out) < 3 else 0.3) and between.shape == (1, 1, 1)
         left_out.append(np.flatnonzero(rows).tolist())
         ones = np.ones((int(rows.sum()), 1))
         return 2.0 * len(left_out) * ones * (-1.0) ** np.arange(len(ones))[:, None], 4.0 * ones
 
     monkeypatch.setattr(fit, "_fit", remember)
     monkeypatch.setattr(fit, "_errors", errors)
-    monkeypatch.setattr(fit, "_weight", lambda problem, fitted, folds: np.full(1, 0.25))
+    monkeypatch.setattr(fit, "_weight", lambda problem, fitted, folds: np.full(1, len(folds) / 10.0))
+    monkeypatch.setattr(fit, "_between_parts", lambda problem, fitted, weight: np.full((1, 1, 1), len(fitted)))
     found = fit._held_out(problem, 0, lambda *_: None)
     expected = [list(range(first, 120)) for first in (48, 66, 84)]
     expected += [list(range(first, first + 20)) for first in range(20, 120, 20)]
@@ -189,6 +193,7 @@ def test_held_out_parts_and_their_errors(monkeypatch: pytest.MonkeyPatch) -> Non
     assert fitted == [[i for i in range(120) if i not in rows] for rows in expected]
     assert found.factor == pytest.approx([np.sqrt(np.mean(np.arange(1, 10) ** 2))])
     assert found.forward_um[:, 0] == pytest.approx([2.0, 4.0, 6.0])
+    assert found.weight == [0.3] and found.between == [[[5.0]]]
     assert found.blocks_um == pytest.approx([2.0 * np.sqrt(np.mean(np.arange(4, 9) ** 2))])
     assert fit._highest_speed_left_out(replace(problem, record=record(120))) is None
     mostly = np.r_[np.repeat([0.0, 500.0], 25), np.repeat(900.0, 70)]
@@ -230,12 +235,26 @@ def test_the_weight_of_few_terms_is_that_of_least_squares(monkeypatch: pytest.Mo
     tried = np.linspace(0.0, 1.0, 1001)
     expected = tried[np.argmin([np.sum((w * few + (1.0 - w) * every) ** 2) for w in tried])]
     assert fit._weight(problem, [0, 1, 2], folds) == pytest.approx([expected], abs=1e-3)
-    # Hardly better, and worse: few terms alone.
-    for times in (-9.0, 3.0):
-        every[:] = times * few + 0.9 * (times < 0.0) * np.sqrt(np.mean(few**2)) * rng.normal(size=few.shape)
-        assert fit._weight(problem, [0, 1, 2], folds) == pytest.approx([1.0] if times > 0.0 else [0.9], abs=0.02)
-    every[:] = few + 3.0 * rng.normal(size=few.shape)
-    assert fit._weight(problem, [0, 1, 2], folds) == pytest.approx([1.0])
+    every[:] = 3.0 * few
+    assert fit._weight(problem, [0, 1, 2], folds) == [1.0]
+    every[:] = 0.3 * few
+    assert fit._weight(problem, [0, 1, 2], folds) == [0.0]
+
+
+def test_the_coefficients_vary_from_block_to_block_as_the_jackknife_says() -> None:
+    """Blocks of a mean of independent values: the jackknife is the squared standard error of their mean."""
+    rng = np.random.default_rng(2)
+    problem = fit._problem(record(150))
+    blocks = rng.normal(size=(5, len(problem.terms) + 1))
+    none = np.zeros((blocks.shape[1],) * 2)
+    fitted = []
+    for left_out in range(5):
+        mean = np.delete(blocks, left_out, axis=0).mean(axis=0)
+        # The average of both kinds of models counts, each with its weight.
+        few, every = (Average(mean + sign * blocks[0], none, 1.0) for sign in (3.0, -1.0))
+        fitted.append([fit.Fitted((0,), DrawnModels((), (few,)), (every,))])
+    found = fit._between_parts(problem, fitted, np.full(1, 0.25))
+    assert found[0] == pytest.approx(np.cov(blocks.T) / 5.0)
 
 
 def test_all_terms_together_are_ridge_regression() -> None:

@@ -42,6 +42,7 @@ from twin.diagnosis.result import Cause, Quantity, readable_unit
 from twin.diagnosis.search import LIMIT_SIGMA, TOO_LARGE
 from twin.diagnosis.second_opinion import Comparison, compare_with_search, second_opinion
 from twin.diagnosis.structure import Findings
+from twin.display.numbers import COVERAGE_FACTOR
 from twin.identification.discrepancy import Discrepancy
 from twin.machine.machine import Machine
 from twin.measurement.columns import ASSUMED
@@ -540,14 +541,23 @@ def _load_cause(
         text = f"joints of the {load.side} side deflect under the mass in the column {LOAD}"
     elif heaviest:
         text += (
-            f". The mass is at its upper bound ({load.heaviest:.3g} kg): the effect of the machine's own weight is smaller than the "
-            "URDF implies, as if the control corrected it; only the products of mass and compliance are known"
+            ". The readings do not determine the mass: the effect of the machine's own weight is smaller than the URDF implies, as if "
+            "the control corrected it; only the products of mass and compliance are known, and compensation holds for this load alone"
         )
+    quantities = _quantities(payload, np.sqrt(variances[own_shares]), load.heaviest)
+    if not payload.carried:
+        unknown = [name for name in payload.numbers if name not in {q.name for q in quantities}]
+        if heaviest and unknown[1:]:
+            text += f"; nor {', '.join(unknown[1:])}"
+        elif unknown and not heaviest:
+            text += (
+                f". The readings do not determine {', '.join(unknown)}; the most likely values are in the calibration"
+            )
     return Cause(
         effect=specification.name,
         where=load.side,
         origin="machine",
-        parameters=_quantities(payload, np.sqrt(variances[own_shares]), load.heaviest),
+        parameters=quantities,
         p_value=candidates.p_value(min(log_p, 0.0)),
         share=float(np.clip((explained - by_others) / max(explained, 1e-30), 0.0, 1.0)),
         equivalent=(),
@@ -558,14 +568,18 @@ def _load_cause(
 
 
 def _quantities(payload: Payload, u: np.ndarray, heaviest: float) -> tuple[Quantity, ...]:
-    """Return mass and centre of a payload, or those coordinates of the centre of a carried load that the readings determine."""
+    """Return those of mass and centre of a load that the readings determine; of a carried load its ratio, if no others.
+
+    A mass whose 95 % interval reaches beyond its physical range is the prior's, not that of the readings.
+    """
     first, largest = ("1", 1.0) if payload.carried else ("kg", heaviest)
     units, sizes = (first, "mm", "mm", "mm"), (largest, *[CENTRE_RANGE_MM] * 3)
-    reported = tuple(
+    mass, *centre = (
         Quantity(name, value, unit, float(deviation) * size)
         for (name, value), unit, deviation, size in zip(payload.numbers.items(), units, u, sizes, strict=True)
     )
-    if not payload.carried:
-        return reported
-    determined = [q for q, deviation in zip(reported[1:], u[1:], strict=True) if deviation < UNDETERMINED_SHARE]
-    return tuple(determined) or reported[:1]
+    determined = [q for q, deviation in zip(centre, u[1:], strict=True) if deviation < UNDETERMINED_SHARE]
+    if payload.carried:
+        return tuple(determined) or (mass,)
+    inside = COVERAGE_FACTOR * mass.u < min(mass.value, heaviest - mass.value)
+    return (*([mass] if inside else []), *determined)

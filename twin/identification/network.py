@@ -276,8 +276,9 @@ def spaces_for(
         if distinct < 2:
             continue
         basis = bases[axis.name]
-        # Two functions fewer than positions: one position may be held out, and one degree of freedom remains.
-        count = basis.largest(max(2, min(most, distinct - 2)))
+        # Two functions fewer than positions: one position may be held out, and one degree of freedom remains. The straight line of a
+        # travel is its scale, a constant; that of a rotary axis, from three positions, is wrong by its whole size at a fourth.
+        count = basis.largest(max(2 if axis.linear else 1, min(most, distinct - 2)))
         for letter in "XYZABC":
             name = f"E_{letter}{axis.name}"
             straightness = axis.linear and letter in "XYZ" and not along(axis, letter)

@@ -100,11 +100,11 @@ def averaged(values: np.ndarray, length: int) -> np.ndarray:
 
 
 def time_constants(duration_s: float) -> list[float]:
-    """Return the time constants of the candidates: doubling from 1/140 to about 1/9 of the duration.
+    """Return the time constants of the candidates: doubling from 1/140 to about 1/4 of the duration.
 
     Shorter lags do not show in averages over 1/140 of the duration; a record holds too few responses with longer ones.
     """
-    return [float(f"{duration_s / 139.0 * 2.0**k:.2g}") for k in range(5)]
+    return [float(f"{duration_s / 139.0 * 2.0**k:.2g}") for k in range(6)]
 
 
 def candidates(groups: Sequence[tuple[str, ...]], speeds: bool, duration_s: float) -> list[TermCandidate]:

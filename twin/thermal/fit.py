@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, final
 
 import numpy as np
@@ -116,8 +116,6 @@ FORWARD_SHARES: Final = (0.4, 0.55, 0.7)
 """Shares of the record that are fitted to predict the rest."""
 BLOCKS: Final = 5
 """Number of blocks of time of which each is left out once; the part before them, from whose start everything counts, never is."""
-CLEARLY_BETTER: Final = 0.1
-"""Reduction of the RMS error of predictions from which on all terms together are among the models."""
 LONG_CHAIN: Final = 4
 """Length of the chain of the final fit, in those of the validation."""
 KEPT_VARIANCE: Final = 0.99
@@ -160,12 +158,16 @@ class Fitted:
 @final
 @dataclass(frozen=True)
 class HeldOutErrors:
-    """Errors of models on averaged rows that they were not fitted to (displacements,), and the weight of models of few terms."""
+    """Errors of models on averaged rows that they were not fitted to (displacements,), and the weight of models of few terms.
+
+    ``between``: (displacements, terms + 1, terms + 1) covariance of the coefficients by their changes without one block of time.
+    """
 
     factor: np.ndarray
     blocks_um: np.ndarray
     forward_um: np.ndarray
     weight: np.ndarray
+    between: np.ndarray
 
 
 def fit_thermal(
@@ -283,30 +285,49 @@ def _held_out(problem: AveragedRecord, seed: int, progress: Callable[[str, float
         fitted.append(_fit(problem, np.flatnonzero(~left_out), seed))
     forward, blocks = slice(0, len(FORWARD_SHARES)), slice(len(FORWARD_SHARES), len(FORWARD_SHARES) + BLOCKS)
     weight = _weight(problem, fitted[forward], folds[forward])
-    found = [_errors(problem, one, weight, left_out) for one, left_out in zip(fitted, folds, strict=True)]
+    between = _between_parts(problem, fitted[blocks], weight)
+    found = []
+    for i, (one, left_out) in enumerate(zip(fitted, folds, strict=True)):
+        # The weight by which a later part is predicted must not be chosen by that part.
+        others = [k for k in range(len(FORWARD_SHARES)) if k != i]
+        chosen = _weight(problem, [fitted[k] for k in others], [folds[k] for k in others])
+        found.append(_errors(problem, one, chosen if i < len(FORWARD_SHARES) else weight, left_out, between))
     squares = np.array([(error**2).mean(axis=0) for error, _ in found])
     ratios = squares / np.array([variance.mean(axis=0) for _, variance in found])
     # Later rows are predicted worse than rows between fitted ones: the larger of both ratios widens the uncertainty.
     factor = np.sqrt(np.maximum(ratios.mean(axis=0), ratios[forward].mean(axis=0)))
     held_out_um = np.sqrt(squares[blocks].mean(axis=0))
-    return HeldOutErrors(np.maximum(factor, 1.0), held_out_um, np.sqrt(squares[forward]), weight)
+    return HeldOutErrors(np.maximum(factor, 1.0), held_out_um, np.sqrt(squares[forward]), weight, between)
 
 
 def _weight(problem: AveragedRecord, fitted: Sequence[Sequence[Fitted]], folds: Sequence[np.ndarray]) -> np.ndarray:
     """Return the weight of models of few terms, 0 to 1, that predicts what follows best in the squared mean (displacements,).
 
-    Few terms remain alone where all terms reduce the error by less than `CLEARLY_BETTER`. Stacking of two predictions: D. H. Wolpert,
-    Neural Networks 5 (1992) 241-259.
+    Stacking of two predictions: D. H. Wolpert, Neural Networks 5 (1992) 241-259.
     """
-    few_squares, product, apart = np.zeros((3, problem.y.shape[1]))
+    product, apart = np.zeros((2, problem.y.shape[1]))
     for one, left_out in zip(fitted, folds, strict=True):
         few, every = (_errors(problem, one, np.full(len(apart), share), left_out)[0] for share in (1.0, 0.0))
-        few_squares += np.mean(few**2, axis=0)
         product += np.mean(few * (few - every), axis=0)
         apart += np.mean((few - every) ** 2, axis=0)
-    away = np.clip(product / np.maximum(apart, 1e-30), 0.0, 1.0)
-    reduced = few_squares - 2.0 * away * product + away**2 * apart
-    return np.where(reduced < (1.0 - CLEARLY_BETTER) ** 2 * few_squares, 1.0 - away, 1.0)
+    return 1.0 - np.clip(product / np.maximum(apart, 1e-30), 0.0, 1.0)
+
+
+def _between_parts(problem: AveragedRecord, fitted: Sequence[Sequence[Fitted]], weight: np.ndarray) -> np.ndarray:
+    """Return the covariance of the coefficients by the jackknife over blocks of time (displacements, terms + 1, terms + 1).
+
+    A machine does not respond to every start of its spindle alike; the residuals of a fit, in which lags of many sensors follow the
+    differences, do not show that. ``fitted``: models of the record without one of its blocks. H. R. Künsch, Ann. Statist. 17 (1989)
+    1217-1241.
+    """
+    size = len(problem.terms) + 1
+    between = np.empty((problem.y.shape[1], size, size))
+    for number, group in enumerate(problem.together):
+        for k, displacement in enumerate(group):
+            means = np.array([one[number].averages(weight)[k].mean for one in fitted])
+            away = means - means.mean(axis=0)
+            between[displacement] = (len(away) - 1) / len(away) * away.T @ away
+    return between
 
 
 def _highest_speed_left_out(problem: AveragedRecord) -> np.ndarray | None:
@@ -324,15 +345,23 @@ def _highest_speed_left_out(problem: AveragedRecord) -> np.ndarray | None:
 
 
 def _errors(
-    problem: AveragedRecord, fitted: Sequence[Fitted], weight: np.ndarray, rows: np.ndarray
+    problem: AveragedRecord,
+    fitted: Sequence[Fitted],
+    weight: np.ndarray,
+    rows: np.ndarray,
+    between: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return measured minus predicted, and the variance expected, at averaged rows (m, displacements)."""
+    """Return measured minus predicted, and the variance expected, at averaged rows (m, displacements).
+
+    ``between``: covariance of the coefficients that is added to that of the models.
+    """
     x = np.c_[problem.x[rows], np.ones(int(rows.sum()))]
     error, variance = np.empty((len(x), problem.y.shape[1])), np.empty((len(x), problem.y.shape[1]))
     for one in fitted:
         for displacement, average in zip(one.displacements, one.averages(weight), strict=True):
             error[:, displacement] = problem.y[rows, displacement] - x @ average.mean
-            spread = np.einsum("ij,jk,ik->i", x, average.covariance, x)
+            covariance = average.covariance if between is None else average.covariance + between[displacement]
+            spread = np.einsum("ij,jk,ik->i", x, covariance, x)
             variance[:, displacement] = spread + average.residual_um**2
     return error, variance
 
@@ -372,6 +401,8 @@ def _displacement(problem: AveragedRecord, one: Fitted, k: int, held_out: HeldOu
     # Without parts left out, nothing says how much better all terms predict: the few that are named are the model.
     weight = np.ones(problem.y.shape[1]) if held_out is None else held_out.weight
     average = one.averages(weight)[k]
+    if held_out is not None:
+        average = replace(average, covariance=average.covariance + held_out.between[displacement])
     name = problem.record.displacements[displacement]
     factor = 1.0 if held_out is None else float(held_out.factor[displacement])
     return DisplacementModel(
