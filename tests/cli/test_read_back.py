@@ -15,12 +15,15 @@ import pytest
 from tests.diagnosis.test_hidden_unknown import stage_table
 from tests.measurement.formats.cases import CASES as MEASURED
 from tests.measurement.importing import shop_files
+from tests.standards.shop_floor import FilledSheet, Truth, fill
 from tests.thermal import machine_room
 from tests.truth.few_axes import write_stage
 from twin import cli
 from twin._common import files
 from twin.cli import commands
 from twin.cli.shared.command import path_parameters
+from twin.machine.machine import Machine
+from twin.standards.artefacts import plan_sheet
 
 REPORT: Final = "no command reads a report"
 BACK: Final = "read back"
@@ -43,7 +46,7 @@ WRITTEN: Final = {
     ("thermal", "predicted"): "a table to draw: no command reads a prediction",
     **{
         (name, "output"): BACK
-        for name in "axis-run convert identify import info plan simulate simulate-run thermal".split()
+        for name in "axis-run convert evaluate identify import info plan simulate simulate-run thermal".split()
     },
     ("info", "urdf"): BACK,
     ("diagnose", "extended"): BACK,
@@ -58,6 +61,7 @@ COMMANDS: Final = {
     "diagnose": ("diagnose readings.csv -m stage.yaml --extended o.yaml --json o.json", {"o.yaml"}),
     "simulate-run": ("simulate-run --layout nine_beams_x.yaml --positions 0,500,5 -o o.csv", {"o.csv"}),
     "axis-run": ("axis-run run.csv --layout nine_beams_x.yaml -o o.yaml", {"o.yaml"}),
+    "evaluate": ("evaluate sheet.csv -o o.yaml", {"o.yaml"}),
     "import": ("import shop.csv -o o.csv --columns columns.yaml", {"columns.yaml"}),
     "convert": ("convert contacts.csv -o o.csv", {"o.csv"}),
     "info": ("info -c run.yaml -o o.yaml --datum 'end points' --urdf o.urdf", {"o.yaml", "o.urdf"}),
@@ -87,6 +91,8 @@ def inputs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     stage_table(folder / "readings.csv", positions, 20.0 * ((positions - 250.0) / 250.0) ** 2, 0.0, 0.6)
     (folder / "contacts.csv").write_text(MEASURED["contacts"].GOOD)
     (folder / "shop.csv").write_bytes(shop_files.cmm_report())
+    sheet, _ = plan_sheet(Machine.load("dmu50"), "diagonals", "XY", (400.0, 300.0))
+    (folder / "sheet.csv").write_text(fill(FilledSheet(sheet), Truth(), np.random.default_rng(1), 0.05))
     machine_room.write(machine_room.simulate(1, hours=3.0), folder / "record.csv")
     layout = "--layout nine_beams_x.yaml"
     for line in (

@@ -46,7 +46,7 @@ HEADINGS = [
     "Expected residuals",
     "Residuals",
     "Causes tested",
-    "Evidence for the cause",
+    "Evidence",
     "Alternatives",
     "Gain with the causes in the model",
     "What to measure next",

@@ -127,7 +127,12 @@ def translated(translation: Translation | None) -> Iterator[None]:
 
 
 def say(text: str, /, **arguments: Any) -> str:
-    """Return text (a message, a number, or the identifier of a message and its arguments) in the language of the page being made."""
+    """Return text (a message, a number, or the identifier of a message and its arguments) in the language of the page being made.
+
+    Text in braces without arguments is finished text, not an identifier, and has no translation.
+    """
+    if type(text) is str and not arguments and "{" in text:
+        return text
     message = Message(text, **arguments) if type(text) is str else text
     translation = _current.get()
     return message if translation is None else translation.text(message)

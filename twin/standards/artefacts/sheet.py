@@ -138,11 +138,16 @@ class ArtefactSheet:
         return tuple(f"{key} {one.text}" for key, one in self.stated.items() if one.assumed)
 
 
+LONGEST_KEY: Final = 80  # characters of the first line that are read to know a sheet
+
+
 def is_sheet(path: Path) -> bool:
-    """Return whether a file says that it is the sheet of an artefact."""
+    """Return whether a file says that it is the sheet of an artefact; a pipe, which can be read once only, is a table."""
     try:
+        if not path.is_file():
+            return False
         with path.open(encoding="utf-8-sig", errors="replace") as file:
-            return re.match(r"#\s*artefact\s*:", file.readline()) is not None
+            return re.match(r"#\s*artefact\s*:", file.readline(LONGEST_KEY)) is not None
     except OSError:
         return False
 
