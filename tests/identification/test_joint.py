@@ -58,6 +58,19 @@ def test_probe_and_tracker_in_one_estimate(dmu50: Machine, truth: Calibration) -
     assert shares[1].alone is not None and shares[1].alone.determined < 14
 
 
+@pytest.mark.slow  # 30 s
+def test_positions_of_a_probe_do_not_hide_the_curves_that_a_tracker_reads(dmu50: Machine) -> None:
+    """Eleven stops of a run determine no curve of degree 12, whatever the probe's positions; with fewer functions all are found."""
+    rng = np.random.default_rng(1)
+    truth = Calibration.default(dmu50)
+    spheres = replace(probing(dmu50, SPHERES, 25, 2), source="probe.csv")
+    plan = thesis_plan.plan(dmu50)
+    tables = [simulate(of, dmu50, truth, by, rng)[0] for of, by in ((plan, AT960), (spheres, TouchProbe()))]
+    found = identify(Measurements.join([replace(tables[0], source="tracker.csv"), tables[1]]), dmu50)
+    assert not {one.name for one in found.calibration.not_identifiable} & set(dmu50.motion_names)
+    assert all(0.4 < one.reduced_chi2 < 1.5 for one in found.shares), found.shares
+
+
 def circles(radius: float, noise_um: float, errors: Path, seed: int) -> tuple[Measurements, np.ndarray]:
     """Return lengths of a ball bar on circles in XY and ZX about a pivot on the table, by a machine model without `twin`."""
     model = written(errors, {"squareness": {"E_C0Y": 40.0, "E_B0Z": -30.0}})

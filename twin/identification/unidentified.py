@@ -32,6 +32,7 @@ from twin.numerics.observability import NOT_DETERMINED, SINGULAR_VALUE_TOLERANCE
 
 MOST_FUNCTIONS: Final = 13
 """Largest number of functions of a curve: degree 12, or six harmonics."""
+FEWER_FUNCTIONS: Final = (9, 6, 4)  # tried if curves are not determined from readings of several instruments
 SHARED_VARIANCE: Final = 1e-3
 """Share of an error's prior variance above which a null direction affects it."""
 Wanted = Callable[[str], bool]
@@ -76,20 +77,42 @@ def determined_models(
 ) -> list[DeterminedModel]:
     """Return the unknowns that the data determine at the nominal machine, one model for each family of bases.
 
+    The positions in readings of one instrument do not bring functions to a curve that only those of another determine: if curves of
+    several instruments together are not determined, models with fewer functions are candidates as well.
+
     ``wanted``: whether an error of that name is to be estimated; ``covariance``: (n, 3, 3) of the readings, m²; the stated one if None.
 
     Raises `InputError`: no axis moved.
     """
     families = _families(machine, placed, wanted)
-    return [_determined_model(machine, placed, bases, wanted, covariance) for bases in families]
+
+    def models(most: int) -> tuple[list[DeterminedModel], int]:
+        made = [_determined_model(machine, placed, bases, wanted, covariance, most) for bases in families]
+        motions = set(machine.motion_names)
+        return made, min(len(motions.intersection((*model.left_out, *model.confounded))) for model in made)
+
+    best, lost = models(MOST_FUNCTIONS)
+    several = len(list(placed.instruments.groups(placed.data.station))) > 1
+    for most in FEWER_FUNCTIONS if several else ():
+        if not lost:
+            break
+        fewer, lost_by_fewer = models(most)
+        if lost_by_fewer < lost:
+            best, lost = [*fewer, *best], lost_by_fewer
+    return best
 
 
 def _determined_model(
-    machine: Machine, placed: PreparedData, bases: dict[str, Basis], wanted: Wanted, covariance: np.ndarray | None
+    machine: Machine,
+    placed: PreparedData,
+    bases: dict[str, Basis],
+    wanted: Wanted,
+    covariance: np.ndarray | None,
+    most: int,
 ) -> DeterminedModel:
     """Return the model of one family of bases, without the unknowns that the data do not determine."""
     data, setup = placed.data, placed.setup
-    largest_unknowns = Unknowns.largest(machine, data, bases=bases, most=MOST_FUNCTIONS, wanted=wanted)
+    largest_unknowns = Unknowns.largest(machine, data, bases=bases, most=most, wanted=wanted)
     if not largest_unknowns.entities:
         raise data.error("no axis moved", expected="two or more positions of an axis", row=0)
 
