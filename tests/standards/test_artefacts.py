@@ -213,7 +213,7 @@ def test_the_straightedge_separates_itself(router: Machine, tmp_path: Path) -> N
 
 
 def test_the_calibration_and_its_settings(router: Machine, tmp_path: Path) -> None:
-    """FilledSheet → calibration → firmware: the file says what was not measured, and carries the stated intervals."""
+    """Sheet → calibration → firmware: the file says what was not measured, and carries the stated intervals."""
     rng = np.random.default_rng(3)
     truth = Truth({"X": 8e-4}, {"E_C0Y": 2.5e-3})
     result, found = evaluate_sheets([measured(tmp_path, empty(router, "ball-plate"), truth, rng, 0.005)], router)
@@ -338,7 +338,7 @@ def test_every_artefact_has_a_plan(router: Machine) -> None:
 
 
 def test_from_the_command_line(router: Machine, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """FilledSheet, evaluation, calibration and settings; what is refused leaves nothing behind."""
+    """Sheet, evaluation, calibration and settings; what is refused leaves nothing behind."""
     sheet, mine, page, found = (tmp_path / name for name in ("s.csv", "mine.yaml", "page.html", "found.json"))
     assert status("plan", "--artefact", "diagonals", "--size", "500,600", "-m", router.path, "-o", sheet) == 0
     assert "not filled in" in refused(capsys, "evaluate", sheet, "-m", router.path, "-o", mine)
@@ -348,6 +348,8 @@ def test_from_the_command_line(router: Machine, tmp_path: Path, capsys: pytest.C
     sheet.write_text(fill(FilledSheet(sheet.read_text()), Truth({}, {"E_C0Y": 3e-3}), np.random.default_rng(1), 0.1))
     assert "need --artefact" in refused(capsys, "plan", "--plane", "XY", "-m", router.path, "-o", tmp_path / "x.csv")
     assert "states its own instrument" in refused(capsys, "evaluate", sheet, "-m", router.path, "--length", "100")
+    # A certificate lacks the facts of a job.
+    refused(capsys, "evaluate", sheet, "-m", router.path, "-o", mine, "--dcc", tmp_path / "c.xml")
     assert not mine.exists() and not (tmp_path / "x.csv").exists()
     arguments = ("evaluate", sheet, "-m", router.path, "-o", mine, "--html", page, "--json", found)
     assert status(*arguments, "--tolerance", "E_C0Y=100") == 3

@@ -19,6 +19,7 @@ from twin.cli.shared.terminal import tolerances
 if TYPE_CHECKING:
     from twin.machine.machine import Machine
     from twin.measurement.instruments import Instrument
+    from twin.model.calibration import Calibration
     from twin.standards import EvaluationResult
 
 ToleranceOption = Annotated[
@@ -103,13 +104,13 @@ def evaluate(
     page = paper(html_file, pdf_file, job, logo, lang)
     loaded = options.machine(machine)
     reader = None if instrument is None else instrument_named(instrument)
-    after: list[str] = []
+    calibration = None
     if any(map(is_sheet, measured)):
         if drift or sensors or reader is not None or length is not None:
             raise InputError(
                 "a sheet states its own instrument", expected="sheets with --tolerance, --html, --json, -o"
             )
-        evaluation, after = _sheets(measured, loaded, limits, output, machine)
+        evaluation, calibration = _sheets(measured, loaded, limits, wanted=output is not None)
     elif output is not None:
         raise InputError(
             "-o writes the calibration of artefacts", expected="sheets of twin plan --artefact", value=output
@@ -130,9 +131,13 @@ def evaluate(
         from twin.standards.page import evaluation_html  # imports matplotlib, which is slow and needed only here
 
         page.write(lambda sheet: evaluation_html(evaluation, sheet), [*measured, loaded.path])
+    after = []
     if dcc_file is not None and certificate is not None:
         write_atomic(dcc_file, certificate)
-        after = [*after, UNSIGNED]
+        after = [UNSIGNED]
+    if output is not None and calibration is not None:
+        calibration.save(output)
+        after += [f"For the control: twin control --to FORMAT -m {machine} -c {output} -o FOLDER"]
     met = evaluation.met and bool(evaluation.tests)
     return CommandResult(evaluation.to_text(), evaluation.to_dict, met=met, after=after)
 
@@ -159,9 +164,9 @@ def _drift(
 
 
 def _sheets(
-    paths: list[Path], machine: Machine, limits: dict[str, float], output: Path | None, name: str
-) -> tuple[EvaluationResult, list[str]]:
-    """Evaluate the sheets of artefacts and write their calibration; return the result and what to print after it."""
+    paths: list[Path], machine: Machine, limits: dict[str, float], *, wanted: bool
+) -> tuple[EvaluationResult, Calibration | None]:
+    """Evaluate the sheets of artefacts; return the result, and its calibration if wanted."""
     from twin.standards.artefacts import calibration_of, evaluate_sheets, is_sheet
 
     other = next((path for path in paths if not is_sheet(path)), None)
@@ -172,7 +177,4 @@ def _sheets(
             value=other,
         )
     evaluation, found = evaluate_sheets(paths, machine, tolerances=limits)
-    if output is None:
-        return evaluation, []
-    calibration_of(evaluation, found, machine).save(output)
-    return evaluation, [f"For the control: twin control --to FORMAT -m {name} -c {output} -o FOLDER"]
+    return evaluation, calibration_of(evaluation, found, machine) if wanted else None

@@ -140,10 +140,8 @@ def report(
             seed=seed,
             progress=lambda stage, part: bar(stage, 0.5 * part),
         )
-        from twin.reporting.page import (
-            machine_html,
-            sheet_of,
-        )  # imports matplotlib and meshcat: slow, and needed only here
+        # It imports matplotlib and meshcat: slow, and needed only here.
+        from twin.reporting.page import machine_html, sheet_of
 
         bar("drawing", 0.5)
         front = front_page(found, limits, earlier)
