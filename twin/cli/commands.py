@@ -33,6 +33,7 @@ COMMANDS: Final = {
     "compare": "Show what changed between two calibrations of a machine.",
     "confirm": "Confirm that what was written into the machine took effect, or that a crash moved nothing.",
     "volume": "Show the spread of errors over machines drawn from a calibration's covariance.",
+    "forecast": "Forecast which tolerances of a part a program holds on this machine.",
     "check": "Examine NC programs before anything is computed.",
     "compensate": "Rewrite NC programs so that the real machine cuts what was programmed.",
     "verify": "Let a control execute a program, and evaluate the error over the whole motion.",

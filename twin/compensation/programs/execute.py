@@ -31,6 +31,7 @@ from twin.model.calibration import Calibration
 from twin.model.conditions import Conditions
 from twin.nc import read_program
 from twin.nc.blocks import Program, as_columns
+from twin.nc.dialect import Dialect
 from twin.nc.inline import errors_in_files
 from twin.tool.forward import Kinematics
 
@@ -53,6 +54,8 @@ class Execution(Result):
         ends: (n,) whether the point is the end point of a block.
         lines: (n,) program line of each point.
         gaps: (n,) whether the way from the point before is unknown or left out; True at the first point.
+        tools: (n,) number or name of the tool in the spindle; empty if the program's tools are not followed.
+        lengths_mm: (n,) its length.
         left_out: number of points outside an axis's range, for which no errors are known.
         unknown: blocks left out because their places are unknown.
     """
@@ -66,6 +69,8 @@ class Execution(Result):
     ends: np.ndarray
     lines: np.ndarray
     gaps: np.ndarray
+    tools: np.ndarray
+    lengths_mm: np.ndarray
     left_out: int
     unknown: tuple[LostBlock, ...] = ()
 
@@ -130,12 +135,27 @@ def execute_file(
         >>> round(float(error_um.max()), 1)
         83.6
     """
+    read, dialect = read_program(program, language)
+    options = Setup() if setup is None else setup, tool_length_mm
+    return execute_program(read, dialect, machine, calibration, options, tcp=tcp, conditions=conditions)
+
+
+def execute_program(
+    read: Program,
+    dialect: Dialect,
+    machine: Machine,
+    calibration: Calibration | None,
+    used: tuple[Setup, float | None],
+    *,
+    tcp: bool = False,
+    conditions: Conditions | None = None,
+) -> Execution:
+    """Execute a program that has been read; ``used``: set-up and tool length; otherwise as `execute_file`."""
     errors = Calibration.default(machine) if calibration is None else calibration
     errors = errors.with_transformation() if tcp else errors
     at = Conditions() if conditions is None else conditions
     at.require(errors)
-    read, dialect = read_program(program, language)
-    space = WordSpace(machine, Setup() if setup is None else setup, tool_length_mm)
+    space = WordSpace(machine, *used)
     with errors_in_files(read), machine_hints(machine, dialect, lambda line: "".join(read.texts[line - 1 : line])):
         reading = dialect.moves(read, space.axes, tcp=tcp)
         found = Sections(space, read.source).add(as_columns(space.axes.names, reading.moves), reading.frames)
@@ -154,7 +174,8 @@ def execute_file(
                     machine, errors, tool_length_mm=length, conditions=at, by_pose=by_block.names
                 )
             conditions_of = by_block.part(part.begin - part.context, part.end)
-            runs.append(execute(read, part.path, part.space, of_length[length], conditions_of, context=part.context))
+            run = execute(read, part.path, part.space, of_length[length], conditions_of, context=part.context)
+            runs.append(replace(run, tools=np.full(len(run.lines), part.tool)))
     whole = runs[0] if len(runs) == 1 else _joined(runs)
     numbered = tuple(one._replace(line=int(read.numbers[one.line]) - 1) for one in path.unknown)
     return replace(whole, unknown=numbered)
@@ -198,6 +219,8 @@ def execute(
         ends=ends[keep],
         lines=program.numbers[lines[keep] - 1],
         gaps=gaps[keep],
+        tools=np.full(len(positions), ""),
+        lengths_mm=np.full(len(positions), space.nominal.tool_length_mm),
         left_out=int(np.count_nonzero(own & ~keep)),
     )
 

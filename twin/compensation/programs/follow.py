@@ -572,6 +572,7 @@ class SectionMotions:
     begin: int  # begin, end: the range of its own motions among those given
     end: int
     context: int  # 1, or 0 if no other section is before
+    tool: str = ""  # number or name of the tool in the spindle, if the program's tools are followed
 
 
 def motions_of(
@@ -581,9 +582,8 @@ def motions_of(
     cuts = np.searchsorted(path.columns.line, [section.line for section in found]).tolist()
     parts: list[SectionMotions] = []
     before = None if last is None else last[0]
-    for within, begin, end in zip(
-        (space, *(section.space for section in found)), (0, *cuts), (*cuts, len(path.columns)), strict=True
-    ):
+    spaces, tools = (space, *(section.space for section in found)), ("", *(section.frame.tool for section in found))
+    for within, tool, begin, end in zip(spaces, tools, (0, *cuts), (*cuts, len(path.columns)), strict=True):
         if begin == end:
             continue
         context = int(before is not None and before is not within)
@@ -594,7 +594,7 @@ def motions_of(
             part = replace_first(ToolPath(columns, columns), before, within)
         else:
             part = replace_first(path.part(begin - 1, end), before, within)
-        parts.append(SectionMotions(within, part, begin, end, context))
+        parts.append(SectionMotions(within, part, begin, end, context, tool))
         before = within
     return parts
 
