@@ -306,7 +306,7 @@ class Part:
         tools: shapes of tools by number or name.
         zero: where the part's zero is: that of the program, the table's centre, or a place in the work frame, mm.
         touch_mm: distance from a nominal surface up to which a tool touches it.
-        association: of datums and of form: least squares or minimum zone.
+        association: of form: least squares or minimum zone.
         setup: uncertainty of the part's place, for features that are made elsewhere.
 
     Raises:

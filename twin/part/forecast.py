@@ -18,6 +18,7 @@ from functools import cached_property
 from typing import Any, Final, final
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from twin._common.errors import InputError
 from twin._common.provenance import warning_texts
@@ -36,8 +37,8 @@ from twin.model.calibration import Calibration
 from twin.nc.blocks import Program
 from twin.nc.dialect import Dialect
 from twin.part.contact import Contacts, contacts
-from twin.part.features import LOCATED, ORIENTED, Part, Surface, Tolerance, ToolShape, _Turned, across
-from twin.part.zones import MOST_CENTRES, Aligned, Points, align, around_axis_um, band_um, both_sides_um
+from twin.part.features import LOCATED, ORIENTED, Part, Plane, Surface, Tolerance, ToolShape, _Turned, across
+from twin.part.zones import MOST_CENTRES, Aligned, Points, align, around_axis_um, band_um, best_place, both_sides_um, independent
 from twin.tool.forward import Kinematics
 from twin.tool.uncertainty import ToolUncertainty, errors_in, state_at
 
@@ -222,6 +223,8 @@ class Maker:
         feature = self.part.features[name]
         parts, errors, lines, off, used = [], [], [], 0.0, ""
         nearest = (np.inf, 0)
+        depth = getattr(feature, "depth", None)
+        run = finely(run, self._chosen(name, run), STEP_MM if depth is None else min(STEP_MM, depth / DEPTH_STEPS))
         for number, tool, rows in self._samples(name, run):
             length = float(run.lengths_mm[rows[0]])
             real, uncertainty = self.kinematics(length)
@@ -230,6 +233,7 @@ class Maker:
                 poses = meant.forward(run.positions[some], run.sides[some]) if compensated else meant.forward(run.positions[some])
                 tips = poses.point_mm - zero_mm
                 found = contacts(feature, tool, tips, poses.axis, self.part.touch_mm)
+                found = found.part(_along_surface(found, tips, run.ends[some]))
                 if not len(found):
                     distance = np.abs(contacts(feature, tool, tips, poses.axis, np.inf).off_mm)
                     if len(distance) and distance.min() < nearest[0]:
@@ -268,10 +272,7 @@ class Maker:
 
     def _samples(self, name: str, run: Execution) -> Iterator[tuple[str, ToolShape, np.ndarray]]:
         """Yield number, shape and (n,) samples of the tools that may make a feature."""
-        feature, tools = self.part.features[name], self.part.tools
-        chosen = run.cutting & ~run.gaps
-        if feature.lines is not None:
-            chosen &= (run.lines >= feature.lines[0]) & (run.lines <= feature.lines[1])
+        feature, tools, chosen = self.part.features[name], self.part.tools, self._chosen(name, run)
         followed = bool(np.any(run.tools != ""))
         numbers = [str(feature.tool)] if feature.tool is not None else [*tools]
         if not followed and len(numbers) > 1:
@@ -282,6 +283,13 @@ class Maker:
             own = chosen & (run.tools == number) if followed else chosen
             for length in np.unique(run.lengths_mm[own]):
                 yield number, tools[number], np.flatnonzero(own & (run.lengths_mm == length))
+
+    def _chosen(self, name: str, run: Execution) -> np.ndarray:
+        """Return (n,) the samples of cutting blocks in a feature's lines."""
+        feature, chosen = self.part.features[name], run.cutting
+        if feature.lines is not None:
+            chosen = chosen & (run.lines >= feature.lines[0]) & (run.lines <= feature.lines[1])
+        return np.asarray(chosen)
 
     def _deviations(
         self, feature: Surface, found: Contacts, at: tuple[np.ndarray, np.ndarray, Execution, np.ndarray], real: Kinematics,
@@ -301,7 +309,7 @@ class Maker:
         root = np.einsum("ne,ner->nr", seen[:, components], spread)
         motion = np.hstack([found.normal, np.cross(found.place_mm, found.normal)])
         values = mean[:, None] + root @ self.draws + motion @ self.placed
-        sized = isinstance(feature, _Turned) or feature.kind == "sphere"
+        sized = not (found.drilled or isinstance(feature, Plane))
         points = Points(found.place_mm, found.normal, values, sized, found.drilled)
         state = state_at(self.machine, q, sides, self.options.conditions)
         each: dict[str, np.ndarray] = {}
@@ -312,6 +320,48 @@ class Maker:
 
 
 ROWS: Final = 100_000
+STEP_MM: Final = 1.0
+"""Largest distance of two samples of the tool's way along a straight block."""
+DEPTH_STEPS: Final = 100
+
+
+def finely(run: Execution, chosen: np.ndarray, step_mm: float) -> Execution:
+    """Return an execution with more samples on the straight ways to some of them, (n,) booleans."""
+    way = np.diff(run.meant_mm, axis=0, prepend=run.meant_mm[:1])
+    length = np.linalg.norm(way, axis=1)
+    unit = way / np.maximum(length, 1e-12)[:, None]
+    # A way is straight if it does not turn within its block: samples of arcs are dense already.
+    turns = (np.linalg.norm(np.diff(unit, axis=0), axis=1) > STRAIGHT) & (run.lines[1:] == run.lines[:-1]) & (length[:-1] > 0.0)
+    turns[~chosen[:-1] | run.gaps[:-1]] = False
+    straight = ~(np.append(turns, False) | np.append(False, turns))
+    parts = np.where(chosen & ~run.gaps & straight, np.clip(np.ceil(length / step_mm), 1, MOST_PARTS), 1).astype(int)
+    of = np.repeat(np.arange(len(parts)), parts)
+    share = (np.arange(len(of)) - np.repeat(np.cumsum(parts) - parts, parts) + 1.0) / parts[of]
+    last = share >= 1.0 - 1e-12
+    before = np.maximum(of - 1, 0)
+    positions = run.positions[of]
+    positions[~last] += (share[~last, None] - 1.0) * (run.positions[of] - run.positions[before])[~last]
+    names = ("meant_mm", "sides", "reached_mm", "tilt_urad", "cutting", "lines", "gaps", "tools", "lengths_mm")
+    return replace(run, positions=positions, ends=run.ends[of] & last, **{name: getattr(run, name)[of] for name in names})
+
+
+STRAIGHT: Final = 1e-5
+MOST_PARTS: Final = 1000
+
+
+def _along_surface(found: Contacts, tips: np.ndarray, ends: np.ndarray) -> np.ndarray:
+    """Return the rows at which the tool goes along the surface, or a block ends on it: others only pass through."""
+    if found.drilled or len(tips) < 2:
+        return np.arange(len(found))
+    way = np.gradient(tips, axis=0)
+    length = np.linalg.norm(way, axis=1)
+    way = way / np.maximum(length, 1e-12)[:, None]
+    through = np.abs((way[found.sample] * found.normal).sum(axis=1)) > PASSING
+    return np.flatnonzero(~through | ends[found.sample])
+
+
+PASSING: Final = 0.2
+"""Component of the tool's way along the normal of a surface, from which on it passes through: 12°."""
 
 
 def _spread(found: Contacts, count: int) -> np.ndarray:
@@ -353,7 +403,7 @@ def sections(along: np.ndarray) -> list[np.ndarray]:
         return [np.flatnonzero(np.abs(along - place) < 1e-3) for place in different]
     edges = np.linspace(along.min(), along.max(), MOST_CENTRES + 1)
     part = np.clip(np.searchsorted(edges, along, side="right") - 1, 0, MOST_CENTRES - 1)
-    return [np.flatnonzero(part == k) for k in range(MOST_CENTRES)]
+    return [np.flatnonzero(part == k) for k in np.unique(part)]
 
 
 # --- Tolerances ----------------------------------------------------------------------------------------------------------
@@ -371,7 +421,7 @@ class Judge:
         made = {name: self._judged(tolerance, name, surface, axis) for name in tolerance.features}
         count = next(iter(made.values())).deviation_um.shape[1]
         datums = [self._datum(name, surface, axis) for name in tolerance.datums]
-        aligned = align(datums, count, self.part.association)
+        aligned = align(datums, count)
         seen = {name: aligned.seen(points) for name, points in made.items()}
         if tolerance.kind in LOCATED or tolerance.kind == "profile":
             return self._located(tolerance, seen, aligned)
@@ -405,7 +455,7 @@ class Judge:
         joined = Points.joined([*seen.values()])
         free = aligned.free_columns(joined)
         i = self.part.tolerances.index(tolerance)
-        if tolerance.kind in LOCATED and free.shape[1] and _absorbs(free, joined):
+        if tolerance.kind in LOCATED and free.shape[1] and _absorbs(free, [*seen.values()]):
             raise self.part.refused(
                 ("tolerances", i, "datums"), f"the datums of {tolerance.title} do not fix the part: they leave its place free",
                 "more datums, or the holes of a pattern together", tolerance.datums,
@@ -415,7 +465,7 @@ class Judge:
             value = around_axis_um(joined, free, placed=True) if joined.axis else both_sides_um(joined, free)
             return {name: value}
         if free.shape[1]:
-            joined = joined.with_deviation(joined.deviation_um - free @ placed_steps(joined, free))
+            joined = joined.with_deviation(joined.deviation_um - free @ best_place(joined, free))
         ends = np.cumsum([len(one.place_mm) for one in seen.values()])[:-1]
         none = np.zeros((0, 0))
         found = {}
@@ -428,20 +478,20 @@ class Judge:
     def _of_form_or_direction(self, tolerance: Tolerance, name: str, points: Points, aligned: Aligned) -> np.ndarray:
         feature, association = self.part.features[name], self.part.association
         if tolerance.kind == "flatness":
-            return band_um(points, _columns(points.motion), association)
+            return band_um(points, independent(points.motion), association)
         if tolerance.kind == "roundness":
             return self._roundness(name, points)
         free = aligned.free_columns(points)
         if isinstance(feature, _Turned):
             return around_axis_um(points, free, placed=False)
         shift = points.normal @ np.array(feature.normal) if hasattr(feature, "normal") else np.ones(len(points.normal))
-        return band_um(points, _columns(np.column_stack([shift, free])), "minimum-zone")
+        return band_um(points, independent(np.column_stack([shift, free])), "minimum-zone")
 
     def _roundness(self, name: str, points: Points) -> np.ndarray:
         """Return the largest roundness of the sections of a surface of revolution, or that of a sphere as a whole."""
         feature = self.part.features[name]
         if not isinstance(feature, _Turned):
-            return band_um(points, _columns(np.column_stack([points.normal, np.ones(len(points.normal))])), self.part.association)
+            return band_um(points, independent(np.column_stack([points.normal, np.ones(len(points.normal))])), self.part.association)
         u = np.array(feature.direction) / np.linalg.norm(feature.direction)
         lateral = points.normal @ np.array(across(u)).T
         largest = np.zeros(points.deviation_um.shape[1])
@@ -453,24 +503,17 @@ class Judge:
         return largest
 
 
-def _absorbs(free: np.ndarray, points: Points) -> bool:
-    """Return whether free motions can bring the points of a feature, or each of a pattern, to their nominal places exactly."""
-    return bool(np.linalg.matrix_rank(free, tol=1e-6) >= np.linalg.matrix_rank(points.motion, tol=1e-6))
-
-
-def placed_steps(points: Points, free: np.ndarray) -> np.ndarray:
-    """Return the free motions that place a pattern best."""
-    from twin.part.zones import _smallest_circle_steps, chebyshev
-
-    return _smallest_circle_steps(free, points.deviation_um) if points.axis else chebyshev(free, points.deviation_um)[0]
-
-
-def _columns(motion: np.ndarray) -> np.ndarray:
-    """Return independent columns of the same span."""
-    scale = np.linalg.norm(motion, axis=0)
-    some = motion[:, scale > 1e-9] / scale[scale > 1e-9]
-    left, values, _ = np.linalg.svd(some, full_matrices=False)
-    return np.asarray(left[:, values > 1e-7 * values[0]])
+def _absorbs(free: np.ndarray, parts: Sequence[Points]) -> bool:
+    """Return whether free motions can shift some feature to its place while the others of its pattern stay where they are."""
+    begin = 0
+    for one in parts:
+        shift = np.zeros((len(free), 3))
+        shift[begin : begin + len(one.normal)] = one.normal
+        begin += len(one.normal)
+        shift = independent(shift)
+        if np.linalg.norm(shift - free @ (free.T @ shift)) < 1e-6 * max(shift.shape[1], 1):
+            return True
+    return False
 
 
 SCHEMA: Final = "twin.forecast/1"
@@ -613,8 +656,9 @@ def forecast(
         except InputError as error:
             why = str(error)
         else:
-            again = dialect.read(compensation.text.encode("latin-1"), read.source)
-            after = maker.made(maker.run(again, dialect), compensated=True, zero_mm=zero_mm)
+            again = maker.run(dialect.read(compensation.text.encode("latin-1"), read.source), dialect)
+            again = replace(again, lines=run.lines[cKDTree(run.meant_mm).query(again.reached_mm)[1]])
+            after = maker.made(again, compensated=True, zero_mm=zero_mm)
         rows = tuple(_forecast_of(judge, one, before, after) for one in part.tolerances)
     unknown = maker.kinematics(float(run.lengths_mm[0]))[1].without_uncertainty
     return Forecast(

@@ -24,7 +24,7 @@ from twin._common.arrays import read_only
 
 RANK: Final = 1e-6
 """Singular value, as a share of the largest, below which a motion of the part does not change a feature."""
-CLOSE_ENOUGH: Final = 1e-4
+CLOSE_ENOUGH: Final = 1e-9
 """Share of a minimum zone by which a point may still lie outside the one found."""
 MOST_EXCHANGES: Final = 500
 FARTHEST: Final = 1e6
@@ -92,11 +92,15 @@ class Aligned:
 
     def free_columns(self, points: Points) -> np.ndarray:
         """Return (n, r) deviations of a feature that the free motions cause, as independent columns."""
-        return _independent(points.motion @ self.free)
+        return independent(points.motion @ self.free)
 
 
-def align(datums: Sequence[Points], machines: int, association: Association = "least-squares") -> Aligned:
-    """Return the alignment to datums in their order; each decides what those before it leave free."""
+def align(datums: Sequence[Points], machines: int) -> Aligned:
+    """Return the alignment to datums in their order; each decides what those before it leave free.
+
+    A datum is the least-squares feature in these freedoms; a plane is then shifted along its normal until it touches the material from
+    outside. (Planes of the smallest zone are not unique for points on a grid.)
+    """
     motion, free = np.zeros((6, machines)), np.eye(6)
     for points in datums:
         columns = points.motion @ free
@@ -109,24 +113,17 @@ def align(datums: Sequence[Points], machines: int, association: Association = "l
         decided, left = directions[:rank].T / scale[:, None], directions[rank:].T / scale[:, None]
         rows = np.hstack([columns @ decided, size])
         seen = points.deviation_um - points.motion @ motion
-        if association == "minimum-zone" and not points.axis:
-            steps = chebyshev(rows, seen)[0]
-            if not points.sized:
-                # The datum plane touches the material from outside (ISO 5459:2011, 6.2.2): it lies on the highest points.
-                steps = steps + np.linalg.lstsq(rows, np.ones((len(rows), 1)), rcond=None)[0] * _half_width(rows, seen, steps)
-        else:
-            steps = np.linalg.lstsq(rows, seen, rcond=None)[0]
+        steps = np.linalg.lstsq(rows, seen, rcond=None)[0]
+        if not points.sized and not points.axis:
+            outwards = np.linalg.lstsq(rows, np.ones((len(rows), 1)), rcond=None)[0]
+            steps = steps + outwards * (seen - rows @ steps).max(axis=0)
         motion = motion + free @ decided @ steps[:rank]
         free = free @ left
         free = free / np.maximum(np.linalg.norm(free, axis=0), 1e-12)
     return Aligned(read_only(motion), read_only(free))
 
 
-def _half_width(rows: np.ndarray, seen: np.ndarray, steps: np.ndarray) -> np.ndarray:
-    return np.asarray((seen - rows @ steps).max(axis=0))
-
-
-def _independent(columns: np.ndarray) -> np.ndarray:
+def independent(columns: np.ndarray) -> np.ndarray:
     """Return an orthonormal basis (n, r) of the span of columns; none if all are zero."""
     if not columns.size:
         return np.zeros((len(columns), 0))
@@ -163,15 +160,15 @@ def around_axis_um(points: Points, columns: np.ndarray, *, placed: bool) -> np.n
     """
     left = points.deviation_um
     if placed and columns.shape[1]:
-        left = left - columns @ _smallest_circle_steps(columns, left)
+        left = left - columns @ smallest_circle_steps(columns, left)
     across = left.reshape(-1, 2, left.shape[1])
     if placed:
         return np.asarray(2.0 * np.linalg.norm(across, axis=1).max(axis=0))
     shift = np.tile(np.eye(2), (len(across), 1))
-    turning = _independent(columns - shift @ (shift.T @ columns) / len(across)) if columns.size else columns
+    turning = independent(columns - shift @ (shift.T @ columns) / len(across)) if columns.size else columns
     if turning.shape[1]:
         both = np.hstack([shift, turning])
-        left = left - both @ _smallest_circle_steps(both, left)
+        left = left - both @ smallest_circle_steps(both, left)
         return np.asarray(2.0 * np.linalg.norm(left.reshape(-1, 2, left.shape[1]), axis=1).max(axis=0))
     return 2.0 * enclosing_radius(across)
 
@@ -203,10 +200,15 @@ def enclosing_radius(across: np.ndarray) -> np.ndarray:
     return best
 
 
+def best_place(points: Points, free: np.ndarray) -> np.ndarray:
+    """Return (k, machines) the free motions, along columns (n, k), that make the largest deviation small."""
+    return smallest_circle_steps(free, points.deviation_um) if points.axis else chebyshev(free, points.deviation_um)[0]
+
+
 CIRCLE_STEPS: Final = 200
 
 
-def _smallest_circle_steps(columns: np.ndarray, left: np.ndarray) -> np.ndarray:
+def smallest_circle_steps(columns: np.ndarray, left: np.ndarray) -> np.ndarray:
     """Return (k, machines) free motions that make the largest distance across the axes small (Lawson's weights; Rice and Usow 1968).
 
     The result is an upper bound of the least one, some thousandths above it.

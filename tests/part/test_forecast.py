@@ -1,0 +1,278 @@
+"""Forecasts of a part's tolerances, against a machine in plain numpy that cuts it (`tests.truth.machine`), and its own fits."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from scipy.optimize import linprog, minimize
+
+import twin
+from tests.truth.machine import TruthMachine
+from twin.compensation.programs.prepared import Options
+from twin.nc import read_program
+from twin.part.features import Part
+from twin.part.forecast import Conformity, Forecast, forecast
+
+LENGTH = 120.0
+ZERO = np.array([250.0, 225.0, -280.0])
+"""Axis positions at which the tip stands in the centre of the table's surface."""
+HOLES = ((-60.0, -45.0), (60.0, -45.0), (60.0, 45.0), (-60.0, 45.0))
+RADIUS, BORE, BALL, SPHERE = 5.0, 40.0, 4.0, 30.0
+TOP, DEPTH = 40.0, 20.0
+
+
+def face() -> list[np.ndarray]:
+    """Tips along lines over the top, 120 × 90 mm."""
+    lines = np.linspace(-45.0, 45.0, 10)
+    return [np.array([x, y, TOP]) for k, y in enumerate(lines) for x in ((-60.0, 60.0) if k % 2 == 0 else (60.0, -60.0))]
+
+
+def hemisphere() -> list[np.ndarray]:
+    """Tips of a ball-nose tool on circles of a hemisphere on the top."""
+    found = []
+    for angle in np.radians([15.0, 35.0, 55.0, 75.0]):
+        for turn in np.radians(np.arange(0.0, 361.0, 2.0)):
+            n = np.array([np.sin(angle) * np.cos(turn), np.sin(angle) * np.sin(turn), np.cos(angle)])
+            found.append((SPHERE / 2 + BALL) * n + [0.0, 0.0, TOP - BALL])
+    return found
+
+
+def blocks(tips: list[np.ndarray]) -> str:
+    """G1 blocks to tips, entered by a rapid."""
+    words = [" ".join(f"{axis}{value:.6f}" for axis, value in zip("XYZ", tip + ZERO, strict=True)) for tip in tips]
+    return "".join([f"G0 {words[0]}\n", *(f"G1 {word} F900\n" for word in words)])
+
+
+def program() -> str:
+    holes = "".join(f"G0 X{x + 250:g} Y{y + 225:g} Z-200\nG1 Z{TOP - DEPTH - 280:g}\nG0 Z-200\n" for x, y in HOLES)
+    bore = "".join(
+        f"G1 Z{z - 280:g}\nG3 X{250 + BORE / 2 - RADIUS:g} Y225 I{-(BORE / 2 - RADIUS):g} J0\n" for z in (35.0, 30.0, 25.0, 20.0)
+    )
+    approach = f"G0 X{250 + BORE / 2 - RADIUS:g} Y225 Z-200\n"
+    return f"G90 G21 G17 G94\nB0 C0\n{blocks(face())}{holes}{approach}{bore}G0 Z-100\n{blocks(hemisphere())}G0 Z-100\nM30\n"
+
+
+PART = f"""schema: twin.part/1
+part: test plate
+units: mm
+zero: table
+tools:
+  - {{number: 1, diameter: {2 * RADIUS:g}, cutting_length: 1}}
+  - {{number: 2, diameter: 8}}
+  - {{number: 3, diameter: {2 * BALL:g}, corner_radius: {BALL:g}}}
+features:
+  A: {{kind: plane, point: [0, 0, {TOP:g}], normal: [0, 0, 1], tool: 1, lines: [3, 30]}}
+HOLES
+  Bore: {{kind: hole, point: [0, 0, {TOP:g}], depth: 20, diameter: {BORE:g}, tool: 1, lines: [31, 60]}}
+  Ball: {{kind: sphere, centre: [0, 0, {TOP:g}], diameter: {SPHERE:g}, tool: 3, lines: [50, 900]}}
+tolerances:
+  - {{kind: flatness, of: A, zone: 0.02}}
+  - {{kind: position, of: [H0, H1, H2, H3], zone: 0.1, datums: [A]}}
+  - {{kind: perpendicularity, of: H0, zone: 0.1, datums: [A]}}
+  - {{kind: roundness, of: Bore, zone: 0.02}}
+  - {{kind: profile, of: Ball, zone: 0.1, datums: [A, H0, H2]}}
+"""
+
+
+def write(folder: Path) -> tuple[Path, Path]:
+    """Write program and part."""
+    features = "".join(
+        f"  H{k}: {{kind: hole, point: [{x:g}, {y:g}, {TOP:g}], depth: {DEPTH:g}, diameter: 8, tool: 2}}\n" for k, (x, y) in enumerate(HOLES)
+    )
+    (folder / "part.yaml").write_text(PART.replace("HOLES\n", features))
+    (folder / "part.nc").write_text(program())
+    return folder / "part.nc", folder / "part.yaml"
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Forecast, TruthMachine, Path]:
+    folder = tmp_path_factory.mktemp("part")
+    path, features = write(folder)
+    machine = twin.Machine.load("dmu50")
+    calibration = twin.Calibration.default(machine)
+    found = forecast(Part(features), *read_program(path), machine, calibration, Options(tool_length_mm=LENGTH))
+    truth = TruthMachine(Path(str(calibration.path if hasattr(calibration, "path") else machine.path.parent / "dmu50.calibration.yaml")), LENGTH)
+    return found, truth, features
+
+
+def tips(truth: TruthMachine, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the real tips and axes at programmed tips."""
+    poses = [truth.pose(np.append(one + ZERO, [0.0, 0.0])) for one in at]
+    return np.array([pose[:3, 3] for pose in poses]), np.array([pose[:3, 2] for pose in poses])
+
+
+def between(points: list[np.ndarray], step: float = 2.0) -> np.ndarray:
+    """Points along a polyline."""
+    found = [points[0][None]]
+    for a, b in zip(points[:-1], points[1:], strict=True):
+        count = max(1, int(np.ceil(np.linalg.norm(b - a) / step)))
+        found.append(a + (b - a) * (np.arange(1, count + 1) / count)[:, None])
+    return np.concatenate(found)
+
+
+def smallest(columns: np.ndarray, values: np.ndarray) -> float:
+    """Return the smallest largest deviation, by a linear programme."""
+    ones = np.ones((len(values), 1))
+    found = linprog(
+        np.append(np.zeros(columns.shape[1]), 1.0),
+        np.vstack([np.hstack([-columns, -ones]), np.hstack([columns, -ones])]),
+        np.concatenate([-values, values]),
+        bounds=(None, None),
+    )
+    return float(found.fun)
+
+
+def of(found: Forecast, kind: str) -> Conformity:
+    return next(one.before for one in found.tolerances if one.tolerance.kind == kind)
+
+
+def face_of(truth: TruthMachine) -> np.ndarray:
+    """Return the coefficients of the least-squares plane of the top, z over (1, x, y), raised to its highest point."""
+    at = between(face())
+    z = tips(truth, at)[0][:, 2] - TOP
+    columns = np.column_stack([np.ones(len(at)), at[:, :2]])
+    plane = np.linalg.lstsq(columns, z, rcond=None)[0]
+    return plane + [(z - columns @ plane).max(), 0.0, 0.0]
+
+
+def holes_of(truth: TruthMachine) -> np.ndarray:
+    """Return the real axis points (4, n, 3) of the holes."""
+    depth = np.linspace(TOP, TOP - DEPTH, 9)
+    return np.array([tips(truth, np.column_stack([np.full(9, x), np.full(9, y), depth]))[0] for x, y in HOLES])
+
+
+def test_flatness_is_that_of_the_cut_plane(made: tuple[Forecast, TruthMachine, Path]) -> None:
+    found, truth, _ = made
+    at = between(face())
+    z = tips(truth, at)[0][:, 2]
+    expected = 2e3 * smallest(np.column_stack([np.ones(len(at)), at[:, :2]]), z - TOP)
+    assert of(found, "flatness").value_um == pytest.approx(expected, rel=0.03)
+
+
+def test_position_of_a_pattern_is_that_of_the_drilled_holes(made: tuple[Forecast, TruthMachine, Path]) -> None:
+    """The pattern may move in the plane of A, whose normal its axes follow."""
+    found, truth, _ = made
+    plane, axes = face_of(truth), holes_of(truth)
+    nominal = np.array([[(x, y)] * 9 for x, y in HOLES], dtype=float)
+    height = axes[:, :, 2] - TOP
+    lateral = axes[:, :, :2] - nominal + height[:, :, None] * plane[1:]  # seen along the normal of A
+
+    def largest(move: np.ndarray) -> float:
+        turned = np.stack([-nominal[:, :, 1], nominal[:, :, 0]], axis=-1) * move[2] * 1e-3
+        return float(np.linalg.norm(lateral - move[:2] * 1e-3 - turned, axis=2).max())
+
+    start = np.append(lateral.reshape(-1, 2).mean(axis=0) * 1e3, 0.0)
+    best = min(minimize(largest, start + d, method="Nelder-Mead", options={"xatol": 1e-7, "fatol": 1e-9, "maxiter": 6000}).fun for d in np.eye(3))
+    assert of(found, "position").value_um == pytest.approx(2e3 * best, rel=0.03)
+
+
+def test_perpendicularity_is_that_of_the_drilled_hole(made: tuple[Forecast, TruthMachine, Path]) -> None:
+    found, truth, _ = made
+    plane, axes = face_of(truth), holes_of(truth)[0]
+    lateral = axes[:, :2] - HOLES[0] + (axes[:, 2:] - TOP) * plane[1:]
+    best = minimize(
+        lambda c: np.linalg.norm(lateral - c * 1e-3, axis=1).max(), lateral.mean(axis=0) * 1e3, method="Nelder-Mead",
+        options={"xatol": 1e-7, "fatol": 1e-10},
+    ).fun  # fmt: skip
+    assert of(found, "perpendicularity").value_um == pytest.approx(2e3 * best, rel=0.03, abs=0.05)
+
+
+def test_roundness_is_that_of_the_bore(made: tuple[Forecast, TruthMachine, Path]) -> None:
+    """The wall is the envelope of the tool's edge: for each direction the farthest point of a dense circle of the tool."""
+    found, truth, _ = made
+    worst = 0.0
+    for z in (35.0, 30.0, 25.0, 20.0):
+        turn = np.radians(np.arange(0.0, 360.0, 5.0))
+        way = np.column_stack([np.cos(turn), np.sin(turn)])
+        at = np.column_stack([(BORE / 2 - RADIUS) * way, np.full(len(turn), z)])
+        edge = tips(truth, at)[0][:, :2] + RADIUS * way
+        radius = np.linalg.norm(edge, axis=1)
+        worst = max(worst, 2e3 * smallest(np.column_stack([way, np.ones(len(way))]), radius))
+    assert of(found, "roundness").value_um == pytest.approx(worst, rel=0.05, abs=0.05)
+
+
+def test_profile_of_a_sphere_is_that_of_the_ball(made: tuple[Forecast, TruthMachine, Path]) -> None:
+    """From datums: A, the axis of one hole, and the direction to another; the tool's envelope by a dense half ball."""
+    found, truth, _ = made
+    at = between(hemisphere(), 0.3)
+    programmed = np.linalg.norm(at + [0.0, 0.0, BALL - TOP], axis=1) - BALL - SPHERE / 2
+    at = at[np.abs(programmed) < 0.02]  # not on the ways from one circle to the next
+    point, axis = tips(truth, at)
+    centre = point + BALL * axis
+    off = np.linalg.norm(centre - [0.0, 0.0, TOP], axis=1) - BALL - SPHERE / 2
+    n = (centre - [0.0, 0.0, TOP]) / np.linalg.norm(centre - [0.0, 0.0, TOP], axis=1)[:, None]
+    plane, holes = face_of(truth), holes_of(truth)
+    turn = np.array([plane[2], -plane[1], 0.0])
+    shift = np.array([0.0, 0.0, plane[0]])
+
+    def lateral(k: int) -> np.ndarray:
+        nominal = np.column_stack([np.full(9, HOLES[k][0]), np.full(9, HOLES[k][1]), np.linspace(TOP, TOP - DEPTH, 9)])
+        moved = shift + np.cross(turn, nominal - [0.0, 0.0, TOP])
+        return (holes[k] - nominal - moved)[:, :2].mean(axis=0)
+
+    first, second = lateral(0), lateral(2)
+    way = np.array(HOLES[2]) - HOLES[0]
+    across = np.array([-way[1], way[0]])
+    about = float((second - first) @ across / (across @ across))
+    p = np.array([*HOLES[0], 0.0])
+    contact = centre - BALL * n
+    rigid = shift + np.cross(turn, contact - [0.0, 0.0, TOP]) + [*first, 0.0] + np.cross([0.0, 0.0, about], contact - p)
+    expected = 2e3 * np.abs(off - (rigid * n).sum(axis=1)).max()
+    assert of(found, "profile").value_um == pytest.approx(expected, rel=0.05)
+
+
+def test_the_compensated_program_makes_what_the_drawing_says(made: tuple[Forecast, TruthMachine, Path]) -> None:
+    found, _, _ = made
+    after = [one.after.value_um for one in found.tolerances if one.after is not None]
+    assert len(after) == len(found.tolerances)
+    assert max(after[:4]) < 2.0
+    assert after[4] < 8.0  # chords of 2°: the program itself is 2.7 µm inside, twice of which counts
+    assert all(np.isnan(one.before.probability) for one in found.tolerances)  # a calibration without uncertainty
+    assert "its uncertainty is not known" in found.to_text()
+    assert json.loads(json.dumps(found.to_dict()))["tolerances"][0]["before"]["probability"] is None
+
+
+def test_each_error_counts_as_the_machine_without_it(made: tuple[Forecast, TruthMachine, Path], tmp_path: Path) -> None:
+    found, truth, _ = made
+    row = next(one for one in found.tolerances if one.tolerance.kind == "flatness")
+    name, lost = row.by_error[0]
+    at = between(face())
+    without = TruthMachine(Path(twin.Machine.load("dmu50").path).parent / "dmu50.calibration.yaml", LENGTH)
+    for group in (without.curves, without.squareness, without.location):
+        group.pop(name, None)
+    z = tips(without, at)[0][:, 2]
+    expected = 2e3 * smallest(np.column_stack([np.ones(len(at)), at[:, :2]]), z - TOP)
+    assert row.before.value_um - lost == pytest.approx(expected, rel=0.05, abs=0.05)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "line", "said"),
+    [
+        ("point: [0, 0, 40], normal", "point: [0, 0, 44], normal", 10, "no block of the program makes the feature A"),
+        ("datums: [A]}", "datums: [Q]}", 19, "no such feature"),
+        ("of: H0, zone: 0.1, datums: [A]", "of: H0, zone: 0.1, datums: []", 20, "without a datum"),
+        ("kind: roundness, of: Bore", "kind: roundness, of: A", 21, "roundness of a plane"),
+        ("units: mm", "units: inch", 3, "units"),
+        ("corner_radius: 4", "corner_radius: 5", 8, "a corner radius larger than the tool's"),
+        ("of: [H0, H1, H2, H3], zone", "of: H0, zone", 19, "do not fix the part"),
+        ("kind: roundness, of: Bore", "kind: roundness, of: H1", 12, "by its own shape"),
+    ],
+)
+def test_what_the_file_cannot_mean_is_refused_with_its_line(tmp_path: Path, old: str, new: str, line: int, said: str) -> None:
+    path, features = write(tmp_path)
+    text = features.read_text()
+    assert old in text
+    features.write_text(text.replace(old, new, 1))
+    machine = twin.Machine.load("dmu50")
+    with pytest.raises(twin.InputError) as refused:
+        forecast(Part(features), *read_program(path), machine, twin.Calibration.default(machine), Options(tool_length_mm=LENGTH))
+    assert said in str(refused.value)
+    assert f"{features}:{line}" in str(refused.value)
+
+
+def test_yaml_of_the_part_is_plain() -> None:
+    assert yaml.safe_load(PART.replace("HOLES\n", ""))["schema"] == "twin.part/1"
