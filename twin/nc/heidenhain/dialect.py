@@ -103,7 +103,8 @@ class HeidenhainWriter(WordWriter[PathBlock]):
             self.lower = block.text[block.words[-1].value_start - 1].islower()
         self._pole: list[str] = []
         if block.polar:  # both axes are written, also where the block moves nothing
-            self.said.mark_stale(range(self.linear))
+            arc = segments[0].move.arc
+            self.said.mark_stale(range(self.linear) if arc is None else arc.plane[:2])
         lines = self.rewritten(block, segments)
         if block.unknown_axes and not block.tcp_switched:
             self.said.mark_unknown(block.unknown_axes)
@@ -155,7 +156,9 @@ class HeidenhainWriter(WordWriter[PathBlock]):
         if self.own_calls:
             drop(block, block.call_words, edits)
         drop(block, block.polar_words, edits)
-        if block.polar or (rewrite.move.kind is Kind.ARC and not rewrite.move.whole):
+        if block.polar and rewrite.move.kind is Kind.ARC and rewrite.move.whole:
+            keyword = "c" if keyword.islower() else "C"
+        elif block.polar or (rewrite.move.kind is Kind.ARC and not rewrite.move.whole):
             keyword = "l" if keyword.islower() else "L"
         return keyword
 
@@ -185,7 +188,7 @@ class HeidenhainWriter(WordWriter[PathBlock]):
                 self.said.record(axis, move.position[axis], False)
 
     def _bent(self, block: PathBlock, move: Move, start: list[float], end: list[float], edits: list[Edit]) -> list[str]:
-        """Give ``CR`` its new radius; write the new pole before ``C``."""
+        """Give ``CR`` its new radius; write the new pole before ``C``, and ``CP``, which becomes one."""
         a, b, _ = move.arc.plane  # type: ignore[union-attr]  # asked for arcs only
         centre = self._new_centre(block, move, start, end)
         if block.keyword == "CR":
@@ -363,6 +366,10 @@ class Heidenhain(Dialect):
     def is_comment(self, text: str) -> bool:
         """See `Dialect.is_comment`."""
         return _REMARK.fullmatch(text) is not None
+
+    def follows(self, text: str) -> bool:
+        """See `Dialect.follows`."""
+        return vocabulary.SHAPING.match(text) is not None or self.is_comment(text)
 
     def is_motion_only(self, text: str, names: tuple[str, ...]) -> bool:
         """See `Dialect.is_motion_only`."""

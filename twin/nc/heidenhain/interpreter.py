@@ -202,7 +202,7 @@ class HeidenhainInterpreter(HeidenhainFrame):
             raise self.error("unknown block", "a plain-language block such as L X+10 FMAX", body)
         elif keyword in ("L", "LN") or keyword in vocabulary.ARCS | vocabulary.POLAR:
             self._path(block, keyword, block.head_end + match.end())
-        elif keyword in ("APPR", "DEP") or (keyword in vocabulary.ON_CONTOUR and self.beside and self.on_contour):
+        elif keyword in ("APPR", "DEP") or keyword in vocabulary.ON_CONTOUR:
             self._left_to_control(block, keyword, body)
         elif keyword == "CC":
             self._pole(block, block.head_end + match.end())
@@ -217,10 +217,7 @@ class HeidenhainInterpreter(HeidenhainFrame):
     def _statement(self, block: PathBlock, keyword: str, body: str) -> None:
         upper = " ".join(body.split(";")[0].upper().split())
         if keyword in vocabulary.REFUSED_PATHS:
-            within = (
-                " or the same under RL or RR, between blocks of the contour" if keyword in vocabulary.ON_CONTOUR else ""
-            )
-            raise self.error(f"path function {keyword}", vocabulary.LINEAR + within)
+            raise self.error(f"path function {keyword}", vocabulary.LINEAR)
         if keyword in vocabulary.WITH_NUMBERS:
             exponent = vocabulary.EXPONENT.search(vocabulary.QUOTED.sub("", body.split(";")[0]))
             if exponent is not None:
@@ -346,7 +343,7 @@ class HeidenhainInterpreter(HeidenhainFrame):
         if keyword in ("APPR", "DEP"):
             self._lead(block, body)
             return
-        self.note(f"{keyword} is left to the control: the points beside it are corrected", once=True)
+        self.shape_corner(keyword, self._line, both=keyword != "CT")
         if keyword == "CT":
             block.leads = True
             self._path(block, "L", block.text.upper().index("CT", block.head_end) + 2)
@@ -532,6 +529,11 @@ class HeidenhainInterpreter(HeidenhainFrame):
             raise self.error("DR outside a circular block", "C, CP or CR")
         self.apply_words(block)
 
+    def _is_helix(self, arc: Arc, start: list[float]) -> bool:
+        """Return whether an arc by ``CP`` cannot be written as ``C``: more than one turn, or a move along the tool."""
+        axis = self.plane[2]
+        return abs(arc.angle_rad) > 2.0 * math.pi + 1e-9 or not abs(self.position[axis] - start[axis]) <= 1e-9
+
     def _only_places(self, block: PathBlock) -> bool:
         """Return whether a block is a rapid, or turns rotary axes alone without tool centre point control."""
         turns_only = not block.axis_bits & (1 << self.linear) - 1 and not self.tcp
@@ -573,8 +575,10 @@ class HeidenhainInterpreter(HeidenhainFrame):
         if block.polar:
             names |= {self.names[axis] for axis in self.plane[:2]}
         whole = self.compensated(block, rotary)
-        if whole and block.keyword == "CP":
-            raise self.error("cutter radius compensation on an arc by CP", "CC and C, or the tool centre path (R0)")
+        if block.keyword == "CP" and arc is not None and self._is_helix(arc, start):
+            self.only_divided.add(self._line)
+            if whole:
+                raise self.error("cutter radius compensation on a helix by CP", "the tool centre path (R0)")
         position = tuple(self.position)
         move = Move(self._line, kind, self.tcp, position, names, False, self.vector, normal, arc, "", whole)
         block.moves += (move,)

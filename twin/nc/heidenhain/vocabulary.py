@@ -91,7 +91,7 @@ EXPONENT = re.compile(r"(?<![\\/:.\d])[+-]?(?:\d++[.,]?+\d*+|[.,]\d++)E[+-]?\d+"
 """A number with an exponent outside paths, in one of the statements `WITH_NUMBERS`; the control knows none."""
 NUMBERS = re.compile(r"[+-]?[\d.,]+", re.ASCII)
 
-REFUSED_PATHS = frozenset("CT CTP LT RND CHF FL FLT FC FCT FPOL FSELECT".split())
+REFUSED_PATHS = frozenset("CTP LT FL FLT FC FCT FPOL FSELECT".split())
 LEAD = re.compile(r"(APPR|DEP)[ \t]+(?:LCT|CT|LT|LN)(?![A-Z])", re.ASCII | re.IGNORECASE)
 """Beginning of a block that leads to the contour or away from it."""
 LEAD_WORD = re.compile(
@@ -99,7 +99,8 @@ LEAD_WORD = re.compile(
 )
 """A word of its form: length, angle, radius."""
 ON_CONTOUR = frozenset({"RND", "CHF", "CT"})
-"""Path functions that depend on the blocks beside them, which are written whole under cutter radius compensation only."""
+"""Path functions that depend on the blocks beside them, which stay whole."""
+SHAPING = re.compile(r"[ \t]*+(?:N?\d++[ \t]*+)?+(?:RND|CHF|CT)(?![A-Z])", re.ASCII | re.IGNORECASE)
 PASSED = frozenset("END BLK STOP LBL DECLARE PATTERN GLOBAL OPEN WAIT".split())
 HARMLESS_FUNCTIONS = tuple(
     f"FUNCTION {reset}{words}"
