@@ -214,8 +214,8 @@ class Interpreter(ABC):
         self._auxiliary: tuple[str, int] | None = None
         self.auxiliary_axes = AuxiliaryAxes(axes.auxiliary_axes)
         self.turned_to = np.full((1, len(self.names) - self.linear), np.nan)
-        self._corners: list[tuple[str, int, bool]] = []
-        self._corner_open = ""
+        self.corners: list[tuple[str, int, bool, int]] = []
+        """Paths left to the control among the lines just interpreted, as `shape_corner` has them, and their lines."""
         self.only_divided: set[int] = set()
         """Lines whose block could not stay whole."""
 
@@ -236,8 +236,6 @@ class Interpreter(ABC):
         """
         before = self.turned_to[-1:]
         self.turned_to = np.concatenate([before, moves.position[:, self.linear :]])
-        if self._corners or self._corner_open:
-            moves = self._with_whole(moves, text_of)
         if self._auxiliary:
             word, line = self._auxiliary
             turns = (np.abs(np.diff(self.turned_to, axis=0)) > CORRECTION_DEG).any(axis=1)
@@ -258,33 +256,7 @@ class Interpreter(ABC):
         that follows stays whole, too.
         """
         self.note(f"{name} is left to the control: the points beside it are corrected", once=True)
-        self._corners.append((name, behind, both))
-
-    def _with_whole(self, moves: MoveColumns, text_of: Callable[[int], str]) -> MoveColumns:
-        """Return the moves of the lines just interpreted with those beside a corner that the control shapes marked as whole."""
-        which: dict[int, str] = {0: self._corner_open} if self._corner_open and len(moves) else {}
-        self._corner_open = self._corner_open if not len(moves) else ""
-        for name, behind, both in self._corners:
-            at = int(np.searchsorted(moves.line, behind)) - 1
-            if at < 0:
-                raise self.error(f"{name} without a block before it", "a block that moves in the plane before it")
-            which[at] = name
-            if both and at + 1 < len(moves):
-                which[at + 1] = name
-            elif both:
-                self._corner_open = name
-        self._corners.clear()
-        special = dict(moves.special)
-        for at, name in which.items():
-            move, line = moves[at], int(moves.line[at])
-            turned = np.abs(np.diff(self.turned_to[at : at + 2], axis=0)) > CORRECTION_DEG
-            beside = moves.line[max(at - 1, 0) : at + 2] == line
-            several = np.count_nonzero(beside) > 1 or line in self.only_divided
-            if move.passes or move.tcp or move.vector is not None or turned.any() or several:
-                what = f"{name} beside a helix, or a block in which the tool turns, drills or goes to a place that is not known"
-                raise self.error(what, "the path as straight and circular blocks", text_of(line).strip(), line + 1)
-            special[at] = move._replace(whole=True)
-        return replace(moves, special=special)
+        self.corners.append((name, behind, both, self._line))
 
     def is_listing(self, text: str) -> bool:
         """Return whether a line is in the listing of a CAM system above a program, from a line of equals signs to the next one."""

@@ -529,10 +529,15 @@ class HeidenhainInterpreter(HeidenhainFrame):
             raise self.error("DR outside a circular block", "C, CP or CR")
         self.apply_words(block)
 
-    def _is_helix(self, arc: Arc, start: list[float]) -> bool:
-        """Return whether an arc by ``CP`` cannot be written as ``C``: more than one turn, or a move along the tool."""
+    def _check_helix(self, block: PathBlock, arc: Arc | None, start: list[float], *, whole: bool) -> None:
+        """Raise `InputError` for an arc by ``CP`` that must stay whole but cannot be written as ``C``: a helix, or several turns."""
         axis = self.plane[2]
-        return abs(arc.angle_rad) > 2.0 * math.pi + 1e-9 or not abs(self.position[axis] - start[axis]) <= 1e-9
+        if block.keyword != "CP" or arc is None:
+            return
+        if abs(arc.angle_rad) > 2.0 * math.pi + 1e-9 or not abs(self.position[axis] - start[axis]) <= 1e-9:
+            self.only_divided.add(self._line)
+            if whole:
+                raise self.error("cutter radius compensation on a helix by CP", "the tool centre path (R0)")
 
     def _only_places(self, block: PathBlock) -> bool:
         """Return whether a block is a rapid, or turns rotary axes alone without tool centre point control."""
@@ -575,10 +580,7 @@ class HeidenhainInterpreter(HeidenhainFrame):
         if block.polar:
             names |= {self.names[axis] for axis in self.plane[:2]}
         whole = self.compensated(block, rotary)
-        if block.keyword == "CP" and arc is not None and self._is_helix(arc, start):
-            self.only_divided.add(self._line)
-            if whole:
-                raise self.error("cutter radius compensation on a helix by CP", "the tool centre path (R0)")
+        self._check_helix(block, arc, start, whole=whole)
         position = tuple(self.position)
         move = Move(self._line, kind, self.tcp, position, names, False, self.vector, normal, arc, "", whole)
         block.moves += (move,)

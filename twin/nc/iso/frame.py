@@ -60,6 +60,7 @@ class IsoBlock(Block):
         positions: whether the block moves the axes to the place of the hole before.
         repeats: number of holes that it drills, each by the increments of its words further than the one before.
         pattern: places of the holes of a pattern of SINUMERIK, by axis.
+        path_words: words in place of an end point.
     """
 
     skip: str = ""
@@ -83,6 +84,7 @@ class IsoBlock(Block):
     positions: bool = True
     repeats: int = 1
     pattern: list[dict[int, float]] = field(default_factory=list)
+    path_words: list[Span] = field(default_factory=list)
 
     def own_of(self, word: str) -> str:
         """Return the letters of the words here that belong to an M word; an angle to M19 only without axis words (``G2 X5 R7 M19``)."""

@@ -13,13 +13,14 @@ from twin.nc.blocks import AxisWords, Kind, Move, MoveColumns, Notice
 from twin.nc.iso import vocabulary
 from twin.nc.iso.cycles import PATTERNS, SINUMERIK
 from twin.nc.iso.frame import PROGRAMMED, TOOL_CHANGE, IsoBlock, Item
-from twin.nc.iso.motion import CENTRE, INCH_CODES, SPINDLE_VECTOR, IsoMotion
+from twin.nc.iso.motion import INCH_CODES, SPINDLE_VECTOR, IsoMotion
+from twin.nc.iso.paths import CENTRE
 from twin.nc.modal import SWITCHING_M, Block, Span
 from twin.nc.text import BLANK, BOM, number
 
 _AXIS_LETTERS: Final = frozenset("XYZABCUVW")
 _LENGTH_WORDS: Final = frozenset({"", "G43.4", "G43.5", "G234", "G169"})
-_ARC_WORDS: Final = frozenset({*CENTRE, *SPINDLE_VECTOR, "R", "CR", "TURN"})
+_ARC_WORDS: Final = frozenset({*CENTRE, *SPINDLE_VECTOR, "R", "CR", "TURN"}) | vocabulary.PATH_WORDS
 _NORMAL: Final = frozenset(f"{letter}{place}" for letter in "ABC" for place in "45")
 """Surface normal of SINUMERIK at the start and the end of a block: of effect with LEAD, TILT and G41 or G42 only, which are refused."""
 _NO_MOTION: Final = frozenset("STDHFPQM")
@@ -190,6 +191,7 @@ class IsoInterpreter(IsoMotion):
             self.add(block, self.axis_word(item, machine=machine))
         if block.items or centre:
             self.move(block, centre, machine=machine)
+            self.shape_paths(block)
         elif self.cycle is not None and (drills or block.calls or block.pattern):
             block.positions = False
             self.drill(block, self.cycle)
@@ -216,7 +218,9 @@ class IsoInterpreter(IsoMotion):
         if "shift" in groups:
             self._state_to(block)
             self.shift_words(block, groups)
-        return "shift" in groups
+        if "pole" in groups:
+            self.set_pole(block)
+        return bool(groups & {"shift", "pole"})
 
     def _reference(self, block: IsoBlock) -> None:
         """Apply a reference return, an approach of a fixed point, or probing, which passes through."""
@@ -362,8 +366,11 @@ class IsoInterpreter(IsoMotion):
         self._started = True
         key, value = match.group(6).upper(), match.group(8)
         key = "H" if key == "HA" and self._okuma else key
+        bracket = match[7] or ""
+        if key == "R" and bracket:
+            key, bracket = f"R{self.value_of(bracket[1:-1]):.0f}", ""
         item = Item(key, match.start(6), match.end(), match.start(8), match.end(8), value)
-        if key in self.index or not self._assigned(block, item, match.group(7) or ""):
+        if key in self.index or not self._assigned(block, item, bracket):
             self._sort(block, item)
 
     def _name(self, block: IsoBlock, match: re.Match[str]) -> bool:
@@ -486,6 +493,7 @@ class IsoInterpreter(IsoMotion):
                 raise self.error(f"two G words of one modal group ({group})", "one G word per group in a block")
             self._modal(block, span, group)
             self.tell_control(code)
+            self.check_pole()
             self.switch_by(block, f"G{code}")
         self._unit_line = self._line if self._unit_line is None and "units" in seen else self._unit_line
         return frozenset(seen)
@@ -499,7 +507,7 @@ class IsoInterpreter(IsoMotion):
             name, state = _MODES[group]
             setattr(self, name, state(code))
         if group == "motion":
-            block.motion_word = span
+            block.motion_word, self.curve = span, ""
         elif group == "offset":
             self.choose_offset(block, code)
         elif group == "length" and code in ("169", "170"):
@@ -560,12 +568,21 @@ class IsoInterpreter(IsoMotion):
             elif name == "MCALL" or (place and names[place - 1].name == "MCALL"):
                 self.mcall(block, names[place], last=len(names) == place + 1)
             elif name in vocabulary.CURVES:
-                raise self.error(f"curve or rounding {name}", vocabulary.LINEAR)
+                self._select_curve(block, names[place])
             elif name in (SINUMERIK if self.cycle is None else PATTERNS) and len(names) == 1 and not block.items:
                 self.call_once(block, names[place])
             elif not self._passes(name):
                 self._unknown_name(block, names[place], shown)
         return any(item.name == "SUPA" for item in names)
+
+    def _select_curve(self, block: IsoBlock, item: Item) -> None:
+        """Put a path of SINUMERIK in force in place of a motion code; raise `InputError` for one that is not followed."""
+        if item.name not in vocabulary.SHAPED | {"CIP"}:
+            raise self.error(f"curve or rounding {item.name}", vocabulary.LINEAR)
+        if block.motion_word is not None or self.cycle is not None or self.code:
+            raise self.error(f"{item.name} with a motion word, or in a cycle", f"{item.name} alone")
+        self.motion, self.curve = 2 if item.name == "CIP" else 1, item.name
+        block.motion_word = Span(item.start, item.end, item.name)
 
     def _passes(self, name: str) -> bool:
         """Return whether a statement does not change the meaning of axis words; note whether tool vectors are the machine's."""
@@ -590,10 +607,9 @@ class IsoInterpreter(IsoMotion):
         name, value = item.name, item.value
         shown = f"{name}={value}"
         turns = name == "RPL" and any(one.name in PROGRAMMED for one in block.names)
-        if len(name) == 1 or name in SPINDLE_VECTOR or name in ("CR", "TURN") or turns:
+        if len(name) == 1 or name in SPINDLE_VECTOR or name in ("CR", "TURN") or turns or name in vocabulary.PATH_WORDS:
             return False
-        if name in vocabulary.CORNERS and self.beside:
-            self.note(f"{name} is left to the control: the points beside it are corrected", once=True)
+        if self._shapes(block, name, value):
             return True
         self._check_assigned(name, shown)
         if name[1:].isdigit() and name[0] in _AXIS_LETTERS:
@@ -609,11 +625,22 @@ class IsoInterpreter(IsoMotion):
             self.assign(name + bracket, self.value_of(value))
         return True
 
+    def _shapes(self, block: IsoBlock, name: str, value: str) -> bool:
+        """Apply a word that rounds corners or belongs to a spline; return whether it is one."""
+        if name in vocabulary.CORNERS:
+            self.shape_corner(name, self._line + 1, both=True)
+            return True
+        if name == "RNDM":
+            self.rounded = self.value_of(value) != 0.0
+            return True
+        in_force = {self.curve, *(one.name for one in block.names)}
+        return name in vocabulary.SPLINE_WORDS and bool(in_force & vocabulary.SPLINES)
+
     def _check_assigned(self, name: str, shown: str) -> None:
         """Raise `InputError` for an assignment that changes the meaning of axis words in a way that is not followed."""
         if name[0] in "ABCD" and name[1:] in ("2", "6", "7"):
             raise self.error(f"tool orientation by {name}", "a tool vector A3= B3= C3=, or rotary axes", shown)
-        if name in vocabulary.CURVES or name in ("I1", "J1", "K1"):
+        if name in vocabulary.CURVES:
             raise self.error(f"curve or rounding {name}", vocabulary.LINEAR, shown)
         if name in vocabulary.TRANSFORMS or name.startswith("$P_"):
             raise self.error(f"coordinate transformation {name}", vocabulary.NO_TRANSFORMATION, shown)

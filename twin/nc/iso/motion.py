@@ -8,7 +8,6 @@ from typing import Final
 
 from twin._common.errors import InputError
 from twin.nc.arcs import (
-    ABSOLUTE,
     FROM_START,
     MOST_TURNS,
     PLANES,
@@ -23,6 +22,7 @@ from twin.nc.blocks import Arc, AxisWords, Kind, Move
 from twin.nc.iso import cycles, vocabulary
 from twin.nc.iso.cycles import Drilling, Stroke
 from twin.nc.iso.frame import IsoBlock, IsoShift, Item
+from twin.nc.iso.paths import CENTRE, FORMS, IsoPaths
 from twin.nc.modal import BESIDE, CORRECTION_DEG, AxisWord, Span
 from twin.nc.text import MM_PER_INCH, number
 
@@ -402,7 +402,6 @@ class IsoDrilling(IsoShift):
 
 # --- Effects of ISO blocks on the axes: values of words, targets, arcs, tool vectors, machine coordinates
 
-CENTRE: Final = {"I": 0, "J": 1, "K": 2}
 SPINDLE_VECTOR: Final = {"A3": 0, "B3": 1, "C3": 2}
 _KINDS: Final = (Kind.RAPID, Kind.LINEAR, Kind.ARC, Kind.ARC)
 MACHINE_INCREMENTS: Final = (
@@ -411,11 +410,7 @@ MACHINE_INCREMENTS: Final = (
 )
 
 
-_FORMS: Final = {"AC": ABSOLUTE}
-"""Forms of a centre of SINUMERIK, ``I=AC(…)``; all others count from the start."""
-
-
-class IsoMotion(IsoDrilling):
+class IsoMotion(IsoDrilling, IsoPaths):
     """The modal state that determines the meaning of axis words, and its changes by blocks."""
 
     def __init__(self, source: str, axes: AxisWords, *, tcp: bool) -> None:
@@ -445,6 +440,8 @@ class IsoMotion(IsoDrilling):
             or self.points
             or self._listing
             or self.end.word
+            or self.curve
+            or self.rounded
         )
         return plain and self.steady and self.set_up and self.vector is None
 
@@ -505,6 +502,8 @@ class IsoMotion(IsoDrilling):
             return
         start, rotary = self.position[: self.linear], self.position[self.linear :]
         self.apply_words(block)
+        path, centre = self.path_words(centre)
+        about = self.go_to_end(block, path, start)
         vector = self._vector(block, centre) if centre else None
         arc: Arc | None = None
         if motion is None:
@@ -514,23 +513,27 @@ class IsoMotion(IsoDrilling):
                 raise self.error("arc with a tool vector", vocabulary.LINEAR)
             if self.arc_from_unknown(block, start, PLANES[self.plane][:2]):
                 return
-            arc = self._arc(block, centre, start)
+            arc = self.arc_of_path(block, path, about, start, centre) or self._arc(block, centre, start)
         elif centre and vector is None:
             first = centre[0]
             shown = block.text[first.start : first.end]
             raise self.error(f"{first.name} outside a circular block", "arcs with G2 or G3", shown)
         self.use_set_up(kind)
+        self._take_vector(block, vector)
+        named, whole = self.named(block.axis_bits), self._compensated(block, rotary)
+        named |= self.named_by_path(path, stays_arc=whole and arc is not None)
+        move = Move(self._line, kind, self.tcp, tuple(self.position), named, False, self.vector, None, arc, "", whole)
+        block.moves += (move,)
+        if self.cycle is not None:
+            self.drill(block, self.cycle)
+
+    def _take_vector(self, block: IsoBlock, vector: tuple[float, float, float] | None) -> None:
         if vector is not None:
             self.set_tool_vector(block.axis_bits, vector)
         elif block.axis_bits >> self.linear:
             self.vector = None
         if self.vector is not None:
             block.vector_names = ("I", "J", "K") if self.length_vector else ("A3=", "B3=", "C3=")
-        named, whole = self.named(block.axis_bits), self._compensated(block, rotary)
-        move = Move(self._line, kind, self.tcp, tuple(self.position), named, False, self.vector, None, arc, "", whole)
-        block.moves += (move,)
-        if self.cycle is not None:
-            self.drill(block, self.cycle)
 
     def apply_words(self, block: IsoBlock) -> None:  # type: ignore[override]
         """Set the position from the axis words, rotary axes the shortest way or in the given direction (``DC``, ``ACP``, ``ACN``)."""
@@ -590,7 +593,7 @@ class IsoMotion(IsoDrilling):
             else:
                 words[CENTRE[name]] = (
                     value * scale,
-                    _FORMS.get(wrapped.group(1).upper(), FROM_START) if wrapped else None,
+                    FORMS.get(wrapped.group(1).upper(), FROM_START) if wrapped else None,
                 )
         clockwise = self.motion == 2
         from_, to = (start[a], start[b]), (self.position[a], self.position[b])

@@ -67,6 +67,7 @@ GROUPS: dict[str, tuple[str, ...]] = {
     "plane tilt": ("68.2", "53.1", "53.3", "53.6", "69", "253", "254", "255", "268", "269"),
     "shift": ("10", "52", "92", "92.1", "92.2", "92.3"),
     "still": ("4", "22", "23", "25", "26"),
+    "pole": ("110", "111", "112"),
     "reference": ("28", "30", "30.1", "75", "27", "31", "38", "38.2", "38.3", "38.4", "38.5"),
     "mode": ("61", "61.1", "62", "64", "60", "641", "642", "643", "644", "645"),
     "": (
@@ -120,7 +121,7 @@ REFUSED_CODES: dict[str, tuple[str, str]] = {
         code: (f"coordinate transformation G{code}", NO_TRANSFORMATION)
         for code in (
             *("7", "7.1", "10.6", "10.9", "11", "12.1", "16", "51", "51.1", "54.2", "54.4"),
-            *("68", "68.1", "68.3", "68.4", "107", "110", "111", "112"),
+            *("68", "68.1", "68.3", "68.4", "107"),
         )
     },
     **{
@@ -190,7 +191,7 @@ PASSED: frozenset[str] = frozenset(
     DIAMOF DYNNORM DYNFINISH DYNROUGH DYNSEMIFIN DYNPOS DYNPREC TRAFOOF TRAORI SUPA CYCLE832 CYCLE_HSC CTOL OTOL OVR
     OVRRAP OVRA SVC FD FDA GROUP_BEGIN GROUP_END GROUP_ADDEND TOROTOF PAROTOF TOFRAMEOF ENDPROC MIRROROF EXTCLOSE
     SETPIECE GETT GETSELT SETAL STOLF CUTMOD CUTMODK TOWSTD CDOF CDON CDOF2 CPRECON CPRECOF BLSYNC FTOCOF TLIFT
-    FENDNORM NURBSOF""".split()
+    FENDNORM NURBSOF BNAT BTAN BAUTO ENAT ETAN EAUTO""".split()
 )
 CONTROL_FLOW: frozenset[str] = frozenset(
     """IF ELSE ELSEIF ENDIF WHILE ENDWHILE FOR ENDFOR LOOP ENDLOOP REPEAT REPEATB UNTIL GOTO GOTOB GOTOF GOTOC GOTOS
@@ -205,12 +206,20 @@ TRANSFORMS: frozenset[str] = frozenset(
 CANCELLING: frozenset[str] = frozenset("ROT TRANS MIRROR SCALE CYCLE800".split())
 """Transformations that cancel themselves if nothing follows them."""
 CURVES: frozenset[str] = frozenset(
-    """CIP CT BSPLINE ASPLINE CSPLINE POLY POLYPATH PW SD PL PO INVCW INVCCW RND RNDM CHF CHR ANG ANG1 ANG2 AR RP AP
+    """CIP CT ASPLINE BSPLINE CSPLINE POLY POLYPATH PW SD PL PO INVCW INVCCW RND CHF CHR ANG1 ANG2
     OEMIPO1 OEMIPO2 POS POSA POSP MOV OSCTRL FOCON FXS LEAD TILT THETA AN PHI PSI ORICURVE ORICONCW ORICONCCW ORICONIO
     ORICONTO ORIPATH ORIPATHS XH YH ZH NUT SPIF1 SPIF2 SPN SPP MEAS MEAW MEASA MEAWA MEAC PUNCHACC""".split()
 )
 CORNERS: frozenset[str] = frozenset({"RND", "CHF", "CHR"})
-"""Rounding and chamfer at the end of a block; beside a contour the blocks next to them are written whole."""
+"""Rounding and chamfer at the end of a block: the blocks next to them stay whole."""
+SPLINES: frozenset[str] = frozenset({"ASPLINE", "BSPLINE", "CSPLINE"})
+SHAPED: frozenset[str] = SPLINES | {"CT"}
+"""Paths that the control finds from the ends of blocks, and those before and after them; in force until the next motion word."""
+SPLINE_WORDS: frozenset[str] = frozenset({"PW", "SD", "PL"})
+"""Words of a spline that do not move its points: weight, degree, length of the parameter's interval."""
+PATH_WORDS: frozenset[str] = frozenset({"AP", "RP", "AR", "ANG", "I1", "J1", "K1"})
+"""Words in place of an end point or of a centre: polar angle and radius, opening angle, direction of a line, intermediate point."""
+SHAPING = re.compile(r"[^(;]*(?<!\w)(?:CT|[ABC]SPLINE)(?!\w)", re.ASCII | re.IGNORECASE)
 CYCLE = re.compile(r"CYCLE\d+|MCALL|HOLES\d|POCKET\d|SLOT\d|LONGHOLE|POLY_\w+|CONTPRON|CONTDCON", re.ASCII)
 
 EVIDENCE = line_pattern(

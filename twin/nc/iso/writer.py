@@ -12,7 +12,7 @@ from twin.nc.blocks import AxisWords, Kind, Move, Rewrite
 from twin.nc.dialect import as_comment
 from twin.nc.iso.cycles import Drilling, Kept
 from twin.nc.iso.frame import IsoBlock
-from twin.nc.iso.vocabulary import DIRECTION_FORMS
+from twin.nc.iso.vocabulary import DIRECTION_FORMS, SHAPED
 from twin.nc.modal import AxisWord, Span
 from twin.nc.text import MM_PER_INCH, Style, apply_edits, ending, format_number, number, style_of
 from twin.nc.writer import SAME_NUMBER, Edit, Segments, WordWriter, drop, length_text, vector_texts
@@ -240,10 +240,19 @@ class IsoWriter(WordWriter[IsoBlock]):
         elif block.motion_word is not None:
             self.lower = text[block.motion_word.start] == "g"
 
+    def record(self, block: IsoBlock) -> None:
+        """See `WordWriter.record`: words in place of an end point, too, say where it ends."""
+        super().record(block)
+        move = block.moves[0]
+        for axis, name in enumerate(self.names if block.path_words and not move.passes else ()):
+            if name in move.named and not block.axis_bits >> axis & 1:
+                self.said.record(axis, move.position[axis], False)
+
     def _begin(self, block: IsoBlock, rewrite: Rewrite, edits: list[Edit]) -> str:
         """Change the motion word to a straight move; return the motion word to insert, if one is needed."""
         if self.expand_cycles:
             drop(block, block.cycle_words, edits)
+        drop(block, block.path_words, edits)
         code = CODE[rewrite.move.kind] if block.motion is not None else None
         if rewrite.move.arc is not None and rewrite.move.whole:
             code = block.motion
@@ -251,8 +260,12 @@ class IsoWriter(WordWriter[IsoBlock]):
         span = block.motion_word
         if span is not None:
             self.motion = code
-            self.wide = len(block.text[span.start + 1 : span.end].strip()) > 1
-            if block.motion != code:
+            if span.name == "CIP":
+                edits.append((span.start, span.end, self.g(code or 0)))
+            elif span.name in SHAPED:
+                return ""
+            self.wide = span.name != "CIP" and len(block.text[span.start + 1 : span.end].strip()) > 1
+            if block.motion != code and span.name != "CIP":
                 repeated = [one for one in block.codes if one.name == str(block.motion)]
                 edits += ((one.end - 1, one.end, str(code)) for one in repeated or [span])
             return ""
