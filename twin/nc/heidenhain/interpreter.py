@@ -32,6 +32,7 @@ class HeidenhainInterpreter(HeidenhainFrame):
         super().__init__(source, axes, tcp=tcp, tcp_on=on, tcp_off=off)
         self._simple = vocabulary.simple_pattern(self.names)
         self._shortest_way: list[tuple[int, bool]] = [(-1, False)]
+        self._of_points = False
 
     def step(self, line: int, text: str, known: Move | None = None) -> PathBlock:
         """Interpret one line; ``line``: its 0-based index, ``known``: its move, if it has been interpreted before."""
@@ -96,14 +97,28 @@ class HeidenhainInterpreter(HeidenhainFrame):
         elif self.continued:
             block.numbered = False
             self.continued = body.endswith("~")
-            self.take_parameters(body)
-            self._assignments(body)
-            self.end_preset(block)
+            block.replaced = self.takes_pattern
+            self._continue(block, body)
         elif body and body[0] not in ";*%" and not self.is_listing(body):
             self._body(block, body)
             if vocabulary.ENDING.match(body):
                 self.end.reached("END PGM", self._line)
         return block
+
+    def _continue(self, block: PathBlock, body: str) -> None:
+        """Interpret a further line of a statement."""
+        if self._of_points:
+            self.take_points(body, begins=False)
+            return
+        self.take_parameters(body)
+        self._assignments(body)
+        self._complete(block)
+
+    def _complete(self, block: PathBlock) -> None:
+        """Execute what begins only with the last line of its definition: a preset, a pattern of holes."""
+        self.end_preset(block)
+        if not self.continued:
+            self.end_pattern(block)
 
     def _behind_end(self, block: PathBlock, body: str) -> None:
         """Interpret a line behind the end of the program: a comment, the rest, ``END PGM``, or another program."""
@@ -209,8 +224,10 @@ class HeidenhainInterpreter(HeidenhainFrame):
         else:
             self.continued = body.endswith("~")
             self._block_text = body
+            self._of_points = keyword == "PATTERN"
             self._statement(block, keyword, body)
-            self.end_preset(block)
+            block.replaced |= self.takes_pattern
+            self._complete(block)
 
     # ------------------------------------------------------------------ statements
 
@@ -282,7 +299,7 @@ class HeidenhainInterpreter(HeidenhainFrame):
             raise self.error("cycle without a number", "CYCL DEF and a number")
         cycle, part, rest = int(match.group(1)), match.group(2), match.group(3).split(";")[0].strip(" \t\r\n~")
         self.define(cycle, part, body)
-        if cycle in vocabulary.RUN_AT_ONCE:
+        if cycle in vocabulary.RUN_AT_ONCE and not self.takes_pattern:
             raise self.error(f"cycle {cycle} is executed where it is defined", vocabulary.EXPANDED_CYCLE)
         if cycle in vocabulary.TRANSFORM_CYCLES and self.continued:
             what = f"CYCL DEF {cycle} over several lines"
@@ -293,7 +310,7 @@ class HeidenhainInterpreter(HeidenhainFrame):
             (self.shift if cycle == 7 else self.turn)(block, rest, f"CYCL DEF {cycle}")
         elif cycle == 19 and part not in (None, "0"):
             self.working_plane(block, rest)
-        elif cycle not in vocabulary.HARMLESS_CYCLES and cycle not in vocabulary.TRANSFORM_CYCLES:
+        elif cycle not in vocabulary.HARMLESS_CYCLES | vocabulary.TRANSFORM_CYCLES.keys() and not self.takes_pattern:
             self.lose(block, body)
         elif cycle in vocabulary.TRANSFORM_CYCLES and (
             part is None or (part != "0" and not vocabulary.cancels(cycle, rest))
@@ -303,11 +320,39 @@ class HeidenhainInterpreter(HeidenhainFrame):
         self._assignments(body)
 
     def _call_here(self, block: PathBlock, words: str) -> None:
-        """Execute the cycle in force at the present position: ``CYCL CALL``, with M functions (``words``), but not at other places."""
-        if any(not vocabulary.HARMLESS_CALL.fullmatch(word) for word in words.split()):
-            raise self.error("cycle call at other places", f"CYCL CALL, M99 or M89; or {vocabulary.EXPANDED_CYCLE}")
+        """Execute the cycle in force: ``CYCL CALL``, with M functions (``words``), ``CYCL CALL PAT``, or ``CYCL CALL POS``."""
+        kind, *others = words.replace("F MAX", "FMAX").split() or [""]
+        elsewhere = kind in ("PAT", "POS")
+        axes = [match for match in map(vocabulary.PARAXIAL.fullmatch, others) if match] if kind == "POS" else []
+        rest = [
+            word for word in others if not (elsewhere and word in ("FMAX", "R0")) and word not in {m[0] for m in axes}
+        ]
+        if any(
+            not vocabulary.HARMLESS_CALL.fullmatch(word) for word in (rest if elsewhere or not kind else [kind, *rest])
+        ):
+            raise self.error(
+                "cycle call with other words",
+                "CYCL CALL, PAT or POS X Y Z, FMAX and M functions of spindle and coolant",
+            )
+        if elsewhere and "FMAX" not in others:
+            raise self.error(f"CYCL CALL {kind} at a feed", "FMAX")
+        block.replaced = elsewhere
         block.positions = False
-        self.call_cycle(block)
+        if kind == "PAT":
+            self.call_pattern(block)
+        elif kind == "POS":
+            self._call_at_position(block, {match[0][0]: match[0][1:] for match in axes})
+        else:
+            self.call_cycle(block)
+
+    def _call_at_position(self, block: PathBlock, words: Mapping[str, str]) -> None:
+        """Execute the cycle in force at a position; its word of the tool axis shifts the surface."""
+        unit = MM_PER_INCH if self.inch else 1.0
+        x, y, z = (self.names[axis].upper() for axis in self.plane)
+        if words.keys() != {x, y, z}:
+            raise self.error("CYCL CALL POS with other words", f"{x}, {y} and {z}")
+        at = [self.known(name, words[name]) * unit for name in (x, y, z)]
+        self.call_at(block, [(at[0], at[1], at[2])], "CYCL CALL POS", ())
 
     def _fn(self, block: PathBlock, body: str, upper: str) -> None:
         match = vocabulary.FN.match(body)
@@ -607,6 +652,7 @@ _STATEMENTS: Final[Mapping[str, Callable[[HeidenhainInterpreter, PathBlock, str,
     "FN": HeidenhainInterpreter._fn,
     "FUNCTION": HeidenhainInterpreter._function,
     "IF": HeidenhainInterpreter._call,
+    "PATTERN": lambda state, block, body, upper: state.take_points(upper, begins=True),
     "PLANE": lambda state, block, body, upper: state.tilt(block, upper),
     "POLARKIN": HeidenhainInterpreter._transform,
     "SEL": HeidenhainInterpreter._call,

@@ -13,6 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Final, NamedTuple
 
 from twin.nc.blocks import Kind
+from twin.nc.patterns import Point, circle, grid, turned
 
 CLEARANCE_MM: Final = 0.5
 """Distance above the bottom of the hole at which a control begins to feed after a retract for chips (G73, G83, CYCLE83). Each control
@@ -221,36 +222,22 @@ def _kept(name: str, texts: Sequence[str], values: Sequence[float], top: float, 
     return Stroke(math.nan, Kind.LINEAR, kept=Kept(top * unit_mm, (*parts, ")")))
 
 
-def _row(values: Sequence[float]) -> list[tuple[float, float]]:
+def _row(values: Sequence[float]) -> list[Point]:
     x, y, angle, first, step, count = values[:6]
-    steps = [(first + i * step, 0.0) for i in range(int(count))]
-    return _turned((x, y), angle, steps)
+    return turned((x, y), angle, [(first + i * step, 0.0) for i in range(int(count))])
 
 
-def _circle(values: Sequence[float]) -> list[tuple[float, float]]:
+def _circle(values: Sequence[float]) -> list[Point]:
     x, y, radius, first, step, count = values[:6]
-    angles = [first + i * (step or 360.0 / count) for i in range(int(count))]
-    return [point for angle in angles for point in _turned((x, y), angle, [(radius, 0.0)])]
+    return circle((x, y), radius, first, step or 360.0 / count, int(count))
 
 
-def _grid(values: Sequence[float]) -> list[tuple[float, float]]:
+def _grid(values: Sequence[float]) -> list[Point]:
     x, y, angle, step, line, columns, rows = values[:7]
-    steps = [
-        (column * step, row * line)
-        for row in range(int(rows))
-        for column in (range(int(columns)) if row % 2 == 0 else range(int(columns) - 1, -1, -1))
-    ]
-    return _turned((x, y), angle, steps)
+    return grid((x, y), angle, step, line, int(columns), int(rows))
 
 
-def _turned(
-    origin: tuple[float, float], angle_deg: float, points: Sequence[tuple[float, float]]
-) -> list[tuple[float, float]]:
-    c, s = math.cos(math.radians(angle_deg)), math.sin(math.radians(angle_deg))
-    return [(origin[0] + c * u - s * v, origin[1] + s * u + c * v) for u, v in points]
-
-
-_PATTERNS: Final[Mapping[str, tuple[int, Callable[[Sequence[float]], list[tuple[float, float]]]]]] = {
+_PATTERNS: Final[Mapping[str, tuple[int, Callable[[Sequence[float]], list[Point]]]]] = {
     "HOLES1": (6, _row),
     "HOLES2": (6, _circle),
     "CYCLE801": (7, _grid),
