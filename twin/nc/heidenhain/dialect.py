@@ -61,6 +61,7 @@ _BARE: Final = re.compile(
     r"[ \t]*(?:L\b)?(?:[ \t]*(?:R0|F[ \t]*MAX))*[ \t]*(?:;[^\r\n]*)?[\r\n]*", re.ASCII | re.IGNORECASE
 )
 """A block without an effect of its own."""
+_LEADS_ABOUT_POLE: Final = re.compile(r"(?<=[ \t])[Pp](?=[A-Za-z])")
 _M_WORD: Final = re.compile(r"(?<![A-Z\d])M\d+", re.ASCII | re.IGNORECASE)
 
 
@@ -184,7 +185,9 @@ class HeidenhainWriter(WordWriter[PathBlock]):
         if self.own_calls:
             drop(block, block.call_words, edits)
         drop(block, block.polar_words, edits)
-        if block.polar and rewrite.move.kind is Kind.ARC and rewrite.move.whole:
+        if block.polar and block.leads:
+            keyword = _LEADS_ABOUT_POLE.sub("", keyword)
+        elif block.polar and rewrite.move.kind is Kind.ARC and rewrite.move.whole:
             keyword = "c" if keyword.islower() else "C"
         elif block.polar or (rewrite.move.kind is Kind.ARC and not rewrite.move.whole):
             keyword = "l" if keyword.islower() else "L"

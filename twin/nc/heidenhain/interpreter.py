@@ -397,16 +397,18 @@ class HeidenhainInterpreter(HeidenhainFrame):
         """Apply ``APPR`` or ``DEP``, whose path the control finds: its end is corrected, if the block gives it."""
         match = vocabulary.LEAD.match(body)
         if match is None:
-            raise self.error(f"path function {body.split()[0]}", "APPR or DEP with LT, LN, CT or LCT")
+            raise self.error(
+                f"path function {body.split()[0]}", "APPR or DEP with LT, LN, CT or LCT, or with PLT, PLN, PCT or PLCT"
+            )
         at = block.head_end + match.end()
         words = vocabulary.LEAD_WORD.sub(lambda word: " " * len(word[0]), block.text[at:].split(";")[0])
         block.leads, arrives = True, match[1].upper() == "APPR"
         if not arrives:
             self.beside = False
         self.note("APPR and DEP are left to the control: their end is corrected where the block gives it", once=True)
-        self._path(block, "L", at, block.text[:at] + words)
+        self._path(block, "LP" if match[2] else "L", at, block.text[:at] + words)
         a, b, _ = self.plane
-        given = bool(block.axis_bits & (1 << a | 1 << b))
+        given = bool(block.polar or block.axis_bits & (1 << a | 1 << b))
         if given is not (arrives or "LCT" in match[0].upper()):
             what = f"{match[0]} with or without its end"
             raise self.error(what, "the end with APPR and DEP LCT, none with DEP LT, LN and CT")
