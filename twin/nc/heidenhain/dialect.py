@@ -97,7 +97,7 @@ class HeidenhainWriter(WordWriter[PathBlock]):
         elif block.replaced and self.own_calls:
             lines = [self._without_call(block)]
         lines = [block.text] if lines is None else lines
-        self.inserted |= block.numbered and len(lines) > 1
+        self.inserted |= bool(block.numbered or block.head.strip()) and len(lines) > 1
         return "".join(lines)
 
     def _positioned(self, block: PathBlock, segments: Segments | None) -> list[str]:

@@ -32,7 +32,7 @@ class HeidenhainInterpreter(HeidenhainFrame):
         super().__init__(source, axes, tcp=tcp, tcp_on=on, tcp_off=off)
         self._simple = vocabulary.simple_pattern(self.names)
         self._shortest_way: list[tuple[int, bool]] = [(-1, False)]
-        self._of_points = False
+        self._of_points, self._head = False, ""
 
     def step(self, line: int, text: str, known: Move | None = None) -> PathBlock:
         """Interpret one line; ``line``: its 0-based index, ``known``: its move, if it has been interpreted before."""
@@ -65,8 +65,8 @@ class HeidenhainInterpreter(HeidenhainFrame):
         return self.set_up and self.vector is None and not (self.continued or self.modal or beside or self.end.word)
 
     def may_end(self, tail: str) -> bool:
-        """See `Interpreter.may_end`: not while every positioning calls a cycle."""
-        return not self.modal
+        """See `Interpreter.may_end`: not while every positioning calls a cycle, or within a statement of several lines."""
+        return not (self.modal or self.continued)
 
     def moves(self, line: int, text: str) -> tuple[Move, ...]:
         """See `Interpreter.moves`; as `step` does, without the words that only a writer needs."""
@@ -97,7 +97,7 @@ class HeidenhainInterpreter(HeidenhainFrame):
         elif self.continued:
             block.numbered = False
             self.continued = body.endswith("~")
-            block.replaced = self.takes_pattern
+            block.replaced, block.head = self.takes_pattern, self._head
             self._continue(block, body)
         elif body and body[0] not in ";*%" and not self.is_listing(body):
             self._body(block, body)
@@ -227,6 +227,7 @@ class HeidenhainInterpreter(HeidenhainFrame):
             self._of_points = keyword == "PATTERN"
             self._statement(block, keyword, body)
             block.replaced |= self.takes_pattern
+            self._head = block.indent
             self._complete(block)
 
     # ------------------------------------------------------------------ statements
@@ -273,6 +274,8 @@ class HeidenhainInterpreter(HeidenhainFrame):
             self.call_outside(name, short, re.sub(r"\.h$", "", short, flags=re.IGNORECASE))
         elif upper.startswith(("CALL", "IF")):
             raise self.error("subprogram call or repetition", vocabulary.NO_CALLS)
+        elif upper.startswith("SEL PATTERN"):
+            self.take_points(upper, begins=True)
 
     def _transform(self, block: PathBlock, body: str, upper: str) -> None:
         words = upper.split()
@@ -402,11 +405,11 @@ class HeidenhainInterpreter(HeidenhainFrame):
             )
         at = block.head_end + match.end()
         words = vocabulary.LEAD_WORD.sub(lambda word: " " * len(word[0]), block.text[at:].split(";")[0])
-        block.leads, arrives = True, match[1].upper() == "APPR"
+        block.leads, arrives = True, match[1] is not None
         if not arrives:
             self.beside = False
         self.note("APPR and DEP are left to the control: their end is corrected where the block gives it", once=True)
-        self._path(block, "LP" if match[2] else "L", at, block.text[:at] + words)
+        self._path(block, "LP" if match[2] or match[3] else "L", at, block.text[:at] + words)
         a, b, _ = self.plane
         given = bool(block.polar or block.axis_bits & (1 << a | 1 << b))
         if given is not (arrives or "LCT" in match[0].upper()):

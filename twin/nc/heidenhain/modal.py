@@ -95,6 +95,7 @@ class PathBlock(Block):
         places: its calls, in order.
         pattern: whether these are elsewhere than where the tool is (``CYCL CALL POS``, ``PAT``, cycles 220 and 221).
         replaced: whether it is part of a statement whose calls are written out in its place.
+        head: the text before the first line of a statement of several lines.
         positions: whether its first move is that of its own words.
         beside: words of auxiliary axes: name, value and whether it is an increment.
         leads: whether the control itself finds the path to its end: a lead-in or lead-out, a tangential arc.
@@ -119,6 +120,7 @@ class PathBlock(Block):
     places: list[CycleCall] = field(default_factory=list)
     pattern: bool = False
     replaced: bool = False
+    head: str = ""
     positions: bool = True
     leads: bool = False
     beside: list[tuple[str, float, bool]] = field(default_factory=list)
@@ -126,7 +128,9 @@ class PathBlock(Block):
     @property
     def indent(self) -> str:
         """The text before a line inserted beside it: its number, or its blanks."""
-        return self.text[: self.head_end] if self.numbered or not self.text[: self.head_end].strip() else ""
+        return (
+            self.head or self.text[: self.head_end] if self.numbered or not self.text[: self.head_end].strip() else ""
+        )
 
 
 # --- Machining cycles that make holes: the control executes them at a corrected place --------------
@@ -142,6 +146,7 @@ class HeidenhainCycles(Interpreter):
 
     plane = (0, 1, 2)
     modal = False
+    pending: Plane | None = None
     _in_force: Cycle | None = None
     _pattern: Cycle | None = None
     """The pattern 220 or 221 whose definition is not complete."""
@@ -229,6 +234,11 @@ class HeidenhainCycles(Interpreter):
         cycle, at = self._in_force, self.position[axis]
         if cycle is None or cycle.number not in HOLES or at != at or self.tcp or self.unknown:
             raise self.error(what, "a cycle 200 to 209, 240 or 241 and a position of the tool axis before it")
+        if self.beside or self.pending is not None:
+            raise self.error(
+                f"{what} under RL or RR, or between PLANE with STAY and its positioning", "R0, or a move before it"
+            )
+        self.check_plane(False)
         block.positions, block.pattern = False, True
         for x, y, shift in places:
             surface, _, level = self._heights(what, shift, texts)
@@ -413,7 +423,6 @@ class HeidenhainFrame(HeidenhainPaths):
     variant = "HEIDENHAIN"
     continued = False
     plane = PLANES["Z"]
-    pending: Plane | None = None
     _selects_preset = False
     _shift_below: tuple[float, ...] = ()
     _stated: frozenset[int] = frozenset()

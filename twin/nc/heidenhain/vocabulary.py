@@ -91,8 +91,10 @@ EXPONENT = re.compile(r"(?<![\\/:.\d])[+-]?(?:\d++[.,]?+\d*+|[.,]\d++)E[+-]?\d+"
 """A number with an exponent outside paths, in one of the statements `WITH_NUMBERS`; the control knows none."""
 NUMBERS = re.compile(r"[+-]?[\d.,]+", re.ASCII)
 
-REFUSED_PATHS = frozenset("CTP LT FL FLT FC FCT FPOL FSELECT".split())
-LEAD = re.compile(r"(APPR|DEP)[ \t]+(P?)(?:LCT|CT|LT|LN)(?![A-Z])", re.ASCII | re.IGNORECASE)
+REFUSED_PATHS = frozenset("SPLINE CTP LT FL FLT FC FCT FPOL FSELECT".split())
+LEAD = re.compile(
+    r"(?:(APPR)[ \t]+(P?)(?:LCT|CT|LT|LN)|DEP[ \t]+(?:(P?)LCT|CT|LT|LN))(?![A-Z])", re.ASCII | re.IGNORECASE
+)
 """Beginning of a block that leads to the contour or away from it; with P its end is given about the pole."""
 LEAD_WORD = re.compile(
     r"(?<![A-Z])(?:LEN|CCA|R(?!0(?![\d.,])))[ \t]*+[+-]?(?:Q[LR]?\d+|[\d.,]+)", re.ASCII | re.IGNORECASE

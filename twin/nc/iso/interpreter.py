@@ -441,6 +441,9 @@ class IsoInterpreter(IsoMotion):
         if letter == "O":
             only = vocabulary.O_SUB.match(rest) is not None
             raise self.error("control flow", vocabulary.MAIN_PROGRAM if only else vocabulary.NO_CALLS, rest)
+        if character == "*":
+            what = "block that ends in *: DIN/ISO of HEIDENHAIN, in which G words have other meanings"
+            raise self.error(what, "the program in plain language, converted at the control", rest)
         if character in "@^":
             raise self.error("polar words of LinuxCNC", "X and Y in place of @ and ^", rest)
         raise self.error("unexpected character", "words of a letter and a number", rest)

@@ -521,7 +521,7 @@ class IsoMotion(IsoDrilling, IsoPaths):
         self.use_set_up(kind)
         self._take_vector(block, vector)
         named, whole = self.named(block.axis_bits), self._compensated(block, rotary)
-        named |= self.named_by_path(path, stays_arc=whole and arc is not None)
+        named |= self.named_by_path(path)
         move = Move(self._line, kind, self.tcp, tuple(self.position), named, False, self.vector, None, arc, "", whole)
         block.moves += (move,)
         if self.cycle is not None:

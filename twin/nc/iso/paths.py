@@ -87,11 +87,8 @@ class IsoPaths(IsoShift):
         path = {item.name: item for item in items if item.name in vocabulary.PATH_WORDS}
         return path, [item for item in items if item.name not in path] if path else items
 
-    def named_by_path(self, path: Mapping[str, Item], *, stays_arc: bool) -> frozenset[str]:
-        """Return the axes that such words name; raise `InputError` for an arc by them that must stay one."""
-        if path and stays_arc:
-            what = "arc by its angle, a pole or a point under cutter radius compensation"
-            raise self.error(what, "its centre or its radius")
+    def named_by_path(self, path: Mapping[str, Item]) -> frozenset[str]:
+        """Return the axes that such words name."""
         return frozenset(self.names[axis] for axis in PLANES[self.plane][:2] if path)
 
     def go_to_end(self, block: IsoBlock, path: Mapping[str, Item], start: list[float]) -> tuple[float, float] | None:
@@ -111,7 +108,9 @@ class IsoPaths(IsoShift):
             end = self._about_pole(path, about, here)
         elif path.keys() == {"ANG"} and self.motion == 1:
             end = self._along(given, self._length_or_angle(path["ANG"]), here, end)
-        elif path.keys() != {"AR"} and self.curve != "CIP":
+        elif not (
+            path.keys() <= {"I1", "J1", "K1"} if self.curve == "CIP" else path.keys() == {"AR"} and self.motion != 1
+        ):
             raise self.error(f"{next(iter(path))} in this block", "AR= with G2 or G3, ANG= with G1, I1= J1= with CIP")
         if not all(map(math.isfinite, end)):
             raise self.error("end point from an unknown position", "a position of both axes before it")
@@ -164,7 +163,6 @@ class IsoPaths(IsoShift):
             return None
         a, b, third = plane = PLANES[self.plane]
         from_, to = (start[a], start[b]), (self.position[a], self.position[b])
-        self.only_divided.add(self._line)
         if self.curve == "CIP":
             points = [start[axis] for axis in plane]
             for i, axis in enumerate(plane):
@@ -185,7 +183,6 @@ class IsoPaths(IsoShift):
             return self._arc_about(block, self._length_or_angle(path["AR"]), from_, centre)
         if path:
             raise self.error("arc by words that determine it twice", "AR= with a centre or with an end point")
-        self.only_divided.discard(self._line)
         return None
 
     def _arc_about(self, block: IsoBlock, angle: float, start: tuple[float, float], centre: list[Item]) -> Arc:
@@ -213,7 +210,8 @@ class IsoPaths(IsoShift):
     def shape_paths(self, block: IsoBlock) -> None:
         """Leave the path of a block that moves to the control, where it shapes it."""
         if block.moves and self.curve in vocabulary.SHAPED:
-            self.shape_corner(self.curve, self._line, both=False)
+            if block.motion_word is not None:
+                self.shape_corner(self.curve, self._line, both=False)
             self.shape_corner(self.curve, self._line + 1, both=self.curve != "CT")
         if block.moves and self.rounded:
             self.shape_corner("RNDM", self._line + 1, both=True)

@@ -255,7 +255,7 @@ class IsoWriter(WordWriter[IsoBlock]):
         drop(block, block.path_words, edits)
         code = CODE[rewrite.move.kind] if block.motion is not None else None
         if rewrite.move.arc is not None and rewrite.move.whole:
-            code = block.motion
+            code = 2 if rewrite.move.arc.angle_rad < 0.0 else 3
         before, self.motion = self.motion, self.motion if code is None else code
         span = block.motion_word
         if span is not None:
