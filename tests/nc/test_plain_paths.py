@@ -35,6 +35,20 @@ POLAR = {
     "a circle": ("4 LP PR+20 PA+0 F500\n5 CP IPA+360 DR+\n", [(280, 200), (280, 200)], 360),
     "parameters": ("4 Q1 = 20\n5 LP PR+Q1 PA+90 F500\n", [(260, 220)], None),
 }
+UPRIGHT = {
+    # name: (blocks, end, plane, sweep in degrees): the pole names the plane; its first axis is the axis of angle 0
+    "CP across Y": ("3 CC X+240 Z-100\n4 CP IPA+90 DR+ F500\n", (240, 200, -110), (2, 0, 1), 90),
+    "CP across Y, another pole before": (
+        "3 CC X+1 Y+2\n3 CC X+240 Z-100\n4 CP IPA-90 DR- F500\n",
+        (240, 200, -90),
+        (2, 0, 1),
+        -90,
+    ),
+    "C across Y": ("3 CC X+240 Z-100\n4 C X+240 Z-110 DR+ F500\n", (240, 200, -110), (2, 0, 1), 90),
+    "C across X": ("3 CC Y+190 Z-100\n4 C Y+190 Z-90 DR+ F500\n", (250, 190, -90), (1, 2, 0), 90),
+    "CP across X, angle from Y": ("3 CC Y+190 Z-100\n4 CP PA+90 DR+ F500\n", (250, 190, -90), (1, 2, 0), 90),
+    "LP across Y, angle from Z": ("3 CC X+240 Z-100\n4 LP PR+5 PA+90 F500\n", (245, 200, -100), None, 0),
+}
 CONTOUR = (
     "9 L X+270 Y+200 RL F200\n10 L Y+220\n11 CC X+280 Y+220\n12 C X+280 Y+230 DR-\n13 CR X+290 Y+220 R+10 DR-\n14 L Y+200\n"
     "15 L X+250 R0 FMAX\n"
@@ -72,6 +86,19 @@ def test_they_become_straight_blocks_at_the_corrected_points(dmu50: Machine, err
     ends = [again[np.argmin(np.abs(again - q).sum(axis=1))] for q in result.commands]
     assert np.array(ends) == pytest.approx(result.commands, abs=2e-3)
     assert again[-1] == pytest.approx(result.commands[-1], abs=1e-6)
+
+
+@pytest.mark.parametrize("name", UPRIGHT)
+def test_the_pole_names_the_plane_of_the_arc(dmu50: Machine, errors: Calibration, name: str) -> None:
+    text, end, plane, sweep = UPRIGHT[name]
+    last = moves_of(START + text)[-1]
+    assert last.position[:3] == pytest.approx(end)
+    if plane is not None:
+        assert last.arc is not None and last.arc.plane == plane
+        assert math.degrees(last.arc.angle_rad) == pytest.approx(sweep)
+    result = compensated(START + text + END, dmu50, errors)
+    again = np.array([move.position for move in moves_of(result.text)])
+    assert np.abs(again - result.commands[1]).max(axis=1).min() < 2e-3
 
 
 @pytest.mark.parametrize("text", [*(POLE + text for text, _, _ in POLAR.values()), CONTOUR])
@@ -135,6 +162,9 @@ REFUSED = {
     "a lead-in about no pole": ("4 APPR PLT PR+20 PA+0 LEN10 RL F200\n", "without a pole"),
     "a tangential arc about the pole": (POLE + "4 L X+270 F200\n5 CTP PR+20 PA+90\n", "CTP"),
     "one axis": ("4 X+270 R+ F200\n", "radius compensation"),
+    "a pole in space": ("3 CC X+240 Y+200 Z-100\n4 C X+240 Y+190 DR+\n", "three coordinates"),
+    "a radius with the tool axis": ("3 CR X+260 Z-90 R+20 DR+\n", "word of the tool axis"),
+    "an upright arc beside a contour": ("3 L X+260 RL F200\n4 CC X+250 Z-100\n5 CP IPA+90 DR+\n", "in another plane"),
 }
 
 

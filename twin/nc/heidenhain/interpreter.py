@@ -568,10 +568,7 @@ class HeidenhainInterpreter(HeidenhainFrame):
                 raise self.unknown_axis(match.group().strip())
             word = self._axis_word(match)
             found[word.axis] = word.value + (self.position[word.axis] if word.incremental else 0.0)
-        if found:
-            self.centre = {**self.centre, **found}
-        else:
-            self.centre = dict(enumerate(self.position[: self.linear]))
+        self.set_pole(found)
 
     def _apply_words_of_path(self, block: PathBlock) -> None:
         """Set the position from the axis words of a path; raise `InputError` for a sense outside an arc."""
@@ -581,9 +578,9 @@ class HeidenhainInterpreter(HeidenhainFrame):
 
     def _check_helix(self, block: PathBlock, arc: Arc | None, start: list[float], *, whole: bool) -> None:
         """Raise `InputError` for an arc by ``CP`` that must stay whole but cannot be written as ``C``: a helix, or several turns."""
-        axis = self.plane[2]
         if block.keyword != "CP" or arc is None:
             return
+        axis = arc.plane[2]
         if abs(arc.angle_rad) > 2.0 * math.pi + 1e-9 or not abs(self.position[axis] - start[axis]) <= 1e-9:
             self.only_divided.add(self._line)
             if whole:
@@ -623,12 +620,13 @@ class HeidenhainInterpreter(HeidenhainFrame):
         arc: Arc | None = None
         if block.keyword in vocabulary.ARCS:
             kind = Kind.ARC
-            if self.arc_from_unknown(block, start, self.plane[:2]):
+            plane = self.plane if block.keyword == "CR" else self.arc_plane
+            if self.arc_from_unknown(block, start, plane[:2]):
                 return
             arc = self.arc(block, start, sweep)
         self.use_set_up(kind)
         if block.polar:
-            names |= {self.names[axis] for axis in self.plane[:2]}
+            names |= {self.names[axis] for axis in self.arc_plane[:2]}
         whole = self.compensated(block, rotary)
         self._check_helix(block, arc, start, whole=whole)
         position = tuple(self.position)

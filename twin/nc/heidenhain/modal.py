@@ -324,6 +324,29 @@ class HeidenhainPaths(HeidenhainCycles):
 
     centre: Mapping[int, float] = {}
     on_contour = False
+    plane_of_pole: tuple[int, int, int] | None = None
+    """The plane of the pole, if ``CC`` names two axes; None: that of the tool."""
+    _in_space = False
+
+    @property
+    def arc_plane(self) -> tuple[int, int, int]:
+        """The plane of arcs about the pole, and of angles and radii; raise `InputError` for a pole in space."""
+        if self._in_space:
+            raise self.error("arc about a pole with three coordinates", "CC with the two axes of the plane of the arc")
+        return self.plane_of_pole or self.plane
+
+    def set_pole(self, found: Mapping[int, float]) -> None:
+        """Set the pole from the words of ``CC``: two axes name the plane, one keeps the others, none takes the position."""
+        planes = {frozenset(plane[:2]): plane for plane in PLANES.values()}
+        if len(found) == 2:
+            self.centre, self.plane_of_pole = dict(found), planes[frozenset(found)]
+        elif len(found) == 1:
+            self.centre = {**self.centre, **found}
+        else:
+            self.centre = found or dict(enumerate(self.position[: self.linear]))
+            self.plane_of_pole, self._in_space = None, bool(found)
+            return
+        self._in_space = False
 
     def leave_contour(self) -> None:
         """Raise `InputError` if radius compensation is selected where the control leaves the contour."""
@@ -348,7 +371,7 @@ class HeidenhainPaths(HeidenhainCycles):
 
     def polar_end(self, block: PathBlock, start: list[float]) -> float | None:
         """Set the end point of a block given about the pole, and return its sweep in radians if that is given."""
-        a, b, _ = self.plane
+        a, b, _ = self.arc_plane
         if not (a in self.centre and b in self.centre):
             raise self.error(f"{block.keyword} without a pole", "CC before it")
         if block.axis_bits & (1 << a | 1 << b) or (
@@ -382,17 +405,21 @@ class HeidenhainPaths(HeidenhainCycles):
         """Return the arc of a block; ``sweep``: in radians, if the block gives it."""
         if block.clockwise is None:
             raise self.error("circular block without its sense", "DR+ or DR-")
-        a, b, _ = self.plane
+        a, b, third = plane = self.plane if block.keyword == "CR" else self.arc_plane
         from_, to = (start[a], start[b]), (self.position[a], self.position[b])
         if block.keyword == "CR":
             if block.radius is None:
                 raise self.error("CR without a radius", "R+10 or R-10")
-            return self.valid_arc(arc_by_radius(self.plane, from_, to, block.radius, block.clockwise))
+            if block.axis_bits >> third & 1:
+                raise self.error("CR with a word of the tool axis", "CC and C: the plane of the arc is that of CC")
+            return self.valid_arc(arc_by_radius(plane, from_, to, block.radius, block.clockwise))
+        if self.beside and plane != self.plane:
+            raise self.error("arc in another plane under cutter radius compensation", "the tool centre path (R0)")
         if a in self.centre and b in self.centre:
             centre = (self.centre[a], self.centre[b])
             if sweep:
-                return Arc(self.plane, centre, sweep)
-            return self.valid_arc(arc_by_centre(self.plane, from_, to, centre, block.clockwise))
+                return Arc(plane, centre, sweep)
+            return self.valid_arc(arc_by_centre(plane, from_, to, centre, block.clockwise))
         return self.valid_arc(ArcMisfit("circular block without its centre", "CC before it"))
 
 
