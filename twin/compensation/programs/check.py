@@ -31,7 +31,7 @@ Verdict = Literal["ready", "in part", "refused"]
 _MODES: Final = {
     "tcp": "tool centre point control",
     "planes": "tilted planes",
-    "beside": "cutter radius compensation",
+    "beside": "cutter radius compensation, or corners and curves left to the control",
     "cycles": "drilling cycles",
     "written_out": "subprograms, loops or jumps written out",
 }

@@ -633,7 +633,8 @@ class HeidenhainFrame(HeidenhainPaths):
         shift = [*(self.frame.shift or (0.0,) * len(self.names))]
         found = list(vocabulary.SHIFT.finditer(words))
         if not found or vocabulary.SHIFT.sub("", words).strip():
-            raise self.error(f"{what} without axis words", "axis words such as X+10 or IX+10", words.strip() or None)
+            how = "by a row of a datum table" if "#" in words else "without axis words"
+            raise self.error(f"{what} {how}", "axis words such as X+10 or IX+10", words.strip() or None)
         for match in found:
             axis = self.index.get(match[2].upper(), -1)
             if axis < 0:
