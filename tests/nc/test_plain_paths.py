@@ -163,7 +163,7 @@ REFUSED = {
     "a tangential arc about the pole": (POLE + "4 L X+270 F200\n5 CTP PR+20 PA+90\n", "CTP"),
     "one axis": ("4 X+270 R+ F200\n", "radius compensation"),
     "a pole in space": ("3 CC X+240 Y+200 Z-100\n4 C X+240 Y+190 DR+\n", "three coordinates"),
-    "a radius with the tool axis": ("3 CR X+260 Z-90 R+20 DR+\n", "word of the tool axis"),
+    "a radius with the tool axis": ("3 CR X+260 Z-90 R+20 DR+\n", "a word of the tool axis and one"),
     "an upright arc beside a contour": ("3 L X+260 RL F200\n4 CC X+250 Z-100\n5 CP IPA+90 DR+\n", "in another plane"),
 }
 
@@ -255,7 +255,7 @@ CORNERS = {
 
 @pytest.mark.parametrize("name", CORNERS)
 def test_blocks_beside_a_corner_stay_whole(dmu50: Machine, errors: Calibration, name: str) -> None:
-    """Their ends are corrected, and each is one block of the kind it was (``CP`` becomes ``C``)."""
+    """Check that their ends are corrected, and each is one block of the kind it was (``CP`` becomes ``C``)."""
     text, whole = CORNERS[name]
     assert [move.whole for move in moves_of(START + text)[1:]] == whole
     result = compensated(START + text + END, dmu50, errors)
@@ -278,7 +278,7 @@ def test_blocks_beside_a_corner_stay_whole(dmu50: Machine, errors: Calibration, 
 def test_a_corner_at_the_end_of_a_stretch(
     dmu50: Machine, errors: Calibration, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Read in pieces of any size, a block before ``RND`` stays whole."""
+    """Check that a block before ``RND`` stays whole, read in pieces of any size."""
     source, output = tmp_path / "part.h", tmp_path / "out.h"
     text = START + CORNERS["a chamfer after a comment"][0] + CORNERS["two"][0] + END
     source.write_text(text)
@@ -290,7 +290,7 @@ def test_a_corner_at_the_end_of_a_stretch(
 
 @pytest.mark.parametrize("lead", ["PLCT PR+20 PA+180 R5", "PLT PR+20 PA+180 LEN10", "PCT PR+20 PA+180 CCA90 R+4"])
 def test_a_lead_in_about_the_pole(dmu50: Machine, errors: Calibration, lead: str) -> None:
-    """It ends at the corrected point that the pole, radius and angle mean: 240, 200."""
+    """Check that it ends at the corrected point that the pole, radius and angle mean: 240, 200."""
     text = f"4 L X+220 Y+200 F500\n5 APPR {lead} RL F200\n6 LP PA+120\n7 DEP PLCT PR+40 PA+120 R5\n8 L X+220 Y+200\n"
     result = compensated(START + POLE + text + END, dmu50, errors)
     moves = result.reading.moves

@@ -141,6 +141,7 @@ def test_a_path_of_the_control_at_the_end_of_a_stretch(
 
 REFUSED = {
     "a pole of another frame": ("G111 X260 Y210\nTRANS X5\nG1 AP=0 RP=5\n", "pole from before a change"),
+    "a pole from one of another frame": ("G111 X260 Y210\nTRANS X5\nG112 X5 Y5\n", "pole from before a change"),
     "a work offset of Haas": ("G21\nG111 X260 Y210\n", "selects a work offset"),
     "its words later": ("G111 X260 Y210\nG1 AP=0 RP=5\nG28 Z0\n", "selects a work offset"),
     "a rounding beside a turn": ("X270 RND=2\nY210 B5\n", "the tool turns"),
@@ -161,7 +162,7 @@ def test_what_is_refused(name: str) -> None:
 @pytest.mark.parametrize("name", [name for name, (_, _, arc) in PATHS.items() if arc is not None])
 @pytest.mark.parametrize("beside", ["RND=1", "G41"])
 def test_an_arc_that_stays_one_has_its_centre(dmu50: Machine, errors: Calibration, name: str, beside: str) -> None:
-    """Beside a corner or a contour it is written with G2 or G3, its ends and I and J, about a centre near that computed by hand."""
+    """Check that beside a corner or a contour it is written with G2 or G3, its ends and I and J, about a centre near that computed by hand."""
     text, _, arc = PATHS[name]
     *before, last = text.splitlines()
     contour = [f"{last} RND=1", "G1 X290 Y240"] if beside == "RND=1" else [last, "G1 X290 Y240", "G40 X300"]

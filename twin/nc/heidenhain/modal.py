@@ -410,8 +410,9 @@ class HeidenhainPaths(HeidenhainCycles):
         if block.keyword == "CR":
             if block.radius is None:
                 raise self.error("CR without a radius", "R+10 or R-10")
-            if block.axis_bits >> third & 1:
-                raise self.error("CR with a word of the tool axis", "CC and C: the plane of the arc is that of CC")
+            if block.axis_bits >> third & 1 and not block.axis_bits >> a & block.axis_bits >> b & 1:
+                what = "CR with a word of the tool axis and one of the plane"
+                raise self.error(what, "CC and C: the plane of the arc is that of CC")
             return self.valid_arc(arc_by_radius(plane, from_, to, block.radius, block.clockwise))
         if self.beside and plane != self.plane:
             raise self.error("arc in another plane under cutter radius compensation", "the tool centre path (R0)")

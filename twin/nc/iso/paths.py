@@ -56,7 +56,9 @@ class IsoPaths(IsoShift):
         other = len(block.codes) > 1 or block.names or block.m_words or block.feed is not None
         if other or not (values.keys() <= names or values.keys() == {"AP", "RP"}) or self.incremental:
             raise self.error(f"G{code} with other words, or in G91", f"G{code} with X and Y, or AP= and RP=")
-        from_ = {"110": (self.position[a], self.position[b]), "111": (0.0, 0.0), "112": self._pole_in_force()}[code]
+        from_ = (0.0, 0.0)
+        if code != "111":
+            from_ = self._pole_in_force() if code == "112" else (self.position[a], self.position[b])
         if "AP" in values:
             by = turned_about((0.0, 0.0), (values["RP"], 0.0), values["AP"])
         else:
