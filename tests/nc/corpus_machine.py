@@ -405,7 +405,8 @@ def run_plain(text: str) -> Run:
         if waiting and not block.startswith("Q"):
             _drill_at(run, _pattern_of_cycle(waiting, parameters), parameters)
             waiting = ""
-        points = f"{points} {block}" if re.match(r"PATTERN|(POS|ROW|CIRC)\d", block) else points
+        if re.match(r"PATTERN|(POS|ROW|CIRC)\d", block):
+            points = block if block.startswith("PATTERN") else f"{points} {block}"
         if re.match(r"CYCL DEF 22[01]", block):
             waiting = block.split()[2]
         if block.startswith(("CYCL CALL PAT", "CYCL CALL POS")):

@@ -162,7 +162,7 @@ def test_what_is_refused(name: str) -> None:
 @pytest.mark.parametrize("name", [name for name, (_, _, arc) in PATHS.items() if arc is not None])
 @pytest.mark.parametrize("beside", ["RND=1", "G41"])
 def test_an_arc_that_stays_one_has_its_centre(dmu50: Machine, errors: Calibration, name: str, beside: str) -> None:
-    """Check that beside a corner or a contour it is written with G2 or G3, its ends and I and J, about a centre near that computed by hand."""
+    """Check that it is written with G2 or G3, its ends and I and J, about a centre near that computed by hand."""
     text, _, arc = PATHS[name]
     *before, last = text.splitlines()
     contour = [f"{last} RND=1", "G1 X290 Y240"] if beside == "RND=1" else [last, "G1 X290 Y240", "G40 X300"]

@@ -105,7 +105,7 @@ def _count(*counts: float) -> None:
         raise ValueError(f"whole numbers of holes, 1 to {MOST_HOLES}")
 
 
-# --- Places in the plane, in the units of what is given, degrees
+# --- Places in the plane; angles in degrees
 
 Point = tuple[float, float]
 
