@@ -165,6 +165,7 @@ REFUSED = {
     "a pole in space": ("3 CC X+240 Y+200 Z-100\n4 C X+240 Y+190 DR+\n", "three coordinates"),
     "a radius with the tool axis": ("3 CR X+260 Z-90 R+20 DR+\n", "a word of the tool axis and one"),
     "an upright arc beside a contour": ("3 L X+260 RL F200\n4 CC X+250 Z-100\n5 CP IPA+90 DR+\n", "in another plane"),
+    "an arc out of the plane of its pole": ("4 CC X+240 Z-100\n5 C X+240 Y+210 DR+\n", "with the axes of the words"),
 }
 
 

@@ -263,7 +263,7 @@ class HeidenhainInterpreter(HeidenhainFrame):
             return
         axis = vocabulary.TOOL_AXIS.match(body)
         if axis is not None:
-            self.plane = PLANES[axis.group(1).upper()]
+            self.take_tool_axis(PLANES[axis.group(1).upper()])
         self.select_tool(block, body)
 
     def _call(self, block: PathBlock, body: str, upper: str) -> None:

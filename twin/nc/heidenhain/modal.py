@@ -335,6 +335,12 @@ class HeidenhainPaths(HeidenhainCycles):
             raise self.error("arc about a pole with three coordinates", "CC with the two axes of the plane of the arc")
         return self.plane_of_pole or self.plane
 
+    def take_tool_axis(self, plane: tuple[int, int, int]) -> None:
+        """Set the plane of the tool; another one has no pole yet."""
+        if plane != self.plane:
+            self.centre, self.plane_of_pole, self._in_space = {}, None, False
+        self.plane = plane
+
     def set_pole(self, found: Mapping[int, float]) -> None:
         """Set the pole from the words of ``CC``: two axes name the plane, one keeps the others, none takes the position."""
         planes = {frozenset(plane[:2]): plane for plane in PLANES.values()}
@@ -414,8 +420,9 @@ class HeidenhainPaths(HeidenhainCycles):
                 what = "CR with a word of the tool axis and one of the plane"
                 raise self.error(what, "CC and C: the plane of the arc is that of CC")
             return self.valid_arc(arc_by_radius(plane, from_, to, block.radius, block.clockwise))
-        if self.beside and plane != self.plane:
-            raise self.error("arc in another plane under cutter radius compensation", "the tool centre path (R0)")
+        if plane != self.plane and (self.beside or block.axis_bits >> third & 1):
+            what = "arc in another plane than that of the tool under cutter radius compensation, or as a helix"
+            raise self.error(what, "the tool centre path (R0), and CC with the axes of the words")
         if a in self.centre and b in self.centre:
             centre = (self.centre[a], self.centre[b])
             if sweep:
