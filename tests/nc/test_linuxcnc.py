@@ -119,6 +119,7 @@ EQUAL = {
 }
 ENDS = ("M2", "M30", "X7 M02", "N7 (end) m 30", "M99", "%", "G0 Z9 M030 (end)", "/M2")
 REFUSED = {
+    "modal words saved in a subprogram": SUB.format("M70\nG91\nM72") + "M70\no100 call\nM72",
     "words after the arguments": SUB.format("G1 X#1") + "o100 call [8] G1 X5",
     "another unit within a cycle": "G81 X5 Y5 Z-5 R2\nG20 X.7\nG80",
     "the angle of the spindle or the height of a cycle": "G81 X5 Y5 Z-5 R2\nM19 R4\nX7\nG80",
