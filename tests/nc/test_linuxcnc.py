@@ -112,7 +112,7 @@ EQUAL = {
     "a circle of holes by polar words": "G90 G0 X30 Y0 Z5\nG91 G81 R-1 Z-3 ^60 L6\n@5\nG80\nG90 G1 @20 ^30\n^40\n@[5+5]",
     "polar words in shifted and turned coordinates": "G92 X3 Y1\nG1 @5 ^45\nG91 ^10\nG90 G92.1\nG10 L2 P1 R30\nG1 @5 ^45\nG91 @1",
     "modal words saved": "M70\nG91 G20 G18\nG1 X1\nM72\nG1 X3\nG91\nM72\nX4\nM71",
-    "the end of no shift": "G92.1 G55\nG1 X5 Y3\nG92.2 G54 X9",
+    "the end of no shift": "G92.1 G55\nG1 X5 Y3\nG92.2 G54\nX9",
     "the position at the start": "\0G21 G90 G17 F500\nG92 X0 Y0 Z0\nG1 X5 Y6\nG91 Z3\nG90 X2 Y1 Z7\nG92 X1\nX2",
     "variables of a program that names one": "#<a>=1\n#1500=7\n#4000=3\nG1 X#1500 Y#4000 Z#<a>",
     "a hole after the unit has changed": "G81 X5 Y5 Z-5 R2\nG80 G20\nG81 X1 Y1 Z-.5 R1\nG80",
