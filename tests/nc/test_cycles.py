@@ -438,3 +438,19 @@ def test_a_program_that_sets_a_work_offset_is_refused() -> None:
     with pytest.raises(InputError, match="sets a work offset") as caught:
         read("G0 X1 Y1 Z1\n#5221=10\n")
     assert caught.value.line == 2
+
+
+@pytest.mark.parametrize("level", ["G98", "G99"])
+def test_back_boring_has_its_heights_shifted_by_the_correction_of_the_initial_level(
+    dmu50: Machine, errors: Calibration, level: str
+) -> None:
+    text = compensated(f"{START}{level} G87 X310. Y210. Z-310. R-330. Q1. F50.\nX320.\nG80\n", dmu50, errors).text
+    lines = text.splitlines()
+    kept = [i for i, line in enumerate(lines) if line.startswith("G98 G87")]
+    assert len(kept) == 2
+    for i in kept:
+        before = " ".join(line for line in lines[:i] if not line.startswith(("(", "G98 G87"))).split()
+        reached = [float(word[1:]) for word in before if word.startswith("Z")][-1]
+        assert 1e-3 < abs(reached + 300.0) < 0.2
+        z, r = (float(word[1:]) for word in lines[i].split() if word[0] in "ZR")
+        assert (z, r) == pytest.approx((reached - 10.0, reached - 30.0), abs=1e-9)

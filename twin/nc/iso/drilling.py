@@ -317,7 +317,8 @@ class IsoDrilling(IsoShift):
             raise self._refused(
                 f"position of {axis} unknown", f"a position of {axis} before the cycle ({_AT_REFERENCE}), or G99"
             )
-        if self._to_initial and self._retract < top - 1e-9:
+        retract = self._initial if self.code == cycles.FROM_INITIAL else self._retract
+        if to_initial and retract < top - 1e-9:
             raise self._refused(
                 f"{axis} is below R",
                 f"{axis} at R or above before the cycle, or G99: controls differ in the height to which G98 returns",
@@ -335,9 +336,8 @@ class IsoDrilling(IsoShift):
         if self.code == cycles.FROM_INITIAL and (self.incremental or at != self._initial):
             raise self._refused("increments, or not at the initial level", f"G90 and {axis} at the initial level")
         try:
-            return cycles.of_fanuc(
-                self.code, self._height, self._dwell, self._retract, (axis, f"{self._words} {self._feed}".strip())
-            )
+            words = axis, f"{self._words} {self._feed}".strip()
+            return cycles.of_fanuc(self.code, self._height, self._dwell, retract, words)
         except ValueError as error:
             raise self._refused("cycle", str(error)) from None
 
