@@ -20,7 +20,7 @@ OFFSETS = {
 LENGTHS = {"1": 80.0, "2": 131.5, "12": 65.25, "MILL_D10": 92.5}
 ROTARY_INCREMENT = 0.001
 _WORD = re.compile(r"([A-Z]+\d(?=\s*=)|[A-Z]+)\s*=?\s*([-+]?(?:\d+\.?\d*|\.\d+))")
-_CYCLES = {"81", "82", "83", "84", "85"}
+_CYCLES = {"73", "81", "82", "83", "84", "84.2", "85", "87"}
 _UNITS = {"20", "21", "70", "700", "710"}
 
 
@@ -104,6 +104,14 @@ class Run:
             return {"X": end.real, "Y": end.imag}
         return {}
 
+    def polar(self, given: dict[str, float], relative: bool, unit: float) -> dict[str, float]:
+        """Return X and Y of polar words, which count from the zero of the coordinates."""
+        x, y = self.words["X"], self.words["Y"]
+        distance, angle = np.hypot(x, y), np.degrees(np.arctan2(y, x))
+        distance = given.get("@", 0.0 if relative else distance / unit) * unit + (distance if relative else 0.0)
+        angle = given.get("^", 0.0 if relative else angle) + (angle if relative else 0.0)
+        return {"X": distance * np.cos(np.radians(angle)), "Y": distance * np.sin(np.radians(angle))}
+
     def forget(self, axes: str) -> None:
         """Forget the words of axes: their coordinates are others now."""
         self.words |= dict.fromkeys(axes, np.nan)
@@ -180,11 +188,16 @@ def run_iso(text: str) -> Run:
             cycle = {"on": 1.0, "R": plane + distance, "Z": depth, "level": level} if called else {}
             code_of_cycle = called[1] if called else ""
             continue
-        if "@" in bare:
+        if "@" in bare and "CYCLE800" in line.upper():
             run.swivel([part.strip() for part in bare.split("@")[1].split(",")])
             continue
         if re.search(r"G65\b|M98\b", bare):
             continue  # a macro of the machine's builder, which is not given
+        if "M70" in bare:
+            saved = relative, unit
+        if "M72" in bare:
+            relative, unit = saved
+        bare = re.sub(r"-\[(\d+)\+#<DEPTH>\]", lambda m: f"-{int(m[1]) + 4}", bare.replace("#1500", "12.5"))
         framed = re.match(r"(A?)(TRANS|ROT)\b(.*)", bare)
         if framed:
             run.program_frame(
@@ -215,6 +228,9 @@ def run_iso(text: str) -> Run:
                 run.length = LENGTHS[f"{values.get('H', values.get('HA', float(run.tool or 0))):g}"]
                 run.tcp = one in ("43.4", "234", "169")
                 run.forget(run.switched() if run.tcp else "Z")
+            if one == "43.1":
+                run.length = values.pop("Z")
+                run.forget("Z")
             if one in ("49", "170") or (okuma and one == "53"):
                 run.forget(run.switched() if run.tcp else "Z")
                 run.tcp, run.length = False, 0.0
@@ -259,6 +275,10 @@ def run_iso(text: str) -> Run:
         if run.tcp and None not in vector:
             near = tuple(np.nan_to_num([run.words[axis] for axis in "BC"]))
             axes |= dict(zip("BC", standing(np.array(vector) / np.linalg.norm(vector), near, None), strict=True))
+        polar = dict(re.findall(r"([@^])\s*([-+]?[\d.]+)", bare))
+        axes |= run.polar({name: float(value) for name, value in polar.items()}, relative, unit) if polar else {}
+        if "33.1" in codes:
+            continue  # the thread itself is left to the control
         if "10" in codes:
             name = f"G{53 + int(values['P'])}"
             run.offsets[name] = tuple(values.get(a, old) for a, old in zip("XYZ", run.offsets[name], strict=True))
@@ -279,17 +299,26 @@ def run_iso(text: str) -> Run:
             run.plane, run.pending = run.pending, None  # the program has positioned the rotary axes
             run.forget("XYZ")
         if cycle:
-            cycle |= {axis: values[axis] for axis in "ZR" if axis in values}
+            heights = {axis: values[axis] for axis in "ZR" if axis in values}
+            if relative and heights:
+                heights["R"] += initial
+                heights["Z"] += heights["R"]
+            cycle |= heights
             axes = axes if called_by_name(cycle) else {axis: value for axis, value in axes.items() if axis != "Z"}
-        for axis, value in axes.items():
-            run.words[axis] = value + (run.words[axis] if relative else 0.0)
-        run.go(code == "0" or bool(cycle))
-        if cycle:
+        for hole in range(int(values.get("L", 1)) if cycle else 1):
+            axes |= run.polar({name: float(value) for name, value in polar.items()}, relative, unit) if hole else {}
+            for axis, value in axes.items():
+                run.words[axis] = value + (run.words[axis] if relative and not polar else 0.0)
+            run.go(code == "0" or bool(cycle))
+            if not cycle:
+                continue
             # The bottom of a thread is left to the control, uncorrected.
             back = cycle.get("level", initial if to_initial else cycle["R"])
             strokes = [(cycle["R"], True), (cycle["Z"], False), (back, True)]
-            if code_of_cycle == "84":
+            if code_of_cycle in ("84", "84.2", "73"):
                 strokes = strokes[::2]
+            if code_of_cycle == "87":
+                strokes, back = [], initial  # from the initial level and back
             if called_by_name(cycle) and code_of_cycle == "83":
                 strokes = strokes[:1]
             for height, rapid in strokes:

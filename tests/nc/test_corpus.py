@@ -40,6 +40,8 @@ LAST_FEED = {
     "tnc_facing.h": (250 - 52.5, 225 - 10, -390 + 80 + 22),
     "fanuc_quill_and_macros.ptp": (250 + 45, 225 - 22.5, -390 + 131.5 + 12),
     "tnc_older_post.h": (250 - 30, 225 - 20, -390 + 131.5 + 8),
+    "polar_holes_and_taps.ngc": (250 - 8, 225 + 12, -390 + 95.5 + 15),
+    "fanuc_back_boring.nc": (250 + 12, 225 - 14, -390 + 80 + 20),
     "tnc_contour.h": (250 - 60, 225 - 45, -390 + 80 + 15),
 }
 CONTROLS = {
@@ -52,6 +54,7 @@ CONTROLS = {
     "sinumerik": "SINUMERIK",
     "tnc": "HEIDENHAIN",
     "twp": "LinuxCNC",
+    "polar": "LinuxCNC",
 }
 
 

@@ -45,6 +45,24 @@ def refused(dialect, start, block, what, tcp=False):
         ("$A.MIN%\nG81 X1 Z-5 R1 F100", "of Okuma"),
         ("$A=5%", "unexpected character"),
         ("G74 A1=0", "canned cycle G74"),
+        ("G1 @5 X3", "polar words beside X, Y"),
+        ("G1 @5 @3", "polar words beside X, Y"),
+        ("G53 G0 @5 ^3", "without G53"),
+        ("G1 @5", "from the zero of the coordinates"),
+        ("G91 G1 @5 ^3", "from the zero of the coordinates"),
+        ("G28 X0\nG1 @5", "from an unknown position"),
+        ("G1 @ X3", "unexpected character"),
+        ("G33.1 X1 Z-5 K1", "with Z and K alone"),
+        ("G33.1 Z-5", "with Z and K alone"),
+        ("G33.1 Z-5 K1\nZ3", "where G33.1 is in force"),
+        ("M72", "M70 before it"),
+        ("M70\nG91\nM72 X5", "in a block of its own"),
+        ("M70\nG43 H1\nM72", "restores a work offset, a tool length"),
+        ("M73", "restored at a return"),
+        ("G43.1 H1", "G43.1 with Z alone"),
+        ("G1 G43.1 Z5", "G43.1 with Z alone"),
+        ("G2 X5 Y5 I5 J0 K1", "K outside the plane"),
+        ("G28 X0\nG92 X5", "which is unknown"),
         ("G74 X1=0 Y5", "canned cycle G74"),
         ("G74 X1", "canned cycle G74"),
         ("TRAORI\nG74 X1=0", "under tool centre point control"),
@@ -230,6 +248,20 @@ def test_iso_notes_what_it_cannot_follow(block):
     assert reading.notices[0].line == 2
     assert bool(reading.moves[-1].unknown) is not block.startswith(("G28", "G30", "G38"))
     assert math.isnan(reading.moves[-1].position[2])
+
+
+def test_a_declared_start_and_its_end():
+    """G92 before anything else says where the program's zero is; behind its end only rapids can pass."""
+    reading = read_moves(ISO, "G21 G90\nG92 X1 Y2 Z3\nG91 G1 X1\nG90 Y5\nG92.1\nG0 X7\n")
+    assert [move.position[:3] for move in reading.moves[:2]] == [(2.0, 2.0, 3.0), (2.0, 5.0, 3.0)]
+    assert "not known" in reading.moves[2].unknown and any("G92" in notice.text for notice in reading.notices)
+    refused(ISO, "G21 G90\nG92 X1 Y2 Z3\nG1 X5\nG92.1\n", "G1 X7", "coordinates before it are not known")
+    refused(ISO, "G21 G90\nG54\n", "G92 X1 Y2 Z3", "which is unknown")
+
+
+def test_a_centre_word_of_zero_outside_the_plane_is_said():
+    reading = read_moves(ISO, f"{ISO_START}G2 X5 Y5 I5 J0 K0\n")
+    assert reading.moves[-1].arc.centre_mm == (5.0, 0.0) and "K0 outside" in reading.notices[-1].text
 
 
 def test_machine_coordinates_and_variables():

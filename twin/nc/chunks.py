@@ -247,9 +247,9 @@ def _with_repeated(
 
 
 def replaces_some(lines: Sequence[range], moves: MoveColumns, new: NewPositions) -> bool:
-    """Return whether a move of these ranges of lines is replaced."""
+    """Return whether a move of these ranges of lines, or the move before one, is replaced."""
     at = np.searchsorted(moves.line, [(part.start, part.stop) for part in lines])
-    return any(bool(new.count[first:last].any()) for first, last in at.tolist())
+    return any(bool(new.count[max(first - 1, 0) : last].any()) for first, last in at.tolist())
 
 
 class SimpleRun(NamedTuple):

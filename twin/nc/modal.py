@@ -14,7 +14,6 @@ import numpy as np
 from twin._common.errors import InputError
 from twin.nc.arcs import ArcMisfit
 from twin.nc.arithmetic import evaluate, key_of
-from twin.nc.auxiliary_axes import NOT_IN_MODEL, AuxiliaryAxes
 from twin.nc.blocks import (
     NO_POSITION,
     Arc,
@@ -27,7 +26,7 @@ from twin.nc.blocks import (
     Notice,
     WordFrame,
 )
-from twin.nc.text import LARGEST, ProgramEnd, number, unit_vector
+from twin.nc.text import LARGEST, NOT_IN_MODEL, AuxiliaryAxes, ProgramEnd, number, unit_vector
 
 
 class AxisWord(NamedTuple):

@@ -204,7 +204,7 @@ def execute(
 
 def _gaps(path: ToolPath, space: WordSpace, positions: np.ndarray, ends: np.ndarray) -> np.ndarray:
     """Return (n,) whether a point is the first of a motion that does not begin where the one before ended."""
-    begins = space.simulated_commands(path.columns.start, path.columns.tcp)
+    begins = space.commands(path.columns.start, path.columns.tcp)
     distance = np.abs(begins[1:] - positions[ends][:-1]).max(axis=1)
     gaps = np.append(True, ends[:-1])
     gaps[gaps] = np.append(True, ~(distance <= SAME_POSITION))  # also where the start is not a number

@@ -31,6 +31,7 @@ from twin.compensation.programs.words import Tilt, WordSpace
 from twin.model.calibration import Calibration
 from twin.nc.blocks import (
     NO_POSITION,
+    STATED_LENGTH,
     FrameChange,
     Interpretation,
     Kind,
@@ -386,7 +387,9 @@ class FrameSpaces:
         base, setup, length = self._base, self._base.setup, self._base.tool_length_mm
         tools = setup.tools
         tool = frame.length or frame.tool
-        if tools is not None and tool not in ("", "0"):
+        if tool.startswith(STATED_LENGTH):
+            length = float(tool.removeprefix(STATED_LENGTH))
+        elif tools is not None and tool not in ("", "0"):
             length = tools.of(tool, source, line) + frame.delta_mm
         elif tools is not None and tool == "0":
             length = 0.0

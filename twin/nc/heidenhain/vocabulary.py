@@ -84,7 +84,7 @@ INCHES = frozenset({"INCH", "IN"})
 HARMLESS_CALL = re.compile(r"M0*(?:[3-9]|1[34])", re.ASCII)
 """M functions of ``CYCL CALL``: spindle and coolant."""
 PARAMETER = re.compile(r"Q[LRS]?\d++[ \t]*+=", re.ASCII | re.IGNORECASE)
-ASSIGNED = re.compile(r"(Q[LR]?\d++)[ \t]*+=[ \t]*+([^;\r\n~]*+)", re.ASCII | re.IGNORECASE)
+ASSIGNED = re.compile(r"(?<![A-Z\d])(Q[LR]?\d++)[ \t]*+=[ \t]*+([^;\r\n~]*+)", re.ASCII | re.IGNORECASE)
 WITH_NUMBERS = frozenset({"CYCL", "CYCLE", "FN", "PLANE", "Q", "QL", "QR", "TOOL"})
 QUOTED = re.compile(r"\"[^\"]*+\"")
 EXPONENT = re.compile(r"(?<![\\/:.\d])[+-]?(?:\d++[.,]?+\d*+|[.,]\d++)E[+-]?\d+", re.ASCII | re.IGNORECASE)

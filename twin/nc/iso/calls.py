@@ -87,6 +87,8 @@ _GIVEN: Final = re.compile(rf"{_LOCAL.pattern}|#<[^>]*>")
 _FANUC_JUMP: Final = re.compile(r"(?:GOTO|DO|WHILE[ \t]*\[)[ \t]*\d?", _FLAGS)
 _OWN: Final = "\0"
 """Mark of the scope of a subprogram that has variables of its own."""
+_SAVES: Final = re.compile(r"(?<![A-Z\d])M[ \t]*0*7[0-3](?![\d=])", _FLAGS)
+"""Words of LinuxCNC that save and restore modal words, which its subprograms have for themselves."""
 _SUFFIXES: Final = ("", ".spf", ".mpf", ".nc", ".ngc", ".txt", ".tap", ".iso", ".cnc", ".ptp", ".eia", ".min", ".sub")
 
 
@@ -338,6 +340,13 @@ class IsoInliner(Inliner):
             lines = self.read_file(path)
             if any(_O_WORD.match(_bare(line)) for line in lines):
                 lines = _between(lines, call.name)
+        saves = (
+            None if not call.own or call.outside else next((one for one in lines if _SAVES.search(_bare(one))), None)
+        )
+        if saves is not None:
+            raise refused(
+                "modal words saved in a subprogram", "M70 to M73 outside subprograms: each has its own", saves
+            )
         return _until_return(lines, any(self.likely(line.text) and self.flow(line) for line in lines))
 
     def _inside(self, name: str) -> list[Line] | None:

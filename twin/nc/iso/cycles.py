@@ -66,10 +66,16 @@ class Drilling(NamedTuple):
 
 
 FANUC: Final = frozenset({"73", "81", "82", "83", "85", "89"})
-FANUC_TAPPING: Final = frozenset({"74", "84"})
-FANUC_KEPT: Final = FANUC_TAPPING | {"76", "86", "88"}
+FANUC_TAPPING: Final = frozenset({"74", "84", "84.2", "84.3"})
+FANUC_KEPT: Final = FANUC_TAPPING | {"76", "86", "87", "88"}
 """Cycles left to the control: threads, and boring with a spindle that is turned or stopped at the bottom."""
-FANUC_WORDS: Final[Mapping[str, str]] = {"76": "IJ"}
+FANUC_PECKING: Final = frozenset({"73", "83"})
+"""Cycles in steps of Q; with Q0, of which a parameter of the control decides, they are left to it."""
+FROM_INITIAL: Final = "87"
+"""Cycle left to the control from the initial level on: back boring (Fanuc), whose R lies below the hole, or boring with a retract by
+hand (Haas).
+"""
+FANUC_WORDS: Final[Mapping[str, str]] = {"76": "IJ", "87": "IJ"}
 """Words of a cycle beside Z, R, Q and P: the shift from the wall."""
 
 
@@ -101,18 +107,21 @@ def of_fanuc(code: str, height: Mapping[str, float], dwell: str, retract: float,
     top, depth = height.get("R", math.nan), height.get("Z", math.nan)
     if not (math.isfinite(top) and math.isfinite(depth)):
         raise ValueError("R and Z")
+    if code == FROM_INITIAL:
+        parts = (f"G98 G87 {words[0]}", depth, " R", top, f" {words[1]}" if words[1] else "")
+        return Drilling((Stroke(math.nan, Kind.LINEAR, kept=Kept(retract, parts)),))
     if depth >= top:
         raise ValueError("Z below R")
     step = height.get("Q", math.nan)
-    if code in ("73", "83"):
-        if not step > 0.0:
-            raise ValueError("Q, the depth of a step")
-        down = pecked(top, depth, step, full=code == "83")
-    elif code in FANUC_KEPT:
+    if code in FANUC_KEPT or (code in FANUC_PECKING and step == 0.0):
         head, tail = f"G99 G{code} {words[0]}", f" {words[1]}" if words[1] else ""
         relative = (f"{head}", depth - top, f" R0{tail}")
         kept = Kept(top, (head, depth, " R", top, tail), relative, code in FANUC_TAPPING)
         down = [Stroke(math.nan, Kind.LINEAR, kept=kept)]
+    elif code in FANUC_PECKING:
+        if not step > 0.0:
+            raise ValueError("Q, the depth of a step")
+        down = pecked(top, depth, step, full=code == "83")
     else:
         down = [Stroke(depth, Kind.LINEAR)]
     if code in ("82", "89") and dwell:

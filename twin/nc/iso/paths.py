@@ -217,3 +217,32 @@ class IsoPaths(IsoShift):
             self.shape_corner(self.curve, self._line + 1, both=self.curve != "CT")
         if block.moves and self.rounded:
             self.shape_corner("RNDM", self._line + 1, both=True)
+
+    def select_curve(self, block: IsoBlock, item: Item) -> None:
+        """Put a path of SINUMERIK in force in place of a motion code; raise `InputError` for one that is not followed."""
+        if item.name not in vocabulary.SHAPED | {"CIP"}:
+            raise self.error(f"curve or rounding {item.name}", vocabulary.LINEAR)
+        if block.motion_word is not None or self.cycle is not None or self.code:
+            raise self.error(f"{item.name} with a motion word, or in a cycle", f"{item.name} alone")
+        self.motion, self.curve = 2 if item.name == "CIP" else 1, item.name
+        block.motion_word = Span(item.start, item.end, item.name)
+
+    def shapes(self, block: IsoBlock, name: str, value: str) -> bool:
+        """Apply a word that rounds corners or belongs to a spline; return whether it is one."""
+        if name in vocabulary.CORNERS:
+            self.shape_corner(name, self._line + 1, both=True)
+            return True
+        if name == "RNDM":
+            self.rounded = self.value_of(value) != 0.0
+            return True
+        in_force = {self.curve, *(one.name for one in block.names)}
+        return name in vocabulary.SPLINE_WORDS and bool(in_force & vocabulary.SPLINES)
+
+    def check_assigned(self, name: str, shown: str) -> None:
+        """Raise `InputError` for an assignment that changes the meaning of axis words in a way that is not followed."""
+        if name[0] in "ABCD" and name[1:] in ("2", "6", "7"):
+            raise self.error(f"tool orientation by {name}", "a tool vector A3= B3= C3=, or rotary axes", shown)
+        if name in vocabulary.CURVES:
+            raise self.error(f"curve or rounding {name}", vocabulary.LINEAR, shown)
+        if name in vocabulary.TRANSFORMS or name.startswith("$P_"):
+            raise self.error(f"coordinate transformation {name}", vocabulary.NO_TRANSFORMATION, shown)
