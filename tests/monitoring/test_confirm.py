@@ -183,7 +183,7 @@ def test_tables_have_the_errors_that_they_correct(tmp_path: Path) -> None:
     readings, _ = twin.simulate(plan, MACHINE, errors, twin.instruments.LaserTracker(), np.random.default_rng(1))
     named = {one.name for one in twin.confirm(None, readings, MACHINE, calibration=errors, written=values).values}
     assert named >= {
-        "table X by X (E_XX, E_BX)",
+        "table X by X (E_BX, E_XX)",
         "table X by X times Z (E_BX)",
         "table Y by X (E_YX)",
         "table X by Y (E_C0Y)",
