@@ -57,7 +57,7 @@ CLEAR: Final = 5.0
 FOLLOWS_MM: Final = 1.0
 """Mean misfit up to which readings follow the commands."""
 LARGEST_DEVIATION_MM: Final = 1.0
-"""Deviation of a positioning test up to which a title's unit is believed for it."""
+"""Deviation of a positioning test up to which a title's unit is trusted for it."""
 UNCERTAIN_ANGLE: Final = "grad"
 """Word for degrees in German, and for gon in English."""
 
