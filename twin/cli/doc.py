@@ -21,6 +21,7 @@ PAGES: Final = (
         "convert",
         "identify",
         "evaluate",
+        "artefacts",
         "thermal",
         "diagnose",
         "plan",

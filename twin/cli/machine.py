@@ -37,6 +37,8 @@ KINDS: Final[Mapping[str, tuple[str, str, str, Mapping[str, str]]]] = {
     "9": ("three axes, mill with a cross table", "Z", "X Y", {}),
     "10": ("three axes, router with a gantry", "Y X Z", "", {}),
     "11": ("three axes, printer with a moving bed", "Z X", "Y", {}),
+    "12": ("horizontal machining centre, rotary table B", "X Y", "Z B", {"spindle": "horizontal"}),
+    "13": ("horizontal machining centre, tilting table A B", "X Y Z", "A B", {"spindle": "horizontal"}),
 }
 """Kinds of machine that are offered: name, axes of the tool and of the workpiece from the bed outwards, and inclined axes."""
 RANGES: Final = {"X": "0 500", "Y": "0 400", "Z": "-400 0", "A": "-120 30", "B": "-110 110", "C": "unlimited"}
@@ -313,6 +315,8 @@ def _ask_chain(data: dict[str, Any], stated: StatedKinematics | None) -> dict[st
             echo(f"  {key}  {name}: tool {tool or '-'}; workpiece {work or '-'}")
         kind = _question("Which is closest", "1", lambda text: KINDS.get(text), f"one of {' '.join(KINDS)}")
         hints.update(kind[3])
+        if "spindle" in hints:
+            data.setdefault("spindle", hints.pop("spindle"))
         while "tool" not in data:
             found = {}
             for key, what, default in (("tool", "tool", kind[1]), ("work", "workpiece", kind[2])):
@@ -330,7 +334,7 @@ def _ask_axes(data: dict[str, Any], hints: Mapping[str, str]) -> None:
     """Ask for what is missing about every axis, the place of the table and the tool."""
     from twin.machine.description import is_linear
 
-    axes = data.setdefault("axes", {})
+    axes, lying = data.setdefault("axes", {}), data.get("spindle") == "horizontal"
     tool, work = list(data.get("tool") or ()), list(data.get("work") or ())
     for name in sorted((*tool, *work), key=lambda name: (not is_linear(name), name)):
         unit, one = ("mm" if is_linear(name) else "degrees"), axes.setdefault(name, {})
@@ -339,7 +343,7 @@ def _ask_axes(data: dict[str, Any], hints: Mapping[str, str]) -> None:
             one,
             "range",
             f"{name}: range, {unit}",
-            RANGES[name[0]],
+            "unlimited" if lying and name[0] == "B" else RANGES[name[0]],
             parse,
             "lower upper with zero inside, or unlimited" if unit == "degrees" else "lower upper",
         )
@@ -351,15 +355,18 @@ def _ask_axes(data: dict[str, Any], hints: Mapping[str, str]) -> None:
     for name in sorted(name for name in (*tool, *work) if is_linear(name)):
         reach = axes[name]["range"]
         low, high = (0.0, 0.0) if isinstance(reach, str) else reach
-        default = f"{low if name[0] == 'Z' else 0.5 * (low + high):g}"
+        default = f"{low if name[0] in ('YZ' if lying else 'Z') else 0.5 * (low + high):g}"
         text = f"{name}: its position with the spindle nose (without tool) at the centre of the table's surface"
         _ask(table, name, text, default, _single, "a number, mm")
     for name in (name for name in (*reversed(tool), *work) if not is_linear(name)):
-        _ask_rotary(axes[name], name, hints.get(name, "XYZ"["ABC".index(name[0])]), of_tool=name in tool)
+        line = hints.get(name, "XYZ"["ABC".index(name[0])])
+        # A distance has no default, but a table that turns about the vertical usually does so about its centre.
+        place = "table 0 0 0" if name in work and name[0] == ("B" if lying else "C") else ""
+        _ask_rotary(axes[name], name, line, place, of_tool=name in tool)
     _ask(data, "tool_length", "Usual tool length, mm", "0", _single, "a number, mm")
 
 
-def _ask_rotary(one: dict[str, Any], name: str, line: str, *, of_tool: bool) -> None:
+def _ask_rotary(one: dict[str, Any], name: str, line: str, place: str, *, of_tool: bool) -> None:
     """Ask for direction, sense and place of a rotary axis."""
     from twin.machine.description import DIRECTIONS, PLACES, direction_of, is_near, place_of
 
@@ -370,9 +377,7 @@ def _ask_rotary(one: dict[str, Any], name: str, line: str, *, of_tool: bool) -> 
     _ask(one, "positive", text, "iso", lambda text: text if text in ("iso", "reversed") else None, "iso or reversed")
     where = "from the spindle nose" if of_tool else "in machine coordinates or from the centre of the table"
     text = f"{name}: a point of the axis, mm, {where}: {'nose' if of_tool else 'machine or table'} and x y z"
-    # A distance has no default, but a table that turns about the vertical usually does so about its centre.
-    default = "table 0 0 0" if not of_tool and name[0] == "C" else ""
-    _ask(one, "at", text, default, lambda text: None if place_of(text) is None else text, PLACES)
+    _ask(one, "at", text, place, lambda text: None if place_of(text) is None else text, PLACES)
 
 
 def _ask(place: dict[str, Any], key: str, text: str, default: str, parse: Callable[[str], Any], expected: str) -> None:
@@ -409,6 +414,10 @@ def _assumed(data: Mapping[str, Any], description: Description) -> list[str]:
     lines = [
         "Assumed: shapes and masses are estimates, not the machine's; clearances computed with them are not those of the machine."
     ]
+    if description.answers.spindle == "horizontal":
+        lines.append(
+            "Horizontal spindle: Y is up, Z along the spindle (ISO 841); instruments are planned where you place them."
+        )
     for key, what in (
         ("increment", "least increment 0.001"),
         ("positive", "positive turning as ISO 841"),
@@ -539,7 +548,8 @@ class _Statements:
         style = "body{font:15px sans-serif;margin:2em}section{display:inline-block;width:300px;vertical-align:top;"
         style += "margin:8px;padding:8px;border:1px solid #ccc}"
         title = escape(self.machine.name)
-        lead = "Table (red mark at the front) and tool before, pale, and after the command. +X right, +Y back, +Z up."
+        seen = "+X right, +Y back, +Z up" if self.machine.upright[2, 2] > 0.5 else "+X left, +Y up, +Z back"
+        lead = f"Table (red mark at the front) and tool before, pale, and after the command, seen facing the column: {seen}."
         return (
             f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{title}</title><style>{style}</style>'
             f"<h1>{title}</h1><p>{lead}</p>{items}</html>\n"

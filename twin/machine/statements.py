@@ -1,6 +1,6 @@
 """Statements on a machine that a person can check at the machine, and positions that its control displays, compared with the files.
 
-Directions are those of an operator in front of the machine: +X right, +Y back, +Z up.
+Directions are those of an operator who faces the column: +X right, +Y back, +Z up; with a horizontal spindle +X left, +Y up, +Z back.
 """
 
 from __future__ import annotations
@@ -88,12 +88,19 @@ def tip_and_axis(
     return tip / MM, work.rotation.T @ tool.rotation[:, 2]
 
 
-def direction_words(vector: np.ndarray) -> str:
-    """Return a direction in words: ``to the right (+X)``, or ``left and up (−0.707, +0.000, +0.707)``, the largest part first."""
-    order = [i for i in np.argsort(-np.abs(vector), kind="stable") if abs(vector[i]) > 0.02]
-    names = [WORDS[i][int(vector[i] > 0.0)] for i in order]
+def direction_words(vector: np.ndarray, upright: np.ndarray | None = None) -> str:
+    """Return a direction in words: ``to the right (+X)``, or ``left and up (−0.707, +0.000, +0.707)``, the largest part first.
+
+    Args:
+        vector: (3,) in the directions of the machine.
+        upright: (3, 3) `Machine.upright`; None: z is up.
+    """
+    seen = vector if upright is None else upright @ vector
+    order = [i for i in np.argsort(-np.abs(seen), kind="stable") if abs(seen[i]) > 0.02]
+    names = [WORDS[i][int(seen[i] > 0.0)] for i in order]
     if len(order) == 1:
-        return f"{'' if order[0] == 2 else 'to the '}{names[0]} ({'+' if vector[order[0]] > 0.0 else '−'}{'XYZ'[order[0]]})"
+        k = int(np.argmax(np.abs(vector)))
+        return f"{'' if order[0] == 2 else 'to the '}{names[0]} ({'+' if vector[k] > 0.0 else '−'}{'XYZ'[k]})"
     parts = ", ".join(f"{round(value, 3) + 0.0:+.3f}" for value in vector).replace("-", "−")
     return f"{', '.join(names[:-1])} and {names[-1]} ({parts})"
 
@@ -105,7 +112,7 @@ def _slide(machine: Machine, axis: Axis) -> AxisStatement:
     end = at_rest(machine, **{axis.name: 100.0})
     moved = (poses(machine, end)[index].translation - poses(machine, start)[index].translation) / (100.0 * MM)
     what = "the spindle" if axis.side == "tool" else "the table"
-    text = f"{axis.name} to a larger position: {what} moves {direction_words(moved)}"
+    text = f"{axis.name} to a larger position: {what} moves {direction_words(moved, machine.upright)}"
     return AxisStatement(text, f"axes.{axis.name}.positive, or the side: {axis.name} in `tool` or `work`", end)
 
 
@@ -133,18 +140,24 @@ def _turn(machine: Machine, axis: Axis) -> list[AxisStatement]:
 
 def _seen(machine: Machine, axis: Axis, command: Sequence[float] | np.ndarray) -> str:
     """Return what an operator sees of a rotary axis at a command."""
-    tool, work = poses(machine, command)
-    _, axis_in_work = tip_and_axis(machine, command, 0.0)
-    if axis_in_work[2] < 1.0 - 1e-4:
-        seen = (
-            f"the spindle's nose points {direction_words(-tool.rotation[:, 2])}"
-            if axis.side == "tool"
-            else f"the table's surface faces {direction_words(work.rotation[:, 2])}"
-        )
-        return f"{seen}; in the workpiece the tool's axis (tip to spindle) points {direction_words(axis_in_work)}"
-    turned = tool.rotation if axis.side == "tool" else work.rotation
-    sense = "counter-clockwise" if turned[1, 0] > 0.0 else "clockwise"
-    return f"the {'head' if axis.side == 'tool' else 'table'} turns {sense}, seen from above"
+    index, part, face = (
+        (0, "head", "spindle's nose points") if axis.side == "tool" else (1, "table", "table's surface faces")
+    )
+    still, turned = (poses(machine, q)[index].rotation for q in (at_rest(machine), command))
+    (_, axis_at_rest), (_, axis_in_work) = (tip_and_axis(machine, q, 0.0) for q in (at_rest(machine), command))
+    # What a person sees best: where the nose or the table's surface points; a turn about that direction, by its sense.
+    shown = -still[:, 2] if index == 0 else machine.upright[2]
+    now = turned @ still.T @ shown
+    if now @ shown < 1.0 - 1e-4:
+        seen = f"the {face} {direction_words(now, machine.upright)}"
+    else:
+        about = pin.log3(turned @ still.T)
+        place = "above" if abs(shown @ machine.upright[2]) > 0.99 else "the spindle"
+        sense = about @ (machine.upright[2] if place == "above" else -shown)
+        seen = f"the {part} turns {'counter-clockwise' if sense > 0.0 else 'clockwise'}, seen from {place}"
+    if axis_in_work @ axis_at_rest > 1.0 - 1e-4:
+        return seen
+    return f"{seen}; in the workpiece the tool's axis (tip to spindle) points {direction_words(axis_in_work, machine.upright)}"
 
 
 def _ball(machine: Machine, name: str, angle: float) -> tuple[np.ndarray, np.ndarray] | None:
@@ -156,12 +169,14 @@ def _ball(machine: Machine, name: str, angle: float) -> tuple[np.ndarray, np.nda
     limits = machine.limits / machine.scale[:, None]
     if len(linear) != 3:
         return None
+    # Above the table, and off a horizontal spindle's table towards the spindle.
+    above = "Z" if machine.upright[2, 2] > 0.5 else "YZ"
     for up in (0.0, 0.2, 0.4, 0.6, 0.8):
         start = np.array(at_rest(machine))
         for i in linear:
             low, high = limits[i] - start[i]
             # Away from the middle, so that every rotary axis moves the ball.
-            start[i] += up * high if machine.names[i][0] == "Z" else 0.15 * (high if high >= -low else low)
+            start[i] += up * high if machine.names[i][0] in above else 0.15 * (high if high >= -low else low)
         goal, _ = tip_and_axis(machine, start, TIP_MM)
         there = start.copy()
         there[index] = angle
@@ -350,18 +365,18 @@ _VIEW: Final = np.array([[0.87, 0.5, 0.0], [-0.25, 0.43, 0.87]])
 
 def picture(machine: Machine, command: Sequence[float] | np.ndarray) -> str:
     """Return an SVG of the table (with a mark at the front) and the tool at rest, pale, and at a command, with the machine's axes."""
-    shapes, corners = [], []
+    shapes, corners, view = [], [], _VIEW @ machine.upright
     for pale, q in ((True, at_rest(machine)), (False, tuple(command))):
         tool, work = poses(machine, q)
         angles = np.linspace(0.0, 2.0 * np.pi, 49)
-        disc = 0.12 * np.stack([np.cos(angles), np.sin(angles), 0.0 * angles], axis=1)
-        mark = np.array([[-0.015, -0.12, 0.0], [0.015, -0.12, 0.0], [0.0, -0.06, 0.0]])
+        disc = 0.12 * np.stack([np.cos(angles), np.sin(angles), 0.0 * angles], axis=1) @ machine.upright
+        mark = np.array([[-0.015, -0.12, 0.0], [0.015, -0.12, 0.0], [0.0, -0.06, 0.0]]) @ machine.upright
         thin, thick = np.array([[0, 0, -TIP_MM * MM], [0, 0, 0]]), np.array([[0, 0, 0], [0, 0, 0.16]])
         for points, frame, style in (
             (disc, work, "fill:#b8c4d0;stroke:#456"), (mark, work, "fill:#d22"), (thick, tool, "stroke:#333;stroke-width:16"),
             (thin, tool, "stroke:#e67300;stroke-width:5"),
         ):  # fmt: skip
-            flat = np.array([_VIEW @ frame.act(point) for point in points.astype(float)])
+            flat = np.array([view @ frame.act(point) for point in points.astype(float)])
             corners.append(flat)
             shapes.append((flat, style + (";opacity:0.25" if pale else "")))
     every = np.concatenate(corners)
@@ -376,7 +391,7 @@ def picture(machine: Machine, command: Sequence[float] | np.ndarray) -> str:
         kind = "polygon" if len(flat) > 2 else "polyline"
         parts.append(f'<{kind} points="{placed(flat)}" style="{style}"/>')
     for name, direction, colour in zip("XYZ", np.eye(3), ("#c00", "#080", "#00c"), strict=True):
-        x, y = _VIEW @ direction * 30.0
+        x, y = view @ direction * 30.0
         parts.append(
             f'<line x1="30" y1="250" x2="{30 + x:.1f}" y2="{250 - y:.1f}" stroke="{colour}" stroke-width="2"/>'
         )

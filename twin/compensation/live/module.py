@@ -85,6 +85,7 @@ class LiveCorrection:
                 expected="three linear axes and at most two rotary ones",
                 file=machine.path,
             )
+        machine.check_tool_along_z()
         self.calibration, effects = calibration, calibration.effects
         self.histories = tuple(effect for effect in effects if isinstance(effect, HistoryShift))
         # The derivatives by the other parameters do not enter the errors.

@@ -65,7 +65,12 @@ class PlanPoints:
 
     def matches(self, names: list[str]) -> bool:
         """Return whether every name is a point of the plan, and these are unique."""
-        return bool(self.points) and len(set(self.points)) == len(self.points) and {*names} <= {*self.points}
+        own = {*self._points_of(names)}
+        return bool(self.points) and len(set(self.points)) == len(self.points) and own <= {*self.points}
+
+    def _points_of(self, names: list[str]) -> list[str]:
+        """Return names without collection and group (``A::Round 1::P1``), unless the plan has them so."""
+        return names if {*names} <= {*self.points} else [name.rpartition("::")[2] for name in names]
 
     def rows_for(
         self, layout: Layout, entry: PlanEntry, cells: Mapping[str, Sequence[str]], machine: Machine
@@ -80,7 +85,7 @@ class PlanPoints:
             return self._by_order(layout)
         if entry.match == "positions":
             return self._by_positions(layout, cells, machine)
-        names = layout.column(entry.point) if entry.point in layout.names else []
+        names = self._points_of(layout.column(entry.point) if entry.point in layout.names else [])
         if not names or not self.points:
             whose = layout.raw.path if not names else self.table.source
             raise InputError("no names of points", expected="a column with the name of each point", file=whose)

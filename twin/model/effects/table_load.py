@@ -137,7 +137,7 @@ def _candidates(machine: Machine, state: State) -> tuple[list[str], list[tuple[s
     for axis in machine.axes:
         if not axis.linear and axis.side != "tool":
             upright = rest_orientation(machine, motion_joint(machine, axis.name)) @ np.array(axis.direction)
-            if abs(float(upright[2])) < 1.0 - 1e-9:
+            if abs(float(machine.upright[2] @ upright)) < 1.0 - 1e-9:
                 found.append(axis.name)
     return found, []
 
