@@ -185,8 +185,8 @@ def test_the_covariance_between_groups_is_that_of_their_scores(dmu50: Machine, s
 def test_intervals_cover_wherever_the_reflectors_are_on_the_ram(tmp_path: Path) -> None:
     """Two slides; the reflectors are 0.2 m (1 σ) from where they are by default, which no reading shows.
 
-    That turns the tilts of each slide into straightness of its reference point, and the tilts' own uncertainty, times the lever, counts:
-    without these terms of second order the mean square below is 2.2. Contrasts of three positions do not depend on the datum.
+    That turns the tilts of each slide into straightness of its reference point, and the uncertainty of the tilts, times the lever,
+    counts: without these terms of second order the mean square below is 2.2. Contrasts of three positions do not depend on the datum.
     """
     machine, kit = kits.slides(tmp_path)
     square, count = [], 360
