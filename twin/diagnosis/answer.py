@@ -315,8 +315,9 @@ def _no_masses(sized: SizedCauses) -> list[str]:
     """Return a notice on each load in the model that is no mass (`twin.model.effects.entries.payload_entries`)."""
     return [
         f"the load on the {entry['where']} side is not a mass: the control corrects a part of the deflection under own weight, and "
-        f"only the ratio of load to what remains is known. A calibration states it as {entry['parameters'][MASS]:.3g} kg, as heavy as the "
-        f"moving parts, with {OWN_WEIGHT} {entry['parameters'][OWN_WEIGHT]:.2g}; weigh the load and change both in proportion"
+        "only the ratio of load to what remains is known. A calibration states it as "
+        f"{entry['parameters'][MASS]:.3g} kg, as heavy as the moving parts, with {OWN_WEIGHT} {entry['parameters'][OWN_WEIGHT]:.2g}; "
+        "weigh the load and change both in proportion"
         for entry in payload_entries(sized.effects, sized.findings.problem.network.machine)
         if OWN_WEIGHT in entry["parameters"]
     ]
