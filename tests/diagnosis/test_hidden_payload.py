@@ -349,7 +349,7 @@ def test_a_corrected_own_weight_bounds_the_payload(tmp_path: Path) -> None:
     q = np.random.default_rng(3).uniform(-60.0, 60.0, (20, 6))
     before, after = (Kinematics(one.machine, one).forward(q).point_mm for one in (found.extended, again))
     assert np.allclose(before, after, atol=1e-9)
-    assert any("the load on the tool side is not a mass" in notice for notice in found.notices)
+    assert any("the load on the tool side is not a mass" in notice for notice in found.data.notices)
 
 
 @pytest.mark.parametrize(

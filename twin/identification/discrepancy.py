@@ -496,8 +496,9 @@ def _shared_score(network: Network, discrepancy: Discrepancy, solution: FitSolut
 
 
 LEAST_LEVER_M: Final = 1e-3
-"""Standard uncertainty of a direction of the set-up, m, from which its products with the machine's angles count: below, they are far
-less than the uncertainty of any translation."""
+"""Standard uncertainty of a direction of the targets' places, m, from which its products with the machine's angles count."""
+SMALL_TURN: Final = 0.1
+"""Turn of a station, rad, above which a direction of places that comes with it is left out: the expansion does not hold."""
 
 
 def covariance_of(
@@ -540,17 +541,25 @@ def _second_order(network: Network, solution: FitSolution, weight: np.ndarray, c
 
     A place of the targets that only priors determine (0.2 m) turns the angles of an axis into translations of its reference point. The
     first order counts the estimated angles; where these are small, their own uncertainty, times the lever, is larger. Terms of second
-    order (JCGM 100:2008, 5.1.2, note) of each such direction of the set-up with the machine's unknowns, the estimate following the
+    order (JCGM 100:2008, 5.1.2, note) of each such direction of the places with the machine's unknowns, the estimate following the
     changed derivatives.
 
     ``covariance``: (p, p) of first order.
     """
     machine = len(network.unknowns)
-    variance, directions = np.linalg.eigh(covariance[machine:, machine:])
-    levers = [
-        direction * size for size, direction in zip(np.sqrt(np.maximum(variance, 0.0)), directions.T, strict=True)
-    ]
-    levers = [lever for lever in levers if np.linalg.norm(lever) > LEAST_LEVER_M]
+    places, turns = (
+        [i for kind, _, at in solution.setup.slots if kind == wanted for i in range(at.start, at.stop)]
+        for wanted in ("place", "turn")
+    )
+    of_setup = covariance[machine:, machine:]
+    variance, directions = np.linalg.eigh(of_setup[np.ix_(places, places)])
+    levers = []
+    for size, direction in zip(np.sqrt(np.maximum(variance, 0.0)), directions.T, strict=True):
+        if size > LEAST_LEVER_M:
+            # The stations follow as they are correlated with the places.
+            lever = of_setup[:, places] @ direction / size
+            if np.abs(lever[turns]).max(initial=0.0) < SMALL_TURN:
+                levers.append(lever)
     added = np.zeros_like(covariance)
     if not levers:
         return added
