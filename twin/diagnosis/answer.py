@@ -315,7 +315,7 @@ def _no_masses(sized: SizedCauses) -> list[str]:
     """Return a notice on each load in the model that is no mass (`twin.model.effects.entries.payload_entries`)."""
     return [
         f"the load on the {entry['where']} side is not a mass: the control corrects a part of the deflection under own weight, and "
-        "only the ratio of load to what remains is known. A calibration states it as "
+        "only the ratio of the load to the remaining share is known. A calibration states it as "
         f"{entry['parameters'][MASS]:.3g} kg, as heavy as the moving parts, with {OWN_WEIGHT} {entry['parameters'][OWN_WEIGHT]:.2g}; "
         "weigh the load and change both in proportion"
         for entry in payload_entries(sized.effects, sized.findings.problem.network.machine)
