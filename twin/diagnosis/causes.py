@@ -503,7 +503,7 @@ def causes_with_payloads(
 
 
 def _is_no_mass(load: Load, payload: Payload | None) -> bool:
-    """Return whether a payload is heavier than the moving parts: then only its ratio to the share of their deflection that remains is known."""
+    """Return whether a payload is heavier than the moving parts; only a ratio is known then (`payload_entries`)."""
     return payload is not None and not payload.carried and payload.mass_kg > load.heaviest / SEARCHED
 
 
