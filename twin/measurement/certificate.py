@@ -112,7 +112,7 @@ class Artefact(Result):
         value: (m,) distances or (targets, 3) coordinates, metres.
         covariance: (m, m) or (3·targets, 3·targets), m².
         enlarged: number by which the stated variances are multiplied; 1 if the certificate states the covariance (see the module).
-        expansion: coefficient of thermal expansion and its standard uncertainty, 1/K; None if the certificate states none.
+        expansion: coefficient of thermal expansion and its standard uncertainty, 1/K; None if the certificate states none or several.
         temperature_degC: temperature for which the values hold.
 
     Examples:
@@ -182,7 +182,7 @@ class Artefact(Result):
                 return self
             raise InputError(
                 f"the artefact was at {temperature_degC:.4g} °C and its certificate states no coefficient of thermal expansion",
-                expected=r"a value with a unit such as \kelvin\tothe{-1} and its uncertainty, or readings at 20 °C",
+                expected=r"one value with a unit such as \kelvin\tothe{-1} and its uncertainty, or readings at 20 °C",
                 file=self.source,
             )
         alpha, u = self.expansion
@@ -347,23 +347,23 @@ class _Reader:
         return PREFIXES[match[1]] * PREFIXES[match[1] if square else match[2]]
 
     def expansion(self) -> tuple[float, float] | None:
-        """Return the coefficient of thermal expansion and its standard uncertainty, 1/K; None if no value per kelvin is stated."""
-        found: list[tuple[float, float]] = []
+        """Return the coefficient of thermal expansion and its standard uncertainty, 1/K.
+
+        None unless exactly one plausible value per kelvin is stated with an uncertainty.
+        """
+        found = set()
         for real in self.root.within():
             unit = _child(real, "unit") if _local(real) == "real" else None
             match = None if unit is None else _PER_KELVIN.fullmatch("".join(unit.text.split()))
             if match is None or match[1] not in PREFIXES:
                 continue
-            u = self._uncertainties(real, 1)
-            self._need_uncertainty(u, None, real)
-            value = self.number_of(self.need(real, "value")) * PREFIXES[match[1]]
-            if abs(value) > MOST_EXPANSION:
-                expected = f"at most {MOST_EXPANSION:g} 1/K"
-                raise self.error("no coefficient of thermal expansion is that large", expected, real, value)
-            found.append((value, u[0] * PREFIXES[match[1]]))
-            if found[0] != found[-1]:
-                raise self.error("a second coefficient of thermal expansion", "one for the whole artefact", real, value)
-        return found[0] if found else None
+            value, *u = (
+                PREFIXES[match[1]] * one
+                for one in (self.number_of(self.need(real, "value")), *self._uncertainties(real, 1))
+            )
+            if abs(value) <= MOST_EXPANSION:
+                found.add((value, u[0] if u else 0.0))
+        return found.pop() if len(found) == 1 and all(u > 0.0 for _, u in found) else None
 
     # Quantities
 
