@@ -45,8 +45,9 @@ from twin.measurement.observation import has_times
 from twin.model.calibration import Calibration
 from twin.model.calibration_file import MeasuredWith, MisfitEntry, UnidentifiedEntry
 from twin.model.effects import split_name
-from twin.model.effects.base import axis_of
+from twin.model.effects.base import MASS, OWN_WEIGHT, axis_of
 from twin.model.effects.empirical import channel_name
+from twin.model.effects.entries import payload_entries
 from twin.model.unknown_errors import at_rest
 from twin.numerics.covariance import Covariance
 from twin.numerics.observability import Unknown, determinability
@@ -198,7 +199,7 @@ def conclude(sized: SizedCauses, calibration: Calibration, *, empirical: bool = 
     order = [k for k in largest_first(np.array([cause.share for cause in named])).tolist() if k not in sized.jumped]
     named = [named[k] for k in order]
     wanted = points_to_measure(findings.given_patterns, findings.beside_patterns([forms[k] for k in order]), named)
-    said = (*notices(sized, comparison, undecided), *_indistinct(sized))
+    said = (*notices(sized, comparison, undecided), *_indistinct(sized), *_no_masses(sized))
     causes = (*named, *read_too_early, *loads)
     unexplained = _jump(sized) or _unexplained(sized)
     extension = extend(sized, calibration) if empirical and unexplained is not None else None
@@ -308,6 +309,18 @@ def _indistinct(sized: SizedCauses) -> list[str]:
             f"({listed([symbol(*key) for key in one.keys], most=4)})"
         )
     return texts
+
+
+def _no_masses(sized: SizedCauses) -> list[str]:
+    """Return a notice on each load in the model that is no mass (`twin.model.effects.entries.payload_entries`)."""
+    return [
+        f"the load on the {entry['where']} side is not a mass: the control corrects a part of the deflection under own weight, and "
+        "only the ratio of the load to the remaining share is known. A calibration states it as "
+        f"{entry['parameters'][MASS]:.3g} kg, as heavy as the moving parts, with {OWN_WEIGHT} {entry['parameters'][OWN_WEIGHT]:.2g}; "
+        "weigh the load and change both in proportion"
+        for entry in payload_entries(sized.effects, sized.findings.problem.network.machine)
+        if OWN_WEIGHT in entry["parameters"]
+    ]
 
 
 def _unidentifiable(findings: Findings) -> dict[tuple[str, str], str]:

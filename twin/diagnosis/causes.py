@@ -49,7 +49,7 @@ from twin.measurement.columns import ASSUMED
 from twin.measurement.table import Measurements
 from twin.model.calibration import Calibration
 from twin.model.effects import Effect, Payload
-from twin.model.effects.base import CENTRE_RANGE_MM, LOAD, SIDES
+from twin.model.effects.base import CENTRE_RANGE_MM, LOAD, SEARCHED, SIDES
 from twin.model.effects.gravity_compliance import CARRIED_LOAD, PAYLOAD, AddedLoad, payloads_of
 from twin.model.effects.harmonic import APPROACH
 from twin.numerics.covariance import Covariance
@@ -502,20 +502,20 @@ def causes_with_payloads(
     return causes, load_causes
 
 
-def _is_heaviest(load: Load, payload: Payload | None) -> bool:
-    """Return whether the mass of a payload is at its bound."""
-    return payload is not None and not payload.carried and payload.mass_kg > AT_BOUND * load.heaviest
+def _is_no_mass(load: Load, payload: Payload | None) -> bool:
+    """Return whether a payload is heavier than the moving parts; only a ratio is known then (`payload_entries`)."""
+    return payload is not None and not payload.carried and payload.mass_kg > load.heaviest / SEARCHED
 
 
 def _less_certain(cause: Cause, times: float, compliance: float, payload: Payload | None, load: Load) -> Cause:
-    """Return a compliance with the uncertainty of the loads included; at the bound of the payload's mass it is a lower limit."""
+    """Return a compliance with the uncertainty of the loads included; if the payload is no mass it is a lower limit."""
     first = cause.parameters[0]
     less = replace(cause, parameters=(replace(first, u=first.u * times),))
     if payload is None:
         return less
     product = f"{compliance * payload.mass_kg:.3g} {readable_unit(first.unit)}·kg"
     text = f"{cause.evidence}; compliance times mass of the payload {product}"
-    if _is_heaviest(load, payload):
+    if _is_no_mass(load, payload):
         return replace(cause, evidence=f"{text}, the compliance a lower limit", parameters=(first,), bounded=True)
     return replace(less, evidence=text)
 
@@ -535,11 +535,11 @@ def _load_cause(
     columns = [column for form in load.free for column in form.variant.columns]
     size = np.array([column.scale for column in columns])
     shape = np.kron(compliances, weights(shares) - weights(without))
-    specification, heaviest = CARRIED_LOAD if payload.carried else PAYLOAD, _is_heaviest(load, payload)
+    specification, no_mass = CARRIED_LOAD if payload.carried else PAYLOAD, _is_no_mass(load, payload)
     text = f"the {load.side} side carries a mass that is not in the URDF: joints deflect under it"
     if payload.carried:
         text = f"joints of the {load.side} side deflect under the mass in the column {LOAD}"
-    elif heaviest:
+    elif no_mass:
         text += (
             ". The readings do not determine the mass: the effect of the machine's own weight is smaller than the URDF implies, as if "
             "the control corrected it; only the products of mass and compliance are known, and compensation holds for this load alone"
@@ -547,9 +547,9 @@ def _load_cause(
     quantities = _quantities(payload, np.sqrt(variances[own_shares]), load.heaviest)
     if not payload.carried:
         unknown = [name for name in payload.numbers if name not in {q.name for q in quantities}]
-        if heaviest and unknown[1:]:
+        if no_mass and unknown[1:]:
             text += f"; nor {', '.join(unknown[1:])}"
-        elif unknown and not heaviest:
+        elif unknown and not no_mass:
             text += (
                 f". The readings do not determine {', '.join(unknown)}; the most likely values are in the calibration"
             )
@@ -563,7 +563,7 @@ def _load_cause(
         equivalent=(),
         evidence=text,
         pattern_um=read_only(in_um(candidates.problem.network, (candidates.problem.signature(columns) / size) @ shape)),
-        bounded=heaviest,
+        bounded=no_mass,
     )
 
 
@@ -581,5 +581,5 @@ def _quantities(payload: Payload, u: np.ndarray, heaviest: float) -> tuple[Quant
     determined = [q for q, deviation in zip(centre, u[1:], strict=True) if deviation < UNDETERMINED_SHARE]
     if payload.carried:
         return tuple(determined) or (mass,)
-    inside = COVERAGE_FACTOR * mass.u < min(mass.value, heaviest - mass.value)
+    inside = COVERAGE_FACTOR * mass.u < min(mass.value, heaviest / SEARCHED - mass.value)
     return (*([mass] if inside else []), *determined)

@@ -264,6 +264,8 @@ SIDES: Final[tuple[Side, ...]] = ("tool", "work")
 NUMBERS: Final = ("mass", "centre_x_mm", "centre_y_mm", "centre_z_mm")
 """Parameters of a payload: contract §5."""
 MASS: Final = NUMBERS[0]
+OWN_WEIGHT: Final = "own_weight"
+"""Parameter of a payload: the share of the deflection under the machine's own weight that its control leaves; 1 if not given."""
 LOAD: Final = "load_kg"
 """Channel with the mass of a carried load, kg."""
 LOAD_NUMBERS: Final = ("mass_ratio", *NUMBERS[1:])
@@ -364,12 +366,22 @@ def side_of(axis: Axis) -> Side:
     return "tool" if axis.side == "tool" else "work"
 
 
-def max_payload_kg(machine: Machine) -> float:
-    """Return the largest payload considered, kg: ten times the mass of the moving parts in the URDF.
+SEARCHED: Final = 10.0
+"""Largest payload of the search as a multiple of the mass of the moving parts."""
 
-    Robots and tables carry about their own weight.
+
+def moving_mass_kg(machine: Machine) -> float:
+    """Return the mass of the moving parts in the URDF, kg: robots and tables carry no more than about their own weight."""
+    return float(sum(machine.model.inertias[joint].mass for joint in range(1, machine.model.njoints)))
+
+
+def max_payload_kg(machine: Machine) -> float:
+    """Return the largest payload of the search, kg.
+
+    Beyond the mass of the moving parts, it is no mass: the control corrects a part of the deflection under own weight (`OWN_WEIGHT`),
+    but not that of a load.
     """
-    return 10.0 * float(sum(machine.model.inertias[joint].mass for joint in range(1, machine.model.njoints)))
+    return SEARCHED * moving_mass_kg(machine)
 
 
 # --- Shifts of the whole tool side along a direction of the base frame ----------------------------
