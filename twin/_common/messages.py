@@ -61,6 +61,14 @@ class Message(str):
         """Return how it is made again, for pickle and copy."""
         return Message._made, (str(self), self.identifier, self.arguments, self.capitalised)
 
+    def __add__(self, other: str) -> Message:
+        """Return the message followed by other text, which keeps its own translation."""
+        return joined("", [self, other])
+
+    def __radd__(self, other: str) -> Message:
+        """Return other text followed by the message."""
+        return joined("", [other, self])
+
     def starting(self, letter: str) -> Message:
         """Return the message with another first letter in English; a small letter keeps nouns of other languages as they are."""
         return Message._made(letter + self[1:], self.identifier, self.arguments, letter.isupper())
@@ -71,6 +79,13 @@ def joined(separator: str, parts: Sequence[str]) -> Message:
     places = {f"part{i}": part for i, part in enumerate(parts)}
     identifier = separator.join(f"{{{name}}}" for name in places)
     return Message._made(identifier.format(**places), identifier, places)
+
+
+def parts(text: str) -> list[str]:
+    """Return the parts of a text that was made by `joined` or by addition; other text is one part."""
+    if isinstance(text, Message) and "part0" in text.arguments:
+        return [one for part in text.arguments.values() for one in parts(part)]
+    return [text]
 
 
 @dataclass

@@ -25,7 +25,7 @@ from matplotlib.markers import TICKDOWN, TICKLEFT, TICKRIGHT
 from matplotlib.projections.polar import PolarAxes, RadialAxis, ThetaAxis
 from matplotlib.text import Text
 from matplotlib.textpath import text_to_path
-from matplotlib.ticker import FixedFormatter, FixedLocator, MaxNLocator
+from matplotlib.ticker import FixedFormatter, FixedLocator, MaxNLocator, ScalarFormatter
 from matplotlib.transforms import ScaledTranslation, Transform
 
 from twin._common.messages import Number, say
@@ -54,9 +54,19 @@ def new_figure(width: float, height: float, layout: str | None = "constrained") 
     return figure
 
 
+@final
+class _TranslatedFormatter(ScalarFormatter):
+    """Labels of ticks with the decimal mark of the language."""
+
+    def __call__(self, x: float, pos: int | None = None) -> str:
+        return say(Number(super().__call__(x, pos)))
+
+
 def style_axes(plot: Axes) -> None:
     """Add a pale grid behind the data and hide the top and right spines."""
     plot.grid(**GRID)
+    for axis in (plot.xaxis, plot.yaxis):
+        axis.set_major_formatter(_TranslatedFormatter())
     plot.set_axisbelow(True)
     plot.spines[["top", "right"]].set_visible(False)
 
@@ -73,7 +83,7 @@ def text_box_style(alpha: float, pad: float) -> dict[str, Any]:
 
 def heading(figure: Figure, text: str, size: float = 12.0) -> None:
     """Add a heading above all plots of a figure."""
-    figure.suptitle(text, x=0.01, horizontalalignment="left", fontweight="bold", fontsize=size)
+    figure.suptitle(say(text), x=0.01, horizontalalignment="left", fontweight="bold", fontsize=size)
 
 
 def legend_below(figure: Figure, *, columns: int | None = None, size: float = 9.0) -> None:
