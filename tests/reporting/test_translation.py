@@ -19,6 +19,7 @@ import twin
 from tests.reporting.test_report import IDENTIFIED, MINE, TOOL_MM
 from twin._common.families import Language
 from twin._common.messages import PLACE
+from twin.diagnosis.candidates import SPECIFICATIONS
 from twin.display.markup import templates
 from twin.display.sheet import catalogue
 from twin.machine.machine import Machine
@@ -122,6 +123,12 @@ def identifiers() -> dict[str, str]:
             match node.node, node.args:
                 case nodes.Name(name="_" | "say"), [nodes.Const(value=str(text)), *_]:
                     found[" ".join(text.split())] = path.name
+    for specification in SPECIFICATIONS.values():
+        advice = specification.advice
+        texts = [advice.look, advice.do, advice.never, specification.plural]
+        if specification.kind == "instrument":
+            texts.append(specification.decided_by)
+        found |= {" ".join(text.split()): specification.name for text in texts}
     return {text: file for text, file in found.items() if re.search(r"[^\W\d_]", PLACE.sub("", text))}
 
 

@@ -114,6 +114,8 @@ class Translation:
     def _filled(self, known: str, message: Message, as_html: bool) -> str:
         format_string = html.escape(known, quote=False) if as_html else known
         filled = _Filler(self, as_html).vformat(format_string, (), message.arguments)
+        if message[:1] == " " != filled[:1]:  # an identifier has no space around it
+            filled = f" {filled}"
         return filled[:1].upper() + filled[1:] if message.capitalised else filled
 
 

@@ -347,7 +347,10 @@ def _cause(sized: SizedCauses, k: int, calibration: Calibration) -> Cause:
     doubt, quantities = sized.doubts[k], sized.estimate.quantities[k]
     text = evidence(form, sized.estimate, k) + curve_flaw(candidates, sized.forms, form, calibration)
     if form.candidate.specification in (PAYLOAD, CARRIED_LOAD) and form.variant.fixed:
-        text += f"; the readings do not determine its centre of mass: the most likely one within ±{CENTRE_RANGE_MM:g} mm is taken"
+        text += Message(
+            "; the readings do not determine its centre of mass: the most likely one within ±{range:g} mm is taken",
+            range=CENTRE_RANGE_MM,
+        )
     text += equal_orders(candidates, sized.forms, form) + doubt
     groups = () if findings.structure.pattern_tests else together(candidates, form, others)
     equal = tuple(dict.fromkeys([*equivalent(findings, form_beside, others_beside), *chain.from_iterable(groups)]))
