@@ -23,6 +23,7 @@ from twin.diagnosis.candidates import SPECIFICATIONS
 from twin.display.markup import templates
 from twin.display.sheet import catalogue
 from twin.machine.machine import Machine
+from twin.measurement.instruments import INSTRUMENTS
 from twin.model.calibration import Calibration
 from twin.model.conditions import Conditions
 from twin.reporting import machine_report
@@ -129,6 +130,11 @@ def identifiers() -> dict[str, str]:
         if specification.kind == "instrument":
             texts.append(specification.decided_by)
         found |= {" ".join(text.split()): specification.name for text in texts}
+    for instrument in INSTRUMENTS:
+        words = instrument.specification.set_up
+        found |= {
+            text: instrument.name for text in (words.station, words.target, words.station_place, words.target_place)
+        }
     return {text: file for text, file in found.items() if re.search(r"[^\W\d_]", PLACE.sub("", text))}
 
 

@@ -88,6 +88,27 @@ def parts(text: str) -> list[str]:
     return [text]
 
 
+def message_data(text: str) -> Any:
+    """Return a message as plain data for a file: its format string (``text``) and arguments; other text as it is."""
+    if not isinstance(text, Message):
+        return str(text)
+    return {"text": text.identifier} | {
+        name: message_data(value if isinstance(value, str) else str(value)) for name, value in text.arguments.items()
+    }
+
+
+def message_from(data: object) -> str:
+    """Return the text that `message_data` described; `ValueError` if it is empty, or its places are not its arguments."""
+    if isinstance(data, str) and data:
+        return data
+    if not isinstance(data, Mapping) or not isinstance(data.get("text"), str):
+        raise ValueError("expected text, or `text` with the values of its places")
+    given = {str(name): message_from(value) for name, value in data.items() if name != "text"}
+    if {*PLACE.findall(data["text"])} != {f"{{{name}}}" for name in given} or not all(map(str.isidentifier, given)):
+        raise ValueError("the values are not those of the places in braces")
+    return Message(data["text"], **given)
+
+
 @dataclass
 class Translation:
     """Translation into the language of a catalogue, with decimal comma."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import base64
 import io
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal, cast, final
@@ -121,9 +122,24 @@ def save(figure: Figure, path: str | Path, *, dpi: int = 150) -> None:
 def embedded(figure: Figure, words: str, caption: str = "", kind: str = "") -> Html:
     """Return a picture embedded as SVG, with alternative text, plain caption and CSS class; the same picture gives the same bytes."""
     buffer = io.BytesIO()
-    with matplotlib.rc_context({"svg.hashsalt": "twin", "svg.fonttype": "path"}):
+    with matplotlib.rc_context({"svg.hashsalt": "twin", "svg.fonttype": "none"}):
         figure.savefig(buffer, format="svg", metadata={"Date": None})
-    return part("figure", base64.b64encode(buffer.getvalue()).decode(), words, caption, kind)
+    return part(
+        "figure", base64.b64encode(_smaller(buffer.getvalue().decode()).encode()).decode(), words, caption, kind
+    )
+
+
+METADATA: Final = re.compile(r"<metadata>.*?</metadata>", re.S)
+FONTS: Final = re.compile(r"'DejaVu Sans'(?:, '[^']*')*(?:, [\w-]+)*")
+DATA: Final = re.compile(r'(?<= d=")[^"]*|(?<= (?:x|y)=")-?\d+\.\d+(?=")')
+DECIMALS: Final = re.compile(r"(\.\d\d)\d+")
+COMMAND: Final = re.compile(r"\s*([A-Za-z])\s*")
+
+
+def _smaller(svg: str) -> str:
+    """Return an SVG of matplotlib with coordinates to a hundredth of a point, and without metadata and its list of fonts."""
+    svg = FONTS.sub("'DejaVu Sans',Verdana,sans-serif", METADATA.sub("", svg))
+    return DATA.sub(lambda found: COMMAND.sub(r"\1", DECIMALS.sub(r"\1", found.group())), svg)
 
 
 TICK: Final = 3.5

@@ -564,8 +564,8 @@ def _at_tool(found: Changes) -> list[str]:
             say("compensating with {first} on the machine of {second}:", first=found.first, second=found.second)
             if found.machine.runs_programs
             else say("taking out {first} on the machine of {second}:", first=found.first, second=found.second),
-            f"  {say('remaining, workpiece aligned'):<44}{_value(left.rms_um):>8}{'':>9}{_value(left.max_um):>9}{_value(left.u_max_um):>9}"
-            f"   {place(left.where)}",
+            f"  {say('remaining, workpiece aligned'):<44}{_value(left.rms_um):>8}{'':>9}{_value(left.max_um):>9}"
+            f"{_value(left.u_max_um):>9}   {place(left.where)}",
             f"  {say('remaining, not aligned'):<44}{_value(left.as_it_is.rms_um):>8}{'':>9}{_value(left.as_it_is.max_um):>9}",
         ]
         if left.out_of_reach:

@@ -165,7 +165,7 @@ def not_identified(first: Calibration, second: Calibration) -> tuple[NotCompared
     """Return the errors that neither calibration contains, because they could not be determined."""
     given = {effect.name for side in (first, second) for effect in side.effects}
     reasons = {
-        error.name: error.why for side in (first, second) for error in side.not_identifiable if error.name not in given
+        error.name: error.text for side in (first, second) for error in side.not_identifiable if error.name not in given
     }
     return tuple(NotCompared(name, "both", why, float("nan"), unit_of(name)) for name, why in reasons.items())
 

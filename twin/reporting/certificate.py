@@ -247,7 +247,7 @@ def calibration_certificate(calibration: Calibration, job: Job | None, job_file:
         *([calibration.misfit.says] if calibration.misfit is not None else []),
     )
     absent = [
-        f"{error.name} was not determined by the measurement: {error.why}" for error in calibration.not_identifiable
+        f"{error.name} was not determined by the measurement: {error.text}" for error in calibration.not_identifiable
     ]
     extra = [effect.name for effect in calibration.extra]
     absent += [f"Not in this certificate, but in the calibration: {', '.join(extra)}"] if extra else []
