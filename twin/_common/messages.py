@@ -135,8 +135,9 @@ class Translation:
     def _filled(self, known: str, message: Message, as_html: bool) -> str:
         format_string = html.escape(known, quote=False) if as_html else known
         filled = _Filler(self, as_html).vformat(format_string, (), message.arguments)
-        if message[:1] == " " != filled[:1]:  # an identifier has no space around it
-            filled = f" {filled}"
+        # An identifier has no blanks around it.
+        before, after = len(message) - len(message.lstrip()), len(message.rstrip())
+        filled = message[:before] + filled.strip() + message[max(after, before) :]
         return filled[:1].upper() + filled[1:] if message.capitalised else filled
 
 
