@@ -20,6 +20,7 @@ from twin.display.results import Display, DisplayedResult
 from twin.display.sheet import Sheet
 from twin.machine.machine import Machine
 from twin.model.effects import split_name
+from twin.model.effects.base import motion_in_words
 from twin.monitoring.pairs import FALSE_ALARMS, FALSE_ALARMS_OF_A_TEST, ErrorChange, NotCompared
 from twin.monitoring.tool import ToolChange, ToolDisplacement
 from twin.tool.uncertainty import DEFINITION
@@ -213,7 +214,9 @@ class Changes(DisplayedResult):
             badges=warning_texts(self.warnings),
             rows=[
                 (
-                    error.name,
+                    joined(", ", [capital(motion_in_words(error.name)), error.name])
+                    if error.name.startswith("E_")
+                    else error.name,
                     error.iso_class,
                     Number(_stated(error)),
                     answer(error.significant),
@@ -292,7 +295,7 @@ def answer(value: bool | None) -> Message:
 
 def _stated(error: ErrorChange) -> str:
     half = error.band if error.kind == "curve" else COVERAGE_FACTOR * error.u
-    return f"{plus_minus(error.largest, half)} {readable(error.unit)}"
+    return f"{plus_minus(error.largest, half)} {readable(error.unit)}".replace("-", "−")
 
 
 def number(value: float) -> str:
