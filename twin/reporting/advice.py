@@ -368,6 +368,8 @@ def _compensate(calibration: Calibration, found: Budget, outcome: CompensationFo
         )
     else:
         known |= {"rms": figure(outcome.judged.rms_um, "µm"), "within": figure(outcome.judged.quantile(0.95), "µm")}
+        if outcome.expected_before is not None:  # before and after have one meaning, as on the first page
+            known["start"] = figure(outcome.expected_before.rms_um, "µm")
         texts.append(
             Message(
                 "`twin compensate part.nc -o part.compensated.nc{options}` reduces the error from {start} RMS to {rms}, including the "
