@@ -22,6 +22,7 @@ from tests.truth.hidden import Hidden
 from twin._common.errors import InputError
 from twin._common.provenance import ILLUSTRATIVE, SIMULATED, UNKNOWN_UNCERTAINTY
 from twin.diagnosis import Diagnosis, diagnose
+from twin.diagnosis.answer import WIDTH
 from twin.diagnosis.candidates import SPECIFICATIONS, catalogue
 from twin.diagnosis.page import diagnosis_html
 from twin.diagnosis.plots import (
@@ -33,7 +34,7 @@ from twin.diagnosis.plots import (
     residual_panels,
 )
 from twin.diagnosis.result import Unexplained
-from twin.diagnosis.text import WIDTH, cause_title, chance, measured, odds, separating_points
+from twin.diagnosis.text import cause_title, chance, measured, odds, separating_points
 from twin.machine.machine import Machine
 from twin.measurement.instruments import LaserTracker
 from twin.measurement.table import Measurements

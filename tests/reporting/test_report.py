@@ -270,13 +270,18 @@ def test_identification_of_another_calibration_and_lack_of_fit(contents: dict[st
     assert any("identified.json and the calibration differ" in text for text in contents["unmet"])
 
 
+def unpacked(page: str) -> str:
+    """Return the page in the frame of a report, which unpacks itself in the browser."""
+    packed = re.search(r'atob\("([^"]*)"\)', html.unescape(page))
+    assert packed is not None
+    return gzip.decompress(base64.b64decode(packed[1])).decode()
+
+
 def test_the_page_fetches_nothing(page: str) -> None:
     """Neither the page nor its frame contains an address to load, and both forbid loading."""
     frames = [str(tag["srcdoc"]) for name, tag in Reader(page).tags if name == "iframe"]
     assert len(frames) == 1
-    packed = re.search(r'atob\("([^"]*)"\)', html.unescape(frames[0]))
-    assert packed is not None
-    viewer = gzip.decompress(base64.b64decode(packed[1])).decode()
+    viewer = unpacked(page)
     for text in (page, *frames, viewer):
         tags = Reader(text).tags
         for _, tag in tags:

@@ -81,7 +81,7 @@ class Person(BaseModel):
 Span = Annotated[tuple[float, float], AfterValidator(_ascending)]
 
 
-class Conditions(BaseModel):
+class AmbientConditions(BaseModel):
     """Lowest and highest value of each condition during the measurement."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -110,7 +110,7 @@ class CertificateFacts(BaseModel):
     received: date | None = None
     accreditation: str = ""  # number of the laboratory's accreditation by ISO/IEC 17025
     traceability: str = ""  # to which standards, and through whose certificate
-    conditions: Conditions = Conditions()
+    conditions: AmbientConditions = AmbientConditions()
 
 
 class Job(BaseModel):

@@ -433,7 +433,7 @@ CONDITIONS: Final[Mapping[str, tuple[str, str]]] = {
     "humidity_percent": ("relative humidity of the air", r"\percent"),
     "pressure_hPa": ("air pressure", r"\hecto\pascal"),
 }
-"""Name and D-SI unit of each entry of `Conditions`."""
+"""Name and D-SI unit of each entry of `AmbientConditions`."""
 
 
 def _conditions(measured: ElementTree.Element, facts: _Facts) -> None:
