@@ -135,9 +135,8 @@ def identifiers() -> dict[str, str]:
         found |= {" ".join(text.split()): specification.name for text in texts}
     for instrument in INSTRUMENTS:
         words = instrument.specification.set_up
-        found |= {
-            text: instrument.name for text in (words.station, words.target, words.station_place, words.target_place)
-        }
+        texts = [f"{words.station} {{name}}", f"{words.target} {{name}}", words.station_place, words.target_place]
+        found |= dict.fromkeys(texts, instrument.name)
     return {text: file for text, file in found.items() if re.search(r"[^\W\d_]", PLACE.sub("", text))}
 
 

@@ -89,9 +89,11 @@ def parts(text: str) -> list[str]:
 
 
 def message_data(text: str) -> Any:
-    """Return a message as plain data for a file: its format string (``text``) and arguments; other text as it is."""
+    """Return a message as plain data for a file: its format string (``text``) and arguments; a list if joined by commas; other text."""
     if not isinstance(text, Message):
         return str(text)
+    if text.identifier == ", ".join(f"{{part{i}}}" for i in range(len(text.arguments))):
+        return [message_data(part) for part in text.arguments.values()]
     return {"text": text.identifier} | {
         name: message_data(value if isinstance(value, str) else str(value)) for name, value in text.arguments.items()
     }
@@ -101,6 +103,8 @@ def message_from(data: object) -> str:
     """Return the text that `message_data` described; `ValueError` if it is empty, or its places are not its arguments."""
     if isinstance(data, str) and data:
         return data
+    if isinstance(data, list) and data:
+        return joined(", ", [message_from(part) for part in data])
     if not isinstance(data, Mapping) or not isinstance(data.get("text"), str):
         raise ValueError("expected text, or `text` with the values of its places")
     given = {str(name): message_from(value) for name, value in data.items() if name != "text"}

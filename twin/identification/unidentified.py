@@ -430,12 +430,12 @@ def _parts(setup: StationsAndTargets, data: Measurements) -> dict[str, _Part]:
     reads = dict(zip(setup.stations, setup.reads, strict=True))
     reader = dict(zip(data.target[::-1].tolist(), data.station[::-1].tolist(), strict=True))
     stations = [
-        _Part(joined(" ", [Message(one.set_up.station), name]), one.set_up.station_place, one.set_up)
+        _Part(Message(f"{one.set_up.station} {{name}}", name=name), one.set_up.station_place, one.set_up)
         for name, one in reads.items()
     ]
     by_target = [reads[reader[name]] for name in setup.targets]
     targets = [
-        _Part(joined(" ", [Message(one.set_up.target), name]), one.set_up.target_place, one.set_up)
+        _Part(Message(f"{one.set_up.target} {{name}}", name=name), one.set_up.target_place, one.set_up)
         for name, one in zip(setup.targets, by_target, strict=True)
     ]
     names = [*(f"station {name}" for name in setup.stations), *(f"target {name}" for name in setup.targets)]
