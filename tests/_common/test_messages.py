@@ -126,5 +126,5 @@ def test_a_message_is_kept_in_a_file() -> None:
     ],
 )
 def test_what_is_no_message_is_refused(data: object) -> None:
-    with pytest.raises(ValueError, match="expected text|in braces"):
+    with pytest.raises(ValueError, match=r"expected text|in braces"):
         message_from(data)

@@ -366,7 +366,7 @@ def test_points_are_grouped_by_the_causes_they_separate() -> None:
     (none,) = separating_points([{**point, "expected_chi2": 1e-8}], 4.0)
     assert none.rows == () and "0.0004 µm" in none.verdict and "Either can be used" in none.verdict
     (instrument,) = separating_points(
-        [{"separates": ["reversal Y", "frame_shift round 2"], "text": "to separate: repeat it"}], 4.0
+        [{"separates": ["reversal Y", "frame_shift round 2"], "decided_by": "repeat it"}], 4.0
     )
     assert instrument.verdict == "Repeat it."
 
