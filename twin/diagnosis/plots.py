@@ -276,7 +276,9 @@ def _own_unit(
             for name, of in ((name, of[rows]) for name, of in _split(diagnosis, cause))
             if np.count_nonzero(of) >= LEAST_READINGS
         )
-        panels.append(Panel(cause_title(cause.effect, cause.where), x.label, f"{label} [{unit}]", series, x.ticks))
+        panels.append(
+            Panel(cause_title(cause.effect, cause.where), x.label, joined("", [label, f" [{unit}]"]), series, x.ticks)
+        )
     return panels
 
 
