@@ -105,9 +105,13 @@ def test_a_message_is_kept_in_a_file() -> None:
     read = message_from(data)
     assert isinstance(read, Message) and read == message == "cannot be separated from station 1, target K and 3 more"
     german = Translation(
-        {"cannot be separated from {names}": "nicht zu trennen von {names}", "station {name}": "Standpunkt {name}"}
+        {
+            "cannot be separated from {names}": "nicht zu trennen von {names}",
+            "{names} and {count} more": "{names} und {count} weitere",
+            "station {name}": "Standpunkt {name}",
+        }
     )
-    assert german.text(read) == "nicht zu trennen von Standpunkt 1, target K and 3 more"
+    assert german.text(read) == "nicht zu trennen von Standpunkt 1, target K und 3 weitere"
     assert message_from("plain") == "plain" and message_data("plain") == "plain"
 
 

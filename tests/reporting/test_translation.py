@@ -240,13 +240,16 @@ def test_machine_asks_in_german(
     assert printed[0] and printed[1] and printed[0] & printed[1] == set()
 
 
+REMARKS: Final = pytest.mark.xfail(strict=True, reason="remarks of tests and notices on the readings are in English")
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "words",
     [
         "diagnose readings.csv -c mine.yaml",
-        "evaluate readings.csv --tolerance E_C0Y=20 --instrument tracker",
-        "confirm mine.yaml readings.csv",
+        pytest.param("evaluate readings.csv --tolerance E_C0Y=20 --instrument tracker", marks=REMARKS),
+        pytest.param("confirm mine.yaml readings.csv", marks=REMARKS),
     ],
 )
 def test_a_page_and_its_text_are_german(
