@@ -96,7 +96,7 @@ def test_any_text_survives(text: str) -> None:
 
 
 def test_a_message_is_kept_in_a_file() -> None:
-    """What is read back is the same message in every language, and plain data that YAML can hold."""
+    """The data are plain, as YAML can hold them, and give the same message in every language."""
     names = joined(", ", [Message("station {name}", name="1"), "target K"])
     message = Message(
         "cannot be separated from {names}", names=Message("{names} and {count} more", names=names, count=3)
