@@ -219,7 +219,7 @@ def _summary(
             "exit_status": status,
             "programs": [outcome.to_dict() for outcome in outcomes_done],
         },
-        written="",
+        written=None,
         after=[f"written: {folder} (each with {TEXT_SUFFIX} and {JSON_SUFFIX})"]
         if len(failed) < len(outcomes_done)
         else [],

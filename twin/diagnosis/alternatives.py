@@ -7,6 +7,7 @@ between them (twice the expected log-likelihood ratio; Atkinson and Fedorov 1975
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Final
@@ -14,6 +15,7 @@ from typing import Final
 import numpy as np
 
 from twin._common.arrays import first_largest, largest_first, read_only
+from twin._common.messages import Message, joined
 from twin._common.units import MM
 from twin.diagnosis.candidates.calibration import ITSELF, constant_dropped, flaw, times
 from twin.diagnosis.candidates.instrument import assumed_zero
@@ -222,7 +224,13 @@ def _separating(
     if prediction is None or of_rival is None:
         of_instrument = [cause.candidate for cause in (form, rival, *others) if cause.candidate.build is None]
         decided_by = of_instrument[0].specification.decided_by
-        return [{"separates": separates, "text": f"to separate {' from '.join(separates)}: {decided_by}"}]
+        return [
+            {
+                "separates": separates,
+                "decided_by": Message(decided_by),
+                "text": f"to separate {' from '.join(separates)}: {decided_by}",
+            }
+        ]
     sigma = np.sqrt(np.einsum("nii->n", network.covariance).mean() / max(network.read.sum(axis=1).mean(), 1.0))
     chi2 = np.sum(((prediction - of_rival) / sigma) ** 2, axis=1)
     points: list[Next] = []
@@ -307,7 +315,14 @@ def evidence(form: Form, estimated: Estimate, k: int) -> str:
     numbers = {q.name: q.value for q in estimated.quantities[k]}
     what = FittedCause(form.candidate.where, size.value, readable_unit(size.unit), numbers, estimated.effects[k])
     text = specification.evidence(what)
-    return f"{text} ({abs(size.value) / size.u:.0f} standard uncertainties)" if size.u > 0.0 else text
+    place = form.candidate.where
+    if not re.search(rf"\b{re.escape(place)}\b", text):
+        text = joined("", [f"{place}: ", text])
+    return (
+        joined("", [text, Message(" ({count:.0f} standard uncertainties)", count=abs(size.value) / size.u)])
+        if size.u > 0.0
+        else text
+    )
 
 
 def curve_flaw(candidates: Candidates, forms: Sequence[Form], form: Form, calibration: Calibration) -> str:
@@ -344,9 +359,14 @@ def between_positions(candidates: Candidates, forms: Sequence[Form], form: Form)
     periods = _other_periods(candidates, forms, form)
     if periods:
         other = listed([f"{period:.3g}" for period in periods])
-        return f"; other periods ({other} mm) fit equally well at these positions, so the error between them is unknown"
+        return Message(
+            "; other periods ({other} mm) fit equally well at these positions, so the error between them is unknown",
+            other=other,
+        )
     if not predicts_held_out(candidates, form, forms):
-        return "; a curve through these positions does not predict held-out ones, so the error between them is unknown"
+        return Message(
+            "; a curve through these positions does not predict held-out ones, so the error between them is unknown"
+        )
     return ""
 
 
@@ -372,8 +392,12 @@ def equal_orders(candidates: Candidates, forms: Sequence[Form], form: Form) -> s
     axis = network.machine.by_name[axis_of(form.candidate.where)]
     arc = float(np.ptp(network.data.positions[:, network.machine.names.index(axis.name)]))
     travel = TURN_DEG if axis.lower is None or axis.upper is None else min(axis.upper - axis.lower, TURN_DEG)
-    beyond = ": beyond the measured arc the error is unknown" if arc < ARC_COVERED * travel else ""
-    return f"; orders {listed([f'{order:g}' for order in sorted(orders)])} fit equally well at these angles{beyond}"
+    beyond = Message(": beyond the measured arc the error is unknown") if arc < ARC_COVERED * travel else ""
+    return Message(
+        "; orders {orders} fit equally well at these angles{beyond}",
+        orders=listed([f"{order:g}" for order in sorted(orders)]),
+        beyond=beyond,
+    )
 
 
 def _other_periods(candidates: Candidates, forms: Sequence[Form], form: Form) -> list[float]:

@@ -20,6 +20,7 @@ import numpy as np
 
 from twin._common.arrays import read_only
 from twin._common.distributions import f_log_sf, normal_sf
+from twin._common.messages import Message, Number
 from twin._common.units import MM, UM
 from twin.diagnosis.alternatives import (
     between_positions,
@@ -50,7 +51,7 @@ from twin.measurement.table import Measurements
 from twin.model.calibration import Calibration
 from twin.model.effects import Effect, Payload
 from twin.model.effects.base import CENTRE_RANGE_MM, LOAD, SEARCHED, SIDES
-from twin.model.effects.gravity_compliance import CARRIED_LOAD, PAYLOAD, AddedLoad, payloads_of
+from twin.model.effects.gravity_compliance import CARRIED_LOAD, PAYLOAD, SIDE_NAMES, AddedLoad, payloads_of
 from twin.model.effects.harmonic import APPROACH
 from twin.numerics.covariance import Covariance
 
@@ -230,12 +231,14 @@ def _log_p_of_groups(against: tuple[float, int, float]) -> float:
     return float(f_log_sf(statistic / width * free / (count - 1.0), width, free)) if free > 0 else 0.0
 
 
-IMPOSSIBLE: Final = "; this size is physically impossible, so the readings do not determine it"
-BELOW_INCREMENT: Final = "; it is below the least increment of the axes, so no command can correct it"
-JUMPED: Final = "; all targets of its side moved alike"
+IMPOSSIBLE: Final = Message("; this size is physically impossible, so the readings do not determine it")
+BELOW_INCREMENT: Final = Message("; it is below the least increment of the axes, so no command can correct it")
+JUMPED: Final = Message("; all targets of its side moved alike")
 """Doubt of a displaced target where its whole side jumped: the jump is unexplained, and its target no cause."""
-ONLY_A_PART: Final = "they explain only part of a pattern that no known effect explains as a whole"
-OVERFITTED: Final = "they increase the residuals of held-out readings: too few readings for this number of causes"
+ONLY_A_PART: Final = Message("they explain only part of a pattern that no known effect explains as a whole")
+OVERFITTED: Final = Message(
+    "they increase the residuals of held-out readings: too few readings for this number of causes"
+)
 """Reasons for which causes are left out, in words."""
 AT_BOUND: Final = 0.99  # ratio of a parameter to its bound from which on it counts as bounded
 COLLINEAR: Final = 1e-4
@@ -294,7 +297,7 @@ def notices(sized: SizedCauses, comparison: Comparison, undecided: Sequence[str]
         f"(odds {np.exp(min(effect.log_odds, 99.0)):.2g} : 1)"
         for effect in comparison.further
     ]
-    left_out = {
+    left_out: dict[str, list[tuple[str, str]]] = {
         ONLY_A_PART: [form.key for form in structure.rejected],
         OVERFITTED: [form.key for form in sized.findings.refuted],
     }
@@ -344,7 +347,10 @@ def _cause(sized: SizedCauses, k: int, calibration: Calibration) -> Cause:
     doubt, quantities = sized.doubts[k], sized.estimate.quantities[k]
     text = evidence(form, sized.estimate, k) + curve_flaw(candidates, sized.forms, form, calibration)
     if form.candidate.specification in (PAYLOAD, CARRIED_LOAD) and form.variant.fixed:
-        text += f"; the readings do not determine its centre of mass: the most likely one within ±{CENTRE_RANGE_MM:g} mm is taken"
+        text += Message(
+            "; the readings do not determine its centre of mass: the most likely one within ±{range:g} mm is taken",
+            range=CENTRE_RANGE_MM,
+        )
     text += equal_orders(candidates, sized.forms, form) + doubt
     groups = () if findings.structure.pattern_tests else together(candidates, form, others)
     equal = tuple(dict.fromkeys([*equivalent(findings, form_beside, others_beside), *chain.from_iterable(groups)]))
@@ -418,20 +424,28 @@ COMPATIBLE_SIGMA: Final = 3.0  # standard uncertainties of the share from zero w
 def readback_causes(candidates: Candidates, forms: Sequence[Form]) -> tuple[list[Cause], list[str]]:
     """Return causes for axes whose reported positions the readings do not follow, and notices on undecided axes."""
     data, machine = candidates.problem.network.data, candidates.problem.network.machine
-    causes, silent = [], []
+    causes, silent = list[Cause](), list[str]()
     tried = [form for form in candidates.forms if form.candidate.specification is FOLLOWING_ERROR and form not in forms]
     for form in tried:
         axis = machine.by_name[form.candidate.where]
         i = machine.names.index(axis.name)
         off = float(np.nanmax(np.abs(data.readback[:, i] - data.positions[:, i])))
-        text = f"the positions reported for {axis.name} differ from the commands by up to {off:.3g} {axis.unit}"
+        text = Message(
+            "the positions reported for {name} differ from the commands by up to {off:.3g} {unit}",
+            name=axis.name,
+            off=off,
+            unit=axis.unit,
+        )
         columns, values, inverse = candidates.fitted([form, *forms])
         at, scale = int(np.searchsorted(columns, form.columns[0])), form.variant.columns[0].scale
         share, u = float(values[at] * scale), float(scale * np.sqrt(inverse[at, at]))
         if candidates.scan([other for other in forms if other is not form])[1][form.index] == 0 or u == 0.0:
             if candidates.scan([])[1][form.index] > 0:
                 silent.append(
-                    f"{text}; given the other causes, these data cannot decide which of the two the readings follow"
+                    Message(
+                        "{text}; given the other causes, these data cannot decide which of the two the readings follow",
+                        text=text,
+                    )
                 )
             continue
         if abs(share - 1.0) > REPORT_RULED_OUT_SIGMA * u and abs(share) < COMPATIBLE_SIGMA * u:
@@ -444,7 +458,12 @@ def readback_causes(candidates: Candidates, forms: Sequence[Form]) -> tuple[list
                     p_value=float(min(2.0 * normal_sf(abs(share - 1.0) / u) * len(tried), 1.0)),
                     share=0.0,
                     equivalent=(),
-                    evidence=f"{text}, and the readings follow the commands: positions were reported before {axis.name} had settled",
+                    evidence=Message(
+                        "{text}, and the readings follow the commands: positions were reported before {name} had "
+                        "settled",
+                        text=text,
+                        name=axis.name,
+                    ),
                     pattern_um=read_only(
                         in_um(
                             candidates.problem.network, candidates.problem.signature(form.variant.columns)[:, 0] / scale
@@ -453,7 +472,7 @@ def readback_causes(candidates: Candidates, forms: Sequence[Form]) -> tuple[list
                 )
             )
         elif abs(share - 1.0) < COMPATIBLE_SIGMA * u and abs(share) < COMPATIBLE_SIGMA * u:
-            silent.append(f"{text}; these data cannot decide which of the two the readings follow")
+            silent.append(Message("{text}; these data cannot decide which of the two the readings follow", text=text))
     return causes, silent
 
 
@@ -469,9 +488,12 @@ def reversal_doubt(data: Measurements, machine: Machine, where: str) -> str:
     steps = data.positions[:, machine.names.index(where)] / axis.increment
     if np.mean(np.abs(steps - np.round(steps)) > OFF_GRID_INCREMENTS) <= OFF_GRID_SHARE:
         return ""
-    return (
-        f"the positions of {where} are finer than its least increment, so they are not the commanded ones: if they were reported "
-        f"before {where} had settled, this is no reversal; commanded positions with a column readback_{where}_{axis.unit} would decide"
+    return Message(
+        "the positions of {where} are finer than its least increment, so they are not the commanded ones: if they "
+        "were reported before {where} had settled, this is no reversal; commanded positions with a column "
+        "readback_{where}_{unit} would decide",
+        where=where,
+        unit=axis.unit,
     )
 
 
@@ -513,10 +535,17 @@ def _less_certain(cause: Cause, times: float, compliance: float, payload: Payloa
     less = replace(cause, parameters=(replace(first, u=first.u * times),))
     if payload is None:
         return less
-    product = f"{compliance * payload.mass_kg:.3g} {readable_unit(first.unit)}·kg"
-    text = f"{cause.evidence}; compliance times mass of the payload {product}"
+    product = Number(f"{compliance * payload.mass_kg:.3g} {readable_unit(first.unit)}·kg")
+    text = Message(
+        "{evidence}; compliance times mass of the payload {product}", evidence=cause.evidence, product=product
+    )
     if _is_no_mass(load, payload):
-        return replace(cause, evidence=f"{text}, the compliance a lower limit", parameters=(first,), bounded=True)
+        return replace(
+            cause,
+            evidence=Message("{text}, the compliance a lower limit", text=text),
+            parameters=(first,),
+            bounded=True,
+        )
     return replace(less, evidence=text)
 
 
@@ -536,22 +565,30 @@ def _load_cause(
     size = np.array([column.scale for column in columns])
     shape = np.kron(compliances, weights(shares) - weights(without))
     specification, no_mass = CARRIED_LOAD if payload.carried else PAYLOAD, _is_no_mass(load, payload)
-    text = f"the {load.side} side carries a mass that is not in the URDF: joints deflect under it"
+    text = Message(
+        "the {side} side carries a mass that is not in the URDF: joints deflect under it", side=SIDE_NAMES[load.side]
+    )
     if payload.carried:
-        text = f"joints of the {load.side} side deflect under the mass in the column {LOAD}"
+        text = Message(
+            "joints of the {side} side deflect under the mass in the column {column}",
+            side=SIDE_NAMES[load.side],
+            column=LOAD,
+        )
     elif no_mass:
-        text += (
-            ". The readings do not determine the mass: the effect of the machine's own weight is smaller than the URDF implies, as if "
-            "the control corrected it; only the products of mass and compliance are known, and compensation holds for this load alone"
+        text += Message(
+            ". The readings do not determine the mass: the effect of the machine's own weight is smaller than the "
+            "URDF implies, as if the control corrected it; only the products of mass and compliance are known, and "
+            "compensation holds for this load alone"
         )
     quantities = _quantities(payload, np.sqrt(variances[own_shares]), load.heaviest)
     if not payload.carried:
         unknown = [name for name in payload.numbers if name not in {q.name for q in quantities}]
         if no_mass and unknown[1:]:
-            text += f"; nor {', '.join(unknown[1:])}"
+            text += Message("; nor {names}", names=", ".join(unknown[1:]))
         elif unknown and not no_mass:
-            text += (
-                f". The readings do not determine {', '.join(unknown)}; the most likely values are in the calibration"
+            text += Message(
+                ". The readings do not determine {names}; the most likely values are in the calibration",
+                names=", ".join(unknown),
             )
     return Cause(
         effect=specification.name,

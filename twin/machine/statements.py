@@ -18,12 +18,23 @@ import pinocchio as pin
 
 from twin._common.errors import InputError
 from twin._common.files import read_lines
+from twin._common.messages import Message, joined
 from twin._common.units import DEG, MM
+from twin.display.numbers import listed
 from twin.machine.machine import Axis, Machine
 
 ANGLES: Final = (90.0, -90.0, 45.0, -45.0, 30.0, -30.0, 15.0, -15.0, 5.0, -5.0)
 """Commands of a rotary axis that statements prefer, degrees."""
-WORDS: Final = (("left", "right"), ("front", "back"), ("down", "up"))
+WORDS: Final = (
+    (Message("left"), Message("right")),
+    (Message("front"), Message("back")),
+    (Message("down"), Message("up")),
+)
+TOWARDS: Final = (
+    (Message("to the left"), Message("to the right")),
+    (Message("to the front"), Message("to the back")),
+    (Message("down"), Message("up")),
+)
 TIP_MM: Final = 100.0
 """Length of the tool in statements."""
 LIFT_MM: Final = TIP_MM + 50.0
@@ -97,12 +108,12 @@ def direction_words(vector: np.ndarray, upright: np.ndarray | None = None) -> st
     """
     seen = vector if upright is None else upright @ vector
     order = [i for i in np.argsort(-np.abs(seen), kind="stable") if abs(seen[i]) > 0.02]
-    names = [WORDS[i][int(seen[i] > 0.0)] for i in order]
     if len(order) == 1:
         k = int(np.argmax(np.abs(vector)))
-        return f"{'' if order[0] == 2 else 'to the '}{names[0]} ({'+' if vector[k] > 0.0 else '−'}{'XYZ'[k]})"
+        sign = "+" if vector[k] > 0.0 else "−"
+        return joined("", [TOWARDS[order[0]][int(seen[order[0]] > 0.0)], f" ({sign}{'XYZ'[k]})"])
     parts = ", ".join(f"{round(value, 3) + 0.0:+.3f}" for value in vector).replace("-", "−")
-    return f"{', '.join(names[:-1])} and {names[-1]} ({parts})"
+    return joined("", [listed([WORDS[i][int(seen[i] > 0.0)] for i in order]), f" ({parts})"])
 
 
 def _slide(machine: Machine, axis: Axis) -> AxisStatement:
@@ -111,9 +122,16 @@ def _slide(machine: Machine, axis: Axis) -> AxisStatement:
     start = at_rest(machine)
     end = at_rest(machine, **{axis.name: 100.0})
     moved = (poses(machine, end)[index].translation - poses(machine, start)[index].translation) / (100.0 * MM)
-    what = "the spindle" if axis.side == "tool" else "the table"
-    text = f"{axis.name} to a larger position: {what} moves {direction_words(moved, machine.upright)}"
-    return AxisStatement(text, f"axes.{axis.name}.positive, or the side: {axis.name} in `tool` or `work`", end)
+    what = Message("the spindle") if axis.side == "tool" else Message("the table")
+    text = Message(
+        "{name} to a larger position: {what} moves {direction}",
+        name=axis.name,
+        what=what,
+        direction=direction_words(moved, machine.upright),
+    )
+    return AxisStatement(
+        text, Message("axes.{name}.positive, or the side: {name} in `tool` or `work`", name=axis.name), end
+    )
 
 
 def _turn(machine: Machine, axis: Axis) -> list[AxisStatement]:
@@ -122,42 +140,64 @@ def _turn(machine: Machine, axis: Axis) -> list[AxisStatement]:
     angles = [one for one in ANGLES if low <= one <= high] or [high if high > 0.0 else low]
     command = at_rest(machine, **{axis.name: angles[0]})
     other = _seen(machine, axis, at_rest(machine, **{axis.name: -angles[0]}))
-    text = f"{axis.name} to {angles[0]:g}, the other rotary axes at 0: {_seen(machine, axis, command)}"
-    answer = f"axes.{axis.name}.positive; with the other answer, {other}. Else `about`"
+    text = Message(
+        "{name} to {angle:g}, the other rotary axes at 0: {seen}",
+        name=axis.name,
+        angle=angles[0],
+        seen=_seen(machine, axis, command),
+    )
+    answer = Message("axes.{name}.positive; with the other answer, {other}. Else `about`", name=axis.name, other=other)
     found = [AxisStatement(text, answer, command)]
     ball = next((one for angle in angles if (one := _ball(machine, axis.name, angle)) is not None), None)
     if ball is not None:
         words = [
             " ".join(f"{n}{round(v, 3) + 0.0:.3f}" for n, v in zip(machine.names, one, strict=True)) for one in ball
         ]
-        text = (
-            f"A ball on the table that a probe of {TIP_MM:g} mm from the spindle nose touches centrally at {words[0]} is found at "
-            f"{words[1]}"
+        text = Message(
+            "A ball on the table that a probe of {length:g} mm from the spindle nose touches centrally at {first} is "
+            "found at {second}",
+            length=TIP_MM,
+            first=words[0],
+            second=words[1],
         )
-        found.append(AxisStatement(text, f"axes.{axis.name}.at (or `table`)", tuple(ball[1].tolist())))
+        found.append(
+            AxisStatement(text, Message("axes.{name}.at (or `table`)", name=axis.name), tuple(ball[1].tolist()))
+        )
     return found
 
 
 def _seen(machine: Machine, axis: Axis, command: Sequence[float] | np.ndarray) -> str:
     """Return what an operator sees of a rotary axis at a command."""
-    index, part, face = (
-        (0, "head", "spindle's nose points") if axis.side == "tool" else (1, "table", "table's surface faces")
-    )
+    index = 0 if axis.side == "tool" else 1
     still, turned = (poses(machine, q)[index].rotation for q in (at_rest(machine), command))
     (_, axis_at_rest), (_, axis_in_work) = (tip_and_axis(machine, q, 0.0) for q in (at_rest(machine), command))
     # What a person sees best: where the nose or the table's surface points; a turn about that direction, by its sense.
     shown = -still[:, 2] if index == 0 else machine.upright[2]
     now = turned @ still.T @ shown
     if now @ shown < 1.0 - 1e-4:
-        seen = f"the {face} {direction_words(now, machine.upright)}"
+        direction = direction_words(now, machine.upright)
+        seen = (
+            Message("the table's surface faces {direction}", direction=direction)
+            if index
+            else Message("the spindle's nose points {direction}", direction=direction)
+        )
     else:
         about = pin.log3(turned @ still.T)
-        place = "above" if abs(shown @ machine.upright[2]) > 0.99 else "the spindle"
-        sense = about @ (machine.upright[2] if place == "above" else -shown)
-        seen = f"the {part} turns {'counter-clockwise' if sense > 0.0 else 'clockwise'}, seen from {place}"
+        above = abs(shown @ machine.upright[2]) > 0.99
+        right_handed = about @ (machine.upright[2] if above else -shown) > 0.0
+        sense = Message("counter-clockwise") if right_handed else Message("clockwise")
+        part, place = (
+            (Message("the head"), Message("the table"))[index],
+            (Message("the spindle"), Message("above"))[above],
+        )
+        seen = Message("{part} turns {sense}, seen from {place}", part=part, sense=sense, place=place)
     if axis_in_work @ axis_at_rest > 1.0 - 1e-4:
         return seen
-    return f"{seen}; in the workpiece the tool's axis (tip to spindle) points {direction_words(axis_in_work, machine.upright)}"
+    return Message(
+        "{seen}; in the workpiece the tool's axis (tip to spindle) points {direction}",
+        seen=seen,
+        direction=direction_words(axis_in_work, machine.upright),
+    )
 
 
 def _ball(machine: Machine, name: str, angle: float) -> tuple[np.ndarray, np.ndarray] | None:

@@ -19,6 +19,7 @@ import pinocchio as pin
 
 from twin._common.arrays import read_only
 from twin._common.errors import InputError
+from twin._common.messages import Message
 from twin._common.units import UM, URAD
 from twin.machine.error_names import DIRECTIONS
 from twin.machine.machine import Axis, ErrorFrame, Machine
@@ -248,13 +249,17 @@ def motion_in_words(name: str) -> str:
     direction = direction_of(name)
     if average:
         return (
-            f"axis of {axis} displaced along {direction}"
+            Message("axis of {axis} displaced along {direction}", axis=axis, direction=direction)
             if component < 3
-            else f"axis of {axis} tilted about {direction}"
+            else Message("axis of {axis} tilted about {direction}", axis=axis, direction=direction)
         )
     if DIRECTIONS[component] == axis:
-        return f"position of {axis}" if component < 3 else f"angle of {axis}"
-    return f"error of {axis} in {direction}" if component < 3 else f"tilt of {axis} about {direction}"
+        return Message("position of {axis}", axis=axis) if component < 3 else Message("angle of {axis}", axis=axis)
+    return (
+        Message("error of {axis} in {direction}", axis=axis, direction=direction)
+        if component < 3
+        else Message("tilt of {axis} about {direction}", axis=axis, direction=direction)
+    )
 
 
 # --- Masses that are missing from the machine description; they act through the compliances of the joints that carry them

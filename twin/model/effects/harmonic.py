@@ -124,11 +124,12 @@ HARMONIC: Final = Specification(
     title=_title,
     family="errors that repeat with the rotation",
     advice=Advice(
-        "Service: parts that rotate with {axis}: bearing and encoder (once per turn), worm or gear teeth (many times per turn).",
+        "Service: parts that rotate with {axis}: bearing and encoder (once per turn), worm or gear teeth (many times "
+        "per turn).",
         f"{EXTENDED}, or identify the errors again with this error motion included (twin identify).",
         "Do not check {axis} in steps of this period or a multiple of it: the error would not show.",
     ),
-    evidence=lambda fit: f"{fit.where}: the error repeats with the rotation of the axis",
+    evidence=lambda fit: Message("the error repeats with the rotation of the axis"),
     parameters=("order", "cos", "sin"),
     fixed={"order": "1"},
     # As for the location of the axis: an eccentric or inclined part is the largest harmonic, once per turn.

@@ -152,7 +152,9 @@ TABLE_LOAD: Final = Specification(
         f"{EXTENDED}, with this load only.",
         "Do not use that calibration with another load.",
     ),
-    evidence=lambda fit: f"the cradle on {fit.where} sags by {fit.measure} when turned by 90°",
+    evidence=lambda fit: Message(
+        "the cradle on {where} sags by {measure} when turned by 90°", where=fit.where, measure=fit.measure
+    ),
     parameters=("tilt",),
     fixed={MOMENT: "N.m"},
     limits={"urad": 2000.0},

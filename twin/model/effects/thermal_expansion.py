@@ -52,7 +52,9 @@ THERMAL_EXPANSION: Final = Specification(
         f"{EXTENDED} and give the temperature of {{axis}}.",
         "Do not reset zero or scale for one temperature: they would be wrong at the next. " + NOT_TWICE,
     ),
-    evidence=lambda fit: f"the scale of {fit.where} lengthens by {fit.measure} when it warms",
+    evidence=lambda fit: Message(
+        "the scale of {where} lengthens by {measure} when it warms", where=fit.where, measure=fit.measure
+    ),
     parameters=("coefficient",),
     limits={"um/(m.K)": 100.0},
     places=linear_axes,
@@ -88,8 +90,13 @@ def _forms(machine: Machine, where: str, state: State, payloads: Sequence[Payloa
 
 def _evidence(fit: FittedCause) -> str:
     coefficient, offset = fit.numbers.get("coefficient", 0.0), fit.numbers.get("offset", 0.0)
-    at = f", fixed at {-1e3 * offset / coefficient:.0f} mm" if coefficient else ""
-    return f"the scale of {fit.where} lengthens by {coefficient:.3g} µm/(m·K) when it warms{at}"
+    at = Message(", fixed at {at:.0f} mm", at=-1000.0 * offset / coefficient) if coefficient else ""
+    return Message(
+        "the scale of {where} lengthens by {coefficient:.3g} µm/(m·K) when it warms{at}",
+        where=fit.where,
+        coefficient=coefficient,
+        at=at,
+    )
 
 
 SCALE_GROWTH: Final = replace(
