@@ -193,7 +193,7 @@ def points_to_measure(candidates: Candidates, named: Sequence[Form], causes: Seq
     points: list[Next] = []
     problem = candidates.problem
     plan = _possible(problem)
-    prediction = _prediction(problem, named, plan) if any(cause.equivalent for cause in causes) else None
+    prediction = _prediction(problem, named, plan) if any(cause.equivalent for cause in causes) else np.zeros(0)
     for form, cause in zip(named, causes, strict=True):
         others = [other for other in named if other is not form]
         rivals: list[Form] = []
@@ -215,14 +215,13 @@ LEAST_POSE_DISTANCE: Final = 0.15  # smallest distance of two suggested poses, r
 
 
 def _separating(
-    problem: Problem, form: Form, prediction: np.ndarray | None, rival: Form, others: Sequence[Form], plan: Measurements
+    problem: Problem, form: Form, prediction: np.ndarray, rival: Form, others: Sequence[Form], plan: Measurements
 ) -> list[Next]:
     """Return the points of a plan at which the predictions (`_prediction`) of a cause and an alternative differ most."""
     network, axes = problem.network, problem.network.machine.axes
-    of_rival = _prediction(problem, [rival, *others], plan)
     separates = [f"{cause.candidate.effect} {cause.candidate.where}" for cause in (form, rival)]
-    if prediction is None or of_rival is None:
-        of_instrument = [cause.candidate for cause in (form, rival, *others) if cause.candidate.build is None]
+    of_instrument = [cause.candidate for cause in (form, rival) if cause.candidate.build is None]
+    if of_instrument:
         decided_by = of_instrument[0].specification.decided_by
         return [
             {
@@ -231,6 +230,7 @@ def _separating(
                 "text": f"to separate {' from '.join(separates)}: {decided_by}",
             }
         ]
+    of_rival = _prediction(problem, [rival, *others], plan)
     sigma = np.sqrt(np.einsum("nii->n", network.covariance).mean() / max(network.read.sum(axis=1).mean(), 1.0))
     chi2 = np.sum(((prediction - of_rival) / sigma) ** 2, axis=1)
     points: list[Next] = []
@@ -272,10 +272,11 @@ def _possible(problem: Problem) -> Measurements:
     return replace(some, positions=read_only(positions), approach=read_only(approach))
 
 
-def _prediction(problem: Problem, forms: Sequence[Form], plan: Measurements) -> np.ndarray | None:
-    """Return (n, 3) m, the change that causes and refitted set-up predict at other points; None for a cause of the instrument."""
-    if any(form.candidate.build is None for form in forms):
-        return None
+def _prediction(problem: Problem, forms: Sequence[Form], plan: Measurements) -> np.ndarray:
+    """Return (n, 3) m, the change that causes of the machine and refitted set-up predict at other points.
+
+    Causes of the instrument are fitted with them; they are not of the other points.
+    """
     fitted, signature = fitted_effects(problem, forms)
     setup_step = problem.setup_step(problem.residual - signature.sum(axis=1))
     network = problem.network

@@ -57,6 +57,7 @@ from twin.numerics.covariance import Covariance
 
 NEGLIGIBLE_EXCESS: Final = 0.01  # share of the excess below which residuals are no finding: real machines have some
 MOST_ALTERNATIVES: Final = 5  # number of alternatives up to which a negligible cause is named
+NEGLIGIBLE_LEFT: Final = 0.02  # share of χ² left by all causes that those not named may add: 1 % of the RMS residual
 
 
 @final
@@ -148,6 +149,9 @@ def estimate_sizes(findings: Findings) -> SizedCauses:
     indistinct: list[Indistinct] = []
     while True:
         estimated = estimate(findings.problem, forms, findings.task.noise.dof, structure.random_effects)
+        chi2_left = findings.problem.chi2 - estimated.explained
+        if not indistinct:
+            most_left = (1.0 + NEGLIGIBLE_LEFT) * chi2_left
         if structure.pattern_tests:
             judged = [(_log_p_given_others(findings, estimated, forms, form), form) for form in forms]
         else:
@@ -158,7 +162,7 @@ def estimate_sizes(findings: Findings) -> SizedCauses:
             ]
         log_p, weakest = max(judged, key=lambda pair: pair[0], default=(-np.inf, None))
         if weakest is None or log_p <= np.log(findings.candidates.level):
-            weakest, keys = _least_distinct(findings, estimated, forms)
+            weakest, keys = _least_distinct(findings, estimated, forms, most_left - chi2_left)
             if weakest is None:
                 break
             k = forms.index(weakest)
@@ -184,11 +188,14 @@ def estimate_sizes(findings: Findings) -> SizedCauses:
 
 
 def _least_distinct(
-    findings: Findings, estimated: Estimate, forms: Sequence[Form]
+    findings: Findings, estimated: Estimate, forms: Sequence[Form], allowed: float
 ) -> tuple[Form | None, Sequence[tuple[str, str]]]:
-    """Return the cause that adds least, of those that add a negligible share and have too many alternatives, with these."""
+    """Return the cause that adds least, of those that add a negligible share and have too many alternatives, with these.
+
+    ``allowed``: χ² that it may add.
+    """
     problem, candidates = findings.problem, findings.candidates
-    negligible = NEGLIGIBLE_EXCESS * max(problem.chi2 - problem.dof, estimated.explained)
+    negligible = min(NEGLIGIBLE_EXCESS * max(problem.chi2 - problem.dof, estimated.explained), allowed)
     rest = {form: [other for other in forms if other is not form] for form in forms}
     added = {form: float(candidates.scores(others, [form.index])[0, 0]) for form, others in rest.items()}
     for form in sorted(forms, key=lambda form: added[form]):

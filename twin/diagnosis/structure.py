@@ -459,9 +459,9 @@ def _partial_cause(likelihood: Likelihood, forms: Sequence[Form], model: Model) 
         imitated = float(likelihood.can_imitate(form) @ explained_by_patterns)
         if imitated <= 0.0:
             continue
-        # A machine has all its constants: they are assessed together.
+        # A machine has all its constants: they are assessed together, as are the orders of one component's harmonics.
         constant = form.candidate.specification.constant
-        others = [f for f in forms if f is not form and not (constant and f.candidate.specification.constant)]
+        others = [f for f in forms if f.key != form.key and not (constant and f.candidate.specification.constant)]
         carried = explained - likelihood.candidates.explained_by(others)
         ratio = carried / max(imitated, 1e-9)
         if carried < LEAST_IMITATED_RATIO * imitated and (worst is None or ratio < worst[0]):
