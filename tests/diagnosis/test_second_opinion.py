@@ -11,6 +11,7 @@ import pytest
 from scipy import stats
 
 from tests.diagnosis.battery import Case, DataSet
+from twin.diagnosis.search import select
 from twin.diagnosis.second_opinion import (
     CREDIBLE_PROBABILITY,
     FOUND_ODDS,
@@ -363,3 +364,23 @@ def test_credible_set_holds_causes_that_look_alike(data_set: DataSet) -> None:
     assert effect.posterior["cross_axis", "E_XX by Z"] == pytest.approx(
         effect.posterior["cross_axis", "E_XZ by X"], rel=0.05
     )
+
+
+def test_two_causes_are_found_where_another_alone_explains_most(data_set: DataSet) -> None:
+    """The search against the pair that made the readings: its set is worth no less, although the best single cause is a third."""
+    candidates, problem, rng = data_set.searcher.candidates, data_set.problem, np.random.default_rng(8)
+    single = [form for form in candidates.forms if len(form.columns) == 1 and not form.nonlinear]
+    tested = 0
+    while tested < 3:
+        pair = [single[i] for i in rng.choice(len(single), 2, replace=False)]
+        signature = problem.signature([form.variant.columns[0] for form in pair])
+        gram = problem.inner(signature)
+        if gram.diagonal().min() < 100.0 or abs(gram[0, 1]) > 0.3 * np.sqrt(gram.diagonal().prod()):
+            continue
+        problem.set_residual(signature @ np.sqrt(60.0 / gram.diagonal()))
+        candidates.set_problem(problem)
+        margins = candidates.margins([])
+        worth = candidates.penalised_gain(pair)
+        if max(margins.max(), 0.0) < worth and candidates.forms[int(margins.argmax())].key not in {f.key for f in pair}:
+            assert select(candidates).worth > worth - 1e-6, [form.key for form in pair]
+            tested += 1

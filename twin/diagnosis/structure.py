@@ -593,8 +593,11 @@ def _is_better_in_time(lagging: Findings, plain: Findings) -> bool:
         and len(forms) <= max(worth_of_plain[1], 1)
     ):
         return True
-    keys = {(form.candidate.specification.variant_of or form.candidate.effect, form.candidate.where) for form in forms}
-    return interval[0] > 0.0 and keys == {form.key for form in plain.structure.forms}
+    # With its variant beside it, a cause is one more: sorted lists, not sets.
+    keys = sorted(
+        (form.candidate.specification.variant_of or form.candidate.effect, form.candidate.where) for form in forms
+    )
+    return interval[0] > 0.0 and keys == sorted(form.key for form in plain.structure.forms)
 
 
 def _complexity(structure: Structure) -> tuple[int, int]:
