@@ -24,7 +24,7 @@ from twin.diagnosis.problem import Problem
 from twin.diagnosis.result import Cause, Next, Rival, readable_unit
 from twin.diagnosis.search import excess_ratio
 from twin.diagnosis.structure import Findings
-from twin.display.numbers import listed
+from twin.display.numbers import COVERAGE_FACTOR, listed
 from twin.identification.network import Network
 from twin.measurement.observation import machine_state
 from twin.measurement.table import Measurements
@@ -43,6 +43,9 @@ SPANNED: Final = 0.01
 FIELD: Final = "with the frame"
 """`Specification.varies` of an error of the instrument that is a field in its frame: scales, shears, bent beams."""
 IMITATED: Final = 0.2  # share of a cause's effect that an error of the instrument may leave and still replace it
+LAG_SHARE: Final = (
+    0.1  # relative difference of a growth's coefficient, with a lag and without, up to which the lag is only a remark
+)
 RUNNERS_UP: Final = 2  # number of alternatives that are ruled out and listed with a cause
 
 
@@ -77,7 +80,7 @@ def _in_place(candidates: Candidates, form: Form, others: Sequence[Form]) -> tup
         if other.key not in used
         and not other.candidate.is_same_event(form.candidate)
         and not other.candidate.is_variant_in_time_of(form.candidate)
-    ]
+    ] + lags(candidates, form, others, differing=True)
     scores = candidates.scores(others, [other.index for other in tried])
     dof_of_form = candidates.scores(others, [form.index])[0, 1]
     best: dict[tuple[str, str], float] = {}
@@ -98,6 +101,46 @@ def _in_place(candidates: Candidates, form: Form, others: Sequence[Form]) -> tup
         best[rival.key] = max(best.get(rival.key, -np.inf), worth)
     ranked = [list(best)[i] for i in largest_first(np.array(list(best.values())))]
     return tuple(key for key in ranked if best[key] > least)
+
+
+def lags(candidates: Candidates, form: Form, others: Sequence[Form], *, differing: bool) -> list[Form]:
+    """Return the lags of a growth that the readings do not exclude, the others kept.
+
+    ``differing``: only if they foretell something else: one of them has a coefficient outside the interval of the growth's and farther
+    from it than `LAG_SHARE`, or excludes the growth without it.
+    """
+    tried = [o for o in candidates.forms if o.nonlinear and o.candidate.is_variant_in_time_of(form.candidate)]
+    if form.nonlinear or not tried:
+        return []
+    explained, _ = candidates.scan(others)
+    gain = np.array([float(explained[lag.index] - explained[form.index]) for lag in tried])
+    found = [lag for lag, own in zip(tried, gain, strict=True) if own > max(gain.max(), 0.0) - DEVIANCE_RULED_OUT]
+    if not differing or gain.max() > DEVIANCE_RULED_OUT:
+        return found
+    value, u = coefficient(candidates, form, others)
+    most = max(COVERAGE_FACTOR * u, LAG_SHARE * abs(value))
+    return found if any(abs(coefficient(candidates, lag, others)[0] - value) > most for lag in found) else []
+
+
+def coefficient(candidates: Candidates, form: Form, others: Sequence[Form]) -> tuple[float, float]:
+    """Return the first parameter of a form fitted with some others, and its standard uncertainty by the noise."""
+    columns, values, inverse = candidates.fitted([*others, form])
+    at, scale = int(np.searchsorted(columns, form.columns[0])), form.variant.columns[0].scale
+    return float(values[at] * scale), float(np.sqrt(max(inverse[at, at], 0.0)) * scale)
+
+
+def lag_not_excluded(candidates: Candidates, form: Form, others: Sequence[Form]) -> str:
+    """Return the longest lag of a growth that the readings do not exclude, and the coefficients with it, in words; empty if none."""
+    found = lags(candidates, form, others, differing=False)
+    if not found:
+        return ""
+    values = [coefficient(candidates, some, others)[0] for some in (form, *found)]
+    longest = max(lag.nonlinear["time_constant"] for lag in found) / 60.0
+    extremes = f"{min(values, key=abs):.3g} to {max(values, key=abs):.3g}".replace("-", "−")
+    return (
+        f"; a lag of up to {max(longest, 1.0):.0f} min behind that temperature cannot be excluded, with a coefficient of {extremes} "
+        f"{readable_unit(form.candidate.names[0][1])}"
+    )
 
 
 def together(candidates: Candidates, form: Form, others: Sequence[Form]) -> tuple[tuple[tuple[str, str], ...], ...]:

@@ -21,6 +21,7 @@ from twin.diagnosis.alternatives import points_to_measure
 from twin.diagnosis.candidates.candidate import LARGEST_ERROR
 from twin.diagnosis.causes import (
     NEGLIGIBLE_EXCESS,
+    SMALL_EXCESS,
     SizedCauses,
     causes_with_alternatives,
     causes_with_payloads,
@@ -34,7 +35,7 @@ from twin.diagnosis.problem import Problem, in_um, rms, unwhiten
 from twin.diagnosis.readings import ReadingNoise
 from twin.diagnosis.result import Cause, DiagnosisResult, Trend, Unexplained, Verdict
 from twin.diagnosis.structure import Findings
-from twin.diagnosis.text import diagnosis_display, diagnosis_text, micrometres, percent, symbol
+from twin.diagnosis.text import diagnosis_display, diagnosis_text, likelihood_words, micrometres, percent, symbol
 from twin.display.numbers import listed
 from twin.display.results import Display, DisplayedResult
 from twin.identification.network import Network
@@ -296,17 +297,25 @@ def _misshapen(sized: SizedCauses, unexplained: Unexplained | None) -> bool:
 
 
 def _indistinct(sized: SizedCauses) -> list[str]:
-    """Return a notice on each small cause that is not named because too many others fit as well."""
+    """Return a notice on each small cause that is not named: too many others fit as well, or it may not be there."""
     network, texts = sized.findings.problem.network, []
     for one in sized.indistinct:
         most_um = np.linalg.norm(np.nan_to_num(one.moved_um), axis=1).max(initial=0.0)
         tool_um, _ = error_at_tool(network.data, network.machine, one.effects, Covariance.none())
         at_tool = f", {micrometres(tool_um)} RMS at the tool" if one.effects else ""
-        texts.append(
-            f"something small is not named: up to {micrometres(most_um)} in the readings{at_tool}, at most "
-            f"{100.0 * NEGLIGIBLE_EXCESS:g} % of the excess; {len(one.keys)} causes fit it equally well "
-            f"({listed([symbol(*key) for key in one.keys], most=4)})"
-        )
+        size = f"up to {micrometres(most_um)} in the readings{at_tool}, at most"
+        names = [symbol(*key) for key in one.keys]
+        if one.probability is None:
+            texts.append(
+                f"something small is not named: {size} {percent(NEGLIGIBLE_EXCESS)} of the excess; {len(names)} causes fit it equally "
+                f"well ({listed(names, most=4)})"
+            )
+        else:
+            instead = f" (or {listed(names[1:], most=3)})" if names[1:] else ""
+            texts.append(
+                f"possible, but not named: {names[0]}{instead}; {size} {percent(SMALL_EXCESS)} of the excess; "
+                f"{likelihood_words(one.probability, not instead)}"
+            )
     return texts
 
 

@@ -27,6 +27,7 @@ from twin.diagnosis.alternatives import (
     equal_orders,
     equivalent,
     evidence,
+    lag_not_excluded,
     rest_on_the_instrument,
     ruled_out,
     together,
@@ -40,7 +41,12 @@ from twin.diagnosis.payload import CARRIED_INDEX, CENTRE_PRIOR, Load, axis_of_fo
 from twin.diagnosis.problem import in_um, rewhitened
 from twin.diagnosis.result import Cause, Quantity, readable_unit
 from twin.diagnosis.search import LIMIT_SIGMA, TOO_LARGE
-from twin.diagnosis.second_opinion import Comparison, compare_with_search, second_opinion
+from twin.diagnosis.second_opinion import (
+    CREDIBLE_PROBABILITY,
+    Comparison,
+    compare_with_search,
+    probability_of_any,
+)
 from twin.diagnosis.structure import Findings
 from twin.display.numbers import COVERAGE_FACTOR
 from twin.identification.discrepancy import Discrepancy
@@ -56,14 +62,18 @@ from twin.numerics.covariance import Covariance
 
 NEGLIGIBLE_EXCESS: Final = 0.01  # share of the excess below which residuals are no finding: real machines have some
 MOST_ALTERNATIVES: Final = 5  # number of alternatives up to which a negligible cause is named
+SMALL_EXCESS: Final = (
+    0.02  # share of the excess below which a cause is named only if the second method is certain of it
+)
 
 
 @final
 @dataclass(frozen=True, eq=False)
 class Indistinct:
-    """A negligible cause with more than `MOST_ALTERNATIVES`: the readings say that something small is there, and not what."""
+    """A small cause that is not named: the readings do not say what it is (more than `MOST_ALTERNATIVES`), or whether it is there."""
 
     keys: tuple[tuple[str, str], ...]  # the cause, then its alternatives
+    probability: float | None  # that one of them is there, where it is not certain
     moved_um: np.ndarray  # (n, 3) on each reading; NaN where no coordinate was measured
     effects: tuple[Effect, ...]
 
@@ -157,12 +167,12 @@ def estimate_sizes(findings: Findings) -> SizedCauses:
             ]
         log_p, weakest = max(judged, key=lambda pair: pair[0], default=(-np.inf, None))
         if weakest is None or log_p <= np.log(findings.candidates.level):
-            weakest, keys = _least_distinct(findings, estimated, forms)
+            weakest, keys, probability = _least_distinct(findings, estimated, forms)
             if weakest is None:
                 break
             k = forms.index(weakest)
             moved_um = in_um(findings.problem.network, estimated.signature[:, k])
-            indistinct.append(Indistinct((weakest.key, *keys), moved_um, estimated.effects[k]))
+            indistinct.append(Indistinct((weakest.key, *keys), probability, moved_um, estimated.effects[k]))
         else:
             dropped.append(weakest)
         forms = [form for form in forms if form is not weakest]
@@ -184,20 +194,35 @@ def estimate_sizes(findings: Findings) -> SizedCauses:
 
 def _least_distinct(
     findings: Findings, estimated: Estimate, forms: Sequence[Form]
-) -> tuple[Form | None, Sequence[tuple[str, str]]]:
-    """Return the cause that adds least, of those that add a negligible share and have too many alternatives, with these."""
+) -> tuple[Form | None, Sequence[tuple[str, str]], float | None]:
+    """Return the cause that adds least, of the small ones that are not named, with its alternatives and its probability.
+
+    A false one sends someone to look for it and adds its own size to what is compensated; one that is not named leaves as little.
+    """
     problem, candidates = findings.problem, findings.candidates
-    negligible = NEGLIGIBLE_EXCESS * max(problem.chi2 - problem.dof, estimated.explained)
+    excess = max(problem.chi2 - problem.dof, estimated.explained)
     rest = {form: [other for other in forms if other is not form] for form in forms}
     added = {form: float(candidates.scores(others, [form.index])[0, 0]) for form, others in rest.items()}
     for form in sorted(forms, key=lambda form: added[form]):
-        if added[form] >= negligible:
+        if added[form] >= SMALL_EXCESS * excess:
             break
         form_beside, *others_beside = findings.beside_patterns([form, *rest[form]])
         keys = equivalent(findings, form_beside, others_beside)
-        if len(keys) > MOST_ALTERNATIVES:
-            return form, keys
-    return None, ()
+        if added[form] < NEGLIGIBLE_EXCESS * excess and len(keys) > MOST_ALTERNATIVES:
+            return form, keys, None
+        probability = probability_of_any(findings.second_opinion, (*_itself(form), *keys))
+        if findings.second_opinion and probability < CREDIBLE_PROBABILITY:
+            return form, keys, probability
+    return None, (), None
+
+
+def _itself(form: Form) -> list[tuple[str, str]]:
+    """Return a cause and its variants with more parameters, such as ``reversal_curve`` of ``reversal``, which count as that cause."""
+    where = form.candidate.where
+    return [
+        form.key,
+        *((own.name, where) for own in SPECIFICATIONS.values() if own.variant_of == form.candidate.effect),
+    ]
 
 
 def one_for_each_number(candidates: Candidates, forms: Sequence[Form]) -> list[Form]:
@@ -249,7 +274,7 @@ def causes_with_alternatives(sized: SizedCauses, calibration: Calibration) -> tu
 
     With unnamed patterns the selection was made by likelihood: no probability is given, and the comparison is empty.
     """
-    candidates, structure = sized.findings.candidates, sized.findings.structure
+    structure = sized.findings.structure
     machine = np.array([form.candidate.origin == "machine" for form in sized.forms], dtype=bool)
     resting = rest_on_the_instrument(sized.findings.problem, sized.estimate.signature, machine)
     causes = [
@@ -258,17 +283,8 @@ def causes_with_alternatives(sized: SizedCauses, calibration: Calibration) -> tu
     ]
     if structure.pattern_tests:
         return causes, Comparison()
-    # A variant of a cause with more parameters, such as ``reversal_curve`` of ``reversal``, counts as that cause.
-    variants = {
-        form.key: [
-            (other.name, form.candidate.where) for other in SPECIFICATIONS.values() if other.variant_of == form.key[0]
-        ]
-        for form in sized.forms
-    }
-    groups = [
-        (form.key, *cause.equivalent, *variants[form.key]) for form, cause in zip(sized.forms, causes, strict=True)
-    ]
-    comparison = compare_with_search(second_opinion(candidates, structure.forms), groups)
+    groups = [(*_itself(form), *cause.equivalent) for form, cause in zip(sized.forms, causes, strict=True)]
+    comparison = compare_with_search(sized.findings.second_opinion, groups)
     small = {key for one in sized.indistinct for key in one.keys}
     comparison = replace(
         comparison, further=tuple(e for e in comparison.further if small.isdisjoint((*e.credible, *e.sum_of)))
@@ -345,7 +361,7 @@ def _cause(sized: SizedCauses, k: int, calibration: Calibration) -> Cause:
     text = evidence(form, sized.estimate, k) + curve_flaw(candidates, sized.forms, form, calibration)
     if form.candidate.specification in (PAYLOAD, CARRIED_LOAD) and form.variant.fixed:
         text += f"; the readings do not determine its centre of mass: the most likely one within ±{CENTRE_RANGE_MM:g} mm is taken"
-    text += equal_orders(candidates, sized.forms, form) + doubt
+    text += equal_orders(candidates, sized.forms, form) + lag_not_excluded(candidates, form, others) + doubt
     groups = () if findings.structure.pattern_tests else together(candidates, form, others)
     equal = tuple(dict.fromkeys([*equivalent(findings, form_beside, others_beside), *chain.from_iterable(groups)]))
     why = reversal_doubt(network.data, network.machine, form.candidate.where) if _approach_axes(form) else ""

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Hashable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Final, final
 
 import numpy as np
@@ -33,6 +34,7 @@ from twin.diagnosis.payload import select_with_payload
 from twin.diagnosis.problem import Problem
 from twin.diagnosis.readings import DiagnosisTask
 from twin.diagnosis.search import MAX_CAUSES, MAX_EXCHANGED_CAUSES, Selection, candidates_of, excesses_of
+from twin.diagnosis.second_opinion import SingleEffect, second_opinion
 from twin.identification.discrepancy import settled
 from twin.measurement.observation import machine_state
 
@@ -120,6 +122,11 @@ class Findings:
     def problem(self) -> Problem:
         """Return the problem without outliers, whitened by noise and discrepancy."""
         return self.task.problem
+
+    @cached_property
+    def second_opinion(self) -> tuple[SingleEffect, ...]:
+        """The effects that the second method finds; none beside patterns, where the selection is by likelihood."""
+        return () if self.structure.pattern_tests else second_opinion(self.candidates, self.structure.forms)
 
     def beside_patterns(self, forms: Sequence[Form]) -> list[Form]:
         """Return forms of ``candidates`` as they are among ``given_patterns``."""
