@@ -16,6 +16,7 @@ import numpy as np
 from twin._common.arrays import first_largest, largest_first, read_only
 from twin._common.units import MM
 from twin.diagnosis.candidates.calibration import ITSELF, constant_dropped, flaw, times
+from twin.diagnosis.candidates.candidate import STRAIGHT_LINE
 from twin.diagnosis.candidates.instrument import assumed_zero
 from twin.diagnosis.cross_validation import predicts_held_out
 from twin.diagnosis.estimate import Estimate, fitted_effects
@@ -46,6 +47,7 @@ IMITATED: Final = 0.2  # share of a cause's effect that an error of the instrume
 LAG_SHARE: Final = (
     0.1  # relative difference of a growth's coefficient, with a lag and without, up to which the lag is only a remark
 )
+SMOOTH_DEGREE: Final = 5  # degree of the smooth function of a temperature that is compared with a course in time
 RUNNERS_UP: Final = 2  # number of alternatives that are ruled out and listed with a cause
 
 
@@ -141,6 +143,41 @@ def lag_not_excluded(candidates: Candidates, form: Form, others: Sequence[Form])
         f"; a lag of up to {max(longest, 1.0):.0f} min behind that temperature cannot be excluded, with a coefficient of {extremes} "
         f"{readable_unit(form.candidate.names[0][1])}"
     )
+
+
+def follows_a_temperature(problem: Problem, forms: Sequence[Form], signature: np.ndarray, k: int) -> str:
+    """Return the sensor of which a smooth function fits as well as the course in time of the k-th cause of the machine; empty if none.
+
+    A temperature that only rises is as good a clock as time: any function of the one is a function of the other. ``signature``: (3n, k)
+    of all causes.
+    """
+    drift, data = forms[k].candidate.drift, problem.network.data
+    if drift is None or forms[k].candidate.origin != "machine":
+        return ""
+    since = np.repeat(data.time_s - data.time_s.min(), 3)[:, None]
+    shape = problem.signature(drift.columns(STRAIGHT_LINE)) / np.where(since > 0.0, since, np.inf)
+    others = np.delete(signature, k, axis=1)
+
+    def explained(own: np.ndarray) -> float:
+        columns = np.concatenate([others, own], axis=1)
+        columns = columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+        projected = problem.project(columns)
+        along = projected.T @ problem.residual
+        return float(along @ np.linalg.pinv(columns.T @ projected, rcond=1e-10, hermitian=True) @ along)
+
+    free = SMOOTH_DEGREE * shape.shape[1] - 1  # parameters more than those of the course and its time constant
+    least = explained(signature[:, [k]]) - DEVIANCE_RULED_OUT + free
+    found: dict[str, float] = {}
+    for sensor, warm in data.temperature_degC.items():
+        if np.ptp(warm) > 0.0:
+            scaled = np.repeat(2.0 * (warm - warm.min()) / np.ptp(warm) - 1.0, 3)
+            powers = np.polynomial.chebyshev.chebvander(scaled, SMOOTH_DEGREE)
+            found[sensor] = (
+                explained(np.concatenate([shape * power[:, None] for power in powers.T], axis=1)) - least
+            )
+    own_axis = axis_of(forms[k].candidate.where)
+    fitting = [sensor for sensor, margin in found.items() if margin > 0.0]
+    return own_axis if own_axis in fitting else max(fitting, key=lambda sensor: found[sensor], default="")
 
 
 def together(candidates: Candidates, form: Form, others: Sequence[Form]) -> tuple[tuple[tuple[str, str], ...], ...]:

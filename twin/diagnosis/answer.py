@@ -218,7 +218,10 @@ def conclude(sized: SizedCauses, calibration: Calibration, *, empirical: bool = 
     by_patterns = [float(np.exp(test.log_p_corrected)) for test in findings.structure.pattern_tests]
     diagnosis = Diagnosis(
         verdict=_verdict(
-            causes, unexplained, disagree=comparison.disagree, predict=predict and not _misshapen(sized, unexplained)
+            causes,
+            unexplained,
+            disagree=comparison.disagree or any(sized.temperatures),
+            predict=predict and not _misshapen(sized, unexplained),
         ),
         rms_um=rms(residual, network.read),
         absorbed_rms_um=rms(in_um(by_noise.network, by_noise.projected), network.read),

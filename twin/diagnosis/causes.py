@@ -27,6 +27,7 @@ from twin.diagnosis.alternatives import (
     equal_orders,
     equivalent,
     evidence,
+    follows_a_temperature,
     lag_not_excluded,
     rest_on_the_instrument,
     ruled_out,
@@ -126,6 +127,14 @@ class SizedCauses:
         divided = self.findings.candidates.divided(self.forms)
         explained = 1.0 - max(self.share_left, self.share_of_patterns)
         return np.asarray(divided * (explained / max(float(divided.sum()), 1e-30)))
+
+    @cached_property
+    def temperatures(self) -> tuple[str, ...]:
+        """Sensor that each course in time may follow instead (`follows_a_temperature`); empty for other causes."""
+        signature = self.estimate.signature
+        return tuple(
+            follows_a_temperature(self.findings.problem, self.forms, signature, k) for k in range(len(self.forms))
+        )
 
     @property
     def jumped(self) -> Collection[int]:
@@ -257,6 +266,10 @@ def _log_p_of_groups(against: tuple[float, int, float]) -> float:
 
 IMPOSSIBLE: Final = "; this size is physically impossible, so the readings do not determine it"
 BELOW_INCREMENT: Final = "; it is below the least increment of the axes, so no command can correct it"
+OF_TEMPERATURE: Final = (
+    "; a smooth function of the temperature of {}, not in proportion to it, fits as well: until it is measured in another course of "
+    "temperatures (after a pause, or while the machine cools), it is known for this course only"
+)
 JUMPED: Final = "; all targets of its side moved alike"
 """Doubt of a displaced target where its whole side jumped: the jump is unexplained, and its target no cause."""
 ONLY_A_PART: Final = "they explain only part of a pattern that no known effect explains as a whole"
@@ -362,6 +375,8 @@ def _cause(sized: SizedCauses, k: int, calibration: Calibration) -> Cause:
     if form.candidate.specification in (PAYLOAD, CARRIED_LOAD) and form.variant.fixed:
         text += f"; the readings do not determine its centre of mass: the most likely one within ±{CENTRE_RANGE_MM:g} mm is taken"
     text += equal_orders(candidates, sized.forms, form) + lag_not_excluded(candidates, form, others) + doubt
+    if sized.temperatures[k]:
+        text += OF_TEMPERATURE.format(sized.temperatures[k])
     groups = () if findings.structure.pattern_tests else together(candidates, form, others)
     equal = tuple(dict.fromkeys([*equivalent(findings, form_beside, others_beside), *chain.from_iterable(groups)]))
     why = reversal_doubt(network.data, network.machine, form.candidate.where) if _approach_axes(form) else ""
