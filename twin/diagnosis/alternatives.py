@@ -19,8 +19,8 @@ from twin.diagnosis.candidates.calibration import ITSELF, constant_dropped, flaw
 from twin.diagnosis.candidates.candidate import STRAIGHT_LINE
 from twin.diagnosis.candidates.instrument import assumed_zero
 from twin.diagnosis.cross_validation import predicts_held_out
-from twin.diagnosis.estimate import Estimate, fitted_effects
-from twin.diagnosis.forms import DEVIANCE_RULED_OUT, Candidates, Form
+from twin.diagnosis.estimate import Estimate, fitted_effects, fitting_periods
+from twin.diagnosis.forms import DEVIANCE_RULED_OUT, RESOLVED, Candidates, Form
 from twin.diagnosis.problem import Problem
 from twin.diagnosis.result import Cause, Next, Rival, readable_unit
 from twin.diagnosis.search import excess_ratio
@@ -172,9 +172,7 @@ def follows_a_temperature(problem: Problem, forms: Sequence[Form], signature: np
         if np.ptp(warm) > 0.0:
             scaled = np.repeat(2.0 * (warm - warm.min()) / np.ptp(warm) - 1.0, 3)
             powers = np.polynomial.chebyshev.chebvander(scaled, SMOOTH_DEGREE)
-            found[sensor] = (
-                explained(np.concatenate([shape * power[:, None] for power in powers.T], axis=1)) - least
-            )
+            found[sensor] = explained(np.concatenate([shape * power[:, None] for power in powers.T], axis=1)) - least
     own_axis = axis_of(forms[k].candidate.where)
     fitting = [sensor for sensor, margin in found.items() if margin > 0.0]
     return own_axis if own_axis in fitting else max(fitting, key=lambda sensor: found[sensor], default="")
@@ -468,15 +466,10 @@ def _other_periods(candidates: Candidates, forms: Sequence[Form], form: Form) ->
         frequency = 1.0 / form.variant.fixed[name]
         aliases = (1.0 / max(abs(even - frequency), 1e-9), 1.0 / (even + frequency))
         return [float(aliase) for aliase in aliases if aliase >= SHORTEST_PERIOD]
-    tried = [other for other in candidates.forms if other.key == form.key and other is not form]
-    periods = np.array([other.variant.fixed[name] for other in tried])
     kept = [other for other in forms if other is not form]
-    explained = candidates.scores(kept, [other.index for other in (form, *tried)])[:, 0]
+    periods, gains = fitting_periods(candidates, form, kept)
     away = np.abs(1.0 / periods - 1.0 / form.variant.fixed[name]) * span
-    others: list[float] = []
-    for i in largest_first(explained[1:]):
-        if explained[1 + i] < explained[0] - ALIAS_CHI2:
-            break
-        if away[i] > 1.0 and all(abs(1.0 / periods[i] - 1.0 / other) * span > 1.0 for other in others):
-            others.append(float(periods[i]))
-    return others
+    least = float(candidates.scan(kept)[0][form.index]) - ALIAS_CHI2
+    return [
+        float(period) for period, gain, far in zip(periods, gains, away, strict=True) if gain > least and far > RESOLVED
+    ]

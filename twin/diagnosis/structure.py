@@ -26,7 +26,7 @@ from twin.diagnosis.cross_validation import (
     predicts_held_out,
     without_overfitting,
 )
-from twin.diagnosis.estimate import RandomEffects, estimate, remaining_discrepancy
+from twin.diagnosis.estimate import RandomEffects, estimate, refine_far_periods, remaining_discrepancy
 from twin.diagnosis.forms import DEVIANCE_RULED_OUT, Candidates, Form, columns_of
 from twin.diagnosis.likelihood import PATTERN_ALARM_RATE, Likelihood, Model, PatternTest, scan_patterns
 from twin.diagnosis.patterns import Pattern, patterns
@@ -658,6 +658,8 @@ def _best(candidates: Candidates) -> Selection:
 
 def _with_refined(candidates: Candidates, best: Selection) -> Selection:
     """Return the best set of causes with the periods and time constants of large causes refined."""
+    if refine_far_periods(candidates, best.forms):
+        best = select_with_payload(candidates, best.forms)
     for _ in range(MAX_REFINEMENTS):
         if not _refined(candidates, best.forms):
             break

@@ -256,8 +256,8 @@ SHORTEST_PERIOD: Final = 2.0
 """mm: pitch errors of shorter periods are not considered."""
 WAVES_PER_POSITION: Final = 4
 """Largest number of waves for each measured position: uneven positions resolve more than one, but many waves imitate any error."""
-ALIASED: Final = 0.5
-"""Value of the spectral window (1 for even spacing) above which two frequencies are aliases; more if the positions are few."""
+ALIASED: Final = 0.999
+"""Value of the spectral window (1 for even spacing) above which two frequencies are aliases: below it the readings decide."""
 SAMPLED_POSITIONS: Final = 500
 """Positions sampled for the spectral window: its sampling error is one over their square root, a tenth of the threshold."""
 BLOCK: Final = 64
@@ -313,9 +313,7 @@ def _alias_free(places: np.ndarray, span: float, highest: float) -> float:
     frequencies = np.arange(1.0, 2.0 * highest * span + 1.0, 0.25) / span
     window = _window(frequencies, places)
     # Outside the window's main peak at zero, which is one over the span wide.
-    # The largest of many values of a window of n random positions is about √(ln(frequencies)/n): that is no alias.
-    random = np.sqrt(np.log(len(frequencies)) / len(places))
-    aliased = frequencies[(window > max(ALIASED, min(1.5 * random, 0.9))) & (frequencies > 1.5 / span)]
+    aliased = frequencies[(window > ALIASED) & (frequencies > 1.5 / span)]
     return min(highest, 0.5 * float(aliased[0])) if aliased.size else highest
 
 
