@@ -310,7 +310,8 @@ def _alias_free(places: np.ndarray, span: float, highest: float) -> float:
     if len(places) > SAMPLED_POSITIONS:
         # A random sample of evenly spaced positions has the same spectral window.
         places = np.random.default_rng(0).choice(places, SAMPLED_POSITIONS, replace=False)
-    frequencies = np.arange(1.0, 2.0 * highest * span + 1.0, 0.25) / span
+    # In steps of a fraction of the peak of an alias, which is one over the span wide.
+    frequencies = np.arange(1.0, 2.0 * highest * span + 1.0, 1.0 / 32.0) / span
     window = _window(frequencies, places)
     # Outside the window's main peak at zero, which is one over the span wide.
     aliased = frequencies[(window > ALIASED) & (frequencies > 1.5 / span)]
