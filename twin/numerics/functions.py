@@ -311,11 +311,13 @@ def _alias_free(places: np.ndarray, span: float, highest: float) -> float:
         # A random sample of evenly spaced positions has the same spectral window.
         places = np.random.default_rng(0).choice(places, SAMPLED_POSITIONS, replace=False)
     # In steps of a fraction of the peak of an alias, which is one over the span wide.
-    frequencies = np.arange(1.0, 2.0 * highest * span + 1.0, 1.0 / 32.0) / span
+    step = 1.0 / 32.0
+    frequencies = np.arange(1.0, 2.0 * highest * span + 1.0, step) / span
     window = _window(frequencies, places)
     # Outside the window's main peak at zero, which is one over the span wide.
     aliased = frequencies[(window > ALIASED) & (frequencies > 1.5 / span)]
-    return min(highest, 0.5 * float(aliased[0])) if aliased.size else highest
+    # At half of it, every other reading of a wave has the same value: below it.
+    return min(highest, 0.5 * float(aliased[0] - step / span)) if aliased.size else highest
 
 
 def highest_order(distinct: np.ndarray, most: int) -> int:
