@@ -108,7 +108,7 @@ def _in_place(candidates: Candidates, form: Form, others: Sequence[Form]) -> tup
 def lags(candidates: Candidates, form: Form, others: Sequence[Form], *, differing: bool) -> list[Form]:
     """Return the lags of a growth that the readings do not exclude, the others kept.
 
-    ``differing``: only if they foretell something else: one of them has a coefficient outside the interval of the growth's and farther
+    ``differing``: only if they predict something else: one of them has a coefficient outside the interval of the growth's and farther
     from it than `LAG_SHARE`, or excludes the growth without it.
     """
     tried = [o for o in candidates.forms if o.nonlinear and o.candidate.is_variant_in_time_of(form.candidate)]

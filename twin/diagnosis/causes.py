@@ -206,7 +206,7 @@ def _least_distinct(
 ) -> tuple[Form | None, Sequence[tuple[str, str]], float | None]:
     """Return the cause that adds least, of the small ones that are not named, with its alternatives and its probability.
 
-    A false one sends someone to look for it and adds its own size to what is compensated; one that is not named leaves as little.
+    A false one costs a search and adds its own size to the correction; one that is not named leaves as little.
     """
     problem, candidates = findings.problem, findings.candidates
     excess = max(problem.chi2 - problem.dof, estimated.explained)

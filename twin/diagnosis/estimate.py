@@ -173,7 +173,7 @@ NEAR_PERIOD: Final = (
 def fitting_periods(candidates: Candidates, form: Form, others: Sequence[Form]) -> tuple[np.ndarray, np.ndarray]:
     """Return periods (m,) that fit as well as that of a form or nearly, mm, and the reduction of chi² by each given others.
 
-    Between two tabulated periods a wave loses up to a fifth of what it explains, which is more than an alias does: the maxima are
+    Between two tabulated periods a wave loses up to a fifth of its chi², more than an alias does: the maxima are
     compared. Periods are a wave over the measured span apart.
     """
     problem, name, explained = candidates.problem, form.candidate.specification.period, candidates.scan(others)[0]
