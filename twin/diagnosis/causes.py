@@ -215,12 +215,16 @@ def _least_distinct(
     for form in sorted(forms, key=lambda form: added[form]):
         if added[form] >= SMALL_EXCESS * excess:
             break
+        effects, negligible = findings.second_opinion, added[form] < NEGLIGIBLE_EXCESS * excess
+        certain = not effects or probability_of_any(effects, _itself(form)) >= CREDIBLE_PROBABILITY
+        if certain and not negligible:
+            continue
         form_beside, *others_beside = findings.beside_patterns([form, *rest[form]])
         keys = equivalent(findings, form_beside, others_beside)
-        if added[form] < NEGLIGIBLE_EXCESS * excess and len(keys) > MOST_ALTERNATIVES:
+        if negligible and len(keys) > MOST_ALTERNATIVES:
             return form, keys, None
-        probability = probability_of_any(findings.second_opinion, (*_itself(form), *keys))
-        if findings.second_opinion and probability < CREDIBLE_PROBABILITY:
+        probability = probability_of_any(effects, (*_itself(form), *keys))
+        if not certain and probability < CREDIBLE_PROBABILITY:
             return form, keys, probability
     return None, (), None
 
