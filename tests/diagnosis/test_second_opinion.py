@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import combinations
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -22,6 +24,7 @@ from twin.diagnosis.second_opinion import (
     Key,
     SingleEffect,
     SingleEffects,
+    _sum_of,
     compare_with_search,
     probability_of_any,
     second_opinion,
@@ -384,3 +387,21 @@ def test_two_causes_are_found_where_another_alone_explains_most(data_set: DataSe
         if max(margins.max(), 0.0) < worth and candidates.forms[int(margins.argmax())].key not in {f.key for f in pair}:
             assert select(candidates).worth > worth - 1e-6, [form.key for form in pair]
             tested += 1
+
+
+@pytest.mark.parametrize(("left", "is_sum"), [(12.0, True), (20.0, False)])
+def test_a_sum_is_recognised_beyond_the_noise_that_a_curve_follows(left: float, is_sum: bool) -> None:
+    """Two causes and a curve of six functions that adds noise to them: χ² of 12 is one chance in 16 there, 20 one in 360."""
+    slope = np.array([15.0, 12.0, np.sqrt(left), 0.0, 0.0, 0.0])
+    forms = [SimpleNamespace(key=key, columns=np.array(own)) for key, own in ((A, [0]), (B, [1]), (C, range(6)))]
+    candidates = SimpleNamespace(
+        forms=forms,
+        critical_table=np.zeros((3, 2)),
+        fitted=lambda some: (
+            own := np.concatenate([form.columns for form in some]),
+            slope[own],
+            np.eye(len(own)),
+        ),
+    )
+    effect = Fit(99.0, np.array([0.0, 0.0, 1.0]), slope, slope)
+    assert _sum_of(effect, cast(Any, candidates), cast(Any, forms[:2])) == ((A, B) if is_sum else ())

@@ -25,9 +25,11 @@ from twin.diagnosis.alternatives import points_to_measure
 from twin.diagnosis.candidates.candidate import LARGEST_ERROR
 from twin.diagnosis.causes import (
     NEGLIGIBLE_EXCESS,
+    SMALL_EXCESS,
     SizedCauses,
     causes_with_alternatives,
     causes_with_payloads,
+    misshapen,
     notices,
     readback_causes,
 )
@@ -49,8 +51,7 @@ from twin.measurement.observation import has_times
 from twin.model.calibration import Calibration
 from twin.model.calibration_file import MeasuredWith, MisfitEntry, UnidentifiedEntry
 from twin.model.effects import split_name
-from twin.model.effects.base import MASS, OWN_WEIGHT, axis_of
-from twin.model.effects.empirical import channel_name
+from twin.model.effects.base import MASS, OWN_WEIGHT
 from twin.model.effects.entries import payload_entries
 from twin.model.effects.gravity_compliance import SIDE_NAMES
 from twin.model.unknown_errors import at_rest
@@ -223,7 +224,10 @@ def conclude(sized: SizedCauses, calibration: Calibration, *, empirical: bool = 
     by_patterns = [float(np.exp(test.log_p_corrected)) for test in findings.structure.pattern_tests]
     diagnosis = Diagnosis(
         verdict=_verdict(
-            causes, unexplained, disagree=comparison.disagree, predict=predict and not _misshapen(sized, unexplained)
+            causes,
+            unexplained,
+            disagree=comparison.disagree or any(sized.temperatures),
+            predict=predict and not misshapen(sized, unexplained),
         ),
         rms_um=rms(residual, network.read),
         absorbed_rms_um=rms(in_um(by_noise.network, by_noise.projected), network.read),
@@ -281,38 +285,26 @@ def _verdict(causes: Sequence[Cause], unexplained: Unexplained | None, *, disagr
     return "explained" if causes else "consistent"
 
 
-def _misshapen(sized: SizedCauses, unexplained: Unexplained | None) -> bool:
-    """Return whether a course in time leaves a pattern in time of its axis although temperatures were read.
-
-    Such a course stands for a temperature: the error then follows none of them in a known form, and the course will not come again.
-    """
-    temperatures = {f"T_{name}_degC" for name in sized.findings.problem.network.data.temperature_degC}
-    axes = {
-        axis_of(form.candidate.where)
-        for form in sized.forms
-        if form.candidate.origin == "machine" and form.candidate.drift is not None
-    }
-    if unexplained is None or unexplained.share <= NEGLIGIBLE_EXCESS or not temperatures:
-        return False
-    for names in (unexplained.depends_on, *unexplained.or_on):
-        left = {channel_name(name) for name in names if name not in {"time_s", "round", *temperatures}}
-        if len(left) < len(names) and any(left <= {axis} for axis in axes):
-            return True
-    return False
-
-
 def _indistinct(sized: SizedCauses) -> list[str]:
-    """Return a notice on each small cause that is not named because too many others fit as well."""
+    """Return a notice on each small cause that is not named: too many others fit as well, or it may not be there."""
     network, texts = sized.findings.problem.network, []
     for one in sized.indistinct:
         most_um = np.linalg.norm(np.nan_to_num(one.moved_um), axis=1).max(initial=0.0)
         tool_um, _ = error_at_tool(network.data, network.machine, one.effects, Covariance.none())
         at_tool = f", {words.micrometres(tool_um)} RMS at the tool" if one.effects else ""
-        texts.append(
-            f"something small is not named: up to {words.micrometres(most_um)} in the readings{at_tool}, at most "
-            f"{100.0 * NEGLIGIBLE_EXCESS:g} % of the excess; {len(one.keys)} causes fit it equally well "
-            f"({listed([words.symbol(*key) for key in one.keys], most=4)})"
-        )
+        size = f"up to {words.micrometres(most_um)} in the readings{at_tool}, at most"
+        names = [words.symbol(*key) for key in one.keys]
+        if one.probability is None:
+            texts.append(
+                f"something small is not named: {size} {words.percent(NEGLIGIBLE_EXCESS)} of the excess; {len(names)} causes fit it "
+                f"equally well ({listed(names, most=4)})"
+            )
+        else:
+            instead = f" (or {listed(names[1:], most=3)})" if names[1:] else ""
+            texts.append(
+                f"possible, but not named: {names[0]}{instead}; {size} {words.percent(SMALL_EXCESS)} of the excess; "
+                f"{words.likelihood_words(one.probability, not instead)}"
+            )
     return texts
 
 

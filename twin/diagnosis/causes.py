@@ -28,6 +28,8 @@ from twin.diagnosis.alternatives import (
     equal_orders,
     equivalent,
     evidence,
+    follows_a_temperature,
+    lag_not_excluded,
     rest_on_the_instrument,
     ruled_out,
     together,
@@ -39,9 +41,14 @@ from twin.diagnosis.estimate import MANY_ROUNDS, Estimate, estimate, reweighted
 from twin.diagnosis.forms import DEVIANCE_RULED_OUT, Candidates, Form, log_p_value
 from twin.diagnosis.payload import CARRIED_INDEX, CENTRE_PRIOR, Load, axis_of_form, loaded_joints, weights
 from twin.diagnosis.problem import in_um, rewhitened
-from twin.diagnosis.result import Cause, Quantity, readable_unit
+from twin.diagnosis.result import Cause, Quantity, Unexplained, readable_unit
 from twin.diagnosis.search import LIMIT_SIGMA, TOO_LARGE
-from twin.diagnosis.second_opinion import Comparison, compare_with_search, second_opinion
+from twin.diagnosis.second_opinion import (
+    CREDIBLE_PROBABILITY,
+    Comparison,
+    compare_with_search,
+    probability_of_any,
+)
 from twin.diagnosis.structure import Findings
 from twin.display.numbers import COVERAGE_FACTOR
 from twin.identification.discrepancy import Discrepancy
@@ -50,22 +57,28 @@ from twin.measurement.columns import ASSUMED
 from twin.measurement.table import Measurements
 from twin.model.calibration import Calibration
 from twin.model.effects import Effect, Payload
-from twin.model.effects.base import CENTRE_RANGE_MM, LOAD, SEARCHED, SIDES
+from twin.model.effects.base import CENTRE_RANGE_MM, LOAD, SEARCHED, SIDES, axis_of
+from twin.model.effects.empirical import channel_name
 from twin.model.effects.gravity_compliance import CARRIED_LOAD, PAYLOAD, SIDE_NAMES, AddedLoad, payloads_of
 from twin.model.effects.harmonic import APPROACH
 from twin.numerics.covariance import Covariance
 
 NEGLIGIBLE_EXCESS: Final = 0.01  # share of the excess below which residuals are no finding: real machines have some
 MOST_ALTERNATIVES: Final = 5  # number of alternatives up to which a negligible cause is named
-NEGLIGIBLE_LEFT: Final = 0.02  # share of χ² left by all causes that those not named may add: 1 % of the RMS residual
+SMALL_EXCESS: Final = (
+    0.02  # share of the excess below which a cause is named only if the second method is certain of it
+)
+NEGLIGIBLE_LEFT, NEGLIGIBLE_CHI2 = 0.02, 36.0
+"""Share of the χ² left by all causes, or χ², that all those together may add that are not named although they fit."""
 
 
 @final
 @dataclass(frozen=True, eq=False)
 class Indistinct:
-    """A negligible cause with more than `MOST_ALTERNATIVES`: the readings say that something small is there, and not what."""
+    """A small cause that is not named: the readings do not say what it is (more than `MOST_ALTERNATIVES`), or whether it is there."""
 
     keys: tuple[tuple[str, str], ...]  # the cause, then its alternatives
+    probability: float | None  # that one of them is there, where it is not certain
     moved_um: np.ndarray  # (n, 3) on each reading; NaN where no coordinate was measured
     effects: tuple[Effect, ...]
 
@@ -119,6 +132,14 @@ class SizedCauses:
         explained = 1.0 - max(self.share_left, self.share_of_patterns)
         return np.asarray(divided * (explained / max(float(divided.sum()), 1e-30)))
 
+    @cached_property
+    def temperatures(self) -> tuple[str, ...]:
+        """Sensor that each course in time may follow instead (`follows_a_temperature`); empty for other causes."""
+        signature = self.estimate.signature
+        return tuple(
+            follows_a_temperature(self.findings.problem, self.forms, signature, k) for k in range(len(self.forms))
+        )
+
     @property
     def jumped(self) -> Collection[int]:
         """Return the numbers of the displaced targets that are no causes, because their whole side jumped."""
@@ -151,7 +172,7 @@ def estimate_sizes(findings: Findings) -> SizedCauses:
         estimated = estimate(findings.problem, forms, findings.task.noise.dof, structure.random_effects)
         chi2_left = findings.problem.chi2 - estimated.explained
         if not indistinct:
-            most_left = (1.0 + NEGLIGIBLE_LEFT) * chi2_left
+            most_left = chi2_left + max(NEGLIGIBLE_LEFT * chi2_left, NEGLIGIBLE_CHI2)
         if structure.pattern_tests:
             judged = [(_log_p_given_others(findings, estimated, forms, form), form) for form in forms]
         else:
@@ -162,12 +183,12 @@ def estimate_sizes(findings: Findings) -> SizedCauses:
             ]
         log_p, weakest = max(judged, key=lambda pair: pair[0], default=(-np.inf, None))
         if weakest is None or log_p <= np.log(findings.candidates.level):
-            weakest, keys = _least_distinct(findings, estimated, forms, most_left - chi2_left)
+            weakest, keys, probability = _least_distinct(findings, estimated, forms, most_left - chi2_left)
             if weakest is None:
                 break
             k = forms.index(weakest)
             moved_um = in_um(findings.problem.network, estimated.signature[:, k])
-            indistinct.append(Indistinct((weakest.key, *keys), moved_um, estimated.effects[k]))
+            indistinct.append(Indistinct((weakest.key, *keys), probability, moved_um, estimated.effects[k]))
         else:
             dropped.append(weakest)
         forms = [form for form in forms if form is not weakest]
@@ -189,23 +210,40 @@ def estimate_sizes(findings: Findings) -> SizedCauses:
 
 def _least_distinct(
     findings: Findings, estimated: Estimate, forms: Sequence[Form], allowed: float
-) -> tuple[Form | None, Sequence[tuple[str, str]]]:
-    """Return the cause that adds least, of those that add a negligible share and have too many alternatives, with these.
+) -> tuple[Form | None, Sequence[tuple[str, str]], float | None]:
+    """Return the cause that adds least, of the small ones that are not named, with its alternatives and its probability.
 
-    ``allowed``: χ² that it may add.
+    A false one costs a search and adds its own size to the correction; one that is not named leaves as little. ``allowed``: χ² that it
+    may add.
     """
     problem, candidates = findings.problem, findings.candidates
-    negligible = min(NEGLIGIBLE_EXCESS * max(problem.chi2 - problem.dof, estimated.explained), allowed)
+    excess = max(problem.chi2 - problem.dof, estimated.explained)
     rest = {form: [other for other in forms if other is not form] for form in forms}
     added = {form: float(candidates.scores(others, [form.index])[0, 0]) for form, others in rest.items()}
     for form in sorted(forms, key=lambda form: added[form]):
-        if added[form] >= negligible:
+        if added[form] >= min(SMALL_EXCESS * excess, allowed):
             break
+        effects, negligible = findings.second_opinion, added[form] < NEGLIGIBLE_EXCESS * excess
+        certain = not effects or probability_of_any(effects, _itself(form)) >= CREDIBLE_PROBABILITY
+        if certain and not negligible:
+            continue
         form_beside, *others_beside = findings.beside_patterns([form, *rest[form]])
         keys = equivalent(findings, form_beside, others_beside)
-        if len(keys) > MOST_ALTERNATIVES:
-            return form, keys
-    return None, ()
+        if negligible and len(keys) > MOST_ALTERNATIVES:
+            return form, keys, None
+        probability = probability_of_any(effects, (*_itself(form), *keys))
+        if not certain and probability < CREDIBLE_PROBABILITY:
+            return form, keys, probability
+    return None, (), None
+
+
+def _itself(form: Form) -> list[tuple[str, str]]:
+    """Return a cause and its variants with more parameters, such as ``reversal_curve`` of ``reversal``, which count as that cause."""
+    where = form.candidate.where
+    return [
+        form.key,
+        *((own.name, where) for own in SPECIFICATIONS.values() if own.variant_of == form.candidate.effect),
+    ]
 
 
 def one_for_each_number(candidates: Candidates, forms: Sequence[Form]) -> list[Form]:
@@ -259,7 +297,7 @@ def causes_with_alternatives(sized: SizedCauses, calibration: Calibration) -> tu
 
     With unnamed patterns the selection was made by likelihood: no probability is given, and the comparison is empty.
     """
-    candidates, structure = sized.findings.candidates, sized.findings.structure
+    structure = sized.findings.structure
     machine = np.array([form.candidate.origin == "machine" for form in sized.forms], dtype=bool)
     resting = rest_on_the_instrument(sized.findings.problem, sized.estimate.signature, machine)
     causes = [
@@ -268,17 +306,8 @@ def causes_with_alternatives(sized: SizedCauses, calibration: Calibration) -> tu
     ]
     if structure.pattern_tests:
         return causes, Comparison()
-    # A variant of a cause with more parameters, such as ``reversal_curve`` of ``reversal``, counts as that cause.
-    variants = {
-        form.key: [
-            (other.name, form.candidate.where) for other in SPECIFICATIONS.values() if other.variant_of == form.key[0]
-        ]
-        for form in sized.forms
-    }
-    groups = [
-        (form.key, *cause.equivalent, *variants[form.key]) for form, cause in zip(sized.forms, causes, strict=True)
-    ]
-    comparison = compare_with_search(second_opinion(candidates, structure.forms), groups)
+    groups = [(*_itself(form), *cause.equivalent) for form, cause in zip(sized.forms, causes, strict=True)]
+    comparison = compare_with_search(sized.findings.second_opinion, groups)
     small = {key for one in sized.indistinct for key in one.keys}
     comparison = replace(
         comparison, further=tuple(e for e in comparison.further if small.isdisjoint((*e.credible, *e.sum_of)))
@@ -358,7 +387,13 @@ def _cause(sized: SizedCauses, k: int, calibration: Calibration) -> Cause:
             "; the readings do not determine its centre of mass: the most likely one within ±{range:g} mm is taken",
             range=CENTRE_RANGE_MM,
         )
-    text += equal_orders(candidates, sized.forms, form) + doubt
+    text += equal_orders(candidates, sized.forms, form) + lag_not_excluded(candidates, form, others) + doubt
+    if sized.temperatures[k]:
+        text += Message(
+            "; a smooth function of the temperature of {sensor}, not in proportion to it, fits as well: until it is measured in "
+            "another course of temperatures (after a pause, or while the machine cools), it is known for this course only",
+            sensor=sized.temperatures[k],
+        )
     groups = () if findings.structure.pattern_tests else together(candidates, form, others)
     equal = tuple(dict.fromkeys([*equivalent(findings, form_beside, others_beside), *chain.from_iterable(groups)]))
     why = reversal_doubt(network.data, network.machine, form.candidate.where) if _approach_axes(form) else ""
@@ -627,3 +662,23 @@ def _quantities(payload: Payload, u: np.ndarray, heaviest: float) -> tuple[Quant
         return tuple(determined) or (mass,)
     inside = COVERAGE_FACTOR * mass.u < min(mass.value, heaviest / SEARCHED - mass.value)
     return (*([mass] if inside else []), *determined)
+
+
+def misshapen(sized: SizedCauses, unexplained: Unexplained | None) -> bool:
+    """Return whether a course in time leaves a pattern in time of its axis although temperatures were read.
+
+    Such a course stands for a temperature: the error then follows none of them in a known form, and the course will not come again.
+    """
+    temperatures = {f"T_{name}_degC" for name in sized.findings.problem.network.data.temperature_degC}
+    axes = {
+        axis_of(form.candidate.where)
+        for form in sized.forms
+        if form.candidate.origin == "machine" and form.candidate.drift is not None
+    }
+    if unexplained is None or unexplained.share <= NEGLIGIBLE_EXCESS or not temperatures:
+        return False
+    for names in (unexplained.depends_on, *unexplained.or_on):
+        left = {channel_name(name) for name in names if name not in {"time_s", "round", *temperatures}}
+        if len(left) < len(names) and any(left <= {axis} for axis in axes):
+            return True
+    return False
