@@ -19,13 +19,14 @@ import pytest
 import twin
 from tests.linuxcnc.control import USER, needs_linuxcnc, needs_root, skip_without_control, user_for
 from tests.truth.machine import TruthMachine
+from twin._common.bundled import DEFAULT_ACCELERATION
 from twin.compensation import Compensator, Options
 from twin.compensation.verification import Verification, on_exact_path, verify
 from twin.controls import linuxcnc
 
 pytestmark = [needs_linuxcnc]
 TOOL = 120.0
-CORNER_UM = 1e3 * linuxcnc.DEFAULT_ACCELERATION * linuxcnc.PERIOD_S**2 / 6.0 + 0.05
+CORNER_UM = 1e3 * DEFAULT_ACCELERATION * linuxcnc.PERIOD_S**2 / 6.0 + 0.05
 """At a corner on the exact path: the control's interpolation, (x₋₁ + 4x₀ + x₁)/6, joins the last and the first step, a·T² at most."""
 LINE = "G21 G90 {}\nG0 X100 Y225 Z-200 B0 C0\nG1 X400 F9000\nY325\nG0 Z-100\nM2\n"
 

@@ -12,14 +12,14 @@ from importlib import import_module
 from typing import Any, Final, Literal, get_args
 
 INSTRUMENTS: Final = {
-    "tracker": "tracker:AT960",
-    "tracker-absolute": "tracker:AT960_ABSOLUTE",
-    "interferometer": "interferometer:TrackingInterferometer",
-    "linear-interferometer": "linear:LinearInterferometer",
-    "level": "level:Level",
-    "probe": "probe:TouchProbe",
-    "r-test": "r_test:RTest",
-    "ball-bar": "ball_bar:BallBar",
+    "tracker": "points:AT960",
+    "tracker-absolute": "points:AT960_ABSOLUTE",
+    "interferometer": "lengths:TrackingInterferometer",
+    "linear-interferometer": "lengths:LinearInterferometer",
+    "level": "points:Level",
+    "probe": "points:TouchProbe",
+    "r-test": "points:RTest",
+    "ball-bar": "lengths:BallBar",
 }
 """Instruments whose readings a measurement table can contain: `twin.measurement.instruments`."""
 MEASURED_FORMATS: Final = {

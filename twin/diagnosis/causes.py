@@ -20,6 +20,7 @@ import numpy as np
 
 from twin._common.arrays import read_only
 from twin._common.distributions import f_log_sf, normal_sf
+from twin._common.records import APPROACH
 from twin._common.units import MM, UM
 from twin.diagnosis.alternatives import (
     between_positions,
@@ -51,7 +52,6 @@ from twin.model.calibration import Calibration
 from twin.model.effects import Effect, Payload
 from twin.model.effects.base import CENTRE_RANGE_MM, LOAD, SIDES
 from twin.model.effects.gravity_compliance import CARRIED_LOAD, PAYLOAD, AddedLoad, payloads_of
-from twin.model.effects.harmonic import APPROACH
 from twin.numerics.covariance import Covariance
 
 NEGLIGIBLE_EXCESS: Final = 0.01  # share of the excess below which residuals are no finding: real machines have some

@@ -5,6 +5,7 @@ pandas, xarray and ipywidgets are the extra `notebook`: `pip install 'twin[noteb
 
 from __future__ import annotations
 
+import contextlib
 import io
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -89,13 +90,10 @@ def to_frame(what: Calibration | Measurements, machine: Machine | None = None) -
     lines = text.splitlines()
     comments = [line for line in lines if line.startswith("#")]
     body = "\n".join(line for line in lines if not line.startswith("#"))
-    frame = pandas.read_csv(
-        io.StringIO(body),
-        dtype=dict.fromkeys(_TEXT, str),
-        float_precision="round_trip",
-        keep_default_na=False,
-        na_values=[""],
-    )
+    frame = pandas.read_csv(io.StringIO(body), dtype=str, keep_default_na=False, na_values=[""])
+    for name in frame.columns.difference(_TEXT, sort=False):
+        with contextlib.suppress(ValueError):  # the name of a round that is no number
+            frame[name] = frame[name].map(float)
     frame.attrs[_COMMENTS] = comments
     return frame
 

@@ -145,7 +145,6 @@ HARMONIC: Final = Specification(
 
 # --- Smooth functions of the columns of a table, of which empirical effects and patterns of unknown cause are sums
 
-APPROACH: Final = "approach_"
 ROUNDING: Final = 1e-6
 """Tolerance for leaving a range, as a fraction of it."""
 TURN_DEG: Final = 360.0
