@@ -92,10 +92,17 @@ def to_frame(what: Calibration | Measurements, machine: Machine | None = None) -
     body = "\n".join(line for line in lines if not line.startswith("#"))
     frame = pandas.read_csv(io.StringIO(body), dtype=str, keep_default_na=False, na_values=[""])
     for name in frame.columns.difference(_TEXT, sort=False):
-        with contextlib.suppress(ValueError):  # the name of a round that is no number
-            frame[name] = frame[name].map(float)
+        frame[name] = _exact(frame[name])
     frame.attrs[_COMMENTS] = comments
     return frame
+
+
+def _exact(texts: pd.Series[Any]) -> pd.Series[Any]:
+    """Return a column as whole numbers, else as the doubles nearest to its texts, else, as the names of rounds, unchanged."""
+    for number in (int, float):
+        with contextlib.suppress(ValueError):
+            return texts.map(number)
+    return texts
 
 
 def calibration_from_frame(frame: pd.DataFrame, calibration: Calibration) -> Calibration:

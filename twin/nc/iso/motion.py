@@ -252,6 +252,10 @@ class IsoDrilling(IsoShift):
         if not self._level_given:
             self.note("drilling cycle without G98 or G99: G98 is assumed (retract to the initial level)", once=True)
         if at < max(top, self._retract) - 1e-9 and (self.cycle is not None or at < top - 1e-9):
+            if self.control == "LinuxCNC":
+                raise self._refused(
+                    f"{axis} is below R", f"{axis} at R or above: the control would raise it before it goes to the hole"
+                )
             self.note(
                 "the tool goes to this hole at the height of the one before (Fanuc); LinuxCNC raises it first to the new R "
                 "or, after G98, to the initial level",
