@@ -167,6 +167,7 @@ def test_an_ordinary_user_needs_no_name_of_one(machine: twin.Machine, tmp_path: 
     assert "µm largest before" in said and not linuxcnc.LOCK.exists()
 
 
+@pytest.mark.slow  # 17 s, in which the control moves
 def test_corners_and_corrections_that_the_control_joins_are_its_own_share(
     machine: twin.Machine, tmp_path: Path
 ) -> None:

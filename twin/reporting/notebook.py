@@ -17,6 +17,7 @@ import numpy as np
 
 from twin._common.errors import InputError, closest_name
 from twin._common.files import scratch_folder
+from twin._common.units import TURN
 from twin.display import readable
 from twin.display.numbers import COVERAGE_FACTOR
 from twin.machine.machine import Machine
@@ -471,8 +472,6 @@ def _axis_label(field: xr.Dataset, name: str) -> str:
 
 # --- A slider for each axis, with the machine in that position and the error at the tool there (ipywidgets)
 
-TURN_DEG: Final = 360.0
-
 
 def axis_sliders(kinematics: Kinematics) -> ipywidgets.Box:
     """Return sliders for the axes, with a drawing of the machine and the error at the tool in that position.
@@ -497,7 +496,7 @@ def axis_sliders(kinematics: Kinematics) -> ipywidgets.Box:
     warnings = "; ".join(warning.title for warning in kinematics.calibration.warnings)
     sliders: dict[str, Any] = {}
     for axis, (low, high) in zip(machine.axes, machine.limits / machine.scale[:, None], strict=True):
-        low, high = max(low, -TURN_DEG if not axis.linear else low), min(high, TURN_DEG if not axis.linear else high)
+        low, high = max(low, -TURN if not axis.linear else low), min(high, TURN if not axis.linear else high)
         middle = float(np.clip((low + high) / 2.0 if axis.linear else 0.0, low, high))
         unit = "mm" if axis.linear else "°"
         sliders[axis.name] = widgets.FloatSlider(
