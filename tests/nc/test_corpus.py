@@ -68,6 +68,7 @@ def compensated(path: Path, machine: Machine, errors: Calibration) -> Compensati
     return Compensator(machine, errors, Options(setup=SETUP)).compensate(read, dialect)
 
 
+@pytest.mark.sample(24)  # of 48
 @pytest.mark.parametrize("path", PROGRAMS, ids=lambda path: path.name)
 def test_the_output_leads_the_real_machine_where_the_program_means(
     dmu50: Machine, errors: Calibration, path: Path

@@ -130,6 +130,7 @@ def test_a_failure_beyond_an_incomplete_uncertainty_is_a_failure(dmu50: Machine,
     assert judged(dmu50, tmp_path, MINE, tool=1e4).items[0].verdict == "undecided"
 
 
+@pytest.mark.sample(2)  # of 4
 @pytest.mark.parametrize(
     ("tolerances", "status", "words"),
     [

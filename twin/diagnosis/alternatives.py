@@ -16,7 +16,7 @@ import numpy as np
 
 from twin._common.arrays import first_largest, largest_first, read_only
 from twin._common.messages import Message, Number, joined
-from twin._common.units import MM
+from twin._common.units import MM, TURN
 from twin.diagnosis.candidates.calibration import ITSELF, constant_dropped, flaw, times
 from twin.diagnosis.candidates.candidate import STRAIGHT_LINE
 from twin.diagnosis.candidates.instrument import assumed_zero
@@ -34,7 +34,6 @@ from twin.measurement.table import Measurements
 from twin.model.calibration import Calibration
 from twin.model.effects import assemble
 from twin.model.effects.base import axis_of
-from twin.model.effects.harmonic import TURN_DEG
 from twin.model.effects.specification import FittedCause
 from twin.numerics.functions import SHORTEST_PERIOD, sampling_frequency
 from twin.tool.uncertainty import volume
@@ -462,7 +461,7 @@ def equal_orders(candidates: Candidates, forms: Sequence[Form], form: Form) -> s
     others = [other for other in forms if other is not form]
     explained = candidates.scores(others, [other.index for other in (form, *tried)])[:, 0]
     orders = [
-        TURN_DEG / specification.drawing.period(other.variant.fixed)
+        TURN / specification.drawing.period(other.variant.fixed)
         for other, value in zip(tried, explained[1:], strict=True)
         if value > explained[0] - ALIAS_CHI2
     ]
@@ -471,7 +470,7 @@ def equal_orders(candidates: Candidates, forms: Sequence[Form], form: Form) -> s
     network = candidates.problem.network
     axis = network.machine.by_name[axis_of(form.candidate.where)]
     arc = float(np.ptp(network.data.positions[:, network.machine.names.index(axis.name)]))
-    travel = TURN_DEG if axis.lower is None or axis.upper is None else min(axis.upper - axis.lower, TURN_DEG)
+    travel = TURN if axis.lower is None or axis.upper is None else min(axis.upper - axis.lower, TURN)
     beyond = Message(": beyond the measured arc the error is unknown") if arc < ARC_COVERED * travel else ""
     return Message(
         "; orders {orders} fit equally well at these angles{beyond}",

@@ -21,6 +21,7 @@ import numpy as np
 from twin._common.arrays import read_only
 from twin._common.distributions import f_log_sf, normal_sf
 from twin._common.messages import Message, Number
+from twin._common.records import APPROACH
 from twin._common.units import MM, UM
 from twin.diagnosis.alternatives import (
     between_positions,
@@ -60,7 +61,6 @@ from twin.model.effects import Effect, Payload
 from twin.model.effects.base import CENTRE_RANGE_MM, LOAD, SEARCHED, SIDES, axis_of
 from twin.model.effects.empirical import channel_name
 from twin.model.effects.gravity_compliance import CARRIED_LOAD, PAYLOAD, SIDE_NAMES, AddedLoad, payloads_of
-from twin.model.effects.harmonic import APPROACH
 from twin.numerics.covariance import Covariance
 
 NEGLIGIBLE_EXCESS: Final = 0.01  # share of the excess below which residuals are no finding: real machines have some

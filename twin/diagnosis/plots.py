@@ -17,6 +17,7 @@ from matplotlib.ticker import MaxNLocator
 
 from twin._common.errors import InputError
 from twin._common.messages import Message, joined, say
+from twin._common.records import APPROACH
 from twin.diagnosis.candidates import SPECIFICATIONS
 from twin.diagnosis.result import Cause, DiagnosisResult
 from twin.diagnosis.text import cause_title, column, side
@@ -27,7 +28,6 @@ from twin.machine.machine import Machine
 from twin.measurement.observation import machine_state
 from twin.model.effects import Effect
 from twin.model.effects.base import axis_of, motion_in_words
-from twin.model.effects.harmonic import APPROACH
 from twin.model.effects.specification import Drawing
 
 MOST_POSITIONS: Final = 24  # number of distinct positions up to which each forms a group

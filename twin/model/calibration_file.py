@@ -32,7 +32,7 @@ from twin._common.errors import InputError, closest_name
 from twin._common.families import BasicClass
 from twin._common.messages import joined, message_data, message_from
 from twin._common.provenance import MODEL_NOT_TESTED, NOISE_CONTRADICTED, SYSTEMATIC_RESIDUALS, SourceWarning
-from twin._common.records import is_temperature
+from twin._common.records import APPROACH, is_temperature
 from twin._common.yaml_files import yaml_text
 from twin.machine.machine import ErrorFrame, Machine
 from twin.machine.machine_file import FileEntry
@@ -41,7 +41,7 @@ from twin.model.effects.base import numbered, rest_orientation
 from twin.model.effects.empirical import FrameRotation, channel_name
 from twin.model.effects.entries import effect_named, payload_named
 from twin.model.effects.gravity_compliance import CARRIED_LOAD, PAYLOAD
-from twin.model.effects.harmonic import APPROACH, Kind, Waves
+from twin.model.effects.harmonic import Kind, Waves
 from twin.model.effects.table_load import TableLoad
 from twin.numerics.covariance import Covariance
 

@@ -16,7 +16,7 @@ from matplotlib.projections.polar import PolarAxes
 
 from twin._common.messages import Message, Number, joined, say
 from twin._common.provenance import warning_texts
-from twin._common.units import DEG
+from twin._common.units import DEG, HOUR
 from twin.display import Html, figure, readable, render
 from twin.display.figures import (
     BACKWARD,
@@ -328,7 +328,6 @@ def _ticks(extent: float) -> list[float]:
 
 SERIES: Final = (FORWARD, BACKWARD, THIRD, BOTH, "#cc79a7", "#e69f00", "#56b4e9", RUN)
 STYLES: Final = ("-", "--", ":", "-.")
-HOUR: Final = 3600.0
 LEGEND_ROWS: Final = 8
 
 

@@ -602,6 +602,18 @@ def motions_of(
     return parts
 
 
+def follow_sections(
+    program: Program, reading: Interpretation, space: WordSpace
+) -> tuple[Sections, ToolPath, list[SectionMotions]]:
+    """Return a program's sections, its motions as `follow` does, and those of every section; `InputError` also without a motion."""
+    sections = Sections(space, program.source)
+    found = sections.add(as_columns(space.axes.names, reading.moves), reading.frames)
+    path = follow(program, reading, space, found)
+    if not path.motions:
+        raise motionless(program.source, path.unknown)
+    return sections, path, motions_of(space, found, path)
+
+
 def replace_first(path: ToolPath, before: WordSpace, space: WordSpace) -> ToolPath:
     """Return a path whose first motion has no length: it stays on its end point, in words of another conversion."""
     columns = path.columns

@@ -14,6 +14,7 @@ import numpy as np
 
 from twin._common.csv_tables import read_table
 from twin._common.errors import InputError, closest_name
+from twin._common.records import TIME
 from twin._common.units import count_with_noun
 from twin._common.yaml_files import quoted
 from twin.machine.machine import Machine
@@ -210,7 +211,6 @@ def _differ(own: str, planned: str, rounded: bool) -> bool:
 # --- Cells of a measurement table ------------------------------------------------------------
 
 WORD_COLUMNS: Final = ("target", "carrier", "station", "station_carrier", "instrument", "round")
-TIME: Final = "time_s"
 MOST_EMPTY: Final = 0.2
 """Share of empty cells of a coordinate up to which they are failures, not coordinates that were not to be measured."""
 

@@ -14,6 +14,7 @@ from twin._common.arrays import read_only
 from twin._common.errors import InputError, printable
 from twin._common.files import other_kind, read_bytes, scratch_folder, write_atomic
 from twin._common.provenance import SIMULATED, SourceWarning, warning_texts, warnings_to_json
+from twin._common.records import TIME
 from twin._common.units import count_with_noun
 from twin.display.results import Result
 from twin.machine.machine import Machine
@@ -21,7 +22,7 @@ from twin.measurement.agreement import ColumnChange, wrong_columns
 from twin.measurement.columns import POINT_COLUMNS, RowNote, comment_lines, csv_text, grouped_notes, table_columns
 from twin.measurement.columns import SIMULATED as SIMULATED_WORD
 from twin.measurement.formats import other_format
-from twin.measurement.importing.apply import TIME, Applied, PlanPoints, moment_in
+from twin.measurement.importing.apply import Applied, PlanPoints, moment_in
 from twin.measurement.importing.arrangement import table_layout
 from twin.measurement.importing.cells import MAX_BYTES, Layout, read_cells
 from twin.measurement.importing.columns import Proposal, quoted

@@ -143,6 +143,11 @@ def along(axis: Axis, value: Any) -> dict[int, Any]:
     return {start + i: value * part for i, part in enumerate(axis.direction) if part != 0.0}
 
 
+def along_scale(axis: Axis, positions: Mapping[str, Any], by: Any) -> tuple[dict[int, Any], dict[int, Any]]:
+    """Return what a scale in µm/m and an offset in µm, both in proportion to ``by``, displace along a linear axis, each per unit."""
+    return along(axis, 1e-3 * positions[axis.name] * by), along(axis, by)
+
+
 @final
 class RecordingState(dict[str, Any]):
     """State of one pose inside the ranges that answers any request for a channel and records its name in ``asked``."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from twin._common.messages import Message
 from twin.machine.machine import Axis, Machine
-from twin.model.effects.base import AlongAxis, Payload, ToolSide, ToolSideShift, along, channel, directions
+from twin.model.effects.base import AlongAxis, Payload, ToolSide, ToolSideShift, along, along_scale, channel, directions
 from twin.model.effects.specification import (
     EXTENDING,
     Advice,
@@ -188,11 +188,7 @@ class ScaleDrift(AlongAxis):
         time = channel(positions, "time_s", self.name)
         decay = exp(-time / self.time_constant)
         by_constant = -self._size(positions) * decay * time / self.time_constant**2
-        return (
-            along(self.axis, 1e-3 * positions[self.axis.name] * (1.0 - decay)),
-            along(self.axis, 1.0 - decay),
-            along(self.axis, by_constant),
-        )
+        return *along_scale(self.axis, positions, 1.0 - decay), along(self.axis, by_constant)
 
     def _size(self, positions: Mapping[str, Any]) -> Any:
         return 1e-3 * self.amplitude * positions[self.axis.name] + self.offset
@@ -212,8 +208,7 @@ class SteadyScaleDrift(AlongAxis):
 
     def derivatives(self, positions: Mapping[str, Any]) -> tuple[Mapping[int, Any], ...]:
         """See `Effect.derivatives`; needs ``time_s``."""
-        hours = channel(positions, "time_s", self.name) / 3600.0
-        return along(self.axis, 1e-3 * positions[self.axis.name] * hours), along(self.axis, hours)
+        return along_scale(self.axis, positions, channel(positions, "time_s", self.name) / 3600.0)
 
 
 def _make_scale_drift(

@@ -8,7 +8,7 @@ from typing import Any, Final, final
 
 from twin._common.messages import Message
 from twin.machine.machine import Axis, Machine
-from twin.model.effects.base import AlongAxis, Payload, along, channel
+from twin.model.effects.base import AlongAxis, Payload, along_scale, channel
 from twin.model.effects.specification import (
     EXTENDED,
     NOT_TWICE,
@@ -39,7 +39,7 @@ class ThermalExpansion(AlongAxis):
     def derivatives(self, positions: Mapping[str, Any]) -> tuple[Mapping[int, Any], ...]:
         """See `Effect.derivatives`; needs ``T_<axis>_degC``."""
         warm = channel(positions, f"T_{self.axis.name}_degC", self.name) - REFERENCE_DEGC
-        return (along(self.axis, 1e-3 * positions[self.axis.name] * warm),)
+        return along_scale(self.axis, positions, warm)[:1]
 
 
 THERMAL_EXPANSION: Final = Specification(
@@ -80,7 +80,7 @@ class ScaleGrowth(AlongAxis):
     def derivatives(self, positions: Mapping[str, Any]) -> tuple[Mapping[int, Any], ...]:
         """See `Effect.derivatives`; needs ``T_<axis>_degC``."""
         warm = channel(positions, f"T_{self.axis.name}_degC", self.name) - REFERENCE_DEGC
-        return along(self.axis, 1e-3 * positions[self.axis.name] * warm), along(self.axis, warm)
+        return along_scale(self.axis, positions, warm)
 
 
 def _forms(machine: Machine, where: str, state: State, payloads: Sequence[Payload] | None) -> Forms:

@@ -162,8 +162,8 @@ class IsoInliner(Inliner):
     def _macro(self, line: Line, bare: str) -> Call:
         words = [(letter.upper(), value) for letter, value in _WORD.findall(bare)]
         values = dict(words)
-        if len(values) < len(words) or not values.get("P", "").isdigit():
-            raise refused("macro call", "G65 with a program number P and each argument once", line)
+        if len(values) < len(words) or not values.get("P", "").isdigit() or not values.get("L", "1").isdigit():
+            raise refused("macro call", "G65 with a program number P, a whole number L, and each argument once", line)
         unknown = set(values) - set(_ARGUMENTS) - {"G", "P", "L"}
         if unknown:
             raise refused("macro call", f"arguments other than {' '.join(sorted(unknown))}", line)

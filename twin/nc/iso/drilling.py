@@ -325,12 +325,7 @@ class IsoDrilling(IsoShift):
             )
         if not self._level_given:
             self.note("drilling cycle without G98 or G99: G98 is assumed (retract to the initial level)", once=True)
-        if at < max(top, self._retract) - 1e-9 and (self.cycle is not None or at < top - 1e-9):
-            self.note(
-                "the tool goes to this hole at the height of the one before (Fanuc); LinuxCNC raises it first to the new R "
-                "or, after G98, to the initial level",
-                once=True,
-            )
+        self._check_height(axis, at, top)
         if self._left:
             self.note_kept(f"G{self.code}")
         if self.code == cycles.FROM_INITIAL and (self.incremental or at != self._initial):
@@ -340,6 +335,19 @@ class IsoDrilling(IsoShift):
             return cycles.of_fanuc(self.code, self._height, self._dwell, retract, words)
         except ValueError as error:
             raise self._refused("cycle", str(error)) from None
+
+    def _check_height(self, axis: str, at: float, top: float) -> None:
+        """Note, or refuse where the control is known to raise the tool first, a cycle from below the height at which the tool goes on."""
+        if not (at < max(top, self._retract) - 1e-9 and (self.cycle is not None or at < top - 1e-9)):
+            return
+        if self.control == "LinuxCNC":
+            expected = f"{axis} at R or above: the control would raise it before it goes to the hole"
+            raise self._refused(f"{axis} is below R", expected)
+        self.note(
+            "the tool goes to this hole at the height of the one before (Fanuc); LinuxCNC raises it first to the new R "
+            "or, after G98, to the initial level",
+            once=True,
+        )
 
     def note_kept(self, name: str) -> None:
         """Note that a cycle is left to the control."""
