@@ -337,7 +337,7 @@ class IsoDrilling(IsoShift):
             raise self._refused("cycle", str(error)) from None
 
     def _check_height(self, axis: str, at: float, top: float) -> None:
-        """Note, or refuse where the control is known to raise the tool first, a cycle from below the height at which the tool goes on."""
+        """Note, or refuse where the control raises the tool first, a cycle from below the height at which the tool goes on."""
         if not (at < max(top, self._retract) - 1e-9 and (self.cycle is not None or at < top - 1e-9)):
             return
         if self.control == "LinuxCNC":
