@@ -10,8 +10,10 @@ import inspect
 import re
 import tomllib
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from html import escape
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import nbformat
@@ -45,8 +47,9 @@ def generated() -> Iterator[tuple[str, str | bytes]]:
     yield "development/packages.svg", package_diagram()
     for picture in sorted(PICTURES.glob("*.png")):
         yield f"pictures/{picture.name}", picture.read_bytes()
-    for notebook in sorted((ROOT / "notebooks").glob("*.ipynb")):
-        yield from course_pages(notebook)
+    with ThreadPoolExecutor(2) as pool:  # each executes in a process of its own
+        for pages in pool.map(course_pages, sorted((ROOT / "notebooks").glob("*.ipynb"))):
+            yield from pages
 
 
 def manual_page(name: str) -> str:
@@ -124,15 +127,15 @@ def package_diagram() -> str:
     return f'<svg xmlns="http://www.w3.org/2000/svg" {size} style="{style}">{"".join(shapes)}</svg>'
 
 
-def course_pages(path: Path) -> Iterator[tuple[str, str | bytes]]:
-    """Execute a notebook; yield its page and its pictures."""
+def course_pages(path: Path) -> list[tuple[str, str | bytes]]:
+    """Execute a notebook in an empty folder; return its page and its pictures."""
     notebook = nbformat.read(path, as_version=4)
-    NotebookClient(notebook, timeout=600, resources={"metadata": {"path": str(path.parent)}}).execute()
+    with TemporaryDirectory() as folder:
+        NotebookClient(notebook, timeout=600, resources={"metadata": {"path": folder}}).execute()
     text, resources = MarkdownExporter().from_notebook_node(notebook, {"output_files_dir": path.stem})
     text = re.sub(r"\]\((\w+)\.ipynb\b", r"](\1.md", text)
-    yield f"course/{path.stem}.md", without_blank_lines_in_html(text)
-    for name, content in resources.get("outputs", {}).items():
-        yield f"course/{name}", content
+    pictures = [(f"course/{name}", content) for name, content in resources.get("outputs", {}).items()]
+    return [(f"course/{path.stem}.md", without_blank_lines_in_html(text)), *pictures]
 
 
 def without_blank_lines_in_html(text: str) -> str:

@@ -26,8 +26,11 @@ def run_chromium(page: str, *options: str) -> subprocess.CompletedProcess[str]:
 
 
 def title_of(text: str, path: Path, expression: str, *, width: int) -> str:
-    """Write a page to a file, open it in a window of some width, and return a JavaScript expression evaluated after loading."""
-    probe = f"<script>onload = () => {{ document.title = {expression}; }}</script></body>"
+    """Write a page to a file, open it in a window of some width, and return a JavaScript expression evaluated 2 s after loading.
+
+    A frame may unpack itself after loading.
+    """
+    probe = f"<script>onload = () => setTimeout(() => {{ document.title = {expression}; }}, 2000)</script></body>"
     before, _, after = text.rpartition("</body>")
     path.write_text(f"{before}{probe}{after}", encoding="utf-8")
     done = run_chromium(path.as_uri(), f"--window-size={width},900", "--virtual-time-budget=5000", "--dump-dom")

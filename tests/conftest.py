@@ -30,7 +30,7 @@ os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # of the commands that tests start: the run itself uses all cores
-# Two workers share two cores (pyproject.toml): threads of a linear algebra library would only stand in each other's way.
+# Three workers share two cores (pyproject.toml): threads of a linear algebra library would only stand in each other's way.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 one_blas_thread()
 
@@ -43,7 +43,7 @@ commands.load = cache(commands.load)
 # No deadline: two shared cores make time no measure of right or wrong. By default the same few examples every time; a slow run
 # draws new ones, and more, from a seed (`pytest_configure`), and keeps no database, so that the seed alone brings a failure back.
 settings.register_profile(
-    "twin", deadline=None, derandomize=True, max_examples=40, suppress_health_check=[HealthCheck.too_slow]
+    "twin", deadline=None, derandomize=True, max_examples=25, suppress_health_check=[HealthCheck.too_slow]
 )
 settings.register_profile(
     "new examples", settings.get_profile("twin"), derandomize=False, max_examples=200, database=None
@@ -113,10 +113,20 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: p
 
 
 class OneControl(LoadFileScheduling):
-    """Modules stay together, and those that run LinuxCNC go to one process: a computer runs one control."""
+    """Modules stay together, and those that run LinuxCNC go to one process: a computer runs one control.
+
+    They go first: a control moves in real time, so that this process waits for minutes, in which the others have both cores.
+    """
+
+    CONTROL = "tests/linuxcnc"
 
     def _split_scope(self, nodeid: str) -> str:
-        return "tests/linuxcnc" if nodeid.startswith("tests/linuxcnc/") else str(super()._split_scope(nodeid))
+        return self.CONTROL if nodeid.startswith(f"{self.CONTROL}/") else str(super()._split_scope(nodeid))
+
+    def _assign_work_unit(self, node: Any) -> None:
+        if self.CONTROL in self.workqueue:
+            self.workqueue.move_to_end(self.CONTROL, last=False)
+        super()._assign_work_unit(node)
 
 
 @pytest.hookimpl(optionalhook=True)

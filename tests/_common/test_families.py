@@ -36,7 +36,7 @@ def test_members_have_the_names_of_their_table(table: Collection[str], found: tu
 
 def test_a_wrong_name_is_found() -> None:
     with pytest.raises(LookupError, match="no member of the name 'levels'"):
-        families.members("twin.measurement.instruments", {"levels": "level:Level"})
+        families.members("twin.measurement.instruments", {"levels": "points:Level"})
 
 
 def test_names_refer_to_members() -> None:

@@ -8,10 +8,22 @@ import pickle
 from html import escape, unescape
 
 import pytest
+import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from twin._common.messages import Message, Number, Quoted, Translation, joined, say, say_html, translated
+from twin._common.messages import (
+    Message,
+    Number,
+    Quoted,
+    Translation,
+    joined,
+    message_data,
+    message_from,
+    say,
+    say_html,
+    translated,
+)
 from twin.display import Html, expanded, figure, with_half
 from twin.display.markup import templates
 from twin.display.numbers import capital, listed, lower
@@ -81,3 +93,42 @@ def test_any_text_survives(text: str) -> None:
             assert say(value) == text
             shown = say_html(value).removeprefix("<span lang=en>").removesuffix("</span>")
             assert unescape(shown) == unescape(escape(text)) and "<" not in shown
+
+
+def test_a_message_is_kept_in_a_file() -> None:
+    """The data are plain, as YAML can hold them, and give the same message in every language."""
+    names = joined(", ", [Message("station {name}", name="1"), "target K"])
+    message = Message(
+        "cannot be separated from {names}", names=Message("{names} and {count} more", names=names, count=3)
+    )
+    data = yaml.safe_load(yaml.safe_dump(message_data(message)))
+    read = message_from(data)
+    assert isinstance(read, Message) and read == message == "cannot be separated from station 1, target K and 3 more"
+    german = Translation(
+        {
+            "cannot be separated from {names}": "nicht zu trennen von {names}",
+            "{names} and {count} more": "{names} und {count} weitere",
+            "station {name}": "Standpunkt {name}",
+        }
+    )
+    assert german.text(read) == "nicht zu trennen von Standpunkt 1, target K und 3 weitere"
+    assert message_from("plain") == "plain" and message_data("plain") == "plain"
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        "",
+        None,
+        3,
+        [],
+        {},
+        {"text": "a {b}"},
+        {"text": "a", "b": "c"},
+        {"text": "{b.c}", "b": "d"},
+        {"text": "{0}", "0": "d"},
+    ],
+)
+def test_what_is_no_message_is_refused(data: object) -> None:
+    with pytest.raises(ValueError, match=r"expected text|in braces"):
+        message_from(data)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import shlex
+from pathlib import Path
 
 import pytest
 from rich.console import Console
@@ -27,6 +28,14 @@ def test_no_word_is_cut_at_80_columns(name: str) -> None:
     assert max(map(len, narrow)) <= 80
     words = {word for line in wide for word in re.findall(r"[^\s─━]+", line)}
     assert not words - {word for line in narrow for word in (*line.split(), *re.findall(r"[^\s]+(?=:)", line))}
+
+
+def test_every_page_can_be_shown() -> None:
+    """Every file of the manual is a page, and every page that README or the manual names is one."""
+    root = Path(__file__).parents[2]
+    files = [*(root / "twin/cli/manual").glob("*.md"), root / "README.md"]
+    assert {path.stem for path in files[:-1]} == {*PAGES}
+    assert {name for path in files for name in re.findall(r"twin doc ([a-z]+)", path.read_text())} <= {*PAGES}
 
 
 def test_a_long_command_stays_a_command() -> None:

@@ -160,7 +160,7 @@ def test_the_scene_uses_the_same_frames(dmu50: Machine, errors: Calibration, tmp
         ("G54\nG0 X0 Y0 Z60\nG56\nG0 X1\n", 4, "no such work offset"),
         ("T9 M6\nG54\nG0 X0 Y0 Z60\n", 3, "no such tool"),
         ("M6\nG54\nG0 X0 Y0 Z60\n", 1, "tool change without a tool"),
-        ("G54\nG43.1 Z10\nG0 X0 Y0 Z60\n", 2, "tool length by G43.1"),
+        ("G54\nG43.1 H1\nG0 X0 Y0 Z60\n", 2, "tool length by G43.1"),
         ("G54\nT=_A M6\nG0 X0 Y0 Z60\n", 2, "value of T is unknown"),
     ],
 )

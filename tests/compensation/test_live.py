@@ -425,15 +425,21 @@ def test_an_effect_without_a_pin_is_refused(tmp_path: Path) -> None:
     assert not (tmp_path / "live").exists()
 
 
-@pytest.fixture
-def component(tmp_path: Path) -> types.ModuleType:
-    """Return the component that supplies the temperatures of two sensors; without HAL, which it imports when it runs."""
+@pytest.fixture(scope="module")
+def component_text(tmp_path_factory: pytest.TempPathFactory) -> str:
+    folder = tmp_path_factory.mktemp("component") / "live"
     machine = twin.Machine.load("dmu50")
     named = {"thermal_growth Z by bed": {"coefficient": 12.0}, "thermal_expansion X": {"coefficient": 9.0}}
     extra = tuple(twin.effect_named(*name.split(" ", 1), numbers, machine) for name, numbers in named.items())
-    write_module(make_module(replace(twin.Calibration.zero(machine), extra=extra)), tmp_path / "live")
+    write_module(make_module(replace(twin.Calibration.zero(machine), extra=extra)), folder)
+    return (folder / "twinlive.py").read_text()
+
+
+@pytest.fixture
+def component(component_text: str) -> types.ModuleType:
+    """Return the component that supplies the temperatures of two sensors; without HAL, which it imports when it runs."""
     module = types.ModuleType("twinlive")
-    exec(compile((tmp_path / "live" / "twinlive.py").read_text(), "twinlive.py", "exec"), vars(module))
+    exec(compile(component_text, "twinlive.py", "exec"), vars(module))
     return module
 
 

@@ -22,6 +22,7 @@ from tests.truth.hidden import Hidden
 from twin._common.errors import InputError
 from twin._common.provenance import ILLUSTRATIVE, SIMULATED, UNKNOWN_UNCERTAINTY
 from twin.diagnosis import Diagnosis, diagnose
+from twin.diagnosis.answer import WIDTH
 from twin.diagnosis.candidates import SPECIFICATIONS, catalogue
 from twin.diagnosis.page import diagnosis_html
 from twin.diagnosis.plots import (
@@ -33,7 +34,7 @@ from twin.diagnosis.plots import (
     residual_panels,
 )
 from twin.diagnosis.result import Unexplained
-from twin.diagnosis.text import WIDTH, cause_title, chance, measured, odds, separating_points
+from twin.diagnosis.text import cause_title, chance, measured, odds, separating_points
 from twin.machine.machine import Machine
 from twin.measurement.instruments import LaserTracker
 from twin.measurement.table import Measurements
@@ -365,7 +366,7 @@ def test_points_are_grouped_by_the_causes_they_separate() -> None:
     (none,) = separating_points([{**point, "expected_chi2": 1e-8}], 4.0)
     assert none.rows == () and "0.0004 µm" in none.verdict and "Either can be used" in none.verdict
     (instrument,) = separating_points(
-        [{"separates": ["reversal Y", "frame_shift round 2"], "text": "to separate: repeat it"}], 4.0
+        [{"separates": ["reversal Y", "frame_shift round 2"], "decided_by": "repeat it"}], 4.0
     )
     assert instrument.verdict == "Repeat it."
 

@@ -346,6 +346,36 @@ def test_each_kind(name: str, tmp_path: Path) -> None:
     assert not wrong(name, result, truth)
 
 
+def seen(folder: Path, hide: Callable[[Plan], Errors]) -> Diagnosis:
+    rng, machine = np.random.default_rng(7), Machine.load("trunnion_ac")
+    of = trunnion.plan(rng)
+    path = trunnion.write(folder / "read.csv", of, trunnion.readings(of, hide(of), rng))
+    return diagnose(Measurements.load(path, machine), machine, Calibration.zero(machine))
+
+
+@pytest.mark.parametrize(("size", "longest"), [(3.0, "a lag of up to 15 min"), (12.0, "")])
+def test_a_growth_says_which_lag_is_not_excluded(size: float, longest: str, tmp_path: Path) -> None:
+    """The weak one may follow a quarter of an hour later, with a coefficient outside its interval; the strong one does not."""
+    result = seen(tmp_path, lambda of: Errors(tool=np.outer(UM * size * (of.warm["Z"] - 20.0), [0.0, 0.0, 1.0])))
+    (cause,) = result.causes
+    assert (cause.effect, cause.where) == ("thermal_growth", "Z by Z")
+    assert (("thermal_lag", "Z by Z") in cause.equivalent) == ("cannot be excluded" in cause.evidence) == bool(longest)
+    assert longest in cause.evidence and (result.verdict == "ambiguous") == bool(longest)
+
+
+def test_a_course_in_time_may_follow_a_temperature(tmp_path: Path) -> None:
+    """X's scale follows its temperature, which only rises, but not in proportion: the course in time is known for this one only."""
+
+    def hide(of: Plan) -> Errors:
+        warm = (of.warm["X"] - 20.0) / 0.43
+        return motion("X", x=UM * 16.0 * warm**2 / (1.0 + warm**2) * (of.at("X") - 300.0) / 600.0)
+
+    result = seen(tmp_path, hide)
+    (cause,) = result.causes
+    assert (result.verdict, cause.effect, cause.where) == ("ambiguous", "scale_drift", "X")
+    assert "a smooth function of the temperature of X, not in proportion to it, fits as well" in cause.evidence
+
+
 @pytest.mark.slow
 def test_few_of_all_kinds_are_wrong(tmp_path: Path) -> None:
     """Other sizes and places: of 90 no more than 4 are wrong or not found."""

@@ -13,6 +13,7 @@ from types import MappingProxyType
 
 import numpy as np
 import pytest
+import yaml
 
 from twin._common.errors import InputError
 from twin.diagnosis import Diagnosis, causes, diagnose
@@ -336,6 +337,19 @@ def test_a_corrected_own_weight_bounds_the_payload(tmp_path: Path) -> None:
         cause = causes["gravity_compliance", name]
         assert cause.bounded and "a lower limit" in cause.evidence
         assert cause.parameters[0].value * mass == pytest.approx(COMPLIANCE[name] * 2.4, rel=0.1)
+    # The file has a load that the arm could carry, and says that it is none: the real one follows by weighing.
+    found.extended.save(tmp_path / "extended.yaml")
+    (entry,) = (
+        e for e in yaml.safe_load((tmp_path / "extended.yaml").read_text())["effects"] if e["effect"] == "payload"
+    )
+    parts = sum(mass for *_, mass, _ in JOINTS)
+    assert entry["parameters"]["mass"] == pytest.approx(parts)
+    assert entry["parameters"]["own_weight"] == pytest.approx(parts / mass)
+    again = Calibration.load(tmp_path / "extended.yaml", found.extended.machine)
+    q = np.random.default_rng(3).uniform(-60.0, 60.0, (20, 6))
+    before, after = (Kinematics(one.machine, one).forward(q).point_mm for one in (found.extended, again))
+    assert np.allclose(before, after, atol=1e-9)
+    assert any("the load on the tool side is not a mass" in notice for notice in found.data.notices)
 
 
 @pytest.mark.parametrize(
@@ -344,7 +358,7 @@ def test_a_corrected_own_weight_bounds_the_payload(tmp_path: Path) -> None:
         (2.0, 0.8, True),
         (2.0, 1.1, False),  # reaches below zero
         (38.0, 0.8, True),
-        (38.0, 1.1, False),  # reaches beyond the largest, 40 kg
+        (38.0, 1.1, False),  # reaches beyond the moving parts, 40 kg
         (40.0, 0.0, False),
         (20.0, 11.0, False),
     ],
@@ -352,7 +366,7 @@ def test_a_corrected_own_weight_bounds_the_payload(tmp_path: Path) -> None:
 def test_a_mass_is_named_if_its_interval_lies_within_its_range(mass: float, u: float, named: bool) -> None:
     payload = Payload("tool", mass, (10.0, 20.0, 30.0))
     # The prior's standard deviation is 0.577 of the range: the readings do not determine y.
-    found = causes._quantities(payload, np.array([u / 40.0, 0.1, 0.53, 0.5]), 40.0)
+    found = causes._quantities(payload, np.array([u / 400.0, 0.1, 0.53, 0.5]), 400.0)
     assert [q.name for q in found] == [*(["mass"] if named else []), "centre_x_mm", "centre_z_mm"]
     assert [q.u for q in found[-2:]] == [50.0, 250.0]
 
@@ -387,6 +401,7 @@ def test_a_joint_that_its_own_weight_does_not_load_asks_for_no_payload(tmp_path:
             "mass of payload tool",
         ),
         ("- {effect: payload, where: tool, parameters: {mass: 2}}", 7, "parameters of payload tool"),
+        (f"- {{effect: payload, where: tool, {FOUR[:-2]}, own_weight: 0}}}}", 7, "own_weight of payload tool"),
     ],
 )
 def test_a_payload_that_does_not_fit_is_refused_with_its_line(

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from tests.truth import hidden
+from tests.truth import hidden, trunnion
 from tests.truth.hidden import Hidden
 from twin.diagnosis import Cause, Diagnosis, diagnose
 from twin.machine.machine import Machine
@@ -99,3 +100,26 @@ def test_one_large_one_leaves_no_second(
     """Between two tabulated periods, 400 times what is needed to be seen."""
     result = looked_at([wave("X", 60.0, period, 0.4)], dmu50, calibration, tmp_path, 7)
     assert [(cause.effect, cause.where) for cause in result.causes] == [("pitch_error", "X")]
+
+
+@pytest.mark.parametrize(("jitter_mm", "decided"), [(2.5, True), (1.0, False)])
+def test_a_wave_on_a_grid_of_uneven_positions(jitter_mm: float, decided: bool, tmp_path: Path) -> None:
+    """12 mm on a grid of 50 mm: 2.5 mm beside it tell this period from its aliases, 1 mm do not, and nothing is written."""
+    rng, machine = np.random.default_rng(6), Machine.load("trunnion_ac")
+    of = trunnion.plan(rng)
+    places, back = np.unique(of.q[:, 0], return_inverse=True)
+    q = of.q.copy()
+    grid = np.round(places / 50.0) * 50.0 + rng.uniform(-jitter_mm, jitter_mm, len(places))
+    q[:, 0] = np.round(np.clip(grid, *trunnion.RANGES["X"]), 3)[back]
+    of, motion = replace(of, q=q), np.zeros((len(q), 6))
+    motion[:, 0] = 9e-3 * np.sin(2.0 * np.pi * q[:, 0] / 12.0 + 1.0)
+    path = trunnion.write(
+        tmp_path / "m.csv", of, trunnion.readings(of, trunnion.Errors({"X": motion}), rng), temperatures=False
+    )
+    (cause,) = diagnose(Measurements.load(path, machine), machine, Calibration.zero(machine)).causes
+    assert (cause.effect, cause.where, cause.promised) == ("pitch_error", "X", decided)
+    period, u = number(cause, "period")
+    if decided:
+        assert abs(period - 12.0) < 4.0 * u < 0.1
+    else:
+        assert abs(period - 12.0) < 0.1 or "12 mm" in cause.evidence or "12," in cause.evidence

@@ -10,7 +10,7 @@ import pytest
 
 from tests.truth.few_axes import write_stage
 from twin.diagnosis import Diagnosis, diagnose
-from twin.diagnosis.text import diagnosis_text
+from twin.diagnosis.answer import diagnosis_text
 from twin.machine.machine import Machine
 from twin.measurement.instruments import LinearInterferometer
 from twin.measurement.instruments.base import Instrument

@@ -5,12 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import combinations
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
 from scipy import stats
 
 from tests.diagnosis.battery import Case, DataSet
+from twin.diagnosis.search import select
 from twin.diagnosis.second_opinion import (
     CREDIBLE_PROBABILITY,
     FOUND_ODDS,
@@ -21,6 +24,7 @@ from twin.diagnosis.second_opinion import (
     Key,
     SingleEffect,
     SingleEffects,
+    _sum_of,
     compare_with_search,
     probability_of_any,
     second_opinion,
@@ -363,3 +367,41 @@ def test_credible_set_holds_causes_that_look_alike(data_set: DataSet) -> None:
     assert effect.posterior["cross_axis", "E_XX by Z"] == pytest.approx(
         effect.posterior["cross_axis", "E_XZ by X"], rel=0.05
     )
+
+
+def test_two_causes_are_found_where_another_alone_explains_most(data_set: DataSet) -> None:
+    """The search against the pair that made the readings: its set is worth no less, although the best single cause is a third."""
+    candidates, problem, rng = data_set.searcher.candidates, data_set.problem, np.random.default_rng(8)
+    single = [form for form in candidates.forms if len(form.columns) == 1 and not form.nonlinear]
+    tested = 0
+    while tested < 3:
+        pair = [single[i] for i in rng.choice(len(single), 2, replace=False)]
+        signature = problem.signature([form.variant.columns[0] for form in pair])
+        gram = problem.inner(signature)
+        if gram.diagonal().min() < 100.0 or abs(gram[0, 1]) > 0.3 * np.sqrt(gram.diagonal().prod()):
+            continue
+        problem.set_residual(signature @ np.sqrt(60.0 / gram.diagonal()))
+        candidates.set_problem(problem)
+        margins = candidates.margins([])
+        worth = candidates.penalised_gain(pair)
+        if max(margins.max(), 0.0) < worth and candidates.forms[int(margins.argmax())].key not in {f.key for f in pair}:
+            assert select(candidates).worth > worth - 1e-6, [form.key for form in pair]
+            tested += 1
+
+
+@pytest.mark.parametrize(("left", "is_sum"), [(12.0, True), (20.0, False)])
+def test_a_sum_is_recognised_beyond_the_noise_that_a_curve_follows(left: float, is_sum: bool) -> None:
+    """Two causes and a curve of six functions that adds noise to them: χ² of 12 is one chance in 16 there, 20 one in 360."""
+    slope = np.array([15.0, 12.0, np.sqrt(left), 0.0, 0.0, 0.0])
+    forms = [SimpleNamespace(key=key, columns=np.array(own)) for key, own in ((A, [0]), (B, [1]), (C, range(6)))]
+    candidates = SimpleNamespace(
+        forms=forms,
+        critical_table=np.zeros((3, 2)),
+        fitted=lambda some: (
+            own := np.concatenate([form.columns for form in some]),
+            slope[own],
+            np.eye(len(own)),
+        ),
+    )
+    effect = Fit(99.0, np.array([0.0, 0.0, 1.0]), slope, slope)
+    assert _sum_of(effect, cast(Any, candidates), cast(Any, forms[:2])) == ((A, B) if is_sum else ())

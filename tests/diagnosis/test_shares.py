@@ -115,3 +115,19 @@ def test_something_small_with_many_causes_is_not_named(reversal_um: float, tmp_p
     )
     share = found.causes[0].share
     assert 0.99 < share < 1.0
+
+
+def test_something_small_that_is_not_certain_is_possible(tmp_path: Path) -> None:
+    """A wave of 0.9 µm beside a backlash of 60 µm is neither named nor written: it is one chance in six that nothing is there."""
+    rng, machine = np.random.default_rng(5), Machine.load("trunnion_ac")
+    of = trunnion.plan(rng)
+    reversal, wave = np.zeros((2, len(of.q), 6))
+    reversal[:, 1] = -0.5e-3 * 60.0 * of.approach[:, 1]
+    wave[:, 0] = 0.9e-3 * np.cos(3.0 * np.radians(of.at("C")))
+    read = trunnion.readings(of, Errors({"Y": reversal, "C": wave}), rng)
+    path = trunnion.write(tmp_path / "m.csv", of, read, temperatures=False)
+    found = diagnose(Measurements.load(path, machine), machine, Calibration.zero(machine))
+    assert found.verdict == "explained" and [(c.effect, c.where) for c in found.causes] == [("reversal", "Y")]
+    assert [effect.name for effect in found.extended.extra] == ["reversal:Y"]
+    (text,) = [text for text in found.data.notices if text.startswith("possible, but not named: harmonic E_XC")]
+    assert "up to 1.2 µm in the readings" in text and "probability that this cause" in text

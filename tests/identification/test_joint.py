@@ -14,7 +14,7 @@ from tests.truth.machine import carried, written
 from twin.identification import Identification, identify
 from twin.machine.machine import Machine
 from twin.measurement.instruments import BallBar, TouchProbe
-from twin.measurement.instruments.tracker import AT960
+from twin.measurement.instruments.points import AT960
 from twin.measurement.simulate import simulate
 from twin.measurement.table import Measurements
 from twin.model.calibration import Calibration

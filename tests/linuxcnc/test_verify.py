@@ -19,13 +19,14 @@ import pytest
 import twin
 from tests.linuxcnc.control import USER, needs_linuxcnc, needs_root, skip_without_control, user_for
 from tests.truth.machine import TruthMachine
+from twin._common.bundled import DEFAULT_ACCELERATION
 from twin.compensation import Compensator, Options
 from twin.compensation.verification import Verification, on_exact_path, verify
 from twin.controls import linuxcnc
 
 pytestmark = [needs_linuxcnc]
 TOOL = 120.0
-CORNER_UM = 1e3 * linuxcnc.DEFAULT_ACCELERATION * linuxcnc.PERIOD_S**2 / 6.0 + 0.05
+CORNER_UM = 1e3 * DEFAULT_ACCELERATION * linuxcnc.PERIOD_S**2 / 6.0 + 0.05
 """At a corner on the exact path: the control's interpolation, (x₋₁ + 4x₀ + x₁)/6, joins the last and the first step, a·T² at most."""
 LINE = "G21 G90 {}\nG0 X100 Y225 Z-200 B0 C0\nG1 X400 F9000\nY325\nG0 Z-100\nM2\n"
 
@@ -166,6 +167,7 @@ def test_an_ordinary_user_needs_no_name_of_one(machine: twin.Machine, tmp_path: 
     assert "µm largest before" in said and not linuxcnc.LOCK.exists()
 
 
+@pytest.mark.slow  # 17 s, in which the control moves
 def test_corners_and_corrections_that_the_control_joins_are_its_own_share(
     machine: twin.Machine, tmp_path: Path
 ) -> None:

@@ -183,7 +183,13 @@ def expected_pose(data: dict[str, Any], q: dict[str, float], length: float) -> n
                 point = point_of(data, name)
                 whole = whole @ about(line, point, sense * q[name])
         sides[side] = whole
-    return np.linalg.inv(sides["work"]) @ sides["tool"] @ homogeneous(np.eye(3), np.array([0.0, 0.0, -length]))
+    z = np.array([float(word) for word in data.get("tool_axis", "0 0 1").split()])
+    z /= np.linalg.norm(z)
+    # A right-angle head: x of its frame in the plane of x and z, the shortest turn by pitch and roll.
+    y = np.cross(z, np.cross([0.0, 1.0, 0.0], z)) if abs(z[1]) < 1.0 else np.array([0.0, 0.0, -z[1]])
+    y /= np.linalg.norm(y)
+    nose = np.column_stack([np.cross(y, z), y, z])
+    return np.linalg.inv(sides["work"]) @ sides["tool"] @ homogeneous(nose, -length * z)
 
 
 @st.composite
@@ -195,6 +201,9 @@ def machines(draw: st.DrawFn) -> dict[str, Any]:
     cut, turn = draw(st.integers(0, len(linear))), draw(st.integers(0, len(rotary)))
     data: dict[str, Any] = {"name": "drawn", "tool": linear[:cut] + rotary[:turn], "work": linear[cut:] + rotary[turn:]}
     data["table"] = {name: draw(mm) for name in linear}
+    data["spindle"] = draw(st.sampled_from(["vertical", "horizontal"]))
+    if draw(st.booleans()):
+        data["tool_axis"] = draw(st.sampled_from(["1 0 0", "-1 0 0", "0 1 0", "0 -1 0", "0 1 1", "3 -1 2", "0 0 -1"]))
     data["axes"] = {
         name: {"range": [-500, 500], "positive": draw(st.sampled_from(["iso", "reversed"]))} for name in linear
     }

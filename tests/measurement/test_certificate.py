@@ -89,6 +89,9 @@ def loaded(folder: Path, *quantities: str) -> Artefact:
 
 DISTANCES = listed(LABELS, LENGTHS, covariance_um2=OF_LENGTHS)
 PLATE = listed(COORDINATES, BALLS.ravel(), covariance_um2=OF_PLACES)
+ALPHA, U_ALPHA = 11.5, 1.5
+"""Coefficient of thermal expansion, µm/(m·K), and its standard uncertainty."""
+EXPANDS = real("coefficient of thermal expansion", f"{ALPHA}e-6", r"\kelvin\tothe{-1}", expanded(f"{2 * U_ALPHA}e-6"))
 
 
 def test_the_certificates_of_these_tests_follow_the_schema() -> None:
@@ -101,6 +104,7 @@ def test_the_certificates_of_these_tests_follow_the_schema() -> None:
         certificate(DISTANCES),
         certificate(PLATE),
         certificate(real("S1-S2", "0.25", r"\metre", expanded("1e-6"))),
+        certificate(PLATE, EXPANDS),
     ):
         schema.validate(text)
 
@@ -190,6 +194,77 @@ def test_the_scale_is_within_its_uncertainty_for_artefacts_as_certified(dmu50: M
         square += ((value[:3] - SCALES) / u[:3]) ** 2 / 40
     low, high = chi2.ppf([0.0005, 0.9995], 40) / 40
     assert np.all((low < square) & (square < high)), square
+
+
+def test_the_scale_is_within_its_uncertainty_for_artefacts_at_another_temperature(
+    dmu50: Machine, tmp_path: Path
+) -> None:
+    """As above; the plates have coefficients drawn as certified, and are 0.2 K about 29 °C. As stated, X is 100 µm/m off."""
+    certified, root = loaded(tmp_path, PLATE, EXPANDS), np.linalg.cholesky(OF_PLACES)
+    artefact, square = certified.at(29.0), np.zeros(3)
+    for seed in range(40):
+        rng = np.random.default_rng(2000 + seed)
+        real_plate = BALLS + 1e-3 * (root @ rng.normal(size=BALLS.size)).reshape(-1, 3)
+        grown = 1.0 + 1e-6 * rng.normal(ALPHA, U_ALPHA) * rng.normal(9.0, 0.2)
+        value, u, _ = estimate(dmu50, probed(dmu50, seed, balls=real_plate * grown), artefact)
+        square += ((value[:3] - SCALES) / u[:3]) ** 2 / 40
+    low, high = chi2.ppf([0.0005, 0.9995], 40) / 40
+    assert np.all((low < square) & (square < high)), square
+    assert np.all(u[:2] < 1.1 * np.hypot(COMMON, 9.0 * U_ALPHA))
+
+
+@pytest.mark.parametrize(
+    ("unit", "factor"),
+    [
+        (r"\kelvin\tothe{-1}", 1e-6),
+        (r"\per\kelvin", 1e-6),
+        (r"\micro\metre\metre\tothe{-1}\kelvin\tothe{-1}", 1.0),
+        (r"\micro\metre \per\metre \per\kelvin", 1.0),
+    ],
+)
+def test_the_coefficient_of_expansion_is_read(tmp_path: Path, unit: str, factor: float) -> None:
+    text = real("expansion", f"{ALPHA * factor:g}", unit, expanded(f"{2 * U_ALPHA * factor:g}"))
+    artefact = loaded(tmp_path, DISTANCES, text)
+    assert artefact.expansion == pytest.approx((ALPHA * 1e-6, U_ALPHA * 1e-6))
+    warm = artefact.at(22.0)
+    assert warm.value == pytest.approx(LENGTHS * 1e-3 * (1 + 2.0 * ALPHA * 1e-6), rel=1e-12)
+    assert "those at 22 °C" in warm.brief and "as stated" in artefact.brief
+    assert loaded(tmp_path, DISTANCES).expansion is None
+
+
+def test_a_temperature_is_taken_from_the_table_or_refused_without_a_coefficient(
+    dmu50: Machine, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    data, table, out = turned(dmu50, tmp_path, 2), tmp_path / "probed.csv", tmp_path / "mine.yaml"
+    replace(data, temperature_degC={"artefact": np.full(len(data), 23.0)}).save(table, dmu50)
+    arguments = "identify", table, "-o", out, "--only", "E_*0*", "--certificate"
+    path = saved(tmp_path, certificate(PLATE))
+    assert "was at 23 °C and its certificate states no coefficient" in refused(capsys, *arguments, path)
+    assert not out.exists()
+    assert status(*arguments, path, "--artefact-temperature", "20") == 0
+    path = saved(tmp_path, certificate(PLATE, EXPANDS))
+    capsys.readouterr()
+    assert status(*arguments, path, "--json", tmp_path / "a.json") == 0
+    assert "its values are those at 23 °C" in capsys.readouterr().out.replace("\n", " ")
+    assert json.loads((tmp_path / "a.json").read_text())["certificates"][0]["temperature_degC"] == 23.0
+    assert "not plausible" in refused(capsys, *arguments, path, "--artefact-temperature", "293")
+    assert "needs --certificate" in refused(capsys, *arguments[:-1], "--artefact-temperature", "21")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        real("of another thing", "1.15e-3", r"\kelvin\tothe{-1}", expanded("1e-6")),
+        real("nominal", "1.15e-5", r"\kelvin\tothe{-1}", ""),
+        real("exact", "1.15e-5", r"\kelvin\tothe{-1}", expanded("0")),
+        f"{EXPANDS}</dcc:quantity><dcc:quantity>{EXPANDS.replace('11.5', '9')}",
+    ],
+)
+def test_a_coefficient_that_is_not_sure_is_not_used(tmp_path: Path, text: str) -> None:
+    artefact = loaded(tmp_path, PLATE, text)
+    assert artefact.at(20.0) is artefact
+    with pytest.raises(InputError, match=r"was at 25 °C and its certificate states no coefficient"):
+        artefact.at(25.0)
 
 
 def turned(machine: Machine, folder: Path, seed: int) -> Measurements:

@@ -26,8 +26,8 @@ from twin.measurement.instruments import (
     refractive_index,
 )
 from twin.measurement.instruments.base import length_scale
-from twin.measurement.instruments.interferometer import TRACKING
-from twin.measurement.instruments.tracker import AT960, AT960_ABSOLUTE
+from twin.measurement.instruments.lengths import TRACKING
+from twin.measurement.instruments.points import AT960, AT960_ABSOLUTE
 from twin.measurement.simulate import Placement, Station, simulate
 from twin.measurement.table import Measurements
 from twin.model.calibration import Calibration

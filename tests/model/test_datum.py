@@ -292,7 +292,8 @@ def test_readme_commands_find_no_spurious_change(
         # Eight numbers: the largest of eight normal deviates is below 3.3 in 99 of 100 cases.
         assert abs(value - own[name]) <= (1.96 if name in ("E_C0Y", "E_A0B") else 3.3) * u, name
     dmu50_calibration.as_drawn(dmu50).save("drawn.yaml")
-    assert twin.Calibration.load("drawn.yaml", dmu50).squareness["E_C0Y"] - found["E_C0Y"] > 90.0
+    # The two conventions differ by 106 µrad, several times the uncertainty of the identified value.
+    assert twin.Calibration.load("drawn.yaml", dmu50).squareness["E_C0Y"] - found["E_C0Y"] > 80.0
     run = CliRunner().invoke(app, ["compare", "drawn.yaml", "mine.yaml", "--json", "r.json"])
     assert "both converted to mean lines: drawn.yaml from as given" in run.output
     errors = {error["error"]: error for error in json.loads((tmp_path / "r.json").read_text())["errors"]}

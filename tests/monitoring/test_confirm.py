@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
 
@@ -159,11 +160,42 @@ def test_in_effect(folder: Path) -> None:
     assert found["before_um"] > 2.0 * found["measured_um"]
 
 
+def test_tables_have_the_errors_that_they_correct(tmp_path: Path) -> None:
+    """An angular error acts through its lever: in a product of tables, which no translation needs."""
+    angular = twin.Curve("E_BX", "urad", (0.0, 500.0), "power", (10.0, 80.0, -60.0))
+    own = replace(calibration(), curves=MappingProxyType({**calibration().curves, "E_BX": angular}), joint=None)
+    own.save(tmp_path / "own.yaml")
+    words = [
+        "control",
+        "--to",
+        "siemens",
+        "-c",
+        str(tmp_path / "own.yaml"),
+        "--tool-length",
+        "120",
+        "-o",
+        str(tmp_path / "out"),
+    ]
+    done = CliRunner().invoke(app, words)
+    errors, values = twin.written_values(MACHINE, folder=tmp_path / "out", tool_length_mm=TOOL_MM)
+    assert errors is not None, done.output
+    plan = twin.thesis_plan.plan(MACHINE)
+    readings, _ = twin.simulate(plan, MACHINE, errors, twin.instruments.LaserTracker(), np.random.default_rng(1))
+    named = {one.name for one in twin.confirm(None, readings, MACHINE, calibration=errors, written=values).values}
+    assert named >= {
+        "table X by X (E_BX, E_XX)",
+        "table X by X times Z (E_BX)",
+        "table Y by X (E_YX)",
+        "table X by Y (E_C0Y)",
+        "table C by C (E_CC)",
+    }
+
+
 CASES = {
     "nothing": ({}, 0.0, "not_in_effect", "nothing changed"),
-    "X reversed": ({"X": -1.0}, 1.0, "wrong", "sign of table X by X reversed"),
-    "Y twice": ({"Y": 2.0}, 1.0, "wrong", "table Y by Y in effect twice"),
-    "C in other units": ({"C": 10.0}, 1.0, "wrong", "table C by C in effect with 10 times"),
+    "X reversed": ({"X": -1.0}, 1.0, "wrong", "sign of table X by X (E_XX) reversed"),
+    "Y twice": ({"Y": 2.0}, 1.0, "wrong", "table Y by Y (E_YY) in effect twice"),
+    "C in other units": ({"C": 10.0}, 1.0, "wrong", "table C by C (E_CC) in effect with 10 times"),
     "tilt of B reversed": ({"E_A0B": -1.0}, 1.0, "wrong", "sign of kinematics E_A0B reversed"),
     "place of C absent": ({"E_X0C": 0.0}, 1.0, "wrong", "not in effect: kinematics E_X0C"),
     "everything reversed": ({}, -1.0, "wrong", "sign of everything that was written reversed"),
@@ -202,7 +234,7 @@ def test_a_sign_that_cannot_be_seen_is_not_confirmed(folder: Path) -> None:
     """With the rotary axes at rest nothing of the place of C shows, and the verdict says what to measure."""
     status, found = confirmed(folder, "both", 4, fixed={"B": 0.0, "C": 0.0})
     assert (status, found["verdict"]) == (3, "undecided"), found["headline"]
-    assert "kinematics E_X0C" in found["to_measure"] and "table X by X" not in found["to_measure"]
+    assert "kinematics E_X0C" in found["to_measure"] and "table X by X (E_XX)" not in found["to_measure"]
 
 
 def test_a_short_check_against_the_calibration(folder: Path) -> None:
@@ -210,7 +242,7 @@ def test_a_short_check_against_the_calibration(folder: Path) -> None:
     status, found = confirmed(folder, "tables", 5, count=12, before=False)
     assert found["verdict"] in ("confirmed", "undecided") and status == (0 if found["verdict"] == "confirmed" else 3)
     status, found = confirmed(folder, "tables", 6, {"X": -1.0}, count=12, before=False)
-    assert (status, found["verdict"]) == (3, "wrong") and "table X by X reversed" in found["headline"]
+    assert (status, found["verdict"]) == (3, "wrong") and "table X by X (E_XX) reversed" in found["headline"]
 
 
 def crash(folder: Path, seed: int, changed: Factors) -> tuple[int, dict]:
@@ -349,9 +381,10 @@ def test_the_check_of_the_plan_decides(folder: Path, check: tuple[dict, np.ndarr
     assert (status, said["verdict"]) == (0, "confirmed"), said
     for seed, axis in enumerate("XZC", 4):
         status, said = probed(folder, rotary, seed, {axis: -1.0}, twice=twice)
-        assert (status, said["verdict"]) == (3, "wrong") and f"table {axis} by {axis} reversed" in said["headline"], (
-            said
-        )
+        assert (status, said["verdict"]) == (
+            3,
+            "wrong",
+        ) and f"table {axis} by {axis} (E_{axis}{axis}) reversed" in said["headline"], said
 
 
 @pytest.mark.slow

@@ -20,7 +20,7 @@ OFFSETS = {
 LENGTHS = {"1": 80.0, "2": 131.5, "12": 65.25, "MILL_D10": 92.5}
 ROTARY_INCREMENT = 0.001
 _WORD = re.compile(r"([A-Z]+\d(?=\s*=)|[A-Z]+)\s*=?\s*([-+]?(?:\d+\.?\d*|\.\d+))")
-_CYCLES = {"81", "82", "83", "84", "85"}
+_CYCLES = {"73", "81", "82", "83", "84", "84.2", "85", "87"}
 _UNITS = {"20", "21", "70", "700", "710"}
 
 
@@ -62,6 +62,7 @@ class Run:
         self.plane: tuple[np.ndarray, np.ndarray] | None = None
         self.pending: tuple[np.ndarray, np.ndarray] | None = None
         self.given: list[dict[str, float]] = []
+        self.pole, self.radius = [0.0, 0.0], np.nan
 
     def at(self) -> np.ndarray:
         """Return the axis positions."""
@@ -81,6 +82,35 @@ class Run:
         at = self.at()
         if np.isfinite(at).all():
             self.ends.append((at, not rapid, LENGTHS.get(self.tool, self.length)))
+
+    def set_pole(self, code: str, values: dict[str, float]) -> None:
+        """Set the pole of SINUMERIK from its last position, zero or the pole before."""
+        from_ = {"110": [self.words["X"], self.words["Y"]], "111": [0.0, 0.0], "112": self.pole}[code]
+        self.pole = [from_[0] + values.get("X", 0.0), from_[1] + values.get("Y", 0.0)]
+
+    def end_of_path(self, values: dict[str, float], code: str) -> dict[str, float]:
+        """Return the end point of a block of SINUMERIK given about the pole, by a direction, or by an opening angle."""
+        x, y = self.words["X"], self.words["Y"]
+        if "AP" in values or "RP" in values:
+            self.radius = values.get("RP", self.radius)
+            end = self.pole[0] + self.radius * np.exp(1j * np.radians(values["AP"])) + 1j * self.pole[1]
+            return {"X": end.real, "Y": end.imag}
+        if "ANG" in values:
+            return {"Y": y + (values["X"] - x) * np.tan(np.radians(values["ANG"]))}
+        if "AR" in values and "I" in values:
+            centre = complex(x + values["I"], y + values.get("J", 0.0))
+            turn = np.radians(values["AR"]) * (-1 if code == "2" else 1)
+            end = centre + (complex(x, y) - centre) * np.exp(1j * turn)
+            return {"X": end.real, "Y": end.imag}
+        return {}
+
+    def polar(self, given: dict[str, float], relative: bool, unit: float) -> dict[str, float]:
+        """Return X and Y of polar words, which count from the zero of the coordinates."""
+        x, y = self.words["X"], self.words["Y"]
+        distance, angle = np.hypot(x, y), np.degrees(np.arctan2(y, x))
+        distance = given.get("@", 0.0 if relative else distance / unit) * unit + (distance if relative else 0.0)
+        angle = given.get("^", 0.0 if relative else angle) + (angle if relative else 0.0)
+        return {"X": distance * np.cos(np.radians(angle)), "Y": distance * np.sin(np.radians(angle))}
 
     def forget(self, axes: str) -> None:
         """Forget the words of axes: their coordinates are others now."""
@@ -158,11 +188,16 @@ def run_iso(text: str) -> Run:
             cycle = {"on": 1.0, "R": plane + distance, "Z": depth, "level": level} if called else {}
             code_of_cycle = called[1] if called else ""
             continue
-        if "@" in bare:
+        if "@" in bare and "CYCLE800" in line.upper():
             run.swivel([part.strip() for part in bare.split("@")[1].split(",")])
             continue
         if re.search(r"G65\b|M98\b", bare):
             continue  # a macro of the machine's builder, which is not given
+        if "M70" in bare:
+            saved = relative, unit
+        if "M72" in bare:
+            relative, unit = saved
+        bare = re.sub(r"-\[(\d+)\+#<DEPTH>\]", lambda m: f"-{int(m[1]) + 4}", bare.replace("#1500", "12.5"))
         framed = re.match(r"(A?)(TRANS|ROT)\b(.*)", bare)
         if framed:
             run.program_frame(
@@ -193,6 +228,9 @@ def run_iso(text: str) -> Run:
                 run.length = LENGTHS[f"{values.get('H', values.get('HA', float(run.tool or 0))):g}"]
                 run.tcp = one in ("43.4", "234", "169")
                 run.forget(run.switched() if run.tcp else "Z")
+            if one == "43.1":
+                run.length = values.pop("Z")
+                run.forget("Z")
             if one in ("49", "170") or (okuma and one == "53"):
                 run.forget(run.switched() if run.tcp else "Z")
                 run.tcp, run.length = False, 0.0
@@ -227,11 +265,20 @@ def run_iso(text: str) -> Run:
         if re.search(r"\bD1\b", bare) and run.tool:
             run.length = LENGTHS[run.tool]
             run.forget("Z" if not run.tcp else "")
-        axes = {axis: values[axis] for axis in "XYZBC" if axis in values}
+        if codes in (["110"], ["111"], ["112"]):
+            run.set_pole(codes[0], values)
+            continue
+        axes = {axis: values[axis] for axis in "XYZBC" if axis in values} | run.end_of_path(
+            values, code_in(codes, code)
+        )
         vector = [values.get(name) for name in ("A3", "B3", "C3")]
         if run.tcp and None not in vector:
             near = tuple(np.nan_to_num([run.words[axis] for axis in "BC"]))
             axes |= dict(zip("BC", standing(np.array(vector) / np.linalg.norm(vector), near, None), strict=True))
+        polar = dict(re.findall(r"([@^])\s*([-+]?[\d.]+)", bare))
+        axes |= run.polar({name: float(value) for name, value in polar.items()}, relative, unit) if polar else {}
+        if "33.1" in codes:
+            continue  # the thread itself is left to the control
         if "10" in codes:
             name = f"G{53 + int(values['P'])}"
             run.offsets[name] = tuple(values.get(a, old) for a, old in zip("XYZ", run.offsets[name], strict=True))
@@ -252,17 +299,26 @@ def run_iso(text: str) -> Run:
             run.plane, run.pending = run.pending, None  # the program has positioned the rotary axes
             run.forget("XYZ")
         if cycle:
-            cycle |= {axis: values[axis] for axis in "ZR" if axis in values}
+            heights = {axis: values[axis] for axis in "ZR" if axis in values}
+            if relative and heights:
+                heights["R"] += initial
+                heights["Z"] += heights["R"]
+            cycle |= heights
             axes = axes if called_by_name(cycle) else {axis: value for axis, value in axes.items() if axis != "Z"}
-        for axis, value in axes.items():
-            run.words[axis] = value + (run.words[axis] if relative else 0.0)
-        run.go(code == "0" or bool(cycle))
-        if cycle:
+        for hole in range(int(values.get("L", 1)) if cycle else 1):
+            axes |= run.polar({name: float(value) for name, value in polar.items()}, relative, unit) if hole else {}
+            for axis, value in axes.items():
+                run.words[axis] = value + (run.words[axis] if relative and not polar else 0.0)
+            run.go(code == "0" or bool(cycle))
+            if not cycle:
+                continue
             # The bottom of a thread is left to the control, uncorrected.
             back = cycle.get("level", initial if to_initial else cycle["R"])
             strokes = [(cycle["R"], True), (cycle["Z"], False), (back, True)]
-            if code_of_cycle == "84":
+            if code_of_cycle in ("84", "84.2", "73"):
                 strokes = strokes[::2]
+            if code_of_cycle == "87":
+                strokes, back = [], initial  # from the initial level and back
             if called_by_name(cycle) and code_of_cycle == "83":
                 strokes = strokes[:1]
             for height, rapid in strokes:
@@ -270,6 +326,11 @@ def run_iso(text: str) -> Run:
                 run.go(rapid)
             run.words["Z"] = back
     return run
+
+
+def code_in(codes: list[str], before: str) -> str:
+    """Return the motion code in force."""
+    return next((one for one in codes if one in "0123"), before)
 
 
 def called_by_name(cycle: dict[str, float]) -> bool:
@@ -318,11 +379,69 @@ def _rotation(block: str) -> np.ndarray:
     return np.stack([x, np.cross(z, x), z], axis=1)
 
 
+def _pattern(text: str) -> list[tuple[float, float, float]]:
+    """Return the places of ``PATTERN DEF`` and the shift of the surface at each."""
+    places = []
+    for kind, body in re.findall(r"(POS|ROW|CIRC)\d \(([^)]*)\)", text):
+        at = {name: float(value) for name, value in re.findall(r"([A-Z]+)([-+\d.]+)", body)}
+        first = complex(at["X"], at["Y"])
+        steps = [0j]
+        if kind == "ROW":
+            steps = [i * at["D"] * np.exp(1j * np.radians(at["ROT"])) for i in range(int(at["NUM"]))]
+        if kind == "CIRC":
+            angles = [np.radians(at["START"] + 360.0 * i / at["NUM"]) for i in range(int(at["NUM"]))]
+            steps = [at["D"] / 2 * np.exp(1j * angle) for angle in angles]
+        places += [((first + step).real, (first + step).imag, at["Z"]) for step in steps]
+    return places
+
+
+def _pattern_of_cycle(number: str, q: dict[str, float]) -> list[tuple[float, float, float]]:
+    """Return the places of cycles 220 (a whole circle) and 221."""
+    if number == "220":
+        turns = [np.radians(q["Q245"] + 360.0 * i / q["Q241"]) for i in range(int(q["Q241"]))]
+        holes = [complex(q["Q216"], q["Q217"]) + q["Q244"] / 2 * np.exp(1j * turn) for turn in turns]
+    else:
+        along, across = (q[name] * np.exp(1j * np.radians(q["Q224"])) for name in ("Q237", "Q238"))
+        rows = [[i * along + 1j * row * across for i in range(int(q["Q242"]))] for row in range(int(q["Q243"]))]
+        holes = [
+            complex(q["Q225"], q["Q226"]) + one for i, row in enumerate(rows) for one in (row[::-1] if i % 2 else row)
+        ]
+    return [(hole.real, hole.imag, 0.0) for hole in holes]
+
+
+def _drill_at(run: Run, places: list[tuple[float, float, float]], q: dict[str, float]) -> None:
+    """Drill at places, between them at the height before or at the second clearance, whichever is higher."""
+    before = run.words["Z"]
+    for x, y, shift in places:
+        surface = q["Q203"] + shift
+        level = surface + max(q["Q200"], q["Q204"])
+        if len(places) > 1 and run.words["Z"] < max(before, level) - 1e-9:
+            run.words["Z"] = max(before, level)
+            run.go(True)
+        run.words |= {"X": x, "Y": y}
+        run.go(True)
+        run.words["Z"] = surface + q["Q200"]
+        run.go(True)
+        run.words["Z"] = level
+
+
 def run_plain(text: str) -> Run:
     """Execute a program in plain language."""
     run, called, parameters, below = Run(), False, dict[str, float](), np.zeros(3)
+    points, waiting = "", ""
     unit = 25.4 if re.search(r"BEGIN PGM .*IN(CH)?\s*$", text, re.MULTILINE) else 1.0
     for block in filter(None, _written_out(text)):
+        if waiting and not block.startswith("Q"):
+            _drill_at(run, _pattern_of_cycle(waiting, parameters), parameters)
+            waiting = ""
+        if re.match(r"PATTERN|(POS|ROW|CIRC)\d", block):
+            points = block if block.startswith("PATTERN") else f"{points} {block}"
+        if re.match(r"CYCL DEF 22[01]", block):
+            waiting = block.split()[2]
+        if block.startswith(("CYCL CALL PAT", "CYCL CALL POS")):
+            at = [float(value) for value in re.findall(r"[XYZ]([-+][\d.]+)", block)]
+            _drill_at(run, [(at[0], at[1], at[2])] if at else _pattern(points), parameters)
+            continue
         parameters |= {name: float(value) for name, value in re.findall(r"(Q\d+)\s*=\s*([-+]?[\d.]+)", block)}
         if block.startswith("CYCL DEF 247") or "Q339" in block:
             if "Q339" in block:
@@ -365,6 +484,12 @@ def run_plain(text: str) -> Run:
             run.forget("XYZ")
         elif block.startswith("CC"):
             centre = {axis: float(value) for axis, value in re.findall(r"([XY])([-+]?[\d.]+)", block)}
+        elif re.match(r"(?:LP|APPR P|DEP P)", block):
+            at = {name: float(value) for name, value in re.findall(r"(P[RA])([-+][\d.]+)", block)}
+            here = complex(run.words["X"] - centre["X"], run.words["Y"] - centre["Y"])
+            end = at.get("PR", abs(here)) * np.exp(1j * np.radians(at["PA"]))
+            run.words |= {"X": centre["X"] + end.real, "Y": centre["Y"] + end.imag}
+            run.go("FMAX" in block)
         elif block.startswith("CP"):
             turn, up = np.radians(float(re.findall(r"IPA([-+][\d.]+)", block)[0])), re.findall(r"IZ([-+][\d.]+)", block)
             x, y = (run.words[axis] - centre[axis] for axis in "XY")
@@ -379,7 +504,7 @@ def run_plain(text: str) -> Run:
             turned = dict(zip("BC", standing(tool / np.linalg.norm(tool), near, None), strict=True))
             run.words |= {axis: value * unit for axis, value in words.items() if axis in run.words} | turned
             run.go(False)
-        elif re.match(r"(?:L|C|CR|APPR|DEP|CYCL CALL)\b", block):
+        elif re.match(r"(?:L|C|CR|CT|APPR|DEP|CYCL CALL)\b", block):
             words = re.sub(r"\b(?:R\+?\d[\d.]*|LEN\+?[\d.]+|CCA\+?[\d.]+|S\d+|F\d[\d.]*|M\d+)", "", block)
             axes = {
                 axis: float(value) for axis, value in re.findall(r"(?<![A-Z])([XYZBC])([-+]?(?:\d[\d.]*|\.\d+))", words)

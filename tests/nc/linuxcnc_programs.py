@@ -170,6 +170,35 @@ class ControlProgram:
             self.lines.append(f"{self.words('XYZB')} F{self.number(1, 9)}")
         self.lines.append("G94 F500")
 
+    def polar(self) -> None:
+        """Distances and angles from the zero of the coordinates, also of holes; and places of an arc."""
+        rng = self.rng
+        words = [f"@{self.number(1, 90)}", f"^{self.value(-200, 200)}", f"@{self.number(1, 9)} ^{self.value(-99, 99)}"]
+        head = rng.choice(["G1 ", "", "G0 ", "G91 G1 ", "G90 ", "G91 "])
+        self.lines.append(head + rng.choice(words) + rng.choice(["", " Z3", "", " C5"]))
+        if rng.random() < 0.3:
+            self.lines += ["G90 G17", "G0 X30 Y10 Z50", f"G2 @{self.number(25, 40)} ^{self.number(0, 90)} R90"]
+        if rng.random() < 0.4:
+            level, relative = rng.choice(["G98", "G99"]), rng.random() < 0.5
+            self.lines += ["G80 G17 G90", "G0 X40 Y20 Z50"]
+            heights = "R-10 Z-30" if relative else "R40 Z-3"
+            repeats = f" L{rng.choice([1, 2, 5])}" if rng.random() < 0.7 else ""
+            self.lines.append(f"{'G91 ' if relative else ''}{level} G81 {rng.choice(words)} {heights}{repeats}")
+            self.lines += [rng.choice(words) + rng.choice(["", "", " L3"]) for _ in range(rng.choice([0, 1, 2]))]
+            self.lines += ["G80", "G90"]
+
+    def saved(self) -> None:
+        """Modal words saved and restored."""
+        rng = self.rng
+        self.lines += ["M70", rng.choice(["G91", "G20", "G18", "G93", "G99", "G91 G20", "G55"])]
+        self.lines += [f"G1 {self.words('XYZ')} F200"] if rng.random() < 0.7 else []
+        self.lines += [
+            rng.choice(["M72", "M72", "M71", "M73", "M72\nG1 X7\nM72", "M72 G1 X5"]),
+            f"G1 {self.words('XYZ')} F100",
+        ]
+        self.lines += ["G94 G17 F500"]
+        self.plane = 17
+
     def offset(self) -> None:
         """A work offset, or another shift of the coordinates."""
         rng = self.rng

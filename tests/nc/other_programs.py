@@ -22,6 +22,7 @@ class PlainProgram:
     unit: float = 1.0
     plane: tuple[int, int] = (0, 1)
     pole: dict[int, float] = field(default_factory=dict)
+    pole_plane: set[int] | None = None
 
     def __post_init__(self) -> None:
         self.unit = self.rng.choice([1.0, 25.4])
@@ -74,6 +75,8 @@ class PlainProgram:
 
     def tool(self) -> None:
         axis = self.rng.choice("XYZ")
+        if self.plane != TOOL_PLANES[axis]:
+            self.pole, self.pole_plane = {}, None
         self.plane = TOOL_PLANES[axis]
         number = self.rng.choice(["3 ", "", '"MILL X" '])
         self.lines.append(f"TOOL CALL {number}{axis} S4000")
@@ -85,11 +88,13 @@ class PlainProgram:
     def pole_block(self) -> None:
         """A pole somewhere, given in part or relative to the position; it holds until the next."""
         if self.rng.random() < 0.3:
-            self.pole = dict(enumerate(self.at[:3]))
+            self.pole, self.pole_plane = dict(enumerate(self.at[:3])), None
             self.lines.append("CC")
             return
-        words = []
-        for axis in self.rng.sample(range(3), self.rng.choice([1, 2])):
+        words, axes = [], self.rng.sample(range(3), self.rng.choice([1, 2]))
+        if len(axes) == 2:  # they name the plane of the arc
+            self.pole, self.pole_plane = {}, {*axes}
+        for axis in axes:
             relative = self.rng.random() < 0.3
             text, value = self.number(self.place(axis) - (self.at[axis] if relative else 0.0), self.unit)
             self.pole[axis] = value + (self.at[axis] if relative else 0.0)
@@ -99,7 +104,8 @@ class PlainProgram:
     def circle(self) -> None:
         """An arc about a pole: in its plane, to a point at the same distance."""
         a, b = self.plane
-        if a not in self.pole or b not in self.pole or self.rng.random() < 0.3:
+        elsewhere = self.pole_plane not in (None, {a, b})
+        if a not in self.pole or b not in self.pole or elsewhere or self.rng.random() < 0.3:
             self.pole_of_plane()
         centre = [self.pole[a], self.pole[b]]
         start = (self.at[a], self.at[b])
@@ -116,7 +122,7 @@ class PlainProgram:
 
     def pole_of_plane(self) -> None:
         """A pole near the position, in the plane of the tool."""
-        words = []
+        words, self.pole_plane = [], {*self.plane}
         for axis in self.plane:
             text, value = self.number(self.at[axis] + self.rng.choice([-1, 1]) * self.rng.uniform(5, 30), self.unit)
             self.pole[axis] = value

@@ -78,6 +78,7 @@ REFUSED = {
         "value of #30 is unknown",
     ),
     "vacant": ({"main.nc": "#3=1\nG65 P5 A1\nM30\nO5\nG1 X#3 F1\nM99\n"}, "main.nc", 5, "value of X is unknown"),
+    "repeats of a macro": ({"main.nc": "G65 P5 A1 L10.\nM30\nO5\nM99\n"}, "main.nc", 1, "a whole number L"),
     "with motion": ({"main.nc": "X1 M98 P5\nM30\nO5\nM99\n"}, "main.nc", 1, "only M98"),
     "DEF": (
         {"main.mpf": "SUBA\nM30\n", "suba.spf": "DEF REAL _A=R7\nG1 X=_A\nM17\n"},

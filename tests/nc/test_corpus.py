@@ -40,6 +40,8 @@ LAST_FEED = {
     "tnc_facing.h": (250 - 52.5, 225 - 10, -390 + 80 + 22),
     "fanuc_quill_and_macros.ptp": (250 + 45, 225 - 22.5, -390 + 131.5 + 12),
     "tnc_older_post.h": (250 - 30, 225 - 20, -390 + 131.5 + 8),
+    "polar_holes_and_taps.ngc": (250 - 8, 225 + 12, -390 + 95.5 + 15),
+    "fanuc_back_boring.nc": (250 + 12, 225 - 14, -390 + 80 + 20),
     "tnc_contour.h": (250 - 60, 225 - 45, -390 + 80 + 15),
 }
 CONTROLS = {
@@ -52,6 +54,7 @@ CONTROLS = {
     "sinumerik": "SINUMERIK",
     "tnc": "HEIDENHAIN",
     "twp": "LinuxCNC",
+    "polar": "LinuxCNC",
 }
 
 
@@ -65,6 +68,7 @@ def compensated(path: Path, machine: Machine, errors: Calibration) -> Compensati
     return Compensator(machine, errors, Options(setup=SETUP)).compensate(read, dialect)
 
 
+@pytest.mark.sample(24)  # of 48
 @pytest.mark.parametrize("path", PROGRAMS, ids=lambda path: path.name)
 def test_the_output_leads_the_real_machine_where_the_program_means(
     dmu50: Machine, errors: Calibration, path: Path
@@ -132,6 +136,8 @@ class Posted:
                     lines[-1] += f" B={rng.uniform(5, 60):.3f} C={near(90)}"
                 elif kind == "vector":
                     lines[-1] += f" A3={near(0.4)} B3={near(0.4)} C3=0.{rng.randrange(6, 10)}"
+            if kind in ("frame", "axis"):
+                lines += self.about_poles()
             if kind in ("turned tcp", "frame", "axis") and rng.random() < 0.5:
                 lines += [
                     "G0 Z40",
@@ -142,6 +148,41 @@ class Posted:
             lines += ["TRAFOOF"] if "tcp" in kind or kind == "vector" else ["CYCLE800()"] if kind == "swivel" else []
             lines.append("TRANS")
         return "\n".join([*lines, "SUPA G0 Z=-1 D0", "M30", ""])
+
+    def about_poles(self) -> list[str]:
+        """Return blocks of SINUMERIK by poles, angles and directions, some with rounded corners."""
+        rng, near = self.rng, self.near
+        lines = [f"G111 X{near(9)} Y{near(9)}"]
+        for _ in range(rng.randrange(5)):
+            kind = rng.choice(["AP", "AR", "ANG", "G112"])
+            corner = rng.choice(["", "", " RND=0.5", " CHF=0.4"])
+            if kind == "AP":
+                lines.append(f"G1 AP={rng.uniform(-170, 170):.2f} RP={rng.uniform(5, 20):.3f}{corner}")
+            elif kind == "AR":
+                lines.append(
+                    f"G{rng.choice('23')} I{rng.uniform(2, 6):.2f} J{near(4)} AR={rng.uniform(20, 150):.1f}{corner}"
+                )
+            elif kind == "ANG":
+                lines.append(f"G1 ANG={rng.uniform(-30, 30):.2f} X{rng.uniform(-20, 20):.3f}{corner}")
+            else:
+                lines.append(f"G112 X{near(3)} Y{near(3)}")
+        return [*lines, f"G1 X{near(10)} Y{near(10)}"]
+
+    def holes(self) -> list[str]:
+        """Return blocks of plain language with corners that the control shapes, and a cycle called at other places."""
+        rng, near = self.rng, self.near
+        lines = [f"L X{near(20)} Y{near(20)} F600", f"RND R{rng.uniform(0.2, 1):.2f}", f"L X{near(20)} Y{near(20)}"]
+        surface, second = rng.uniform(5, 12), rng.uniform(5, 25)
+        lines += ["CYCL DEF 200 DRILLING ~", "Q200=2 ~", "Q201=-5 ~", "Q206=150 ~", "Q202=5 ~", "Q210=0 ~"]
+        lines += [f"Q203={surface:+.2f} ~", f"Q204={second:.2f} ~", "Q211=0", "L Z+50 FMAX"]
+        if rng.random() < 0.5:
+            return [
+                *lines,
+                f"CYCL CALL POS X{rng.uniform(1, 20):+.2f} Y{rng.uniform(-20, -1):+.2f} Z{rng.uniform(-2, -1):+.2f} FMAX",
+            ]
+        first = f"X{rng.uniform(1, 9):+.2f} Y{rng.uniform(1, 9):+.2f}"
+        lines.insert(3, f"PATTERN DEF ROW1 ({first} D+4.5 NUM3 ROT+{rng.uniform(0, 90):.1f} Z+0)")
+        return [*lines, "CYCL CALL PAT FMAX"]
 
     def plain(self) -> str:
         """Return a program in plain language with shifts, planes, and tool centre point control in and out of planes."""
@@ -168,6 +209,8 @@ class Posted:
                 lines[-1] += f" B{rng.uniform(5, 60):+.3f} C{near(90)}" if kind in ("tcp", "inclined") else ""
                 lines[-1] += rng.choice(["", " F700"])
             lines += ["M129"] if kind in ("tcp", "inclined") else []
+            if kind in ("axis", "plane", "vector plane", "cycle 19"):
+                lines += self.holes()
             lines += ["L Z-1 R0 FMAX M91", "CYCL DEF 19.1" if kind == "cycle 19" else "PLANE RESET STAY"]
         return "\n".join([*lines, "M30", "END PGM A MM", ""])
 

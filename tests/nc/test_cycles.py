@@ -74,15 +74,13 @@ CYCLES = {
     "G82 without dwell": ("G99 G82 X310. Y210. Z-330. R-310. F120.\nG80\n", [-300, -310, -330, -310], "RRFR"),
     "G86": ("G98 G86 X310. Y210. Z-330. R-310. F50.\nG80\n", [-300, -310, -300], "RRR"),
     "G76": ("G98 G76 X310. Y210. Z-330. R-310. Q.1 P500 F50.\nG80\n", [-300, -310, -300], "RRR"),
+    "G84.2": ("G98 G84.2 X310. Y210. Z-330. R-310. F1.\nG80\n", [-300, -310, -300], "RRR"),
+    "G73 with Q0": ("G98 G73 X310. Y210. Z-330. R-310. Q0 F50.\nG80\n", [-300, -310, -300], "RRR"),
+    "G87": ("G99 G87 X310. Y210. Z-310. R-330. Q1. F50.\nG80\n", [-300], "R"),
     "from below R": ("G99 G81 X310. Y210. Z-330. R-290. F50.\nG80\n", [-300, -290, -330, -290], "RRFR"),
-    "from below R to R on LinuxCNC": (
-        "#<a>=1\nG98 G81 X310. Y210. Z-330. R-290. F50.\nG80\n",
-        [-300, -290, -330, -290],
-        "RRFR",
-    ),
     "CYCLE81 once": ("G0 X310. Y210.\nCYCLE81(-300,-312,2,-330)\n", [-300, -310, -330, -300], "RRFR"),
 }
-KEPT = ("G99 G74", "G99 G76", "G99 G84", "G99 G86", "CYCLE83", "CYCLE84", "CYCLE86")
+KEPT = ("G99 G73", "G99 G74", "G99 G76", "G99 G84", "G99 G86", "G98 G87", "CYCLE83", "CYCLE84", "CYCLE86")
 """Beginnings of the lines with a cycle that is left to the control."""
 REFUSED = {
     "no R": ("G81 X310. Y210. Z-330.\n", "R and Z"),
@@ -92,7 +90,7 @@ REFUSED = {
     "relative in part": ("G91 G81 X10. Y10. R-10.\n", "R and the depth in the same block"),
     "half a repeat": ("G81 X310. Y210. Z-330. R-310. L1.5\n", "a whole number of holes"),
     "elsewhere without a hole": ("G81 X310. Y210. Z-330. R-310. L0\n", "another place with L0"),
-    "back boring": ("G87 X310. Y210. Z-330. R-310. Q1.\n", "canned cycle G87"),
+    "back boring in increments": ("G91 G87 X1. Y2. Z-3. R-1. Q1.\n", "G90 and Z at the initial level"),
     "a thread of LinuxCNC": ("G76 P1 X310. Z-330. R-310. I-1. J1. K2.\n", "thread of LinuxCNC"),
     "boring in part": ("G86 X310. Y210. Z-330.\n", "Z and R in the block"),
     "another axis": ("MCALL CYCLE83(-300,-312,2,-330,,-320,,1,0,0,1,1,1)\n", "along the third axis"),
@@ -153,7 +151,7 @@ def test_words_between_the_strokes(dmu50: Machine, errors: Calibration) -> None:
 def test_a_dwell_or_a_return_under_a_cycle_is_not_part_of_it(dmu50: Machine, errors: Calibration) -> None:
     """P of G4 is not the dwell of the holes, Z of G28 not their depth, and neither block drills."""
     hole = "G99 G82 X310. Y210. Z-330. R-310. P1 F120.\n"
-    for between in ("G4 P2\n", "G4 X3. P2\n", "G64 P0.01\n", "G5.1 Q1\n"):
+    for between in ("G4 P2\n", "G4 X3.\n", "G64 P0.01\n", "G5.1 Q1\n"):
         lines = compensated(f"{START}{hole}{between}X320.\nG80\n", dmu50, errors).text.splitlines()
         assert lines.count("G4 P1") == 2 and lines.count(between.strip()) == 1, between
     reading = read(f"{START}{hole}G28 Z-300.\nG80\nG0 Z-290.\n")
@@ -435,3 +433,19 @@ def test_a_program_that_sets_a_work_offset_is_refused() -> None:
     with pytest.raises(InputError, match="sets a work offset") as caught:
         read("G0 X1 Y1 Z1\n#5221=10\n")
     assert caught.value.line == 2
+
+
+@pytest.mark.parametrize("level", ["G98", "G99"])
+def test_back_boring_has_its_heights_shifted_by_the_correction_of_the_initial_level(
+    dmu50: Machine, errors: Calibration, level: str
+) -> None:
+    text = compensated(f"{START}{level} G87 X310. Y210. Z-310. R-330. Q1. F50.\nX320.\nG80\n", dmu50, errors).text
+    lines = text.splitlines()
+    kept = [i for i, line in enumerate(lines) if line.startswith("G98 G87")]
+    assert len(kept) == 2
+    for i in kept:
+        before = " ".join(line for line in lines[:i] if not line.startswith(("(", "G98 G87"))).split()
+        reached = [float(word[1:]) for word in before if word.startswith("Z")][-1]
+        assert 1e-3 < abs(reached + 300.0) < 0.2
+        z, r = (float(word[1:]) for word in lines[i].split() if word[0] in "ZR")
+        assert (z, r) == pytest.approx((reached - 10.0, reached - 30.0), abs=1e-9)

@@ -9,7 +9,7 @@ import pytest
 
 from tests.nc.nc_support import AXES, new_positions
 from twin._common.errors import InputError
-from twin.cli.shared.options import ProgramLanguage
+from twin._common.families import ProgramLanguage
 from twin.nc import DIALECTS, dialect_for, dialect_to_write
 from twin.nc.blocks import Kind, Program
 from twin.nc.dialect import Dialect

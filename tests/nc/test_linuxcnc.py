@@ -36,10 +36,12 @@ KINDS = {
     "subprograms": ("line", "call", "assign"),
     "loops": ("line", "loop", "assign"),
     "cycles": ("line", "cycle", "mode"),
+    "polar words": ("line", "polar", "polar", "assign", "mode"),
+    "saved modes": ("line", "saved", "mode", "polar"),
     "others": ("line", "other"),
     "everything": (
         *("line", "line", "arc", "mode", "feed", "assign", "offset", "tool", "machine", "cycle", "call", "loop"),
-        "other",
+        *("other", "polar", "saved"),
     ),
 }
 SEEDS = 25
@@ -106,24 +108,37 @@ EQUAL = {
     "analogue outputs": "M67 E0 Q5\nG1 X5 F100 M68 E1 Q-3\nG81 X5 Y5 Z-5 R2\nM67 E2 Q1\nX7\nG80\nG1 X9",
     "inputs": "G1 X5\nM66 P0 L0\nG1 Y7\nM66 E0 L0\nX9",
     "the tool in the spindle": "G1 X5\nM61 Q2\nG43\nG1 X7 Z9\nM61 Q1 G49\nG43 Z5",
+    "a length of the tool by its value": "G43.1 Z5\nG1 Z4\nX7\nG20 G43.1 Z1\nG1 Z1 X2\nG43 H1\nG1 Z3\nG43.1 Z2\nZ7\nG49\nZ1",
+    "a circle of holes by polar words": "G90 G0 X30 Y0 Z5\nG91 G81 R-1 Z-3 ^60 L6\n@5\nG80\nG90 G1 @20 ^30\n^40\n@[5+5]",
+    "polar words in shifted and turned coordinates": "G92 X3 Y1\nG1 @5 ^45\nG91 ^10\nG90 G92.1\nG10 L2 P1 R30\nG1 @5 ^45\nG91 @1",
+    "modal words saved": "M70\nG91 G20 G18\nG1 X1\nM72\nG1 X3\nG91\nM72\nX4\nM71",
+    "the end of no shift": "G92.1 G55\nG1 X5 Y3\nG92.2 G54\nX9",
+    "the position at the start": "\0G21 G90 G17 F500\nG92 X0 Y0 Z0\nG1 X5 Y6\nG91 Z3\nG90 X2 Y1 Z7\nG92 X1\nX2",
+    "variables of a program that names one": "#<a>=1\n#1500=7\n#4000=3\nG1 X#1500 Y#4000 Z#<a>",
     "a hole after the unit has changed": "G81 X5 Y5 Z-5 R2\nG80 G20\nG81 X1 Y1 Z-.5 R1\nG80",
 }
 ENDS = ("M2", "M30", "X7 M02", "N7 (end) m 30", "M99", "%", "G0 Z9 M030 (end)", "/M2")
 REFUSED = {
+    "modal words saved in a subprogram": SUB.format("M70\nG91\nM72") + "M70\no100 call\nM72",
     "words after the arguments": SUB.format("G1 X#1") + "o100 call [8] G1 X5",
     "another unit within a cycle": "G81 X5 Y5 Z-5 R2\nG20 X.7\nG80",
     "the angle of the spindle or the height of a cycle": "G81 X5 Y5 Z-5 R2\nM19 R4\nX7\nG80",
     "a dwell and a move": "G4 P.001 G0 X1 Y1\nG1 Z3",
     "a root of a negative number": "#1=-4\nG1 X[#1 ** 0.5]",
+    "a cycle from below R on LinuxCNC": "M67 E1 Q3\nG1 Z-9\nG81 X5 Y5 Z-15 R2\nG80",
     **{word: f"{word}\nG1 X5" for word in ("G92.3", "G10 L2 P0 X7", "G10 L20 P1 X7", "#5221=7")},
     "a rotation of the work offset after G92": "G92 X0\nG10 L2 P1 R30\nG1 X5",
-    **{word: f"T1 M6 G43\n{word}\nG1 Z5" for word in ("G43.1 Z5", "G43.2 H2", "G10 L1 P1 Z9", "M73", "G7", "G41.1 D1")},
+    **{
+        word: f"T1 M6 G43\n{word}\nG1 Z5"
+        for word in ("G43.1 X5", "G43.1 H2", "G1 G43.1 Z5", "G43.2 H2", "G10 L1 P1 Z9", "M73", "G7", "G41.1 D1")
+    },
 }
 
 
 @pytest.mark.parametrize("name", EQUAL)
 def test_what_was_once_read_differently(name: str, tmp_path: Path) -> None:
-    found = judged(START + EQUAL[name] + "\nM2\n", tmp_path)
+    text = EQUAL[name]
+    found = judged((text[1:] if text[0] == "\0" else START + text) + "\nM2\n", tmp_path)
     assert found.judge is not None and not found.judge.refusal
     assert not found.difference and not found.refused and found.values > 5
 
@@ -233,7 +248,8 @@ def test_the_boat(programs: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", sorted(path.name for path in NCFILES.glob("*.ngc")))
 def test_the_samples_of_linuxcnc(name: str, tmp_path: Path) -> None:
     found = compare(NCFILES / name, tmp_path, known=False, tools=TOOLS)
-    assert found.refused or not found.difference or "LinuxCNC raises it first" in found.said
+    noted = ("LinuxCNC raises it first", "does not state its unit")  # rs274's own unit is the inch
+    assert found.refused or not found.difference or any(one in found.said for one in noted)
 
 
 def test_the_output_lands_where_the_original_meant(dmu50: Machine, calibration: Calibration, tmp_path: Path) -> None:

@@ -270,3 +270,11 @@ def test_a_loop_that_never_ends_is_refused_at_once(tmp_path: Path, name: str, mo
     path.write_text(f"G21 G90 G0 X1 Y2 Z3\n{ENDLESS[name]}M2\n")
     with pytest.raises(InputError, match="the loop never ends"):
         read_program(path)
+
+
+def test_an_index_is_no_assignment(tmp_path: Path) -> None:
+    """``IDXQ8 = 0`` writes a row of the tool table; Q8 keeps its value, so that the loop ends."""
+    loop = "Q8=+1\nLBL 1\nFN 17: SYSWRITE ID50 NR1 IDXQ8 = +0\nL X+Q8\nFN 1: Q8 = +Q8 + +1\nFN 11: IF +Q8 GT +2 GOTO LBL 5\n"
+    (tmp_path / "table.h").write_text(f"{START_H}{loop}FN 9: IF +1 EQU +1 GOTO LBL 1\nLBL 5\nM30\nEND PGM A MM\n")
+    program, _ = read_program(tmp_path / "table.h")
+    assert sum("X+Q8" in text for text in program.texts) == 2

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from pathlib import Path
 
@@ -30,7 +31,64 @@ DRILLING = """3 CYCL DEF 200 DRILLING ~
     Q211=+0    ;DWELL TIME AT DEPTH
 """
 OF_NX = "3 CYCL DEF  203 UNIVERSAL DRILLING\nQ200=5 ;CLEARANCE\nQ201=-10\nQ203=-150.\nQ204=20.\n"
+CIRCLE = """4 CYCL DEF 220 POLAR PATTERN ~
+    Q216=+270  ;CENTER IN 1ST AXIS ~
+    Q217=+210  ;CENTER IN 2ND AXIS ~
+    Q244=20    ;PITCH CIRCLE DIAMETR ~
+    Q245=+30   ;STARTING ANGLE ~
+    Q246=+120  ;STOPPING ANGLE ~
+    Q247=+0    ;STEPPING ANGLE ~
+    Q241=4     ;NR OF REPETITIONS ~
+    Q200=+5    ;SET-UP CLEARANCE ~
+    Q203=-150  ;SURFACE COORDINATE ~
+    Q204=+20   ;2ND SET-UP CLEARANCE ~
+    Q301=+1    ;MOVE TO CLEARANCE ~
+    Q365=+0    ;TYPE OF TRAVERSE
+"""
+GRID = """4 CYCL DEF 221 CARTESIAN PATTERN ~
+    Q225=+260 ~
+    Q226=+205 ~
+    Q237=+10 ~
+    Q238=+8 ~
+    Q242=3 ~
+    Q243=2 ~
+    Q224=+90 ~
+    Q200=+5 ~
+    Q203=-150 ~
+    Q204=+30 ~
+    Q301=1
+"""
 CALLS = {
+    "a part of a circle": (
+        DRILLING + CIRCLE,
+        [(270 + 10 * math.cos(math.radians(a)), 210 + 10 * math.sin(math.radians(a))) for a in (30, 60, 90, 120)],
+        (-145, -150),
+    ),
+    "a circle by its step": (
+        DRILLING + CIRCLE.replace("Q247=+0 ", "Q247=-90 ").replace("Q245=+30", "Q245=+0"),
+        [(280, 210), (270, 200), (260, 210), (270, 220)],
+        (-145, -150),
+    ),
+    "rows there and back, turned by a quarter": (
+        DRILLING + GRID,
+        [(260, 205), (260, 215), (260, 225), (252, 225), (252, 215), (252, 205)],
+        (-145, -150),
+    ),
+    "a position": (DRILLING + "4 CYCL CALL POS X+270 Y+205 Z+0 FMAX M3\n", [(270, 205)], (-145, -150)),
+    "a position on a step": (DRILLING + "4 CYCL CALL POS X+270 Y+205 Z-2.5 R0 FMAX\n", [(270, 205)], (-147.5, -152.5)),
+    "points": (
+        "3 PATTERN DEF ~\n POS1 (X+270 Y+205 Z+0) ~\n ROW1 (X+275 Y+210 D+5 NUM2 ROT+90 Z+0) ~\n"
+        " PITCHCIRC1 (X+260 Y+210 D20 START+0 STEP+90 NUM2 Z+0)\n" + DRILLING + "4 CYCL CALL PAT F MAX\n",
+        [(270, 205), (275, 210), (275, 215), (270, 210), (260, 220)],
+        (-145, -150),
+    ),
+    "the edge of a field": (
+        "3 Q5 = 10\n3 PATTERN DEF FRAME1 (X+260 Y+200 DX+Q5 DY+5 NUMX3 NUMY3 ROT+0 ROTX+0 ROTY+0 Z+0)\n"
+        + DRILLING
+        + "4 CYCL CALL PAT FMAX\n",
+        [(260, 200), (270, 200), (280, 200), (280, 205), (260, 205), (260, 210), (270, 210), (280, 210)],
+        (-145, -150),
+    ),
     # name: (text, places, heights of start and surface of each)
     "M99": (DRILLING + "4 L X+270 FMAX M99\n5 L Y+210 R0 FMAX M99\n", [(270, 200), (270, 210)], (-145, -150)),
     "M99 where the tool is": (DRILLING + "4 L FMAX M99\n5 M99\n", [(250, 200), (250, 200)], (-145, -150)),
@@ -137,13 +195,27 @@ REFUSED = {
     "a parameter changed": (DRILLING + "4 L X+270 FMAX M99\n5 Q203=-160\n6 L X+280 FMAX M99\n", "a new CYCL DEF"),
     "an unknown surface": (DRILLING.replace("Q203=-150", "Q203=Q77") + "4 L X+270 FMAX M99\n", "unknown Q203"),
     "no surface": ("3 CYCL DEF 200 DRILLING ~\n Q200=2\n4 L X+270 FMAX M99\n", "Q203 in its definition"),
-    "at a position": (DRILLING + "4 CYCL CALL POS X+10 Y+10 Z+0 FMAX\n", "at other places"),
-    "at a pattern": (DRILLING + "4 CYCL CALL PAT FMAX\n", "at other places"),
+    "at a position of the plane": (DRILLING + "4 CYCL CALL POS X+10 Y+10 FMAX\n", "X, Y and Z"),
+    "at a position by a feed": (DRILLING + "4 CYCL CALL POS X+10 Y+10 Z+0 F500\n", "at a feed|other words"),
+    "at a position before a plane is reached": (
+        DRILLING + "4 PLANE SPATIAL SPA+0 SPB+10 SPC+0 STAY\n5 CYCL CALL POS X+10 Y+10 Z+0 FMAX\n",
+        "its positioning",
+    ),
+    "at a position under RL": (DRILLING + "4 L X+270 RL F200\n5 CYCL CALL POS X+10 Y+10 Z+0 FMAX\n", "under RL"),
+    "at no pattern": (DRILLING + "4 CYCL CALL PAT FMAX\n", "PATTERN DEF with"),
+    "at another pattern": (DRILLING + "4 PATTERN DEF ROW1 (X+10 Y+10 NUM2.5)\n5 CYCL CALL PAT FMAX\n", "whole numbers"),
+    "at a table of points": (
+        DRILLING + '4 PATTERN DEF POS1 (X+9 Y+9 Z+0)\n5 SEL PATTERN "a.pnt"\n6 CYCL CALL PAT FMAX\n',
+        "PATTERN DEF with",
+    ),
+    "M99 after a pattern": (DRILLING + CIRCLE + "5 L X+270 FMAX M99\n", "a new CYCL DEF"),
+    "a pattern along a circle": (DRILLING + CIRCLE.replace("Q365=+0", "Q365=+1"), "Q365=0"),
     "under tool centre point control": (DRILLING + "4 M128\n5 L X+270 Y+200 Z-100 FMAX M99\n", "M129"),
     "in machine coordinates": (DRILLING + "4 L X+270 FMAX M91 M99\n", "cycle call in this block"),
     "at the end": (DRILLING + "4 L X+270 FMAX M99 M5\n", "cycle call in this block"),
     "M89 alone": (DRILLING + "4 M89\n", "M89 in a block with a position"),
-    "a circle of holes": (DRILLING + "4 CYCL DEF 220 POLAR PATTERN\n", "executed where it is defined"),
+    "a circle of holes without its values": (DRILLING + "4 CYCL DEF 220 POLAR PATTERN\n", "Q216, Q217"),
+    "a pattern without a cycle": (CIRCLE, "a cycle 200 to 209"),
 }
 
 

@@ -150,8 +150,6 @@ def test_roundings_and_chamfers_stay_with_the_contour(dmu50: Machine, errors: Ca
     assert len(words.findall(result.text)) == 3
     assert words.sub("", result.text) == compensated(START + CONTOUR, dmu50, errors).text
     assert "RND is left to the control" in result.report.to_text()
-    with pytest.raises(InputError, match="curve or rounding RND"):
-        compensated(START + "G1 X260. RND=2.\nY160.\n", dmu50, errors)
 
 
 def test_centres_are_written_as_the_program_writes_them(dmu50: Machine, errors: Calibration) -> None:

@@ -45,6 +45,24 @@ def refused(dialect, start, block, what, tcp=False):
         ("$A.MIN%\nG81 X1 Z-5 R1 F100", "of Okuma"),
         ("$A=5%", "unexpected character"),
         ("G74 A1=0", "canned cycle G74"),
+        ("G1 @5 X3", "polar words beside X, Y"),
+        ("G1 @5 @3", "polar words beside X, Y"),
+        ("G53 G0 @5 ^3", "without G53"),
+        ("G1 @5", "from the zero of the coordinates"),
+        ("G91 G1 @5 ^3", "from the zero of the coordinates"),
+        ("G28 X0\nG1 @5", "from an unknown position"),
+        ("G1 @ X3", "unexpected character"),
+        ("G33.1 X1 Z-5 K1", "with Z and K alone"),
+        ("G33.1 Z-5", "with Z and K alone"),
+        ("G33.1 Z-5 K1\nZ3", "where G33.1 is in force"),
+        ("M72", "M70 before it"),
+        ("M70\nG91\nM72 X5", "in a block of its own"),
+        ("M70\nG43 H1\nM72", "restores a work offset, a tool length"),
+        ("M73", "restored at a return"),
+        ("G43.1 H1", "G43.1 with Z alone"),
+        ("G1 G43.1 Z5", "G43.1 with Z alone"),
+        ("G2 X5 Y5 I5 J0 K1", "K outside the plane"),
+        ("G28 X0\nG92 X5", "which is unknown"),
         ("G74 X1=0 Y5", "canned cycle G74"),
         ("G74 X1", "canned cycle G74"),
         ("TRAORI\nG74 X1=0", "under tool centre point control"),
@@ -95,11 +113,21 @@ def refused(dialect, start, block, what, tcp=False):
         ("G2 X0 Y0 R5", "ends where it starts"),
         ("G2 X10 I5 K1", "outside the plane"),
         ("G1 X5 I2", "outside a circular block"),
-        ("CIP X5 Y5 I1=2 J1=3", "curve"),
-        ("CT X5", "curve"),
+        ("CIP X5 Y5 I1=2 J1=3 K1=1", "circle in space"),
+        ("CIP X5 Y5 I1=2.5 J1=2.5", "on a line"),
+        ("POLY PO[X]=(5,1)", "curve"),
+        ("G01 Z-5 F1000 *", "in plain language"),
+        ("INVCW X5 Y5 I1 J1 CR=9", "curve"),
+        ("G1 X5 AP=30 RP=5", "other words of the plane"),
+        ("G1 AP=30", "without the other one"),
+        ("G1 X5 ANG=90", "not across it"),
+        ("G1 X5 AR=30", "in this block"),
+        ("G2 X5 AR=400", "by its angle"),
+        ("G2 X5 Y5 I5 J0 AR=90", "determine it twice"),
+        ("G111 X5 Z5", "other words"),
+        ("G21 G111 X5 Y5", "other words"),
         ("G2.2 X5", "curve"),
         ("G5 X1 Y1 I1 J1 P0 Q0", "curve"),
-        ("BSPLINE X1 Y1", "curve"),
         ("G33 Z-5 K1", "thread"),
         ("G76 P1", "cycle"),
         ("G68 X0 Y0 R30", "transformation"),
@@ -140,7 +168,7 @@ def refused(dialect, start, block, what, tcp=False):
         ("X[#9+2]", "the value of X"),
         ("X=5+R1", "the value of X"),
         ("G1 X5 ,R2", "unexpected character"),
-        ("G1 X5 RND=2", "rounding"),
+        ("G1 X5 RND=2 OEMIPO1", "rounding"),
         ("G1 X5 FOO", "unknown word"),
         ("G1 X5 (open", "parenthesis"),
         ("G1 X5 G777", "unknown G word"),
@@ -222,6 +250,20 @@ def test_iso_notes_what_it_cannot_follow(block):
     assert math.isnan(reading.moves[-1].position[2])
 
 
+def test_a_declared_start_and_its_end():
+    """G92 before anything else says where the program's zero is; behind its end only rapids can pass."""
+    reading = read_moves(ISO, "G21 G90\nG92 X1 Y2 Z3\nG91 G1 X1\nG90 Y5\nG92.1\nG0 X7\n")
+    assert [move.position[:3] for move in reading.moves[:2]] == [(2.0, 2.0, 3.0), (2.0, 5.0, 3.0)]
+    assert "not known" in reading.moves[2].unknown and any("G92" in notice.text for notice in reading.notices)
+    refused(ISO, "G21 G90\nG92 X1 Y2 Z3\nG1 X5\nG92.1\n", "G1 X7", "coordinates before it are not known")
+    refused(ISO, "G21 G90\nG54\n", "G92 X1 Y2 Z3", "which is unknown")
+
+
+def test_a_centre_word_of_zero_outside_the_plane_is_said():
+    reading = read_moves(ISO, f"{ISO_START}G2 X5 Y5 I5 J0 K0\n")
+    assert reading.moves[-1].arc.centre_mm == (5.0, 0.0) and "K0 outside" in reading.notices[-1].text
+
+
 def test_machine_coordinates_and_variables():
     text = "_XH=-365. R2=7\nSUPA G0 X=_XH Z=_ZH D0\nG0 B0 C=R2\nG53 Y0\nG1 X1 Y1 Z1\n"
     home, rotary, machine, last = read_moves(ISO, text).moves
@@ -284,7 +326,9 @@ def test_drilling_written_out():
         ("L A+5", "unknown axis"),
         ("L X+5 X+6", "twice"),
         ("L XABC", "X has no number"),
-        ("CT X+5 Y+5", "CT"),
+        ("CTP PR+5 PA+30", "CTP"),
+        ("CYCL DEF 7.1 #5", "datum table"),
+        ("DEP PCT CCA90 R5", "APPR or DEP"),
         ("LP PR+5 PA+30", "LP"),
         ("CP IPA+30 DR+", "CP"),
         ("/L X+5", "block skip"),
@@ -295,8 +339,8 @@ def test_drilling_written_out():
         ("L X+5 S", "unknown word"),
         ("APPR PLT PR+5 PA+5 LEN10", "APPR"),
         ("DEP PLT LEN10", "DEP"),
-        ("RND R5", "RND"),
-        ("CHF 2", "CHF"),
+        ("FL X+5", "FL"),
+        ("SPLINE X+5 K3X1", "SPLINE"),
         ("FL X+5", "FL"),
         ("FC DR+ R5", "FC"),
         ("L X+5 R+ F100", "radius compensation"),

@@ -34,7 +34,7 @@ G_CODES = [
     for number in (*map(str, range(1000)), *(f"{whole}.{tenth}" for whole in range(1000) for tenth in range(1, 10)))
     if not {f"G{number}"} & TCP and number not in iso.GROUP_OF and number not in iso.REFUSED_CODES
 ]
-REFUSED_OR_KNOWN_M = iso.HARMLESS_M | iso.CALLING_M | iso.REFUSED_M | iso.RESTORING_M | TCP
+REFUSED_OR_KNOWN_M = iso.HARMLESS_M | iso.CALLING_M | iso.REFUSED_M | iso.SAVING_M | {"M73"} | TCP
 SWITCHING = (21, 22, 23, 24, 91, 92, 128, 129, 428, 429, 430)
 M_CODES = [f"M{number}" for number in SWITCHING if f"M{number}" not in TCP]
 AUXILIARY_M = [f"M{i}" for i in range(1000) if f"M{i}" not in REFUSED_OR_KNOWN_M and i not in SWITCHING]

@@ -73,13 +73,15 @@ def test_datums_take_their_freedoms_in_order() -> None:
     exact = np.zeros((49, 1))
     a, b, c = (grid(n, exact) for n in ((0, 0, 1), (0, 1, 0), (1, 0, 0)))
     assert [align(some, 1).free.shape[1] for some in ([], [a], [a, b], [a, b, c])] == [6, 3, 1, 0]
-    axis = Points(np.repeat([[0, 0, 0], [0, 0, -20]], 2, axis=0).astype(float), np.tile(np.eye(3)[:2], (2, 1)), np.zeros((4, 1)), axis=True)
+    axis = axis_of(np.zeros((3, 2)))
     assert align([a, axis], 1).free.shape[1] == 1  # the rotation about the axis
     assert align([axis], 1).free.shape[1] == 2
 
 
 def test_a_tilted_plane_is_flat_and_not_parallel() -> None:
-    tilted = moved(grid((0, 0, 1), np.zeros((49, 1))), np.zeros(3), np.array([0.0, 0.1, 0.0]))  # 100 µrad over 80 mm: 8 µm
+    tilted = moved(
+        grid((0, 0, 1), np.zeros((49, 1))), np.zeros(3), np.array([0.0, 0.1, 0.0])
+    )  # 100 µrad over 80 mm: 8 µm
     assert band_um(tilted, tilted.motion[:, 2:5])[0] == pytest.approx(0.0, abs=1e-6)
     assert band_um(tilted, np.ones((49, 1)))[0] == pytest.approx(8.0, rel=1e-3)
 
@@ -121,7 +123,11 @@ def test_a_pattern_that_may_move_is_placed_best(seed: int) -> None:
 
     start = np.append(np.zeros(3), np.linalg.norm(off, axis=1).max() + 1.0)
     found = minimize(
-        lambda x: x[3], start, constraints={"type": "ineq", "fun": inside}, method="SLSQP", options={"ftol": 1e-10, "maxiter": 500}
+        lambda x: x[3],
+        start,
+        constraints={"type": "ineq", "fun": inside},
+        method="SLSQP",
+        options={"ftol": 1e-10, "maxiter": 500},
     )
     assert value == pytest.approx(2.0 * found.fun, rel=0.01)
     assert value > 2.0 * found.fun * (1.0 - 1e-4)

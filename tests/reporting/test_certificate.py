@@ -17,6 +17,7 @@ import yaml
 from scipy import stats
 
 from tests.cli.commands import refused, status
+from twin._common.errors import InputError
 from twin.display.sheet import load_job
 from twin.machine.machine import Machine
 from twin.model.calibration import Calibration
@@ -128,6 +129,67 @@ def out(tmp_path: Path, mine: Path, job: Path, dmu50: Machine) -> Path:
     path = tmp_path / "mine.xml"
     path.write_text(calibration_certificate(Calibration.load(mine, dmu50), load_job(job), job), encoding="utf-8")
     return path
+
+
+FURTHER = {
+    "model": "eVolution",
+    "inventory_number": "M-17",
+    "order_number": "4500123",
+    "received": "2026-11-26",
+    "accreditation": "D-K-15018-01-00",
+    "traceability": "PTB length standards through T-12/2026",
+    "conditions": {"air_temperature_degC": [20.4, 20.9], "humidity_percent": [38, 41.5], "pressure_hPa": [1002, 1004]},
+}
+
+
+def test_what_a_laboratory_must_state(tmp_path: Path, mine: Path, dmu50: Machine, schema: xmlschema.XMLSchema) -> None:
+    """Item, order, place, operator, conditions, accreditation and traceability stand where the schema has a place for them."""
+    job = tmp_path / "full.yaml"
+    facts = {**JOB, "place": "hall 3", "operator": "M. Muster", "dcc": {**JOB["dcc"], **FURTHER}}  # type: ignore[dict-item]
+    job.write_text(yaml.safe_dump(facts, allow_unicode=True), encoding="utf-8")
+    path = tmp_path / "full.xml"
+    path.write_text(calibration_certificate(Calibration.load(mine, dmu50), load_job(job), job), encoding="utf-8")
+    schema.validate(path)
+    root = ElementTree.parse(path).getroot()
+
+    def text(where: str) -> str | None:
+        return root.findtext(f".//{where}", None, NS)
+
+    core = "dcc:coreData/"
+    assert (
+        text(f"{core}dcc:receiptDate") == "2026-11-26" and text(f"{core}dcc:identifications/*/dcc:value") == "4500123"
+    )
+    assert text("dcc:item/dcc:model") == "eVolution" and text("dcc:item/dcc:description/dcc:content") == "place: hall 3"
+    item = [
+        (one.findtext("dcc:issuer", "", NS), one.findtext("dcc:value", "", NS))
+        for one in root.iterfind(".//dcc:item/dcc:identifications/dcc:identification", NS)
+    ]
+    assert item == [("manufacturer", "1150-07"), ("customer", "M-17")]
+    conditions = {
+        one.findtext("dcc:name/dcc:content", "", NS): [
+            (real.findtext("si:value", "", NS), real.findtext("si:unit", "", NS))
+            for real in one.iterfind(".//si:real", NS)
+        ]
+        for one in root.iterfind(".//dcc:influenceCondition", NS)
+    }
+    assert conditions["air temperature"] == [("20.4", r"\degreecelsius"), ("20.9", r"\degreecelsius")]
+    assert conditions["relative humidity of the air"] == [("38", r"\percent"), ("41.5", r"\percent")]
+    assert conditions["air pressure"] == [("1002", r"\hecto\pascal"), ("1004", r"\hecto\pascal")]
+    assert conditions["temperature and conditions, as stated"] == []
+    assert text("dcc:statement[dcc:norm='ISO/IEC 17025']/dcc:reference") == "D-K-15018-01-00"
+    traced = text("dcc:statement[dcc:traceable='true']/dcc:declaration/dcc:content")
+    assert traced == "traceability, as stated: PTB length standards through T-12/2026"
+    said = declarations(path)
+    assert "measured by M. Muster" in said and "k = 1.96" in said
+
+
+def test_a_span_of_conditions_is_in_order(tmp_path: Path) -> None:
+    conditions = {"air_temperature_degC": [21.0, 20.0]}
+    path = tmp_path / "job.yaml"
+    path.write_text(yaml.safe_dump({**JOB, "dcc": {**JOB["dcc"], "conditions": conditions}}))  # type: ignore[dict-item]
+    with pytest.raises(InputError, match="lowest and the highest") as raised:
+        load_job(path)
+    assert raised.value.file == str(path)
 
 
 @pytest.mark.slow

@@ -130,6 +130,7 @@ def test_a_failure_beyond_an_incomplete_uncertainty_is_a_failure(dmu50: Machine,
     assert judged(dmu50, tmp_path, MINE, tool=1e4).items[0].verdict == "undecided"
 
 
+@pytest.mark.sample(2)  # of 4
 @pytest.mark.parametrize(
     ("tolerances", "status", "words"),
     [
@@ -231,6 +232,7 @@ def test_bad_input(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypat
     job.write_text("schema: twin.job/1\noperater: A\n")
     assert "a PNG or an SVG picture" in refused(capsys, "report", "-o", out, "--logo", logo)
     assert "operator" in refused(capsys, "report", "-o", out, "--job", job)
+    assert "report_number" in refused(capsys, "report", "-o", out, "--job", tmp_path / "none.yaml")
     assert "unknown item" in refused(capsys, "report", "-o", out, "--tolerance", "E_QQ=3")
     monkeypatch.setenv("TWIN_BROWSER", str(tmp_path / "absent"))
     assert "TWIN_BROWSER" in refused(capsys, "report", "-o", out, "--pdf", tmp_path / "r.pdf")

@@ -15,7 +15,7 @@ from tests.real import stage
 from tests.standards import motions
 from twin import cli
 from twin.machine.machine import Machine
-from twin.measurement.instruments.tracker import AT960
+from twin.measurement.instruments.points import AT960
 from twin.measurement.table import Measurements
 from twin.standards import EvaluationResult
 from twin.standards.linear_axes import _approaches

@@ -15,6 +15,8 @@ DEFAULT_ROTARY_LIMIT_DEG: Final = 0.5
 """Largest motion of a rotary axis to correct an orientation, degrees."""
 DEFAULT_TOLERANCE_MM: Final = 0.01
 """Largest distance of a tool path with fewer blocks from the programmed one, mm."""
+DEFAULT_ACCELERATION: Final = 5000.0
+"""Acceleration of the axes of a control that executes a program for a check, mm/s² and °/s²."""
 TRIALS: Final = 100_000
 """Number of machines drawn from a calibration's covariance."""
 VOLUME_POSES: Final = 200

@@ -12,14 +12,14 @@ from importlib import import_module
 from typing import Any, Final, Literal, get_args
 
 INSTRUMENTS: Final = {
-    "tracker": "tracker:AT960",
-    "tracker-absolute": "tracker:AT960_ABSOLUTE",
-    "interferometer": "interferometer:TrackingInterferometer",
-    "linear-interferometer": "linear:LinearInterferometer",
-    "level": "level:Level",
-    "probe": "probe:TouchProbe",
-    "r-test": "r_test:RTest",
-    "ball-bar": "ball_bar:BallBar",
+    "tracker": "points:AT960",
+    "tracker-absolute": "points:AT960_ABSOLUTE",
+    "interferometer": "lengths:TrackingInterferometer",
+    "linear-interferometer": "lengths:LinearInterferometer",
+    "level": "points:Level",
+    "probe": "points:TouchProbe",
+    "r-test": "points:RTest",
+    "ball-bar": "lengths:BallBar",
 }
 """Instruments whose readings a measurement table can contain: `twin.measurement.instruments`."""
 MEASURED_FORMATS: Final = {
@@ -102,10 +102,32 @@ DRIFTS: Final = ("environment", "spindle", "axes")
 DRIFT_INSTRUMENTS: Final = ("probe", "r-test", "displacement")
 """Touch probe and sphere, R-test, or displacement sensors around a mandrel."""
 
-PROGRAM_SUFFIXES: Final = {
-    "iso": (".nc", ".ngc", ".tap", ".mpf", ".spf", ".iso", ".eia", ".ptp", ".cnc", ".gcode", ".min", ".txt"),
-    "heidenhain": (".h", ".txt"),
-    "apt": (".cls", ".apt", ".txt"),
+
+class ProgramLanguage(StrEnum):
+    """Languages of NC programs (`twin.nc`)."""
+
+    iso = "iso"
+    heidenhain = "heidenhain"
+    apt = "apt"
+
+
+PROGRAM_SUFFIXES: Final[Mapping[str, tuple[str, ...]]] = {
+    ProgramLanguage.iso: (
+        ".nc",
+        ".ngc",
+        ".tap",
+        ".mpf",
+        ".spf",
+        ".iso",
+        ".eia",
+        ".ptp",
+        ".cnc",
+        ".gcode",
+        ".min",
+        ".txt",
+    ),
+    ProgramLanguage.heidenhain: (".h", ".txt"),
+    ProgramLanguage.apt: (".cls", ".apt", ".txt"),
 }
 """File name suffixes of each program language (`twin.nc`), in small letters, with the dot. One of several languages tells nothing."""
 

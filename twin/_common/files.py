@@ -382,6 +382,7 @@ _KINDS: Final = (
     (re.compile(r"\s*PK\x03\x04"), "a spreadsheet or zip file"),
     (re.compile(r"\s*(<!doctype html|<html)", re.IGNORECASE), "an HTML page"),
     (re.compile(r"\s*(<\?xml[^>]*>\s*)?(<!--.*?-->\s*)*<robot\b", re.DOTALL), "a URDF"),
+    (re.compile(r"\s*<\?xml\b"), "an XML file"),
     (re.compile(r"(.*\n)*?schema: twin\.calibration/"), "a calibration"),
     (re.compile(r"(.*\n)*?schema: twin\.machine/"), "a machine file"),
     (re.compile(r"(.*\n)*?schema: twin\.[\w-]+/"), "another file of twin"),

@@ -61,6 +61,14 @@ class Message(str):
         """Return how it is made again, for pickle and copy."""
         return Message._made, (str(self), self.identifier, self.arguments, self.capitalised)
 
+    def __add__(self, other: str) -> Message:
+        """Return the message followed by other text, which keeps its own translation."""
+        return joined("", [self, other])
+
+    def __radd__(self, other: str) -> Message:
+        """Return other text followed by the message."""
+        return joined("", [other, self])
+
     def starting(self, letter: str) -> Message:
         """Return the message with another first letter in English; a small letter keeps nouns of other languages as they are."""
         return Message._made(letter + self[1:], self.identifier, self.arguments, letter.isupper())
@@ -71,6 +79,38 @@ def joined(separator: str, parts: Sequence[str]) -> Message:
     places = {f"part{i}": part for i, part in enumerate(parts)}
     identifier = separator.join(f"{{{name}}}" for name in places)
     return Message._made(identifier.format(**places), identifier, places)
+
+
+def parts(text: str) -> list[str]:
+    """Return the parts of a text that was made by `joined` or by addition; other text is one part."""
+    if isinstance(text, Message) and "part0" in text.arguments:
+        return [one for part in text.arguments.values() for one in parts(part)]
+    return [text]
+
+
+def message_data(text: str) -> Any:
+    """Return a message as plain data for a file: its format string (``text``) and arguments; a list if joined by commas; other text."""
+    if not isinstance(text, Message):
+        return str(text)
+    if text.identifier == ", ".join(f"{{part{i}}}" for i in range(len(text.arguments))):
+        return [message_data(part) for part in text.arguments.values()]
+    return {"text": text.identifier} | {
+        name: message_data(value if isinstance(value, str) else str(value)) for name, value in text.arguments.items()
+    }
+
+
+def message_from(data: object) -> str:
+    """Return the text that `message_data` described; `ValueError` if it is empty, or its places are not its arguments."""
+    if isinstance(data, str) and data:
+        return data
+    if isinstance(data, list) and data:
+        return joined(", ", [message_from(part) for part in data])
+    if not isinstance(data, Mapping) or not isinstance(data.get("text"), str):
+        raise ValueError("expected text, or `text` with the values of its places")
+    given = {str(name): message_from(value) for name, value in data.items() if name != "text"}
+    if {*PLACE.findall(data["text"])} != {f"{{{name}}}" for name in given} or not all(map(str.isidentifier, given)):
+        raise ValueError("the values are not those of the places in braces")
+    return Message(data["text"], **given)
 
 
 @dataclass
@@ -99,6 +139,9 @@ class Translation:
     def _filled(self, known: str, message: Message, as_html: bool) -> str:
         format_string = html.escape(known, quote=False) if as_html else known
         filled = _Filler(self, as_html).vformat(format_string, (), message.arguments)
+        # An identifier has no blanks around it.
+        before, after = len(message) - len(message.lstrip()), len(message.rstrip())
+        filled = message[:before] + filled.strip() + message[max(after, before) :]
         return filled[:1].upper() + filled[1:] if message.capitalised else filled
 
 

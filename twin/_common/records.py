@@ -17,6 +17,8 @@ from twin._common.units import count_with_noun
 
 TIME: Final = "time_s"
 SPEED: Final = "spindle_rpm"
+APPROACH: Final = "approach_"
+"""Beginning of the name of a column with an axis's direction of approach: +1 from below, −1 from above, 0 unknown."""
 RECORD_OF_CONTROL: Final = "record of the control"
 """Beginning of the first comment of a record that a control with live compensation writes (`twin doc control`)."""
 MAX_CELLS: Final = 5_000_000

@@ -15,6 +15,8 @@ DEG: Final = pi / 180.0
 URAD: Final = 1e-6
 TURN: Final = 360.0
 """Degrees in one turn."""
+HOUR: Final = 3600.0
+"""Seconds in one hour."""
 
 # --- Counts with their nouns ----------------------------------------------------------------------
 

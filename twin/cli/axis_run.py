@@ -144,7 +144,7 @@ def simulate_axis_run(
         "rows": len(table),
         "stands_off": installed,
     }
-    return CommandResult("", lambda: report, written=f"written: {{}}, {count_with_noun(len(table), 'row')}")
+    return CommandResult("", lambda: report, written=f", {count_with_noun(len(table), 'row')}")
 
 
 def _layout_file(path: Path) -> Path:

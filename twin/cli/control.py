@@ -158,7 +158,7 @@ def control(
 def _result(
     found: Account | Existing | KinematicsAccount | ReadKinematics, after: list[str], *, met: bool = True
 ) -> CommandResult:
-    return CommandResult(found.to_text(), found.to_dict, met=met, written="", after=after)
+    return CommandResult(found.to_text(), found.to_dict, met=met, written=None, after=after)
 
 
 def _written(folder: Path, names: Iterable[str]) -> str:
@@ -230,7 +230,7 @@ def _write_live(errors: Calibration, add: bool, force: bool, tool_length: float 
         made = make_module(errors, tool_length_mm=tool_length, earlier=earlier_of(errors, add=add), force=force)
         write_module(made, output)
     after = [_written(output, (path.name for path in outputs_of(output)))]
-    return CommandResult(made.to_text(), made.to_dict, written="", after=after)
+    return CommandResult(made.to_text(), made.to_dict, written=None, after=after)
 
 
 def _write_kinematics(

@@ -21,6 +21,7 @@ PAGES: Final = (
         "convert",
         "identify",
         "evaluate",
+        "artefacts",
         "thermal",
         "diagnose",
         "plan",
@@ -72,7 +73,7 @@ def doc(
             table.add_row(Text(f"twin doc {name}", no_wrap=True), Text(text.splitlines()[0]))
         console.print(table)
 
-    return CommandResult("", lambda: {"schema": "twin.doc/1", "pages": pages}, written="", show=show)
+    return CommandResult("", lambda: {"schema": "twin.doc/1", "pages": pages}, written=None, show=show)
 
 
 def page_text(page: str) -> str:

@@ -40,7 +40,7 @@ def doctor(json_file: JsonOption = None) -> CommandResult:
     taken = perf_counter() - clock
     failed = [finding.name for finding in findings if finding.status == "FAILED"]
     result = {"schema": SCHEMA, "ok": not failed, "failed": failed, "seconds": taken, "findings": json_form(findings)}
-    return CommandResult(shown(findings, taken), lambda: result, met=not failed, written="written: {}")
+    return CommandResult(shown(findings, taken), lambda: result, met=not failed)
 
 
 def _cache() -> Finding:

@@ -131,15 +131,21 @@ def evaluate(
         from twin.standards.page import evaluation_html  # imports matplotlib, which is slow and needed only here
 
         page.write(lambda sheet: evaluation_html(evaluation, sheet), [*measured, loaded.path])
-    after = []
+    after = [] if reader is not None else _advice(evaluation)
     if dcc_file is not None and certificate is not None:
         write_atomic(dcc_file, certificate)
-        after = [UNSIGNED]
+        after.append(UNSIGNED)
     if output is not None and calibration is not None:
         calibration.save(output)
         after += [f"For the control: twin control --to FORMAT -m {machine} -c {output} -o FOLDER"]
     met = evaluation.met and bool(evaluation.tests)
     return CommandResult(evaluation.to_text(), evaluation.to_dict, met=met, after=after)
+
+
+def _advice(evaluation: EvaluationResult) -> list[str]:
+    """Return what to do where values have no uncertainty, if any has none."""
+    unknown = any(one.u != one.u for test in evaluation.tests for one in test.values)
+    return ["No uncertainty for some values: name the instrument with --instrument (twin doc instruments)"] * unknown
 
 
 def _drift(

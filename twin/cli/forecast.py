@@ -53,12 +53,10 @@ def forecast(
     loaded = options.machine(machine)
     errors = options.calibration_of(calibration, loaded)
     part = Part(features)
-    read, dialect = read_program(program, language)
     with progress_bar() as bar:
         found = run(
             part,
-            read,
-            dialect,
+            read_program(program, language),
             loaded,
             errors,
             Options(

@@ -249,4 +249,4 @@ def _proposed(found: ImportedTable, path: Path, output: Path, others: list[objec
     error = (
         f"twin: {found.source}: no table written: {count} to confirm in {path}; expected a confirmed mapping: {again}"
     )
-    return CommandResult(found.to_text(), found.to_dict, written="", errors=(error,), status=BAD_INPUT)
+    return CommandResult(found.to_text(), found.to_dict, written=None, errors=(error,), status=BAD_INPUT)

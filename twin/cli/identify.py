@@ -21,6 +21,7 @@ from twin.cli.shared.command import CALIBRATION, HTML, CommandResult, JsonOption
 if TYPE_CHECKING:
     from twin.controls import ControlSection
     from twin.machine.machine import Machine
+    from twin.measurement.certificate import Artefact
     from twin.measurement.table import Measurements
 
 
@@ -86,6 +87,15 @@ CertificateOption = Annotated[
         "with their covariance; repeatable (twin doc certificates).",
     ),
 ]
+ArtefactTemperatureOption = Annotated[
+    float | None,
+    typer.Option(
+        "--artefact-temperature",
+        metavar="DEGC",
+        help="Temperature of the artefacts, °C: their certificates' values are those at 20 °C; default: the mean of the column "
+        "T_artefact_degC, else 20.",
+    ),
+]
 
 
 @command(
@@ -105,6 +115,7 @@ def identify(
     only: OnlyOption = None,
     control: ControlOption = None,
     certificate: CertificateOption = None,
+    artefact_temperature: ArtefactTemperatureOption = None,
     json_file: JsonOption = None,
     html_file: Annotated[Path | None, typer.Option("--html", help="Write the report to this HTML file."), HTML] = None,
 ) -> CommandResult:
@@ -112,7 +123,6 @@ def identify(
     if instrument is not None:
         require_name("instrument", instrument, INSTRUMENTS)
     from twin.identification import identify as run_identification
-    from twin.measurement.certificate import Artefact
     from twin.measurement.instruments import instrument_named
     from twin.measurement.table import Measurements
     from twin.model.calibration import Calibration
@@ -142,7 +152,7 @@ def identify(
             instrument=None if instrument is None else instrument_named(instrument),
             wanted=lambda name: only is None or any(fnmatch.fnmatchcase(name, pattern) for pattern in only),
             spread=noise_source.value,
-            artefacts=[Artefact.load(path, data.target.tolist()) for path in certificate or []],
+            artefacts=_artefacts(certificate or [], data, artefact_temperature),
             progress=bar,
         )
     calibration = identification.calibration.with_control(tables)
@@ -168,6 +178,26 @@ def identify(
         met=identification.complete,
         check_json=lambda path: Identified.load(path, identification.calibration),
     )
+
+
+def _artefacts(paths: Sequence[Path], data: Measurements, temperature_degC: float | None) -> list[Artefact]:
+    """Return the artefacts of certificates at the temperature that is given, or at the mean of the table's column."""
+    import numpy as np
+
+    from twin.measurement.certificate import TEMPERATURE_U_K, Artefact
+
+    if temperature_degC is not None and not paths:
+        raise InputError("--artefact-temperature needs --certificate", expected="both", value=f"{temperature_degC:g}")
+    u = TEMPERATURE_U_K
+    read = data.temperature_degC.get("artefact", np.zeros(0))
+    if temperature_degC is None and np.isfinite(read).any():
+        temperature_degC, u = float(np.nanmean(read)), float(np.hypot(u, np.nanstd(read)))
+    if temperature_degC is not None and not 0.0 <= temperature_degC <= 60.0:
+        raise InputError(
+            "the artefact's temperature is not plausible", expected="0 to 60 °C", value=f"{temperature_degC:g}"
+        )
+    loaded = [Artefact.load(path, data.target.tolist()) for path in paths]
+    return loaded if temperature_degC is None else [artefact.at(temperature_degC, u) for artefact in loaded]
 
 
 def tables_on(entries: Sequence[str], machine: Machine) -> ControlSection:

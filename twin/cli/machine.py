@@ -13,9 +13,12 @@ import typer
 
 from twin._common.bundled import find_bundled
 from twin._common.errors import InputError
+from twin._common.families import Language
 from twin._common.files import check_writable, scratch_folder, write_atomic
+from twin._common.messages import Message, Number, joined, say
 from twin.cli.shared import complete
 from twin.cli.shared.command import CALIBRATION, EXISTING, HTML, POSITIVE, CommandResult, JsonOption, command
+from twin.cli.shared.paper import LangOption
 from twin.cli.shared.terminal import echo, pairs, three_numbers
 
 if TYPE_CHECKING:
@@ -26,17 +29,19 @@ if TYPE_CHECKING:
 
 SCHEMA: Final = "twin.machine-check/1"
 KINDS: Final[Mapping[str, tuple[str, str, str, Mapping[str, str]]]] = {
-    "1": ("trunnion A with table C, fixed bridge", "X Z", "Y A C", {}),
-    "2": ("trunnion B with table C, gantry", "Y X Z", "B C", {}),
-    "3": ("nutating table B (45°) with table C", "X Y Z", "B C", {"B": "0 1 -1"}),
-    "4": ("head B, table C", "Y Z B", "X C", {}),
-    "5": ("fork head C A, gantry", "X Y Z C A", "", {}),
-    "6": ("head C B, gantry", "X Y Z C B", "", {}),
-    "7": ("nutating head B (45°), table C", "X Y Z B", "C", {"B": "0 1 1"}),
-    "8": ("four axes: rotary table A", "Z", "X Y A", {}),
-    "9": ("three axes, mill with a cross table", "Z", "X Y", {}),
-    "10": ("three axes, router with a gantry", "Y X Z", "", {}),
-    "11": ("three axes, printer with a moving bed", "Z X", "Y", {}),
+    "1": (Message("trunnion A with table C, fixed bridge"), "X Z", "Y A C", {}),
+    "2": (Message("trunnion B with table C, gantry"), "Y X Z", "B C", {}),
+    "3": (Message("nutating table B (45°) with table C"), "X Y Z", "B C", {"B": "0 1 -1"}),
+    "4": (Message("head B, table C"), "Y Z B", "X C", {}),
+    "5": (Message("fork head C A, gantry"), "X Y Z C A", "", {}),
+    "6": (Message("head C B, gantry"), "X Y Z C B", "", {}),
+    "7": (Message("nutating head B (45°), table C"), "X Y Z B", "C", {"B": "0 1 1"}),
+    "8": (Message("four axes: rotary table A"), "Z", "X Y A", {}),
+    "9": (Message("three axes, mill with a cross table"), "Z", "X Y", {}),
+    "10": (Message("three axes, router with a gantry"), "Y X Z", "", {}),
+    "11": (Message("three axes, printer with a moving bed"), "Z X", "Y", {}),
+    "12": (Message("horizontal machining centre, rotary table B"), "X Y", "Z B", {"spindle": "horizontal"}),
+    "13": (Message("horizontal machining centre, tilting table A B"), "X Y Z", "A B", {"spindle": "horizontal"}),
 }
 """Kinds of machine that are offered: name, axes of the tool and of the workpiece from the bed outwards, and inclined axes."""
 RANGES: Final = {"X": "0 500", "Y": "0 400", "Z": "-400 0", "A": "-120 30", "B": "-110 110", "C": "unlimited"}
@@ -55,6 +60,7 @@ class Action(StrEnum):
 
 @command(
     "twin machine new -o mill.yaml",
+    "twin machine new --lang de -o fraesmaschine.yaml",
     "twin machine new --answers answers.yaml -o mill.yaml --html mill.html",
     "twin machine new --control axes.ini --control kins.hal --keep answers.yaml -o mill.yaml",
     "twin machine check mill.yaml --control archive.mpf --positions five.csv --tool-length 120",
@@ -110,6 +116,7 @@ def machine(
         Path | None, typer.Option("--html", help="Draw the statements in this HTML file."), HTML
     ] = None,
     json_file: JsonOption = None,
+    lang: LangOption = Language.en,
 ) -> CommandResult:
     """Describe your own machine by answers, without programming, or check a machine against its control.
 
@@ -127,12 +134,12 @@ def machine(
         if file is None:
             raise InputError("no machine given", expected="twin machine check MACHINE")
         path = find_bundled(file, ".yaml", "a machine file")
-        return _check(path, control or [], positions, no or [], tool_length, work_origin, tolerance, html_file)
+        return _check(path, control or [], positions, no or [], tool_length, work_origin, tolerance, html_file, lang)
     if output is None:
         raise InputError("no output given", expected="-o mill.yaml")
     if tool_length is not None:
         setting = [*(setting or []), f"tool_length={tool_length!r}"]
-    return _new(output, answers, setting or [], ask, keep, control or [], html_file)
+    return _new(output, answers, setting or [], ask, keep, control or [], html_file, lang)
 
 
 # --- twin machine new --------------------------------------------------------------------------------
@@ -146,6 +153,7 @@ def _new(
     keep: Path | None,
     control: list[Path],
     html: Path | None,
+    language: Language,
 ) -> CommandResult:
     """Write the files of a described machine, and report its statements."""
     urdf, answers_file = output.with_suffix(".urdf"), output.with_suffix(".answers.yaml")
@@ -180,7 +188,7 @@ def _new(
             (folder / path.name).write_text(text, encoding="utf-8")
         made = Machine.load(folder / output.name)
         description.check(made)
-        found = _Statements(made)
+        found = _Statements(made, language)
         page = found.page()
     if not same:
         texts[answers_file] = yaml_text({"schema": ANSWERS, **data})
@@ -195,8 +203,8 @@ def _new(
         "urdf": str(urdf),
         "unchecked": list(stated.unchecked) if stated else [],
     }
-    written = f"written: {', '.join(map(str, texts))}\nDraw it: twin scene PROGRAM -o scene.html --machine {output}"
-    return CommandResult("\n".join(lines) + "\n", lambda: report, written=written.replace("{", "{{").replace("}", "}}"))
+    draw = Message("Draw it: {command}", command=f"twin scene PROGRAM -o scene.html --machine {output}")
+    return CommandResult(joined("\n", [*lines, ""]), lambda: report, files=list(texts), after=[draw])
 
 
 def _given(answers: Path | None, setting: Sequence[str]) -> dict[str, Any]:
@@ -283,7 +291,7 @@ def _question(text: str, default: str, parse: Callable[[str], Any], expected: st
         InputError: the input ends.
     """
     while True:
-        echo(f"{text}{f' [{default}]' if default else ''}: ", end="")
+        echo(f"{say(text)}{f' [{default}]' if default else ''}: ", end="")
         sys.stdout.flush()
         line = sys.stdin.readline()
         if not line:
@@ -291,7 +299,7 @@ def _question(text: str, default: str, parse: Callable[[str], Any], expected: st
         value = parse(line.strip() or default)
         if value is not None:
             return value
-        echo(f"  expected {expected}")
+        echo("  " + say("expected {expected}", expected=expected))
 
 
 def _ask_chain(data: dict[str, Any], stated: StatedKinematics | None) -> dict[str, str]:
@@ -305,19 +313,29 @@ def _ask_chain(data: dict[str, Any], stated: StatedKinematics | None) -> dict[st
         return names if all(re.match(NAME, name) for name in names) else None
 
     if "name" not in data:
-        data["name"] = _question("Name of the machine", "my machine", lambda text: text[:80], "a name")
+        data["name"] = _question(
+            Message("Name of the machine"), "my machine", lambda text: text[:80], Message("a name")
+        )
     if stated is not None:
         data.update({key: list(names) for key, names in stated.chains.items() if names and key not in data})
     if "tool" not in data and "work" not in data:
         for key, (name, tool, work, _) in KINDS.items():
-            echo(f"  {key}  {name}: tool {tool or '-'}; workpiece {work or '-'}")
-        kind = _question("Which is closest", "1", lambda text: KINDS.get(text), f"one of {' '.join(KINDS)}")
+            text = say("{name}: tool {tool}; workpiece {work}", name=name, tool=tool or "-", work=work or "-")
+            echo(f"  {key}  {text}")
+        kind = _question(
+            Message("Which is closest"),
+            "1",
+            lambda text: KINDS.get(text),
+            Message("one of {names}", names=" ".join(KINDS)),
+        )
         hints.update(kind[3])
+        if "spindle" in hints:
+            data.setdefault("spindle", hints.pop("spindle"))
         while "tool" not in data:
             found = {}
-            for key, what, default in (("tool", "tool", kind[1]), ("work", "workpiece", kind[2])):
-                text = f"Axes that move the {what}, from the bed outwards (- for none)"
-                found[key] = _question(text, default or "-", chain, "letters X Y Z A B C, separated by blanks")
+            for key, what, default in (("tool", Message("tool"), kind[1]), ("work", Message("workpiece"), kind[2])):
+                text = Message("Axes that move the {what}, from the bed outwards (- for none)", what=what)
+                found[key] = _question(text, default or "-", chain, Message("letters X Y Z A B C, separated by blanks"))
             try:
                 check_chain(found["tool"], found["work"])
                 data.update(found)
@@ -330,49 +348,72 @@ def _ask_axes(data: dict[str, Any], hints: Mapping[str, str]) -> None:
     """Ask for what is missing about every axis, the place of the table and the tool."""
     from twin.machine.description import is_linear
 
-    axes = data.setdefault("axes", {})
+    axes, lying = data.setdefault("axes", {}), data.get("spindle") == "horizontal"
     tool, work = list(data.get("tool") or ()), list(data.get("work") or ())
     for name in sorted((*tool, *work), key=lambda name: (not is_linear(name), name)):
-        unit, one = ("mm" if is_linear(name) else "degrees"), axes.setdefault(name, {})
+        unit, one = ("mm" if is_linear(name) else Message("degrees")), axes.setdefault(name, {})
         parse = _reach if is_linear(name) else _turns
         _ask(
             one,
             "range",
-            f"{name}: range, {unit}",
-            RANGES[name[0]],
+            Message("{name}: range, {unit}", name=name, unit=unit),
+            "unlimited" if lying and name[0] == "B" else RANGES[name[0]],
             parse,
-            "lower upper with zero inside, or unlimited" if unit == "degrees" else "lower upper",
+            Message("lower upper with zero inside, or unlimited") if unit == "degrees" else Message("lower upper"),
         )
     if not any("increment" in one for one in axes.values()):
-        least = _question("Least increment of all axes, mm and degrees", "0.001", _single, "a number above 0")
+        least = _question(
+            Message("Least increment of all axes, mm and degrees"), "0.001", _single, Message("a number above 0")
+        )
         for one in axes.values():
             one["increment"] = least
     table = data.setdefault("table", {})
     for name in sorted(name for name in (*tool, *work) if is_linear(name)):
         reach = axes[name]["range"]
         low, high = (0.0, 0.0) if isinstance(reach, str) else reach
-        default = f"{low if name[0] == 'Z' else 0.5 * (low + high):g}"
-        text = f"{name}: its position with the spindle nose (without tool) at the centre of the table's surface"
-        _ask(table, name, text, default, _single, "a number, mm")
+        default = f"{low if name[0] in ('YZ' if lying else 'Z') else 0.5 * (low + high):g}"
+        text = Message(
+            "{name}: its position with the spindle nose (without tool) at the centre of the table's surface", name=name
+        )
+        _ask(table, name, text, default, _single, Message("a number, mm"))
     for name in (name for name in (*reversed(tool), *work) if not is_linear(name)):
-        _ask_rotary(axes[name], name, hints.get(name, "XYZ"["ABC".index(name[0])]), of_tool=name in tool)
-    _ask(data, "tool_length", "Usual tool length, mm", "0", _single, "a number, mm")
+        line = hints.get(name, "XYZ"["ABC".index(name[0])])
+        # A distance has no default, but a table that turns about the vertical usually does so about its centre.
+        place = "table 0 0 0" if name in work and name[0] == ("B" if lying else "C") else ""
+        _ask_rotary(axes[name], name, line, place, of_tool=name in tool)
+    _ask(data, "tool_length", Message("Usual tool length, mm"), "0", _single, Message("a number, mm"))
 
 
-def _ask_rotary(one: dict[str, Any], name: str, line: str, *, of_tool: bool) -> None:
+def _ask_rotary(one: dict[str, Any], name: str, line: str, place: str, *, of_tool: bool) -> None:
     """Ask for direction, sense and place of a rotary axis."""
     from twin.machine.description import DIRECTIONS, PLACES, direction_of, is_near, place_of
 
-    text = f"{name}: direction of the axis (inclined: 0 1 1, or Y Z 45)"
+    text = Message("{name}: direction of the axis (inclined: 0 1 1, or Y Z 45)", name=name)
     _ask(one, "about", text, line, lambda text: text if is_near(direction_of(text), name) else None, DIRECTIONS)
-    what = "the tool turns" if of_tool else "the table turns left-handed, and so the tool"
-    text = f"{name}: with a positive command {what} right-handed about it (iso), or reversed"
-    _ask(one, "positive", text, "iso", lambda text: text if text in ("iso", "reversed") else None, "iso or reversed")
-    where = "from the spindle nose" if of_tool else "in machine coordinates or from the centre of the table"
-    text = f"{name}: a point of the axis, mm, {where}: {'nose' if of_tool else 'machine or table'} and x y z"
-    # A distance has no default, but a table that turns about the vertical usually does so about its centre.
-    default = "table 0 0 0" if not of_tool and name[0] == "C" else ""
-    _ask(one, "at", text, default, lambda text: None if place_of(text) is None else text, PLACES)
+    what = Message("the tool turns") if of_tool else Message("the table turns left-handed, and so the tool")
+    text = Message(
+        "{name}: with a positive command {what} right-handed about it (iso), or reversed", name=name, what=what
+    )
+    _ask(
+        one,
+        "positive",
+        text,
+        "iso",
+        lambda text: text if text in ("iso", "reversed") else None,
+        Message("iso or reversed"),
+    )
+    where = (
+        Message("from the spindle nose")
+        if of_tool
+        else Message("in machine coordinates or from the centre of the table")
+    )
+    text = Message(
+        "{name}: a point of the axis, mm, {where}: {frame} and x y z",
+        name=name,
+        where=where,
+        frame="nose" if of_tool else "machine/table",
+    )
+    _ask(one, "at", text, place, lambda text: None if place_of(text) is None else text, PLACES)
 
 
 def _ask(place: dict[str, Any], key: str, text: str, default: str, parse: Callable[[str], Any], expected: str) -> None:
@@ -406,17 +447,26 @@ def _floats(words: Sequence[str]) -> list[float] | None:
 def _assumed(data: Mapping[str, Any], description: Description) -> list[str]:
     """Return what was not answered and therefore assumed."""
     chain = description.answers.names
-    lines = [
-        "Assumed: shapes and masses are estimates, not the machine's; clearances computed with them are not those of the machine."
+    lines: list[str] = [
+        Message(
+            "Assumed: shapes and masses are estimates, not the machine's; clearances computed with them are not "
+            "those of the machine."
+        )
     ]
+    if description.answers.spindle == "horizontal":
+        lines.append(
+            Message(
+                "Horizontal spindle: Y is up, Z along the spindle (ISO 841); instruments are planned where you place them."
+            )
+        )
     for key, what in (
-        ("increment", "least increment 0.001"),
-        ("positive", "positive turning as ISO 841"),
-        ("about", "direction by its letter"),
+        ("increment", Message("least increment 0.001")),
+        ("positive", Message("positive turning as ISO 841")),
+        ("about", Message("direction by its letter")),
     ):
         names = [n for n in chain if key not in data["axes"][n] and (key == "increment" or n[0] in "ABC")]
         if names:
-            lines.append(f"Assumed for {' '.join(names)}: {what}")
+            lines.append(Message("Assumed for {names}: {what}", names=" ".join(names), what=what))
     return lines
 
 
@@ -432,31 +482,45 @@ def _check(
     work_origin: str | None,
     tolerance: float,
     html: Path | None,
+    language: Language,
 ) -> CommandResult:
     """Report the statements on a machine, and its differences from the control."""
     from twin.machine.machine import Machine
 
     loaded = Machine.load(path)
-    found = _Statements(loaded)
+    found = _Statements(loaded, language)
     report: dict[str, Any] = {**found.to_dict(), "machine": str(path)}
     lines = found.lines()
     met = True
     for number in no:
         if not 1 <= number <= len(found.statements):
             raise InputError("no such statement", expected=f"1 to {len(found.statements)}", value=number, setting="no")
-        lines.append(f"No to {number}: this contradicts the answer {found.statements[number - 1].contradicted}")
+        lines.append(
+            Message(
+                "No to {number}: this contradicts the answer {contradicted}",
+                number=number,
+                contradicted=found.statements[number - 1].contradicted,
+            )
+        )
         met = False
     if control:
         from twin.controls.described import StatedKinematics
 
         stated = StatedKinematics.load(control)
         rows = stated.differences(loaded)
-        lines += ["", f"Compared with {stated.title} ({stated.path}):"]
+        lines += ["", Message("Compared with {title} ({path}):", title=stated.title, path=stated.path)]
         for name, angle, away, vector in rows:
             off = " ".join(f"{value:+.4f}" for value in vector + 0.0)
             wrong = max(angle, away) > tolerance
             lines.append(
-                f"  {name}: direction differs by {angle:.4f}°, place by {away:.4f} mm ({off}){'  DIFFERS' if wrong else ''}"
+                Message(
+                    "  {name}: direction differs by {angle:.4f}°, place by {away:.4f} mm ({off}){differs}",
+                    name=name,
+                    angle=angle,
+                    away=away,
+                    off=off,
+                    differs=Message("  DIFFERS") if wrong else "",
+                )
             )
             met = met and not wrong
         lines += _unchecked(stated)
@@ -477,38 +541,57 @@ def _check(
     report["met"] = met
     if html is not None:
         write_atomic(html, found.page())
-    return CommandResult("\n".join(lines) + "\n", lambda: report, met=met)
+    return CommandResult(joined("\n", [*lines, ""]), lambda: report, met=met)
 
 
 def _position_lines(displayed: Displayed, path: Path) -> list[str]:
     """Return the comparison with displayed positions in lines."""
-    lines = [f"Compared with the positions in {path}, machine minus display:"]
+    lines: list[str] = [Message("Compared with the positions in {path}, machine minus display:", path=path)]
     for line, off, angle in displayed.rows:
-        turned = "" if angle != angle else f", axis {angle:.4f}°"
-        lines.append(f"  line {line}: {' '.join(f'{value:+.4f}' for value in off)} mm{turned}")
+        turned = "" if angle != angle else Message(", axis {angle:.4f}°", angle=angle)
+        lines.append(
+            Message(
+                "  line {line}: {off} mm{turned}",
+                line=str(line),
+                off=Number(" ".join(f"{v:+.4f}" for v in off)),
+                turned=turned,
+            )
+        )
     origin = " ".join(f"{value:.4f}" for value in displayed.origin_mm)
     if displayed.fitted:
         lines.append(
-            f"  after a constant shift by {origin} mm, which is taken for the zero of the display (--work-origin fixes it)"
+            Message(
+                "  after a constant shift by {origin} mm, which is taken for the zero of the display (--work-origin "
+                "fixes it)",
+                origin=origin,
+            )
         )
     away, angle = displayed.worst
     shown = any(one == one for *_, one in displayed.rows)
-    lines.append(f"  largest difference: {away:.4f} mm{f', {angle:.4f}°' if shown else ', tool axis not given'}")
-    lines += [f"  all rows would agree with {cure}" for cure in displayed.cures]
+    lines.append(
+        Message("  largest difference: {away:.4f} mm", away=away)
+        + (Number(f", {angle:.4f}°") if shown else Message(", tool axis not given"))
+    )
+    lines += [Message("  all rows would agree with {cure}", cure=cure) for cure in displayed.cures]
     return lines
 
 
 def _unchecked(stated: StatedKinematics | None) -> list[str]:
     """Return what could not be checked about a control's data."""
-    return [] if stated is None else [f"Not checked ({stated.title}): {text}" for text in stated.unchecked]
+    return (
+        []
+        if stated is None
+        else [Message("Not checked ({title}): {text}", title=stated.title, text=text) for text in stated.unchecked]
+    )
 
 
 class _Statements:
     """The statements on a machine, and their output."""
 
-    def __init__(self, made: Machine) -> None:
+    def __init__(self, made: Machine, language: Language) -> None:
         from twin.machine.statements import statements
 
+        self.language = language
         self.machine = made
         self.statements: list[AxisStatement] = statements(made)
 
@@ -516,9 +599,9 @@ class _Statements:
         """Return the statements in lines."""
         lines = [
             self.machine.brief,
-            "Check at the machine, with care (yes or no; a no: twin machine check MACHINE --no N):",
+            Message("Check at the machine, with care (yes or no; a no: twin machine check MACHINE --no N):"),
         ]
-        return [*lines, *(f"{n:3}. {one.text}" for n, one in enumerate(self.statements, 1))]
+        return [*lines, *(joined("", [f"{n:3}. ", one.text]) for n, one in enumerate(self.statements, 1))]
 
     def to_dict(self) -> dict[str, Any]:
         """Return the statements for JSON."""
@@ -532,15 +615,22 @@ class _Statements:
         from twin.machine.statements import picture
 
         items = "".join(
-            f"<section>{picture(self.machine, one.command)}<p><b>{n}.</b> {escape(one.text)}</p>"
-            f"<p>☐ yes &nbsp; ☐ no: <small>contradicts {escape(one.contradicted)}</small></p></section>"
+            f"<section>{picture(self.machine, one.command)}<p><b>{n}.</b> {escape(say(one.text))}</p>"
+            f"<p>☐ {escape(say('yes'))} &nbsp; ☐ {escape(say('no'))}: <small>"
+            f"{escape(say('contradicts {answer}', answer=one.contradicted))}</small></p></section>"
             for n, one in enumerate(self.statements, 1)
         )
         style = "body{font:15px sans-serif;margin:2em}section{display:inline-block;width:300px;vertical-align:top;"
         style += "margin:8px;padding:8px;border:1px solid #ccc}"
         title = escape(self.machine.name)
-        lead = "Table (red mark at the front) and tool before, pale, and after the command. +X right, +Y back, +Z up."
+        lead = (
+            say("Table (red mark at the front) and tool before, pale, and after the command. +X right, +Y back, +Z up.")
+            if self.machine.upright[2, 2] > 0.5
+            else say(
+                "Table (red mark at the front) and tool before, pale, and after the command. +X left, +Y up, +Z back."
+            )
+        )
         return (
-            f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{title}</title><style>{style}</style>'
+            f'<!doctype html><html lang="{self.language.value}"><meta charset="utf-8"><title>{title}</title><style>{style}</style>'
             f"<h1>{title}</h1><p>{lead}</p>{items}</html>\n"
         )

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from twin._common.bundled import DEFAULT, DEFAULT_ROTARY_LIMIT_DEG, DEFAULT_TOLERANCE_MM
+from twin._common.bundled import DEFAULT, DEFAULT_ACCELERATION, DEFAULT_ROTARY_LIMIT_DEG, DEFAULT_TOLERANCE_MM
 from twin._common.errors import InputError
 from twin._common.files import write_atomic
 from twin._common.provenance import warning_texts
@@ -219,7 +219,7 @@ def _summary(
             "exit_status": status,
             "programs": [outcome.to_dict() for outcome in outcomes_done],
         },
-        written="",
+        written=None,
         after=[f"written: {folder} (each with {TEXT_SUFFIX} and {JSON_SUFFIX})"]
         if len(failed) < len(outcomes_done)
         else [],
@@ -321,7 +321,7 @@ def verify(
     ] = None,
     acceleration: Annotated[
         float, typer.Option("--acceleration", help="Acceleration of the control's axes, mm/s² and °/s²."), POSITIVE
-    ] = 5000.0,
+    ] = DEFAULT_ACCELERATION,
     user: Annotated[
         str, typer.Option("--user", help="User who runs the control, if twin runs as root; the control refuses root.")
     ] = "",

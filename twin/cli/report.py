@@ -32,7 +32,6 @@ WORDS: Final[dict[Verdict, Message]] = {
     "undecided": Message("undecided"),
     "pass": Message("pass"),
 }
-VERDICTS: Final = {"fail": Message("FAIL"), "undecided": Message("UNDECIDED"), "pass": Message("PASS")}
 KINDS: Final = {
     "do": Message("do"),
     "measure": Message("measure"),
@@ -154,23 +153,30 @@ def report(
 
 
 def _result(found: MachineReport, front: FrontPage, sheet: Sheet, unused: Iterable[str]) -> CommandResult:
+    from twin.reporting.front import JUDGED
+
     judged = []
     if front.verdict is not None:
         counts = [Message("{count} {word}", count=front.count(k), word=WORDS[k]) for k in WORDS if front.count(k)]
         judged = [
             Message(
                 "tolerances (ISO 14253-1): {verdict}; items: {counts}",
-                verdict=VERDICTS[front.verdict],
+                verdict=JUDGED[front.verdict],
                 counts=joined(", ", counts),
             )
         ]
     items = front.not_accepted
-    more = [f"and {len(items) - SHOWN} further items, all in the JSON"] if len(items) > SHOWN else []
+    more = (
+        [Message("and {count} further items, all in the JSON", count=len(items) - SHOWN)] if len(items) > SHOWN else []
+    )
     return CommandResult(
         joined("\n", [*_first_screen(found), *judged, *unused, ""]),
         lambda: found.to_dict() | {"first_page": sheet.to_dict() | front.to_dict()},
         met=not found.unmet and not front.not_accepted,
-        after=[f"not met: {text}" for text in (*found.unmet, *(item.text for item in items[:SHOWN]), *more)],
+        after=[
+            Message("not met: {text}", text=text)
+            for text in (*found.unmet, *(item.text for item in items[:SHOWN]), *more)
+        ],
     )
 
 

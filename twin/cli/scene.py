@@ -78,7 +78,7 @@ def scene(
         "".join(f"{text}\n" for text in warning_texts(errors.warnings)),
         lambda: _report(output, source, errors, length, run),
         met=run.complete,
-        written=f"written: {{}}{omitted}",
+        written=omitted,
         after=options.unused(at, errors),
     )
 

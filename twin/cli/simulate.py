@@ -105,7 +105,7 @@ def simulate(
         "",
         lambda: report,
         met=not planned.set_aside,
-        written=f"written: {{}}, {count_with_noun(len(measured), 'point')}",
+        written=f", {count_with_noun(len(measured), 'point')}",
         after=[f"  {text}" for text in (*excluded, *planned.notices, *off)],
     )
 

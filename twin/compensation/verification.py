@@ -19,12 +19,13 @@ from typing import Any, Final, NamedTuple, final
 import numpy as np
 from scipy.spatial import cKDTree
 
+from twin._common.bundled import DEFAULT_ACCELERATION
 from twin._common.errors import InputError
 from twin._common.provenance import warning_texts
 from twin._common.records import json_form
 from twin.compensation.programs.compensator import Compensator
 from twin.compensation.programs.execute import execute
-from twin.compensation.programs.follow import Sections, follow, motions_of
+from twin.compensation.programs.follow import follow_sections
 from twin.compensation.programs.prepared import PreparedMachine
 from twin.compensation.programs.words import Setup
 from twin.controls import linuxcnc
@@ -33,7 +34,7 @@ from twin.display.results import Result
 from twin.machine.machine import Machine
 from twin.model.calibration import Calibration
 from twin.nc import read_program
-from twin.nc.blocks import Program, as_columns
+from twin.nc.blocks import Program
 from twin.nc.dialect import Dialect
 from twin.tool.forward import Kinematics
 
@@ -133,7 +134,7 @@ def verify(
     compensator: Compensator,
     *,
     user: str = "",
-    acceleration: float = linuxcnc.DEFAULT_ACCELERATION,
+    acceleration: float = DEFAULT_ACCELERATION,
     seconds: float = LONGEST_S,
 ) -> Verification:
     """Execute a program and its compensated form on LinuxCNC, run by ``user`` (if empty, the present one); mm/s² and °/s².
@@ -224,10 +225,9 @@ def _way(program: Program, dialect: Dialect, prepared: PreparedMachine) -> tuple
     """Return positions (n, axes) along a program, between which the axes move on straight lines, and tool lengths (n,)."""
     space = prepared.space
     reading = dialect.moves(program, space.axes, tcp=False)
-    sections = Sections(space, program.source).add(as_columns(space.axes.names, reading.moves), reading.frames)
-    path = follow(program, reading, space, sections)
+    _, _, parts = follow_sections(program, reading, space)
     positions, lengths = [], []
-    for part in motions_of(space, sections, path):
+    for part in parts:
         positions.append(execute(program, part.path, part.space, prepared.real, context=part.context).positions)
         lengths.append(np.full(len(positions[-1]), part.space.nominal.tool_length_mm))
     return np.vstack(positions), np.concatenate(lengths)

@@ -89,8 +89,9 @@ class RowFunction:
 
         def part(rows: slice) -> int:
             given, out = (start + 8 * rows.start * step for start, step in zip(starts, steps, strict=True))
-            arrays = (given, steps[0], out, steps[1], self._routine.constants)
-            job = _RowsJob(rows.stop - rows.start, *(array.ctypes.data for array in arrays), far=LARGEST_ANGLE)
+            job = _RowsJob(rows.stop - rows.start, far=LARGEST_ANGLE)
+            arrays = {"in": given, "in_step": steps[0], "out": out, "out_step": steps[1], "k": self._routine.constants}
+            compiler.point_to(job, arrays)
             return int(library.run(ctypes.byref(job)))
 
         return not any(compiler.map_row_chunks(len(found[0]), part))
@@ -209,8 +210,7 @@ class CompiledAlong:
             values = starts + 8 * lines.start * steps
             job = _AlongJob(lines.stop - lines.start, far=LARGEST_ANGLE, slack=slack)
             given = {"in": values, "in_step": steps, "points": points[lines], "k": self._routine.constants}
-            for name, array in given.items():
-                setattr(job, name, array.ctypes.data)
+            compiler.point_to(job, given)
             room(lines, job)
             status = library.along(ctypes.byref(job)) if library is not None else 1
             return status, lines.start, job.count

@@ -25,7 +25,7 @@ from typing import Any, Final, Literal, NamedTuple, final
 import numpy as np
 
 from twin._common.errors import InputError
-from twin.controls.format import TableLine, table_lines
+from twin.controls.format import TableLine, rotation_about_axis, table_lines
 from twin.machine.description import Description, axis_lines, is_linear
 from twin.machine.machine import Machine
 
@@ -512,7 +512,7 @@ def _heidenhain(lines: Sequence[TableLine]) -> StatedKinematics:
         if key == "Trans":
             value, k = line.decimal("COORD", words[3]), "XYZABC".index(axis)
             place = place + turned[:, k] * value if k < 3 else place
-            turned = turned @ _about(k - 3, np.radians(value)) if k >= 3 else turned
+            turned = turned @ rotation_about_axis(k - 3, np.radians(value)) if k >= 3 else turned
         elif axis in "XYZ":
             linear = True
         else:
@@ -529,14 +529,6 @@ def _heidenhain(lines: Sequence[TableLine]) -> StatedKinematics:
     return StatedKinematics(
         "HEIDENHAIN, kinematics description", lines[0].path, (*reversed(tool), *work), unchecked=unchecked
     )
-
-
-def _about(axis: int, angle: float) -> np.ndarray:
-    i, j = (axis + 1) % 3, (axis + 2) % 3
-    about = np.eye(3)
-    about[i, i] = about[j, j] = np.cos(angle)
-    about[j, i], about[i, j] = np.sin(angle), -np.sin(angle)
-    return about
 
 
 # --- LinuxCNC ----------------------------------------------------------------------------------------

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar, Final, Generic, TypeVar, final
 
+import numpy as np
+
 from twin._common.errors import InputError
 from twin._common.families import BasicClass
 from twin._common.files import read_lines, scratch_folder
@@ -189,3 +191,12 @@ def unit_of(axis: Axis) -> float:
 def fixed_decimals(value: float, digits: int) -> str:
     """Return a number with ``digits`` decimals, without a minus sign before zero."""
     return f"{round(value, digits) + 0.0:.{digits}f}"
+
+
+def rotation_about_axis(axis: int, angle: float) -> np.ndarray:
+    """Return the rotation (3, 3) about an axis of a system, 0 to 2; the angle in radians."""
+    i, j = (axis + 1) % 3, (axis + 2) % 3
+    about = np.eye(3)
+    about[i, i] = about[j, j] = np.cos(angle)
+    about[j, i], about[i, j] = np.sin(angle), -np.sin(angle)
+    return about

@@ -20,6 +20,7 @@ from uuid import uuid4
 
 import numpy as np
 
+from twin._common.bundled import DEFAULT_ACCELERATION
 from twin._common.errors import InputError
 from twin.machine.machine import Machine
 
@@ -31,7 +32,6 @@ LOST: Final = "USRMOT: ERROR: command timeout"
 """In its output where a command did not reach the motion controller; a refused one is an "invalid command" and has a message."""
 PERIOD_S: Final = 0.001
 _LIMITS: Final = "MIN_LIMIT = {low}\nMAX_LIMIT = {high}\nMAX_VELOCITY = 500\nMAX_ACCELERATION = {acceleration}"
-DEFAULT_ACCELERATION: Final = 5000.0
 
 
 @final

@@ -7,6 +7,7 @@ between them (twice the expected log-likelihood ratio; Atkinson and Fedorov 1975
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Final
@@ -14,24 +15,25 @@ from typing import Final
 import numpy as np
 
 from twin._common.arrays import first_largest, largest_first, read_only
-from twin._common.units import MM
+from twin._common.messages import Message, Number, joined
+from twin._common.units import MM, TURN
 from twin.diagnosis.candidates.calibration import ITSELF, constant_dropped, flaw, times
+from twin.diagnosis.candidates.candidate import STRAIGHT_LINE
 from twin.diagnosis.candidates.instrument import assumed_zero
 from twin.diagnosis.cross_validation import predicts_held_out
-from twin.diagnosis.estimate import Estimate, fitted_effects
-from twin.diagnosis.forms import DEVIANCE_RULED_OUT, Candidates, Form
+from twin.diagnosis.estimate import Estimate, fitted_effects, fitting_periods
+from twin.diagnosis.forms import DEVIANCE_RULED_OUT, RESOLVED, Candidates, Form
 from twin.diagnosis.problem import Problem
 from twin.diagnosis.result import Cause, Next, Rival, readable_unit
 from twin.diagnosis.search import excess_ratio
 from twin.diagnosis.structure import Findings
-from twin.display.numbers import listed
+from twin.display.numbers import COVERAGE_FACTOR, listed
 from twin.identification.network import Network
 from twin.measurement.observation import machine_state
 from twin.measurement.table import Measurements
 from twin.model.calibration import Calibration
 from twin.model.effects import assemble
 from twin.model.effects.base import axis_of
-from twin.model.effects.harmonic import TURN_DEG
 from twin.model.effects.specification import FittedCause
 from twin.numerics.functions import SHORTEST_PERIOD, sampling_frequency
 from twin.tool.uncertainty import volume
@@ -43,6 +45,10 @@ SPANNED: Final = 0.01
 FIELD: Final = "with the frame"
 """`Specification.varies` of an error of the instrument that is a field in its frame: scales, shears, bent beams."""
 IMITATED: Final = 0.2  # share of a cause's effect that an error of the instrument may leave and still replace it
+LAG_SHARE: Final = (
+    0.1  # relative difference of a growth's coefficient, with a lag and without, up to which the lag is only a remark
+)
+SMOOTH_DEGREE: Final = 5  # degree of the smooth function of a temperature that is compared with a course in time
 RUNNERS_UP: Final = 2  # number of alternatives that are ruled out and listed with a cause
 
 
@@ -77,7 +83,7 @@ def _in_place(candidates: Candidates, form: Form, others: Sequence[Form]) -> tup
         if other.key not in used
         and not other.candidate.is_same_event(form.candidate)
         and not other.candidate.is_variant_in_time_of(form.candidate)
-    ]
+    ] + lags(candidates, form, others, differing=True)
     scores = candidates.scores(others, [other.index for other in tried])
     dof_of_form = candidates.scores(others, [form.index])[0, 1]
     best: dict[tuple[str, str], float] = {}
@@ -98,6 +104,80 @@ def _in_place(candidates: Candidates, form: Form, others: Sequence[Form]) -> tup
         best[rival.key] = max(best.get(rival.key, -np.inf), worth)
     ranked = [list(best)[i] for i in largest_first(np.array(list(best.values())))]
     return tuple(key for key in ranked if best[key] > least)
+
+
+def lags(candidates: Candidates, form: Form, others: Sequence[Form], *, differing: bool) -> list[Form]:
+    """Return the lags of a growth that the readings do not exclude, the others kept.
+
+    ``differing``: only if they predict something else: one of them has a coefficient outside the interval of the growth's and farther
+    from it than `LAG_SHARE`, or excludes the growth without it.
+    """
+    tried = [o for o in candidates.forms if o.nonlinear and o.candidate.is_variant_in_time_of(form.candidate)]
+    if form.nonlinear or not tried:
+        return []
+    explained, _ = candidates.scan(others)
+    gain = np.array([float(explained[lag.index] - explained[form.index]) for lag in tried])
+    found = [lag for lag, own in zip(tried, gain, strict=True) if own > max(gain.max(), 0.0) - DEVIANCE_RULED_OUT]
+    if not differing or gain.max() > DEVIANCE_RULED_OUT:
+        return found
+    value, u = coefficient(candidates, form, others)
+    most = max(COVERAGE_FACTOR * u, LAG_SHARE * abs(value))
+    return found if any(abs(coefficient(candidates, lag, others)[0] - value) > most for lag in found) else []
+
+
+def coefficient(candidates: Candidates, form: Form, others: Sequence[Form]) -> tuple[float, float]:
+    """Return the first parameter of a form fitted with some others, and its standard uncertainty by the noise."""
+    columns, values, inverse = candidates.fitted([*others, form])
+    at, scale = int(np.searchsorted(columns, form.columns[0])), form.variant.columns[0].scale
+    return float(values[at] * scale), float(np.sqrt(max(inverse[at, at], 0.0)) * scale)
+
+
+def lag_not_excluded(candidates: Candidates, form: Form, others: Sequence[Form]) -> str:
+    """Return the longest lag of a growth that the readings do not exclude, and the coefficients with it, in words; empty if none."""
+    found = lags(candidates, form, others, differing=False)
+    if not found:
+        return ""
+    values = [coefficient(candidates, some, others)[0] for some in (form, *found)]
+    longest = max(lag.nonlinear["time_constant"] for lag in found) / 60.0
+    extremes = f"{min(values, key=abs):.3g} to {max(values, key=abs):.3g}".replace("-", "−")
+    return Message(
+        "; a lag of up to {longest} min behind that temperature cannot be excluded, with a coefficient of {extremes}",
+        longest=Number(f"{max(longest, 1.0):.0f}"),
+        extremes=Number(f"{extremes} {readable_unit(form.candidate.names[0][1])}"),
+    )
+
+
+def follows_a_temperature(problem: Problem, forms: Sequence[Form], signature: np.ndarray, k: int) -> str:
+    """Return the sensor of which a smooth function fits as well as the course in time of the k-th cause of the machine; empty if none.
+
+    A temperature that only rises is as good a clock as time: any function of the one is a function of the other. ``signature``: (3n, k)
+    of all causes.
+    """
+    drift, data = forms[k].candidate.drift, problem.network.data
+    if drift is None or forms[k].candidate.origin != "machine":
+        return ""
+    since = np.repeat(data.time_s - data.time_s.min(), 3)[:, None]
+    shape = problem.signature(drift.columns(STRAIGHT_LINE)) / np.where(since > 0.0, since, np.inf)
+    others = np.delete(signature, k, axis=1)
+
+    def explained(own: np.ndarray) -> float:
+        columns = np.concatenate([others, own], axis=1)
+        columns = columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+        projected = problem.project(columns)
+        along = projected.T @ problem.residual
+        return float(along @ np.linalg.pinv(columns.T @ projected, rcond=1e-10, hermitian=True) @ along)
+
+    free = SMOOTH_DEGREE * shape.shape[1] - 1  # parameters more than those of the course and its time constant
+    least = explained(signature[:, [k]]) - DEVIANCE_RULED_OUT + free
+    found: dict[str, float] = {}
+    for sensor, warm in data.temperature_degC.items():
+        if np.ptp(warm) > 0.0:
+            scaled = np.repeat(2.0 * (warm - warm.min()) / np.ptp(warm) - 1.0, 3)
+            powers = np.polynomial.chebyshev.chebvander(scaled, SMOOTH_DEGREE)
+            found[sensor] = explained(np.concatenate([shape * power[:, None] for power in powers.T], axis=1)) - least
+    own_axis = axis_of(forms[k].candidate.where)
+    fitting = [sensor for sensor, margin in found.items() if margin > 0.0]
+    return own_axis if own_axis in fitting else max(fitting, key=lambda sensor: found[sensor], default="")
 
 
 def together(candidates: Candidates, form: Form, others: Sequence[Form]) -> tuple[tuple[tuple[str, str], ...], ...]:
@@ -191,7 +271,7 @@ def points_to_measure(candidates: Candidates, named: Sequence[Form], causes: Seq
     points: list[Next] = []
     problem = candidates.problem
     plan = _possible(problem)
-    prediction = _prediction(problem, named, plan) if any(cause.equivalent for cause in causes) else None
+    prediction = _prediction(problem, named, plan) if any(cause.equivalent for cause in causes) else np.zeros(0)
     for form, cause in zip(named, causes, strict=True):
         others = [other for other in named if other is not form]
         rivals: list[Form] = []
@@ -213,16 +293,22 @@ LEAST_POSE_DISTANCE: Final = 0.15  # smallest distance of two suggested poses, r
 
 
 def _separating(
-    problem: Problem, form: Form, prediction: np.ndarray | None, rival: Form, others: Sequence[Form], plan: Measurements
+    problem: Problem, form: Form, prediction: np.ndarray, rival: Form, others: Sequence[Form], plan: Measurements
 ) -> list[Next]:
     """Return the points of a plan at which the predictions (`_prediction`) of a cause and an alternative differ most."""
     network, axes = problem.network, problem.network.machine.axes
-    of_rival = _prediction(problem, [rival, *others], plan)
     separates = [f"{cause.candidate.effect} {cause.candidate.where}" for cause in (form, rival)]
-    if prediction is None or of_rival is None:
-        of_instrument = [cause.candidate for cause in (form, rival, *others) if cause.candidate.build is None]
+    of_instrument = [cause.candidate for cause in (form, rival) if cause.candidate.build is None]
+    if of_instrument:
         decided_by = of_instrument[0].specification.decided_by
-        return [{"separates": separates, "text": f"to separate {' from '.join(separates)}: {decided_by}"}]
+        return [
+            {
+                "separates": separates,
+                "decided_by": Message(decided_by),
+                "text": f"to separate {' from '.join(separates)}: {decided_by}",
+            }
+        ]
+    of_rival = _prediction(problem, [rival, *others], plan)
     sigma = np.sqrt(np.einsum("nii->n", network.covariance).mean() / max(network.read.sum(axis=1).mean(), 1.0))
     chi2 = np.sum(((prediction - of_rival) / sigma) ** 2, axis=1)
     points: list[Next] = []
@@ -264,10 +350,11 @@ def _possible(problem: Problem) -> Measurements:
     return replace(some, positions=read_only(positions), approach=read_only(approach))
 
 
-def _prediction(problem: Problem, forms: Sequence[Form], plan: Measurements) -> np.ndarray | None:
-    """Return (n, 3) m, the change that causes and refitted set-up predict at other points; None for a cause of the instrument."""
-    if any(form.candidate.build is None for form in forms):
-        return None
+def _prediction(problem: Problem, forms: Sequence[Form], plan: Measurements) -> np.ndarray:
+    """Return (n, 3) m, the change that causes of the machine and refitted set-up predict at other points.
+
+    Causes of the instrument are fitted with them; they are not of the other points.
+    """
     fitted, signature = fitted_effects(problem, forms)
     setup_step = problem.setup_step(problem.residual - signature.sum(axis=1))
     network = problem.network
@@ -307,7 +394,14 @@ def evidence(form: Form, estimated: Estimate, k: int) -> str:
     numbers = {q.name: q.value for q in estimated.quantities[k]}
     what = FittedCause(form.candidate.where, size.value, readable_unit(size.unit), numbers, estimated.effects[k])
     text = specification.evidence(what)
-    return f"{text} ({abs(size.value) / size.u:.0f} standard uncertainties)" if size.u > 0.0 else text
+    place = form.candidate.where
+    if not re.search(rf"\b{re.escape(place)}\b", text):
+        text = joined("", [f"{place}: ", text])
+    return (
+        joined("", [text, Message(" ({count:.0f} standard uncertainties)", count=abs(size.value) / size.u)])
+        if size.u > 0.0
+        else text
+    )
 
 
 def curve_flaw(candidates: Candidates, forms: Sequence[Form], form: Form, calibration: Calibration) -> str:
@@ -344,9 +438,14 @@ def between_positions(candidates: Candidates, forms: Sequence[Form], form: Form)
     periods = _other_periods(candidates, forms, form)
     if periods:
         other = listed([f"{period:.3g}" for period in periods])
-        return f"; other periods ({other} mm) fit equally well at these positions, so the error between them is unknown"
+        return Message(
+            "; other periods ({other} mm) fit equally well at these positions, so the error between them is unknown",
+            other=other,
+        )
     if not predicts_held_out(candidates, form, forms):
-        return "; a curve through these positions does not predict held-out ones, so the error between them is unknown"
+        return Message(
+            "; a curve through these positions does not predict held-out ones, so the error between them is unknown"
+        )
     return ""
 
 
@@ -362,7 +461,7 @@ def equal_orders(candidates: Candidates, forms: Sequence[Form], form: Form) -> s
     others = [other for other in forms if other is not form]
     explained = candidates.scores(others, [other.index for other in (form, *tried)])[:, 0]
     orders = [
-        TURN_DEG / specification.drawing.period(other.variant.fixed)
+        TURN / specification.drawing.period(other.variant.fixed)
         for other, value in zip(tried, explained[1:], strict=True)
         if value > explained[0] - ALIAS_CHI2
     ]
@@ -371,9 +470,13 @@ def equal_orders(candidates: Candidates, forms: Sequence[Form], form: Form) -> s
     network = candidates.problem.network
     axis = network.machine.by_name[axis_of(form.candidate.where)]
     arc = float(np.ptp(network.data.positions[:, network.machine.names.index(axis.name)]))
-    travel = TURN_DEG if axis.lower is None or axis.upper is None else min(axis.upper - axis.lower, TURN_DEG)
-    beyond = ": beyond the measured arc the error is unknown" if arc < ARC_COVERED * travel else ""
-    return f"; orders {listed([f'{order:g}' for order in sorted(orders)])} fit equally well at these angles{beyond}"
+    travel = TURN if axis.lower is None or axis.upper is None else min(axis.upper - axis.lower, TURN)
+    beyond = Message(": beyond the measured arc the error is unknown") if arc < ARC_COVERED * travel else ""
+    return Message(
+        "; orders {orders} fit equally well at these angles{beyond}",
+        orders=listed([f"{order:g}" for order in sorted(orders)]),
+        beyond=beyond,
+    )
 
 
 def _other_periods(candidates: Candidates, forms: Sequence[Form], form: Form) -> list[float]:
@@ -388,15 +491,10 @@ def _other_periods(candidates: Candidates, forms: Sequence[Form], form: Form) ->
         frequency = 1.0 / form.variant.fixed[name]
         aliases = (1.0 / max(abs(even - frequency), 1e-9), 1.0 / (even + frequency))
         return [float(aliase) for aliase in aliases if aliase >= SHORTEST_PERIOD]
-    tried = [other for other in candidates.forms if other.key == form.key and other is not form]
-    periods = np.array([other.variant.fixed[name] for other in tried])
     kept = [other for other in forms if other is not form]
-    explained = candidates.scores(kept, [other.index for other in (form, *tried)])[:, 0]
+    periods, gains = fitting_periods(candidates, form, kept)
     away = np.abs(1.0 / periods - 1.0 / form.variant.fixed[name]) * span
-    others: list[float] = []
-    for i in largest_first(explained[1:]):
-        if explained[1 + i] < explained[0] - ALIAS_CHI2:
-            break
-        if away[i] > 1.0 and all(abs(1.0 / periods[i] - 1.0 / other) * span > 1.0 for other in others):
-            others.append(float(periods[i]))
-    return others
+    least = float(candidates.scan(kept)[0][form.index]) - ALIAS_CHI2
+    return [
+        float(period) for period, gain, far in zip(periods, gains, away, strict=True) if gain > least and far > RESOLVED
+    ]

@@ -9,21 +9,27 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from textwrap import wrap
 from types import MappingProxyType
-from typing import Final, Literal, final
+from typing import Any, Final, Literal, final
 
 import numpy as np
 
 from twin._common.arrays import largest_first, read_only
 from twin._common.distributions import chi2_sf, f_sf
+from twin._common.messages import Message, joined, say
+from twin._common.provenance import warning_texts
 from twin._common.units import UM
+from twin.diagnosis import text as words
 from twin.diagnosis.alternatives import points_to_measure
 from twin.diagnosis.candidates.candidate import LARGEST_ERROR
 from twin.diagnosis.causes import (
     NEGLIGIBLE_EXCESS,
+    SMALL_EXCESS,
     SizedCauses,
     causes_with_alternatives,
     causes_with_payloads,
+    misshapen,
     notices,
     readback_causes,
 )
@@ -32,21 +38,22 @@ from twin.diagnosis.gain import EmpiricalExtension, error_at_tool, extend, gain,
 from twin.diagnosis.likelihood import PatternTest, scan_patterns
 from twin.diagnosis.problem import Problem, in_um, rms, unwhiten
 from twin.diagnosis.readings import ReadingNoise
-from twin.diagnosis.result import Cause, DiagnosisResult, Trend, Unexplained, Verdict
+from twin.diagnosis.result import Cause, DiagnosisResult, Trend, Unexplained, Verdict, readable_unit
 from twin.diagnosis.structure import Findings
-from twin.diagnosis.text import diagnosis_display, diagnosis_text, micrometres, percent, symbol
-from twin.display.numbers import listed
+from twin.display import note, table
+from twin.display.numbers import listed, lower, p_value_text, with_joined_units
 from twin.display.results import Display, DisplayedResult
 from twin.identification.network import Network
 from twin.identification.result import FEWEST_DOF
 from twin.identification.solve import setup_unknowns
-from twin.measurement.columns import CARRIERS, overstated_noise
+from twin.measurement.columns import CARRIERS, assumptions, grouped_notes, overstated_noise
 from twin.measurement.observation import has_times
 from twin.model.calibration import Calibration
 from twin.model.calibration_file import MeasuredWith, MisfitEntry, UnidentifiedEntry
 from twin.model.effects import split_name
-from twin.model.effects.base import axis_of
-from twin.model.effects.empirical import channel_name
+from twin.model.effects.base import MASS, OWN_WEIGHT
+from twin.model.effects.entries import payload_entries
+from twin.model.effects.gravity_compliance import SIDE_NAMES
 from twin.model.unknown_errors import at_rest
 from twin.numerics.covariance import Covariance
 from twin.numerics.observability import Unknown, determinability
@@ -67,7 +74,7 @@ class Diagnosis(DisplayedResult, DiagnosisResult):
         residuals = (
             f"RMS residual {self.rms_um:.3g} µm per coordinate, {self.expected_rms_um:.3g} µm expected from noise"
         )
-        causes = listed([symbol(cause.effect, cause.where) for cause in self.causes])
+        causes = listed([words.symbol(cause.effect, cause.where) for cause in self.causes])
         return f"{self.verdict}: {residuals}{f'; {causes}' if causes else ''}"
 
     def display(self) -> Display:
@@ -198,7 +205,7 @@ def conclude(sized: SizedCauses, calibration: Calibration, *, empirical: bool = 
     order = [k for k in largest_first(np.array([cause.share for cause in named])).tolist() if k not in sized.jumped]
     named = [named[k] for k in order]
     wanted = points_to_measure(findings.given_patterns, findings.beside_patterns([forms[k] for k in order]), named)
-    said = (*notices(sized, comparison, undecided), *_indistinct(sized))
+    said = (*notices(sized, comparison, undecided), *_indistinct(sized), *_no_masses(sized))
     causes = (*named, *read_too_early, *loads)
     unexplained = _jump(sized) or _unexplained(sized)
     extension = extend(sized, calibration) if empirical and unexplained is not None else None
@@ -217,7 +224,10 @@ def conclude(sized: SizedCauses, calibration: Calibration, *, empirical: bool = 
     by_patterns = [float(np.exp(test.log_p_corrected)) for test in findings.structure.pattern_tests]
     diagnosis = Diagnosis(
         verdict=_verdict(
-            causes, unexplained, disagree=comparison.disagree, predict=predict and not _misshapen(sized, unexplained)
+            causes,
+            unexplained,
+            disagree=comparison.disagree or any(sized.temperatures),
+            predict=predict and not misshapen(sized, unexplained),
         ),
         rms_um=rms(residual, network.read),
         absorbed_rms_um=rms(in_um(by_noise.network, by_noise.projected), network.read),
@@ -275,39 +285,39 @@ def _verdict(causes: Sequence[Cause], unexplained: Unexplained | None, *, disagr
     return "explained" if causes else "consistent"
 
 
-def _misshapen(sized: SizedCauses, unexplained: Unexplained | None) -> bool:
-    """Return whether a course in time leaves a pattern in time of its axis although temperatures were read.
-
-    Such a course stands for a temperature: the error then follows none of them in a known form, and the course will not come again.
-    """
-    temperatures = {f"T_{name}_degC" for name in sized.findings.problem.network.data.temperature_degC}
-    axes = {
-        axis_of(form.candidate.where)
-        for form in sized.forms
-        if form.candidate.origin == "machine" and form.candidate.drift is not None
-    }
-    if unexplained is None or unexplained.share <= NEGLIGIBLE_EXCESS or not temperatures:
-        return False
-    for names in (unexplained.depends_on, *unexplained.or_on):
-        left = {channel_name(name) for name in names if name not in {"time_s", "round", *temperatures}}
-        if len(left) < len(names) and any(left <= {axis} for axis in axes):
-            return True
-    return False
-
-
 def _indistinct(sized: SizedCauses) -> list[str]:
-    """Return a notice on each small cause that is not named because too many others fit as well."""
+    """Return a notice on each small cause that is not named: too many others fit as well, or it may not be there."""
     network, texts = sized.findings.problem.network, []
     for one in sized.indistinct:
         most_um = np.linalg.norm(np.nan_to_num(one.moved_um), axis=1).max(initial=0.0)
         tool_um, _ = error_at_tool(network.data, network.machine, one.effects, Covariance.none())
-        at_tool = f", {micrometres(tool_um)} RMS at the tool" if one.effects else ""
-        texts.append(
-            f"something small is not named: up to {micrometres(most_um)} in the readings{at_tool}, at most "
-            f"{100.0 * NEGLIGIBLE_EXCESS:g} % of the excess; {len(one.keys)} causes fit it equally well "
-            f"({listed([symbol(*key) for key in one.keys], most=4)})"
-        )
+        at_tool = f", {words.micrometres(tool_um)} RMS at the tool" if one.effects else ""
+        size = f"up to {words.micrometres(most_um)} in the readings{at_tool}, at most"
+        names = [words.symbol(*key) for key in one.keys]
+        if one.probability is None:
+            texts.append(
+                f"something small is not named: {size} {words.percent(NEGLIGIBLE_EXCESS)} of the excess; {len(names)} causes fit it "
+                f"equally well ({listed(names, most=4)})"
+            )
+        else:
+            instead = f" (or {listed(names[1:], most=3)})" if names[1:] else ""
+            texts.append(
+                f"possible, but not named: {names[0]}{instead}; {size} {words.percent(SMALL_EXCESS)} of the excess; "
+                f"{words.likelihood_words(one.probability, not instead)}"
+            )
     return texts
+
+
+def _no_masses(sized: SizedCauses) -> list[str]:
+    """Return a notice on each load in the model that is no mass (`twin.model.effects.entries.payload_entries`)."""
+    return [
+        f"the load on the {entry['where']} side is not a mass: the control corrects a part of the deflection under own weight, and "
+        "only the ratio of the load to the remaining share is known. A calibration states it as "
+        f"{entry['parameters'][MASS]:.3g} kg, as heavy as the moving parts, with {OWN_WEIGHT} {entry['parameters'][OWN_WEIGHT]:.2g}; "
+        "weigh the load and change both in proportion"
+        for entry in payload_entries(sized.effects, sized.findings.problem.network.machine)
+        if OWN_WEIGHT in entry["parameters"]
+    ]
 
 
 def _unidentifiable(findings: Findings) -> dict[tuple[str, str], str]:
@@ -347,13 +357,21 @@ def _jump(sized: SizedCauses) -> Unexplained | None:
     side = str(data.carrier[np.argmax(np.any(shift.reshape(-1, 3) != 0.0, axis=1))])
     lines = [sized.forms[k].variant.fixed.get("line", 0.0) for k in jumped]
     moment = (
-        f"between lines {min(lines):.0f} and {max(lines):.0f}" if min(lines) < max(lines) else f"at line {lines[0]:.0f}"
+        Message("between lines {first:.0f} and {last:.0f}", first=min(lines), last=max(lines))
+        if min(lines) < max(lines)
+        else Message("at line {line:.0f}", line=lines[0])
     )
     if min(lines) == 0.0:
-        moment = f"in round {listed(sorted({sized.forms[k].key[1].rpartition('round ')[2] for k in jumped}))}"
-    text = (
-        f"all targets on the {side} side jumped {moment}, {size:.2g} µm RMS per coordinate, {percent(share)} of the excess; no known "
-        f"effect does so: the {side} side was displaced (a collision, a lost reference), or what holds all its targets"
+        rounds = listed(sorted({sized.forms[k].key[1].rpartition("round ")[2] for k in jumped}))
+        moment = Message("in round {rounds}", rounds=rounds)
+    text = Message(
+        "all targets on the {side} side jumped {moment}, {size:.2g} µm RMS per coordinate, {share} of the excess; no "
+        "known effect does "
+        "so: the {side} side was displaced (a collision, a lost reference), or what holds all its targets",
+        side=SIDE_NAMES[side],
+        moment=moment,
+        size=size,
+        share=words.percent(share),
     )
     return Unexplained(share, ("time_s",) if has_times(data) else ("round",), side, text, size, jump=moment)
 
@@ -374,9 +392,14 @@ def _unexplained(sized: SizedCauses) -> Unexplained | None:
         carrier = sides.pop() if len(sides) == 1 else "both"
         # No larger than what the causes leave: readings that do not determine a pattern leave its expected size to its prior.
         size = min(rms(np.nan_to_num(patterns_um), read), residual_um)
-        text = (
-            f"a pattern that depends on {' and '.join(columns)} on the {carrier} side, {size:.2g} µm RMS per coordinate, "
-            f"{percent(share)} of the excess, matches no known effect"
+        text = Message(
+            "a pattern that depends on {columns} ({side}), {size:.2g} µm RMS per coordinate, {share} of the excess, "
+            "matches no known "
+            "effect",
+            columns=listed(columns, most=len(columns)),
+            side=words.side(carrier),
+            size=size,
+            share=words.percent(share),
         )
         or_on = tuple(dict.fromkeys(names for test in structure.pattern_tests for names in test.rivals))
         return Unexplained(share, columns, carrier, text, size, or_on)
@@ -384,8 +407,14 @@ def _unexplained(sized: SizedCauses) -> Unexplained | None:
     if p_value >= NOISE_P_VALUE or (forms and sized.share_left <= NEGLIGIBLE_EXCESS):
         return None
     size = float(np.sqrt(max(residual_um**2 - _expected_um(by_noise) ** 2, 0.0)))
-    what = "the residuals exceed the stated noise" + (" even with the causes in the model" if forms else "")
-    return Unexplained(sized.share_left, (), "both", f"{what}, without a pattern in any column of the table", size)
+    text = (
+        Message(
+            "the residuals exceed the stated noise even with the causes in the model, without a pattern in any column"
+        )
+        if forms
+        else Message("the residuals exceed the stated noise, without a pattern in any column of the table")
+    )
+    return Unexplained(sized.share_left, (), "both", text, size)
 
 
 def _trends(findings: Findings) -> tuple[Trend, ...]:
@@ -467,3 +496,201 @@ def looks_like(problem: Problem, forms: Sequence[Form]) -> dict[tuple[str, str],
         same = ", ".join(f"{move.name} {-move.value / first.value:+.3g} {move.unit}" for move in others)
         said[key] = f"{LARGEST_ERROR * 1e-3:g} mm or mrad of it is equivalent to {same}"
     return said
+
+
+# --- A diagnosis as text for the terminal, and as a table for a notebook -----------------------------
+
+WIDTH: Final = 100
+ABSORBED_RATIO: Final = 0.9  # of RMS residuals with and without the calibration's uncertainty: below, both are given
+HARD_SPACE: Final = "\u00a0"
+
+
+def diagnosis_text(diagnosis: DiagnosisResult) -> str:  # noqa: C901, PLR0912
+    """Return the verdict, each cause, what to do, the gain and what to measure next, in lines of at most `WIDTH` characters."""
+    lines = _wrapped(f"{say(words.VERDICTS[diagnosis.verdict])}. {say(words.headline(diagnosis)[0])}.")
+    for text in (*warning_texts(diagnosis.warnings), *assumptions(diagnosis.data.notices)):
+        lines += _wrapped(say(text), hang=2)
+    for cause in diagnosis.causes:
+        lines += ["", *_cause(cause)]
+    lines.append("")
+    for name, text in words.facts(diagnosis):
+        lines += _wrapped(f"{say(name)}: {say(text)}", hang=2)
+    lines += [
+        "",
+        *_wrapped(
+            Message(
+                "RMS residual {rms_um:.3g} µm per coordinate, {expected_rms_um:.3g} µm expected from {noise_source} "
+                "({p_value_text}, {tried} causes tested).",
+                rms_um=diagnosis.rms_um,
+                expected_rms_um=diagnosis.expected_rms_um,
+                noise_source=diagnosis.noise_source,
+                p_value_text=p_value_text(diagnosis.p_value),
+                tried=diagnosis.tried,
+            ),
+            hang=2,
+        ),
+    ]
+    if diagnosis.absorbed_rms_um < ABSORBED_RATIO * diagnosis.rms_um:
+        absorbed = Message(
+            "{absorbed_rms_um:.3g} µm remain after allowing for the uncertainty stated in the calibration",
+            absorbed_rms_um=diagnosis.absorbed_rms_um,
+        )
+        lines += _wrapped(absorbed + ".", start=2, hang=2)
+    if diagnosis.unexplained is not None:
+        lines += _wrapped(Message("Unexplained: {evidence}.", evidence=diagnosis.unexplained.evidence), hang=2)
+    lines += _wrapped(words.rest(diagnosis), hang=2)
+    lines += _gain(diagnosis)
+    if diagnosis.next_measurement:
+        lines += ["", say("What to measure next")]
+    for separating_point in words.separating_points(diagnosis.next_measurement, diagnosis.expected_rms_um):
+        lines += _wrapped(
+            Message(
+                "To separate {names} from {names2}: {verdict}",
+                names=lower(separating_point.names[0]),
+                names2=lower(separating_point.names[1]),
+                verdict=separating_point.verdict,
+            ),
+            start=2,
+            hang=4,
+        )
+        for pose, sides, target, station, difference in separating_point.rows:
+            approached = Message(", approached from {sides}", sides=sides) if sides else ""
+            lines += _wrapped(
+                Message(
+                    "{pose}, target {target}, station {station}{approached}: difference {difference}",
+                    pose=pose,
+                    target=target,
+                    station=station,
+                    approached=approached,
+                    difference=difference,
+                ),
+                start=4,
+                hang=8,
+            )
+    for entry in diagnosis.next_measurement:
+        if "separates" not in entry:
+            lines += _wrapped(entry["text"], start=2, hang=4)
+    lines += _listing(
+        Message("Not identifiable from these readings, whatever their size:"), words.grouped(diagnosis.unidentifiable)
+    )
+    lines += _listing(
+        Message("Not tested, because the table lacks these columns:"), words.missing(diagnosis.not_evaluated)
+    )
+    unused = diagnosis.data.set_aside
+    if unused:
+        lines += _listing(Message("Readings not used ({count}):", count=len(unused)), grouped_notes(unused))
+    assumed = assumptions(diagnosis.data.notices)
+    lines += _listing(Message("Notes:"), [notice for notice in diagnosis.data.notices if notice not in assumed])
+    return "\n".join(lines) + "\n"
+
+
+def diagnosis_display(diagnosis: DiagnosisResult) -> Display:
+    """Return the verdict, a table of the causes and the advice, for a notebook."""
+    title, mood = words.headline(diagnosis)
+    rows = [
+        (
+            words.named(cause.effect, cause.where),
+            _numbers(cause),
+            words.percent(cause.share),
+            listed(cause.alternatives(words.cause_title), most=3) or Message("none"),
+        )
+        for cause in diagnosis.causes
+    ]
+    warnings = [note(text, loud=True) for text in warning_texts(diagnosis.warnings)]
+    causes = table((Message("cause"), Message("size"), Message("share of the excess"), Message("alternatives")), rows)
+    return Display(
+        title, words.facts(diagnosis), above=(*warnings, causes), small=diagnosis.verdict, wrong=mood != "well"
+    )
+
+
+def _cause(cause: Cause) -> list[str]:
+    title = words.cause_title(cause.effect, cause.where)
+    text = joined("", [title, f" ({words.symbol(cause.effect, cause.where)}, ", words.ORIGINS[cause.origin], ")"])
+    lines = _wrapped(text, hang=2)
+    lines += _wrapped(words.sentence(cause), start=4, hang=4)
+    if cause.parameters:
+        lines += _wrapped(_numbers(cause), start=4, hang=6)
+    if cause.share > 0.0:
+        lines += _wrapped(
+            Message(
+                "explains {share} of the excess over noise, {p_value_text}",
+                share=words.percent(cause.share),
+                p_value_text=p_value_text(cause.p_value),
+            ),
+            start=4,
+            hang=6,
+        )
+    if cause.probability is not None:
+        lines += _wrapped(words.likelihood_words(cause.probability, not cause.equivalent), start=4, hang=6)
+    for rival in cause.rivals[:1]:
+        lines += _wrapped(
+            Message(
+                "next best, ruled out: {name}, {odds}",
+                name=words.named(rival.effect, rival.where),
+                odds=words.odds(rival.log_odds),
+            ),
+            start=4,
+            hang=6,
+        )
+    if cause.equivalent:
+        names = cause.alternatives(words.named)
+        lines += _wrapped(Message("fits these readings equally well: {names}", names=listed(names)), start=4, hang=6)
+    if cause.assumes:
+        lines += _wrapped(cause.assumes, start=4, hang=6)
+    return lines
+
+
+def _numbers(cause: Cause) -> str:
+    values = [
+        joined(" ", [words.parameter(q.name), words.measured(q.value, q.u, readable_unit(q.unit))])
+        for q in cause.parameters
+        if not q.coefficient
+    ]
+    curve = len(cause.parameters) - len(values)
+    numbers = [joined("", [joined(", ", values), " (95 %)"])] if values else []
+    return joined("; ", [*numbers, *([Message("a curve of {count} coefficients", count=curve)] if curve else [])])
+
+
+def _gain(diagnosis: DiagnosisResult) -> list[str]:
+    gain = diagnosis.gain
+    if gain is None:
+        return []
+    text = Message(
+        "RMS residual without → with the causes: {rms_before_um:.3g} → {rms_after_um:.3g} µm",
+        rms_before_um=gain.rms_before_um,
+        rms_after_um=gain.rms_after_um,
+    )
+    held = gain.held_out
+    if held is not None:
+        text += Message(
+            "; on held-out {held_out_words} {before_um:.3g} → {after_um:.3g} µm",
+            held_out_words=words.held_out_words(held.of),
+            before_um=held.before_um,
+            after_um=held.after_um,
+        )
+        if held.ci95_um is not None:
+            low, high = held.ci95_um
+            text += Message(
+                " (reduced by {low} to {high}, 95 %)", low=words.micrometres(low), high=words.micrometres(high)
+            )
+    if gain.tool_before_um > 0.0:
+        text += Message(
+            "; compensated, at the tool over the working volume, {before} → {after} RMS",
+            before=words.micrometres(gain.tool_before_um),
+            after=words.micrometres(gain.tool_after_um),
+        )
+    return _wrapped(text + ".", hang=2)
+
+
+def _listing(title: str, items: Sequence[str]) -> list[str]:
+    if not items:
+        return []
+    return ["", say(title), *(line for item in items for line in _wrapped(item, start=2, hang=4))]
+
+
+def _wrapped(text: str, *, start: int = 0, hang: int = 0) -> list[str]:
+    indents: dict[str, Any] = {"initial_indent": " " * start, "subsequent_indent": " " * hang}
+    lines = wrap(
+        with_joined_units(say(text), HARD_SPACE), WIDTH, **indents, break_long_words=False, break_on_hyphens=False
+    )
+    return [line.replace(HARD_SPACE, " ") for line in lines]

@@ -20,6 +20,8 @@ import numpy as np
 
 from twin._common.arrays import read_only
 from twin._common.distributions import f_log_sf, normal_sf
+from twin._common.messages import Message, Number
+from twin._common.records import APPROACH
 from twin._common.units import MM, UM
 from twin.diagnosis.alternatives import (
     between_positions,
@@ -27,6 +29,8 @@ from twin.diagnosis.alternatives import (
     equal_orders,
     equivalent,
     evidence,
+    follows_a_temperature,
+    lag_not_excluded,
     rest_on_the_instrument,
     ruled_out,
     together,
@@ -38,9 +42,14 @@ from twin.diagnosis.estimate import MANY_ROUNDS, Estimate, estimate, reweighted
 from twin.diagnosis.forms import DEVIANCE_RULED_OUT, Candidates, Form, log_p_value
 from twin.diagnosis.payload import CARRIED_INDEX, CENTRE_PRIOR, Load, axis_of_form, loaded_joints, weights
 from twin.diagnosis.problem import in_um, rewhitened
-from twin.diagnosis.result import Cause, Quantity, readable_unit
+from twin.diagnosis.result import Cause, Quantity, Unexplained, readable_unit
 from twin.diagnosis.search import LIMIT_SIGMA, TOO_LARGE
-from twin.diagnosis.second_opinion import Comparison, compare_with_search, second_opinion
+from twin.diagnosis.second_opinion import (
+    CREDIBLE_PROBABILITY,
+    Comparison,
+    compare_with_search,
+    probability_of_any,
+)
 from twin.diagnosis.structure import Findings
 from twin.display.numbers import COVERAGE_FACTOR
 from twin.identification.discrepancy import Discrepancy
@@ -49,21 +58,27 @@ from twin.measurement.columns import ASSUMED
 from twin.measurement.table import Measurements
 from twin.model.calibration import Calibration
 from twin.model.effects import Effect, Payload
-from twin.model.effects.base import CENTRE_RANGE_MM, LOAD, SIDES
-from twin.model.effects.gravity_compliance import CARRIED_LOAD, PAYLOAD, AddedLoad, payloads_of
-from twin.model.effects.harmonic import APPROACH
+from twin.model.effects.base import CENTRE_RANGE_MM, LOAD, SEARCHED, SIDES, axis_of
+from twin.model.effects.empirical import channel_name
+from twin.model.effects.gravity_compliance import CARRIED_LOAD, PAYLOAD, SIDE_NAMES, AddedLoad, payloads_of
 from twin.numerics.covariance import Covariance
 
 NEGLIGIBLE_EXCESS: Final = 0.01  # share of the excess below which residuals are no finding: real machines have some
 MOST_ALTERNATIVES: Final = 5  # number of alternatives up to which a negligible cause is named
+SMALL_EXCESS: Final = (
+    0.02  # share of the excess below which a cause is named only if the second method is certain of it
+)
+NEGLIGIBLE_LEFT, NEGLIGIBLE_CHI2 = 0.02, 36.0
+"""Share of the χ² left by all causes, or χ², that all those together may add that are not named although they fit."""
 
 
 @final
 @dataclass(frozen=True, eq=False)
 class Indistinct:
-    """A negligible cause with more than `MOST_ALTERNATIVES`: the readings say that something small is there, and not what."""
+    """A small cause that is not named: the readings do not say what it is (more than `MOST_ALTERNATIVES`), or whether it is there."""
 
     keys: tuple[tuple[str, str], ...]  # the cause, then its alternatives
+    probability: float | None  # that one of them is there, where it is not certain
     moved_um: np.ndarray  # (n, 3) on each reading; NaN where no coordinate was measured
     effects: tuple[Effect, ...]
 
@@ -117,6 +132,14 @@ class SizedCauses:
         explained = 1.0 - max(self.share_left, self.share_of_patterns)
         return np.asarray(divided * (explained / max(float(divided.sum()), 1e-30)))
 
+    @cached_property
+    def temperatures(self) -> tuple[str, ...]:
+        """Sensor that each course in time may follow instead (`follows_a_temperature`); empty for other causes."""
+        signature = self.estimate.signature
+        return tuple(
+            follows_a_temperature(self.findings.problem, self.forms, signature, k) for k in range(len(self.forms))
+        )
+
     @property
     def jumped(self) -> Collection[int]:
         """Return the numbers of the displaced targets that are no causes, because their whole side jumped."""
@@ -147,6 +170,9 @@ def estimate_sizes(findings: Findings) -> SizedCauses:
     indistinct: list[Indistinct] = []
     while True:
         estimated = estimate(findings.problem, forms, findings.task.noise.dof, structure.random_effects)
+        chi2_left = findings.problem.chi2 - estimated.explained
+        if not indistinct:
+            most_left = chi2_left + max(NEGLIGIBLE_LEFT * chi2_left, NEGLIGIBLE_CHI2)
         if structure.pattern_tests:
             judged = [(_log_p_given_others(findings, estimated, forms, form), form) for form in forms]
         else:
@@ -157,12 +183,12 @@ def estimate_sizes(findings: Findings) -> SizedCauses:
             ]
         log_p, weakest = max(judged, key=lambda pair: pair[0], default=(-np.inf, None))
         if weakest is None or log_p <= np.log(findings.candidates.level):
-            weakest, keys = _least_distinct(findings, estimated, forms)
+            weakest, keys, probability = _least_distinct(findings, estimated, forms, most_left - chi2_left)
             if weakest is None:
                 break
             k = forms.index(weakest)
             moved_um = in_um(findings.problem.network, estimated.signature[:, k])
-            indistinct.append(Indistinct((weakest.key, *keys), moved_um, estimated.effects[k]))
+            indistinct.append(Indistinct((weakest.key, *keys), probability, moved_um, estimated.effects[k]))
         else:
             dropped.append(weakest)
         forms = [form for form in forms if form is not weakest]
@@ -183,21 +209,41 @@ def estimate_sizes(findings: Findings) -> SizedCauses:
 
 
 def _least_distinct(
-    findings: Findings, estimated: Estimate, forms: Sequence[Form]
-) -> tuple[Form | None, Sequence[tuple[str, str]]]:
-    """Return the cause that adds least, of those that add a negligible share and have too many alternatives, with these."""
+    findings: Findings, estimated: Estimate, forms: Sequence[Form], allowed: float
+) -> tuple[Form | None, Sequence[tuple[str, str]], float | None]:
+    """Return the cause that adds least, of the small ones that are not named, with its alternatives and its probability.
+
+    A false one costs a search and adds its own size to the correction; one that is not named leaves as little. ``allowed``: χ² that it
+    may add.
+    """
     problem, candidates = findings.problem, findings.candidates
-    negligible = NEGLIGIBLE_EXCESS * max(problem.chi2 - problem.dof, estimated.explained)
+    excess = max(problem.chi2 - problem.dof, estimated.explained)
     rest = {form: [other for other in forms if other is not form] for form in forms}
     added = {form: float(candidates.scores(others, [form.index])[0, 0]) for form, others in rest.items()}
     for form in sorted(forms, key=lambda form: added[form]):
-        if added[form] >= negligible:
+        if added[form] >= min(SMALL_EXCESS * excess, allowed):
             break
+        effects, negligible = findings.second_opinion, added[form] < NEGLIGIBLE_EXCESS * excess
+        certain = not effects or probability_of_any(effects, _itself(form)) >= CREDIBLE_PROBABILITY
+        if certain and not negligible:
+            continue
         form_beside, *others_beside = findings.beside_patterns([form, *rest[form]])
         keys = equivalent(findings, form_beside, others_beside)
-        if len(keys) > MOST_ALTERNATIVES:
-            return form, keys
-    return None, ()
+        if negligible and len(keys) > MOST_ALTERNATIVES:
+            return form, keys, None
+        probability = probability_of_any(effects, (*_itself(form), *keys))
+        if not certain and probability < CREDIBLE_PROBABILITY:
+            return form, keys, probability
+    return None, (), None
+
+
+def _itself(form: Form) -> list[tuple[str, str]]:
+    """Return a cause and its variants with more parameters, such as ``reversal_curve`` of ``reversal``, which count as that cause."""
+    where = form.candidate.where
+    return [
+        form.key,
+        *((own.name, where) for own in SPECIFICATIONS.values() if own.variant_of == form.candidate.effect),
+    ]
 
 
 def one_for_each_number(candidates: Candidates, forms: Sequence[Form]) -> list[Form]:
@@ -230,12 +276,14 @@ def _log_p_of_groups(against: tuple[float, int, float]) -> float:
     return float(f_log_sf(statistic / width * free / (count - 1.0), width, free)) if free > 0 else 0.0
 
 
-IMPOSSIBLE: Final = "; this size is physically impossible, so the readings do not determine it"
-BELOW_INCREMENT: Final = "; it is below the least increment of the axes, so no command can correct it"
-JUMPED: Final = "; all targets of its side moved alike"
+IMPOSSIBLE: Final = Message("; this size is physically impossible, so the readings do not determine it")
+BELOW_INCREMENT: Final = Message("; it is below the least increment of the axes, so no command can correct it")
+JUMPED: Final = Message("; all targets of its side moved alike")
 """Doubt of a displaced target where its whole side jumped: the jump is unexplained, and its target no cause."""
-ONLY_A_PART: Final = "they explain only part of a pattern that no known effect explains as a whole"
-OVERFITTED: Final = "they increase the residuals of held-out readings: too few readings for this number of causes"
+ONLY_A_PART: Final = Message("they explain only part of a pattern that no known effect explains as a whole")
+OVERFITTED: Final = Message(
+    "they increase the residuals of held-out readings: too few readings for this number of causes"
+)
 """Reasons for which causes are left out, in words."""
 AT_BOUND: Final = 0.99  # ratio of a parameter to its bound from which on it counts as bounded
 COLLINEAR: Final = 1e-4
@@ -249,7 +297,7 @@ def causes_with_alternatives(sized: SizedCauses, calibration: Calibration) -> tu
 
     With unnamed patterns the selection was made by likelihood: no probability is given, and the comparison is empty.
     """
-    candidates, structure = sized.findings.candidates, sized.findings.structure
+    structure = sized.findings.structure
     machine = np.array([form.candidate.origin == "machine" for form in sized.forms], dtype=bool)
     resting = rest_on_the_instrument(sized.findings.problem, sized.estimate.signature, machine)
     causes = [
@@ -258,17 +306,8 @@ def causes_with_alternatives(sized: SizedCauses, calibration: Calibration) -> tu
     ]
     if structure.pattern_tests:
         return causes, Comparison()
-    # A variant of a cause with more parameters, such as ``reversal_curve`` of ``reversal``, counts as that cause.
-    variants = {
-        form.key: [
-            (other.name, form.candidate.where) for other in SPECIFICATIONS.values() if other.variant_of == form.key[0]
-        ]
-        for form in sized.forms
-    }
-    groups = [
-        (form.key, *cause.equivalent, *variants[form.key]) for form, cause in zip(sized.forms, causes, strict=True)
-    ]
-    comparison = compare_with_search(second_opinion(candidates, structure.forms), groups)
+    groups = [(*_itself(form), *cause.equivalent) for form, cause in zip(sized.forms, causes, strict=True)]
+    comparison = compare_with_search(sized.findings.second_opinion, groups)
     small = {key for one in sized.indistinct for key in one.keys}
     comparison = replace(
         comparison, further=tuple(e for e in comparison.further if small.isdisjoint((*e.credible, *e.sum_of)))
@@ -294,7 +333,7 @@ def notices(sized: SizedCauses, comparison: Comparison, undecided: Sequence[str]
         f"(odds {np.exp(min(effect.log_odds, 99.0)):.2g} : 1)"
         for effect in comparison.further
     ]
-    left_out = {
+    left_out: dict[str, list[tuple[str, str]]] = {
         ONLY_A_PART: [form.key for form in structure.rejected],
         OVERFITTED: [form.key for form in sized.findings.refuted],
     }
@@ -344,8 +383,17 @@ def _cause(sized: SizedCauses, k: int, calibration: Calibration) -> Cause:
     doubt, quantities = sized.doubts[k], sized.estimate.quantities[k]
     text = evidence(form, sized.estimate, k) + curve_flaw(candidates, sized.forms, form, calibration)
     if form.candidate.specification in (PAYLOAD, CARRIED_LOAD) and form.variant.fixed:
-        text += f"; the readings do not determine its centre of mass: the most likely one within ±{CENTRE_RANGE_MM:g} mm is taken"
-    text += equal_orders(candidates, sized.forms, form) + doubt
+        text += Message(
+            "; the readings do not determine its centre of mass: the most likely one within ±{range:g} mm is taken",
+            range=CENTRE_RANGE_MM,
+        )
+    text += equal_orders(candidates, sized.forms, form) + lag_not_excluded(candidates, form, others) + doubt
+    if sized.temperatures[k]:
+        text += Message(
+            "; a smooth function of the temperature of {sensor}, not in proportion to it, fits as well: until it is measured in "
+            "another course of temperatures (after a pause, or while the machine cools), it is known for this course only",
+            sensor=sized.temperatures[k],
+        )
     groups = () if findings.structure.pattern_tests else together(candidates, form, others)
     equal = tuple(dict.fromkeys([*equivalent(findings, form_beside, others_beside), *chain.from_iterable(groups)]))
     why = reversal_doubt(network.data, network.machine, form.candidate.where) if _approach_axes(form) else ""
@@ -418,20 +466,28 @@ COMPATIBLE_SIGMA: Final = 3.0  # standard uncertainties of the share from zero w
 def readback_causes(candidates: Candidates, forms: Sequence[Form]) -> tuple[list[Cause], list[str]]:
     """Return causes for axes whose reported positions the readings do not follow, and notices on undecided axes."""
     data, machine = candidates.problem.network.data, candidates.problem.network.machine
-    causes, silent = [], []
+    causes, silent = list[Cause](), list[str]()
     tried = [form for form in candidates.forms if form.candidate.specification is FOLLOWING_ERROR and form not in forms]
     for form in tried:
         axis = machine.by_name[form.candidate.where]
         i = machine.names.index(axis.name)
         off = float(np.nanmax(np.abs(data.readback[:, i] - data.positions[:, i])))
-        text = f"the positions reported for {axis.name} differ from the commands by up to {off:.3g} {axis.unit}"
+        text = Message(
+            "the positions reported for {name} differ from the commands by up to {off:.3g} {unit}",
+            name=axis.name,
+            off=off,
+            unit=axis.unit,
+        )
         columns, values, inverse = candidates.fitted([form, *forms])
         at, scale = int(np.searchsorted(columns, form.columns[0])), form.variant.columns[0].scale
         share, u = float(values[at] * scale), float(scale * np.sqrt(inverse[at, at]))
         if candidates.scan([other for other in forms if other is not form])[1][form.index] == 0 or u == 0.0:
             if candidates.scan([])[1][form.index] > 0:
                 silent.append(
-                    f"{text}; given the other causes, these data cannot decide which of the two the readings follow"
+                    Message(
+                        "{text}; given the other causes, these data cannot decide which of the two the readings follow",
+                        text=text,
+                    )
                 )
             continue
         if abs(share - 1.0) > REPORT_RULED_OUT_SIGMA * u and abs(share) < COMPATIBLE_SIGMA * u:
@@ -444,7 +500,12 @@ def readback_causes(candidates: Candidates, forms: Sequence[Form]) -> tuple[list
                     p_value=float(min(2.0 * normal_sf(abs(share - 1.0) / u) * len(tried), 1.0)),
                     share=0.0,
                     equivalent=(),
-                    evidence=f"{text}, and the readings follow the commands: positions were reported before {axis.name} had settled",
+                    evidence=Message(
+                        "{text}, and the readings follow the commands: positions were reported before {name} had "
+                        "settled",
+                        text=text,
+                        name=axis.name,
+                    ),
                     pattern_um=read_only(
                         in_um(
                             candidates.problem.network, candidates.problem.signature(form.variant.columns)[:, 0] / scale
@@ -453,7 +514,7 @@ def readback_causes(candidates: Candidates, forms: Sequence[Form]) -> tuple[list
                 )
             )
         elif abs(share - 1.0) < COMPATIBLE_SIGMA * u and abs(share) < COMPATIBLE_SIGMA * u:
-            silent.append(f"{text}; these data cannot decide which of the two the readings follow")
+            silent.append(Message("{text}; these data cannot decide which of the two the readings follow", text=text))
     return causes, silent
 
 
@@ -469,9 +530,12 @@ def reversal_doubt(data: Measurements, machine: Machine, where: str) -> str:
     steps = data.positions[:, machine.names.index(where)] / axis.increment
     if np.mean(np.abs(steps - np.round(steps)) > OFF_GRID_INCREMENTS) <= OFF_GRID_SHARE:
         return ""
-    return (
-        f"the positions of {where} are finer than its least increment, so they are not the commanded ones: if they were reported "
-        f"before {where} had settled, this is no reversal; commanded positions with a column readback_{where}_{axis.unit} would decide"
+    return Message(
+        "the positions of {where} are finer than its least increment, so they are not the commanded ones: if they "
+        "were reported before {where} had settled, this is no reversal; commanded positions with a column "
+        "readback_{where}_{unit} would decide",
+        where=where,
+        unit=axis.unit,
     )
 
 
@@ -502,21 +566,28 @@ def causes_with_payloads(
     return causes, load_causes
 
 
-def _is_heaviest(load: Load, payload: Payload | None) -> bool:
-    """Return whether the mass of a payload is at its bound."""
-    return payload is not None and not payload.carried and payload.mass_kg > AT_BOUND * load.heaviest
+def _is_no_mass(load: Load, payload: Payload | None) -> bool:
+    """Return whether a payload is heavier than the moving parts; only a ratio is known then (`payload_entries`)."""
+    return payload is not None and not payload.carried and payload.mass_kg > load.heaviest / SEARCHED
 
 
 def _less_certain(cause: Cause, times: float, compliance: float, payload: Payload | None, load: Load) -> Cause:
-    """Return a compliance with the uncertainty of the loads included; at the bound of the payload's mass it is a lower limit."""
+    """Return a compliance with the uncertainty of the loads included; if the payload is no mass it is a lower limit."""
     first = cause.parameters[0]
     less = replace(cause, parameters=(replace(first, u=first.u * times),))
     if payload is None:
         return less
-    product = f"{compliance * payload.mass_kg:.3g} {readable_unit(first.unit)}·kg"
-    text = f"{cause.evidence}; compliance times mass of the payload {product}"
-    if _is_heaviest(load, payload):
-        return replace(cause, evidence=f"{text}, the compliance a lower limit", parameters=(first,), bounded=True)
+    product = Number(f"{compliance * payload.mass_kg:.3g} {readable_unit(first.unit)}·kg")
+    text = Message(
+        "{evidence}; compliance times mass of the payload {product}", evidence=cause.evidence, product=product
+    )
+    if _is_no_mass(load, payload):
+        return replace(
+            cause,
+            evidence=Message("{text}, the compliance a lower limit", text=text),
+            parameters=(first,),
+            bounded=True,
+        )
     return replace(less, evidence=text)
 
 
@@ -535,23 +606,31 @@ def _load_cause(
     columns = [column for form in load.free for column in form.variant.columns]
     size = np.array([column.scale for column in columns])
     shape = np.kron(compliances, weights(shares) - weights(without))
-    specification, heaviest = CARRIED_LOAD if payload.carried else PAYLOAD, _is_heaviest(load, payload)
-    text = f"the {load.side} side carries a mass that is not in the URDF: joints deflect under it"
+    specification, no_mass = CARRIED_LOAD if payload.carried else PAYLOAD, _is_no_mass(load, payload)
+    text = Message(
+        "the {side} side carries a mass that is not in the URDF: joints deflect under it", side=SIDE_NAMES[load.side]
+    )
     if payload.carried:
-        text = f"joints of the {load.side} side deflect under the mass in the column {LOAD}"
-    elif heaviest:
-        text += (
-            ". The readings do not determine the mass: the effect of the machine's own weight is smaller than the URDF implies, as if "
-            "the control corrected it; only the products of mass and compliance are known, and compensation holds for this load alone"
+        text = Message(
+            "joints of the {side} side deflect under the mass in the column {column}",
+            side=SIDE_NAMES[load.side],
+            column=LOAD,
+        )
+    elif no_mass:
+        text += Message(
+            ". The readings do not determine the mass: the effect of the machine's own weight is smaller than the "
+            "URDF implies, as if the control corrected it; only the products of mass and compliance are known, and "
+            "compensation holds for this load alone"
         )
     quantities = _quantities(payload, np.sqrt(variances[own_shares]), load.heaviest)
     if not payload.carried:
         unknown = [name for name in payload.numbers if name not in {q.name for q in quantities}]
-        if heaviest and unknown[1:]:
-            text += f"; nor {', '.join(unknown[1:])}"
-        elif unknown and not heaviest:
-            text += (
-                f". The readings do not determine {', '.join(unknown)}; the most likely values are in the calibration"
+        if no_mass and unknown[1:]:
+            text += Message("; nor {names}", names=", ".join(unknown[1:]))
+        elif unknown and not no_mass:
+            text += Message(
+                ". The readings do not determine {names}; the most likely values are in the calibration",
+                names=", ".join(unknown),
             )
     return Cause(
         effect=specification.name,
@@ -563,7 +642,7 @@ def _load_cause(
         equivalent=(),
         evidence=text,
         pattern_um=read_only(in_um(candidates.problem.network, (candidates.problem.signature(columns) / size) @ shape)),
-        bounded=heaviest,
+        bounded=no_mass,
     )
 
 
@@ -581,5 +660,25 @@ def _quantities(payload: Payload, u: np.ndarray, heaviest: float) -> tuple[Quant
     determined = [q for q, deviation in zip(centre, u[1:], strict=True) if deviation < UNDETERMINED_SHARE]
     if payload.carried:
         return tuple(determined) or (mass,)
-    inside = COVERAGE_FACTOR * mass.u < min(mass.value, heaviest - mass.value)
+    inside = COVERAGE_FACTOR * mass.u < min(mass.value, heaviest / SEARCHED - mass.value)
     return (*([mass] if inside else []), *determined)
+
+
+def misshapen(sized: SizedCauses, unexplained: Unexplained | None) -> bool:
+    """Return whether a course in time leaves a pattern in time of its axis although temperatures were read.
+
+    Such a course stands for a temperature: the error then follows none of them in a known form, and the course will not come again.
+    """
+    temperatures = {f"T_{name}_degC" for name in sized.findings.problem.network.data.temperature_degC}
+    axes = {
+        axis_of(form.candidate.where)
+        for form in sized.forms
+        if form.candidate.origin == "machine" and form.candidate.drift is not None
+    }
+    if unexplained is None or unexplained.share <= NEGLIGIBLE_EXCESS or not temperatures:
+        return False
+    for names in (unexplained.depends_on, *unexplained.or_on):
+        left = {channel_name(name) for name in names if name not in {"time_s", "round", *temperatures}}
+        if len(left) < len(names) and any(left <= {axis} for axis in axes):
+            return True
+    return False

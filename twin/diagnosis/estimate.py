@@ -20,7 +20,8 @@ import scipy
 from twin._common.arrays import read_only
 from twin._common.distributions import chi2_sf, f_sf
 from twin.diagnosis.candidates.candidate import STRAIGHT_LINE, Column, Drift, effect_columns
-from twin.diagnosis.forms import LEAST_NONCENTRALITY, Form, pseudo_inverse
+from twin.diagnosis.candidates.machine import variant_at
+from twin.diagnosis.forms import LEAST_NONCENTRALITY, RESOLVED, Candidates, Form, pseudo_inverse
 from twin.diagnosis.problem import Problem, rewhitened, unwhiten
 from twin.diagnosis.readings import DiagnosisTask
 from twin.diagnosis.result import Quantity
@@ -161,6 +162,68 @@ def over_forms(problem: Problem, forms: Sequence[Sequence[Column]], others: Sequ
     return np.asarray(
         (deviations * likelihood[:, None]).T @ deviations + np.einsum("k,kij->ij", likelihood, covariance)
     )
+
+
+PERIOD_STEPS: Final = 5  # periods tried between the middles of two intervals of the tabulated ones
+NEAR_PERIOD: Final = (
+    0.6  # share of the chi² explained by the best tabulated period from which on others are compared with it
+)
+
+
+def fitting_periods(candidates: Candidates, form: Form, others: Sequence[Form]) -> tuple[np.ndarray, np.ndarray]:
+    """Return periods (m,) that fit as well as that of a form or nearly, mm, and the reduction of chi² by each given others.
+
+    Between two tabulated periods a wave loses up to a fifth of its chi², more than an alias does: the maxima are
+    compared. Periods are a wave over the measured span apart.
+    """
+    problem, name, explained = candidates.problem, form.candidate.specification.period, candidates.scan(others)[0]
+    machine, data = problem.network.machine, problem.network.data
+    state, span = machine_state(data, machine), np.ptp(data.positions[:, machine.names.index(form.candidate.where)])
+    tried = [other for other in candidates.forms if other.key == form.key]
+    most = NEAR_PERIOD * max(float(explained[other.index]) for other in tried)
+    given = [column for other in others for column in other.variant.columns]
+    found: list[tuple[float, float]] = []
+    for other in tried:
+        if explained[other.index] >= most:
+            frequencies = 1.0 / other.variant.fixed[name] + np.linspace(-0.25, 0.25, PERIOD_STEPS) / span
+            fixed = [{**other.variant.fixed, name: float(1.0 / f)} for f in frequencies]
+            columns = [variant_at(form.candidate, own, machine, state).columns for own in fixed]
+            gain, best = _vertex(_profile(problem, columns, given)[0])
+            found.append((gain, float(np.interp(best, np.arange(PERIOD_STEPS), frequencies))))
+    kept: list[tuple[float, float]] = []
+    for gain, frequency in sorted(found, reverse=True):
+        if all(abs(frequency - better) * span > RESOLVED for _, better in kept):
+            kept.append((gain, frequency))
+    return np.array([1.0 / frequency for _, frequency in kept]), np.array([gain for gain, _ in kept])
+
+
+def refine_far_periods(candidates: Candidates, forms: Sequence[Form]) -> bool:
+    """Refine periods that fit better than those of the causes, far from them; return whether there are any."""
+    better = False
+    for form in forms:
+        if not form.candidate.specification.period:
+            continue
+        others = [other for other in forms if other is not form]
+        (best, *_), gains = fitting_periods(candidates, form, others)
+        name = form.candidate.specification.period
+        tried = [other for other in candidates.forms if other.key == form.key]
+        near = min(tried, key=lambda other: abs(1.0 / other.variant.fixed[name] - 1.0 / best))
+        if near.index != form.index and gains[0] > candidates.scan(others)[0][form.index]:
+            network = candidates.problem.network
+            state = machine_state(network.data, network.machine)
+            fixed = {**near.variant.fixed, name: float(best)}
+            candidates.refine(near, variant_at(near.candidate, fixed, network.machine, state))
+            better = True
+    return better
+
+
+def _vertex(values: np.ndarray) -> tuple[float, float]:
+    """Return the maximum of evenly spaced values and its index, by the parabola through the largest and its neighbours."""
+    k = int(np.clip(np.argmax(values), 1, len(values) - 2))
+    before, middle, after = values[k - 1 : k + 2].tolist()
+    bend = before - 2.0 * middle + after
+    shift = float(np.clip(0.5 * (before - after) / bend, -1.0, 1.0)) if bend < 0.0 else 0.0
+    return max(float(values.max()), middle - 0.25 * (before - after) * shift), k + shift
 
 
 def _profile(

@@ -16,6 +16,7 @@ import numpy as np
 
 from twin._common.arrays import read_only
 from twin._common.errors import InputError
+from twin._common.records import APPROACH
 from twin.diagnosis.causes import JUMPED, SizedCauses
 from twin.diagnosis.cross_validation import (
     GROUPS_FOR_AN_INTERVAL,
@@ -45,7 +46,6 @@ from twin.model.calibration import Calibration
 from twin.model.calibration_file import acting_frame, available_in_programs, unused_place
 from twin.model.effects import Effect, Empirical
 from twin.model.effects.empirical import channel_name
-from twin.model.effects.harmonic import APPROACH
 from twin.numerics.covariance import Covariance
 from twin.tool.forward import Kinematics
 from twin.tool.uncertainty import volume

@@ -6,17 +6,16 @@ words, they never replace them. Pictures are embedded; nothing is fetched. The t
 
 from __future__ import annotations
 
-from html import escape
 from pathlib import Path
 from typing import Any, Final
 
-from twin._common.messages import Message
+from twin._common.messages import Message, joined
 from twin._common.provenance import warning_texts
 from twin.diagnosis import plots, text
 from twin.diagnosis.plots import plot_panel, plot_unexplained
 from twin.diagnosis.result import Cause, DiagnosisResult, readable_unit
 from twin.diagnosis.text import column
-from twin.display import Html, render
+from twin.display import render
 from twin.display.figures import embedded
 from twin.display.numbers import listed, lower
 from twin.display.sheet import Sheet
@@ -55,7 +54,7 @@ def diagnosis_html(diagnosis: DiagnosisResult, sheet: Sheet | None = None) -> st
         heading=Message("Diagnosis of a machine tool"),
         machine_name=machine,
         NOTHING=NOTHING,
-        title=f"{title}: {machine}",
+        title=joined("", [title, f": {machine}"]),
         headline=title,
         colour=COLOURS[mood],
         machine=machine,
@@ -74,7 +73,7 @@ def diagnosis_html(diagnosis: DiagnosisResult, sheet: Sheet | None = None) -> st
         grouped_notes=grouped_notes,
         alternatives=_alternatives,
         picture=lambda panel, caption: embedded(
-            plot_panel(panel), f"{panel.title}: {panel.y} against {panel.x}", caption
+            plot_panel(panel), Message("{title}: {y} against {x}", title=panel.title, y=panel.y, x=panel.x), caption
         ),
         readable_unit=readable_unit,
     )
@@ -94,11 +93,6 @@ def _ranked(diagnosis: DiagnosisResult) -> list[dict[str, Any]]:
     return ranked
 
 
-def _alternatives(cause: Cause) -> Html:
-    """Return the alternatives to a cause in words with their symbols, as HTML."""
-
-    def named(effect: str, where: str) -> str:
-        title = escape(lower(text.cause_title(effect, where)))
-        return f"{title} <span class=symbol>{escape(text.symbol(effect, where))}</span>"
-
-    return Html(listed(cause.alternatives(named)))
+def _alternatives(cause: Cause) -> str:
+    """Return the alternatives to a cause in words with their symbols."""
+    return listed(cause.alternatives(lambda *key: lower(text.named(*key))))

@@ -17,6 +17,7 @@ from typing import Final, final
 
 import numpy as np
 
+from twin._common.records import APPROACH
 from twin._common.units import UM
 from twin.diagnosis.candidates.candidate import Column, ReadingDerivatives, SignatureTerm
 from twin.diagnosis.forms import Form
@@ -27,7 +28,7 @@ from twin.measurement.columns import CARRIERS
 from twin.measurement.instruments import SIDES
 from twin.measurement.observation import machine_state
 from twin.measurement.table import Measurements
-from twin.model.effects.harmonic import APPROACH, Waves
+from twin.model.effects.harmonic import Waves
 from twin.model.effects.harmonic import terms as products_of
 from twin.numerics.functions import Functions, Rows, pieces
 

@@ -16,17 +16,18 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from twin._common.errors import InputError
+from twin._common.messages import Message, joined, say
+from twin._common.records import APPROACH
 from twin.diagnosis.candidates import SPECIFICATIONS
 from twin.diagnosis.result import Cause, DiagnosisResult
 from twin.diagnosis.text import cause_title, column, side
 from twin.display.figures import BACKWARD, BOTH, FORWARD, RUN, THIRD, heading, new_figure, style_axes
-from twin.display.numbers import COVERAGE_FACTOR
+from twin.display.numbers import COVERAGE_FACTOR, listed
 from twin.machine.error_names import DIRECTIONS
 from twin.machine.machine import Machine
 from twin.measurement.observation import machine_state
 from twin.model.effects import Effect
 from twin.model.effects.base import axis_of, motion_in_words
-from twin.model.effects.harmonic import APPROACH
 from twin.model.effects.specification import Drawing
 
 MOST_POSITIONS: Final = 24  # number of distinct positions up to which each forms a group
@@ -34,7 +35,11 @@ BINS: Final = 16  # number of groups, equally filled, for more positions
 LEAST_READINGS: Final = 2  # smallest number of readings whose mean is drawn
 ALIKE_CORRELATION: Final = 0.9  # rank correlation of two columns above which only one of them is plotted
 LEAST_CHI2_SHARE: Final = 0.2  # columns whose χ² is below this share of that of the clearest column are not plotted
-SIDES: Final = ((-1.0, "moving −"), (0.0, "unknown"), (1.0, "moving +"))  # names of the approach directions
+SIDES: Final = (
+    (-1.0, Message("moving −")),
+    (0.0, Message("unknown")),
+    (1.0, Message("moving +")),
+)  # names of the approach directions
 MAX_PANELS: Final = 3  # largest number of panels of residuals
 LEAST_CAUSE_SHARE: Final = 0.02  # share of its largest value below which a cause is not plotted in its unit
 MANY_TURNS: Final = 4  # periods in the range from which on a periodic error is plotted over one period
@@ -94,12 +99,12 @@ def residual_panels(diagnosis: DiagnosisResult, *, after: bool = False) -> list[
         sharpest = min(half for _, half in reach.values())
         shown = [label for label, (_, half) in reach.items() if half <= WIDEST_INTERVAL * sharpest]
         series = tuple(_series(label, x.values[rows], values[label][rows]) for label in shown)
-        where = side(carrier) if carrier in data.carrier else "all points"
-        best = "" if len(shown) == len(values) else f", {' and '.join(shown)} (measured best)"
-        only = f" {shown[0]}" if len(shown) == 1 else ""
+        where = side(carrier) if carrier in data.carrier else Message("all points")
+        best = "" if len(shown) == len(values) else Message(", {names} (measured best)", names=listed(shown))
+        only = joined("", [" ", shown[0]]) if len(shown) == 1 else ""
         limit = max(reach[label][0] for label in shown)
-        title = f"against {column(name)}, {where}{best}"
-        panels.append(Panel(title, x.label, f"residual{only} [µm]", series, x.ticks, limit))
+        title = Message("against {column}, {where}{best}", column=column(name), where=where, best=best)
+        panels.append(Panel(title, x.label, Message("residual{only} [µm]", only=only), series, x.ticks, limit))
     return panels
 
 
@@ -149,7 +154,7 @@ def cause_panels(diagnosis: DiagnosisResult, cause: Cause) -> list[Panel]:
     series = tuple(
         _series(name, x.values[rows], (part + residual[name])[rows], part[rows]) for name, part in predicted.items()
     )
-    return [Panel(title, x.label, "shift of the points [µm]", series, x.ticks)]
+    return [Panel(title, x.label, Message("shift of the points [µm]"), series, x.ticks)]
 
 
 def _affected(diagnosis: DiagnosisResult, cause: Cause) -> np.ndarray:
@@ -170,7 +175,7 @@ def _against_prediction(title: str, predicted: np.ndarray, residual: np.ndarray,
     some = np.abs(x) > LEAST_CAUSE_SHARE * np.abs(x).max(initial=0.0)
     weight = np.einsum("nii->ni", precision)[read][some]
     series = Series("", x[some], y[some], weight, x[some], smooth=True)
-    return Panel(title, "shift predicted by this cause [µm]", "measured shift [µm]", (series,))
+    return Panel(title, Message("shift predicted by this cause [µm]"), Message("measured shift [µm]"), (series,))
 
 
 def scales_of(diagnosis: DiagnosisResult) -> dict[str, Scale]:
@@ -183,18 +188,22 @@ def scales_of(diagnosis: DiagnosisResult) -> dict[str, Scale]:
         if np.any(data.approach[:, i]):
             sides = np.asarray(data.approach[:, i], dtype=float)
             ticks = tuple((at, name) for at, name in SIDES if at != 0.0 or not np.all(sides))
-            scales[f"approach_{axis.name}"] = Scale(f"approach direction of {axis.name} [+/−]", sides, ticks)
+            scales[f"approach_{axis.name}"] = Scale(
+                Message("approach direction of {name} [+/−]", name=axis.name), sides, ticks
+            )
     if np.all(np.isfinite(data.time_s)):
         since = np.asarray(data.time_s) - float(np.min(data.time_s))
         unit, seconds = ("h", 3600.0) if float(np.ptp(since)) > 7200.0 else ("min", 60.0)
-        scales["time_s"] = Scale(f"time from the first reading [{unit}]", since / seconds)
+        scales["time_s"] = Scale(Message("time from the first reading [{unit}]", unit=unit), since / seconds)
     rounds = list(dict.fromkeys(data.round))
     names = tuple((float(i), str(name)) for i, name in enumerate(rounds)) if len(rounds) <= 12 else ()
-    scales["round"] = Scale("round [number]", np.array([float(rounds.index(name)) for name in data.round]), names)
+    scales["round"] = Scale(
+        Message("round [number]"), np.array([float(rounds.index(name)) for name in data.round]), names
+    )
     for name, values in data.temperature_degC.items():
         if np.all(np.isfinite(values)):
-            of = f"{name}'s scale" if name in machine.names else name
-            scales[f"T_{name}_degC"] = Scale(f"temperature of {of} [°C]", np.asarray(values))
+            of = Message("{name}'s scale", name=name) if name in machine.names else name
+            scales[f"T_{name}_degC"] = Scale(Message("temperature of {of} [°C]", of=of), np.asarray(values))
     for name, values in data.channels.items():
         if np.all(np.isfinite(values)):
             what, _, unit = name.partition("_")
@@ -217,10 +226,10 @@ def directed(diagnosis: DiagnosisResult, values_um: np.ndarray) -> dict[str, np.
     base = np.einsum("nij,ni->nj", diagnosis.directions, values)
     along_axes = np.abs(diagnosis.directions[read[:, 0], 0]).max(axis=1, initial=0.0).min(initial=1.0) >= 0.99
     if not (read[:, 1:].any() or along_axes):
-        return {"along the beam": values[:, 0] + nothing}
+        return {ALONG_BEAM: values[:, 0] + nothing}
     square = np.mean(np.einsum("nij->nj", diagnosis.directions**2), axis=0)
     seen = square > UNMEASURED_SHARE * max(float(square.max()), 1e-30)
-    return {f"in {'xyz'[j]}": base[:, j] + nothing for j in range(3) if seen[j]}
+    return {PLOT_DIRECTIONS[j]: base[:, j] + nothing for j in range(3) if seen[j]}
 
 
 def _single(effect: Effect, diagnosis: DiagnosisResult) -> tuple[int, np.ndarray] | None:
@@ -253,9 +262,9 @@ def _own_unit(
     unit = "µm" if component < 3 else "µrad"
     drawn = drawing_of(cause)
     label = (
-        f"shift of the tool side along {cause.where[0].lower()}"
+        Message("shift of the tool side along {direction}", direction=cause.where[0].lower())
         if drawn.of_base
-        else f"{motion_in_words(error)}, {error}"
+        else joined(", ", [motion_in_words(error), error])
     )
     panels = []
     for x in _scales_of_cause(diagnosis, cause):
@@ -267,7 +276,9 @@ def _own_unit(
             for name, of in ((name, of[rows]) for name, of in _split(diagnosis, cause))
             if np.count_nonzero(of) >= LEAST_READINGS
         )
-        panels.append(Panel(cause_title(cause.effect, cause.where), x.label, f"{label} [{unit}]", series, x.ticks))
+        panels.append(
+            Panel(cause_title(cause.effect, cause.where), x.label, joined("", [label, f" [{unit}]"]), series, x.ticks)
+        )
     return panels
 
 
@@ -312,7 +323,12 @@ def _scales_of_cause(diagnosis: DiagnosisResult, cause: Cause) -> list[Scale]:
         whole = scales_shown[0]
         if float(np.ptp(whole.values)) >= MANY_TURNS * period:
             folded = np.mod(whole.values, period)
-            whole = Scale(f"{axes[0]} within its period of {period:.4g} {unit} [{unit}]", folded)
+            whole = Scale(
+                Message(
+                    "{axis} within its period of {period:.4g} {unit} [{unit}]", axis=axes[0], period=period, unit=unit
+                ),
+                folded,
+            )
         return [whole]
     return scales_shown
 
@@ -321,12 +337,12 @@ def _derived_scale(diagnosis: DiagnosisResult, where: str, size_of: str) -> Scal
     """Return a scale that is no column of the table: distance from the instrument, or reported less commanded position."""
     if size_of == "distance":
         distance = np.linalg.norm(np.nan_to_num(diagnosis.data.point_mm), axis=1)
-        return Scale("distance from the instrument [m]", 1e-3 * distance)
+        return Scale(Message("distance from the instrument [m]"), 1e-3 * distance)
     machine = diagnosis.calibration.machine
     i = machine.names.index(where)
     off = np.nan_to_num(diagnosis.data.readback[:, i] - diagnosis.data.positions[:, i])
     unit, scale = ("µm", 1e3) if machine.axes[i].linear else ("°", 1.0)
-    return Scale(f"{where}: reported less commanded position [{unit}]", off * scale)
+    return Scale(Message("{where}: reported less commanded position [{unit}]", where=where, unit=unit), off * scale)
 
 
 def _columns_of(diagnosis: DiagnosisResult, cause: Cause) -> list[str]:
@@ -379,7 +395,12 @@ def _reach(x: np.ndarray, y: np.ndarray) -> tuple[float, float]:
 PANELS_IN_A_ROW: Final = 3
 TICKS: Final = 6
 CELLS: Final = 6  # cells along each side of a map
-PLOT_DIRECTIONS: Final = ("in x", "in y", "in z")  # each direction keeps its style, whichever directions are drawn
+ALONG_BEAM: Final = Message("along the beam")
+PLOT_DIRECTIONS: Final = (
+    Message("in x"),
+    Message("in y"),
+    Message("in z"),
+)  # each direction keeps its style, whichever directions are drawn
 COLOUR_WITHOUT_READING: Final = "#dddddd"  # colour of cells without a reading; the middle of the colour scale is white
 LEGEND_ABOVE: Final[dict[str, Any]] = {
     "fontsize": 8, "frameon": False, "ncols": 3, "loc": "lower left", "bbox_to_anchor": (-0.02, 0.99), "borderaxespad": 0.0,
@@ -396,7 +417,7 @@ def plot_residuals(diagnosis: DiagnosisResult, *, after: bool = False, title: st
         after: plot the residuals with the causes in the model, on the same scale.
         title: heading; a default if empty.
     """
-    about = "Residuals with the causes in the model" if after else "Residuals"
+    about = Message("Residuals with the causes in the model") if after else Message("Residuals")
     return _drawn(residual_panels(diagnosis, after=after), title or about)
 
 
@@ -415,7 +436,7 @@ def plot_cause(diagnosis: DiagnosisResult, cause: int = 0, *, title: str = "") -
     chosen = diagnosis.causes[cause]
     return _drawn(
         cause_panels(diagnosis, chosen),
-        title or f"{cause_title(chosen.effect, chosen.where)}: fitted (line), measured (dots)",
+        title or Message("{cause}: fitted (line), measured (dots)", cause=cause_title(chosen.effect, chosen.where)),
     )
 
 
@@ -431,19 +452,19 @@ def plot_ranking(diagnosis: DiagnosisResult, *, title: str = "") -> Figure:
     named = {(cause.effect, cause.where) for cause in diagnosis.causes}
     doubted = {key for cause in diagnosis.causes for key in cause.equivalent}
     for colour, of, label in (
-        (BACKWARD, named, "found"),
-        (FORWARD, doubted - named, "confounded with a cause found"),
-        (RUN, {(effect, where) for effect, where, *_ in rows} - named - doubted, "less likely"),
+        (BACKWARD, named, Message("found")),
+        (FORWARD, doubted - named, Message("confounded with a cause found")),
+        (RUN, {(effect, where) for effect, where, *_ in rows} - named - doubted, Message("less likely")),
     ):
         at = [i for i, (effect, where, *_) in enumerate(rows) if (effect, where) in of]
         if at:
-            plot.barh(at, [rows[i][2] for i in at], color=colour, label=label)
-    plot.set_yticks(range(len(rows)), [cause_title(effect, where) for effect, where, *_ in rows], fontsize=9)
-    plot.set_xlabel("χ² explained by this cause alone [1]")
+            plot.barh(at, [rows[i][2] for i in at], color=colour, label=say(label))
+    plot.set_yticks(range(len(rows)), [say(cause_title(effect, where)) for effect, where, *_ in rows], fontsize=9)
+    plot.set_xlabel(say("χ² explained by this cause alone [1]"))
     plot.spines[["top", "right"]].set_visible(False)
     if rows:
         plot.legend(loc="lower right", frameon=False, fontsize=9)
-    heading(figure, title or f"The best of {diagnosis.tried} causes tested", 11)
+    heading(figure, title or Message("The best of {tried} causes tested", tried=diagnosis.tried), 11)
     return figure
 
 
@@ -476,8 +497,8 @@ def plot_unexplained(diagnosis: DiagnosisResult, *, title: str = "") -> Figure |
     most = float(np.nanmax(np.abs(maps[direction]), initial=1e-9))
     plot.set_facecolor(COLOUR_WITHOUT_READING)
     mesh = plot.pcolormesh(edges[0], edges[1], maps[direction].T, cmap="PuOr", vmin=-most, vmax=most)
-    figure.colorbar(mesh, label=f"mean residual {direction} [µm]")
-    plot.set(xlabel=x.label, ylabel=y.label)
+    figure.colorbar(mesh, label=say("mean residual {direction} [µm]", direction=direction))
+    plot.set(xlabel=say(x.label), ylabel=say(y.label))
     if title:
         heading(figure, title, 11)
     return figure
@@ -496,7 +517,7 @@ def draw(plot: Axes, panel: Panel, *, titled: bool = True) -> None:
     plot.axhline(0.0, color=RUN, linewidth=0.8)
     entries = [entry for k in range(len(panel.series)) for entry in _draw_series(plot, panel, k)]
     if panel.ticks:
-        plot.set_xticks([at for at, _ in panel.ticks], [name for _, name in panel.ticks])
+        plot.set_xticks([at for at, _ in panel.ticks], [say(name) for _, name in panel.ticks])
         plot.margins(x=0.25)
     else:
         plot.xaxis.set_major_locator(MaxNLocator(TICKS))
@@ -506,8 +527,8 @@ def draw(plot: Axes, panel: Panel, *, titled: bool = True) -> None:
     if len(entries) > 1:
         plot.legend(*zip(*entries, strict=True), **LEGEND_ABOVE)
     if titled:
-        plot.set_title(panel.title, loc="left", fontsize=9, pad=20.0 if len(entries) > 1 else 6.0)
-    plot.set(xlabel=panel.x, ylabel=panel.y)
+        plot.set_title(say(panel.title), loc="left", fontsize=9, pad=20.0 if len(entries) > 1 else 6.0)
+    plot.set(xlabel=say(panel.x), ylabel=say(panel.y))
 
 
 def _draw_series(plot: Axes, panel: Panel, k: int) -> list[tuple[Any, str]]:
@@ -526,7 +547,7 @@ def _draw_series(plot: Axes, panel: Panel, k: int) -> list[tuple[Any, str]]:
     if series.predicted is None:
         if not panel.ticks:
             plot.plot(centre + offset, mean, color=colour, linestyle=style, linewidth=0.8, alpha=0.6)
-        return [(dots, series.name)]
+        return [(dots, say(series.name))]
     order = np.argsort(series.x)
     x, predicted = (
         (series.x[order], series.predicted[order])
@@ -535,7 +556,7 @@ def _draw_series(plot: Axes, panel: Panel, k: int) -> list[tuple[Any, str]]:
     )
     colour, style = (BACKWARD, "-") if lone else (colour, style)
     (line,) = plot.plot(x, predicted, color=colour, linestyle=style, linewidth=2.0, alpha=0.75)
-    return [(dots, "measured"), (line, "fitted cause")] if lone else [(dots, series.name)]
+    return [(dots, say("measured")), (line, say("fitted cause"))] if lone else [(dots, say(series.name))]
 
 
 def _drawn(panels: Sequence[Panel], title: str) -> Figure:

@@ -8,7 +8,9 @@ from typing import Any, Final, Literal, final
 
 import numpy as np
 
+from twin._common.messages import Message
 from twin._common.provenance import SIMULATED, SourceWarning, merge_warnings, warnings_to_json
+from twin.display.numbers import listed
 from twin.measurement.table import Measurements
 from twin.model.calibration import Calibration
 from twin.model.effects import Effect
@@ -106,7 +108,8 @@ class Cause:
         """
         grouped = {key for group in self.together for key in group}
         alone = [title(*key) for key in self.equivalent if key not in grouped]
-        return [*alone, *(f"{' and '.join(title(*key) for key in group)} together" for group in self.together)]
+        groups = [listed([title(*key) for key in group], most=len(group)) for group in self.together]
+        return [*alone, *(Message("{names} together", names=names) for names in groups)]
 
     def to_dict(self) -> dict[str, Any]:
         """Return the entry of the JSON."""

@@ -70,7 +70,8 @@ def select(candidates: Candidates, begun: Sequence[Form] = ()) -> Selection:
             first.setdefault(int(candidates.key_of[i]), candidates.forms[i])
     candidates.prepare(list(first.values())[:FORMS_AT_ONCE])
     best = Selection((), 0.0)
-    for start in [[form] for form in list(first.values())[:MAX_FIRST_CAUSES]] + _pairs(candidates, first):
+    starts = [_with_second(candidates, form) for form in list(first.values())[:MAX_FIRST_CAUSES]]
+    for start in starts + _pairs(candidates, first):
         selection = _selection(candidates, forward_selection(candidates, start))
         if selection.worth > best.worth + 1e-6:
             best = selection
@@ -83,6 +84,13 @@ def select(candidates: Candidates, begun: Sequence[Form] = ()) -> Selection:
         if selection.worth > (1.0 - EQUAL_CHI2) * best.worth:
             best = selection
     return _selection(candidates, _split(candidates, list(best.forms)))
+
+
+def _with_second(candidates: Candidates, form: Form) -> list[Form]:
+    """Return a first cause with the best second one, if any: alone, it would be exchanged for the best single cause at once."""
+    margin = _free(candidates, [form])
+    i = first_largest(margin)
+    return [form, candidates.forms[i]] if margin[i] > ADDITIONAL_CAUSE_PENALTY else [form]
 
 
 def _pairs(candidates: Candidates, first: Mapping[int, Form]) -> list[list[Form]]:

@@ -24,6 +24,7 @@ import numpy as np
 import scipy
 
 from twin._common.arrays import first_largest, largest_first
+from twin._common.distributions import chi2_isf
 from twin.diagnosis.forms import DEVIANCE_RULED_OUT, LEAST_NONCENTRALITY, Candidates, Form
 from twin.diagnosis.search import ALL_OR_NOTHING_TOLERANCE
 
@@ -264,6 +265,7 @@ def _sum(effects: Sequence[Fit]) -> np.ndarray | float:
 
 CREDIBLE_PROBABILITY: Final = 0.95  # smallest posterior probability of a credible set
 SUM_REMAINDER: Final = 0.05  # largest share of an effect's χ² that causes leave which together are the same
+NOISE_LEVEL: Final = 0.01  # p-value from which on what they leave is the noise that a curve of many functions follows
 MAX_EFFECTS: Final = 12  # largest number of effects
 Key = tuple[str, str]  # effect and place
 
@@ -335,8 +337,10 @@ def _sum_of(effect: Fit, candidates: Candidates, named: Sequence[Form]) -> tuple
 
     A single one does only in place of an effect that the search excludes as impossible: another cause of like readings is a rival.
     """
-    size = float(effect.coefficients @ effect.slope)
-    most_left = min(SUM_REMAINDER * size, DEVIANCE_RULED_OUT)
+    size, likeliest = float(effect.coefficients @ effect.slope), int(np.argmax(effect.posterior))
+    # Of its functions, the causes need few: the others follow the noise.
+    by_noise = chi2_isf(NOISE_LEVEL, len(candidates.forms[likeliest].columns))
+    most_left = min(SUM_REMAINDER * size, max(DEVIANCE_RULED_OUT, float(by_noise)))
 
     def spanned(forms: Sequence[Form]) -> bool:
         columns, _, inverse = candidates.fitted(forms)
@@ -350,7 +354,7 @@ def _sum_of(effect: Fit, candidates: Candidates, named: Sequence[Form]) -> tuple
         others = [other for other in needed if other is not form]
         if others and spanned(others):
             needed = others
-    excluded = np.isinf(candidates.critical_table[int(np.argmax(effect.posterior))]).all()
+    excluded = np.isinf(candidates.critical_table[likeliest]).all()
     return tuple(form.key for form in needed) if len(needed) > 1 or excluded else ()
 
 

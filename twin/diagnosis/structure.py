@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Hashable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Final, final
 
 import numpy as np
@@ -25,7 +26,7 @@ from twin.diagnosis.cross_validation import (
     predicts_held_out,
     without_overfitting,
 )
-from twin.diagnosis.estimate import RandomEffects, estimate, remaining_discrepancy
+from twin.diagnosis.estimate import RandomEffects, estimate, refine_far_periods, remaining_discrepancy
 from twin.diagnosis.forms import DEVIANCE_RULED_OUT, Candidates, Form, columns_of
 from twin.diagnosis.likelihood import PATTERN_ALARM_RATE, Likelihood, Model, PatternTest, scan_patterns
 from twin.diagnosis.patterns import Pattern, patterns
@@ -33,6 +34,7 @@ from twin.diagnosis.payload import select_with_payload
 from twin.diagnosis.problem import Problem
 from twin.diagnosis.readings import DiagnosisTask
 from twin.diagnosis.search import MAX_CAUSES, MAX_EXCHANGED_CAUSES, Selection, candidates_of, excesses_of
+from twin.diagnosis.second_opinion import SingleEffect, second_opinion
 from twin.identification.discrepancy import settled
 from twin.measurement.observation import machine_state
 
@@ -120,6 +122,11 @@ class Findings:
     def problem(self) -> Problem:
         """Return the problem without outliers, whitened by noise and discrepancy."""
         return self.task.problem
+
+    @cached_property
+    def second_opinion(self) -> tuple[SingleEffect, ...]:
+        """The effects that the second method finds; none beside patterns, where the selection is by likelihood."""
+        return () if self.structure.pattern_tests else second_opinion(self.candidates, self.structure.forms)
 
     def beside_patterns(self, forms: Sequence[Form]) -> list[Form]:
         """Return forms of ``candidates`` as they are among ``given_patterns``."""
@@ -459,9 +466,9 @@ def _partial_cause(likelihood: Likelihood, forms: Sequence[Form], model: Model) 
         imitated = float(likelihood.can_imitate(form) @ explained_by_patterns)
         if imitated <= 0.0:
             continue
-        # A machine has all its constants: they are assessed together.
+        # A machine has all its constants: they are assessed together, as are the orders of one component's harmonics.
         constant = form.candidate.specification.constant
-        others = [f for f in forms if f is not form and not (constant and f.candidate.specification.constant)]
+        others = [f for f in forms if f.key != form.key and not (constant and f.candidate.specification.constant)]
         carried = explained - likelihood.candidates.explained_by(others)
         ratio = carried / max(imitated, 1e-9)
         if carried < LEAST_IMITATED_RATIO * imitated and (worst is None or ratio < worst[0]):
@@ -593,8 +600,11 @@ def _is_better_in_time(lagging: Findings, plain: Findings) -> bool:
         and len(forms) <= max(worth_of_plain[1], 1)
     ):
         return True
-    keys = {(form.candidate.specification.variant_of or form.candidate.effect, form.candidate.where) for form in forms}
-    return interval[0] > 0.0 and keys == {form.key for form in plain.structure.forms}
+    # With its variant beside it, a cause is one more: sorted lists, not sets.
+    keys = sorted(
+        (form.candidate.specification.variant_of or form.candidate.effect, form.candidate.where) for form in forms
+    )
+    return interval[0] > 0.0 and keys == sorted(form.key for form in plain.structure.forms)
 
 
 def _complexity(structure: Structure) -> tuple[int, int]:
@@ -651,6 +661,8 @@ def _best(candidates: Candidates) -> Selection:
 
 def _with_refined(candidates: Candidates, best: Selection) -> Selection:
     """Return the best set of causes with the periods and time constants of large causes refined."""
+    if refine_far_periods(candidates, best.forms):
+        best = select_with_payload(candidates, best.forms)
     for _ in range(MAX_REFINEMENTS):
         if not _refined(candidates, best.forms):
             break

@@ -1,4 +1,4 @@
-"""A diagnosis in words: names and advice, the verdict, text for the terminal and a table for a notebook.
+"""A diagnosis in words: names and advice, and the verdict.
 
 The report, the text and the notebook all take their words from here. The symbols (ISO 230-1 names, ``reversal Y``) are given with them.
 """
@@ -6,22 +6,25 @@ The report, the text and the notebook all take their words from here. The symbol
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from math import ceil, exp, floor, isfinite, isnan, log10
-from textwrap import wrap
 from typing import Any, Final, Literal, final
 
 import numpy as np
 
-from twin._common.messages import Message, say
-from twin._common.provenance import CORRECTED_IN_CONTROL, warning_texts
+from twin._common.messages import Message, Number, joined, parts
+from twin._common.provenance import CORRECTED_IN_CONTROL
 from twin.diagnosis.candidates import SPECIFICATIONS
-from twin.diagnosis.result import Cause, DiagnosisResult, Extension, Unexplained, readable_unit
-from twin.display import note, table
-from twin.display.numbers import COVERAGE_FACTOR, capital, figure, listed, lower, p_value_text, with_joined_units
-from twin.display.results import Display
-from twin.measurement.columns import assumptions, grouped_notes
+from twin.diagnosis.result import Cause, DiagnosisResult, Extension, Unexplained
+from twin.display.numbers import (
+    COVERAGE_FACTOR,
+    capital,
+    either,
+    figure,
+    listed,
+    lower,
+)
 from twin.model.effects.base import axis_of
 from twin.model.effects.specification import Advice, Kind, title_of
 
@@ -31,6 +34,18 @@ BELOW_INCREMENT: Final = (
     "Nothing: the error is below the least increment of the axes, so no command and no compensation can correct it."
 )
 LEAST_REST: Final = 0.01  # smallest share of the excess that is stated beside causes and pattern
+PARAMETERS: Final[Mapping[str, Message]] = {
+    "amplitude": Message("amplitude"),
+    "angle": Message("angle"),
+    "coefficient": Message("coefficient"),
+    "largest": Message("largest value"),
+    "offset": Message("offset"),
+    "order": Message("order"),
+    "rate": Message("rate"),
+    "size": Message("size"),
+    "time_constant": Message("time constant"),
+}
+"""Names in words of the parameters that most causes have."""
 MOST_READINGS: Final = 1000.0  # number of readings at one position above which the measurement is not suggested
 MOST_IN_ONE_COURSE: Final = (
     30.0  # the same, where another course of time and temperatures separates the causes without any
@@ -52,6 +67,16 @@ def symbol(effect: str, where: str) -> str:
     return effect if where == "—" else f"{effect} {where}"
 
 
+def named(effect: str, where: str) -> str:
+    """Return the name of a cause in words, and its symbol in brackets."""
+    return joined("", [cause_title(effect, where), f" ({symbol(effect, where)})"])
+
+
+def parameter(name: str) -> str:
+    """Return the name of a parameter of a cause in words."""
+    return PARAMETERS.get(name, name.replace("_", " "))
+
+
 def cause_title(effect: str, where: str) -> str:
     """Return the name of a cause in words, without symbols."""
     return title_of(SPECIFICATIONS.get(effect), effect, where)
@@ -65,24 +90,25 @@ def family(effect: str) -> str:
 def advice(effect: str, where: str) -> Advice:
     """Return where to look for a cause, what to do about it, and what to avoid."""
     given, axis = SPECIFICATIONS[effect].advice, axis_of(where)
-    texts = (text.replace("{axis}", axis).replace("{where}", where) for text in (given.look, given.do, given.never))
-    return Advice(*texts)
+    return Advice(*(Message(text, axis=axis, where=where) for text in (given.look, given.do, given.never)))
 
 
 def column(name: str) -> str:
     """Return a column of the table in words: ``approach_Y`` → the approach direction of Y."""
     if name.startswith("approach_"):
-        return f"the approach direction of {name.removeprefix('approach_')}"
+        return Message("the approach direction of {axis}", axis=name.removeprefix("approach_"))
     if name.startswith("T_") and name.endswith("_degC"):
-        return f"the temperature of {name[2:-5]}"
+        return Message("the temperature of {name}", name=name[2:-5])
     if name.startswith("readback_"):
-        return f"the position of {name.split('_')[1]} reported by the control"
-    return {"time_s": "time", "round": "the round"}.get(name, name.rsplit("_", 1)[0])
+        return Message("the position of {axis} reported by the control", axis=name.split("_")[1])
+    return {"time_s": Message("time"), "round": Message("the round")}.get(name, name.rsplit("_", 1)[0])
 
 
 def side(carrier: str) -> str:
     """Return in words which points a statement is about."""
-    return {"tool": "points on the tool side", "work": "points on the work side"}.get(carrier, "points on both sides")
+    return {"tool": Message("points on the tool side"), "work": Message("points on the work side")}.get(
+        carrier, Message("points on both sides")
+    )
 
 
 def grouped(keys: Iterable[tuple[str, str]]) -> list[str]:
@@ -90,7 +116,7 @@ def grouped(keys: Iterable[tuple[str, str]]) -> list[str]:
     by_effect: dict[str, list[str]] = {}
     for effect, where in keys:
         by_effect.setdefault(effect, []).append(where)
-    return [f"{family(effect)}: {listed(places)}" for effect, places in by_effect.items()]
+    return [joined(": ", [family(effect), listed(places)]) for effect, places in by_effect.items()]
 
 
 def missing(entries: Iterable[tuple[str, str, str]]) -> list[str]:
@@ -100,23 +126,23 @@ def missing(entries: Iterable[tuple[str, str, str]]) -> list[str]:
         by_column.setdefault(wanted, {}).setdefault(effect, []).append(where)
     shown: dict[str, list[str]] = {}
     for wanted, effects in by_column.items():
-        shown.setdefault(", ".join(family(effect) for effect in effects), []).append(wanted)
-    return [f"{listed(columns)}: {families}" for families, columns in shown.items()]
+        shown.setdefault(joined(", ", [family(effect) for effect in effects]), []).append(wanted)
+    return [joined(": ", [listed(columns), families]) for families, columns in shown.items()]
 
 
 def measured(value: float, u: float, unit: str) -> str:
     """Return a value with its 95 % interval to two digits of the interval (9.29 ± 0.51 µm), or words if either is not finite."""
     sign = "" if unit == "1" else f" {unit}"
     if not isfinite(value):
-        return "not determined"
+        return Message("not determined")
     if not isfinite(u):
-        return f"{value:.4g}{sign}, uncertainty unknown".replace("-", "−")
+        return Message("{value}, uncertainty unknown", value=Number(f"{value:.4g}{sign}".replace("-", "−")))
     if u <= 0.0:
-        return f"{value:.4g}{sign}".replace("-", "−")
+        return Number(f"{value:.4g}{sign}".replace("-", "−"))
     half = COVERAGE_FACTOR * u
     decimals = max(1 - floor(log10(half)), 0)
     # Adding zero turns −0.0 into 0.0.
-    return f"{round(value, decimals) + 0.0:.{decimals}f} ± {half:.{decimals}f}{sign}".replace("-", "−")
+    return Number(f"{round(value, decimals) + 0.0:.{decimals}f} ± {half:.{decimals}f}{sign}".replace("-", "−"))
 
 
 @final
@@ -140,34 +166,42 @@ def separating_points(wanted: Iterable[Mapping[str, Any]], sigma_um: float) -> l
     separating_points = []
     for pair, points in by_pair.items():
         keys = [(effect, where) for effect, _, where in (name.partition(" ") for name in pair)]
-        a, b = (f"{cause_title(*key)} ({symbol(*key)})" for key in keys)
+        a, b = (named(*key) for key in keys)
         with_pose = [point for point in points if "pose" in point]
         best, rows = max((float(point["expected_chi2"]) for point in with_pose), default=0.0), []
         if not with_pose:
-            text = capital(str(points[0]["text"]).partition(": ")[2]) + "."
+            text = capital(points[0]["decided_by"]) + "."
         elif RULED_OUT_CHI2 > MOST_IN_ONE_COURSE * best and _courses_decide(*keys):
-            text = (
-                "No position separates them in the course of time and temperatures that was measured: their predictions differ by at "
-                f"most {best**0.5 * sigma_um:.1g} µm. Measure again in another course (after a pause, or while the machine cools). "
-                "Until then compensate only for work in the same course."
+            text = Message(
+                "No position separates them in the course of time and temperatures that was measured: their "
+                "predictions differ by at most {best:.1g} µm. Measure again in another course (after a pause, or "
+                "while the machine cools). Until then compensate only for work in the same course.",
+                best=best**0.5 * sigma_um,
             )
         elif RULED_OUT_CHI2 > MOST_READINGS * best:
-            text = (
-                f"No position that was tried separates them: their predictions differ by at most {best**0.5 * sigma_um:.1g} µm. "
-                "Either can be used for compensation."
+            text = Message(
+                "No position that was tried separates them: their predictions differ by at most {best:.1g} µm. "
+                "Either can be used for compensation.",
+                best=best**0.5 * sigma_um,
             )
         else:
             for point in with_pose:
                 pose = " ".join(f"{axis}{value:g}" for axis, value in point["pose"].items())
                 sides = " ".join(f"{axis}{'+' if sign > 0 else '−'}" for axis, sign in point["approach"].items())
-                difference = f"{float(point['expected_chi2']) ** 0.5 * sigma_um:.2g} µm"
+                difference = Number(f"{float(point['expected_chi2']) ** 0.5 * sigma_um:.2g} µm")
                 rows.append((pose, sides, str(point["target"]), str(point["station"]), difference))
             many = max(ceil(RULED_OUT_CHI2 / best), 1)
-            readings = "one reading is enough" if many == 1 else f"about {many} readings are enough"
-            text = f"Their predictions differ most at these positions; at the first, {readings}."
+            readings = (
+                Message("one reading is enough")
+                if many == 1
+                else Message("about {many} readings are enough", many=many)
+            )
+            text = Message(
+                "Their predictions differ most at these positions; at the first, {readings}.", readings=readings
+            )
             if not any(name.startswith("misplaced") for name in pair):
                 plan = f'twin plan -o plan.csv --separate "{pair[0]}" "{pair[1]}" --after <this table>'
-                text += f" For a complete plan with new station positions: {plan}."
+                text += Message(" For a complete plan with new station positions: {plan}.", plan=plan)
         separating_points.append(SeparatingPoints((a, b), tuple(rows), text))
     return separating_points
 
@@ -185,17 +219,17 @@ def _courses_decide(*keys: tuple[str, str]) -> bool:
 def chance(p: float) -> str:
     """Return a p-value in words: under 1 in a million; 1 in 5,000; 12 %."""
     if p < 1e-6:
-        return "under 1 in a million"
+        return Message("under 1 in a million")
     if p < 0.01:
-        return f"1 in {_round_number(1.0 / p):,}"
-    return f"{100.0 * p:.0f} %"
+        return Message("1 in {round_number:,}", round_number=_round_number(1.0 / p))
+    return Number(f"{100.0 * p:.0f} %")
 
 
 def odds(log_odds: float) -> str:
     """Return in words how many times less likely something is, from the natural log of the odds."""
     if log_odds > 13.8:
-        return "more than a million times less likely"
-    return f"about {_round_number(exp(log_odds)):,} times less likely"
+        return Message("more than a million times less likely")
+    return Message("about {round_number:,} times less likely", round_number=_round_number(exp(log_odds)))
 
 
 def _round_number(value: float) -> int:
@@ -207,8 +241,8 @@ def _round_number(value: float) -> int:
 def percent(share: float) -> str:
     """Return a fraction of one in percent."""
     if 0.995 <= share < 1.0:
-        return "more than 99 %"
-    return "less than 1 %" if share < 0.005 else f"{100.0 * share:.0f} %"
+        return Message("more than 99 %")
+    return Message("less than 1 %") if share < 0.005 else Number(f"{100.0 * share:.0f} %")
 
 
 def rest(diagnosis: DiagnosisResult) -> str:
@@ -217,19 +251,29 @@ def rest(diagnosis: DiagnosisResult) -> str:
     share = 1.0 - sum(cause.share for cause in diagnosis.causes) - (0.0 if unexplained is None else unexplained.share)
     if not any(cause.share for cause in diagnosis.causes) or share < LEAST_REST:
         return ""
-    return f"The rest, {percent(share)} of the excess, is not significant or too small to be named."
+    return Message(
+        "The rest, {share} of the excess, is not significant or too small to be named.", share=percent(share)
+    )
+
+
+HELD_OUT: Final[Mapping[str, Message]] = {
+    "rounds": Message("rounds"),
+    "positions": Message("positions"),
+    "poses": Message("poses"),
+    "blocks": Message("blocks of time"),
+}
 
 
 def held_out_words(of: str) -> str:
     """Return in words what was held out: rounds, positions, poses, or blocks of time."""
-    return "blocks of time" if of == "blocks" else of
+    return HELD_OUT[of]
 
 
 def likelihood_words(probability: float, alone: bool) -> str:
     """Return the Bayesian probability of a cause, or of a cause and its equivalents together, in words."""
-    size = "more than 99 %" if probability > 0.99 else percent(probability)
-    what = "this cause is present" if alone else "this cause or one of its alternatives is present"
-    return f"probability that {what}: {size} (second, Bayesian method)"
+    size = Message("more than 99 %") if probability > 0.99 else percent(probability)
+    what = Message("this cause is present") if alone else Message("this cause or one of its alternatives is present")
+    return Message("probability that {what}: {size} (second, Bayesian method)", what=what, size=size)
 
 
 Mood = Literal["well", "wrong", "unknown", "disturbed"]
@@ -239,6 +283,18 @@ COVERED_RATIO: Final = 0.9
 """Ratio of the RMS residual with and without the calibration's uncertainty below which that uncertainty makes it consistent."""
 DOUBTED_NOISE_RATIO: Final = 1.2  # ratio of the residual to the stated noise above which the stated noise is doubted
 RESULT: Final = Message("Result")
+RESIDUAL: Final = Message("Residual")
+VERDICTS: Final[Mapping[str, Message]] = {
+    "consistent": Message("CONSISTENT"),
+    "explained": Message("EXPLAINED"),
+    "ambiguous": Message("AMBIGUOUS"),
+    "unexplained": Message("UNEXPLAINED"),
+}
+ORIGINS: Final[Mapping[str, Message]] = {
+    "machine": Message("machine"),
+    "calibration": Message("calibration"),
+    "instrument": Message("instrument"),
+}
 WHAT_TO_DO: Final = Message("What to do")
 NOTE: Final = Message("Note")
 AT_THE_TOOL: Final = Message("At the tool")
@@ -246,11 +302,12 @@ CAUTION: Final = Message("Caution")
 NOT_EXTENDED: Final = Message("Not extended")
 EXTENDED: Final = Message("Extended")
 WHERE_TO_LOOK: Final = Message("Where to look")
-COMPENSATE: Final = "Compensate with the present calibration."
-KEEP: Final = (
+COMPENSATE: Final = Message("Compensate with the present calibration.")
+KEEP: Final = Message(
     "Switch the correction in the control on for machining: it holds this calibration, and programs run as they are."
 )
-NEXT_SECTION: Final = "“What to measure next”"
+SIGMAS: Final = Message(" ({count:.0f} standard uncertainties)", count=0).identifier
+NEXT_SECTION: Final = Message("“What to measure next”")
 SIZE_IN_TEXT: Final = re.compile(r"\d (µm|µrad|mm|°|ppm)")
 
 
@@ -279,7 +336,8 @@ def headline(diagnosis: DiagnosisResult) -> tuple[str, Mood]:  # noqa: C901, PLR
         if diagnosis.causes and not diagnosis.causes[0].equivalent:
             return (
                 Message(
-                    "There are errors: most causes are identified, but for some these readings cannot decide between alternatives"
+                    "There are errors: most causes are identified, but for some these readings cannot decide between "
+                    "alternatives"
                 ),
                 "wrong",
             )
@@ -303,21 +361,32 @@ def facts(diagnosis: DiagnosisResult) -> list[tuple[str, str]]:
     causes = diagnosis.causes
     if diagnosis.verdict == "consistent":
         less = diagnosis.rms_um < WELL_BELOW * diagnosis.expected_rms_um
-        why = f"{'less than' if less else 'as'} expected from measurement noise ({diagnosis.expected_rms_um:.3g} µm)"
+        why = (
+            Message("less than expected from measurement noise ({expected:.3g} µm)", expected=diagnosis.expected_rms_um)
+            if less
+            else Message("as expected from measurement noise ({expected:.3g} µm)", expected=diagnosis.expected_rms_um)
+        )
         if (
             diagnosis.rms_um > diagnosis.expected_rms_um
             and diagnosis.absorbed_rms_um < COVERED_RATIO * diagnosis.rms_um
         ):
-            why = (
-                f"more than measurement noise ({diagnosis.expected_rms_um:.3g} µm), but within the uncertainty stated in the "
-                "calibration"
+            why = Message(
+                "more than measurement noise ({expected_rms_um:.3g} µm), but within the uncertainty stated in the "
+                "calibration",
+                expected_rms_um=diagnosis.expected_rms_um,
             )
         return [
-            (RESULT, f"The RMS residual is {diagnosis.rms_um:.3g} µm, {why}."),
-            (WHAT_TO_DO, f"Nothing. {KEEP if CORRECTED_IN_CONTROL in diagnosis.warnings else COMPENSATE}"),
+            (RESULT, Message("The RMS residual is {rms_um:.3g} µm, {why}.", rms_um=diagnosis.rms_um, why=why)),
+            (
+                WHAT_TO_DO,
+                Message("Nothing. {what}", what=KEEP if CORRECTED_IN_CONTROL in diagnosis.warnings else COMPENSATE),
+            ),
             (
                 NOTE,
-                f"This covers only errors that these readings can show. The others are listed under {NEXT_SECTION}.",
+                Message(
+                    "This covers only errors that these readings can show. The others are listed under {NEXT_SECTION}.",
+                    NEXT_SECTION=NEXT_SECTION,
+                ),
             ),
         ]
     lines: list[tuple[str, str]] = [(AT_THE_TOOL, _at_tool(diagnosis))]
@@ -331,9 +400,10 @@ def facts(diagnosis: DiagnosisResult) -> list[tuple[str, str]]:
         lines += advised(causes[0])
     else:
         for cause in causes[:CAUSES_DESCRIBED]:
-            lines.append((cause_title(cause.effect, cause.where), " ".join(text for _, text in advised(cause)[:2])))
+            title = cause_title(cause.effect, cause.where)
+            lines.append((title, joined(" ", [text for _, text in advised(cause)[:2]])))
         if any(cause.origin == "instrument" for cause in causes):
-            lines.append((CAUTION, "Do not compensate for errors of the instrument."))
+            lines.append((CAUTION, Message("Do not compensate for errors of the instrument.")))
     return [fact for fact in [*lines, *extended(diagnosis)] if fact[1]]
 
 
@@ -344,29 +414,47 @@ def extended(diagnosis: DiagnosisResult) -> list[tuple[str, str]]:
         return []
     made = unexplained.extension
     if not made.written:
-        return [(NOT_EXTENDED, f"The unexplained pattern is not in the extended calibration: {made.reason}.")]
-    names = " and ".join(f"“{term.where}”" for term in made.made)
-    text = (
-        f"{names} is in the extended calibration without a known cause. It is valid for the measured conditions only, {inside(made)}; "
-        "outside them compensation is refused. If the instrument caused it, and not the machine, it makes parts worse."
+        return [
+            (
+                NOT_EXTENDED,
+                Message(
+                    "The unexplained pattern is not in the extended calibration: {reason}.", reason=made.reason or ""
+                ),
+            )
+        ]
+    names = listed([f"“{term.where}”" for term in made.made], most=len(made.made))
+    text = Message(
+        "{names} is in the extended calibration without a known cause. It is valid for the measured conditions only, "
+        "{inside}; outside them compensation is refused. If the instrument caused it, and not the machine, it makes "
+        "parts worse.",
+        names=names,
+        inside=inside(made),
     )
     held = made.held_out
     if held is not None and held.ci95_um is not None:
         low, high = held.ci95_um
-        text += (
-            f" On held-out {held_out_words(held.of)} it reduces the RMS residual from {held.before_um:.3g} to {held.after_um:.3g} µm "
-            f"(by {micrometres(low)} to {micrometres(high)}, 95 %)."
+        text += Message(
+            " On held-out {held_out_words} it reduces the RMS residual from {before_um:.3g} to {after_um:.3g} µm (by "
+            "{low} to {high}, 95 %).",
+            held_out_words=held_out_words(held.of),
+            before_um=held.before_um,
+            after_um=held.after_um,
+            low=micrometres(low),
+            high=micrometres(high),
         )
     others = [str(term.reason) for term in made.terms if term.reason is not None]
     if others:
-        text += f" Another part of the unexplained pattern is not included: {'; '.join(others)}."
+        text += Message(" Another part of the unexplained pattern is not included: {names}.", names="; ".join(others))
     return [(EXTENDED, text)]
 
 
 def inside(made: Extension) -> str:
     """Return the ranges in which an empirical effect is valid: ``within X_mm 0 to 500 and Y_mm 0 to 450``."""
-    ranges = [f"{name} {low:g} to {high:g}" for name, (low, high) in made.ranges.items()]
-    return f"within {' and '.join(ranges)}" if ranges else "at all angles"
+    ranges = [
+        Message("{name} {low:g} to {high:g}", name=name, low=low, high=high)
+        for name, (low, high) in made.ranges.items()
+    ]
+    return Message("within {names}", names=listed(ranges, most=len(ranges))) if ranges else Message("at all angles")
 
 
 def advised(cause: Cause) -> list[tuple[str, str]]:
@@ -382,24 +470,32 @@ def to_do(cause: Cause) -> str:
     if cause.promised:
         return advice(cause.effect, cause.where).do
     if cause.bounded:
-        return "It is not compensated: its size is at or beyond a physical limit. Measure at other positions and loads."
-    return (
-        "It is not compensated: the error at these positions does not predict the error between them. Measure at more closely "
-        "and unevenly spaced positions."
+        return Message(
+            "It is not compensated: its size is at or beyond a physical limit. Measure at other positions and loads."
+        )
+    return Message(
+        "It is not compensated: the error at these positions does not predict the error between them. Measure at "
+        "more closely and unevenly spaced positions."
     )
 
 
 def sentence(cause: Cause) -> str:
     """Return the evidence without symbol and statistics; if it contains no size, the largest shift of a point is added."""
-    text = re.sub(r" \(\d+ standard uncertainties\)", "", cause.evidence).removeprefix(f"{cause.where}: ")
-    return f"{capital(text)}.{'' if SIZE_IN_TEXT.search(text) else f' {moves(cause)}'}"
+    text = joined("", [part for part in parts(cause.evidence) if not _is_statistics(cause, part)])
+    return joined("", [capital(text), ".", *([] if SIZE_IN_TEXT.search(text) else [" ", moves(cause)])])
+
+
+def _is_statistics(cause: Cause, part: str) -> bool:
+    """Return whether a part of the evidence is its symbol, or its size in standard uncertainties."""
+    return part == f"{cause.where}: " or (isinstance(part, Message) and part.identifier == SIGMAS)
 
 
 def moves(cause: Cause) -> str:
     """Return the largest shift of a reading, in a sentence."""
     size = np.linalg.norm(np.nan_to_num(cause.pattern_um), axis=1).max(initial=0.0)
-    what = "shifts readings" if cause.origin == "instrument" else "moves the measured points"
-    return f"It {what} by up to {micrometres(size)}."
+    if cause.origin == "instrument":
+        return Message("It shifts readings by up to {size}.", size=micrometres(size))
+    return Message("It moves the measured points by up to {size}.", size=micrometres(size))
 
 
 def noisier_than_stated(diagnosis: DiagnosisResult) -> bool:
@@ -425,24 +521,34 @@ def machine_or_instrument(causes: Iterable[Cause]) -> bool:
 def _at_tool(diagnosis: DiagnosisResult) -> str:
     gain, kinds = diagnosis.gain, {kind(cause.effect) for cause in diagnosis.causes}
     if kinds == {"instrument"} and machine_or_instrument(diagnosis.causes):
-        return "Unknown: none if the error is the instrument's; if it is the machine's, the tool has it."
+        return Message("Unknown: none if the error is the instrument's; if it is the machine's, the tool has it.")
     if kinds == {"instrument"}:
-        return "No effect: the error is in the readings only."
+        return Message("No effect: the error is in the readings only.")
     if gain is None or gain.tool_before_um == 0.0:
         return ""
     if isnan(gain.tool_before_um):
-        return (
-            "Unknown: over the working volume the causes would move the tool point by more than this model describes. The readings do "
-            "not determine them there."
+        return Message(
+            "Unknown: over the working volume the causes would move the tool point by more than this model "
+            "describes. The readings do not determine them there."
         )
-    made = f"{micrometres(gain.tool_before_um)} (RMS over the working volume)"
+    made = Message("{tool_before_um} (RMS over the working volume)", tool_before_um=micrometres(gain.tool_before_um))
     if _written(diagnosis):
-        return f"{made}, within the measured range. After compensation {micrometres(gain.tool_after_um)} remain there."
+        return Message(
+            "{made}, within the measured range. After compensation {tool_after_um} remain there.",
+            made=made,
+            tool_after_um=micrometres(gain.tool_after_um),
+        )
     if diagnosis.verdict == "unexplained":
-        return f"The causes found contribute {made}; the contribution of the rest is unknown."
-    condition = ", if this is the cause" if diagnosis.verdict == "ambiguous" else ""
-    remaining = f"After compensation {micrometres(gain.tool_after_um)} remain{condition}."
-    return f"{made}; relevant if your tolerance is below about five times this. {remaining}"
+        return Message("The causes found contribute {made}; the contribution of the rest is unknown.", made=made)
+    condition = Message(", if this is the cause") if diagnosis.verdict == "ambiguous" else ""
+    remaining = Message(
+        "After compensation {tool_after_um} remain{condition}.",
+        tool_after_um=micrometres(gain.tool_after_um),
+        condition=condition,
+    )
+    return Message(
+        "{made}; relevant if your tolerance is below about five times this. {remaining}", made=made, remaining=remaining
+    )
 
 
 def _written(diagnosis: DiagnosisResult) -> bool:
@@ -455,48 +561,71 @@ def _when_unexplained(diagnosis: DiagnosisResult) -> list[tuple[str, str]]:
     unexplained = diagnosis.unexplained
     if unexplained is None:
         return []
-    share = f"{percent(unexplained.share)} of the excess over measurement noise"
-    check = "Check the instrument and its stated uncertainties before working on the machine."
-    spurious = "if the noise is larger than stated, some of the causes found may not exist."
+    share = Message("{share} of the excess over measurement noise", share=percent(unexplained.share))
+    check = Message("Check the instrument and its stated uncertainties before working on the machine.")
+    spurious = Message("if the noise is larger than stated, some of the causes found may not exist.")
     if noisier_than_stated(diagnosis) and diagnosis.causes and diagnosis.gain is not None:
         times = diagnosis.gain.rms_after_um / diagnosis.expected_rms_um
-        rest = f"With these causes in the model the RMS residual is {micrometres(diagnosis.gain.rms_after_um)}"
+        rest = Message(
+            "With these causes in the model the RMS residual is {rms_after_um}",
+            rms_after_um=micrometres(diagnosis.gain.rms_after_um),
+        )
         return [
-            ("Residual", f"{rest}, {times:.2g} times the stated noise."),
-            (WHAT_TO_DO, f"{check} Then diagnose again."),
-            (CAUTION, f"Do not compensate with this result: {spurious}"),
+            (RESIDUAL, Message("{rest}, {times:.2g} times the stated noise.", rest=rest, times=times)),
+            (WHAT_TO_DO, Message("{check} Then diagnose again.", check=check)),
+            (CAUTION, Message("Do not compensate with this result: {spurious}", spurious=spurious)),
         ]
     if not unexplained.depends_on:
-        over = f"{share} remains, without a pattern in any column of the table."
+        over = Message("{share} remains, without a pattern in any column of the table.", share=share)
         if not diagnosis.causes:
-            stated = f"with {diagnosis.expected_rms_um:.3g} µm expected from the stated noise"
-            over = f"The RMS residual is {diagnosis.rms_um:.3g} µm, {stated}. It has no pattern in any column of the table."
+            stated = Message(
+                "with {expected_rms_um:.3g} µm expected from the stated noise",
+                expected_rms_um=diagnosis.expected_rms_um,
+            )
+            over = Message(
+                "The RMS residual is {rms_um:.3g} µm, {stated}. It has no pattern in any column of the table.",
+                rms_um=diagnosis.rms_um,
+                stated=stated,
+            )
         return [
-            ("Residual" if diagnosis.causes else "Result", over),
+            (RESIDUAL if diagnosis.causes else RESULT, over),
             (WHAT_TO_DO, check),
-            (CAUTION, f"Do not compensate yet: {spurious}"),
+            (CAUTION, Message("Do not compensate yet: {spurious}", spurious=spurious)),
         ]
     names = listed([column(name) for name in unexplained.depends_on])
-    caution = "Do not compensate or repair on suspicion: no known error has this pattern."
+    caution = Message("Do not compensate or repair on suspicion: no known error has this pattern.")
     if _written(diagnosis):
-        caution = (
+        caution = Message(
             "Do not repair on suspicion: no known error has this pattern. The pattern may change if its cause changes."
         )
     elif diagnosis.causes:
-        caution = "Compensating for the causes found is not enough: the rest remains and may have biased their sizes."
+        caution = Message(
+            "Compensating for the causes found is not enough: the rest remains and may have biased their sizes."
+        )
     if unexplained.jump:
-        moment = f"All {side(unexplained.carrier)} jumped {unexplained.jump}"
+        moment = Message("All {side} jumped {jump}", side=side(unexplained.carrier), jump=unexplained.jump)
         return [
-            ("Residual", f"{moment}: {share}."),
+            (RESIDUAL, joined("", [moment, ": ", share, "."])),
             (
                 WHAT_TO_DO,
-                "Look for what happened then: a collision, a lost reference, a holder that slipped. Measure again.",
+                Message(
+                    "Look for what happened then: a collision, a lost reference, a holder that slipped. Measure again."
+                ),
             ),
             (CAUTION, caution),
         ]
     return [
-        ("Residual", f"{share} depends on {names} ({side(unexplained.carrier)}).{instead(unexplained)}"),
-        (WHAT_TO_DO, f"Look for what depends on {names}, and measure more densely over it."),
+        (
+            RESIDUAL,
+            Message(
+                "{share} depends on {names} ({side}).{instead}",
+                share=share,
+                names=names,
+                side=side(unexplained.carrier),
+                instead=instead(unexplained),
+            ),
+        ),
+        (WHAT_TO_DO, Message("Look for what depends on {names}, and measure more densely over it.", names=names)),
         (CAUTION, caution),
     ]
 
@@ -505,12 +634,14 @@ def instead(unexplained: Unexplained) -> str:
     """Return the sentence that names the other columns that a pattern may depend on; empty if there are none."""
     if not unexplained.or_on:
         return ""
-    sets = [" with ".join(column(name) for name in names) for names in unexplained.or_on[:INSTEAD_DESCRIBED]]
-    return f" It may instead depend on {' or '.join(sets)}: the readings do not tell."
+    sets = [
+        listed([column(name) for name in names], most=len(names)) for names in unexplained.or_on[:INSTEAD_DESCRIBED]
+    ]
+    return Message(" It may instead depend on {names}: the readings do not tell.", names=either(sets))
 
 
 def _when_ambiguous(diagnosis: DiagnosisResult) -> list[tuple[str, str]]:
-    causes, when_ambiguous = diagnosis.causes[:CAUSES_DESCRIBED], []
+    causes, when_ambiguous = diagnosis.causes[:CAUSES_DESCRIBED], list[tuple[str, str]]()
     certain = [cause for cause in causes if not cause.equivalent]
     for cause in causes:
         name = cause_title(cause.effect, cause.where)
@@ -518,163 +649,40 @@ def _when_ambiguous(diagnosis: DiagnosisResult) -> list[tuple[str, str]]:
             names = listed(cause.alternatives(lambda *key: lower(cause_title(*key))), most=4)
             when_ambiguous.append(
                 (
-                    f"{name}, or instead" if len(causes) > 1 else "Or instead",
-                    f"{capital(names)}. This fits the readings equally well.",
+                    Message("{name}, or instead", name=name) if len(causes) > 1 else Message("Or instead"),
+                    Message("{names}. This fits the readings equally well.", names=capital(names)),
                 )
             )
         else:
-            when_ambiguous.append((name, " ".join(text for _, text in advised(cause)[:2])))
+            when_ambiguous.append((name, joined(" ", [text for _, text in advised(cause)[:2]])))
     pairs = separating_points(diagnosis.next_measurement, diagnosis.expected_rms_um)
     if any(pair.rows for pair in pairs):
         when_ambiguous.append(
-            (WHAT_TO_DO, f"First measure the points under {NEXT_SECTION}: they separate the causes. Then compensate.")
+            (
+                WHAT_TO_DO,
+                Message(
+                    "First measure the points under {NEXT_SECTION}: they separate the causes. Then compensate.",
+                    NEXT_SECTION=NEXT_SECTION,
+                ),
+            )
         )
     elif pairs:
-        when_ambiguous.append((WHAT_TO_DO, " ".join(dict.fromkeys(pair.verdict for pair in pairs))))
+        when_ambiguous.append((WHAT_TO_DO, joined(" ", list(dict.fromkeys(pair.verdict for pair in pairs)))))
     if machine_or_instrument(causes):
-        what = "The undecided part" if certain else "The error"
+        what = Message("The undecided part") if certain else Message("The error")
         when_ambiguous.append(
-            (NOTE, f"{what} may be the instrument's, not the machine's; an instrument error must not be compensated.")
+            (
+                NOTE,
+                Message(
+                    "{what} may be the instrument's, not the machine's; an instrument error must not be compensated.",
+                    what=what,
+                ),
+            )
         )
-    caution = "Order no repair for the undecided part." if certain else "Order no repair on this result alone."
+    caution = (
+        Message("Order no repair for the undecided part.")
+        if certain
+        else Message("Order no repair on this result alone.")
+    )
     when_ambiguous.append((CAUTION, caution))
     return when_ambiguous
-
-
-WIDTH: Final = 100
-ABSORBED_RATIO: Final = 0.9  # of RMS residuals with and without the calibration's uncertainty: below, both are given
-HARD_SPACE: Final = "\u00a0"
-
-
-def diagnosis_text(diagnosis: DiagnosisResult) -> str:  # noqa: C901, PLR0912
-    """Return the verdict, each cause, what to do, the gain and what to measure next, in lines of at most `WIDTH` characters."""
-    lines = _wrapped(f"{diagnosis.verdict.upper()}. {say(headline(diagnosis)[0])}.")
-    for text in (*warning_texts(diagnosis.warnings), *assumptions(diagnosis.data.notices)):
-        lines += _wrapped(say(text), hang=2)
-    for cause in diagnosis.causes:
-        lines += ["", *_cause(cause)]
-    lines.append("")
-    for name, text in facts(diagnosis):
-        lines += _wrapped(f"{say(name)}: {say(text)}", hang=2)
-    lines += [
-        "",
-        *_wrapped(
-            f"RMS residual {diagnosis.rms_um:.3g} µm per coordinate, {diagnosis.expected_rms_um:.3g} µm expected from "
-            f"{diagnosis.noise_source} ({p_value_text(diagnosis.p_value)}, {diagnosis.tried} causes tested).",
-            hang=2,
-        ),
-    ]
-    if diagnosis.absorbed_rms_um < ABSORBED_RATIO * diagnosis.rms_um:
-        absorbed = (
-            f"{diagnosis.absorbed_rms_um:.3g} µm remain after allowing for the uncertainty stated in the calibration"
-        )
-        lines += _wrapped(f"{absorbed}.", start=2, hang=2)
-    if diagnosis.unexplained is not None:
-        lines += _wrapped(f"Unexplained: {diagnosis.unexplained.evidence}.", hang=2)
-    lines += _wrapped(rest(diagnosis), hang=2)
-    lines += _gain(diagnosis)
-    if diagnosis.next_measurement:
-        lines += ["", say("What to measure next")]
-    for separating_point in separating_points(diagnosis.next_measurement, diagnosis.expected_rms_um):
-        lines += _wrapped(
-            f"To separate {lower(separating_point.names[0])} from {lower(separating_point.names[1])}: {separating_point.verdict}",
-            start=2,
-            hang=4,
-        )
-        for pose, sides, target, station, difference in separating_point.rows:
-            approached = f", approached from {sides}" if sides else ""
-            lines += _wrapped(
-                f"{pose}, target {target}, station {station}{approached}: difference {difference}", start=4, hang=8
-            )
-    for entry in diagnosis.next_measurement:
-        if "separates" not in entry:
-            lines += _wrapped(str(entry["text"]), start=2, hang=4)
-    lines += _listing("Not identifiable from these readings, whatever their size:", grouped(diagnosis.unidentifiable))
-    lines += _listing("Not tested, because the table lacks these columns:", missing(diagnosis.not_evaluated))
-    unused = diagnosis.data.set_aside
-    if unused:
-        lines += _listing(f"Readings not used ({len(unused)}):", grouped_notes(unused))
-    assumed = assumptions(diagnosis.data.notices)
-    lines += _listing("Notes:", [notice for notice in diagnosis.data.notices if notice not in assumed])
-    return "\n".join(lines) + "\n"
-
-
-def diagnosis_display(diagnosis: DiagnosisResult) -> Display:
-    """Return the verdict, a table of the causes and the advice, for a notebook."""
-    title, mood = headline(diagnosis)
-    rows = [
-        (
-            f"{cause_title(cause.effect, cause.where)} ({symbol(cause.effect, cause.where)})",
-            _numbers(cause),
-            percent(cause.share),
-            listed(cause.alternatives(cause_title), most=3) or "none",
-        )
-        for cause in diagnosis.causes
-    ]
-    warnings = [note(text, loud=True) for text in warning_texts(diagnosis.warnings)]
-    causes = table(("cause", "size", "share of the excess", "alternatives"), rows)
-    return Display(title, facts(diagnosis), above=(*warnings, causes), small=diagnosis.verdict, wrong=mood != "well")
-
-
-def _cause(cause: Cause) -> list[str]:
-    lines = _wrapped(
-        f"{say(cause_title(cause.effect, cause.where))} ({symbol(cause.effect, cause.where)}, {cause.origin})", hang=2
-    )
-    lines += _wrapped(sentence(cause), start=4, hang=4)
-    if cause.parameters:
-        lines += _wrapped(_numbers(cause), start=4, hang=6)
-    if cause.share > 0.0:
-        lines += _wrapped(
-            f"explains {percent(cause.share)} of the excess over noise, {p_value_text(cause.p_value)}", start=4, hang=6
-        )
-    if cause.probability is not None:
-        lines += _wrapped(likelihood_words(cause.probability, not cause.equivalent), start=4, hang=6)
-    for rival in cause.rivals[:1]:
-        name = f"{cause_title(rival.effect, rival.where)} ({symbol(rival.effect, rival.where)})"
-        lines += _wrapped(f"next best, ruled out: {name}, {odds(rival.log_odds)}", start=4, hang=6)
-    if cause.equivalent:
-        names = cause.alternatives(lambda *key: f"{cause_title(*key)} ({symbol(*key)})")
-        lines += _wrapped(f"fits these readings equally well: {listed(names)}", start=4, hang=6)
-    if cause.assumes:
-        lines += _wrapped(cause.assumes, start=4, hang=6)
-    return lines
-
-
-def _numbers(cause: Cause) -> str:
-    values = [
-        f"{q.name.replace('_', ' ')} {measured(q.value, q.u, readable_unit(q.unit))}"
-        for q in cause.parameters
-        if not q.coefficient
-    ]
-    curve = len(cause.parameters) - len(values)
-    numbers = [f"{', '.join(values)} (95 %)"] if values else []
-    return "; ".join([*numbers, *([f"a curve of {curve} coefficients"] if curve else [])])
-
-
-def _gain(diagnosis: DiagnosisResult) -> list[str]:
-    gain = diagnosis.gain
-    if gain is None:
-        return []
-    text = f"RMS residual without → with the causes: {gain.rms_before_um:.3g} → {gain.rms_after_um:.3g} µm"
-    held = gain.held_out
-    if held is not None:
-        text += f"; on held-out {held_out_words(held.of)} {held.before_um:.3g} → {held.after_um:.3g} µm"
-        if held.ci95_um is not None:
-            low, high = held.ci95_um
-            text += f" (reduced by {micrometres(low)} to {micrometres(high)}, 95 %)".replace("-", "−")
-    if gain.tool_before_um > 0.0:
-        text += f"; compensated, at the tool over the working volume, {micrometres(gain.tool_before_um)} → "
-        text += f"{micrometres(gain.tool_after_um)} RMS"
-    return _wrapped(f"{text}.", hang=2)
-
-
-def _listing(title: str, items: Sequence[str]) -> list[str]:
-    if not items:
-        return []
-    return ["", title, *(line for item in items for line in _wrapped(item, start=2, hang=4))]
-
-
-def _wrapped(text: str, *, start: int = 0, hang: int = 0) -> list[str]:
-    indents = {"initial_indent": " " * start, "subsequent_indent": " " * hang}
-    lines = wrap(with_joined_units(text, HARD_SPACE), WIDTH, **indents, break_long_words=False, break_on_hyphens=False)  # type: ignore[arg-type]
-    return [line.replace(HARD_SPACE, " ") for line in lines]

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import base64
 import io
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal, cast, final
@@ -25,7 +26,7 @@ from matplotlib.markers import TICKDOWN, TICKLEFT, TICKRIGHT
 from matplotlib.projections.polar import PolarAxes, RadialAxis, ThetaAxis
 from matplotlib.text import Text
 from matplotlib.textpath import text_to_path
-from matplotlib.ticker import FixedFormatter, FixedLocator, MaxNLocator
+from matplotlib.ticker import FixedFormatter, FixedLocator, MaxNLocator, ScalarFormatter
 from matplotlib.transforms import ScaledTranslation, Transform
 
 from twin._common.messages import Number, say
@@ -54,9 +55,19 @@ def new_figure(width: float, height: float, layout: str | None = "constrained") 
     return figure
 
 
+@final
+class _TranslatedFormatter(ScalarFormatter):
+    """Labels of ticks with the decimal mark of the language."""
+
+    def __call__(self, x: float, pos: int | None = None) -> str:
+        return say(Number(super().__call__(x, pos)))
+
+
 def style_axes(plot: Axes) -> None:
     """Add a pale grid behind the data and hide the top and right spines."""
     plot.grid(**GRID)
+    for axis in (plot.xaxis, plot.yaxis):
+        axis.set_major_formatter(_TranslatedFormatter())
     plot.set_axisbelow(True)
     plot.spines[["top", "right"]].set_visible(False)
 
@@ -73,7 +84,7 @@ def text_box_style(alpha: float, pad: float) -> dict[str, Any]:
 
 def heading(figure: Figure, text: str, size: float = 12.0) -> None:
     """Add a heading above all plots of a figure."""
-    figure.suptitle(text, x=0.01, horizontalalignment="left", fontweight="bold", fontsize=size)
+    figure.suptitle(say(text), x=0.01, horizontalalignment="left", fontweight="bold", fontsize=size)
 
 
 def legend_below(figure: Figure, *, columns: int | None = None, size: float = 9.0) -> None:
@@ -111,9 +122,24 @@ def save(figure: Figure, path: str | Path, *, dpi: int = 150) -> None:
 def embedded(figure: Figure, words: str, caption: str = "", kind: str = "") -> Html:
     """Return a picture embedded as SVG, with alternative text, plain caption and CSS class; the same picture gives the same bytes."""
     buffer = io.BytesIO()
-    with matplotlib.rc_context({"svg.hashsalt": "twin", "svg.fonttype": "path"}):
+    with matplotlib.rc_context({"svg.hashsalt": "twin", "svg.fonttype": "none"}):
         figure.savefig(buffer, format="svg", metadata={"Date": None})
-    return part("figure", base64.b64encode(buffer.getvalue()).decode(), words, caption, kind)
+    return part(
+        "figure", base64.b64encode(_smaller(buffer.getvalue().decode()).encode()).decode(), words, caption, kind
+    )
+
+
+METADATA: Final = re.compile(r"<metadata>.*?</metadata>", re.S)
+FONTS: Final = re.compile(r"'DejaVu Sans'(?:, '[^']*')*(?:, [\w-]+)*")
+DATA: Final = re.compile(r'(?<= d=")[^"]*|(?<= (?:x|y)=")-?\d+\.\d+(?=")')
+DECIMALS: Final = re.compile(r"(\.\d\d)\d+")
+COMMAND: Final = re.compile(r"\s*([A-Za-z])\s*")
+
+
+def _smaller(svg: str) -> str:
+    """Return an SVG of matplotlib with coordinates to a hundredth of a point, and without metadata and its list of fonts."""
+    svg = FONTS.sub("'DejaVu Sans',Verdana,sans-serif", METADATA.sub("", svg))
+    return DATA.sub(lambda found: COMMAND.sub(r"\1", DECIMALS.sub(r"\1", found.group())), svg)
 
 
 TICK: Final = 3.5

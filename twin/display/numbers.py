@@ -147,6 +147,13 @@ def lower(text: str) -> str:
     return text.starting(letter) if isinstance(text, Message) else letter + text[1:]
 
 
+def either(names: Sequence[str]) -> str:
+    """Return the names as "A, B or C"."""
+    if len(names) < 2:
+        return names[0] if names else ""
+    return Message("{names} or {last}", names=joined(", ", names[:-1]), last=names[-1])
+
+
 def listed(names: Sequence[str], *, most: int = MANY) -> str:
     """Return the names as "A, B and C"; above ``most`` names, the first ones and the number of the others."""
     if len(names) > most:

@@ -22,7 +22,7 @@ from typing import Annotated, Any, Final, Literal, final
 from xml.etree import ElementTree
 
 import yaml
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
 from pydantic_core import PydanticCustomError
 
 from twin._common.errors import InputError
@@ -51,6 +51,13 @@ Country = Annotated[str, BeforeValidator(_country)]
 Name = Annotated[str, Field(min_length=1, max_length=120)]
 
 
+def _ascending(span: tuple[float, float]) -> tuple[float, float]:
+    """Return a span; raise an error unless its numbers are finite and in order."""
+    if not -1e6 < span[0] <= span[1] < 1e6:
+        raise PydanticCustomError("span", "Input should be the lowest and the highest value: [19.8, 20.4]")
+    return span
+
+
 class Contact(BaseModel):
     """Name and address of a laboratory or customer."""
 
@@ -71,6 +78,19 @@ class Person(BaseModel):
     role: str = ""
 
 
+Span = Annotated[tuple[float, float], AfterValidator(_ascending)]
+
+
+class AmbientConditions(BaseModel):
+    """Lowest and highest value of each condition during the measurement."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    air_temperature_degC: Span | None = None
+    machine_temperature_degC: Span | None = None
+    humidity_percent: Span | None = None
+    pressure_hPa: Span | None = None
+
+
 class CertificateFacts(BaseModel):
     """Facts that a certificate must state and twin cannot know: entry ``dcc`` of a job file."""
 
@@ -84,6 +104,13 @@ class CertificateFacts(BaseModel):
     laboratory: Contact
     customer: Contact
     responsible: Annotated[tuple[Person, ...], Field(min_length=1)]
+    model: str = ""  # of the machine
+    inventory_number: str = ""  # that the customer gave the machine
+    order_number: str = ""
+    received: date | None = None
+    accreditation: str = ""  # number of the laboratory's accreditation by ISO/IEC 17025
+    traceability: str = ""  # to which standards, and through whose certificate
+    conditions: AmbientConditions = AmbientConditions()
 
 
 class Job(BaseModel):

@@ -495,6 +495,12 @@ def _shared_score(network: Network, discrepancy: Discrepancy, solution: FitSolut
     return np.asarray(shared_score)
 
 
+LEAST_LEVER_M: Final = 1e-3
+"""Standard uncertainty of a direction of the targets' places, m, from which its products with the machine's angles count."""
+SMALL_TURN: Final = 0.1
+"""Turn of a station, rad, above which a direction of places that comes with it is left out: the expansion does not hold."""
+
+
 def covariance_of(
     network: Network, solution: FitSolution, weight: np.ndarray, spread: Spread, discrepancy: Discrepancy | None = None
 ) -> np.ndarray:
@@ -522,10 +528,53 @@ def covariance_of(
                 value=len(names),
             )
     else:
-        return solution.covariance(
+        covariance = solution.covariance(
             None if discrepancy is None else _shared_score(network, discrepancy, solution, weight)
         )
-    return _sandwich(network, solution, weight, group.reshape(-1))
+        return covariance + _second_order(network, solution, weight, covariance)
+    covariance = _sandwich(network, solution, weight, group.reshape(-1))
+    return covariance + _second_order(network, solution, weight, covariance)
+
+
+def _second_order(network: Network, solution: FitSolution, weight: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    """Return (p, p) what the products of uncertain lever arms and uncertain angles add to a covariance.
+
+    A place of the targets that only priors determine (0.2 m) turns the angles of an axis into translations of its reference point. The
+    first order counts the estimated angles; where these are small, their own uncertainty, times the lever, is larger. Terms of second
+    order (JCGM 100:2008, 5.1.2, note) of each such direction of the places with the machine's unknowns, the estimate following the
+    changed derivatives.
+
+    ``covariance``: (p, p) of first order.
+    """
+    machine = len(network.unknowns)
+    places, turns = (
+        [i for kind, _, at in solution.setup.slots if kind == wanted for i in range(at.start, at.stop)]
+        for wanted in ("place", "turn")
+    )
+    of_setup = covariance[machine:, machine:]
+    variance, directions = np.linalg.eigh(of_setup[np.ix_(places, places)])
+    levers = []
+    for size, direction in zip(np.sqrt(np.maximum(variance, 0.0)), directions.T, strict=True):
+        if size > LEAST_LEVER_M:
+            # The stations follow as they are correlated with the places.
+            lever = of_setup[:, places] @ direction / size
+            if np.abs(lever[turns]).max(initial=0.0) < SMALL_TURN:
+                levers.append(lever)
+    added = np.zeros_like(covariance)
+    if not levers:
+        return added
+    root = solution.basis * solution.spectrum.scale[:, None] / np.sqrt(solution.stiffness)
+    products = np.zeros((len(levers), len(covariance), machine))
+    for rows in network.row_chunks:
+        here = network.chunk(solution.theta, solution.setup, rows).jacobian
+        weighted = (here * weight[rows, None, None]).reshape(-1, len(covariance)).T
+        for product, lever in zip(products, levers, strict=True):
+            moved = network.chunk(solution.theta, solution.setup.moved(lever), rows).jacobian
+            product += weighted @ (moved - here)[:, :, :machine].reshape(-1, machine)
+    for product in products:
+        following = root @ (root.T @ product)
+        added += following @ covariance[:machine, :machine] @ following.T
+    return added
 
 
 def _pose_of(data: Measurements) -> np.ndarray:

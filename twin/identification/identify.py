@@ -155,7 +155,7 @@ def _result(model: _Model, estimate: FinalEstimate, noise: NoiseOfReadings, want
     held_out = held_out_residuals(weighted, solution, used)
     calibration = replace(
         found,
-        not_identifiable=tuple(UnidentifiedEntry(name=one.name, why=one.reason) for one in unknown),
+        not_identifiable=tuple(UnidentifiedEntry(name=one.name, why=one.why, remedy=one.remedy) for one in unknown),
         misfit=misfit_entry(statistics, rms_um(residual_mm[used]), held_out),
         **_measured_with(network, used, wanted),
     )

@@ -42,6 +42,7 @@ from numpy.polynomial import Polynomial, polynomial
 
 from twin._common.arrays import read_only
 from twin._common.errors import InputError
+from twin._common.messages import Message
 from twin._common.units import DEG, MM, UM, URAD
 from twin.display.results import Result
 from twin.machine.error_names import DIRECTIONS
@@ -114,7 +115,7 @@ DEGREE: Final = 8
 """Default degree of a curve (figure 3.7)."""
 LINEAR: Final[tuple[Literal["X", "Y", "Z"], ...]] = ("X", "Y", "Z")
 NO_TEST: Final = "the thesis's method does not compare its residuals with the noise of the readings"
-NO_LOCATION: Final = "the thesis's method does not identify the location of a rotary axis"
+NO_LOCATION: Final = Message("the thesis's method does not identify the location of a rotary axis")
 SOURCE: Final = "thesis's method (Ellingsdalen 2021: three points, six equations, polynomial)"
 
 

@@ -15,8 +15,9 @@ from typing import Final, NamedTuple, final
 
 import numpy as np
 
+from twin._common.messages import Message, joined
 from twin._common.units import count_with_noun
-from twin.display.numbers import listed
+from twin.display.numbers import either, listed
 from twin.identification.inputs import PreparedData
 from twin.identification.network import Network, Unknowns
 from twin.identification.solve import FitSolution, solve
@@ -321,9 +322,8 @@ def _lost(names: list[str], lost: np.ndarray, within: np.ndarray, slopes: np.nda
 
 # --- Errors that the data do not determine, with the reason, and errors that depend on an undetermined part of the set-up
 
-SAYS_LESS: Final = "these data determine it no better than its prior"
-
-TOO_FEW: Final = "{axis} has too few different positions for a straightness curve; measure at five or more"
+MORE_POSITIONS: Final = Message("measure at five or more positions of the axis for a straightness curve")
+SAYS_LESS: Final = Message("these data determine it no better than its prior")
 
 
 @final
@@ -331,13 +331,19 @@ TOO_FEW: Final = "{axis} has too few different positions for a straightness curv
 class Unidentified:
     """An error that these data do not determine.
 
-    ``name``: ISO 230-1 name; ``reason``: why, and which measurement would change it; ``direction``: the null direction: changes of this
-    error and of others that together change no reading; empty if there is none.
+    ``name``: ISO 230-1 name; ``remedy``: what to enter or to measure, empty if it is part of ``why``; ``direction``: the null
+    direction: changes of this error and of others that together change no reading; empty if there is none.
     """
 
     name: str
-    reason: str
+    why: str
+    remedy: str = ""
     direction: str = ""
+
+    @property
+    def reason(self) -> str:
+        """Reason and remedy."""
+        return joined("; ", [self.why, self.remedy]) if self.remedy else self.why
 
 
 class _Part(NamedTuple):
@@ -404,14 +410,16 @@ def unidentified(
         if not np.ptp(data.positions[:, machine.names.index(axis)]) > 0.0:
             unidentified.append(Unidentified(name, at_rest(axis)))
         elif name in machine.motion_names and name not in model.considered.entities:
-            unidentified.append(Unidentified(name, TOO_FEW.format(axis=axis)))
+            unidentified.append(
+                Unidentified(name, Message("{axis} has too few different positions", axis=axis), MORE_POSITIONS)
+            )
         elif name in model.left_out or (name in model.confounded and name in held):
             direction = model.determinability.null_direction_of(
                 model.determinability.names[model.considered.of(name)[0]]
             )
             why = SAYS_LESS if direction is None else _confounded_with(name, direction, parts)
             remedy = _remedy(name, machine, setup, parts, direction, name in model.confounded)
-            unidentified.append(Unidentified(name, f"{why}; {remedy}", str(direction or "")))
+            unidentified.append(Unidentified(name, why, remedy, str(direction or "")))
         elif name in held:
             unidentified.append(Unidentified(name, SAYS_LESS))
     return tuple(unidentified)
@@ -422,11 +430,12 @@ def _parts(setup: StationsAndTargets, data: Measurements) -> dict[str, _Part]:
     reads = dict(zip(setup.stations, setup.reads, strict=True))
     reader = dict(zip(data.target[::-1].tolist(), data.station[::-1].tolist(), strict=True))
     stations = [
-        _Part(f"{one.set_up.station} {name}", one.set_up.station_place, one.set_up) for name, one in reads.items()
+        _Part(Message(f"{one.set_up.station} {{name}}", name=name), one.set_up.station_place, one.set_up)
+        for name, one in reads.items()
     ]
     by_target = [reads[reader[name]] for name in setup.targets]
     targets = [
-        _Part(f"{one.set_up.target} {name}", one.set_up.target_place, one.set_up)
+        _Part(Message(f"{one.set_up.target} {{name}}", name=name), one.set_up.target_place, one.set_up)
         for name, one in zip(setup.targets, by_target, strict=True)
     ]
     names = [*(f"station {name}" for name in setup.stations), *(f"target {name}" for name in setup.targets)]
@@ -450,9 +459,11 @@ def _confounded_with(name: str, direction: NullDirection, parts: Mapping[str, _P
     """Say with which errors, stations and targets an error is confounded."""
     moved = _moved(name, direction)
     if not moved:
-        return "it changes no reading"
-    more = f" and {direction.left_out} more" if direction.left_out else ""
-    return f"cannot be separated from {', '.join(parts[one].words if one in parts else one for one in moved)}{more}"
+        return Message("it changes no reading")
+    names = joined(", ", [parts[one].words if one in parts else one for one in moved])
+    if direction.left_out:
+        names = Message("{names} and {count} more", names=names, count=str(direction.left_out))
+    return Message("cannot be separated from {names}", names=names)
 
 
 def _remedy(
@@ -469,21 +480,21 @@ def _remedy(
     # Both sides of such an instrument ride on the machine: it has no reference outside.
     relative = all(word.station_place for word in words)
     if confounded and relative:
-        return "measure at more positions of all axes, or identify squareness and locations only"
+        return Message("measure at more positions of all axes, or identify squareness and locations only")
     if confounded and average:
         return _reference(axis, machine)
     if confounded and len(setup.targets) > 2:
-        places = " and ".join(dict.fromkeys(word.target_place for word in words))
-        return f"enter {places}, or measure with another instrument too"
+        places = listed([Message(place) for place in dict.fromkeys(word.target_place for word in words)])
+        return Message("enter {places}, or measure with another instrument too", places=places)
     if confounded:
-        return "measure a third target that is not on a line with the others"
+        return Message("measure a third target that is not on a line with the others")
     if average and not machine.by_name[axis].linear and not setup.target_known.all():
         return _location_remedy(name, machine, parts, words, direction)
     if average:
         return NO_REFERENCE
     if relative:
-        return "measure at other positions of the other axes"
-    return "measure three targets that are not on a line, or other positions of the other axes"
+        return Message("measure at other positions of the other axes")
+    return Message("measure three targets that are not on a line, or other positions of the other axes")
 
 
 def _location_remedy(
@@ -499,7 +510,8 @@ def _location_remedy(
     """
     moved = [parts[one] for one in _moved(name, direction) if one in parts] if direction is not None else []
     places = list(dict.fromkeys(part.enter for part in moved if part.enter)) or [word.target_place for word in words]
-    return ", or ".join([f"enter {places[0]}", *places[1:], _reference(split_name(name)[2], machine)])
+    enter = Message("enter {places}", places=either([Message(place) for place in places]))
+    return Message("{enter}, or {probe}", enter=enter, probe=_reference(split_name(name)[2], machine))
 
 
 def _reference(axis: str, machine: Machine) -> str:
@@ -509,13 +521,14 @@ def _reference(axis: str, machine: Machine) -> str:
     """
     one = machine.by_name[axis]
     if one.linear:
-        return "probe a granite square or a sphere plate on the table, and identify both tables together"
-    others = listed([other.name for other in machine.axes if not other.linear and other.name != axis])
-    also = f", and again with {others} turned" if others else ""
-    return (
-        f"probe a sphere on the table, at least 100 mm from the axis of {axis} (or a bore there, for two directions), at four "
-        f"positions of {axis} 90° apart or over its whole range{also}, with a probe whose length and run-out are calibrated "
-        "(station_x_mm …), and identify both tables together: `twin plan --instrument probe` plans it"
+        return Message("probe a granite square or a sphere plate on the table, and identify both tables together")
+    others = any(not other.linear and other.name != axis for other in machine.axes)
+    also = Message(", and again with the other rotary axis turned") if others else ""
+    return Message(
+        "probe a sphere on the table, at least 100 mm from the rotary axis (or a bore there, for two directions), at four positions of "
+        "that axis 90° apart or over its whole range{also}, with a probe whose length and run-out are calibrated (station_x_mm …), and "
+        "identify both tables together: `twin plan --instrument probe` plans it",
+        also=also,
     )
 
 

@@ -68,6 +68,8 @@ class Answers(BaseModel):
     name: Annotated[str, Field(min_length=1, max_length=80)]
     tool: tuple[Annotated[str, Field(pattern=NAME)], ...] = ()
     work: tuple[Annotated[str, Field(pattern=NAME)], ...] = ()
+    spindle: Literal["vertical", "horizontal"] = "vertical"
+    tool_axis: str = "Z"
     table: Mapping[str, _Position] = {}
     table_size: Annotated[float, Field(gt=10, le=20_000)] | None = None
     tool_length: Annotated[float, Field(ge=0, le=LONGEST_TOOL_MM)] = 0.0
@@ -185,6 +187,8 @@ class Description:
 
     Attributes:
         answers: as given.
+        tool_axis: (3,) unit vector from the tool tip to the spindle with the rotary axes at zero.
+        up: axis of the machine that points upwards.
         parts: the axes from the bed outwards, tool side first.
 
     Raises:
@@ -194,6 +198,11 @@ class Description:
     def __init__(self, answers: Answers, fail: Callable[[EntryPath, str, str, object], InputError]) -> None:
         self.answers = answers
         self._fail = fail
+        direction = direction_of(answers.tool_axis)
+        if direction is None:
+            raise fail(("tool_axis",), "`tool_axis`: not a direction", DIRECTIONS, answers.tool_axis)
+        self.tool_axis: np.ndarray = direction
+        self.up: Literal["Y", "Z"] = "Y" if answers.spindle == "horizontal" else "Z"
         self._check_chain()
         for name in answers.names:
             self._check_axis(name, answers.axes[name])
@@ -375,13 +384,13 @@ class Description:
                 shift = -MM * np.sum([np.zeros(3), *later], axis=0)
                 links.append(Placed(link_name(part.name), parent, part, part.rotation, part.point * MM, shift))
                 parent = links[-1].name
-            end = "spindle_nose" if side == "tool" else "table"
-            links.append(Placed(end, parent, None, np.eye(3), np.zeros(3), np.zeros(3)))
+            end, turn = ("spindle_nose", from_z(self.tool_axis)) if side == "tool" else ("table", np.eye(3))
+            links.append(Placed(end, parent, None, turn, np.zeros(3), np.zeros(3)))
         solids = Solids(self)
         by_name = {one.name: one for one in links}
         comment = (
             f"{answers.name}, made by `twin machine new` from answers. Metres and radians; the base frame is the centre of the table's "
-            "surface. Shapes are plain and not measured. MASSES ARE ESTIMATES from the shapes, not the machine's."
+            f"surface, {self.up} is up. Shapes are plain and not measured. MASSES ARE ESTIMATES from the shapes, not the machine's."
         )
         lines = ['<?xml version="1.0"?>', f"<!-- {re.sub('--+|[<>&]', ' ', comment)} -->", '<robot name="described">']
         lines += [f'  <material name="{name}"><color rgba="{rgba} 1"/></material>' for name, rgba in COLOURS.items()]
@@ -421,6 +430,7 @@ class Description:
             "frames:",
             "  tool: spindle_nose",
             "  work: table     # centre of the table's surface with all rotary axes at zero",
+            *(["  up: Y           # the spindle is horizontal"] if self.up == "Y" else []),
         ]
         lines += ["  # Axis coordinates with the spindle nose there.", f"  origin: {{{origin}}}", "", "programs:"]
         lines.append(f"  tool_length: {answers.tool_length!r}")

@@ -31,6 +31,7 @@ from twin.display.results import Display, DisplayedResult
 from twin.machine.error_names import NamedAxis, Vector, component_names, location_names, squareness_names
 from twin.machine.machine_file import (
     SCHEMA,
+    UPRIGHT_FRAMES,
     AxisEntry,
     MachineFile,
     check_entries,
@@ -117,6 +118,7 @@ class Machine(DisplayedResult):
         auxiliary_axes: axes that programs name and the model does not have (a quill, a pallet, a tailstock).
         references: axis positions after a reference return, mm and degrees, by its word (``G28``, ``G30 P3``, ``G74``) and axis.
         origin_mm: axis coordinates at which the URDF's linear joints are zero, by axis; 0 for those that are not named.
+        upright: (3, 3) rotation from the base frame to right, back and up, as a person sees the machine who faces the column.
 
     Examples:
         >>> machine = twin.Machine.load("dmu50")
@@ -154,6 +156,7 @@ class Machine(DisplayedResult):
         self.tool_frame = int(self.model.getFrameId(entries.frames.tool, pin.FrameType.BODY))
         self.work_frame = int(self.model.getFrameId(entries.frames.work, pin.FrameType.BODY))
         self.origin_mm: Mapping[str, float] = MappingProxyType(dict(entries.frames.origin))
+        self.upright = read_only(UPRIGHT_FRAMES[entries.frames.up].copy())
         self._error_frames = {entry.name: error_frame(entry) for entry in entries.axes}
         self.axis_joints = tuple(joint_of[entry.name] for entry in entries.axes)
         turns = turns_in_machine_frame(entries, source, path, lines)
@@ -218,6 +221,17 @@ class Machine(DisplayedResult):
                 expected="three linear axes and at most two rotary ones, to run programs",
                 file=self.path,
             )
+
+    def check_tool_along_z(self) -> None:
+        """Raise `InputError` unless the tool is along Z with all axes at zero: controls count its length along Z."""
+        data = self.model.createData()
+        pin.framesForwardKinematics(self.model, data, self.configuration(np.zeros(len(self.axes))))
+        along = data.oMf[self.tool_frame].rotation[:, 2]
+        for axis, joint in zip(self.axes, self.axis_joints, strict=True):
+            pose = data.oMi[joint].rotation @ self.error_frame(axis.name).rotation
+            if axis.linear and axis.name[0] == "Z" and abs(float(along @ pose @ axis.direction)) < 1.0 - 1e-9:
+                what = f"{self.name}: the tool is not along Z (a right-angle head)"
+                raise InputError(what, expected="a machine whose tool is along Z with all axes at 0", file=self.path)
 
     @property
     def as_option(self) -> str:
@@ -356,7 +370,8 @@ def _with_error_frames(
     by_joint = {entry.joint: entry for entry in entries.axes}
     model = pin.Model()
     model.name = source.name
-    model.gravity = source.gravity
+    up = UPRIGHT_FRAMES[entries.frames.up][2]
+    model.gravity = pin.Motion(0.0 - np.linalg.norm(source.gravity.linear) * up, np.zeros(3))
     # old joint -> new joint that carries its body, and the body's placement on it
     end_of = {0: (0, pin.SE3.Identity())}
     joint_of: dict[str, int] = {}

@@ -288,6 +288,11 @@ def _check_roots(known: list[str], carried: Mapping[str, Element], below: Mappin
 # --- Entries of a machine file, and checks that they fit its URDF ---------------------------------
 
 SCHEMA = "twin.machine/1"
+UPRIGHT_FRAMES: Final[Mapping[str, np.ndarray]] = {
+    "Z": np.eye(3),
+    "Y": np.array([[-1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]]),
+}
+"""Rotations (3, 3) from the base frame to right, back and up, as seen by a person who faces the column, by the axis that is up."""
 MAX_AXES: Final = 16
 """Largest number of axes. An axis has up to twelve error components, and Pinocchio's data grow with the cube of their total number."""
 MAX_POSITION: Final = 1e6
@@ -318,10 +323,11 @@ class AxisEntry(FileEntry):
 
 @final
 class Frames(FileEntry):
-    """Links that are the tool and work frames, and axis coordinates of the URDF's zero position."""
+    """Links that are the tool and work frames, the upward axis of the base frame, and axis coordinates of the URDF's zero position."""
 
     tool: str
     work: str
+    up: Literal["Y", "Z"] = "Z"
     origin: dict[str, _Position] = {}
 
 

@@ -1,17 +1,20 @@
 """Plain solids that look like a described machine: boxes and cylinders for the scene and for clearance, with estimated masses.
 
-Coordinates are those of the base frame with every axis at rest, in metres; z is up, and the column is behind (+y).
+Coordinates are those of the base frame with every axis at rest, in metres, turned by `UPRIGHT_FRAMES`: z is up, and the column is
+behind (+y).
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Final, NamedTuple, final
 
 import numpy as np
 
 from twin._common.units import MM
+from twin.machine.machine_file import UPRIGHT_FRAMES
 
 if TYPE_CHECKING:
     from twin.machine.description import Description, Part, Placed
@@ -48,18 +51,21 @@ class Solids:
 
     def __init__(self, description: Description) -> None:
         self._links = {part.name: f"{part.name.lower()}_link" for part in description.parts}
-        self._parts = description.parts
+        self._upright = turn = UPRIGHT_FRAMES[description.up]
+        self._towards_spindle = turn @ description.tool_axis
+        self._parts = tuple(replace(one, motion=turn @ one.motion, point=turn @ one.point) for one in description.parts)
         self._found: dict[str, list[Solid]] = {}
         answers = description.answers
         self._travel = {letter: (0.0, 0.0) for letter in "XYZ"}
         for name, origin in answers.table.items():
-            reach = answers.axes[name].range
+            reach, k = answers.axes[name].range, self._along(name)
             if not isinstance(reach, str):
-                self._travel[name[0]] = (reach[0] - origin) * MM, (reach[1] - origin) * MM
+                ends = sorted((end - origin) * MM * float(turn[k, "XYZ".index(name[0])]) for end in reach)
+                self._travel["XYZ"[k]] = ends[0], ends[1]
         spans = [high - low for low, high in (self._travel["X"], self._travel["Y"]) if high > low]
         shown = min(1.2, max(0.16, 0.7 * min(spans, default=0.4)))
         self._radius = 0.5 * (shown if answers.table_size is None else answers.table_size * MM)
-        self._half = self._floor = 0.0
+        self._half = self._floor = self._top = 0.0
         self._work_side()
         self._tool_side()
 
@@ -83,6 +89,10 @@ class Solids:
     def _of(self, side: str, *, linear: bool) -> list[Part]:
         """Return the axes of a side from its end to the bed."""
         return [part for part in reversed(self._parts) if part.side == side and (part.name[0] in "XYZ") == linear]
+
+    def _along(self, name: str) -> int:
+        """Return the coordinate along which a linear axis moves."""
+        return int(np.argmax(np.abs(self._upright[:, "XYZ".index(name[0])])))
 
     def _carrier(self, part: Part) -> str:
         own = [one for one in self._parts if one.side == part.side]
@@ -108,8 +118,8 @@ class Solids:
             wide = np.array([max(r, 0.2) + 0.1, max(r, 0.2) + 0.02, 0.0])
             self.box(self._links[part.name], _at(z=under - 0.1) - wide, _at(z=under - 0.004) + wide, "grey")
             under -= 0.13
-            k = "XYZ".index(part.name[0])
-            low, high = self._travel[part.name[0]]
+            k = self._along(part.name)
+            low, high = self._travel["XYZ"[k]]
             for sign in (-0.7, 0.7):
                 rail = np.where(np.arange(3) == (0 if k else 1), sign * wide, 0.0) + _at(z=under)
                 # The slide moves against the command of the tool.
@@ -124,8 +134,8 @@ class Solids:
         wide_x, deep_y = self._travel["X"], self._travel["Y"]
         self._half = max(r + 0.3, 0.5 * (wide_x[1] - wide_x[0]) + 0.25)
         front, back = -max(r + 0.25, 0.2 - deep_y[0]), max(r + 0.55, deep_y[1] + 0.5)
-        self._floor = under - 0.4
-        self.box("base", (-self._half, front, self._floor), (self._half, back, under - 0.005), "white")
+        self._floor, self._top = under - 0.4, under - 0.005
+        self.box("base", (-self._half, front, self._floor), (self._half, back, self._top), "white")
         edge = 0.005
         self.box(
             "base",
@@ -177,19 +187,26 @@ class Solids:
 
     def _tool_side(self) -> None:
         """Add spindle, head, slides and column, from the spindle nose upwards and backwards."""
-        self.rod("spindle_nose", _at(), _at(z=0.03), 0.025, "dark")
-        self.rod("spindle_nose", _at(z=0.03), _at(z=0.06), 0.04, "rail")
-        at, head, slides = _at(z=0.12), self._of("tool", linear=False), self._of("tool", linear=True)
-        self.rod("spindle_nose", _at(z=0.06), at, 0.065, "cast")
+        along, head, slides = self._towards_spindle, self._of("tool", linear=False), self._of("tool", linear=True)
+        at = 0.12 * along
+        self.rod("spindle_nose", _at(), 0.03 * along, 0.025, "dark")
+        self.rod("spindle_nose", 0.03 * along, 0.06 * along, 0.04, "rail")
+        self.rod("spindle_nose", 0.06 * along, at, 0.065, "cast")
+        if along[1] > UPRIGHT:
+            self._horizontal_spindle(at, head, slides)
+            return
+        if along[2] < UPRIGHT:  # a right-angle head
+            self.box("spindle_nose", at - 0.07, at + 0.07, "cast")
+            at = at + _at(z=0.07)
         for part in head:
             at = self._head_axis(part, at)
         if not head:
-            self.rod("spindle_nose", at, _at(z=0.25), 0.08, "cast")
-            at = _at(z=0.25)
+            self.rod("spindle_nose", at, _at(at[0], at[1], 0.25), 0.08, "cast")
+            at = _at(at[0], at[1], 0.25)
         letters = ""
         for part in slides:
             at = self._slide(part, at, letters)
-            letters += part.name[0]
+            letters += "XYZ"[self._along(part.name)]
         if "X" not in letters:
             self.box("base", at + _at(-0.25, 0.0, self._floor - at[2]), at + _at(0.25, 0.4, 0.3), "white")
         elif letters.endswith("X"):
@@ -198,6 +215,48 @@ class Solids:
                 self.box("base", post, post + _at(-sign * 0.14, 0.2, at[2] + 0.19 - self._floor), "white")
         elif "X" not in letters[: letters.find("Y")]:  # a ram on a cross slide
             self.box("base", _at(-self._half, at[1], self._floor), _at(self._half, at[1] + 0.3, at[2]), "white")
+
+    def _horizontal_spindle(self, at: np.ndarray, head: Sequence[Part], slides: Sequence[Part]) -> None:
+        """Add head, headstock, column and slides behind a horizontal spindle that begins at a point."""
+        own = "spindle_nose"
+        for part in head:
+            p, z = part.point * MM, part.frame_z
+            self.rod(own, at, p, 0.07, "cast")
+            own = self._links[part.name]
+            self.rod(own, p - 0.12 * z, p + 0.12 * z, 0.1, "white")
+            at = p + _at(y=0.1)
+        inner, outer = at - _at(0.15, 0.0, 0.15), at + _at(0.15, 0.45, 0.15)
+        self.box(own, inner, outer, "grey")
+        foot, raised = _at(at[0], at[1] + 0.25, inner[2]), False
+        for part in slides:
+            k, carrier = self._along(part.name), self._carrier(part)
+            low, high = self._travel["XYZ"[k]]
+            own = self._links[part.name]
+            if k == 2 and not raised:
+                raised, bottom = True, self._top + 0.12 * (len(slides) - 1)
+                for sign in (-1.0, 1.0):
+                    post = _at(foot[0] + sign * 0.17, foot[1] - 0.15, bottom)
+                    self.box(
+                        carrier,
+                        post,
+                        _at(post[0] + sign * 0.14, post[1] + 0.3, outer[2] + max(high, 0.0) + 0.05),
+                        "white",
+                    )
+                foot = _at(foot[0], foot[1], bottom)
+                continue
+            half = np.array([0.33, 0.3, 0.0])
+            self.box(own, foot - half - _at(z=0.08), foot + half, "grey")
+            reach = [np.where(np.arange(3) == k, end, 0.0) for end in (min(low, 0.0), max(high, 0.0))]
+            self.box(carrier, foot - half + reach[0] - _at(z=0.12), foot + half + reach[1] - _at(z=0.08), "rail")
+            foot = foot - _at(z=0.12)
+        if not raised:
+            self.box(own, foot - _at(0.15, 0.15, 0.0), foot + _at(0.15, 0.15, 0.0), "white")
+        self.box(
+            "base",
+            _at(foot[0] - 0.35, foot[1] - 0.3, self._floor),
+            _at(foot[0] + 0.35, foot[1] + 0.3, foot[2]),
+            "white",
+        )
 
     def _head_axis(self, part: Part, at: np.ndarray) -> np.ndarray:
         """Add the housing of a rotary axis of the head; return where the part that carries it begins."""
@@ -235,15 +294,16 @@ class Solids:
             inside: letters of the linear axes that it carries.
         """
         own, carrier = self._links[part.name], self._carrier(part)
-        low, high = self._travel[part.name[0]]
-        if part.name[0] == "Z":
+        letter = "XYZ"[self._along(part.name)]
+        low, high = self._travel[letter]
+        if letter == "Z":
             fixed = at[2] + max(high, 0.0) + 0.05
             self.box(own, at + _at(-0.1, -0.08, 0.0), at + _at(0.1, 0.1, fixed + 0.3 - at[2] - min(low, 0.0)), "white")
             self.box(own, at + _at(-0.09, -0.085, 0.05), at + _at(0.09, -0.08, 0.1), "blue")
             saddle = _at(at[0], at[1] + 0.105, fixed)
             self.box(carrier, saddle - _at(0.17, 0.0, 0.0), saddle + _at(0.17, 0.075, 0.35), "grey")
             return saddle + _at(0.0, 0.075, 0.18)
-        if part.name[0] == "X":
+        if letter == "X":
             self.box(own, at - _at(0.2, 0.0, 0.2), at + _at(0.2, 0.05, 0.2), "grey")
             gantry = carrier.startswith("y")
             span = (
@@ -278,7 +338,8 @@ class Solids:
         """Return the lines of a link's shapes and, if an axis moves it, of its estimated mass."""
         visuals, masses = [], []
         for kind, size, turn, centre, colour in self._found.get(link.name, []):
-            turned, place = link.rotation.T @ turn, link.rotation.T @ (centre - link.origin - link.shift)
+            turned = link.rotation.T @ self._upright.T @ turn
+            place = link.rotation.T @ (self._upright.T @ centre - link.origin - link.shift)
             shape = (
                 f'box size="{_short(size)}"'
                 if kind == "box"

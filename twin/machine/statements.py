@@ -1,6 +1,6 @@
 """Statements on a machine that a person can check at the machine, and positions that its control displays, compared with the files.
 
-Directions are those of an operator in front of the machine: +X right, +Y back, +Z up.
+Directions are those of an operator who faces the column: +X right, +Y back, +Z up; with a horizontal spindle +X left, +Y up, +Z back.
 """
 
 from __future__ import annotations
@@ -18,12 +18,23 @@ import pinocchio as pin
 
 from twin._common.errors import InputError
 from twin._common.files import read_lines
+from twin._common.messages import Message, joined
 from twin._common.units import DEG, MM
+from twin.display.numbers import listed
 from twin.machine.machine import Axis, Machine
 
 ANGLES: Final = (90.0, -90.0, 45.0, -45.0, 30.0, -30.0, 15.0, -15.0, 5.0, -5.0)
 """Commands of a rotary axis that statements prefer, degrees."""
-WORDS: Final = (("left", "right"), ("front", "back"), ("down", "up"))
+WORDS: Final = (
+    (Message("left"), Message("right")),
+    (Message("front"), Message("back")),
+    (Message("down"), Message("up")),
+)
+TOWARDS: Final = (
+    (Message("to the left"), Message("to the right")),
+    (Message("to the front"), Message("to the back")),
+    (Message("down"), Message("up")),
+)
 TIP_MM: Final = 100.0
 """Length of the tool in statements."""
 LIFT_MM: Final = TIP_MM + 50.0
@@ -88,14 +99,21 @@ def tip_and_axis(
     return tip / MM, work.rotation.T @ tool.rotation[:, 2]
 
 
-def direction_words(vector: np.ndarray) -> str:
-    """Return a direction in words: ``to the right (+X)``, or ``left and up (−0.707, +0.000, +0.707)``, the largest part first."""
-    order = [i for i in np.argsort(-np.abs(vector), kind="stable") if abs(vector[i]) > 0.02]
-    names = [WORDS[i][int(vector[i] > 0.0)] for i in order]
+def direction_words(vector: np.ndarray, upright: np.ndarray | None = None) -> str:
+    """Return a direction in words: ``to the right (+X)``, or ``left and up (−0.707, +0.000, +0.707)``, the largest part first.
+
+    Args:
+        vector: (3,) in the directions of the machine.
+        upright: (3, 3) `Machine.upright`; None: z is up.
+    """
+    seen = vector if upright is None else upright @ vector
+    order = [i for i in np.argsort(-np.abs(seen), kind="stable") if abs(seen[i]) > 0.02]
     if len(order) == 1:
-        return f"{'' if order[0] == 2 else 'to the '}{names[0]} ({'+' if vector[order[0]] > 0.0 else '−'}{'XYZ'[order[0]]})"
+        k = int(np.argmax(np.abs(vector)))
+        sign = "+" if vector[k] > 0.0 else "−"
+        return joined("", [TOWARDS[order[0]][int(seen[order[0]] > 0.0)], f" ({sign}{'XYZ'[k]})"])
     parts = ", ".join(f"{round(value, 3) + 0.0:+.3f}" for value in vector).replace("-", "−")
-    return f"{', '.join(names[:-1])} and {names[-1]} ({parts})"
+    return joined("", [listed([WORDS[i][int(seen[i] > 0.0)] for i in order]), f" ({parts})"])
 
 
 def _slide(machine: Machine, axis: Axis) -> AxisStatement:
@@ -104,9 +122,16 @@ def _slide(machine: Machine, axis: Axis) -> AxisStatement:
     start = at_rest(machine)
     end = at_rest(machine, **{axis.name: 100.0})
     moved = (poses(machine, end)[index].translation - poses(machine, start)[index].translation) / (100.0 * MM)
-    what = "the spindle" if axis.side == "tool" else "the table"
-    text = f"{axis.name} to a larger position: {what} moves {direction_words(moved)}"
-    return AxisStatement(text, f"axes.{axis.name}.positive, or the side: {axis.name} in `tool` or `work`", end)
+    what = Message("the spindle") if axis.side == "tool" else Message("the table")
+    text = Message(
+        "{name} to a larger position: {what} moves {direction}",
+        name=axis.name,
+        what=what,
+        direction=direction_words(moved, machine.upright),
+    )
+    return AxisStatement(
+        text, Message("axes.{name}.positive, or the side: {name} in `tool` or `work`", name=axis.name), end
+    )
 
 
 def _turn(machine: Machine, axis: Axis) -> list[AxisStatement]:
@@ -115,36 +140,64 @@ def _turn(machine: Machine, axis: Axis) -> list[AxisStatement]:
     angles = [one for one in ANGLES if low <= one <= high] or [high if high > 0.0 else low]
     command = at_rest(machine, **{axis.name: angles[0]})
     other = _seen(machine, axis, at_rest(machine, **{axis.name: -angles[0]}))
-    text = f"{axis.name} to {angles[0]:g}, the other rotary axes at 0: {_seen(machine, axis, command)}"
-    answer = f"axes.{axis.name}.positive; with the other answer, {other}. Else `about`"
+    text = Message(
+        "{name} to {angle:g}, the other rotary axes at 0: {seen}",
+        name=axis.name,
+        angle=angles[0],
+        seen=_seen(machine, axis, command),
+    )
+    answer = Message("axes.{name}.positive; with the other answer, {other}. Else `about`", name=axis.name, other=other)
     found = [AxisStatement(text, answer, command)]
     ball = next((one for angle in angles if (one := _ball(machine, axis.name, angle)) is not None), None)
     if ball is not None:
         words = [
             " ".join(f"{n}{round(v, 3) + 0.0:.3f}" for n, v in zip(machine.names, one, strict=True)) for one in ball
         ]
-        text = (
-            f"A ball on the table that a probe of {TIP_MM:g} mm from the spindle nose touches centrally at {words[0]} is found at "
-            f"{words[1]}"
+        text = Message(
+            "A ball on the table that a probe of {length:g} mm from the spindle nose touches centrally at {first} is "
+            "found at {second}",
+            length=TIP_MM,
+            first=words[0],
+            second=words[1],
         )
-        found.append(AxisStatement(text, f"axes.{axis.name}.at (or `table`)", tuple(ball[1].tolist())))
+        found.append(
+            AxisStatement(text, Message("axes.{name}.at (or `table`)", name=axis.name), tuple(ball[1].tolist()))
+        )
     return found
 
 
 def _seen(machine: Machine, axis: Axis, command: Sequence[float] | np.ndarray) -> str:
     """Return what an operator sees of a rotary axis at a command."""
-    tool, work = poses(machine, command)
-    _, axis_in_work = tip_and_axis(machine, command, 0.0)
-    if axis_in_work[2] < 1.0 - 1e-4:
+    index = 0 if axis.side == "tool" else 1
+    still, turned = (poses(machine, q)[index].rotation for q in (at_rest(machine), command))
+    (_, axis_at_rest), (_, axis_in_work) = (tip_and_axis(machine, q, 0.0) for q in (at_rest(machine), command))
+    # What a person sees best: where the nose or the table's surface points; a turn about that direction, by its sense.
+    shown = -still[:, 2] if index == 0 else machine.upright[2]
+    now = turned @ still.T @ shown
+    if now @ shown < 1.0 - 1e-4:
+        direction = direction_words(now, machine.upright)
         seen = (
-            f"the spindle's nose points {direction_words(-tool.rotation[:, 2])}"
-            if axis.side == "tool"
-            else f"the table's surface faces {direction_words(work.rotation[:, 2])}"
+            Message("the table's surface faces {direction}", direction=direction)
+            if index
+            else Message("the spindle's nose points {direction}", direction=direction)
         )
-        return f"{seen}; in the workpiece the tool's axis (tip to spindle) points {direction_words(axis_in_work)}"
-    turned = tool.rotation if axis.side == "tool" else work.rotation
-    sense = "counter-clockwise" if turned[1, 0] > 0.0 else "clockwise"
-    return f"the {'head' if axis.side == 'tool' else 'table'} turns {sense}, seen from above"
+    else:
+        about = pin.log3(turned @ still.T)
+        above = abs(shown @ machine.upright[2]) > 0.99
+        right_handed = about @ (machine.upright[2] if above else -shown) > 0.0
+        sense = Message("counter-clockwise") if right_handed else Message("clockwise")
+        part, place = (
+            (Message("the head"), Message("the table"))[index],
+            (Message("the spindle"), Message("above"))[above],
+        )
+        seen = Message("{part} turns {sense}, seen from {place}", part=part, sense=sense, place=place)
+    if axis_in_work @ axis_at_rest > 1.0 - 1e-4:
+        return seen
+    return Message(
+        "{seen}; in the workpiece the tool's axis (tip to spindle) points {direction}",
+        seen=seen,
+        direction=direction_words(axis_in_work, machine.upright),
+    )
 
 
 def _ball(machine: Machine, name: str, angle: float) -> tuple[np.ndarray, np.ndarray] | None:
@@ -156,12 +209,14 @@ def _ball(machine: Machine, name: str, angle: float) -> tuple[np.ndarray, np.nda
     limits = machine.limits / machine.scale[:, None]
     if len(linear) != 3:
         return None
+    # Above the table, and off a horizontal spindle's table towards the spindle.
+    above = "Z" if machine.upright[2, 2] > 0.5 else "YZ"
     for up in (0.0, 0.2, 0.4, 0.6, 0.8):
         start = np.array(at_rest(machine))
         for i in linear:
             low, high = limits[i] - start[i]
             # Away from the middle, so that every rotary axis moves the ball.
-            start[i] += up * high if machine.names[i][0] == "Z" else 0.15 * (high if high >= -low else low)
+            start[i] += up * high if machine.names[i][0] in above else 0.15 * (high if high >= -low else low)
         goal, _ = tip_and_axis(machine, start, TIP_MM)
         there = start.copy()
         there[index] = angle
@@ -350,18 +405,18 @@ _VIEW: Final = np.array([[0.87, 0.5, 0.0], [-0.25, 0.43, 0.87]])
 
 def picture(machine: Machine, command: Sequence[float] | np.ndarray) -> str:
     """Return an SVG of the table (with a mark at the front) and the tool at rest, pale, and at a command, with the machine's axes."""
-    shapes, corners = [], []
+    shapes, corners, view = [], [], _VIEW @ machine.upright
     for pale, q in ((True, at_rest(machine)), (False, tuple(command))):
         tool, work = poses(machine, q)
         angles = np.linspace(0.0, 2.0 * np.pi, 49)
-        disc = 0.12 * np.stack([np.cos(angles), np.sin(angles), 0.0 * angles], axis=1)
-        mark = np.array([[-0.015, -0.12, 0.0], [0.015, -0.12, 0.0], [0.0, -0.06, 0.0]])
+        disc = 0.12 * np.stack([np.cos(angles), np.sin(angles), 0.0 * angles], axis=1) @ machine.upright
+        mark = np.array([[-0.015, -0.12, 0.0], [0.015, -0.12, 0.0], [0.0, -0.06, 0.0]]) @ machine.upright
         thin, thick = np.array([[0, 0, -TIP_MM * MM], [0, 0, 0]]), np.array([[0, 0, 0], [0, 0, 0.16]])
         for points, frame, style in (
             (disc, work, "fill:#b8c4d0;stroke:#456"), (mark, work, "fill:#d22"), (thick, tool, "stroke:#333;stroke-width:16"),
             (thin, tool, "stroke:#e67300;stroke-width:5"),
         ):  # fmt: skip
-            flat = np.array([_VIEW @ frame.act(point) for point in points.astype(float)])
+            flat = np.array([view @ frame.act(point) for point in points.astype(float)])
             corners.append(flat)
             shapes.append((flat, style + (";opacity:0.25" if pale else "")))
     every = np.concatenate(corners)
@@ -376,7 +431,7 @@ def picture(machine: Machine, command: Sequence[float] | np.ndarray) -> str:
         kind = "polygon" if len(flat) > 2 else "polyline"
         parts.append(f'<{kind} points="{placed(flat)}" style="{style}"/>')
     for name, direction, colour in zip("XYZ", np.eye(3), ("#c00", "#080", "#00c"), strict=True):
-        x, y = _VIEW @ direction * 30.0
+        x, y = view @ direction * 30.0
         parts.append(
             f'<line x1="30" y1="250" x2="{30 + x:.1f}" y2="{250 - y:.1f}" stroke="{colour}" stroke-width="2"/>'
         )

@@ -9,6 +9,9 @@ Correlation matters: a scale uncertainty common to all distances does not averag
 variances are multiplied by n. No covariance matrix with these variances exceeds that diagonal (xᵀCx = |Σ Lᵢxᵢ|² ≤ n Σ |Lᵢxᵢ|²), so the
 result is never too confident, whatever the correlation. The same holds of n quantities, each with a covariance matrix of its own.
 
+Values hold at 20 °C (ISO 1). At another temperature the artefact is larger by the coefficient of thermal expansion that the certificate
+states (`Artefact.at`); the uncertainties of coefficient and temperature act on all lengths alike.
+
 Checked is what is used, in D-SI 2.0 to 2.2: twin has no copy of the schema.
 """
 
@@ -16,7 +19,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
 from typing import Any, Final, NamedTuple, final
@@ -31,6 +34,8 @@ from twin._common.units import MM, UM, count_with_noun
 from twin._common.xml_files import Element, parse_xml
 from twin._common.yaml_files import MAX_VALUE
 from twin.display.results import Result
+from twin.numerics.covariance import inverse_root
+from twin.numerics.spatial import rigid_fit, shape_contrasts
 
 DCC: Final = "https://ptb.de/dcc"
 SI: Final = "https://ptb.de/si"
@@ -43,6 +48,9 @@ CORE: Final = ("countryCodeISO3166_1", "uniqueIdentifier", "beginPerformanceDate
 _DECIMAL: Final = re.compile(r"[-+]?(\d*\.\d+|\d+\.\d*|\d+)([Ee][-+]?\d+)?")
 _LENGTH_UNIT: Final = re.compile(r"(?:\\([a-z]+))?\\metre")
 _AREA_UNIT: Final = re.compile(rf"{_LENGTH_UNIT.pattern}(?:\\tothe\{{2\}}|{_LENGTH_UNIT.pattern})")
+_PER_KELVIN: Final = re.compile(
+    r"(?:(?:\\([a-z]+))?\\metre(?:\\metre\\tothe\{-1\}|\\per\\metre))?(?:\\kelvin\\tothe\{-1\}|\\per\\kelvin)"
+)
 PREFIXES: Final = {None: 1.0, "kilo": 1e3, "deci": 0.1, "centi": 1e-2, "milli": MM, "micro": UM, "nano": 1e-9}
 _COORDINATE: Final = re.compile(r"(.+?)\s*[ ._:]\s*([xyz])", re.IGNORECASE)
 LABELS: Final = (
@@ -56,6 +64,11 @@ LEAST_EIGENVALUE: Final = 1e-12
 """Smallest eigenvalue of a covariance relative to its largest; below it, a combination is stated without uncertainty."""
 SMALLEST_U_M: Final = 1e-12
 """Standard uncertainty, m, below which none is stated: no laboratory is that good, and weights stay finite."""
+REFERENCE_DEGC: Final = 20.0
+TEMPERATURE_U_K: Final = 0.2
+"""Standard uncertainty of an artefact's temperature: thermometer, and gradients inside the artefact."""
+MOST_EXPANSION: Final = 2e-4
+"""Largest plausible coefficient of thermal expansion, 1/K: plastics."""
 
 
 class _Statement(NamedTuple):
@@ -99,6 +112,8 @@ class Artefact(Result):
         value: (m,) distances or (targets, 3) coordinates, metres.
         covariance: (m, m) or (3·targets, 3·targets), m².
         enlarged: number by which the stated variances are multiplied; 1 if the certificate states the covariance (see the module).
+        expansion: coefficient of thermal expansion and its standard uncertainty, 1/K; None if the certificate states none or several.
+        temperature_degC: temperature for which the values hold.
 
     Examples:
         >>> pair, length, variance = np.array([[0, 1]]), np.array([0.3]), np.array([[1e-12]])
@@ -115,6 +130,8 @@ class Artefact(Result):
     value: np.ndarray
     covariance: np.ndarray
     enlarged: int
+    expansion: tuple[float, float] | None = None
+    temperature_degC: float = REFERENCE_DEGC
 
     @classmethod
     def load(cls, path: str | Path, targets: Collection[str]) -> Artefact:
@@ -141,8 +158,38 @@ class Artefact(Result):
         )
         return (
             f"certificate {self.number} ({self.item}): {what} of {count_with_noun(len(self.targets), 'target')} known, {correlation}; "
-            "its values are used as stated, without thermal expansion of the artefact"
+            f"{self._temperature_text}"
         )
+
+    @property
+    def _temperature_text(self) -> str:
+        if self.temperature_degC == REFERENCE_DEGC or self.expansion is None:
+            return "its values are used as stated, without thermal expansion of the artefact"
+        alpha, u = (1e6 * value for value in self.expansion)
+        return (
+            f"its values are those at {self.temperature_degC:.4g} °C, by its coefficient of thermal expansion of {alpha:.3g} µm/(m·K), "
+            f"u {u:.2g}"
+        )
+
+    def at(self, temperature_degC: float, u_K: float = TEMPERATURE_U_K) -> Artefact:
+        """Return the artefact at a temperature, whose uncertainty and that of the coefficient are in the covariance.
+
+        Raises `InputError`: the certificate states no coefficient of thermal expansion, and the temperature is not 20 °C.
+        """
+        away = temperature_degC - self.temperature_degC
+        if self.expansion is None:
+            if away == 0.0:
+                return self
+            raise InputError(
+                f"the artefact was at {temperature_degC:.4g} °C and its certificate states no coefficient of thermal expansion",
+                expected=r"one value with a unit such as \kelvin\tothe{-1} and its uncertainty, or readings at 20 °C",
+                file=self.source,
+            )
+        alpha, u = self.expansion
+        value = self.value * (1.0 + alpha * away)
+        common = ((u * away) ** 2 + (alpha * u_K) ** 2) * np.outer(value, value)
+        covariance = read_only(self.covariance + common)
+        return replace(self, value=read_only(value), covariance=covariance, temperature_degC=temperature_degC)
 
     def among(self, targets: Sequence[str]) -> Artefact | None:
         """Return what is known of some targets, the other values integrated out; None if nothing is."""
@@ -162,17 +209,15 @@ class Artefact(Result):
         return self._with(names, pairs, self.value[rows], self.covariance[np.ix_(rows, rows)])
 
     def _with(self, targets: tuple[str, ...], pairs: np.ndarray, value: np.ndarray, covariance: np.ndarray) -> Artefact:
-        return Artefact(
-            self.source, self.number, self.item, targets, pairs, value, read_only(covariance), self.enlarged
-        )
+        return replace(self, targets=targets, pairs=pairs, value=value, covariance=read_only(covariance))
 
     def rows(self, place: np.ndarray) -> Contrasts:
         """Return the whitened difference between certificate and places; ``place``: (targets, 3) metres, in any frame."""
         if not len(self.pairs):
-            fitted, turn = _rigid_fit(self.value, place)
-            shape = _shape_contrasts(place)
+            fitted, turn = rigid_fit(self.value, place)
+            shape = shape_contrasts(place)
             turned = np.kron(np.eye(len(place)), turn)
-            root = _inverse_root(shape.T @ turned @ self.covariance @ turned.T @ shape) @ shape.T
+            root = inverse_root(shape.T @ turned @ self.covariance @ turned.T @ shape) @ shape.T
             return Contrasts(root @ (fitted - place).ravel(), root.reshape(len(root), len(place), 3))
         between = place[self.pairs[:, 0]] - place[self.pairs[:, 1]]
         length = np.linalg.norm(between, axis=1)
@@ -180,13 +225,13 @@ class Artefact(Result):
         derivative, rows = np.zeros((len(length), len(place), 3)), np.arange(len(length))
         derivative[rows, self.pairs[:, 0]] += unit
         derivative[rows, self.pairs[:, 1]] -= unit
-        root = _inverse_root(self.covariance)
+        root = inverse_root(self.covariance)
         return Contrasts(root @ (self.value - length), np.einsum("rm,mtk->rtk", root, derivative))
 
     def largest_difference(self, place: np.ndarray) -> float:
         """Return the largest difference between certificate and places after the best rigid motion, metres."""
         if not len(self.pairs):
-            return float(np.linalg.norm(_rigid_fit(self.value, place)[0] - place, axis=1).max())
+            return float(np.linalg.norm(rigid_fit(self.value, place)[0] - place, axis=1).max())
         between = place[self.pairs[:, 0]] - place[self.pairs[:, 1]]
         return float(np.abs(self.value - np.linalg.norm(between, axis=1)).max())
 
@@ -199,33 +244,8 @@ class Artefact(Result):
             "targets": list(self.targets),
             "kind": "distances" if len(self.pairs) else "coordinates",
             "variances_multiplied_by": self.enlarged,
+            "temperature_degC": self.temperature_degC,
         }
-
-
-def _rigid_fit(points: np.ndarray, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return (n, 3) points moved rigidly as near as possible to places, and the rotation (Kabsch 1976, Acta Cryst. A32, 922)."""
-    centre, own = place.mean(axis=0), points - points.mean(axis=0)
-    u, _, v = np.linalg.svd(own.T @ (place - centre))
-    turn = v.T @ np.diag([1.0, 1.0, np.sign(np.linalg.det(v.T @ u.T))]) @ u.T
-    return own @ turn.T + centre, turn
-
-
-def _shape_contrasts(place: np.ndarray) -> np.ndarray:
-    """Return (3n, r) orthonormal changes of n places that no rigid motion makes."""
-    own = place - place.mean(axis=0)
-    size = float(np.abs(own).max(initial=0.0)) or 1.0
-    motion = np.zeros((len(place), 3, 6))
-    motion[:, :, :3] = np.eye(3)
-    for axis in range(3):
-        motion[:, :, 3 + axis] = np.cross(np.eye(3)[axis], own / size)
-    left, values, _ = np.linalg.svd(motion.reshape(-1, 6), full_matrices=True)
-    return np.asarray(left[:, int(np.count_nonzero(values > 1e-9 * values[0])) :])
-
-
-def _inverse_root(covariance: np.ndarray) -> np.ndarray:
-    """Return (n, n) W with W C Wᵀ = 1."""
-    values, vectors = np.linalg.eigh((covariance + covariance.T) / 2.0)
-    return np.asarray((vectors / np.sqrt(values)).T)
 
 
 # --- Reading ---------------------------------------------------------------------------------------
@@ -325,6 +345,25 @@ class _Reader:
             raise self.error("the unit is no square of a length", r"\milli\metre\tothe{2}", element, element.text)
         square = element.text.endswith("}")
         return PREFIXES[match[1]] * PREFIXES[match[1] if square else match[2]]
+
+    def expansion(self) -> tuple[float, float] | None:
+        """Return the coefficient of thermal expansion and its standard uncertainty, 1/K.
+
+        None unless exactly one plausible value per kelvin is stated with an uncertainty.
+        """
+        found = set()
+        for real in self.root.within():
+            unit = _child(real, "unit") if _local(real) == "real" else None
+            match = None if unit is None else _PER_KELVIN.fullmatch("".join(unit.text.split()))
+            if match is None or match[1] not in PREFIXES:
+                continue
+            value, *u = (
+                PREFIXES[match[1]] * one
+                for one in (self.number_of(self.need(real, "value")), *self._uncertainties(real, 1))
+            )
+            if abs(value) <= MOST_EXPANSION:
+                found.add((value, u[0] if u else 0.0))
+        return found.pop() if len(found) == 1 and all(u > 0.0 for _, u in found) else None
 
     # Quantities
 
@@ -577,18 +616,17 @@ def _coordinates(reader: _Reader, used: _Used) -> Artefact:
             "no two spheres of the certificate are in the table", expected=LABELS, file=reader.path, line=line
         )
     covariance = used.covariance[np.ix_(rows, rows)]
-    shape = _shape_contrasts(value)
+    shape = shape_contrasts(value)
     _check_certain(reader, shape.T @ covariance @ shape, line)
-    return Artefact(
-        source=str(reader.path),
-        number=reader.number,
-        item=reader.item,
-        targets=names,
-        pairs=read_only(np.zeros((0, 2), dtype=int)),
-        value=read_only(value),
-        covariance=read_only(covariance),
-        enlarged=used.enlarged,
-    )
+    pairs = read_only(np.zeros((0, 2), dtype=int))
+    return _artefact(reader, used, names, pairs, read_only(value), read_only(covariance))
+
+
+def _artefact(
+    reader: _Reader, used: _Used, names: tuple[str, ...], pairs: np.ndarray, value: np.ndarray, covariance: np.ndarray
+) -> Artefact:
+    of = str(reader.path), reader.number, reader.item
+    return Artefact(*of, names, pairs, value, covariance, used.enlarged, reader.expansion())
 
 
 def _distances(reader: _Reader, used: _Used) -> Artefact:
@@ -605,16 +643,8 @@ def _distances(reader: _Reader, used: _Used) -> Artefact:
     pairs = np.array([[names.index(first), names.index(second)] for first, second, _ in used.named])
     _check_certain(reader, used.covariance, used.statements[0].line)
     _check_triangles(reader, used, pairs)
-    return Artefact(
-        source=str(reader.path),
-        number=reader.number,
-        item=reader.item,
-        targets=names,
-        pairs=read_only(pairs),
-        value=read_only(np.array([one.value for one in used.statements])),
-        covariance=read_only(used.covariance),
-        enlarged=used.enlarged,
-    )
+    value = read_only(np.array([one.value for one in used.statements]))
+    return _artefact(reader, used, names, read_only(pairs), value, read_only(used.covariance))
 
 
 def _check_certain(reader: _Reader, covariance: np.ndarray, line: int) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 
 from twin._common.arrays import read_only
 from twin._common.errors import InputError
-from twin._common.units import DEG, MM, UM
+from twin._common.units import DEG, HOUR, MM, UM
 from twin.display.results import Result
 from twin.machine.machine import Machine
 from twin.measurement.columns import outside_axis_range
@@ -21,7 +21,6 @@ from twin.measurement.table import Measurements
 from twin.model.calibration import Calibration
 from twin.numerics.spatial import rotation_exp
 
-SECONDS_PER_HOUR: Final = 3600.0
 STATION_DISTANCE_MM: Final = 1800.0
 """Distance of a station from the base frame where the plan gives no pose."""
 
@@ -147,7 +146,7 @@ class Environment:
             raise InputError(
                 "a station drifts, but a row has no time", expected="time_s in every row", file=plan.source, line=line
             )
-        hours = (time - np.nanmin(plan.time_s)) / SECONDS_PER_HOUR
+        hours = (time - np.nanmin(plan.time_s)) / HOUR
         return np.asarray(np.outer(hours, self.drift_um_per_h[station]) * (UM / MM))
 
     def check(self, plan: Measurements) -> None:

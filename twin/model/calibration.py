@@ -228,7 +228,7 @@ class Calibration(DisplayedResult):
         }
         if self.extra:
             data["effects"] = [
-                *payload_entries(self.extra),
+                *payload_entries(self.extra, self.machine),
                 *(
                     entry_of_empirical(effect) if isinstance(effect, Empirical) else entry_of(effect)
                     for effect in self.extra

@@ -26,12 +26,13 @@ from typing import Annotated, Any, Final, Literal
 
 import numpy as np
 import pinocchio as pin
-from pydantic import Field, model_validator
+from pydantic import Field, PlainValidator, model_validator
 
 from twin._common.errors import InputError, closest_name
 from twin._common.families import BasicClass
+from twin._common.messages import joined, message_data, message_from
 from twin._common.provenance import MODEL_NOT_TESTED, NOISE_CONTRADICTED, SYSTEMATIC_RESIDUALS, SourceWarning
-from twin._common.records import is_temperature
+from twin._common.records import APPROACH, is_temperature
 from twin._common.yaml_files import yaml_text
 from twin.machine.machine import ErrorFrame, Machine
 from twin.machine.machine_file import FileEntry
@@ -40,7 +41,7 @@ from twin.model.effects.base import numbered, rest_orientation
 from twin.model.effects.empirical import FrameRotation, channel_name
 from twin.model.effects.entries import effect_named, payload_named
 from twin.model.effects.gravity_compliance import CARRIED_LOAD, PAYLOAD
-from twin.model.effects.harmonic import APPROACH, Kind, Waves
+from twin.model.effects.harmonic import Kind, Waves
 from twin.model.effects.table_load import TableLoad
 from twin.numerics.covariance import Covariance
 
@@ -280,11 +281,25 @@ class ControlEntry(FileEntry):
         return self
 
 
+Sentence = Annotated[str, PlainValidator(message_from)]
+
+
 class UnidentifiedEntry(FileEntry):
     """An error that the readings did not determine."""
 
     name: str  # ISO 230-1 name
-    why: Annotated[str, Field(min_length=1)]  # the reason, and what would change it; one sentence
+    why: Sentence  # the reason; text, or a format string `text` and the values of its places
+    remedy: Sentence = ""  # what to enter or to measure, the same; empty if that is unknown or part of `why`
+
+    @property
+    def text(self) -> str:
+        """Reason and remedy."""
+        return joined("; ", [self.why, self.remedy]) if self.remedy else self.why
+
+    def to_file(self) -> dict[str, Any]:
+        """Return the entry of the file, whose sentences can be read in another language."""
+        remedy = {"remedy": message_data(self.remedy)} if self.remedy else {}
+        return {"name": self.name, "why": message_data(self.why), **remedy}
 
 
 class MisfitEntry(FileEntry):
@@ -408,7 +423,7 @@ def measurement_entries(
         "instruments": list(instruments),
         "set_up": None if set_up is None else set_up.model_dump(),
         "misfit": None if misfit is None else misfit.model_dump(exclude_none=True),
-        "not_identifiable": [error.model_dump() for error in not_identifiable],
+        "not_identifiable": [error.to_file() for error in not_identifiable],
         "not_estimated": list(not_estimated),
     }
     return {name: value for name, value in entries.items() if value}

@@ -16,7 +16,7 @@ import numpy as np
 
 from twin._common.errors import InputError, closest_name
 from twin._common.messages import Message, joined
-from twin._common.records import SPEED, TIME, is_temperature, read_log, sensor_of
+from twin._common.records import APPROACH, SPEED, TIME, is_temperature, read_log, sensor_of
 from twin._common.units import count_with_noun
 from twin.display.results import Result
 from twin.machine.machine import Machine
@@ -81,7 +81,6 @@ UNITS: Final = MappingProxyType(
 """The same with their value."""
 SETTINGS: Final = MappingProxyType({TIME: "time", SPEED: "rpm", LOAD: "load"})
 """Names of the settings that give them."""
-APPROACH: Final = "approach_"
 PLAUSIBLE_DEGC: Final = (-40.0, 120.0)
 """Plausible temperatures of a machine; others are mistakes: kelvin, fahrenheit, a missing decimal point."""
 

@@ -17,6 +17,7 @@ import numpy as np
 
 from twin._common.arrays import read_only
 from twin._common.errors import InputError
+from twin._common.messages import Message
 from twin._common.provenance import NOMINAL_KINEMATICS, SourceWarning
 from twin.machine.machine import Machine
 from twin.model.calibration import Calibration
@@ -25,12 +26,12 @@ from twin.model.effects import AxisLocation, Effect, ErrorMotion, Squareness, as
 from twin.numerics.covariance import Covariance
 from twin.numerics.curves import basis_named
 
-NO_REFERENCE: Final = "the motions of the other axes, its reference, are not in these data"
+NO_REFERENCE: Final = Message("the motions of the other axes, its reference, are not in these data")
 
 
 def at_rest(axis: str) -> str:
     """Return the reason why no error of an axis was determined by readings during which it did not move."""
-    return f"{axis} did not move"
+    return Message("{axis} did not move", axis=axis)
 
 
 def not_measured(
@@ -82,7 +83,7 @@ def nominal_locations(errors: Calibration) -> tuple[SourceWarning, ...]:
 def check_locations_identified(errors: Calibration) -> None:
     """Raise `InputError` if a location was not identified: the file would overwrite what the control's own cycle has calibrated."""
     for warning in nominal_locations(errors):
-        why = {error.name: error.why for error in errors.not_identifiable}
+        why = {error.name: error.text for error in errors.not_identifiable}
         reason = why.get(warning.errors[0], "it was left out of the estimate")
         raise InputError(
             f"{', '.join(warning.errors)} were not identified: kinematics with them would hold values that are not measured",

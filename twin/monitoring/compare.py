@@ -10,14 +10,24 @@ import numpy as np
 import scipy
 
 from twin._common.errors import InputError, require_type
+from twin._common.messages import Message, Number, Quoted, joined
 from twin._common.provenance import merge_warnings
 from twin._common.resources import Progress, silent
-from twin.display.numbers import COVERAGE_FACTOR
+from twin.display.numbers import COVERAGE_FACTOR, readable
 from twin.model.calibration import Calibration
 from twin.model.conditions import Conditions, needed_values
 from twin.model.datum import MEAN_LINES
 from twin.model.effects import Effect, split_name
-from twin.monitoring.comparison import Changes, Culprits, meaning_of
+from twin.monitoring.comparison import (
+    LOOKS,
+    Changes,
+    Culprits,
+    changed_in_words,
+    common_pattern,
+    number,
+    place,
+    some_of,
+)
 from twin.monitoring.pairs import (
     FALSE_ALARMS_OF_A_TEST,
     ErrorChange,
@@ -80,7 +90,10 @@ def compare(
     References:
         - S. Holm: A simple sequentially rejective multiple test procedure, Scand. J. Statist. 6 (1979) 65-70.
     """
-    notices, named = _check_tables(first, second), (_label(first, "the first"), _label(second, "the second"))
+    notices, named = (
+        _check_tables(first, second),
+        (_label(first, Message("the first")), _label(second, Message("the second"))),
+    )
     first, second = (side.with_control(None) if side.corrections else side for side in (first, second))
     at = _checked_conditions(conditions, first, second, tolerance_mm)
     progress("comparing", 0.0)
@@ -170,20 +183,27 @@ def _in_one_datum(first: Calibration, second: Calibration) -> tuple[Calibration,
     try:
         one, two = (side.in_datum(MEAN_LINES, may_change) for side in (first, second))
     except InputError as error:
-        text = f"not converted to mean lines; each file is compared in its own datum: {error.what} (twin doc datum)"
+        text = Message(
+            "not converted to mean lines; each file is compared in its own datum: {why} (twin doc datum)",
+            why=Quoted(error.what),
+        )
         return first, second, text, set()
     converted = [
-        f"{name} from {datum}"
-        for name, datum in zip((_label(first, "the first"), _label(second, "the second")), given, strict=True)
+        Message("{name} from {datum}", name=name, datum=datum)
+        for name, datum in zip(
+            (_label(first, Message("the first")), _label(second, Message("the second"))), given, strict=True
+        )
         if datum != MEAN_LINES
     ]
     if not converted:
-        return one, two, "both are in mean lines (twin doc datum)", set()
-    text = f"both converted to mean lines: {', '.join(converted)} (twin doc datum)"
+        return one, two, Message("both are in mean lines (twin doc datum)"), set()
+    text = Message("both converted to mean lines: {names} (twin doc datum)", names=joined(", ", converted))
     moved = {name: None for side in (one, two) for name in (*side.curves, *side.squareness, *side.location)}
     only = [name for name in moved if name not in named]
     if only:
-        text += f"; not compared error by error, because neither file contains it: {', '.join(only)}"
+        text += Message(
+            "; not compared error by error, because neither file contains it: {names}", names=", ".join(only)
+        )
     return one, two, text, set(only)
 
 
@@ -214,20 +234,30 @@ def _check_tables(first: Calibration, second: Calibration) -> list[str]:
                 value=f"different {several}",
             )
         return [
-            f"both give the errors remaining under the same {what} of the control; the machine's own errors are not compared"
-        ]
-    if tables[0] or tables[1]:
-        part = "them" if what == "kinematics module" else "part of them"
-        verb = "corrects" if what == "kinematics module" else "correct"
-        return [
-            f"the machine's own errors are compared, without the {what} of the control, which {verb} {part}"
-            + (
-                ""
-                if tables[0] == tables[1]
-                else f"; the {what} {'differs' if part == 'them' else 'differ'} between the two"
+            Message(
+                "both give the errors remaining under the same kinematics module of the control; the machine's own "
+                "errors are not "
+                "compared"
+            )
+            if what == "kinematics module"
+            else Message(
+                "both give the errors remaining under the same tables of the control; the machine's own errors are "
+                "not compared"
             )
         ]
-    return []
+    if not (tables[0] or tables[1]):
+        return []
+    if what == "kinematics module":
+        text = Message(
+            "the machine's own errors are compared, without the kinematics module of the control, which corrects them"
+        )
+        differs = Message("; the kinematics module differs between the two")
+    else:
+        text = Message(
+            "the machine's own errors are compared, without the tables of the control, which correct part of them"
+        )
+        differs = Message("; the tables differ between the two")
+    return [text if tables[0] == tables[1] else text + differs]
 
 
 def _checked_conditions(
@@ -384,22 +414,219 @@ def _shape_of(pair: Pair, change: np.ndarray, *, linear: bool) -> str:
 def _notices(
     first: Calibration, second: Calibration, pairs: Sequence[Pair], not_compared: Sequence[NotCompared]
 ) -> list[str]:
-    notices = []
+    notices = list[str]()
     drawn = [name for side in (first, second) for name, curve in side.curves.items() if curve.illustrative]
     if drawn:
         notices.append(
-            f"illustrative curves, not measured, in one or both: {', '.join(dict.fromkeys(drawn))}. Their change is not of a "
-            "real machine"
+            Message(
+                "illustrative curves, not measured, in one or both: {names}. Their change is not of a real machine",
+                names=", ".join(dict.fromkeys(drawn)),
+            )
         )
     same = [pair.name for pair in pairs if pair.status == "same"]
     if same and len(same) < len(pairs) + len(not_compared):
         notices.append(
-            f"identical numbers in both, taken as one estimate: {', '.join(same)}. If one file was made from the other, their "
-            "remaining common parts are still taken as independent, and the uncertainty of the change is too large"
+            Message(
+                "identical numbers in both, taken as one estimate: {names}. If one file was made from the other, "
+                "their remaining common parts are still taken as independent, and the uncertainty of the change is "
+                "too large",
+                names=", ".join(same),
+            )
         )
     if any(pair.status == "known" for pair in pairs):
         notices.append(
-            "the calibrations are taken as independent and their uncertainties as stated: a misfit reported by `twin identify` is in "
-            "no covariance"
+            Message(
+                "the calibrations are taken as independent and their uncertainties as stated: a misfit reported by "
+                "`twin identify` is in no covariance"
+            )
         )
     return notices
+
+
+# --- The meaning of a comparison, in sentences that a technician can act on ---------------------------
+
+MOST_NAMED: Final = 6
+
+
+def meaning_of(found: Changes) -> tuple[str, ...]:
+    """Return the sentences, the most important first."""
+    verdict = found.verdict
+    sentences: list[str] = []
+    if verdict == "same":
+        sentences.append(Message("The two calibrations have identical numbers; there is nothing to compare."))
+    elif verdict == "unknown":
+        same = any(error.status == "same" for error in found.errors)
+        why = (
+            Message("the errors that both contain have identical numbers or no uncertainty")
+            if same
+            else Message("for no error do both calibrations state an uncertainty")
+        )
+        sentences.append(
+            Message(
+                "It cannot be decided whether anything changed: {why}. The differences are listed without a test.",
+                why=why,
+            )
+        )
+    elif verdict == "unchanged":
+        sentences += _unchanged(found)
+    else:
+        sentences += _changed(found)
+    if verdict == "reworded":
+        sentences.insert(
+            0,
+            Message(
+                "The numbers changed but the tool did not move: changes of several errors cancel, for example if the "
+                "same constant or slope is attributed to a different error. Both calibrations compensate alike; "
+                "leave the machine as it is."
+            ),
+        )
+    if found.unjudged and verdict in ("unchanged", "changed"):
+        left_out = {name for name, _ in found.left_out}
+        names = [name for name in dict.fromkeys(found.unjudged) if name not in left_out]
+        if left_out:
+            needs = joined(
+                ", ", [Message("{name} (needs {channel})", name=n, channel=channel) for n, channel in found.left_out]
+            )
+            sentences.append(Message("The results at the tool do not include {needs}.", needs=needs))
+    else:
+        names = []
+    if names:
+        sentences.append(
+            Message(
+                "This does not cover errors that could not be compared or tested: {names}.",
+                names=some_of(names, MOST_NAMED),
+            )
+        )
+    if found.not_identified:
+        sentences.append(
+            Message(
+                "Nothing is known of {names}: neither calibration could determine them. A change of them is not "
+                "seen; U of the remaining error includes their plausible size.",
+                names=some_of([one.name for one in found.not_identified], MOST_NAMED),
+            )
+        )
+    sentences += _verdict_on_tolerance(found)
+    return tuple(sentences)
+
+
+def _unchanged(found: Changes) -> list[str]:
+    row = found.tool.judged
+    sentences: list[str] = [
+        Message(
+            "All changes that could be tested are within the uncertainty of the two calibrations: the older one "
+            "remains valid."
+        )
+    ]
+    if row is not None and np.isfinite(row.limit_um):
+        sentences.append(
+            Message(
+                "A change that moves the tool by less than about {limit} µm RMS over the volume may be undetected, "
+                "unless only one or a few errors changed; these have lower detection limits.",
+                limit=number(row.limit_um),
+            )
+        )
+    if found.culprits.shows_from:
+        limits = [(name, Number(f"{number(size)} {readable(own)}")) for name, size, own in found.culprits.shows_from]
+        shown = joined(", ", [joined(" ", pair) for pair in limits])
+        sentences.append(Message("Detection limits (19 of 20 comparisons, all else unchanged): {shown}.", shown=shown))
+    return sentences
+
+
+def _changed(found: Changes) -> list[str]:
+    culprits = found.culprits
+    sentences = []
+    if culprits.errors:
+        only = (
+            Message("Only ")
+            if len(culprits.errors) == 1
+            and culprits.left_p_value > FALSE_ALARMS_OF_A_TEST
+            and not culprits.alternatives[0]
+            else ""
+        )
+        for error, others, trend in zip(culprits.errors, culprits.alternatives, culprits.trends, strict=True):
+            sentences.append(changed_in_words(found, error, others, trend, only))
+        if culprits.left_p_value > FALSE_ALARMS_OF_A_TEST:
+            sentences.append(
+                Message(
+                    "All other changes are within the uncertainty; the sizes are estimated with all else taken as "
+                    "unchanged."
+                )
+            )
+        else:
+            sentences.append(
+                Message(
+                    "This does not explain the whole change: more has changed than can be attributed to single errors."
+                )
+            )
+        if found.verdict != "reworded":
+            sentences += common_pattern(found)
+    else:
+        own = [error.name for error in found.errors if error.significant]
+        if own:
+            sentences.append(
+                Message(
+                    "Changed by more than the uncertainty, each tested by itself: {names}.",
+                    names=some_of(own, MOST_NAMED),
+                )
+            )
+        else:
+            sentences.append(
+                Message(
+                    "There is a change, but it cannot be attributed to single errors with these two calibrations. "
+                    "Detected by: {names}.",
+                    names=joined(", ", [LOOKS[one] for one in found.seen_by]),
+                )
+            )
+    return sentences
+
+
+def _verdict_on_tolerance(found: Changes) -> list[str]:
+    left, answer = found.tool.left, found.good_enough
+    if not left.poses:
+        return [
+            Message("The error that the older calibration would leave cannot be evaluated: no pose is within reach.")
+        ]
+    if found.tolerance_mm is None:
+        return []
+    limit = Number(f"{number(found.tolerance_mm * 1e3)} µm")
+    most = Message("{size} µm at most", size=number(left.max_um))
+    if answer is True:
+        return [
+            Message(
+                "The older calibration is good enough for {limit}: it leaves {most}, and no more than {high} µm with "
+                "uncertainty (95 %).",
+                limit=limit,
+                most=most,
+                high=number(left.upper_95_um),
+            )
+        ]
+    if answer is False:
+        return [
+            Message(
+                "The older calibration is not good enough for {limit}: it leaves {most} (at {where}), and no less "
+                "than {low} µm with uncertainty (95 %).",
+                limit=limit,
+                most=most,
+                where=place(left.where),
+                low=number(left.lower_95_um),
+            )
+        ]
+    if np.isfinite(left.upper_95_um):
+        return [
+            Message(
+                "It cannot be decided whether the older calibration is good enough for {limit}: it leaves {most}, "
+                "with uncertainty {low} to {high} µm (95 %).",
+                limit=limit,
+                most=most,
+                low=number(max(left.lower_95_um, 0.0)),
+                high=number(left.upper_95_um),
+            )
+        ]
+    return [
+        Message(
+            "It cannot be decided whether the older calibration is good enough for {limit}: it leaves {most}, with "
+            "unknown uncertainty.",
+            limit=limit,
+            most=most,
+        )
+    ]

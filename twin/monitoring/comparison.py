@@ -11,15 +11,16 @@ from typing import Any, Final, Literal, final
 
 import numpy as np
 
-from twin._common.messages import Message, Number
+from twin._common.messages import Message, Number, joined, say
 from twin._common.provenance import ILLUSTRATIVE, SourceWarning, warning_texts, warnings_to_json
 from twin._common.records import json_form
 from twin.display import finite_or_none, first_rows, measured, note, readable, render, table
-from twin.display.numbers import COVERAGE_FACTOR
+from twin.display.numbers import COVERAGE_FACTOR, UNKNOWN, capital
 from twin.display.results import Display, DisplayedResult
 from twin.display.sheet import Sheet
 from twin.machine.machine import Machine
 from twin.model.effects import split_name
+from twin.model.effects.base import motion_in_words
 from twin.monitoring.pairs import FALSE_ALARMS, FALSE_ALARMS_OF_A_TEST, ErrorChange, NotCompared
 from twin.monitoring.tool import ToolChange, ToolDisplacement
 from twin.tool.uncertainty import DEFINITION
@@ -204,7 +205,7 @@ class Changes(DisplayedResult):
         other = sorted((one for one in self.stated if one.status != "same"), key=lambda one: not one.significant)
         return render(
             "monitoring/templates/comparison.html.j2",
-            title=f"{self.machine.name}: {self.verdict}",
+            title=joined("", [f"{self.machine.name}: ", VERDICTS[self.verdict]]),
             sheet=sheet,
             heading=Message("Comparison of two calibrations"),
             machine_name=self.machine.name,
@@ -213,7 +214,9 @@ class Changes(DisplayedResult):
             badges=warning_texts(self.warnings),
             rows=[
                 (
-                    error.name,
+                    joined(", ", [capital(motion_in_words(error.name)), error.name])
+                    if error.name.startswith("E_")
+                    else error.name,
                     error.iso_class,
                     Number(_stated(error)),
                     answer(error.significant),
@@ -229,13 +232,19 @@ class Changes(DisplayedResult):
         other = [error for error in self.stated if error.status != "same"]
         other.sort(key=lambda error: (not error.significant, -self._alone_um(error)))
         shown, more = first_rows(len(other), lambda i: self._cells(other[i]))
-        headers = ("error", "class", "largest change", "significant", "at the tool, µm RMS")
+        headers = (
+            Message("error"),
+            Message("class"),
+            Message("largest change"),
+            Message("significant"),
+            Message("at the tool, µm RMS"),
+        )
         rows = [
-            ("at the tool, workpiece aligned", self._at_tool),
-            ("could not be compared or tested", ", ".join(self.unjudged)),
+            (Message("at the tool, workpiece aligned"), self._at_tool),
+            (Message("could not be compared or tested"), ", ".join(self.unjudged)),
         ]
         return Display(
-            self.verdict.upper(),
+            VERDICTS[self.verdict],
             rows,
             above=[note(sentence) for sentence in self.meaning],
             below=(table(headers, shown, right=(4,)), more),
@@ -259,7 +268,6 @@ class Changes(DisplayedResult):
         return 0.0 if found is None else found.rms_um
 
 
-MOST_NAMED: Final = 6
 VERDICTS: Final[Mapping[Verdict, Message]] = MappingProxyType(
     {
         "changed": Message("CHANGED"),
@@ -267,6 +275,14 @@ VERDICTS: Final[Mapping[Verdict, Message]] = MappingProxyType(
         "same": Message("IDENTICAL NUMBERS"),
         "reworded": Message("DIFFERENT NUMBERS, UNCHANGED AT THE TOOL"),
         "unknown": Message("UNKNOWN"),
+    }
+)
+LOOKS: Final[Mapping[str, Message]] = MappingProxyType(
+    {
+        "all together": Message("all together"),
+        "error by error": Message("error by error"),
+        "fewest errors": Message("fewest errors"),
+        "tool": Message("tool"),
     }
 )
 _ANSWERS: Final = (Message("no"), Message("yes"), Message("unknown"))
@@ -279,67 +295,20 @@ def answer(value: bool | None) -> Message:
 
 def _stated(error: ErrorChange) -> str:
     half = error.band if error.kind == "curve" else COVERAGE_FACTOR * error.u
-    return f"{plus_minus(error.largest, half)} {readable(error.unit)}"
-
-
-def meaning_of(found: Changes) -> tuple[str, ...]:
-    """Return the sentences, the most important first."""
-    verdict = found.verdict
-    sentences: list[str] = []
-    if verdict == "same":
-        sentences.append("The two calibrations have identical numbers; there is nothing to compare.")
-    elif verdict == "unknown":
-        same = any(error.status == "same" for error in found.errors)
-        why = (
-            "the errors that both contain have identical numbers or no uncertainty"
-            if same
-            else "for no error do both calibrations state an uncertainty"
-        )
-        sentences.append(
-            f"It cannot be decided whether anything changed: {why}. The differences are listed without a test."
-        )
-    elif verdict == "unchanged":
-        sentences += _unchanged(found)
-    else:
-        sentences += _changed(found)
-    if verdict == "reworded":
-        sentences.insert(
-            0,
-            "The numbers changed but the tool did not move: changes of several errors cancel, for example if the same constant or "
-            "slope is attributed to a different error. Both calibrations compensate alike; leave the machine as it is.",
-        )
-    if found.unjudged and verdict in ("unchanged", "changed"):
-        left_out = {name for name, _ in found.left_out}
-        names = [name for name in dict.fromkeys(found.unjudged) if name not in left_out]
-        if left_out:
-            needs = ", ".join(f"{name} (needs {channel})" for name, channel in found.left_out)
-            sentences.append(f"The results at the tool do not include {needs}.")
-    else:
-        names = []
-    if names:
-        sentences.append(
-            f"This does not cover errors that could not be compared or tested: {_list(names, MOST_NAMED)}."
-        )
-    if found.not_identified:
-        sentences.append(
-            f"Nothing is known of {_list([one.name for one in found.not_identified], MOST_NAMED)}: neither calibration could determine "
-            "them. A change of them is not seen; U of the remaining error includes their plausible size."
-        )
-    sentences += _verdict_on_tolerance(found)
-    return tuple(sentences)
+    return f"{plus_minus(error.largest, half)} {readable(error.unit)}".replace("-", "−")
 
 
 def number(value: float) -> str:
     """Return a number with three significant digits, without an exponent."""
     if value == 0.0 or not np.isfinite(value):
-        return f"{value:g}"
+        return Number(f"{value:g}")
     digits = max(0, 2 - int(np.floor(np.log10(abs(value)))))
-    return f"{value:.{min(digits, 4)}f}"
+    return Number(f"{value:.{min(digits, 4)}f}")
 
 
 def with_sign(value: float) -> str:
     """Return a number with three significant digits and its sign."""
-    return ("+" if value > 0.0 else "") + number(value)
+    return Number(("+" if value > 0.0 else "") + number(value))
 
 
 def plus_minus(value: float, half: float) -> str:
@@ -347,7 +316,7 @@ def plus_minus(value: float, half: float) -> str:
     if not np.isfinite(half) or half <= 0.0:
         return with_sign(value)
     digits = min(max(0, 1 - int(np.floor(np.log10(half)))), 4)
-    return f"{value:+.{digits}f} ± {half:.{digits}f}"
+    return Number(f"{value:+.{digits}f} ± {half:.{digits}f}")
 
 
 def place(where: Mapping[str, float]) -> str:
@@ -355,112 +324,84 @@ def place(where: Mapping[str, float]) -> str:
     return ", ".join(f"{name} {value:.0f}" for name, value in where.items())
 
 
-def _list(names: Sequence[str], most: int) -> str:
-    shown = ", ".join(names[:most])
-    return shown if len(names) <= most else f"{shown} and {len(names) - most} more"
+def some_of(names: Sequence[str], most: int) -> str:
+    """Return the first names and the number of the others."""
+    shown = joined(", ", names[:most])
+    return shown if len(names) <= most else Message("{names} and {count} more", names=shown, count=len(names) - most)
 
 
-def _unchanged(found: Changes) -> list[str]:
-    row = found.tool.judged
-    sentences = [
-        "All changes that could be tested are within the uncertainty of the two calibrations: the older one remains valid."
-    ]
-    if row is not None and np.isfinite(row.limit_um):
-        sentences.append(
-            f"A change that moves the tool by less than about {number(row.limit_um)} µm RMS over the volume may be undetected, unless "
-            "only one or a few errors changed; these have lower detection limits."
-        )
-    if found.culprits.shows_from:
-        shown = ", ".join(f"{name} {number(size)} {readable(own)}" for name, size, own in found.culprits.shows_from)
-        sentences.append(f"Detection limits (19 of 20 comparisons, all else unchanged): {shown}.")
-    return sentences
-
-
-def _changed(found: Changes) -> list[str]:
-    culprits = found.culprits
-    sentences = []
-    if culprits.errors:
-        only = (
-            "Only "
-            if len(culprits.errors) == 1
-            and culprits.left_p_value > FALSE_ALARMS_OF_A_TEST
-            and not culprits.alternatives[0]
-            else ""
-        )
-        for error, others, trend in zip(culprits.errors, culprits.alternatives, culprits.trends, strict=True):
-            sentences.append(_changed_error(found, error, others, trend, only))
-        if culprits.left_p_value > FALSE_ALARMS_OF_A_TEST:
-            sentences.append(
-                "All other changes are within the uncertainty; the sizes are estimated with all else taken as unchanged."
-            )
-        else:
-            sentences.append(
-                "This does not explain the whole change: more has changed than can be attributed to single errors."
-            )
-        if found.verdict != "reworded":
-            sentences += _common_pattern(found)
-    else:
-        own = [error.name for error in found.errors if error.significant]
-        if own:
-            sentences.append(f"Changed by more than the uncertainty, each tested by itself: {_list(own, MOST_NAMED)}.")
-        else:
-            sentences.append(
-                "There is a change, but it cannot be attributed to single errors with these two calibrations. Detected by: "
-                f"{', '.join(found.seen_by)}."
-            )
-    return sentences
-
-
-def _changed_error(found: Changes, error: ErrorChange, others: Sequence[str], trend: str, only: str) -> str:
+def changed_in_words(found: Changes, error: ErrorChange, others: Sequence[str], trend: str, only: str) -> str:
+    """Return one error of the smallest set, its change, its effect at the tool and its alternatives in a sentence."""
     half = error.band if error.kind == "curve" else COVERAGE_FACTOR * error.u
     axis = found.machine.by_name[error.axis]
-    size = f"{plus_minus(error.largest, half)} {readable(error.unit)}"
-    what = f"{_error_in_words(error, found.machine)} {error.name}"
-    what = what if only else what[0].upper() + what[1:]
+    size = Number(f"{plus_minus(error.largest, half)} {readable(error.unit)}")
+    named = joined(" ", [_error_in_words(error, found.machine), error.name])
+    what = named if only else capital(named)
     if error.kind == "curve":
         shape = {
-            "constant": f", the same all along {error.axis}",
-            "line": f", linear along {error.axis}",
-            "bow": f", parabolic along {error.axis}",
-            "turn": f", with one wave per turn of {error.axis}",
+            "constant": Message(", the same all along {axis}", axis=error.axis),
+            "line": Message(", linear along {axis}", axis=error.axis),
+            "bow": Message(", parabolic along {axis}", axis=error.axis),
+            "turn": Message(", with one wave per turn of {axis}", axis=error.axis),
         }.get(trend, "")
-        text = f"{only}{what} changed, by up to {size} (95 %) at {error.axis} {error.at:.0f} {axis.unit}{shape}"
+        text = Message(
+            "{only}{what} changed, by up to {size} (95 %) at {axis} {at:.0f} {unit}{shape}",
+            only=only,
+            what=what,
+            size=size,
+            axis=error.axis,
+            at=error.at,
+            unit=axis.unit,
+            shape=shape,
+        )
     elif error.kind == "number":
-        text = f"{only}{what} changed, by {size} (95 %)"
+        text = Message("{only}{what} changed, by {size} (95 %)", only=only, what=what, size=size)
     else:
-        text = f"{only}{what} changed: {error.label} by {size} (95 %)"
+        text = Message(
+            "{only}{what} changed: {label} by {size} (95 %)", only=only, what=what, label=error.label, size=size
+        )
     row = found.tool.by_cause.get(error.name)
     if row is not None:
-        text += (
-            f": {number(row.max_um)} µm at the tool at {place(row.where)}, {number(row.rms_um)} µm RMS over the volume"
+        text += Message(
+            ": {largest} µm at the tool at {where}, {rms} µm RMS over the volume",
+            largest=number(row.max_um),
+            where=place(row.where),
+            rms=number(row.rms_um),
         )
     if others:
-        text += f"; a change of {_list(others, 3)} instead would explain it about equally well"
+        text += Message("; a change of {others} instead would explain it about equally well", others=some_of(others, 3))
     return text + "."
 
 
 def _error_in_words(error: ErrorChange, machine: Machine) -> str:
     if not error.name.startswith("E_"):
-        return "the effect"
+        return Message("the effect")
     component, average, axis = split_name(error.name)
     if average:
         if machine.by_name[axis].linear:
-            return "the squareness"
-        return f"the {'position' if component < 3 else 'orientation'} of the average line of {axis},"
+            return Message("the squareness")
+        return (
+            Message("the position of the average line of {axis},", axis=axis)
+            if component < 3
+            else Message("the orientation of the average line of {axis},", axis=axis)
+        )
     return {
-        "L-POS": "the positioning error",
-        "R-POS": "the positioning error",
-        "L-STR": "the straightness",
-        "R-RAX": "the axial or radial error motion",
-    }.get(error.iso_class, "the angular error motion")
+        "L-POS": Message("the positioning error"),
+        "R-POS": Message("the positioning error"),
+        "L-STR": Message("the straightness"),
+        "R-RAX": Message("the axial or radial error motion"),
+    }.get(error.iso_class, Message("the angular error motion"))
 
 
-def _common_pattern(found: Changes) -> list[str]:
+def common_pattern(found: Changes) -> list[str]:
     """Return what the changed errors have in common, and what to do, as at most one sentence or two."""
     errors, machine = found.culprits.errors, found.machine
     if any(found.culprits.alternatives):
         return [
-            "Measure again, with other poses, before adjusting anything: the changed error is not identified uniquely."
+            Message(
+                "Measure again, with other poses, before adjusting anything: the changed error is not identified "
+                "uniquely."
+            )
         ]
     axes = list(dict.fromkeys(error.axis for error in errors))
     classes = {error.iso_class for error in errors}
@@ -469,49 +410,80 @@ def _common_pattern(found: Changes) -> list[str]:
     if len(errors) == 1:
         return [_remedy(errors[0], found.culprits.trends[0], machine)]
     if len(scales) == len(errors) and lines and _same_slope(scales, machine):
-        rates = ", ".join(f"{e.axis} {{:+.1f}} ± {{:.1f}} µm/m".format(*_rate(e, machine)) for e in scales)
+        rates = Number(", ".join(f"{e.axis} {{:+.1f}} ± {{:.1f}} µm/m".format(*_rate(e, machine)) for e in scales))
         return [
-            f"All scales changed alike ({rates}). Likely causes are an uncorrected temperature or the scale of the instrument "
-            "(wavelength, refractive index). Check these before the machine."
+            Message(
+                "All scales changed alike ({rates}). Likely causes are an uncorrected temperature or the scale of "
+                "the instrument (wavelength, refractive index). Check these before the machine.",
+                rates=rates,
+            )
         ]
     if len(axes) == 1:
         at = axes[0]
         if classes <= {"R-POR"}:
             return [
-                f"Only the location of {at} changed: the rotary table has moved as a whole or was set up again. Check its "
-                "mounting first."
+                Message(
+                    "Only the location of {at} changed: the rotary table has moved as a whole or was set up again. "
+                    "Check its mounting first.",
+                    at=at,
+                )
             ]
         return [
-            f"All changes are at one axis, {at}. Likely causes are a collision, a loose part or wear of its guide, bearing or joint. "
-            "Look there first; the numbers do not distinguish between these."
+            Message(
+                "All changes are at one axis, {at}. Likely causes are a collision, a loose part or wear of its "
+                "guide, bearing or joint. Look there first; the numbers do not distinguish between these.",
+                at=at,
+            )
         ]
     if classes <= {"L-SQU"}:
         return [
-            "Only squareness changed: the axes have moved relative to each other, as after moving or levelling the machine."
+            Message(
+                "Only squareness changed: the axes have moved relative to each other, as after moving or levelling "
+                "the machine."
+            )
         ]
     return [
-        f"Changes at several axes ({', '.join(axes)}), as after a collision, after moving or levelling the machine, or if the two "
-        "measurements were made under different conditions. Check temperature and set-up before working on the machine."
+        Message(
+            "Changes at several axes ({names}), as after a collision, after moving or levelling the machine, or if "
+            "the two measurements were made under different conditions. Check temperature and set-up before working "
+            "on the machine.",
+            names=", ".join(axes),
+        )
     ]
 
 
 def _remedy(error: ErrorChange, trend: str, machine: Machine) -> str:
-    newer = "compensate with the newer calibration" if machine.runs_programs else "use the newer calibration"
+    newer = (
+        Message("compensate with the newer calibration")
+        if machine.runs_programs
+        else Message("use the newer calibration")
+    )
     _, average, axis = split_name(error.name) if error.name.startswith("E_") else (0, False, error.axis)
     if error.iso_class == "L-SQU":
-        return f"Re-align {axis}, or {newer}."
+        return Message("Re-align {axis}, or {newer}.", axis=axis, newer=newer)
     if error.name.startswith("reversal"):
-        return f"The backlash of {axis} changed: check its drive (preload, bearing, belt), or {newer}."
+        return Message(
+            "The backlash of {axis} changed: check its drive (preload, bearing, belt), or {newer}.",
+            axis=axis,
+            newer=newer,
+        )
     if average:
-        return f"Re-measure the location of {axis} and enter it in the control, or {newer}."
+        return Message(
+            "Re-measure the location of {axis} and enter it in the control, or {newer}.", axis=axis, newer=newer
+        )
     if trend == "constant":
-        return (
-            f"A constant change is a shift of {axis}'s zero or of the origin of the measurement: first check the reference run, and "
-            "whether both measurements were touched off alike."
+        return Message(
+            "A constant change is a shift of {axis}'s zero or of the origin of the measurement: first check the "
+            "reference run, and whether both measurements were touched off alike.",
+            axis=axis,
         )
     if error.iso_class == "L-POS":
-        return f"Check the temperature at which {axis}'s scale was measured; if it was right, {newer}."
-    return f"Check {axis}'s guide or bearing, or {newer}."
+        return Message(
+            "Check the temperature at which {axis}'s scale was measured; if it was right, {newer}.",
+            axis=axis,
+            newer=newer,
+        )
+    return Message("Check {axis}'s guide or bearing, or {newer}.", axis=axis, newer=newer)
 
 
 def _rate(error: ErrorChange, machine: Machine) -> tuple[float, float]:
@@ -530,34 +502,6 @@ def _same_slope(scales: Sequence[ErrorChange], machine: Machine) -> bool:
     return bool(np.all(np.abs(rates - mean) <= 1.5 * u))
 
 
-def _verdict_on_tolerance(found: Changes) -> list[str]:
-    left, answer = found.tool.left, found.good_enough
-    if not left.poses:
-        return ["The error that the older calibration would leave cannot be evaluated: no pose is within reach."]
-    if found.tolerance_mm is None:
-        return []
-    limit = f"{number(found.tolerance_mm * 1e3)} µm"
-    most = f"{number(left.max_um)} µm at most"
-    if answer is True:
-        return [
-            f"The older calibration is good enough for {limit}: it leaves {most}, and no more than "
-            f"{number(left.upper_95_um)} µm with uncertainty (95 %)."
-        ]
-    if answer is False:
-        return [
-            f"The older calibration is not good enough for {limit}: it leaves {most} (at {place(left.where)}), and no less "
-            f"than {number(left.lower_95_um)} µm with uncertainty (95 %)."
-        ]
-    if np.isfinite(left.upper_95_um):
-        return [
-            f"It cannot be decided whether the older calibration is good enough for {limit}: it leaves {most}, with uncertainty "
-            f"{number(max(left.lower_95_um, 0.0))} to {number(left.upper_95_um)} µm (95 %)."
-        ]
-    return [
-        f"It cannot be decided whether the older calibration is good enough for {limit}: it leaves {most}, with unknown uncertainty."
-    ]
-
-
 # --- A comparison as text for the terminal --------------------------------------------------------
 
 WIDTH: Final = 120
@@ -567,18 +511,22 @@ def comparison_text(found: Changes) -> str:
     """Return the comparison in words and tables."""
     lines = [*_verdict(found), "", *_at_tool(found), "", *_errors(found)]
     for name, needs in found.left_out:
-        lines.append(f"not included at the tool: {name} (needs {needs})")
+        lines.append(say("not included at the tool: {name} (needs {needs})", name=name, needs=needs))
     lines += [
         "",
         *wrap(
-            f"limit: upper limit of the RMS for an unchanged machine, from the uncertainties. {DEFINITION}. Aligned: without the "
-            "common shift and rotation that touching off removes. *: significant. An unchanged machine is called changed in "
-            f"at most {FALSE_ALARMS * 100:.0f} of 100 comparisons.",
+            say(
+                "limit: upper limit of the RMS for an unchanged machine, from the uncertainties. {definition}. "
+                "Aligned: without the common shift and rotation that touching off removes. *: significant. An "
+                "unchanged machine is called changed in at most {count:.0f} of 100 comparisons.",
+                definition=DEFINITION,
+                count=FALSE_ALARMS * 100,
+            ),
             WIDTH,
         ),
     ]
     for notice in found.notices:
-        lines += wrap(f"note: {notice}", WIDTH, subsequent_indent="  ")
+        lines += wrap(say("note: {notice}", notice=notice), WIDTH, subsequent_indent="  ")
     return "\n".join(lines) + "\n"
 
 
@@ -586,78 +534,104 @@ def _verdict(found: Changes) -> list[str]:
     head = VERDICTS[found.verdict]
     if found.verdict == "unchanged" and found.unjudged:
         head = Message("UNCHANGED, where it could be tested")
-    lines = [f"{found.machine.name}: {found.second} less {found.first}", ""]
-    lines += [f"{warning.title} (one or both): {warning.sentence}" for warning in found.warnings]
-    lines += ["", head] if found.warnings else [head]
+    lines = [say("{name}: {second} less {first}", name=found.machine.name, second=found.second, first=found.first), ""]
+    lines += [
+        say("{title} (one or both): {sentence}", title=warning.title, sentence=warning.sentence)
+        for warning in found.warnings
+    ]
+    lines += ["", say(head)] if found.warnings else [say(head)]
     for sentence in found.meaning:
-        lines += wrap(sentence, WIDTH, initial_indent="  ", subsequent_indent="    ")
+        lines += wrap(say(sentence), WIDTH, initial_indent="  ", subsequent_indent="    ")
     return lines
 
 
 def _at_tool(found: Changes) -> list[str]:
     tool, left = found.tool, found.tool.left
-    every = "all but those not included" if found.left_out else "all errors"
+    every = Message("all but those not included") if found.left_out else Message("all errors")
     lines = [
-        f"at the tool, length {tool.tool_length_mm:g} mm, {tool.poses} poses over the volume, µm",
-        f"  {'':<44}{'RMS':>8}{'limit':>9}{'largest':>9}{'U there':>9}   where",
-        _row(f"{every}, not aligned", tool.everything),
-        _row(f"{every}, aligned", tool.everything_aligned, star=not found.unjudged),
+        say(
+            "at the tool, length {length:g} mm, {poses} poses over the volume, µm",
+            length=tool.tool_length_mm,
+            poses=tool.poses,
+        ),
+        f"  {'':<44}{'RMS':>8}{say('limit'):>9}{say('largest'):>9}{say('U there'):>9}   {say('where')}",
+        _row(Message("{every}, not aligned", every=every), tool.everything),
+        _row(Message("{every}, aligned", every=every), tool.everything_aligned, star=not found.unjudged),
     ]
     if tool.judged is not None:
         if found.unjudged:
-            lines.append(_row("those that could be tested, aligned", tool.judged, star=True))
+            lines.append(_row(Message("those that could be tested, aligned"), tool.judged, star=True))
         lines += [_row(f"  {name}", row, star=True) for name, row in tool.by_class.items()]
     if left.poses:
         lines += [
-            f"{'compensating with' if found.machine.runs_programs else 'taking out'} {found.first} on the machine of {found.second}:",
-            f"  {'remaining, workpiece aligned':<44}{number(left.rms_um):>8}{'':>9}{number(left.max_um):>9}{_value(left.u_max_um):>9}"
-            f"   {place(left.where)}",
-            f"  {'remaining, not aligned':<44}{number(left.as_it_is.rms_um):>8}{'':>9}{number(left.as_it_is.max_um):>9}",
+            say("compensating with {first} on the machine of {second}:", first=found.first, second=found.second)
+            if found.machine.runs_programs
+            else say("taking out {first} on the machine of {second}:", first=found.first, second=found.second),
+            f"  {say('remaining, workpiece aligned'):<44}{_value(left.rms_um):>8}{'':>9}{_value(left.max_um):>9}"
+            f"{_value(left.u_max_um):>9}   {place(left.where)}",
+            f"  {say('remaining, not aligned'):<44}{_value(left.as_it_is.rms_um):>8}{'':>9}{_value(left.as_it_is.max_um):>9}",
         ]
         if left.out_of_reach:
             lines.append(
-                f"  {left.out_of_reach} of {tool.poses} poses not included: compensated, they leave a travel range or a curve's domain"
+                "  "
+                + say(
+                    "{count} of {poses} poses not included: compensated, they leave a travel range or a curve's domain",
+                    count=left.out_of_reach,
+                    poses=tool.poses,
+                )
             )
     return lines
 
 
 def _errors(found: Changes) -> list[str]:
     lines = [
-        "each error; those named above as estimated there, all others by themselves; u: standard uncertainty (k = 1); band: 95 % for "
-        "the whole curve; p: corrected for all tests",
-        f"  {'':<28}{'class':<7}{'RMS':>8}{'largest':>10}  {'at':<12}{'u':>8}{'band':>9}{'p':>9}   tool RMS",
+        say(
+            "each error; those named above as estimated there, all others by themselves; u: standard uncertainty (k "
+            "= 1); band: 95 % for the whole curve; p: corrected for all tests"
+        ),
+        f"  {'':<28}{say('class'):<7}{'RMS':>8}{say('largest'):>10}  {say('at'):<12}{'u':>8}{say('band'):>9}{'p':>9}"
+        f"   {say('tool RMS')}",
     ]
     lines += [_error(found, error) for error in found.stated]
     for error in found.errors:
         notes = list(error.notes)
         if error.without_variance > 0.0:
             notes.append(
-                f"up to {number(error.without_variance)} {readable(error.unit)} of the change are in directions without an uncertainty "
-                "(a constant, a slope): not tested"
+                Message(
+                    "up to {size} {unit} of the change are in directions without an uncertainty (a constant, a "
+                    "slope): not tested",
+                    size=number(error.without_variance),
+                    unit=readable(error.unit),
+                )
             )
-        lines += [f"    {error.name}: {note}" for note in notes]
+        lines += [f"    {error.name}: {say(note)}" for note in notes]
     if found.not_identified:
-        lines += ["", "in neither calibration, because not identified"]
-        lines += [f"  {one.name}: {one.why}" for one in found.not_identified]
+        lines += ["", say("in neither calibration, because not identified")]
+        lines += [f"  {one.name}: {say(one.why)}" for one in found.not_identified]
     if found.not_compared:
-        lines += ["", "not compared"]
+        lines += ["", say("not compared")]
     for one in found.not_compared:
-        peak = f", up to {number(one.peak)} {readable(one.unit)}" if np.isfinite(one.peak) else ""
+        peak = (
+            Message(", up to {peak} {unit}", peak=number(one.peak), unit=readable(one.unit))
+            if np.isfinite(one.peak)
+            else ""
+        )
         file = {"first": found.first, "second": found.second, "both": ""}[one.given_by]
-        lines.append(f"  {one.name}{f' (only in {file}{peak})' if file else ''}: {one.why}")
+        only = say(" (only in {file}{peak})", file=file, peak=peak) if file else ""
+        lines.append(f"  {one.name}{only}: {say(one.why)}")
     return lines
 
 
 def _row(name: str, row: ToolDisplacement, *, star: bool = False) -> str:
     beyond = "  *" if star and np.isfinite(row.limit_um) and row.rms_um > row.limit_um else ""
     return (
-        f"  {name:<44}{number(row.rms_um):>8}{_value(row.limit_um):>9}{number(row.max_um):>9}{_value(row.u_max_um):>9}   "
+        f"  {say(name):<44}{_value(row.rms_um):>8}{_value(row.limit_um):>9}{_value(row.max_um):>9}{_value(row.u_max_um):>9}   "
         f"{place(row.where)}{beyond}"
     )
 
 
 def _value(value: float) -> str:
-    return number(value) if np.isfinite(value) else "unknown"
+    return say(number(value) if np.isfinite(value) else UNKNOWN)
 
 
 def _error(found: Changes, error: ErrorChange) -> str:
@@ -665,12 +639,12 @@ def _error(found: Changes, error: ErrorChange) -> str:
     at = f"{error.axis} {error.at:.0f}" if np.isfinite(error.at) else error.label
     name = f"{error.name} [{own}]" if own else error.name
     if error.status == "same":
-        return f"  {name:<28}{error.iso_class:<7}{'identical numbers':>18}"
+        return f"  {name:<28}{error.iso_class:<7}{say('identical numbers'):>18}"
     judged = "  *" if error.significant else ""
-    p = f"{error.p_adjusted:.2g}" if np.isfinite(error.p_adjusted) else "unknown"
+    p = say(Number(f"{error.p_adjusted:.2g}") if np.isfinite(error.p_adjusted) else UNKNOWN)
     alone = found.tool.by_cause.get(error.name) or found.tool.by_error.get(error.name)
-    tool = f"{number(alone.rms_um):>8} µm" if alone else ""
+    tool = f"{_value(alone.rms_um):>8} µm" if alone else ""
     return (
-        f"  {name:<27} {error.iso_class:<7}{number(error.rms):>8}{with_sign(error.largest):>10}  {at:<12}{_value(error.u):>8}"
+        f"  {name:<27} {error.iso_class:<7}{_value(error.rms):>8}{say(with_sign(error.largest)):>10}  {at:<12}{_value(error.u):>8}"
         f"{_value(error.band):>9}{p:>9}{tool}{judged}"
     )

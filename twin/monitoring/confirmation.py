@@ -25,7 +25,7 @@ from twin._common.errors import InputError
 from twin._common.messages import Message, Number, joined
 from twin._common.provenance import SIMULATED, SourceWarning, merge_warnings
 from twin._common.resources import Progress, one_blas_thread, silent
-from twin._common.units import UM
+from twin._common.units import UM, URAD
 from twin.compensation.live import errors_while_on
 from twin.display import readable
 from twin.display.numbers import listed
@@ -69,6 +69,7 @@ WIDER: Final = 5.0
 """Factor on the calibration's uncertainty in the model from which the noise of the readings is estimated."""
 UNSEEN: Final = 0.01
 """Share of the prior variance from which the readings do not determine a change."""
+CARRIED: Final = 0.1
 FUNCTIONS: Final = 6  # of each error motion, where no calibration is given
 ACTIVE: Final = (
     "kinematics act in tool centre point mode only: measure AFTER with the transformation active, at the programmed points for which "
@@ -224,7 +225,7 @@ class _Task:
         warnings: tuple[SourceWarning, ...],
     ) -> Confirmation:
         """Return the verdict with everything that belongs to it."""
-        groups = groups_of(self.written)
+        groups = groups_of(self.named)
         state, others = best_hypothesis(self.weigher, list(groups.values()))
         _, chi2, estimate, covariance = self.weigher.fit(state, list(groups.values()))
         p_value = float(chi2_sf(chi2, self.weigher.rank))
@@ -249,7 +250,7 @@ class _Task:
                 findings = (
                     Message(
                         "undecided: these readings cannot show the sign of {names}",
-                        names=_names(seen, groups, self.written),
+                        names=_names(seen, groups, self.named),
                     ),
                 )
             else:
@@ -292,14 +293,46 @@ class _Task:
         """The errors without effects that need a channel."""
         return without_missing_channels(Conditions(), self.errors)[0]
 
+    @property
+    def _volume(self) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+        """Positions (n, axes) over the volume, and the same by name with directions of approach."""
+        q = volume(self.machine, POSES, SEED)
+        upwards = {f"approach_{name}": np.ones(len(q)) for name in self.machine.names}
+        return q, dict(zip(self.machine.names, q.T, strict=True)) | upwards
+
+    @cached_property
+    def named(self) -> tuple[WrittenValue, ...]:
+        """The written values; the name of a table also has the errors that it corrects: ``table Y by X (E_YX)``.
+
+        An error of the axis that the table is over belongs to it if it cancels `CARRIED` of the table's squared effect at the tool.
+        """
+        tables = [k for k, value in enumerate(self.written) if value.name.startswith("table ")]
+        if not tables:
+            return self.written
+        q, state = self._volume
+        by_error, own = self._by_error(q), self.at_tool[0]
+        index = {(frame.axis, frame.role): 6 * i for i, frame in enumerate(self.machine.frames)}
+        shares: dict[int, list[tuple[float, str]]] = {k: [] for k in tables}
+        for effect in self._at_rest.effects:
+            at, moved = index[effect.frame.axis, effect.frame.role], np.zeros((len(q), 3))
+            for c, value in effect.components(state).items():
+                moved += by_error[:, :, at + c] * ((1.0 if c < 3 else URAD / UM) * np.reshape(value, (-1, 1)))
+            group = f"all tables over {effect.frame.axis}" if effect.frame.role == "motion" else ""
+            for k in (k for k in tables if group in self.written[k].groups):
+                share = -float(np.sum(own[:, :, k] * moved) / max(np.sum(own[:, :, k] ** 2), 1e-12))
+                shares[k] += [(share, effect.name)] if share >= CARRIED else []
+        errors = {
+            k: ", ".join(name for _, name in sorted(found, reverse=True)[:3]) for k, found in shares.items() if found
+        }
+        return tuple(
+            replace(value, name=f"{value.name} ({errors[k]})") if k in errors else value
+            for k, value in enumerate(self.written)
+        )
+
     @cached_property
     def at_tool(self) -> tuple[np.ndarray, ...]:
         """Effects on the tool point over the volume, (n, 3, columns) µm each, as `effects_on`; the last is that of the calibration."""
-        q = volume(self.machine, POSES, SEED)
-        known = self._at_rest
-        state = dict(zip(self.machine.names, q.T, strict=True)) | {
-            f"approach_{name}": np.ones(len(q)) for name in self.machine.names
-        }
+        (q, state), known = self._volume, self._at_rest
         identified = replace(known, not_identifiable=())
         found = effects_on(self._by_error(q), self.machine, identified, self.written, self.unknowns, self.prior, state)
         real, nominal = (
@@ -347,7 +380,7 @@ class _Task:
         ]
         return tuple(
             ConfirmedValue(value.name, float(rms[k]), float(factor[k]), float(2.0 * u[k]), bool(matters[k]), says[k])
-            for k, value in enumerate(self.written)
+            for k, value in enumerate(self.named)
         )
 
     def _moved(self, state: Hypothesis, estimate: np.ndarray, covariance: np.ndarray) -> tuple[MovedError, ...]:
@@ -428,15 +461,15 @@ class _Task:
             by_value.setdefault((factor, axes.get(k)), []).append(k)
         found = []
         for (factor, axis), some in by_value.items():
-            names = [self.written[k].name for k in some]
-            left = [value.name for k, value in enumerate(self.written) if k not in some]
+            names = [self.named[k].name for k in some]
+            left = [value.name for k, value in enumerate(self.named) if k not in some]
             few = (
-                Message("only {names} took effect", names=_names(left, groups, self.written))
+                Message("only {names} took effect", names=_names(left, groups, self.named))
                 if left
                 else Message("nothing changed")
             )
             words = few if len(left) < len(names) else ""
-            found.append(self._mistake(factor, axis, _names(names, groups, self.written), words))
+            found.append(self._mistake(factor, axis, _names(names, groups, self.named), words))
         for k, one in enumerate(state.free):
             if one < 0:
                 name, members = list(groups.items())[-1 - one]

@@ -30,8 +30,9 @@ import numpy as np
 
 from twin._common.arrays import read_only
 from twin._common.distributions import chi2_log_sf, chi2_sf, normal_isf
+from twin._common.messages import Message
 from twin._common.records import json_form
-from twin.display.numbers import COVERAGE_FACTOR
+from twin.display.numbers import COVERAGE_FACTOR, readable
 from twin.machine.machine import Axis
 from twin.model.calibration import Calibration
 from twin.model.effects import Effect, unit_of
@@ -164,7 +165,7 @@ def not_identified(first: Calibration, second: Calibration) -> tuple[NotCompared
     """Return the errors that neither calibration contains, because they could not be determined."""
     given = {effect.name for side in (first, second) for effect in side.effects}
     reasons = {
-        error.name: error.why for side in (first, second) for error in side.not_identifiable if error.name not in given
+        error.name: error.text for side in (first, second) for error in side.not_identifiable if error.name not in given
     }
     return tuple(NotCompared(name, "both", why, float("nan"), unit_of(name)) for name, why in reasons.items())
 
@@ -182,7 +183,6 @@ def _equal(one: np.ndarray | None, two: np.ndarray | None) -> bool:
 
 
 def _alone(name: str, given: Literal["first", "second"], owner: Calibration) -> NotCompared:
-    other = "second" if given == "first" else "first"
     if name in owner.curves:
         curve = owner.curves[name]
         peak, unit = float(np.abs(curve(np.linspace(*curve.domain, CURVE_POINTS))).max()), curve.unit
@@ -191,7 +191,13 @@ def _alone(name: str, given: Literal["first", "second"], owner: Calibration) -> 
     else:
         peak, unit = float("nan"), ""
     return NotCompared(
-        name, given, f"the {other} calibration does not contain it, which does not mean zero", peak, unit
+        name,
+        given,
+        Message("the second calibration does not contain it, which does not mean zero")
+        if given == "first"
+        else Message("the first calibration does not contain it, which does not mean zero"),
+        peak,
+        unit,
     )
 
 
@@ -206,18 +212,30 @@ def _curve(
     else:
         lo, hi = (max(c.domain[0] for c in curves), min(c.domain[1] for c in curves))
         if not lo < hi:
-            spans = " and ".join(f"{c.domain[0]:g} to {c.domain[1]:g}" for c in curves)
-            return NotCompared(name, "both", f"its domains do not overlap: {spans} {axis.unit}", np.nan, unit_of(name))
+            spans = ", ".join(f"{c.domain[0]:g} … {c.domain[1]:g}" for c in curves)
+            return NotCompared(
+                name,
+                "both",
+                Message("its domains do not overlap: {spans} {unit}", spans=spans, unit=readable(axis.unit)),
+                np.nan,
+                unit_of(name),
+            )
         if (lo, hi) != curves[0].domain or (lo, hi) != curves[1].domain:
-            notes.append(f"compared from {lo:g} to {hi:g} {axis.unit}, the common domain")
+            notes.append(
+                Message(
+                    "compared from {lo:g} to {hi:g} {unit}, the common domain", lo=lo, hi=hi, unit=readable(axis.unit)
+                )
+            )
     positions = np.linspace(lo, hi, CURVE_POINTS)
     functions = [_functions(effect, axis.name, positions) for effect in effects]
     counts = [f.shape[1] for f in functions]
     families = curves[0].family, curves[1].family
     if families[0] == families[1] and families[0].nested and counts[0] != counts[1]:
-        fewer = "first" if counts[0] < counts[1] else "second"
+        one, two = counts
         notes.append(
-            f"the {fewer} has {min(counts)} coefficients, the other {max(counts)}: missing ones are taken as zero"
+            Message(
+                "the first has {one} coefficients, the second {two}: missing ones are taken as zero", one=one, two=two
+            )
         )
     # Both in one orthonormal basis of the functions of both curves.
     left, size, _ = np.linalg.svd(np.concatenate(functions, axis=1) / np.sqrt(CURVE_POINTS), full_matrices=False)

@@ -149,3 +149,36 @@ def arc_by_radius(
     sign = 1.0 if left else -1.0
     centre = (start[0] + dx / 2 - sign * height * dy / chord, start[1] + dy / 2 + sign * height * dx / chord)
     return arc_by_centre(plane, start, end, centre, clockwise, turns)
+
+
+def arc_by_angle(
+    plane: tuple[int, int, int], start: tuple[float, float], end: tuple[float, float], angle_deg: float, clockwise: bool
+) -> Arc | ArcMisfit:
+    """Return the arc between two points of the plane, mm, that turns by an angle between 0 and 360 degrees."""
+    chord = math.dist(start, end)
+    if not 0.0 < angle_deg < 360.0 or not chord > CIRCLE_MM:
+        return ArcMisfit("arc by its angle", "an angle between 0 and 360 degrees, and an end apart from the start")
+    way = (end[0] - start[0], end[1] - start[1])
+    left = 0.5 / math.tan(math.radians(angle_deg) / 2.0) * (-1.0 if clockwise else 1.0)
+    centre = (start[0] + 0.5 * way[0] - left * way[1], start[1] + 0.5 * way[1] + left * way[0])
+    return arc_by_centre(plane, start, end, centre, clockwise)
+
+
+def arc_through(
+    plane: tuple[int, int, int], start: tuple[float, float], middle: tuple[float, float], end: tuple[float, float]
+) -> Arc | ArcMisfit:
+    """Return the arc from one point of the plane through another to a third, mm."""
+    (ax, ay), (bx, by) = ((point[0] - start[0], point[1] - start[1]) for point in (middle, end))
+    twice = 2.0 * (ax * by - ay * bx)
+    if not abs(twice) > CIRCLE_MM * max(math.hypot(ax, ay), math.hypot(bx, by)):
+        return ArcMisfit("arc through three points on a line, or two of them at one place", "three points of a circle")
+    u = (by * (ax * ax + ay * ay) - ay * (bx * bx + by * by)) / twice
+    v = (ax * (bx * bx + by * by) - bx * (ax * ax + ay * ay)) / twice
+    return arc_by_centre(plane, start, end, (start[0] + u, start[1] + v), clockwise=twice < 0.0)
+
+
+def turned_about(centre: tuple[float, float], point: tuple[float, float], angle_deg: float) -> tuple[float, float]:
+    """Return a point of the plane turned about another, counterclockwise."""
+    c, s = math.cos(math.radians(angle_deg)), math.sin(math.radians(angle_deg))
+    x, y = point[0] - centre[0], point[1] - centre[1]
+    return centre[0] + c * x - s * y, centre[1] + s * x + c * y

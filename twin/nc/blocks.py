@@ -353,6 +353,10 @@ class LostPositions(NamedTuple):
     reference: str = ""
 
 
+STATED_LENGTH: Final = "="
+"""Beginning of a tool length that a program states itself (LinuxCNC: ``G43.1 Z50``)."""
+
+
 @final
 @dataclass(frozen=True)
 class WordFrame:
@@ -361,7 +365,8 @@ class WordFrame:
     Attributes:
         offset: name of the work offset in force (``G54``, ``G54.1 P3``, ``G505``, a preset's number); empty before the first.
         tool: number or name of the tool in the spindle; empty before the first.
-        length: number or name of the tool whose length the control adds; empty if it adds none.
+        length: number or name of the tool whose length the control adds, or behind `STATED_LENGTH` the length itself in mm; empty if
+            it adds none.
         delta_mm: a further length stated by the program (``DL``).
         plane: the tilted plane in force, None for the coordinates of the work offset.
         stated: values of the work offset that the program itself has set, by axis; None for those of the set-up; empty if it sets none.

@@ -9,6 +9,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Any, Final, NamedTuple, Protocol, final
 
 import numpy as np
@@ -25,7 +26,7 @@ from twin.nc.blocks import (
     fill_forward,
 )
 from twin.nc.lines import ARRAYS, MOST_DIGITS, LineCode, Scan
-from twin.nc.modal import Interpreter
+from twin.nc.modal import CORRECTION_DEG, Interpreter
 from twin.nc.text import MM_PER_INCH
 from twin.nc.writer import LARGEST_STEPS, Formatting, Segments, WordWriter
 
@@ -135,6 +136,8 @@ class BlockReader(ChunkReader):
     def __init__(self, interpreter: Interpreter) -> None:
         super().__init__(interpreter)
         self._interpreter = interpreter
+        self._open = ""
+        """Path that is left to the control and whose second block is in the next chunk."""
 
     def read(self, chunk: Chunk) -> MoveColumns:
         """See `ChunkReader.read`."""
@@ -146,7 +149,33 @@ class BlockReader(ChunkReader):
                 for move in self._interpreter.moves(first + at, scan.line(at)):
                     found.add(move)
                 at += 1
-        return self._interpreter.checked(found.moves(), chunk.text_of)
+        moves = self._interpreter.checked(found.moves(), chunk.text_of)
+        return self._with_whole(moves, chunk.text_of) if self._interpreter.corners or self._open else moves
+
+    def _with_whole(self, moves: MoveColumns, text_of: Callable[[int], str]) -> MoveColumns:
+        """Return moves with those beside a path that is left to the control (`Interpreter.shape_corner`) marked as whole."""
+        state, special = self._interpreter, dict(moves.special)
+        which = {0: self._open} if self._open and len(moves) else {}
+        self._open = "" if len(moves) else self._open
+        for name, behind, both, line in state.corners:
+            at = int(np.searchsorted(moves.line, behind)) - 1
+            if at < 0:
+                raise state.error(
+                    f"{name} without a block before it", "a block that moves before it", text_of(line).strip(), line + 1
+                )
+            which |= {one: name for one in range(at, min(at + 1 + both, len(moves)))}
+            self._open = name if both and at + 1 == len(moves) else self._open
+        state.corners.clear()
+        for at, name in which.items():
+            move, line = moves[at], int(moves.line[at])
+            turned = np.abs(np.diff(state.turned_to[at : at + 2], axis=0)) > CORRECTION_DEG
+            several = np.count_nonzero(moves.line[max(at - 1, 0) : at + 2] == line) > 1 or line in state.only_divided
+            if move.passes or move.tcp or move.vector is not None or turned.any() or several:
+                what = f"{name} beside a helix, or a block in which the tool turns, drills or goes to a place that is not known"
+                expected = "the path as straight and circular blocks"
+                raise state.error(what, expected, text_of(line).strip(), line + 1)
+            special[at] = move._replace(whole=True)
+        return replace(moves, special=special)
 
     def may_end(self, tail: str) -> bool:
         """See `ChunkReader.may_end`."""
@@ -218,9 +247,9 @@ def _with_repeated(
 
 
 def replaces_some(lines: Sequence[range], moves: MoveColumns, new: NewPositions) -> bool:
-    """Return whether a move of these ranges of lines is replaced."""
+    """Return whether a move of these ranges of lines, or the move before one, is replaced."""
     at = np.searchsorted(moves.line, [(part.start, part.stop) for part in lines])
-    return any(bool(new.count[first:last].any()) for first, last in at.tolist())
+    return any(bool(new.count[max(first - 1, 0) : last].any()) for first, last in at.tolist())
 
 
 class SimpleRun(NamedTuple):

@@ -169,7 +169,7 @@ class Dialect(ABC):
         first, texts = 0, program.texts
         while first < len(texts):
             last = first + CHUNK_LINES
-            while last < len(texts) and self.continues(texts[last - 1]):
+            while last < len(texts) and (self.continues(texts[last - 1]) or self.follows(texts[last])):
                 last += 1
             yield encoded(texts, first, last, DELETED_LINE)
             first = last
@@ -180,6 +180,10 @@ class Dialect(ABC):
 
     def continues(self, text: str) -> bool:
         """Return whether the statement of a line goes on in the next one, so that both are read together."""
+        return False
+
+    def follows(self, text: str) -> bool:
+        """Return whether a line may change how the block before it is to be written, so that both are read together."""
         return False
 
     @abstractmethod

@@ -475,7 +475,7 @@ class _Compiled:
         text = np.frombuffer(data, dtype=np.uint8)
         kind, rank, axis, _ = tables(names)
         given = dict(zip(_TABLES, (text, np.frombuffer(kind, np.uint8), rank, axis), strict=True))
-        job = _Job(size=len(data), **{name: values.ctypes.data for name, values in given.items()})
+        job = _Job(size=len(data))
         # Upper bounds: memory that is not written is not taken.
         lines = count_of(data, ord("\n")) + count_of(data, ord("\r")) + 2
         words = len(data) // 2 + 1
@@ -484,8 +484,7 @@ class _Compiled:
             for names_, size in ((_LINES, lines), (_WORDS, words))
             for name, kind_ in names_.items()
         }
-        for name, values in room.items():
-            setattr(job, name, values.ctypes.data)
+        compiler.point_to(job, given | room)
         self.library.scan(ctypes.byref(job))
         made = {name: room[name][: job.lines + (name == "first")] for name in _LINES}
         found = Words(**{name.removeprefix("word_"): room[name][: job.words] for name in _WORDS})
@@ -540,8 +539,7 @@ class _Compiled:
         job = _RewriteJob(begin=whole.start, stop=whole.stop, lines=len(lines), axes=axes, same_number=SAME_NUMBER)
         for name, value in zip(_STYLE, before, strict=True):
             setattr(job, name, int(value))
-        for name, values in own.items():
-            setattr(job, name, values.ctypes.data)
+        compiler.point_to(job, own)
         self.library.rewrite(ctypes.byref(job))
         said.value[:], said.stale[:] = own["said"].tolist(), own["stale"].astype(bool).tolist()
         point, least, zero, plus, spaced, lower = (int(getattr(job, name)) for name in _STYLE)

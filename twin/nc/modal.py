@@ -14,7 +14,6 @@ import numpy as np
 from twin._common.errors import InputError
 from twin.nc.arcs import ArcMisfit
 from twin.nc.arithmetic import evaluate, key_of
-from twin.nc.auxiliary_axes import NOT_IN_MODEL, AuxiliaryAxes
 from twin.nc.blocks import (
     NO_POSITION,
     Arc,
@@ -27,7 +26,7 @@ from twin.nc.blocks import (
     Notice,
     WordFrame,
 )
-from twin.nc.text import LARGEST, ProgramEnd, number, unit_vector
+from twin.nc.text import LARGEST, NOT_IN_MODEL, AuxiliaryAxes, ProgramEnd, number, unit_vector
 
 
 class AxisWord(NamedTuple):
@@ -214,6 +213,10 @@ class Interpreter(ABC):
         self._auxiliary: tuple[str, int] | None = None
         self.auxiliary_axes = AuxiliaryAxes(axes.auxiliary_axes)
         self.turned_to = np.full((1, len(self.names) - self.linear), np.nan)
+        self.corners: list[tuple[str, int, bool, int]] = []
+        """Paths left to the control among the lines just interpreted, as `shape_corner` has them, and their lines."""
+        self.only_divided: set[int] = set()
+        """Lines whose block could not stay whole."""
 
     @abstractmethod
     def moves(self, line: int, text: str) -> Sequence[Move]:
@@ -244,6 +247,15 @@ class Interpreter(ABC):
                     at + 1,
                 )
         return moves
+
+    def shape_corner(self, name: str, behind: int, *, both: bool) -> None:
+        """Leave a path between blocks to the control, which finds it from them: they stay whole, their ends are corrected.
+
+        ``name``: of the statement; ``behind``: the first line behind the block that leads to the corner; ``both``: whether the block
+        that follows stays whole, too.
+        """
+        self.note(f"{name} is left to the control: the points beside it are corrected", once=True)
+        self.corners.append((name, behind, both, self._line))
 
     def is_listing(self, text: str) -> bool:
         """Return whether a line is in the listing of a CAM system above a program, from a line of equals signs to the next one."""

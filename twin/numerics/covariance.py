@@ -17,6 +17,12 @@ ROUNDING = 1e-9
 """Tolerance for a negative eigenvalue due to the rounding of printed digits, relative to the largest."""
 
 
+def inverse_root(covariance: np.ndarray) -> np.ndarray:
+    """Return (n, n) W with W C Wᵀ = 1."""
+    values, vectors = np.linalg.eigh((covariance + covariance.T) / 2.0)
+    return np.asarray((vectors / np.sqrt(values)).T)
+
+
 def symmetric_root(covariance: np.ndarray) -> np.ndarray:
     """Return the symmetric roots S of covariances Σ = S S, (..., p, p), without eigenvalues that are negative by rounding.
 

@@ -256,8 +256,10 @@ SHORTEST_PERIOD: Final = 2.0
 """mm: pitch errors of shorter periods are not considered."""
 WAVES_PER_POSITION: Final = 4
 """Largest number of waves for each measured position: uneven positions resolve more than one, but many waves imitate any error."""
-ALIASED: Final = 0.5
-"""Value of the spectral window (1 for even spacing) above which two frequencies are aliases; more if the positions are few."""
+ALIASED: Final = 0.999
+"""Value of the spectral window (1 for even spacing) above which two frequencies are aliases: below it the readings decide."""
+ALIASED_ORDER: Final = 0.5
+"""The same for orders of a turn, of which many are tried for many errors; more if the positions are few."""
 SAMPLED_POSITIONS: Final = 500
 """Positions sampled for the spectral window: its sampling error is one over their square root, a tenth of the threshold."""
 BLOCK: Final = 64
@@ -305,18 +307,19 @@ def _window(frequencies: np.ndarray, places: np.ndarray) -> np.ndarray:
     return np.abs(coarse @ shifts.T).ravel()[: len(frequencies)] / len(places)
 
 
-def _alias_free(places: np.ndarray, span: float, highest: float) -> float:
+def _alias_free(places: np.ndarray, span: float, highest: float, alias: float = ALIASED) -> float:
     """Return the largest frequency up to ``highest`` that is not an alias of a lower one."""
     if len(places) > SAMPLED_POSITIONS:
         # A random sample of evenly spaced positions has the same spectral window.
         places = np.random.default_rng(0).choice(places, SAMPLED_POSITIONS, replace=False)
-    frequencies = np.arange(1.0, 2.0 * highest * span + 1.0, 0.25) / span
+    # In steps of a fraction of the peak of an alias, which is one over the span wide.
+    step = 1.0 / 32.0
+    frequencies = np.arange(1.0, 2.0 * highest * span + 1.0, step) / span
     window = _window(frequencies, places)
     # Outside the window's main peak at zero, which is one over the span wide.
-    # The largest of many values of a window of n random positions is about √(ln(frequencies)/n): that is no alias.
-    random = np.sqrt(np.log(len(frequencies)) / len(places))
-    aliased = frequencies[(window > max(ALIASED, min(1.5 * random, 0.9))) & (frequencies > 1.5 / span)]
-    return min(highest, 0.5 * float(aliased[0])) if aliased.size else highest
+    aliased = frequencies[(window > alias) & (frequencies > 1.5 / span)]
+    # At half of it, every other reading of a wave has the same value: below it.
+    return min(highest, 0.5 * float(aliased[0] - step / span)) if aliased.size else highest
 
 
 def highest_order(distinct: np.ndarray, most: int) -> int:
@@ -324,7 +327,10 @@ def highest_order(distinct: np.ndarray, most: int) -> int:
 
     It is at most ``most``, and `WAVES_PER_POSITION` for each position.
     """
-    limit = _alias_free(distinct, float(np.ptp(distinct)), min(most, WAVES_PER_POSITION * (len(distinct) - 1)) / 360.0)
+    span, highest = float(np.ptp(distinct)), min(most, WAVES_PER_POSITION * (len(distinct) - 1)) / 360.0
+    # The largest of many values of a window of n random positions is about √(ln(frequencies)/n): that is no alias.
+    random = np.sqrt(np.log(max(8.0 * highest * span, 2.0)) / len(distinct))
+    limit = _alias_free(distinct, span, highest, max(ALIASED_ORDER, min(1.5 * random, 0.9)))
     return int(360.0 * limit + 1e-9)
 
 

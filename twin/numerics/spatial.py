@@ -137,6 +137,22 @@ def rigid_rates(points: np.ndarray) -> np.ndarray:
     return np.concatenate([np.broadcast_to(np.eye(3), (len(points), 3, 3)), -cross_matrix(points)], axis=2)
 
 
+def rigid_fit(points: np.ndarray, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return (n, 3) points moved rigidly as near as possible to places, and the rotation (Kabsch 1976, Acta Cryst. A32, 922)."""
+    centre, own = place.mean(axis=0), points - points.mean(axis=0)
+    u, _, v = np.linalg.svd(own.T @ (place - centre))
+    turn = v.T @ np.diag([1.0, 1.0, np.sign(np.linalg.det(v.T @ u.T))]) @ u.T
+    return own @ turn.T + centre, turn
+
+
+def shape_contrasts(place: np.ndarray) -> np.ndarray:
+    """Return (3n, r) orthonormal changes of n places that no rigid motion makes."""
+    own = place - place.mean(axis=0)
+    motion = rigid_rates(own / (float(np.abs(own).max(initial=0.0)) or 1.0))
+    left, values, _ = np.linalg.svd(motion.reshape(-1, 6), full_matrices=True)
+    return np.asarray(left[:, int(np.count_nonzero(values > 1e-9 * values[0])) :])
+
+
 def algebraic_sphere(points: np.ndarray) -> tuple[np.ndarray, float]:
     """Return centre (k,) and radius of the circle (k = 2) or sphere (k = 3) through (n, k) points by algebraic least squares (Kåsa).
 

@@ -1,6 +1,6 @@
 """Where a tool touches a surface: the point of the part that a block makes, and how it moves when the tool does.
 
-A tool is a flat disc with a rounded edge below a cylinder: end mill, bull-nose and ball-nose (ISO 5610 / APT: radius R, corner radius r). It
+A tool is a flat disc with a rounded edge below a cylinder: end mill, bull-nose and ball-nose (radius R, corner radius r). It
 touches a surface of outward normal n where its own surface has the normal −n: with the tip p and the axis a (tip to spindle),
 c = p + r·a + (R − r)·e − r·n, where e points from the axis across to the surface. Along a flank (n across a) it touches in a line, and
 a flat bottom (n along a) in a disc, of which the tip stands for all. A drill, a reamer or a tap makes its hole where its tip goes.
@@ -51,8 +51,14 @@ class Contacts:
 
     def part(self, rows: np.ndarray) -> Contacts:
         """Return some of the rows."""
-        arrays = (getattr(self, name)[rows] for name in ("sample", "place_mm", "normal", "lever_mm", "off_mm"))
-        return Contacts(*arrays, self.drilled)
+        return Contacts(
+            self.sample[rows],
+            self.place_mm[rows],
+            self.normal[rows],
+            self.lever_mm[rows],
+            self.off_mm[rows],
+            self.drilled,
+        )
 
     def deviation_mm(self, feature: Surface, tip_mm: np.ndarray, axis: np.ndarray, turned: np.ndarray) -> np.ndarray:
         """Return (n,) distances of the real points from the nominal surface along the normals.
@@ -135,7 +141,12 @@ def _touching(
 
 
 def _joined(parts: list[Contacts]) -> Contacts:
-    full = [one for one in parts if len(one)]
-    if not full:
-        return Contacts(np.zeros(0, dtype=int), *(np.zeros((0, 3)) for _ in range(3)), np.zeros(0))
-    return Contacts(*(np.concatenate([getattr(one, k) for one in full]) for k in ("sample", "place_mm", "normal", "lever_mm", "off_mm")))
+    none = np.zeros((0, 3))
+    full = [one for one in parts if len(one)] or [Contacts(np.zeros(0, dtype=int), none, none, none, np.zeros(0))]
+    return Contacts(
+        np.concatenate([one.sample for one in full]),
+        np.concatenate([one.place_mm for one in full]),
+        np.concatenate([one.normal for one in full]),
+        np.concatenate([one.lever_mm for one in full]),
+        np.concatenate([one.off_mm for one in full]),
+    )

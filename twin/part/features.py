@@ -50,7 +50,9 @@ class ToolShape(_Entry):
     number: str | int  # or its name, as the program calls it
     diameter: Positive
     corner_radius: Annotated[float, Field(ge=0.0)] = 0.0
-    length: Annotated[float, Field(ge=0.0)] | None = None  # from the spindle nose to the tip, mm; the program's tool if not given
+    length: Annotated[float, Field(ge=0.0)] | None = (
+        None  # from the spindle nose to the tip, mm; the program's tool if not given
+    )
     cutting_length: Positive | None = None  # of the flanks, from the tip; twice the diameter if not given
 
     @property
@@ -125,11 +127,13 @@ class Plane(_Feature):
     def samples(self) -> np.ndarray:
         """Return points on the plane."""
         e = np.array(across(_unit(self.normal)))
-        grid = np.stack(np.meshgrid(*(np.linspace(-s / 2.0, s / 2.0, ALONG) for s in self.size)), axis=-1).reshape(-1, 2)
+        grid = np.stack(np.meshgrid(*(np.linspace(-s / 2.0, s / 2.0, ALONG) for s in self.size)), axis=-1).reshape(
+            -1, 2
+        )
         return np.array(self.point) + grid @ e
 
 
-class _Turned(_Feature):
+class Turned(_Feature):
     """A surface of revolution about an axis from ``point`` along ``direction``; ``depth``: its extent along it."""
 
     point: Vector
@@ -176,7 +180,7 @@ class _Turned(_Feature):
 
 
 @final
-class Cylinder(_Turned):
+class Cylinder(Turned):
     """A hole, bore or boss: a point of its axis, and the axis's direction into the material."""
 
     kind: Literal["hole", "cylinder"]
@@ -193,7 +197,7 @@ class Cylinder(_Turned):
 
 
 @final
-class Cone(_Turned):
+class Cone(Turned):
     """A cone: its diameter at ``point``, and half its apex angle; it widens along its direction for a positive one."""
 
     kind: Literal["cone"]
@@ -335,7 +339,9 @@ class Part:
                 )  # fmt: skip
         for name, feature in self.features.items():
             if feature.tool is not None and str(feature.tool) not in self.tools:
-                raise self.refused(("features", name, "tool"), "no such tool", f"one of {', '.join(self.tools)}", feature.tool)
+                raise self.refused(
+                    ("features", name, "tool"), "no such tool", f"one of {', '.join(self.tools)}", feature.tool
+                )
             for key in ("normal", "direction"):
                 vector = getattr(feature, key, None)
                 if vector is not None and np.linalg.norm(vector) < 1e-9:
@@ -355,19 +361,20 @@ class Part:
                         value=name,
                         nearest=closest_name(name, [*self.features]),
                     )
-        kind, at = tolerance.kind, ("tolerances", i, "kind")
+        kind, datums = tolerance.kind, tolerance.datums
         surfaces = [self.features[name] for name in tolerance.features]
-        if len(set(tolerance.datums)) < len(tolerance.datums) or set(tolerance.datums) & set(tolerance.features):
-            raise self.refused(("tolerances", i, "datums"), "a datum twice, or its own", "others", tolerance.datums)
-        if kind == "flatness" and not all(isinstance(one, Plane) for one in surfaces):
-            raise self.refused(at, "flatness of a surface that is no plane", "profile, or a plane", kind)
-        if kind == "roundness" and any(isinstance(one, Plane) for one in surfaces):
-            raise self.refused(at, "roundness of a plane", "a hole, cylinder, cone or sphere", kind)
-        if kind == "coaxiality" and not all(isinstance(self.features[n], _Turned) for n in (*tolerance.features, *tolerance.datums)):
-            raise self.refused(at, "coaxiality of features without axes", "holes, cylinders or cones", kind)
-        if kind in OF_FORM and tolerance.datums:
-            raise self.refused(("tolerances", i, "datums"), f"{kind} has no datums", "none", tolerance.datums)
-        if kind in (*LOCATED, *ORIENTED) and not tolerance.datums:
-            raise self.refused(at, f"{kind} without a datum", "datums: [A] or more", kind)
-        if len({isinstance(one, _Turned) for one in surfaces}) > 1:
-            raise self.refused(("tolerances", i, "of"), "features with and without an axis in one tolerance", "one kind", tolerance.of)
+        planes = [isinstance(one, Plane) for one in surfaces]
+        turned = [isinstance(one, Turned) for one in surfaces]
+        with_axes = all(turned) and all(isinstance(self.features[name], Turned) for name in datums)
+        repeated = len(set(datums)) < len(datums) or bool(set(datums) & set(tolerance.features))
+        for wrong, key, what, expected in (
+            (repeated, "datums", "a datum twice, or its own", "others"),
+            (kind == "flatness" and not all(planes), "kind", "flatness of what is no plane", "a plane, or profile"),
+            (kind == "roundness" and any(planes), "kind", "roundness of a plane", "a hole, cylinder, cone or sphere"),
+            (kind == "coaxiality" and not with_axes, "kind", "coaxiality without axes", "holes, cylinders or cones"),
+            (kind in OF_FORM and bool(datums), "datums", f"{kind} has no datums", "none"),
+            (kind in (*LOCATED, *ORIENTED) and not datums, "kind", f"{kind} without a datum", "datums: [A] or more"),
+            (len({*turned}) > 1, "of", "features with and without an axis in one tolerance", "features of one kind"),
+        ):
+            if wrong:
+                raise self.refused(("tolerances", i, key), what, expected, getattr(tolerance, key))

@@ -7,8 +7,8 @@ directions across it, and by the deviations there of many machines at once, µm.
 References:
     - ISO 1101:2017, clauses 14 to 17 (zones of form, orientation, location, and profile).
     - ISO 5459:2011, clause 7 (datum systems, primary, secondary, tertiary: each takes the freedoms that those before leave).
-    - P. Bourdet, L. Mathieu, C. Lartigue, A. Ballu: The concept of the small displacement torsor in metrology, in: Advanced Mathematical
-      Tools in Metrology II, World Scientific (1996) 110-122.
+    - P. Bourdet, L. Mathieu, C. Lartigue, A. Ballu: The concept of the small displacement torsor in metrology, in: Advanced
+      Mathematical Tools in Metrology II, World Scientific (1996) 110-122.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from itertools import combinations
 from typing import Final, Literal, final
 
 import numpy as np
+
 from twin._common.arrays import read_only
 
 RANK: Final = 1e-6
@@ -69,8 +70,13 @@ class Points:
     @staticmethod
     def joined(parts: Sequence[Points]) -> Points:
         """Return the points of several features of one kind."""
-        arrays = (np.concatenate([getattr(one, name) for one in parts]) for name in ("place_mm", "normal", "deviation_um"))
-        return Points(*arrays, parts[0].sized, parts[0].axis)
+        return Points(
+            np.concatenate([one.place_mm for one in parts]),
+            np.concatenate([one.normal for one in parts]),
+            np.concatenate([one.deviation_um for one in parts]),
+            parts[0].sized,
+            parts[0].axis,
+        )
 
 
 @final
@@ -240,7 +246,7 @@ def chebyshev(columns: np.ndarray, deviation_um: np.ndarray) -> tuple[np.ndarray
     if not columns.shape[1]:
         return np.zeros((0, machines)), np.asarray(np.abs(deviation_um).max(axis=0))
     columns, back = _conditioned(columns)
-    count, k = columns.shape
+    k = columns.shape[1]
     scale = max(float(np.abs(deviation_um).max()), 1e-12)
     sizes = np.abs(columns).max()
     rows, goal = columns / sizes, deviation_um.T / scale
@@ -266,7 +272,9 @@ def chebyshev(columns: np.ndarray, deviation_um: np.ndarray) -> tuple[np.ndarray
         sign = np.sign(value)
         entering = np.column_stack([sign[:, None] * rows[worst], np.ones(len(active))])
         both = np.linalg.solve(basis[active], np.stack([entering, np.broadcast_to(unit, entering.shape)], axis=2))
-        ratio = np.where(both[:, :, 0] > 1e-12, np.maximum(both[:, :, 1], 0.0) / np.maximum(both[:, :, 0], 1e-12), np.inf)
+        ratio = np.where(
+            both[:, :, 0] > 1e-12, np.maximum(both[:, :, 1], 0.0) / np.maximum(both[:, :, 0], 1e-12), np.inf
+        )
         leaving = ratio.argmin(axis=1)
         basis[active, :, leaving] = entering
         cost[active, leaving] = sign * goal[active, worst]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
 from math import hypot, isfinite
@@ -17,6 +17,7 @@ from twin.display import expanded, figure, with_half
 from twin.display.numbers import capital, listed, lower
 from twin.machine.machine import Machine
 from twin.model.calibration import Calibration
+from twin.model.calibration_file import UnidentifiedEntry
 from twin.model.conditions import SETTINGS, needed_values
 from twin.reporting.compensation import CompensationForecast, TablesLeft
 from twin.reporting.contributions import Budget
@@ -367,6 +368,8 @@ def _compensate(calibration: Calibration, found: Budget, outcome: CompensationFo
         )
     else:
         known |= {"rms": figure(outcome.judged.rms_um, "µm"), "within": figure(outcome.judged.quantile(0.95), "µm")}
+        if outcome.expected_before is not None:  # before and after have one meaning, as on the first page
+            known["start"] = figure(outcome.expected_before.rms_um, "µm")
         texts.append(
             Message(
                 "`twin compensate part.nc -o part.compensated.nc{options}` reduces the error from {start} RMS to {rms}, including the "
@@ -573,18 +576,27 @@ def _remaining(one: TablesLeft) -> str:
     )
 
 
-def _unknown(calibration: Calibration, outcome: CompensationForecast) -> Iterator[Step]:
-    by_reason: dict[str, list[str]] = {}
-    for error in calibration.not_identifiable:
-        by_reason.setdefault(error.why, []).append(error.name)
-    if not by_reason:
-        return
-    reasons = [
-        Message("{names}: {why}", names=listed(names), why=Quoted(why))
-        for why, names in list(by_reason.items())[:NAMED]
+def grouped_sentences(errors: Iterable[UnidentifiedEntry], what: Literal["why", "remedy"]) -> list[str]:
+    """Return each reason, or remedy, once with the names of its errors."""
+    names: dict[str, list[str]] = {}
+    sentences = {text: text for error in errors if (text := getattr(error, what))}
+    for error in errors:
+        if text := getattr(error, what):
+            names.setdefault(text, []).append(error.name)
+    return [
+        Message("{names}: {why}", names=listed(names[text]), why=text if isinstance(text, Message) else Quoted(text))
+        for text in sentences
     ]
+
+
+def _unknown(calibration: Calibration, outcome: CompensationForecast) -> Iterator[Step]:
+    if not calibration.not_identifiable:
+        return
+    by_reason = grouped_sentences(calibration.not_identifiable, "why")
+    reasons = by_reason[:NAMED]
     if len(by_reason) > NAMED:
         reasons.append(Message("{count} more: see the file of the calibration", count=len(by_reason) - NAMED))
+    reasons += grouped_sentences(calibration.not_identifiable, "remedy")[:NAMED]
     texts = [Message("{reasons}.", reasons=joined(". ", reasons))]
     if outcome.not_identified:
         names = listed(outcome.not_identified)

@@ -48,6 +48,16 @@ UNSIGNED: Final = (
     "This file carries no electronic signature, seal or time stamp. It becomes a certificate when a responsible person signs it; "
     "the program that wrote it certifies nothing."
 )
+COVERAGE_STATEMENT: Final = (
+    f"An expanded uncertainty is the standard uncertainty multiplied by k = {COVERAGE_FACTOR:.2f}, for a normal "
+    "distribution a coverage probability of 95 % (JCGM 100). It holds for the conditions and the time of the measurement; "
+    "long-term changes are not in it."
+)
+DECISION: Final = (
+    "Decision rule: ISO 14253-1. Conformity is proven if the value enlarged by its expanded uncertainty (95 %) is within the "
+    "tolerance, nonconformity if the value diminished by it is outside; between the two, conditionalPass and conditionalFail "
+    "say on which side of the tolerance the value itself lies."
+)
 RANK: Final = 1e-9
 """Eigenvalue of a covariance relative to its largest below which a combination has no variance."""
 CONFORMITY: Final[Mapping[tuple[str, bool], str]] = {
@@ -247,7 +257,7 @@ def calibration_certificate(calibration: Calibration, job: Job | None, job_file:
         *([calibration.misfit.says] if calibration.misfit is not None else []),
     )
     absent = [
-        f"{error.name} was not determined by the measurement: {error.why}" for error in calibration.not_identifiable
+        f"{error.name} was not determined by the measurement: {error.text}" for error in calibration.not_identifiable
     ]
     extra = [effect.name for effect in calibration.extra]
     absent += [f"Not in this certificate, but in the calibration: {', '.join(extra)}"] if extra else []
@@ -283,6 +293,8 @@ def evaluation_certificate(evaluation: EvaluationResult, job: Job | None, job_fi
         *(f"Not evaluated: {one.test}: {one.why}" for one in evaluation.not_evaluated),
         *(check.text for check in evaluation.checks if check.value is None),
     )
+    if evaluation.checks:
+        statements = (DECISION, *statements)
     method = "ISO 230", ("Standard tests evaluated from a table of readings", evaluation.data.source)
     return _certificate(facts, evaluation.machine, method, statements, results, ())
 
@@ -405,11 +417,7 @@ def _certificate(
     _content(used, "dcc:description", *texts[1:])
     _element(used, "dcc:norm", norm)
     _equipment(measured, facts.job, instruments)
-    if facts.job.temperature:
-        condition = _element(_element(measured, "dcc:influenceConditions"), "dcc:influenceCondition")
-        _content(condition, "dcc:name", "temperature and conditions, as stated")
-        quantity = _element(_element(condition, "dcc:data"), "dcc:quantity")
-        _content(quantity, "dcc:noQuantity", facts.job.temperature)
+    _conditions(measured, facts)
     listed = _element(measured, "dcc:results")
     for result in results:
         result.write(listed)
@@ -419,26 +427,46 @@ def _certificate(
     return text
 
 
+CONDITIONS: Final[Mapping[str, tuple[str, str]]] = {
+    "air_temperature_degC": ("air temperature", r"\degreecelsius"),
+    "machine_temperature_degC": ("temperature of the machine", r"\degreecelsius"),
+    "humidity_percent": ("relative humidity of the air", r"\percent"),
+    "pressure_hPa": ("air pressure", r"\hecto\pascal"),
+}
+"""Name and D-SI unit of each entry of `AmbientConditions`."""
+
+
+def _conditions(measured: ElementTree.Element, facts: _Facts) -> None:
+    """Append the conditions of the measurement: the stated text, and lowest and highest value of each stated quantity."""
+    spans = {name: span for name, span in facts.dcc.conditions.model_dump().items() if span is not None}
+    if not (facts.job.temperature or spans):
+        return
+    listed = _element(measured, "dcc:influenceConditions")
+    if facts.job.temperature:
+        condition = _element(listed, "dcc:influenceCondition")
+        _content(condition, "dcc:name", "temperature and conditions, as stated")
+        quantity = _element(_element(condition, "dcc:data"), "dcc:quantity")
+        _content(quantity, "dcc:noQuantity", facts.job.temperature)
+    for name, span in spans.items():
+        condition = _element(listed, "dcc:influenceCondition")
+        words, unit = CONDITIONS[name]
+        _content(condition, "dcc:name", words)
+        data = _element(condition, "dcc:data")
+        for which, value in zip(("lowest", "highest"), span, strict=True):
+            quantity = _element(data, "dcc:quantity")
+            _content(quantity, "dcc:name", which)
+            real = _element(quantity, "si:real")
+            _element(real, "si:value", _number(value))
+            _element(real, "si:unit", unit)
+
+
 def _administrative(about: ElementTree.Element, facts: _Facts, machine: str, statements: Sequence[str]) -> None:
     dcc, job = facts.dcc, facts.job
     software = _element(_element(about, "dcc:dccSoftware"), "dcc:software")
     _content(software, "dcc:name", "twin")
     _element(software, "dcc:release", metadata.version("twin"))
-    core = _element(about, "dcc:coreData")
-    for name, text in (
-        ("countryCodeISO3166_1", dcc.country),
-        ("usedLangCodeISO639_1", "en"),
-        ("mandatoryLangCodeISO639_1", "en"),
-        ("uniqueIdentifier", dcc.number),
-        ("beginPerformanceDate", dcc.begin.isoformat()),
-        ("endPerformanceDate", dcc.end.isoformat()),
-        ("performanceLocation", dcc.performed_at),
-    ):
-        _element(core, f"dcc:{name}", text)
-    item = _element(_element(about, "dcc:items"), "dcc:item")
-    _content(item, "dcc:name", job.machine or machine)
-    _content(_element(item, "dcc:manufacturer"), "dcc:name", dcc.manufacturer)
-    _identification(item, job.serial_number)
+    _core_data(about, dcc)
+    _item(about, facts, machine)
     _contact(_element(_element(about, "dcc:calibrationLaboratory"), "dcc:contact"), dcc.laboratory)
     persons = _element(about, "dcc:respPersons")
     for person in dcc.responsible:
@@ -448,16 +476,72 @@ def _administrative(about: ElementTree.Element, facts: _Facts, machine: str, sta
             _element(entry, "dcc:role", person.role)
         _element(entry, "dcc:cryptElectronicSignature", "false")
     _contact(_element(about, "dcc:customer"), dcc.customer)
+    measured_by = [f"measured by {job.operator}"] if job.operator else []
+    _statements(about, dcc, (UNSIGNED, COVERAGE_STATEMENT, *measured_by, *statements))
+
+
+def _core_data(about: ElementTree.Element, dcc: CertificateFacts) -> None:
+    core = _element(about, "dcc:coreData")
+    for name, text in (
+        ("countryCodeISO3166_1", dcc.country),
+        ("usedLangCodeISO639_1", "en"),
+        ("mandatoryLangCodeISO639_1", "en"),
+        ("uniqueIdentifier", dcc.number),
+        *([("identifications", dcc.order_number)] if dcc.order_number else []),
+        *([("receiptDate", dcc.received.isoformat())] if dcc.received else []),
+        ("beginPerformanceDate", dcc.begin.isoformat()),
+        ("endPerformanceDate", dcc.end.isoformat()),
+        ("performanceLocation", dcc.performed_at),
+    ):
+        if name == "identifications":
+            _identification(core, text, "customer", "order number")
+        else:
+            _element(core, f"dcc:{name}", text)
+
+
+def _item(about: ElementTree.Element, facts: _Facts, machine: str) -> None:
+    dcc, job = facts.dcc, facts.job
+    item = _element(_element(about, "dcc:items"), "dcc:item")
+    _content(item, "dcc:name", job.machine or machine)
+    if job.place:
+        _content(item, "dcc:description", f"place: {job.place}")
+    _content(_element(item, "dcc:manufacturer"), "dcc:name", dcc.manufacturer)
+    if dcc.model:
+        _element(item, "dcc:model", dcc.model)
+    identified = _identification(item, job.serial_number)
+    if dcc.inventory_number:
+        _identification(item, dcc.inventory_number, "customer", "inventory number", identified)
+
+
+def _statements(about: ElementTree.Element, dcc: CertificateFacts, texts: Sequence[str]) -> None:
     stated = _element(about, "dcc:statements")
-    for text in (UNSIGNED, *statements):
+    if dcc.accreditation:
+        statement = _element(stated, "dcc:statement")
+        _element(statement, "dcc:norm", "ISO/IEC 17025")
+        _element(statement, "dcc:reference", dcc.accreditation)
+        _content(statement, "dcc:declaration", f"accreditation of the laboratory, as stated: {dcc.accreditation}")
+    if dcc.traceability:
+        statement = _element(stated, "dcc:statement")
+        _element(statement, "dcc:traceable", "true")
+        _content(statement, "dcc:declaration", f"traceability, as stated: {dcc.traceability}")
+    for text in texts:
         _content(_element(stated, "dcc:statement"), "dcc:declaration", text)
 
 
-def _identification(parent: ElementTree.Element, number: str) -> None:
-    one = _element(_element(parent, "dcc:identifications"), "dcc:identification")
-    _element(one, "dcc:issuer", "manufacturer")
+def _identification(
+    parent: ElementTree.Element,
+    number: str,
+    issuer: str = "manufacturer",
+    name: str = "serial number",
+    listed: ElementTree.Element | None = None,
+) -> ElementTree.Element:
+    """Append an identification to a list of them, a new one unless given; return the list."""
+    listed = _element(parent, "dcc:identifications") if listed is None else listed
+    one = _element(listed, "dcc:identification")
+    _element(one, "dcc:issuer", issuer)
     _element(one, "dcc:value", number)
-    _content(one, "dcc:name", "serial number")
+    _content(one, "dcc:name", name)
+    return listed
 
 
 def _contact(contact: ElementTree.Element, of: Contact) -> None:

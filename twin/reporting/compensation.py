@@ -20,7 +20,7 @@ import numpy as np
 from twin._common.arrays import read_only
 from twin._common.errors import InputError
 from twin._common.messages import Message
-from twin._common.records import json_form
+from twin._common.records import APPROACH, json_form
 from twin._common.units import UM
 from twin.compensation.tables import CorrectedShare, RemainingErrors, Request, account_of, make
 from twin.controls import TableSum, table_formats
@@ -34,7 +34,7 @@ from twin.measurement.observation import machine_state
 from twin.measurement.set_up import StationsAndTargets
 from twin.measurement.table import Measurements
 from twin.model.calibration import Calibration
-from twin.model.conditions import APPROACH, required_channels
+from twin.model.conditions import required_channels
 from twin.model.effects import split_name
 from twin.reporting.contributions import Budget, without
 from twin.reporting.identified import PointComparison, PositionEstimates, is_motion, sum_of_effects

@@ -12,10 +12,9 @@ from typing import Any, Final, final
 import numpy as np
 
 from twin._common.arrays import read_only
-from twin._common.records import json_form
+from twin._common.records import APPROACH, json_form
 from twin.display.numbers import COVERAGE_FACTOR
 from twin.machine.error_names import DIRECTIONS
-from twin.model.conditions import APPROACH
 from twin.model.display import combined_uncertainty
 from twin.model.effects import Effect, split_name, unit_of
 from twin.model.effects.entries import drawn_period

@@ -12,6 +12,7 @@ from typing import Any, Final, final
 from twin._common.distributions import Verdict, decide, is_accepted
 from twin._common.errors import InputError, closest_name
 from twin._common.files import read_json
+from twin._common.messages import Message, joined
 from twin._common.provenance import UNSETTLED_ESTIMATE
 from twin._common.records import json_form
 from twin.display import UNKNOWN, readable, with_half
@@ -26,10 +27,15 @@ ACTIONS: Final = 3
 ROWS: Final = 9
 """Largest number of items on the first page, so that it stays one page."""
 _REASONS: Final = {
-    "unknown": "unknown",
-    "incomplete": "U incomplete",
-    "assumed": "assumed, not measured",
-    "unsettled": "the identification did not converge",
+    "unknown": Message("unknown"),
+    "incomplete": Message("U incomplete"),
+    "assumed": Message("assumed, not measured"),
+    "unsettled": Message("the identification did not converge"),
+}
+JUDGED: Final[dict[str, Message]] = {
+    "fail": Message("FAIL"),
+    "undecided": Message("UNDECIDED"),
+    "pass": Message("PASS"),
 }
 _URGENCY: Final = {"fail": 0, "undecided": 1, "pass": 2, None: 3}
 
@@ -59,9 +65,13 @@ class FrontItem:
     def text(self) -> str:
         """The item and its verdict in one line."""
         known = with_half(self.value, self.half, self.unit) if isfinite(self.value) else UNKNOWN
-        tolerance = "" if self.tolerance is None else f", tolerance {self.tolerance:g} {readable(self.unit)}"
-        reason = f" ({_REASONS[self.reason]})" if self.reason else ""
-        return f"{(self.verdict or '').upper()} {self.name}: {known}{tolerance}{reason}"
+        unit = readable(self.unit)
+        tolerance = (
+            "" if self.tolerance is None else Message(", tolerance {limit:g} {unit}", limit=self.tolerance, unit=unit)
+        )
+        reason = joined("", [" (", _REASONS[self.reason], ")"]) if self.reason else ""
+        verdict = JUDGED[self.verdict] if self.verdict else ""
+        return joined("", [verdict, f" {self.name}: ", known, tolerance, reason])
 
     def to_dict(self) -> dict[str, Any]:
         """Return the content for JSON."""

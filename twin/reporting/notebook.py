@@ -5,6 +5,7 @@ pandas, xarray and ipywidgets are the extra `notebook`: `pip install 'twin[noteb
 
 from __future__ import annotations
 
+import contextlib
 import io
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -16,6 +17,7 @@ import numpy as np
 
 from twin._common.errors import InputError, closest_name
 from twin._common.files import scratch_folder
+from twin._common.units import TURN
 from twin.display import readable
 from twin.display.numbers import COVERAGE_FACTOR
 from twin.machine.machine import Machine
@@ -89,15 +91,19 @@ def to_frame(what: Calibration | Measurements, machine: Machine | None = None) -
     lines = text.splitlines()
     comments = [line for line in lines if line.startswith("#")]
     body = "\n".join(line for line in lines if not line.startswith("#"))
-    frame = pandas.read_csv(
-        io.StringIO(body),
-        dtype=dict.fromkeys(_TEXT, str),
-        float_precision="round_trip",
-        keep_default_na=False,
-        na_values=[""],
-    )
+    frame = pandas.read_csv(io.StringIO(body), dtype=str, keep_default_na=False, na_values=[""])
+    for name in frame.columns.difference(_TEXT, sort=False):
+        frame[name] = _exact(frame[name])
     frame.attrs[_COMMENTS] = comments
     return frame
+
+
+def _exact(texts: pd.Series[Any]) -> pd.Series[Any]:
+    """Return a column as whole numbers, else as the doubles nearest to its texts, else, as the names of rounds, unchanged."""
+    for number in (int, float):
+        with contextlib.suppress(ValueError):
+            return texts.map(number)
+    return texts
 
 
 def calibration_from_frame(frame: pd.DataFrame, calibration: Calibration) -> Calibration:
@@ -466,8 +472,6 @@ def _axis_label(field: xr.Dataset, name: str) -> str:
 
 # --- A slider for each axis, with the machine in that position and the error at the tool there (ipywidgets)
 
-TURN_DEG: Final = 360.0
-
 
 def axis_sliders(kinematics: Kinematics) -> ipywidgets.Box:
     """Return sliders for the axes, with a drawing of the machine and the error at the tool in that position.
@@ -492,7 +496,7 @@ def axis_sliders(kinematics: Kinematics) -> ipywidgets.Box:
     warnings = "; ".join(warning.title for warning in kinematics.calibration.warnings)
     sliders: dict[str, Any] = {}
     for axis, (low, high) in zip(machine.axes, machine.limits / machine.scale[:, None], strict=True):
-        low, high = max(low, -TURN_DEG if not axis.linear else low), min(high, TURN_DEG if not axis.linear else high)
+        low, high = max(low, -TURN if not axis.linear else low), min(high, TURN if not axis.linear else high)
         middle = float(np.clip((low + high) / 2.0 if axis.linear else 0.0, low, high))
         unit = "mm" if axis.linear else "°"
         sliders[axis.name] = widgets.FloatSlider(

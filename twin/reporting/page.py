@@ -6,6 +6,8 @@ text is in the templates next to this module, one per section.
 
 from __future__ import annotations
 
+import base64
+import gzip
 import html
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -29,6 +31,7 @@ from twin.model.display import uncertainty_of
 from twin.model.effects import Effect
 from twin.numerics.curves import Basis, basis_named
 from twin.reporting import plots
+from twin.reporting.advice import grouped_sentences
 from twin.reporting.compensation import MACHINES
 from twin.reporting.contributions import Contribution, Motion
 from twin.reporting.front import EarlierReport, FrontPage, front_page
@@ -135,6 +138,10 @@ def machine_html(report: MachineReport, front: FrontPage | None = None, sheet: S
             ROWS=ROWS,
             VIEWER=VIEWER,
             coded=_coded,
+            not_identified=[
+                *grouped_sentences(report.gaps.not_identified, "why"),
+                *grouped_sentences(report.gaps.not_identified, "remedy"),
+            ],
             degree=_degree,
             embedded=_embedded,
             numbers=_numbers,
@@ -260,6 +267,17 @@ def _spacing(steps_mm: Mapping[str, float]) -> Number:
     return Number(", ".join(f"{name} {step:.3g} mm" for name, step in steps_mm.items()))
 
 
+UNPACKING: Final = """<!DOCTYPE html><meta charset="utf-8"><meta http-equiv="Content-Security-Policy" content="default-src 'none'; \
+script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:"><script>(async () => {
+try {
+  const packed = Uint8Array.from(atob("%s"), c => c.charCodeAt(0));
+  const text = await new Response(new Blob([packed]).stream().pipeThrough(new DecompressionStream("gzip"))).text();
+  document.open(); document.write(text); document.close();
+} catch (old) { parent.document.body.classList.add("flat"); }
+})();</script>"""
+"""Page that unpacks the viewer, two thirds of which would be its code; a browser that cannot shows the picture for paper."""
+
+
 def _viewer(report: MachineReport) -> str:
     field, rows = report.field, report.field.drawn
     inner = field_html(
@@ -269,8 +287,11 @@ def _viewer(report: MachineReport) -> str:
         edges=field.edges(),
         illustrative=bool(report.illustrative),
     )
-    title = say("Error field in 3D: drag to rotate")
-    return f'<iframe title="{html.escape(title)}" srcdoc="{html.escape(inner)}"></iframe>'
+    title, packed = (
+        say("Error field in 3D: drag to rotate"),
+        base64.b64encode(gzip.compress(inner.encode(), mtime=0)).decode(),
+    )
+    return f'<iframe title="{html.escape(title)}" srcdoc="{html.escape(UNPACKING % packed)}"></iframe>'
 
 
 def _coded(text: str) -> Html:

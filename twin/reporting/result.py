@@ -18,7 +18,6 @@ from twin._common.messages import Message, Quoted
 from twin._common.provenance import SIMULATED, SourceWarning, merge_warnings, warnings_to_json
 from twin._common.records import json_form
 from twin._common.resources import Progress, silent
-from twin._common.units import count_with_noun
 from twin.compensation.tables.axis_tables import ConstantKinematics, make_kinematics
 from twin.compute.parallel import versions
 from twin.controls import ControlSection, file_sha256
@@ -224,15 +223,17 @@ class MachineReport(Result):
     @property
     def unmet(self) -> tuple[str, ...]:
         """Requested content that could not be shown, in words."""
-        reasons = [f"{', '.join(names)} omitted: needs {channel}" for channel, names in self.gaps.left_out.items()]
+        reasons = [
+            Message("{names} omitted: needs {channel}", names=", ".join(names), channel=channel)
+            for channel, names in self.gaps.left_out.items()
+        ]
         if self.identified is not None and self.identified.others:
-            reasons.append(
-                f"{self.identified.path.name} and the calibration differ in {', '.join(self.identified.others)}"
-            )
+            file, names = self.identified.path.name, ", ".join(self.identified.others)
+            reasons.append(Message("{file} and the calibration differ in {names}", file=file, names=names))
         return (
             *reasons,
             *(
-                f"{Path(comparison.source).name}: {count_with_noun(len(comparison.rows), 'row')} excluded"
+                Message("{file}: rows excluded: {count}", file=Path(comparison.source).name, count=len(comparison.rows))
                 for comparison in self.comparisons
                 if comparison.rows
             ),

@@ -7,7 +7,7 @@ from typing import Final, Literal
 
 import numpy as np
 
-from twin._common.messages import Message
+from twin._common.messages import Message, joined
 from twin._common.units import MM, UM
 from twin.machine.machine import Machine
 from twin.standards.iso230_1 import PAIRS, LineKind, Straightness, angular_error, squareness, straightness
@@ -28,9 +28,14 @@ from twin.standards.readings import (
 )
 from twin.standards.result import StandardTest, StandardValue
 
-POSITIONING: Final = "ISO 230-2:2014, clause 3 (tests: 4.3)"
-STRAIGHTNESS: Final = "ISO 230-1:2012, 3.4 and 8.2"
-SQUARENESS: Final = "ISO 230-1:2012, squareness of two linear motions"
+POSITIONING: Final = Message("ISO 230-2:2014, clause 3 (tests: 4.3)")
+STRAIGHTNESS: Final = Message("ISO 230-1:2012, 3.4 and 8.2")
+SQUARENESS: Final = Message("ISO 230-1:2012, squareness of two linear motions")
+LINE_NAMES: Final[dict[str, Message]] = {
+    "least squares": Message("least squares"),
+    "end point": Message("end point"),
+    "minimum zone": Message("minimum zone"),
+}
 LINES: Final[tuple[LineKind, ...]] = ("least squares", "end point", "minimum zone")
 CODES: Final = ("", "_EP", "_MZ")
 """The reference lines, and what their keys of values end with."""
@@ -192,8 +197,8 @@ def straightness_tests(
         ends = dict(zip((str(line) for line in LINES), CODES, strict=True))
         values = tuple(
             StandardValue(
-                f"{name} ({line.kind})", f"{name}{ends[line.kind]}", line.value_um, "um",
-                f"straightness error about the {line.kind} line", np.sqrt(2.0) * u_mean,
+                joined("", [f"{name} (", LINE_NAMES[line.kind], ")"]), f"{name}{ends[line.kind]}", line.value_um, "um",
+                Message("straightness error, reference line: {line}", line=LINE_NAMES[line.kind]), np.sqrt(2.0) * u_mean,
             )
             for line in found.lines
         )  # fmt: skip
@@ -217,13 +222,15 @@ def squareness_tests(found: Sequence[tuple[MeasuredRun, Straightness]], machine:
             lines = [squareness(datum, other, line=kind) for kind in LINES]
             values = tuple(
                 StandardValue(
-                    f"{name} ({line.line})", f"{name}{code}", line.value_urad, "urad",
-                    f"squareness error from the {line.line} lines", float("nan") if line.u_urad is None else line.u_urad,
+                    joined("", [f"{name} (", LINE_NAMES[line.line], ")"]), f"{name}{code}", line.value_urad, "urad",
+                    Message("squareness error, reference lines: {line}", line=LINE_NAMES[line.line]),
+                    float("nan") if line.u_urad is None else line.u_urad,
                 )
                 for line, code in zip(lines, CODES, strict=True)
             )  # fmt: skip
             names = tuple(axis.name for axis in axes)
-            place = "; ".join(f"{n} {place_of(one)}" for n, one in zip(names, (run, other_run), strict=True))
+            runs = zip(names, (run, other_run), strict=True)
+            place = joined("; ", [joined(" ", [n, place_of(one)]) for n, one in runs])
             remark = "the station's frame must not have moved between the two runs"
             yield StandardTest("squareness", name, SQUARENESS, names, place, values, (remark,), lines[0])
 
@@ -263,10 +270,10 @@ def angular_tests(run: MeasuredRun, machine: Machine, u_mm: np.ndarray) -> Itera
     for name, angle in found.items():
         error = angular_error(position, angle if target else -angle, approach, name=name)
         rows = (
-            ("", "", error.value_urad, "angular error, both directions"),
-            ("↑", "_forward", error.forward_value_urad, "range of the angular deviation, positive approach"),
-            ("↓", "_backward", error.backward_value_urad, "range of the angular deviation, negative approach"),
-            (" reversal", "_reversal", error.reversal_urad, "largest difference of the two directions"),
+            ("", "", error.value_urad, Message("angular error, both directions")),
+            ("↑", "_forward", error.forward_value_urad, Message("range of the angular deviation, positive approach")),
+            ("↓", "_backward", error.backward_value_urad, Message("range of the angular deviation, negative approach")),
+            (" reversal", "_reversal", error.reversal_urad, Message("largest difference of the two directions")),
         )
         values = tuple(
             StandardValue(f"{name}{sign}", f"{name}{key}", value, "urad", words, range_u)

@@ -14,9 +14,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.projections.polar import PolarAxes
 
-from twin._common.messages import Message, Number
+from twin._common.messages import Message, Number, joined, say
 from twin._common.provenance import warning_texts
-from twin._common.units import DEG
+from twin._common.units import DEG, HOUR
 from twin.display import Html, figure, readable, render
 from twin.display.figures import (
     BACKWARD,
@@ -328,7 +328,6 @@ def _ticks(extent: float) -> list[float]:
 
 SERIES: Final = (FORWARD, BACKWARD, THIRD, BOTH, "#cc79a7", "#e69f00", "#56b4e9", RUN)
 STYLES: Final = ("-", "--", ":", "-.")
-HOUR: Final = 3600.0
 LEGEND_ROWS: Final = 8
 
 
@@ -457,7 +456,11 @@ def evaluation_html(result: EvaluationResult, sheet: Sheet | None = None) -> str
 
 def _picture(test: StandardTest) -> Html:
     drawn = _figure(test)
-    return Html("") if not isinstance(drawn, Figure) else embedded(drawn, f"{test.title}, {test.place}", kind="big")
+    return (
+        Html("")
+        if not isinstance(drawn, Figure)
+        else embedded(drawn, joined(", ", [test.title, test.place]), kind="big")
+    )
 
 
 def _figure(test: StandardTest, *, draw: bool = True) -> Figure | bool:
@@ -466,7 +469,7 @@ def _figure(test: StandardTest, *, draw: bool = True) -> Figure | bool:
     if isinstance(detail, Positioning) and not np.isfinite(detail.R):
         return False
     if isinstance(detail, DriftSeries):
-        return plot_drift(detail, title=f"{test.title}, {test.standard}") if draw else True
+        return plot_drift(detail, title=joined(", ", [test.title, test.standard])) if draw else True
     if isinstance(detail, np.ndarray):
         return _plot_deviations(test, detail) if draw else True
     for kind, plot in PLOTS:
@@ -485,7 +488,7 @@ def _plot_deviations(test: StandardTest, deviation_um: np.ndarray) -> Figure:
             label = test.values[0].symbol.removeprefix("range ") if len(test.values) == 1 else "xyz"[k]
             number = np.arange(1, len(deviation_um) + 1)
             plot.plot(number, deviation_um[:, k], color=colour, marker=marker, markersize=3, linewidth=1.0, label=label)
-    plot.set_title(f"{test.title}, {test.standard}", loc="left", fontweight="bold")
+    plot.set_title(say(joined(", ", [test.title, test.standard])), loc="left", fontweight="bold")
     plot.set(xlabel="reading", ylabel="deviation from the mean [µm]")
     plot.legend(bbox_to_anchor=(1.01, 1.0), loc="upper left", frameon=False)
     return drawn

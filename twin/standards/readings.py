@@ -19,6 +19,7 @@ import numpy as np
 import scipy
 
 from twin._common.arrays import read_only
+from twin._common.messages import Message
 from twin._common.units import DEG, MM, UM
 from twin.machine.machine import Axis, Machine
 from twin.measurement.instruments import Instrument
@@ -410,4 +411,6 @@ def across_axis_um(run: MeasuredRun, frame: StationFrame, machine: Machine) -> d
 def place_of(run: MeasuredRun) -> str:
     """Return the positions of the axes that stand still, with target and station: ``at Y 225, Z −200; target K, station 1``."""
     rest = ", ".join(f"{name} {value:g}".replace("-", "−") for name, value in run.where.items())
-    return f"{f'at {rest}; ' if rest else ''}target {run.target}, station {run.station}"
+    if not rest:
+        return Message("target {target}, station {station}", target=run.target, station=run.station)
+    return Message("at {rest}; target {target}, station {station}", rest=rest, target=run.target, station=run.station)

@@ -309,8 +309,8 @@ class EvaluationResult(DisplayedResult):
         for test in self.tests:
             lines += [
                 "",
-                f"{say(test.title)}, {test.standard}",
-                *wrap(test.place, WIDTH, initial_indent="  ", subsequent_indent="  "),
+                f"{say(test.title)}, {say(test.standard)}",
+                *wrap(say(test.place), WIDTH, initial_indent="  ", subsequent_indent="  "),
             ]
             lines += wrap(
                 "   ".join(say(value.text) for value in test.values),

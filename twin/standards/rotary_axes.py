@@ -16,6 +16,7 @@ import numpy as np
 import scipy
 
 from twin._common.errors import InputError
+from twin._common.messages import Message
 from twin._common.units import DEG, MM, UM, URAD
 from twin.machine.machine import Axis, Machine
 from twin.measurement.observation import nominal_carriers
@@ -98,7 +99,7 @@ def _name(machine: Machine, turning: list[int]) -> str:
 
 # --- Tests of one rotary axis: positioning by ISO 230-2, error motions by ISO 230-7, from coordinates of one target
 
-ERROR_MOTION: Final = "ISO 230-7:2015, clause 3"
+ERROR_MOTION: Final = Message("ISO 230-7:2015, clause 3")
 ON_AXIS_MM: Final = 1.0
 """Distance of a target from the rotary axis up to which it counts as centred on it."""
 LEAST_ARC_DEG: Final = 90.0
@@ -190,22 +191,31 @@ def _motion(theta: np.ndarray, values: np.ndarray, kind: Literal["radial", "axia
 def _motion_test(run: MeasuredRun, motion: RotaryMotion, axis: str, u: float, remarks: tuple[str, ...]) -> StandardTest:
     range_u = float(np.sqrt(2.0) * u)
     rows = (
-        ("total", "total", motion.total_value, "total error motion"),
-        ("synchronous", "synchronous", motion.synchronous_value, "synchronous error motion"),
-        ("asynchronous", "asynchronous", motion.asynchronous_value, "asynchronous error motion"),
-        ("residual synchronous", "residual_synchronous", motion.residual_value, "residual synchronous error motion"),
+        (Message("total"), "total", motion.total_value, Message("total error motion")),
+        (Message("synchronous"), "synchronous", motion.synchronous_value, Message("synchronous error motion")),
+        (Message("asynchronous"), "asynchronous", motion.asynchronous_value, Message("asynchronous error motion")),
+        (
+            Message("residual synchronous"),
+            "residual_synchronous",
+            motion.residual_value,
+            Message("residual synchronous error motion"),
+        ),
     )
     values = tuple(
         StandardValue(sign, key, float("nan") if value is None else value, motion.unit, words, range_u)
         for sign, key, value, words in rows
     )
-    notes = remarks if motion.asynchronous_value is not None else (*remarks, "one turn: no asynchronous error motion")
+    notes = (
+        remarks
+        if motion.asynchronous_value is not None
+        else (*remarks, Message("one turn: no asynchronous error motion"))
+    )
     return StandardTest("rotary error motion", motion.name, ERROR_MOTION, (axis,), place_of(run), values, notes, motion)
 
 
 # --- Circular tests of two linear axes by ISO 230-4, from coordinates or from the length of a ball bar
 
-CIRCULAR: Final = "ISO 230-4:2005 and 2022, clause 3 (H: 1996)"
+CIRCULAR: Final = Message("ISO 230-4:2005 and 2022, clause 3 (H: 1996)")
 LARGEST_OFFSET_MM: Final = 1.0
 """Difference of the mean length from the nominal radius up to which a length is absolute."""
 BAR_CENTRE: Final = (

@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from twin._common.files import write_atomic
-from twin._common.units import count_with_noun
+from twin._common.units import HOUR, count_with_noun
 from twin.display import Html, measured, render
 from twin.display.figures import BACKWARD, BOTH, FORWARD, RUN, SHADE, embedded, new_figure, style_axes
 from twin.thermal.fit import FORWARD_SHARES
@@ -92,7 +92,6 @@ def save_prediction(prediction: ThermalPrediction, path: str | Path) -> None:
 # --- A thermal model as one HTML file: expected errors, terms, measured and predicted displacements. Needs the extra ``plots`
 
 MOST_PICTURES: Final = 20
-HOUR: Final = 3600.0
 
 
 def thermal_html(model: ThermalModel, shown: Sequence[tuple[ThermalRecord, ThermalPrediction]]) -> str:

@@ -16,6 +16,7 @@ import numpy as np
 
 from twin._common.arrays import read_only
 from twin._common.errors import InputError, require_type
+from twin._common.records import APPROACH
 from twin._common.resources import builds_expressions
 from twin._common.units import MM, URAD, count_with_noun
 from twin.compute.along import BatchFunction
@@ -25,7 +26,7 @@ from twin.machine.chain import chain_function, sparse, tip_function
 from twin.machine.machine import Machine
 from twin.machine.machine_file import LONGEST_TOOL_MM
 from twin.model.calibration import Calibration
-from twin.model.conditions import APPROACH, Conditions
+from twin.model.conditions import Conditions
 from twin.model.effects.empirical import check_ranges
 from twin.model.unknown_errors import ErrorTerms
 from twin.numerics.spatial import tilt

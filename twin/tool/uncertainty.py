@@ -24,12 +24,13 @@ import numpy as np
 from twin._common.arrays import read_only
 from twin._common.errors import InputError, closest_name
 from twin._common.messages import Message
+from twin._common.records import APPROACH
 from twin._common.units import count_with_noun
 from twin.display import UNKNOWN, expanded, place
 from twin.display.results import Result
 from twin.machine.machine import Machine
 from twin.model.calibration import Calibration
-from twin.model.conditions import APPROACH, Conditions
+from twin.model.conditions import Conditions
 from twin.model.display import combined_uncertainty, standard_uncertainty, uncertainty_of
 from twin.model.effects import Effect, assemble, unit_of
 from twin.model.iso16907 import error_motion_of, iso_class

@@ -17,7 +17,7 @@ BAD = [
     ("skew.cfg", "-0.001", "-1.1", 4, "implausibly large"),
     ("skew.cfg", "xy_skew = -0.001\n", "", None, "xy_skew is missing"),
     ("skew.cfg", "xz_skew", "xy_skew", 5, "twice"),
-    ("skew.cfg", "yz_skew = ", "zy_skew = ", 6, "not a line of a skew profile"),
+    ("skew.cfg", "yz_skew = ", "zy_skew = ", 6, "not one of these settings"),
 ]
 
 

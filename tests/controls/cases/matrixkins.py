@@ -16,7 +16,7 @@ BAD = [
     ("matrixkins.hal", "1.001", "1,001", 2, "not a number"),
     ("matrixkins.hal", "1.001", "0.001", 2, "implausibly large"),
     ("matrixkins.hal", "C_zx", "C_xy", 4, "twice"),
-    ("matrixkins.hal", "C_zx", "C_zw", 4, "not a parameter"),
+    ("matrixkins.hal", "C_zx", "C_zw", 4, "not one of these settings"),
 ]
 
 

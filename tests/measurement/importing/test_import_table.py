@@ -128,7 +128,7 @@ tables = st.lists(
 )  # fmt: skip
 
 
-@settings(max_examples=60)
+@settings(max_examples=settings.default.max_examples // 2)  # 12; 100 in a slow run
 @given(
     rows=tables,
     delimiter=st.sampled_from(list(DELIMITERS)),

@@ -160,7 +160,7 @@ def test_units_in_cells(
     check(read(path, trunnion), own, 1e-5)
 
 
-@pytest.mark.sample(4)
+@pytest.mark.sample(2)  # of 20
 @pytest.mark.parametrize("angle", ["deg", "gon", "rad", "dms", "d.mmss"])
 @pytest.mark.parametrize("clockwise", [False, True])
 @pytest.mark.parametrize("zenith", [False, True])
@@ -547,3 +547,96 @@ def test_a_table_of_another_machine(dmu50: Machine, own: forms.Table, tmp_path: 
     """A forgotten choice of the machine is named, not filled up with an axis that stood still."""
     for text in (forms.named_points(own), forms.titled(own, "German"), forms.cells_with_units(own)):
         assert "positions of A, an axis that DMU 50 eVolution does not have" in str(refusal(put(tmp_path, text), dmu50))
+
+
+def laser_matrix(titles: str, header: str = "Target (mm)") -> str:
+    """Matrix of two runs in both directions of X with deviations (n, 4) in µm: 8 sin (x / 120 mm) + run ± 2."""
+    rows = [f"{header};Run 1 (+);Run 1 (-);Run 2 (+);Run 2 (-)"]
+    for x in range(0, 601, 100):
+        cells = (f"{8 * np.sin(x / 120) + run + side:.2f}" for run in (1, 2) for side in (2, -2))
+        rows.append(f"{x}.0000;{';'.join(cells)}")
+    return f"{titles}\nAxis;X\n\n" + "\n".join(rows) + "\n"
+
+
+@pytest.mark.parametrize("titles", ["Units;Millimetres;Errors;Micrometres", "Units;Millimetres"])
+def test_titles_in_mm_do_not_make_deviations_of_µm_a_thousand_times_larger(
+    trunnion: Machine, tmp_path: Path, titles: str
+) -> None:
+    found = import_table(put(tmp_path, laser_matrix(titles)), trunnion)
+    assert found.measurements is not None
+    x, reading = found.measurements.positions[:, 0], found.measurements.point_mm[:, 0]
+    np.testing.assert_allclose(reading[:7] - x[:7], 1e-3 * np.round(8 * np.sin(x[:7] / 120) + 3, 2), atol=1e-9)
+    assert ("Errors" in titles) != any("no unit is given" in text for text in found.assumptions)
+
+
+def test_tolerances_are_no_runs(trunnion: Machine, tmp_path: Path) -> None:
+    """A report with one row for each axis and columns +TOL and -TOL was read as a positioning test of two runs."""
+    rows = [f"{axis} {10.0 * n:.4f} {10.0 * n + 0.01:.4f} 0.010 0.010 0.0100" for n in range(6) for axis in "XYZ"]
+    error = refusal(put(tmp_path, "AX NOMINAL MEAS +TOL -TOL DEV\n" + "\n".join(rows)), trunnion)
+    assert "one row for each axis or feature" in error.what and error.line == 1
+
+
+def test_collection_group_and_point(trunnion: Machine, own: forms.Table, tmp_path: Path) -> None:
+    """Points as ``A::Round_1::P001`` with an offset behind x, y, z; the plan has the names of the points alone."""
+    lines = [f"A::Round_1::P{n:03d}, {', '.join(f'{v:.4f}' for v in p)}, 0.000" for n, p in enumerate(own.xyz)]
+    plan = ["X_mm,Y_mm,Z_mm,A_deg,C_deg,target,carrier,point"]
+    plan += [f"{','.join(map(str, q))},{own.target[n]},{own.side[n]},P{n:03d}" for n, q in enumerate(own.q)]
+    path = put(tmp_path, "// Units: Millimeters\n" + "\n".join(lines))
+    (tmp_path / "plan.csv").write_text("\n".join([plan[0], *reversed(plan[1:])]))
+    data = check(read(path, trunnion, plan=tmp_path / "plan.csv"), own)
+    assert {*data.round.tolist()} == {"1"}
+
+
+def test_sides_by_the_words_of_any_column(trunnion: Machine, own: forms.Table, tmp_path: Path) -> None:
+    rows = ["Punkt;X Soll;Y Soll;Z Soll;A Soll;C Soll;X Ist;Y Ist;Z Ist;Ort", ";mm;mm;mm;Grad;Grad;mm;mm;mm;"]
+    for q, p, name, side in zip(own.q, own.xyz, own.target, own.side, strict=True):
+        numbers = ";".join(f"{v:.4f}".replace(".", ",") for v in (*q, *p))
+        rows.append(f"{name};{numbers};{'Spindel' if side == 'tool' else 'Tisch'}")
+    found = import_table(put(tmp_path, "\n".join(rows), "cp1252"), trunnion)
+    assert [text for text in found.assumptions if "carrier" in text] == []
+    check(read(put(tmp_path, "\n".join(rows), "cp1252"), trunnion), own)
+
+
+def test_a_probe_at_a_sphere_line_by_line(trunnion: Machine, tmp_path: Path) -> None:
+    """Lines that name their values: the refusal's line makes them positions of a probe with its tip at the sphere's centre."""
+    own = [
+        (300.0012, 250.0031, -120.4412, 0.0, 0.0),
+        (300.0112, 250.0131, -120.4512, 0.0, 90.0),
+        (301.0, 251.0, -119.0, -30.0, 0.0),
+    ]
+    lines = [
+        "%",
+        "O9996 CENTRES",
+        *(" ".join(f"{a}={v:.4f}" for a, v in zip("XYZAC", row, strict=True)) for row in own),
+        "%",
+    ]
+    found = cured(put(tmp_path, "\n".join(lines), name="dprnt.txt"), trunnion)
+    data = found.measurements
+    assert (
+        data is not None
+        and {*data.station_carrier} == {"tool"}
+        and {*data.carrier} == {"work"}
+        and {*data.instrument} == {"probe"}
+    )
+    np.testing.assert_allclose(data.positions, own, atol=1e-9)
+    assert not data.point_mm.any()
+
+
+def test_a_log_of_cycle_996_says_what_to_write_instead(trunnion: Machine, tmp_path: Path) -> None:
+    log = "CYCLE996 Kinematik vermessen\nP1: A=0.0 C=0.0 X=300.0 Y=250.0 Z=-120.0\nP2: A=-45.0 C=0.0 X=300.1 Y=250.1 Z=-120.1\n"
+    error = refusal(put(tmp_path, log, name="log.txt"), trunnion)
+    assert "CYCLE996" in error.what and "WRITE" in str(error) and "twin plan --program" in str(error)
+
+
+def test_a_single_run_of_a_laser_is_cured_by_its_axis(trunnion: Machine, tmp_path: Path) -> None:
+    """Columns of angles and straightness beside the length are no coordinates."""
+    rows = ["Axis,X", "Unit,mm", "", "No.,Nominal,Linear,Pitch [arcsec],Yaw [arcsec]"]
+    rows += [f"{n},{100.0 * n:.1f},{100.0 * n + 0.01:.4f},{0.3 * n:.1f},{0.1 * n:.1f}" for n in range(1, 8)]
+    found = cured(put(tmp_path, "\n".join(rows)), trunnion)
+    assert found.measurements is not None
+    np.testing.assert_allclose(found.measurements.point_mm[:, 0] - found.measurements.positions[:, 0], 0.01, atol=1e-9)
+
+
+def test_an_xml_file_is_no_table(trunnion: Machine, tmp_path: Path) -> None:
+    text = '<?xml version="1.0"?><Test><Radius unit="mm">150</Radius><Data>1.0 2.0 3.0</Data></Test>'
+    assert "an XML file" in refusal(put(tmp_path, text, name="test.xml"), trunnion).what

@@ -53,7 +53,7 @@ WORDS = {
     "mm": "mm MM millimeter millimetre millimeters millimetres millimètre millimètres",
     "m": "m M meter metre meters metres Metern mètre mètres",
     "cm": "cm centimeter centimetre centimeters centimetres Zentimeter",
-    "um": "um µm μm micron microns Mikrometer my micrometer micrometre",
+    "um": "um µm μm micron microns Mikrometer my micrometer micrometre micrometers micrometres",
     "nm": "nm",
     "inch": "inch in inches Zoll pouce pouces \"",
     "deg": "deg ° º degree degrees Grad degré degrés dd",

@@ -66,9 +66,6 @@ QuietOption = Annotated[bool, typer.Option("--quiet", help="Print errors only.")
 JsonOption = Annotated[Path | None, typer.Option("--json", help="Write the result as JSON to this file."), ANY]
 
 
-WRITTEN: Final = "\nwritten: {}"
-
-
 @final
 @dataclass(frozen=True)
 class CommandResult:
@@ -77,7 +74,8 @@ class CommandResult:
     text: str  # printed to standard output
     report: Callable[[], Any]  # returns the content of the `--json` file
     met: bool = True  # whether all requirements were met; exit status 3 if not
-    written: str = WRITTEN  # line with ``{}`` in place of the files' names; empty for no line
+    written: str | None = ""  # text after the files' names in the line "written: …"; None for no line
+    files: Sequence[Path] = ()  # files in that line, if they are not the outputs that were named
     after: Sequence[str] = ()  # lines printed after that line
     errors: Sequence[str] = ()  # lines printed to standard error
     status: int | None = None  # exit status, if not the one that follows from ``met``; None otherwise
@@ -179,9 +177,9 @@ def _report(result: CommandResult, outputs: Sequence[Path], json_file: Path | No
     echo(say(result.text), end="")
     if result.show is not None:
         result.show()
-    if outputs and result.written:
-        files = ", ".join(map(str, outputs))
-        echo("\n" + say("written: {files}", files=files) if result.written == WRITTEN else result.written.format(files))
+    if (files := result.files or outputs) and result.written is not None:
+        line = say("written: {files}", files=", ".join(map(str, files))) + say(result.written)
+        echo(f"\n{line}" if result.text else line)
     for line in result.after:
         echo(say(line))
     for line in result.errors:

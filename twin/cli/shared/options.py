@@ -12,6 +12,7 @@ import typer
 
 from twin._common.bundled import find_program
 from twin._common.errors import InputError, closest_name
+from twin._common.families import ProgramLanguage
 from twin.cli.shared import complete
 from twin.cli.shared.command import EXISTING, MACHINE, POSITIVE, PROGRAM
 from twin.cli.shared.terminal import axis_values, number, pairs, three_numbers
@@ -29,14 +30,6 @@ class Mode(StrEnum):
 
     axis = "axis"
     tcp = "tcp"
-
-
-class ProgramLanguage(StrEnum):
-    """Languages of NC programs (`twin.nc`)."""
-
-    iso = "iso"
-    heidenhain = "heidenhain"
-    apt = "apt"
 
 
 ProgramsArgument = Annotated[

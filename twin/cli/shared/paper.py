@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Final, final
 
 import typer
 
+from twin._common.errors import InputError
 from twin._common.families import Language
 from twin._common.files import write_atomic
 from twin.cli.shared import options
@@ -107,6 +108,9 @@ def paper(
     """
     from twin.display.sheet import find_browser, load_job, logo_uri
 
+    if job is not None and not job.exists():
+        expected = "a YAML file (twin doc certificates): schema: twin.job/1, report_number: 26-14, customer: …, serial_number: …"
+        raise InputError("no such file of the job", expected=expected, file=job)
     if drawn and (html is not None or pdf is not None):
         options.need_pictures(PICTURES)
     return Paper(

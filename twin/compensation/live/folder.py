@@ -16,7 +16,7 @@ from twin._common.errors import InputError
 from twin._common.families import BASIC
 from twin._common.files import write_atomic
 from twin._common.provenance import ILLUSTRATIVE, SourceWarning, merge_warnings, warning_texts, warnings_to_json
-from twin._common.records import SPEED, TIME, json_form, sensor_of
+from twin._common.records import APPROACH, SPEED, TIME, json_form, sensor_of
 from twin._common.units import URAD
 from twin.compensation.live.module import (
     COMPONENT,
@@ -36,7 +36,7 @@ from twin.compute.along import BatchFunction
 from twin.controls import ControlSection, TableEntry, file_sha256
 from twin.machine.machine import Machine
 from twin.model.calibration import Calibration
-from twin.model.conditions import APPROACH, Conditions
+from twin.model.conditions import Conditions
 from twin.model.effects.base import HistoryShift, RecordingState
 from twin.model.unknown_errors import check_locations_identified, nominal_locations
 from twin.tool.forward import Kinematics

@@ -34,11 +34,10 @@ from twin._common.arrays import read_only
 from twin._common.errors import InputError
 from twin._common.families import LIVE_FORMATS
 from twin._common.files import scratch_folder
-from twin._common.records import RECORD_OF_CONTROL, SPEED, TIME, is_temperature, sensor_of
+from twin._common.records import APPROACH, RECORD_OF_CONTROL, SPEED, TIME, is_temperature, sensor_of
 from twin.machine.chain import branches
 from twin.machine.machine import Machine
 from twin.model.calibration import Calibration
-from twin.model.conditions import APPROACH
 from twin.model.effects.base import LOAD, HistoryShift
 from twin.model.effects.empirical import channel_name
 from twin.model.unknown_errors import ErrorTerms
@@ -85,6 +84,7 @@ class LiveCorrection:
                 expected="three linear axes and at most two rotary ones",
                 file=machine.path,
             )
+        machine.check_tool_along_z()
         self.calibration, effects = calibration, calibration.effects
         self.histories = tuple(effect for effect in effects if isinstance(effect, HistoryShift))
         # The derivatives by the other parameters do not enter the errors.

@@ -14,7 +14,7 @@ from twin._common.errors import InputError
 from twin._common.records import json_form
 from twin._common.units import count_with_noun
 from twin.compensation.programs.block_conditions import durations_s
-from twin.compensation.programs.follow import Sections, follow, motionless, motions_of
+from twin.compensation.programs.follow import follow_sections
 from twin.compensation.programs.motions import LostBlock, ToolPath, by_reason, machine_hints
 from twin.compensation.programs.prepared import Options
 from twin.compensation.programs.report import LineNote, grouped
@@ -23,7 +23,7 @@ from twin.compensation.programs.words import WordSpace, outside_range
 from twin.display.results import Result
 from twin.machine.machine import Machine
 from twin.nc import dialect_of, read_program
-from twin.nc.blocks import AxisWords, Interpretation, Kind, Program, as_columns
+from twin.nc.blocks import AxisWords, Interpretation, Kind, Program
 from twin.nc.dialect import Dialect
 from twin.nc.inline import errors_in_files
 
@@ -31,7 +31,7 @@ Verdict = Literal["ready", "in part", "refused"]
 _MODES: Final = {
     "tcp": "tool centre point control",
     "planes": "tilted planes",
-    "beside": "cutter radius compensation",
+    "beside": "cutter radius compensation, or corners and curves left to the control",
     "cycles": "drilling cycles",
     "written_out": "subprograms, loops or jumps written out",
 }
@@ -215,12 +215,7 @@ def _with_needs(found: ProgramCheck, read: Program, dialect: Dialect, axes: Axis
 def _examined(found: ProgramCheck, read: Program, dialect: Dialect, space: WordSpace, *, tcp: bool) -> ProgramCheck:
     """Return the examination of a program that can be read."""
     reading = dialect.moves(read, space.axes, tcp=tcp)
-    sections = Sections(space, read.source)
-    begun = sections.add(as_columns(space.axes.names, reading.moves), reading.frames)
-    way = follow(read, reading, space, begun)
-    if not way.motions:
-        raise motionless(read.source, way.unknown)
-    parts = motions_of(space, begun, way)
+    sections, way, parts = follow_sections(read, reading, space)
     numbers = read.numbers
     travel = _travel(space, [(part.space, part.path, part.context) for part in parts], numbers)
     try:

@@ -12,7 +12,7 @@ import numpy as np
 from twin._common.units import count_with_noun
 from twin.compensation.programs.backlash import Backlash
 from twin.compensation.programs.block_conditions import CONSTANT, BlockConditions, block_conditions
-from twin.compensation.programs.follow import Sections, follow, motionless, motions_of
+from twin.compensation.programs.follow import follow_sections
 from twin.compensation.programs.motions import (
     CHORD_MM,
     SAMPLES_A_PIECE,
@@ -30,7 +30,7 @@ from twin.machine.machine import Machine
 from twin.model.calibration import Calibration
 from twin.model.conditions import Conditions
 from twin.nc import read_program
-from twin.nc.blocks import Program, as_columns
+from twin.nc.blocks import Program
 from twin.nc.dialect import Dialect
 from twin.nc.inline import errors_in_files
 from twin.tool.forward import Kinematics
@@ -158,12 +158,8 @@ def execute_program(
     space = WordSpace(machine, *used)
     with errors_in_files(read), machine_hints(machine, dialect, lambda line: "".join(read.texts[line - 1 : line])):
         reading = dialect.moves(read, space.axes, tcp=tcp)
-        found = Sections(space, read.source).add(as_columns(space.axes.names, reading.moves), reading.frames)
-        path = follow(read, reading, space, found)
-        if not path.motions:
-            raise motionless(read.source, path.unknown)
+        _, path, parts = follow_sections(read, reading, space)
         check_one_mode(errors, path.columns.tcp, read.source, tcp=tcp)
-        parts = motions_of(space, found, path)
         by_block = block_conditions(read, dialect, path, [(part.begin, part.space) for part in parts], errors, at)
         runs = []
         of_length: dict[float, Kinematics] = {}
@@ -227,7 +223,7 @@ def execute(
 
 def _gaps(path: ToolPath, space: WordSpace, positions: np.ndarray, ends: np.ndarray) -> np.ndarray:
     """Return (n,) whether a point is the first of a motion that does not begin where the one before ended."""
-    begins = space.simulated_commands(path.columns.start, path.columns.tcp)
+    begins = space.commands(path.columns.start, path.columns.tcp)
     distance = np.abs(begins[1:] - positions[ends][:-1]).max(axis=1)
     gaps = np.append(True, ends[:-1])
     gaps[gaps] = np.append(True, ~(distance <= SAME_POSITION))  # also where the start is not a number

@@ -31,6 +31,7 @@ from twin.compensation.programs.words import Tilt, WordSpace
 from twin.model.calibration import Calibration
 from twin.nc.blocks import (
     NO_POSITION,
+    STATED_LENGTH,
     FrameChange,
     Interpretation,
     Kind,
@@ -386,7 +387,9 @@ class FrameSpaces:
         base, setup, length = self._base, self._base.setup, self._base.tool_length_mm
         tools = setup.tools
         tool = frame.length or frame.tool
-        if tools is not None and tool not in ("", "0"):
+        if tool.startswith(STATED_LENGTH):
+            length = float(tool.removeprefix(STATED_LENGTH))
+        elif tools is not None and tool not in ("", "0"):
             length = tools.of(tool, source, line) + frame.delta_mm
         elif tools is not None and tool == "0":
             length = 0.0
@@ -597,6 +600,18 @@ def motions_of(
         parts.append(SectionMotions(within, part, begin, end, context, tool))
         before = within
     return parts
+
+
+def follow_sections(
+    program: Program, reading: Interpretation, space: WordSpace
+) -> tuple[Sections, ToolPath, list[SectionMotions]]:
+    """Return a program's sections, its motions as `follow` does, and those of every section; `InputError` also without a motion."""
+    sections = Sections(space, program.source)
+    found = sections.add(as_columns(space.axes.names, reading.moves), reading.frames)
+    path = follow(program, reading, space, found)
+    if not path.motions:
+        raise motionless(program.source, path.unknown)
+    return sections, path, motions_of(space, found, path)
 
 
 def replace_first(path: ToolPath, before: WordSpace, space: WordSpace) -> ToolPath:

@@ -156,7 +156,11 @@ class ProgramFile(ProgramSource):
             cut = max(data.rfind(b"\n"), data.rfind(b"\r", 0, len(data) - 1)) + 1
             while cut:
                 begin = max(data.rfind(b"\n", 0, cut - 1), data.rfind(b"\r", 0, max(cut - 2, 0))) + 1
-                if not self.dialect.continues(data[begin:cut].decode("latin-1")):
+                after = data[cut:].splitlines(keepends=True)[:1]
+                known = bool(after) and after[0][-1:] in (b"\n", b"\r")
+                if not self.dialect.continues(data[begin:cut].decode("latin-1")) and (
+                    known and not self.dialect.follows(after[0].decode("latin-1"))
+                ):
                     break
                 cut = begin
             if cut:

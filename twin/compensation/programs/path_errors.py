@@ -55,6 +55,7 @@ class PathErrors:
 
     def __init__(self, pieces: Pieces, before: EndState | None = None) -> None:
         self._pieces, self._space, self._before = pieces, pieces.space, before
+        self._starts: tuple[tuple[bytes, bytes], Rows] | None = None
         self._cached_mm = np.full(len(pieces.legs.motion), np.nan)
 
     def forget(self, legs: np.ndarray | slice = slice(None)) -> None:
@@ -190,8 +191,8 @@ class PathErrors:
             words = self._pieces.words_at(of, self.fractions(samples))
         new = begin[samples.piece] + samples.within[:, None] * way[samples.piece]
         return (
-            Commands(self._space.simulated_commands(words, self._pieces.tcp[of])),
-            Commands(self._space.simulated_commands(new, self._pieces.tcp_out[of])),
+            Commands(self._space.commands(words, self._pieces.tcp[of])),
+            Commands(self._space.commands(new, self._pieces.tcp_out[of])),
         )
 
     def _on_lines(self, motions: np.ndarray) -> bool:
@@ -209,9 +210,7 @@ class PathErrors:
         """Return points on straight lines of words: of the axes, or of the tool ``tips``."""
         mode = np.full(len(begin), tips)
         if tips:
-            return Commands(
-                begin, way, points, lambda words: self._space.simulated_commands(words, np.full(len(words), True))
-            )
+            return Commands(begin, way, points, lambda words: self._space.commands(words, np.full(len(words), True)))
         return Commands(self._space.commands(begin, mode), self._space.displacements(way), points)
 
     # --- ways of pieces ----------------------------------------------------------------------------------------------
@@ -247,9 +246,17 @@ class PathErrors:
     def _start_words(self, separate: np.ndarray, sides: np.ndarray, reached: np.ndarray, *, as_run: bool) -> np.ndarray:
         """Return (n, axes) words at the start of (n,) motions that do not begin at (n, axes) ``reached``, where the one before ends."""
         pieces = self._pieces
-        rows = pieces.solve(np.searchsorted(pieces.legs.motion, separate), np.zeros(len(separate)), sides)
+        rows = self._starts_of(separate, sides)
         commands = self._actual_start(separate, rows.nominal, reached) if as_run else rows.exact
         return self._space.words(commands, pieces.tcp_out[separate])
+
+    def _starts_of(self, separate: np.ndarray, sides: np.ndarray) -> Rows:
+        """Return the solution at the start of (n,) motions, with (n, axes) sides of approach; asked for again after splitting."""
+        key = separate.tobytes(), sides.tobytes()
+        if self._starts is None or self._starts[0] != key:
+            leg = np.searchsorted(self._pieces.legs.motion, separate)
+            self._starts = key, self._pieces.solve(leg, np.zeros(len(separate)), sides)
+        return self._starts[1]
 
     def _actual_start(self, separate: np.ndarray, nominal: np.ndarray, reached: np.ndarray) -> np.ndarray:
         """Return (n, axes) actual commands at the start of motions; axes moved by a line before stand where that line put them."""

@@ -8,7 +8,7 @@ lines in words.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, final
@@ -27,7 +27,7 @@ from twin.machine.machine import Machine
 from twin.model.calibration import Calibration
 from twin.model.effects.empirical import check_ranges
 from twin.nc.blocks import AxisWords, Move
-from twin.tool.forward import Kinematics, Poses
+from twin.tool.forward import Kinematics
 from twin.tool.inverse import Branches, Inverse
 
 PROBE_MM = 100.0
@@ -194,15 +194,6 @@ class WordSpace:
 
     def commands(self, words: np.ndarray, tcp: np.ndarray) -> np.ndarray:
         """Return the (n, axes) commands that the control derives from (n, axes) words; ``tcp``: (n,) mode of each."""
-        return self._converted(words, tcp, self._solved)
-
-    def simulated_commands(self, words: np.ndarray, tcp: np.ndarray) -> np.ndarray:
-        """Return the same up to rounding in a fraction of the time, for the many points between those that are written."""
-        return self._converted(words, tcp, self._linear_axes_of_many)
-
-    def _converted(
-        self, words: np.ndarray, tcp: np.ndarray, linear_axes: Callable[..., tuple[np.ndarray, ...]]
-    ) -> np.ndarray:
         tips = self.tilt is not None or bool(np.any(tcp))
         if self._same and not tips:
             return words
@@ -211,20 +202,13 @@ class WordSpace:
             rows = self._tip_rows(words, tcp)
             points = words[rows, :3] if self._tip_turn is None else words[rows, :3] @ self._tip_turn.T
             rotary, scale = shifted[rows, 3:], self.machine.scale[self.order[3:]]
-            (linear,) = linear_axes(points + self.origin, rotary)
-            # To radians and back, as the solver does: no difference in rounding between ends and points between them.
+            (linear,) = self._linear_axes_of_rows(points + self.origin, rotary)
+            # To radians and back, as the solver of the corrected commands does: no difference in rounding.
             shifted[rows] = np.hstack([linear, rotary * scale / scale])
         return self.displacements(shifted)
 
-    def _solved(self, tips: np.ndarray, rotary: np.ndarray) -> tuple[np.ndarray]:
-        """Return the same as `_linear_axes`, by the solver that also corrects end points."""
-        start = np.zeros((len(tips), len(self.order)))
-        start[:, self.order[3:]] = rotary
-        target = Poses(tips, self.nominal.forward(start).rotation)
-        return (self.inverse.solve(target, start, rotary=False).positions[:, self.order[:3]],)
-
     def commands_at(self, words: Any) -> Any:
-        """Return `simulated_commands` as an expression of (axes,) words of the tool tip outside a tilted plane."""
+        """Return `commands` as an expression of (axes,) words of the tool tip outside a tilted plane."""
         rotary = words[3:] + ca.DM(self.offset[3:])
         tip = words[:3] if self._tip_turn is None else ca.DM(self._tip_turn) @ words[:3]
         linear = self._linear_axes(tip + ca.DM(self.origin), rotary)
@@ -232,8 +216,8 @@ class WordSpace:
 
     @cached_property
     @builds_expressions
-    def _linear_axes_of_many(self) -> BatchFunction:
-        return BatchFunction(self._linear_axes) if self._like is None else self._like._linear_axes_of_many
+    def _linear_axes_of_rows(self) -> BatchFunction:
+        return BatchFunction(self._linear_axes) if self._like is None else self._like._linear_axes_of_rows
 
     @cached_property
     def _linear_axes(self) -> ca.Function:

@@ -14,7 +14,7 @@ from twin._common.errors import InputError
 from twin._common.families import BASIC
 from twin._common.files import check_writable, scratch_folder, write_atomic
 from twin._common.provenance import ILLUSTRATIVE, warning_texts, warnings_to_json
-from twin._common.records import json_form
+from twin._common.records import APPROACH, json_form
 from twin.compensation.tables.design import RequiredCorrections, Table
 from twin.compensation.tables.make import ControlTables, design_of
 from twin.compensation.tables.remains import CorrectedShare, RemainingErrors, corrected_shares, remaining_errors
@@ -22,7 +22,7 @@ from twin.controls import ControlSection, Correction, TableEntry, TableFormat, T
 from twin.display import readable
 from twin.machine.machine import Machine
 from twin.model.calibration import Calibration
-from twin.model.conditions import APPROACH, Conditions, values_in_words
+from twin.model.conditions import Conditions, values_in_words
 
 SCHEMA: Final = "twin.compensation.tables/1"
 DONE_TWICE: Final = (

@@ -12,7 +12,7 @@ import numpy as np
 from twin._common.errors import InputError
 from twin._common.families import BASIC
 from twin._common.provenance import warning_texts
-from twin._common.records import json_form
+from twin._common.records import APPROACH, json_form
 from twin.compensation.tables.axis_tables import AxisTables, ComponentErrors, choose_nodes
 from twin.compensation.tables.design import (
     POSITIONS_CHECKED,
@@ -34,7 +34,7 @@ from twin.controls.correction import EXACT_UM, MM_PER_UM, CorrectionGrid, Matrix
 from twin.controls.formats.skew import SkewFormat
 from twin.machine.machine import Axis, Machine
 from twin.model.calibration import Calibration
-from twin.model.conditions import APPROACH, values_in_words
+from twin.model.conditions import values_in_words
 from twin.model.effects import Effect
 from twin.tool.forward import Poses
 from twin.tool.uncertainty import DEFINITION, volume

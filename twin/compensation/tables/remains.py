@@ -9,11 +9,10 @@ from typing import Any, final
 
 import numpy as np
 
-from twin._common.records import json_form
+from twin._common.records import APPROACH, json_form
 from twin.compensation.tables.design import Design, Request, RequiredCorrections, Share, Unproven
 from twin.display import UNKNOWN
 from twin.model.calibration import Calibration
-from twin.model.conditions import APPROACH
 from twin.model.effects import ControlCorrection
 from twin.model.effects.base import RecordingState
 from twin.tool.forward import Kinematics, Poses, rms_and_max

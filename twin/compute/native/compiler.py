@@ -399,6 +399,12 @@ def confirmed_library(
     return confirmed_library
 
 
+def point_to(job: ctypes.Structure, arrays: Mapping[str, np.ndarray]) -> None:
+    """Set the fields of a structure to the addresses of arrays, which must outlive the call that takes it."""
+    for name, values in arrays.items():
+        setattr(job, name, values.ctypes.data)
+
+
 def disable(source: str, why: str) -> None:
     """Stop using the compiled code of a source; only the first failure is reported."""
     if not _failed:

@@ -391,15 +391,11 @@ class _Compiled:
             steps=self.problem.steps,
             taken=0,
         )
-        for name, values in self.numbers.items():
-            setattr(job, name, values.ctypes.data)
-        for name in ("positions", "distance", "axis_angle_rad", "code"):
-            setattr(job, name, getattr(found, name)[part].ctypes.data)
-        for name in ("start", "point", "axis", "approach", "loose"):
-            values = getattr(batch, name)
-            if values is None:
-                continue
-            setattr(job, name, values[part].ctypes.data)
+        results = {name: getattr(found, name)[part] for name in ("positions", "distance", "axis_angle_rad", "code")}
+        given = {name: getattr(batch, name) for name in ("start", "point", "axis", "approach", "loose")}
+        given = {name: values[part] for name, values in given.items() if values is not None}
+        compiler.point_to(job, self.numbers | results | given)
+        for name, values in given.items():
             for step, stride in zip(("row", "column"), values.strides, strict=False):
                 setattr(job, f"{name}_{step}", stride // values.itemsize)
         self.library.solve(ctypes.byref(job))

@@ -11,7 +11,8 @@ Behaviour as in the public sources; formulas are restated here, x, y, z the comm
 - RepRapFirmware, github.com/Duet3D/RepRapFirmware at 0e02e02, ``src/Movement/Move3.cpp`` (`AxisTransform`) and ``M556`` of ``GCodes``:
   the tangents X/S, Y/S and Z/S are **added**: x + X/S·y + Z/S·z and y + Y/S·z. ``P1`` would correct y instead of x.
 - LinuxCNC, github.com/LinuxCNC/linuxcnc at 1de03ef, ``src/hal/components/matrixkins.comp``: joints = C · axes, parameters ``C_xx`` …
-  ``C_zz``. Version 2.9 of Debian does not have it; whether it compiles for that version was not tried.
+  ``C_zz``. Version 2.9 of Debian does not have it; the component of February 2025 (5133dac) compiles for it and moves the joints of a
+  running control as stated; that of 1de03ef does not compile there. Joints 3, 4 and 5 are A, B and C, whatever axes there are.
 
 All of them keep the zero of the machine where it is. Skew settings of three numbers hold no scale: that belongs into the steps per mm.
 """
@@ -141,25 +142,39 @@ def skew_lengths(factor: float) -> Factors:
     return ac, bd, SIDE
 
 
-def _bounded(line: TableLine, what: str, text: str, scale: float = 1.0) -> float:
-    """Return a number of a line, divided by ``scale``; `InputError` beyond `LARGEST`."""
+def _bounded(line: TableLine, what: str, text: str, *, scale: float = 1.0, middle: float = 0.0) -> float:
+    """Return a number of a line, divided by ``scale``; `InputError` if it is farther than `LARGEST` from ``middle``."""
     value = line.decimal(what, text) / scale
-    if abs(value) > LARGEST:
-        raise line.error(f"{what} is implausibly large", f"at most {LARGEST * scale:g}", text)
+    if abs(value - middle) > LARGEST:
+        raise line.error(f"{what} is implausibly large", f"within {LARGEST * scale:g} of {middle:g}", text)
     return value
 
 
-def _words(line: TableLine, code: str, allowed: str) -> dict[str, str]:
-    """Return the numbers of a G-code line by letter; `InputError` for another code, a letter twice or a foreign one."""
-    words = line.text.upper().split()
-    if words[0] != code:
-        raise line.error(f"not a {code} line", f"{code} {' '.join(allowed)}", line.text)
-    found: dict[str, str] = {}
-    for word in words[1:]:
-        if word[0] not in allowed or word[0] in found:
-            raise line.error(f"a word that {code} does not have here", f"each of {' '.join(allowed)} once", word)
-        found[word[0]] = word[1:]
+def _entries(lines: Sequence[TableLine], pattern: str, expected: str) -> dict[str, tuple[TableLine, str]]:
+    """Return line and number of every entry by its name, the groups of a pattern; `InputError` for another line, or a name twice."""
+    found: dict[str, tuple[TableLine, str]] = {}
+    for line in lines:
+        entry = re.fullmatch(pattern, line.text)
+        if entry is None:
+            raise line.error("not one of these settings", expected, line.text)
+        if entry[1] in found:
+            raise line.error(f"{entry[1]} is given twice", expected, line.text)
+        found[entry[1]] = line, entry[2]
     return found
+
+
+def _words(lines: Sequence[TableLine], code: str, letters: str, path: Path) -> dict[str, tuple[TableLine, str]]:
+    """Return the words of the one G-code line of a file as `_entries`; `InputError` for another code, letter, or number of lines."""
+    expected = f"{code} {' '.join(f'{letter}…' for letter in letters)}"
+    if len(lines) != 1:
+        raise InputError(f"not one {code} line", expected=expected, file=path, value=len(lines))
+    (line,) = lines
+    own, *words = line.text.upper().split()
+    if own != code:
+        raise line.error(f"not a {code} line", expected, line.text)
+    return _entries(
+        [TableLine(path, line.number, word) for word in words], rf"([{letters}])(.*)", f"{expected}, each once"
+    )
 
 
 @final
@@ -188,23 +203,17 @@ class Klipper(SkewFormat):
         ]
 
     def _matrix(self, lines: Sequence[TableLine], path: Path) -> np.ndarray:
-        section, found = "", dict[str, float]()
+        own, profile = [], False
         for line in lines:
             head = re.fullmatch(r"\[(.+)\]", line.text)
-            if head:
-                section = head[1].strip()
-                continue
-            entry = re.fullmatch(r"(xy|xz|yz)_skew\s*[=:]\s*(\S+)", line.text)
-            if entry is None or not section.startswith("skew_correction "):
-                raise line.error(
-                    "not a line of a skew profile", "[skew_correction NAME] with xy_skew, xz_skew, yz_skew", line.text
-                )
-            if entry[1] in found:
-                raise line.error(f"{entry[1]}_skew is given twice", "one profile", line.text)
-            found[entry[1]] = _bounded(line, f"{entry[1]}_skew", entry[2])
+            profile = head[1].strip().startswith("skew_correction ") if head else profile
+            own += [] if head else [line if profile else TableLine(path, line.number, f"{line.text} (in no profile)")]
+        expected = "[skew_correction NAME] with xy_skew, xz_skew, yz_skew"
+        texts = _entries(own, r"(xy|xz|yz)_skew\s*[=:]\s*(\S+)", expected)
+        found = {plane: _bounded(line, f"{plane}_skew", text) for plane, (line, text) in texts.items()}
         for plane in ("xy", "xz", "yz"):
             if plane not in found:
-                raise InputError(f"{plane}_skew is missing", expected="xy_skew, xz_skew and yz_skew", file=path)
+                raise InputError(f"{plane}_skew is missing", expected=expected, file=path)
         return from_factors(found["xy"], found["xz"], found["yz"])
 
     def loading(self, correction: MatrixCorrection, largest: Mapping[str, float]) -> tuple[str, ...]:
@@ -237,9 +246,8 @@ class Marlin(SkewFormat):
 
     def _matrix(self, lines: Sequence[TableLine], path: Path) -> np.ndarray:
         own = [line for line in lines if line.text.upper() not in ("G21", "M500")]
-        if len(own) != 1:
-            raise InputError("not one M852 line", expected="M852 I… J… K…", file=path, value=len(own))
-        found = {letter: _bounded(own[0], letter, text) for letter, text in _words(own[0], "M852", "IJK").items()}
+        words = _words(own, "M852", "IJK", path)
+        found = {letter: _bounded(line, letter, text) for letter, (line, text) in words.items()}
         return from_factors(*(found.get(letter, 0.0) for letter in "IJK"))
 
     def loading(self, correction: MatrixCorrection, largest: Mapping[str, float]) -> tuple[str, ...]:
@@ -274,18 +282,15 @@ class RepRapFirmware(SkewFormat):
         return [f"M556 S{SPAN:g} {' '.join(words)}"]
 
     def _matrix(self, lines: Sequence[TableLine], path: Path) -> np.ndarray:
-        if len(lines) != 1:
-            raise InputError("not one M556 line", expected="M556 S… X… Y… Z…", file=path, value=len(lines))
-        (line,) = lines
-        words = _words(line, "M556", "SXYZP")
-        if words.pop("P", "0") not in ("0", "0.0"):
-            raise line.error("P1 corrects Y instead of X", "M556 without P1", line.text)
-        span = line.decimal("S", words.pop("S", ""))
+        words = _words(lines, "M556", "SXYZP", path)
+        if words.pop("P", (lines[0], "0"))[1] not in ("0", "0.0"):
+            raise lines[0].error("P1 corrects Y instead of X", "M556 without P1", lines[0].text)
+        span = lines[0].decimal("S", words.pop("S", (lines[0], ""))[1])
         if span < 10.0:
-            raise line.error("the firmware ignores M556 with such an S", "S of 10 or more", span)
+            raise lines[0].error("the firmware ignores M556 with such an S", "S of 10 or more", span)
         matrix = np.zeros((3, 3))
-        for letter, text in words.items():
-            matrix[self._ENTRIES[letter]] = _bounded(line, letter, text, span)
+        for letter, (line, text) in words.items():
+            matrix[self._ENTRIES[letter]] = _bounded(line, letter, text, scale=span)
         return matrix
 
     def loading(self, correction: MatrixCorrection, largest: Mapping[str, float]) -> tuple[str, ...]:
@@ -325,29 +330,21 @@ class MatrixKins(SkewFormat):
         ]
 
     def _matrix(self, lines: Sequence[TableLine], path: Path) -> np.ndarray:
-        whole, seen = np.eye(3), set[tuple[int, int]]()
-        for line in lines:
-            entry = re.fullmatch(r"setp\s+matrixkins\.C_([xyz])([xyz])\s+(\S+)", line.text)
-            if entry is None:
-                raise line.error("not a parameter of matrixkins", "setp matrixkins.C_xx 1.0 …", line.text)
-            place = "xyz".index(entry[1]), "xyz".index(entry[2])
-            if place in seen:
-                raise line.error(f"C_{entry[1]}{entry[2]} is given twice", "one setp", line.text)
-            seen.add(place)
-            whole[place] = line.decimal(f"C_{entry[1]}{entry[2]}", entry[3])
-            if abs(whole[place] - (place[0] == place[1])) > LARGEST:
-                raise line.error(
-                    "implausibly large", f"within {LARGEST:g} of the unit matrix", f"{float(whole[place]):g}"
-                )
+        whole = np.eye(3)
+        for name, (line, text) in _entries(
+            lines, r"setp\s+matrixkins\.(C_[xyz][xyz])\s+(\S+)", "setp matrixkins.C_xx 1.0 …"
+        ).items():
+            place = "xyz".index(name[2]), "xyz".index(name[3])
+            whole[place] = _bounded(line, name, text, middle=whole[place])
         return whole - np.eye(3)
 
     def loading(self, correction: MatrixCorrection, largest: Mapping[str, float]) -> tuple[str, ...]:
         """See `TableFormat.loading`."""
         return (
             "LinuxCNC 2.9 does not have matrixkins. It is matrixkins.comp in the source of later versions; compile it with "
-            "`halcompile --install matrixkins.comp` (package linuxcnc-uspace-dev). That it compiles for 2.9 was not tried.",
+            "`halcompile --install matrixkins.comp` (package linuxcnc-uspace-dev); for 2.9 that of February 2025 (5133dac).",
             "INI file: [KINS] KINEMATICS = matrixkins. Add the lines of matrixkins.hal to the HAL file after the line that loads the "
-            "kinematics. matrixkins moves three joints; more axes pass through.",
+            "kinematics. matrixkins moves three joints; joints 3, 4 and 5 are A, B and C: another order of rotary axes does not work.",
             "Change the parameters only with the machine switched off: the joints jump by the change. Home again.",
         )
 

@@ -73,6 +73,7 @@ def rotary_axes(machine: Machine) -> tuple[Axis, Axis]:
     Required are three linear axes of constant direction and two rotary axes that carry the workpiece.
     """
     check_linear(machine)
+    machine.check_tool_along_z()
     rotary = [i for i, axis in enumerate(machine.axes) if not axis.linear]
     if len(rotary) != 2 or any(machine.axes[i].side != "work" for i in rotary):
         what = f"{machine.name}: the kinematics of a control can be written for a table with two rotary axes only"

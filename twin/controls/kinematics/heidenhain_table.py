@@ -14,7 +14,7 @@ from typing import Final, final
 import numpy as np
 
 from twin._common.errors import InputError
-from twin.controls.format import TableLine, fixed_decimals
+from twin.controls.format import TableLine, fixed_decimals, rotation_about_axis
 from twin.controls.kinematics.format import (
     KinematicsFormat,
     TableGeometry,
@@ -162,7 +162,7 @@ def _followed(rows: Sequence[tuple[str, str, float]], machine: Machine, path: Pa
         if key == "Trans" and axis in "XYZ":
             place = place + turned[:, "XYZ".index(axis)] * value
         elif key == "Trans":
-            turned = turned @ _about("ABC".index(axis), np.radians(value))
+            turned = turned @ rotation_about_axis("ABC".index(axis), np.radians(value))
         elif key == "MachAxis" and axis in "ABC":
             names.append(axis)
             points.append(place)
@@ -173,12 +173,3 @@ def _followed(rows: Sequence[tuple[str, str, float]], machine: Machine, path: Pa
         raise InputError(what, expected=" ".join(expected), file=path, value=" ".join(names))
     shift = place - work_origin(machine)
     return TableGeometry(np.array(points), np.array(directions), shift, rotation_vector(turned))
-
-
-def _about(axis: int, angle: float) -> np.ndarray:
-    """Return the rotation (3, 3) about an axis of the system."""
-    i, j = (axis + 1) % 3, (axis + 2) % 3
-    about = np.eye(3)
-    about[i, i] = about[j, j] = np.cos(angle)
-    about[j, i], about[i, j] = np.sin(angle), -np.sin(angle)
-    return about

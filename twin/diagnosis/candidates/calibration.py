@@ -21,6 +21,7 @@ from typing import Any, Final, final
 import numpy as np
 
 from twin._common.distributions import chi2_sf
+from twin._common.messages import Message
 from twin._common.units import UM
 from twin.diagnosis.candidates.candidate import (
     Build,
@@ -47,24 +48,35 @@ from twin.numerics.functions import Functions, tabulated
 BASE: Final = "the base"
 
 
+def _joint(name: str) -> str:
+    return Message("the base") if name == BASE else Message("joint {name}", name=name)
+
+
 def _title(where: str) -> str:
     curve, _, other = where.partition(" as ")
     if other:
-        return f"calibration: curve {curve} belongs under {other}"
+        return Message("calibration: curve {curve} belongs under {other}", curve=curve, other=other)
     if where.endswith("exchanged"):
-        return f"calibration: curves of {where.removesuffix(' exchanged')} exchanged"
+        return Message("calibration: curves of {curves} exchanged", curves=where.removesuffix(" exchanged"))
     axis, _, joint = where.partition(" at ")
-    return f"calibration: errors of {axis} assigned to {joint if joint.startswith('the ') else f'joint {joint}'}"
+    return Message("calibration: errors of {axis} assigned to {joint}", axis=axis, joint=_joint(joint))
 
 
 def _evidence(of: FittedCause) -> str:
     curve, _, other = of.where.partition(" as ")
     if other:
-        return f"the calibration's curve {curve} is the machine's {other}"
+        return Message("the calibration's curve {curve} is the machine's {other}", curve=curve, other=other)
     if of.where.endswith("exchanged"):
-        return f"in the calibration, the names of the curves of {of.where.removesuffix(' exchanged')} are exchanged"
+        return Message(
+            "in the calibration, the names of the curves of {curves} are exchanged",
+            curves=of.where.removesuffix(" exchanged"),
+        )
     axis, _, joint = of.where.partition(" at ")
-    return f"the calibration's error motions of {axis} act at {joint} instead of {axis}'s own joint"
+    return Message(
+        "the calibration's error motions of {axis} act at {joint} instead of {axis}'s own joint",
+        axis=axis,
+        joint=_joint(joint),
+    )
 
 
 MISPLACED: Final = Specification(
@@ -344,10 +356,13 @@ def mistakes(space: CurveSpace, curve: Curve | None) -> dict[float, np.ndarray]:
 def times(factor: float) -> str:
     """Return a sentence on a machine whose error motion is the calibration's curve times a factor."""
     if abs(factor) < 0.1:
-        return "the machine does not have this error motion at all: it is already corrected, or the curve is of another machine"
+        return Message(
+            "the machine does not have this error motion at all: it is already corrected, or the curve is of another "
+            "machine"
+        )
     if abs(factor + 1.0) < 0.1:
-        return "the calibration's curve has the wrong sign"
-    return f"the machine's error motion is {factor:.2g} times the calibration's curve"
+        return Message("the calibration's curve has the wrong sign")
+    return Message("the machine's error motion is {factor:.2g} times the calibration's curve", factor=factor)
 
 
 def _inverse(covariance: np.ndarray) -> tuple[np.ndarray, int]:

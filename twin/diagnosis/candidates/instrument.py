@@ -10,6 +10,7 @@ from typing import Final
 
 import numpy as np
 
+from twin._common.messages import Message
 from twin._common.units import MM, UM
 from twin.diagnosis.candidates.candidate import (
     LARGEST_ERROR,
@@ -44,7 +45,8 @@ AFFINE_SCALE_PLAUSIBLE: Final = 100.0  # largest plausible value, ppm and µrad
 FLAT_EXTENT: Final = 0.01  # share of the largest extent of the points below which that along a direction is zero
 MOST_ROUNDS: Final = 12  # number of rounds above which these are repeats or places, not alignments of the instrument
 CALIBRATED_LENGTH: Final = (
-    "measure a calibrated length on the table (gauge block, scale bar) with the same instrument, and read the machine's temperature: "
+    "measure a calibrated length on the table (gauge block, scale bar) with the same instrument, and read the "
+    "machine's temperature: "
     "a machine that is warmer than the length has equal scales of its axes"
 )
 
@@ -52,14 +54,17 @@ CALIBRATED_LENGTH: Final = (
 AFFINE_SCALE: Final = Specification(
     name="affine_scale",
     kind="instrument",
-    title=lambda where: f"scale and squareness errors of the instrument ({where})",
+    title=lambda where: Message("scale and squareness errors of the instrument ({where})", where=where),
     family="scale and squareness errors of the instrument",
     advice=Advice(
-        "Metrology: certificate and temperature compensation of the instrument in {where}; measure a calibrated length with it.",
+        "Metrology: certificate and temperature compensation of the instrument in {where}; measure a calibrated "
+        "length with it.",
         f"{REST} Better, measure again with a calibrated instrument.",
         NOTHING,
     ),
-    evidence=lambda of: f"the instrument has scale and squareness errors in {of.where}, up to {of.measure}",
+    evidence=lambda of: Message(
+        "the instrument has scale and squareness errors in {where}, up to {measure}", where=of.where, measure=of.measure
+    ),
     limits={"ppm": 200.0},
     varies="with the frame",
     flexible=True,
@@ -141,14 +146,18 @@ LARGEST_BEND: Final = 10.0  # µm/m²: a gradient of the air's temperature of 20
 BEAM_BENDING: Final = Specification(
     name="beam_bending",
     kind="instrument",
-    title=lambda where: f"beam of the instrument at station {where} not straight",
+    title=lambda where: Message("beam of the instrument at station {where} not straight", where=where),
     family="bent beam",
     advice=Advice(
         "Metrology: warm or cold air along the beam, from the machine or a door; the instrument's supports.",
         f"{REST} Better, measure again from nearer, or from the other side.",
         NOTHING,
     ),
-    evidence=lambda of: f"readings from station {of.where} are off with the square of their distance, by {of.measure}",
+    evidence=lambda of: Message(
+        "readings from station {where} are off with the square of their distance, by {measure}",
+        where=of.where,
+        measure=of.measure,
+    ),
     limits={"um/m2": LARGEST_BEND},
     varies="with the frame",
     decided_by="measure the same points from a station on another side, or from half the distance, where it is off by a quarter",
@@ -177,14 +186,17 @@ MOST_DEGREES: Final = 8  # as for a positioning error: which of the two it is mu
 SENSOR_LINEARITY: Final = Specification(
     name="sensor_linearity",
     kind="instrument",
-    title=lambda where: "linearity of the sensor",
+    title=lambda where: Message("linearity of the sensor"),
     family="linearity of a sensor",
     advice=Advice(
-        "Metrology: certificate of the sensor, its range, the surface that it reads, and the angle at which it is set up.",
+        "Metrology: certificate of the sensor, its range, the surface that it reads, and the angle at which it is "
+        "set up.",
         f"{REST} Better, measure again with a calibrated sensor.",
         NOTHING,
     ),
-    evidence=lambda of: f"the sensor is off by up to {of.measure} within the range that was read",
+    evidence=lambda of: Message(
+        "the sensor is off by up to {measure} within the range that was read", measure=of.measure
+    ),
     limits={"um": LARGEST_LINEARITY_UM},
     varies="with the frame",
     decided_by="shift the sensor by a quarter of the range that it read and measure the same positions again: an error of the sensor "
@@ -236,8 +248,9 @@ def _largest_deviation(values: np.ndarray) -> np.ndarray:
     return np.array([np.abs(deviation).max()])
 
 
-ASSUMED_OF_INSTRUMENT: Final = (
-    "assumes that the instrument reads to scale, at right angles and along straight beams: such an error of its own would fit as "
+ASSUMED_OF_INSTRUMENT: Final = Message(
+    "assumes that the instrument reads to scale, at right angles and along straight beams: such an error of its own "
+    "would fit as "
     "well: a calibrated length on the table, or the same points from a station on another side, would show it"
 )
 
@@ -258,15 +271,18 @@ LARGEST_LOBING_UM: Final = 10.0  # largest plausible amplitude, µm
 PROBE_LOBING: Final = Specification(
     name="probe_lobing",
     kind="instrument",
-    title=lambda where: f"lobing of {where}",
+    title=lambda where: Message("lobing of {where}", where=where),
     family="lobing of a touch probe",
     advice=Advice(
-        "Metrology: calibrate the probe in the directions and orientations in which it measures, or orient it in the direction of "
+        "Metrology: calibrate the probe in the directions and orientations in which it measures, or orient it in the "
+        "direction of "
         "each contact.",
         f"{REST} Better, measure again with a calibrated probe.",
         NOTHING,
     ),
-    evidence=lambda of: f"the centres move with three times the rotation of {of.where}, by {of.measure}",
+    evidence=lambda of: Message(
+        "the centres move with three times the rotation of {where}, by {measure}", where=of.where, measure=of.measure
+    ),
     limits={"um": LARGEST_LOBING_UM},
 )
 
@@ -305,12 +321,12 @@ REFRACTION_SCALE_PLAUSIBLE: Final = 100.0  # ppm: scale of the column
 REFRACTION_SCALE: Final = Specification(
     name="refraction_scale",
     kind="instrument",
-    title=lambda where: "all lengths read too long or too short",
+    title=lambda where: Message("all lengths read too long or too short"),
     family="scale of all lengths",
     advice=Advice(
         "Metrology: air temperature, pressure and humidity at the instrument, and its certificate.", REST, NOTHING
     ),
-    evidence=lambda of: f"all lengths are read {of.measure} too long",
+    evidence=lambda of: Message("all lengths are read {measure} too long", measure=of.measure),
     limits={"ppm": LARGEST_PPM},
     varies="with the frame",
     decided_by=CALIBRATED_LENGTH,
@@ -327,14 +343,16 @@ def refraction_scale(inputs: CandidateInputs) -> Catalogue:
 STATION_DRIFT: Final = Specification(
     name="station_drift",
     kind="instrument",
-    title=lambda where: f"drift of the instrument at station {where}",
+    title=lambda where: Message("drift of the instrument at station {where}", where=where),
     family="drift of the instrument",
     advice=Advice(
         "Metrology: tripod, floor and warm-up of the instrument.",
         f"{REST} Better, measure again from a stable stand.",
         NOTHING,
     ),
-    evidence=lambda of: f"station {of.where} drifts during the measurement{drift_course(of)}",
+    evidence=lambda of: Message(
+        "station {where} drifts during the measurement{course}", where=of.where, course=drift_course(of)
+    ),
     nonlinear=("time_constant",),
     varies="with time",
     drawing=Drawing(columns=lambda where: ("time_s",), by_state=True, shared="station"),
@@ -392,15 +410,18 @@ IN_MOTION: Final = 1.0  # s: rows at shorter intervals, while an axis moves, cou
 TIME_SKEW: Final = Specification(
     name="time_skew",
     kind="instrument",
-    title=lambda where: f"readings and positions of {where} not taken at the same moment",
+    title=lambda where: Message("readings and positions of {where} not taken at the same moment", where=where),
     family="delay between readings and positions",
     advice=Advice(
         "Metrology: synchronisation of readings and positions of {axis}: trigger, filter, delay of the instrument.",
         f"{REST} Better, measure again at standstill, or at half the feed.",
         NOTHING,
     ),
-    evidence=lambda of: (
-        f"readings and positions of {of.where} were taken {abs(of.size):.3g} {of.unit} apart while it moved"
+    evidence=lambda of: Message(
+        "readings and positions of {where} were taken {size:.3g} {unit} apart while it moved",
+        where=of.where,
+        size=abs(of.size),
+        unit=of.unit,
     ),
     limits={"s": 1.0},
 )
@@ -488,20 +509,22 @@ WITHIN: Final = "within round "
 def _frame_shift_title(where: str) -> str:
     station, _, number = where.rpartition("round ")
     station = station.removesuffix("within ").strip()
-    at = f" at {station.removesuffix(' from').removesuffix(' in')}" if station else ""
+    at = Message(" at {station}", station=station.removesuffix(" from").removesuffix(" in")) if station else ""
     if WITHIN in where:
-        return f"instrument{at} displaced within round {number}"
+        return Message("instrument{at} displaced within round {number}", at=at, number=number)
     if number.endswith(ONE_ROUND):
-        return f"instrument{at} aligned differently in round {number}"
-    return f"instrument{at} re-aligned from round {number} on"
+        return Message("instrument{at} aligned differently in round {number}", at=at, number=number)
+    return Message("instrument{at} re-aligned from round {number} on", at=at, number=number)
 
 
 def _target_shift_title(where: str) -> str:
     if WITHIN in where:
         target, _, number = where.rpartition(f" {WITHIN}")
-        return f"target {target} displaced {WITHIN}{number}"
+        return Message("target {target} displaced within round {number}", target=target, number=number)
     target, _, moment = where.rpartition(" from ")
-    return f"target {target} displaced from {moment} on"
+    return Message(
+        "target {target} displaced from round {number} on", target=target, number=moment.removeprefix("round ")
+    )
 
 
 def _changed_in(where: str) -> tuple[str, ...]:
@@ -510,17 +533,26 @@ def _changed_in(where: str) -> tuple[str, ...]:
 
 def _frame_shift_evidence(of: FittedCause) -> str:
     if "line" in of.numbers:
-        return f"the instrument was displaced {of.where}, from line {of.numbers['line']:.0f} of the table on"
+        return Message(
+            "the instrument was displaced {where}, from line {line:.0f} of the table on",
+            where=of.where,
+            line=of.numbers["line"],
+        )
     if of.where.endswith(ONE_ROUND):
-        return f"the instrument's frame was aligned differently in {of.where}"
-    return f"the instrument's frame was re-aligned from {of.where} on"
+        return Message("the instrument's frame was aligned differently in {where}", where=of.where)
+    return Message("the instrument's frame was re-aligned from {where} on", where=of.where)
 
 
 def _target_shift_evidence(of: FittedCause) -> str:
     if "line" not in of.numbers:
-        return f"target {of.where} was displaced"
+        return Message("target {where} was displaced", where=of.where)
     target, _, number = of.where.rpartition(f" {WITHIN}")
-    return f"target {target} was displaced {WITHIN}{number}, from line {of.numbers['line']:.0f} of the table on"
+    return Message(
+        "target {target} was displaced within round {number}, from line {line:.0f} of the table on",
+        target=target,
+        number=number,
+        line=of.numbers["line"],
+    )
 
 
 FRAME_SHIFT: Final = Specification(

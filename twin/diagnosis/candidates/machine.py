@@ -16,6 +16,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from twin._common.messages import Message
 from twin._common.units import UM
 from twin.diagnosis.candidates.calibration import mistakes
 from twin.diagnosis.candidates.candidate import (
@@ -386,15 +387,18 @@ TIME_CONSTANTS_IN_ROWS: Final = (1.0, 2.0, 4.0, 8.0)
 REVERSAL_SPIKE: Final = Specification(
     name="reversal_spike",
     kind="machine",
-    title=lambda where: f"{where} sticks for a moment when it reverses",
+    title=lambda where: Message("{where} sticks for a moment when it reverses", where=where),
     family="spikes at reversals",
     advice=Advice(
-        "Service: friction compensation of the drive of {axis} (its amplitude and time), and the friction of its guideway.",
+        "Service: friction compensation of the drive of {axis} (its amplitude and time), and the friction of its "
+        "guideway.",
         f"{REST} It does not enter the calibration.",
         NOTHING,
     ),
-    evidence=lambda of: (
-        f"{of.where} lags by {of.measure} right after each reversal and catches up within some readings"
+    evidence=lambda of: Message(
+        "{where} lags by {measure} right after each reversal and catches up within some readings",
+        where=of.where,
+        measure=of.measure,
     ),
     limits={"um": 200.0, "urad": 2000.0},
     drawing=Drawing(by_state=True),
@@ -449,13 +453,16 @@ LEAST_UM: Final = 1e-3  # µm or µrad: smaller differences between report and c
 FOLLOWING_ERROR: Final = Specification(
     name="following_error",
     kind="machine",
-    title=lambda where: f"{where} did not reach its commanded position",
+    title=lambda where: Message("{where} did not reach its commanded position", where=where),
     advice=Advice(
-        "Service: the drive of {axis}, which does not reach the commanded position. Set-up: the dwell before each reading.",
+        "Service: the drive of {axis}, which does not reach the commanded position. Set-up: the dwell before each "
+        "reading.",
         "Let {axis} settle and measure again. It does not go into the calibration.",
         "Do not compensate it: how far the axis lags depends on speed and load.",
     ),
-    evidence=lambda of: f"{of.where} was at the position that the control reported, not at the commanded one",
+    evidence=lambda of: Message(
+        "{where} was at the position that the control reported, not at the commanded one", where=of.where
+    ),
     rare=True,
     all_or_nothing=True,
     drawing=Drawing(size_of="report", by_state=True),
@@ -463,14 +470,14 @@ FOLLOWING_ERROR: Final = Specification(
 READ_BACK: Final = Specification(
     name="read_back",
     kind="instrument",
-    title=lambda where: f"reported positions of {where} were read too early",
+    title=lambda where: Message("reported positions of {where} were read too early", where=where),
     family="reported positions",
     advice=Advice(
         "Metrology: the moment at which the control's positions were read.",
         "Use the commanded positions, or wait until {axis} stands still before reading.",
         NOTHING,
     ),
-    evidence=lambda of: f"the positions reported for {of.where} were read before it had settled",
+    evidence=lambda of: Message("the positions reported for {where} were read before it had settled", where=of.where),
     drawing=Drawing(size_of="report", by_state=True),
 )
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from twin._common.csv_tables import read_table
 from twin._common.errors import InputError, closest_name
+from twin._common.records import TIME
 from twin._common.units import count_with_noun
 from twin._common.yaml_files import quoted
 from twin.machine.machine import Machine
@@ -65,7 +66,12 @@ class PlanPoints:
 
     def matches(self, names: list[str]) -> bool:
         """Return whether every name is a point of the plan, and these are unique."""
-        return bool(self.points) and len(set(self.points)) == len(self.points) and {*names} <= {*self.points}
+        own = {*self._points_of(names)}
+        return bool(self.points) and len(set(self.points)) == len(self.points) and own <= {*self.points}
+
+    def _points_of(self, names: list[str]) -> list[str]:
+        """Return names without collection and group (``A::Round 1::P1``), unless the plan has them so."""
+        return names if {*names} <= {*self.points} else [name.rpartition("::")[2] for name in names]
 
     def rows_for(
         self, layout: Layout, entry: PlanEntry, cells: Mapping[str, Sequence[str]], machine: Machine
@@ -80,7 +86,7 @@ class PlanPoints:
             return self._by_order(layout)
         if entry.match == "positions":
             return self._by_positions(layout, cells, machine)
-        names = layout.column(entry.point) if entry.point in layout.names else []
+        names = self._points_of(layout.column(entry.point) if entry.point in layout.names else [])
         if not names or not self.points:
             whose = layout.raw.path if not names else self.table.source
             raise InputError("no names of points", expected="a column with the name of each point", file=whose)
@@ -205,7 +211,6 @@ def _differ(own: str, planned: str, rounded: bool) -> bool:
 # --- Cells of a measurement table ------------------------------------------------------------
 
 WORD_COLUMNS: Final = ("target", "carrier", "station", "station_carrier", "instrument", "round")
-TIME: Final = "time_s"
 MOST_EMPTY: Final = 0.2
 """Share of empty cells of a coordinate up to which they are failures, not coordinates that were not to be measured."""
 

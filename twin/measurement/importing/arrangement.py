@@ -51,8 +51,12 @@ _POSITION: Final = re.compile(
 _ROUND: Final = re.compile(r"(?:r|run|round|runde|lauf|durchgang|wdh|rep|essai|serie|cycle)\s*\d+", re.IGNORECASE)
 
 
+_GROUPED_ROUND: Final = re.compile(r"(?<![a-z])(run|round|runde|lauf|durchgang|serie) (\d+)(?= *::)", re.IGNORECASE)
+
+
 def table_layout(raw: RawTable, names: Sequence[str] = ()) -> Layout:
     """Return the parts of a table in any arrangement; arguments and errors as `layout_of`."""
+    raw = _with_entries(raw) or raw
     matrix = None if names else _matrix(raw)
     if matrix is not None:
         return replace(layout_of(replace(raw, rows=matrix.rows, merged=())), left_out=matrix.left_out)
@@ -60,6 +64,37 @@ def table_layout(raw: RawTable, names: Sequence[str] = ()) -> Layout:
     for name in layout.names:
         layout = _with_name_parts(layout, name)
     return layout
+
+
+def unit_of_deviations(text: str) -> str:
+    """Return the unit that a title states for deviations; empty if it states none."""
+    stated = _DEVIATION_UNIT.search(text)
+    return next(filter(None, stated.groups())) if stated else ""
+
+
+def _with_entries(raw: RawTable) -> RawTable | None:
+    """Return a table of lines that name each of their values (``P1 X=300.0012 A=0.``), below a header; None if it is none."""
+    found = []
+    for line, cells in raw.rows:
+        text = " ".join(cells)
+        entries = dict(_ENTRY.findall(text))
+        if len(entries) >= FEWEST:
+            found.append((line, entries, re.sub(r"[:;,\s]+$", "", text[: _ENTRY.search(text).start()])))  # type: ignore[union-attr]
+    names = list(dict.fromkeys(name for _, entries, _ in found for name in entries))
+    if len(found) < FEWEST or any(names != [*entries] for _, entries, _ in found):
+        return None
+    first, last = found[0][0], found[-1][0]
+    if len(found) < SHARE * sum(first <= line <= last for line, _ in raw.rows):  # headings above blocks of points
+        return None
+    labels = all(label for *_, label in found)
+    titles = [(line, cells) for line, cells in raw.rows if line < first]
+    rows = [
+        (line, (*([label] if labels else []), *(value.replace(COMMA, POINT) for value in e.values())))
+        for line, e, label in found
+    ]
+    below = [(line, (" ".join(cells),)) for line, cells in raw.rows if line > last]
+    header = (first - 1 or first, (*(["name"] if labels else []), *names))
+    return replace(raw, rows=(*titles, header, *rows, *below), merged=())
 
 
 # --- Names and headings that hold positions ---------------------------------------------------------
@@ -96,7 +131,8 @@ def _with_name_parts(layout: Layout, name: str) -> Layout:
         )  # with a number for each point, such as K1_017
     letters = [letter for letter in "XYZABCUVW" if any(letter in found for found in given)]
     columns = {f"{name}: {letter}": [found.get(letter, "") for found, _ in parts] for letter in letters}
-    rest = [re.split(r"[\s,;:/|-]+", text.strip(" -,;:/|")) for _, text in parts]
+    # Collection, group and point (A::Round_1::P1) have several words each; a group `Round_1` is one.
+    rest = [re.split(r"[\s,;:/|-]+", _GROUPED_ROUND.sub(r"\1\2", text.strip(" -,;:/|"))) for _, text in parts]
     count = max(map(len, rest))
     padded = [[*words, *[""] * (count - len(words))] for words in rest]
     kept: list[int] = []
@@ -148,14 +184,19 @@ class _Matrix(NamedTuple):
 
 
 _RUNS: Final = NAMES["round"] | {"messung", "measurement", "mesure"}
-_RUN_WORDS: Final = _RUNS | ROLES["approach"] | {"n", "nr", "no", "j", "x", "xij", "dev", "abw"} | ROLES["deviation"]
+_TOLERANCES: Final = frozenset({"tol", "toleranz", "tolerance", "utol", "ltol", "otol", "utl", "ltl", "out", "outtol"})
+_RUN_WORDS: Final = (_RUNS | ROLES["approach"] | {"n", "nr", "no", "j", "x", "xij"} | ROLES["deviation"]) - _TOLERANCES
+"""Words of the titles of runs; ``+TOL`` and ``-TOL`` are no runs."""
 
 
 _DEVIATION_UNIT: Final = re.compile(
-    r"(?:abweich|deviat|error|fehler|ecart|écart)\w*[^;,\[(]{0,16}(?:[\[(]|\bin\s)\s*([µμ]m|um|mm|inch)\b|(?:[\[(]|\bin\s)\s*([µμ]m|um|microns?)\b",
+    r"(?:abweich|deviat|error|fehler|ecart|écart)\w*[^;,\[(]{0,16}(?:[\[(]|\bin\s)\s*([µμ]m|um|mm|inch)\b|(?:[\[(]|\bin\s)\s*([µμ]m|um|microns?)\b"
+    r"|(?:abweichung(?:en)?|deviations?|errors?|fehler|[eé]carts?)\s*[:=;,]?\s*([µμ]m|um|microns?|[mμµ]icromet(?:er|re)s?|mikrometer)\b",
     re.IGNORECASE,
 )
-"""Title that states the unit of the deviations of a matrix."""
+"""Title that states the unit of deviations: ``Errors: Micrometres``."""
+_ENTRY: Final = re.compile(r"(?<!\S)([A-Za-z_]\w*)\s*=\s*([-+]?(?:\d+(?:[.,]\d*)?|[.,]\d+))(?!\S)")
+"""Entry of a line that names each of its values: ``X=300.0012``."""
 
 
 def run_in(text: str) -> tuple[str, int] | None:
@@ -309,8 +350,7 @@ def _in_rows(
         return None
     above = raw.rows[:titles]
     text = " ".join(cell for _, cells in above for cell in cells)
-    stated = _DEVIATION_UNIT.search(text)
-    unit = unit or (next(filter(None, stated.groups())) if stated else "")
+    unit = unit or unit_of_deviations(text)
     small = _are_deviations(readings)
     name = ("deviation" if small else "measured") + (f" [{unit}]" if unit else "")
 

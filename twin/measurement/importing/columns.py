@@ -161,7 +161,9 @@ def add_names(found: Proposal, meanings: Mapping[str, Meaning]) -> None:
             found.add(name, entry_of(name))
         elif meaning.kind in ("target", "station", "round"):
             found.add(meaning.kind, entry_of(name))
-        elif meaning.kind == "carrier":
+        elif meaning.kind in ("carrier", "") and "carrier" not in found.entries:
+            if not meaning.kind and not {plain_words(cell) for cell in found.layout.column(name)} <= {*CARRIER_WORDS}:
+                continue
             wrong = [cell for cell in found.layout.column(name) if plain_words(cell) not in CARRIER_WORDS]
             if wrong:
                 found.notes.append(f"'{name}' is not used: '{wrong[0]}' is not a side of the machine")
@@ -312,6 +314,8 @@ def without_header(found: Proposal) -> dict[str, Meaning]:
         name for name in own if all(looks_like_number(cell) for cell in layout.column(name) if not is_no_value(cell))
     ]
     words = [name for name in own if name not in numbers and any(layout.column(name))]
+    if len(numbers) > 3 and words:  # an offset, which is the same for all points
+        numbers = [name for name in numbers if len({*layout.column(name)}) > 1]
     if len(numbers) == 4 and not words:  # numbered points
         words, numbers = numbers[:1], numbers[1:]
     known = found.plan is not None or layout.derived

@@ -14,6 +14,7 @@ from twin._common.arrays import read_only
 from twin._common.errors import InputError, printable
 from twin._common.files import other_kind, read_bytes, scratch_folder, write_atomic
 from twin._common.provenance import SIMULATED, SourceWarning, warning_texts, warnings_to_json
+from twin._common.records import TIME
 from twin._common.units import count_with_noun
 from twin.display.results import Result
 from twin.machine.machine import Machine
@@ -21,7 +22,7 @@ from twin.measurement.agreement import ColumnChange, wrong_columns
 from twin.measurement.columns import POINT_COLUMNS, RowNote, comment_lines, csv_text, grouped_notes, table_columns
 from twin.measurement.columns import SIMULATED as SIMULATED_WORD
 from twin.measurement.formats import other_format
-from twin.measurement.importing.apply import TIME, Applied, PlanPoints, moment_in
+from twin.measurement.importing.apply import Applied, PlanPoints, moment_in
 from twin.measurement.importing.arrangement import table_layout
 from twin.measurement.importing.cells import MAX_BYTES, Layout, read_cells
 from twin.measurement.importing.columns import Proposal, quoted
@@ -37,6 +38,10 @@ TABLES: Final = ("a measurement table", "a plan", "a spreadsheet or zip file")
 """Kinds of files that are tables."""
 SIMULATION: Final = re.compile(r"\bsimul(ated|iert)", re.IGNORECASE)
 """Words of a comment or title which state that the readings were computed."""
+
+
+CYCLE_LOG: Final = re.compile(r"CYCLE99(?:6|60)\b|measure kinematics|kinematik vermessen(?!.*zyklus 45)", re.IGNORECASE)
+"""Names of SINUMERIK's cycles in their logs."""
 
 
 @final
@@ -238,13 +243,24 @@ def import_table(
     """
     path = Path(path)
     given = None if columns is None else ColumnMapping.load(Path(columns), machine)
+    if given is None and (stated := CYCLE_LOG.search(read_bytes(path, most_bytes=MAX_BYTES)[:4000].decode("latin-1"))):
+        raise InputError(
+            f"a log of SINUMERIK's measurement of kinematics ({stated[0]}), whose lines no public description explains",
+            expected="a line `X=… Y=… Z=… A=… C=…` for each measurement, which the program writes (WRITE): the axis positions "
+            "with the tip at the sphere's centre; or a program of `twin plan --program`",
+            file=path,
+        )
     try:
         return _imported(path, machine, given, sheet=sheet, plan=None if plan is None else Path(plan))
     except InputError as error:
         if given is not None:
             raise
         kind = other_format(path, most_bytes=MAX_BYTES)
-        other = None if kind or error.cure is not None else other_kind(read_bytes(path).decode("latin-1"), *TABLES)
+        other = None if kind else other_kind(read_bytes(path).decode("latin-1"), *TABLES)
+        if (
+            error.cure is not None and other != "an XML file"
+        ):  # rows of letters and numbers may also look like a program
+            other = None
         if kind is None and other is None:
             raise
     if kind is None:

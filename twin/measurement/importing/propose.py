@@ -14,7 +14,7 @@ from twin.machine.machine import Axis, Machine
 from twin.measurement.agreement import sides_of_targets
 from twin.measurement.columns import PLACE_COLUMNS, POINT_COLUMNS, axis_columns
 from twin.measurement.importing.apply import Applied, PlanPoints
-from twin.measurement.importing.arrangement import DIRECTION, HEADING, RUN
+from twin.measurement.importing.arrangement import DIRECTION, HEADING, RUN, unit_of_deviations
 from twin.measurement.importing.cells import Layout, yaml_list
 from twin.measurement.importing.columns import (
     Proposal,
@@ -56,6 +56,8 @@ CLEAR: Final = 5.0
 """Ratio of misfits from which the readings prove a convention."""
 FOLLOWS_MM: Final = 1.0
 """Mean misfit up to which readings follow the commands."""
+LARGEST_DEVIATION_MM: Final = 1.0
+"""Deviation of a positioning test up to which a title's unit is trusted for it."""
 UNCERTAIN_ANGLE: Final = "grad"
 """Word for degrees in German, and for gon in English."""
 
@@ -321,6 +323,7 @@ def _add_one_axis(found: Proposal, meanings: Mapping[str, Meaning]) -> bool:
     found.add(column, entry_of(position, unit=unit))
     stated = _unit_of(found, reading, meanings[reading], LENGTH)
     if meanings[reading].kind == "deviation":
+        stated = _unit_of_deviation(found, reading, meanings[reading], stated)
         unit = stated or "um"
         found.deviations = DeviationEntry(x=reading, unit=unit, along=column)
         found.used.add(reading)
@@ -349,6 +352,23 @@ def _add_one_axis(found: Proposal, meanings: Mapping[str, Meaning]) -> bool:
         "axis and direction",
     )
     return True
+
+
+def _unit_of_deviation(found: Proposal, name: str, meaning: Meaning, stated: str | None) -> str | None:
+    """Return the unit of the deviations of a positioning test; None if the file does not state it.
+
+    Titles state the unit of the targets: it is that of the deviations, too, only if these are then below `LARGEST_DEVIATION_MM`.
+    """
+    own = found.layout.units[found.layout.names.index(name)] or meaning.unit or found.layout.cell_units(name)
+    if own or stated is None:
+        return stated
+    titles = [
+        unit_named(unit) for unit in map(unit_of_deviations, (*found.layout.titles, *found.layout.raw.comments)) if unit
+    ]
+    by_title = next((unit.name for unit in titles if unit is not None), None)
+    unit, largest = unit_named(stated), float(np.nanmax(np.abs(found.values(name)), initial=0.0))
+    fits = unit is not None and largest * float(unit.factor) <= LARGEST_DEVIATION_MM
+    return by_title or (stated if fits else None)
 
 
 def _counts(values: np.ndarray) -> bool:
@@ -436,7 +456,9 @@ def _check_commands(found: Proposal, meanings: dict[str, Meaning]) -> None:
         return
     unclear = [name for name, one in meanings.items() if one.kind == "bare" and name not in found.used]
     words = [{*plain_words(name).split()} for name in found.layout.names]
-    if all(any(own <= ROLES[role] for own in words) for role in ("command", "measured")):
+    lettered = [{*map(plain_words, found.layout.column(name))} for name in found.layout.names]
+    in_rows = any(2 <= len(own) and own <= {"x", "y", "z", "d", "t", "r", "tp", "pa", "m"} for own in lettered)
+    if in_rows or all(any(own <= ROLES[role] for own in words) for role in ("command", "measured")):
         raise InputError(
             "one row for each axis or feature, not for each measured point",
             expected="one row for each point, with the commands of all axes and x, y, z measured",
@@ -453,27 +475,63 @@ def _check_commands(found: Proposal, meanings: dict[str, Meaning]) -> None:
         line=found.layout.header_line,
         value=" | ".join(found.layout.names),
         setting="plan" if not commands else None,
-        cure=_line_for(
-            found, meanings, needed=POINT_COLUMNS if commands else [*axis_columns(found.machine)][:3], unclear=unclear
-        ),
+        cure=_line_for(found, meanings, is_commanded=bool(commands), unclear=unclear),
     )
 
 
 def _line_for(
-    found: Proposal, meanings: Mapping[str, Meaning], *, needed: Sequence[str], unclear: Sequence[str]
+    found: Proposal, meanings: Mapping[str, Meaning], *, is_commanded: bool, unclear: Sequence[str]
 ) -> str | None:
-    """Return the line of a mapping that takes columns from those of the file that have no other use; None if too few are left."""
+    """Return the line of a mapping that takes columns from those of the file that have no other use; None if too few are left.
+
+    ``unclear``: columns named by an axis alone. Three columns of lengths beside them are coordinates; one beside a position is a length
+    along the axis; none beside the positions of all linear axes: those of a probe with its tip at a sphere's centre.
+    """
+    layout, axes = found.layout, axis_columns(found.machine)
+
+    def is_length(name: str) -> bool:
+        unit = unit_named(meanings[name].unit or layout.units[layout.names.index(name)] or "mm", LENGTH)
+        values = found.values(name)
+        return (
+            unit is not None
+            and unit.name != "um"
+            and len(np.unique(values[np.isfinite(values)])) > 1
+            and not _counts(values)
+        )
+
     free = [
         name
-        for name in found.layout.names
+        for name, one in meanings.items()
         if name not in found.used
         and name not in unclear
         and is_number_column(found, name)
-        and meanings[name].kind in ("", "command", "measured", "deviation", "point")
+        and one.kind in ("", "command", "measured", "deviation", "point", "distance")
+        and is_length(name)
     ]
-    if len(free) < len(needed):
+    columns = {f"{meanings[name].name}_{found.machine.by_name[meanings[name].name].unit}": name for name in unclear
+               if meanings[name].name in found.machine.by_name}  # fmt: skip
+    own = {column: entry_of(name) for column, name in columns.items() if column not in found.entries}
+    position = next((name for name, one in meanings.items() if one.kind == "position"), None)
+    needed = [*axes][:3] if not (is_commanded or own) else [*POINT_COLUMNS]
+    if position is not None and free and not own and not is_commanded:
+        axis = _axis_of(found, set(), found.values(position))
+        own = {f"{axis.name}_{axis.unit}": entry_of(position, unit="mm"), "x_mm": entry_of(free[0], unit="mm")}
+        own |= {column: entry_of(value="") for column in POINT_COLUMNS[1:]}
+        return column_line({**own, "instrument": entry_of(value="linear-interferometer")})
+    reported = {
+        column: found.entries.get(f"readback_{letter}_mm") for column, letter in zip(POINT_COLUMNS, "XYZ", strict=True)
+    }
+    if is_commanded and all(reported.values()):
+        return column_line({column: entry for column, entry in reported.items() if entry is not None})
+    if len(free) >= len(needed):
+        return column_line(
+            {**own, **{column: entry_of(name, unit="mm") for column, name in zip(needed, free, strict=False)}}
+        )
+    if free or not {column for column, axis in axes.items() if axis.linear} <= {*own}:
         return None
-    return column_line({column: entry_of(name, unit="mm") for column, name in zip(needed, free, strict=False)})
+    centre = {**dict.fromkeys(POINT_COLUMNS, entry_of(value=0.0)), "station_carrier": entry_of(value="tool")}
+    words = {"carrier": "work", "target": "sphere", "instrument": "probe"}
+    return column_line({**own, **centre, **{name: entry_of(value=word) for name, word in words.items()}})
 
 
 def _match_plan(found: Proposal, meanings: dict[str, Meaning]) -> None:

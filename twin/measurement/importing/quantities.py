@@ -67,7 +67,10 @@ UNITS: Final = (
     Unit("m", "mm", Decimal(1000), ("meter", "metre", "meters", "metres", "metern", "mètre", "mètres")),
     Unit("cm", "mm", Decimal(10), ("centimeter", "centimetre", "centimeters", "centimetres", "zentimeter")),
     Unit(
-        "um", "mm", Decimal("0.001"), ("µm", "μm", "micron", "microns", "mikrometer", "my", "micrometer", "micrometre")
+        "um",
+        "mm",
+        Decimal("0.001"),
+        ("µm", "μm", "micron", "microns", "mikrometer", "my", "micrometer", "micrometre", "micrometers", "micrometres"),
     ),
     Unit("nm", "mm", Decimal("0.000001")),
     Unit("inch", "mm", Decimal("25.4"), ("in", "inches", "zoll", "pouce", "pouces", '"')),
@@ -405,6 +408,10 @@ def is_table_column(name: str, machine: Machine) -> bool:
     return name in table_names(machine) or bool(re.fullmatch(r"T_.+_degC", name) or CHANNEL.fullmatch(name))
 
 
+INSTRUMENTS: Final = frozenset({"tracker", "lasertracker", "laser", "interferometer"})
+"""Words of a header by which `Istposition` is what an instrument measured, not what the control reports."""
+
+
 def meaning_of(header: str, machine: Machine) -> Meaning:
     """Return the meaning of a header."""
     if is_table_column(header, machine):
@@ -440,6 +447,8 @@ def meaning_of(header: str, machine: Machine) -> Meaning:
         # Few programs give anything but the position of a rotary axis; a linear axis has offsets, corrections and more.
         is_rotary = axis in machine.by_name and not machine.by_name[axis].linear
         return Meaning("bare" if is_rotary else "", axis, unit, certain=not is_rotary)
+    if "readback" in roles and {*rest} & INSTRUMENTS:
+        return Meaning("measured", axis, unit)
     role = roles[0]
     return Meaning(role, axis, unit, certain=len(roles) == 1 and all(word in ROLES[role] for word in rest))
 

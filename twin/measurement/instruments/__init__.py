@@ -1,6 +1,6 @@
 """Instruments: what each reads of a point, and with which uncertainty.
 
-A new instrument is one file and one entry in `twin._common.families.INSTRUMENTS`. The multi-axis interferometer
+A new instrument is one specification, one class and one entry in `twin._common.families.INSTRUMENTS`. The multi-axis interferometer
 (`twin.measurement.instruments.multi_axis`) reads the pose of a carriage, not points, and has its own command; it has the same
 `InstrumentSpecification`.
 
@@ -18,7 +18,6 @@ import numpy as np
 
 from twin._common import families
 from twin._common.errors import require_name
-from twin.measurement.instruments.ball_bar import BallBar
 from twin.measurement.instruments.base import (
     SIDES,
     STANDARD_AIR,
@@ -30,13 +29,9 @@ from twin.measurement.instruments.base import (
     length_scale,
     refractive_index,
 )
-from twin.measurement.instruments.interferometer import TrackingInterferometer
-from twin.measurement.instruments.level import Level
-from twin.measurement.instruments.linear import LinearInterferometer
+from twin.measurement.instruments.lengths import BallBar, LinearInterferometer, TrackingInterferometer
 from twin.measurement.instruments.multi_axis import Displacement, MultiAxis, measure
-from twin.measurement.instruments.probe import TouchProbe
-from twin.measurement.instruments.r_test import RTest
-from twin.measurement.instruments.tracker import LaserTracker
+from twin.measurement.instruments.points import LaserTracker, Level, RTest, TouchProbe
 
 INSTRUMENTS: Final[tuple[Instrument, ...]] = families.members(__name__, families.INSTRUMENTS)
 """Instruments whose readings a measurement table can contain; the first of several alike is the default (`default_instrument`)."""

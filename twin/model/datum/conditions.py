@@ -22,7 +22,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
 from typing import Final, Literal, final
 
 import numpy as np
@@ -36,6 +35,7 @@ from twin.machine.machine import Axis, Machine
 from twin.model.effects import AxisLocation, Squareness, split_name
 from twin.model.effects.base import Effect
 from twin.model.motion_curve import Curve
+from twin.numerics.curves.basis import gauss_legendre
 from twin.numerics.spatial import cross_matrix, rotation_exp, rotation_log
 
 NODES: Final = 80
@@ -186,17 +186,10 @@ def _link(
     numbers: Numbers, axis: Axis, gaps: tuple[int | None, int | None], rotation: np.ndarray, translation: np.ndarray
 ) -> DatumLink:
     lo, hi = numbers.domain(axis)
-    x, w = _rule()
+    x, w = gauss_legendre(NODES)
     nodes = np.concatenate([[lo], (lo + hi) / 2.0 + x * (hi - lo) / 2.0, [hi]])
     weights = np.concatenate([[0.0], w / 2.0, [0.0]])
     return DatumLink(axis, *gaps, rotation, translation, gaps[1] is None, (lo, hi), nodes, weights)
-
-
-@cache
-def _rule() -> tuple[np.ndarray, np.ndarray]:
-    """Return points and weights of the Gauss-Legendre rule from −1 to 1."""
-    x, w = np.polynomial.legendre.leggauss(NODES)
-    return read_only(x), read_only(w)
 
 
 def _path(model: pin.Model, joints: list[int], start: int, end: int) -> pin.SE3:

@@ -19,6 +19,7 @@ import pinocchio as pin
 
 from twin._common.arrays import read_only
 from twin._common.errors import InputError
+from twin._common.messages import Message
 from twin._common.units import UM, URAD
 from twin.machine.error_names import DIRECTIONS
 from twin.machine.machine import Axis, ErrorFrame, Machine
@@ -142,6 +143,11 @@ def along(axis: Axis, value: Any) -> dict[int, Any]:
     return {start + i: value * part for i, part in enumerate(axis.direction) if part != 0.0}
 
 
+def along_scale(axis: Axis, positions: Mapping[str, Any], by: Any) -> tuple[dict[int, Any], dict[int, Any]]:
+    """Return what a scale in µm/m and an offset in µm, both in proportion to ``by``, displace along a linear axis, each per unit."""
+    return along(axis, 1e-3 * positions[axis.name] * by), along(axis, by)
+
+
 @final
 class RecordingState(dict[str, Any]):
     """State of one pose inside the ranges that answers any request for a channel and records its name in ``asked``."""
@@ -248,13 +254,17 @@ def motion_in_words(name: str) -> str:
     direction = direction_of(name)
     if average:
         return (
-            f"axis of {axis} displaced along {direction}"
+            Message("axis of {axis} displaced along {direction}", axis=axis, direction=direction)
             if component < 3
-            else f"axis of {axis} tilted about {direction}"
+            else Message("axis of {axis} tilted about {direction}", axis=axis, direction=direction)
         )
     if DIRECTIONS[component] == axis:
-        return f"position of {axis}" if component < 3 else f"angle of {axis}"
-    return f"error of {axis} in {direction}" if component < 3 else f"tilt of {axis} about {direction}"
+        return Message("position of {axis}", axis=axis) if component < 3 else Message("angle of {axis}", axis=axis)
+    return (
+        Message("error of {axis} in {direction}", axis=axis, direction=direction)
+        if component < 3
+        else Message("tilt of {axis} about {direction}", axis=axis, direction=direction)
+    )
 
 
 # --- Masses that are missing from the machine description; they act through the compliances of the joints that carry them
@@ -264,6 +274,8 @@ SIDES: Final[tuple[Side, ...]] = ("tool", "work")
 NUMBERS: Final = ("mass", "centre_x_mm", "centre_y_mm", "centre_z_mm")
 """Parameters of a payload: contract §5."""
 MASS: Final = NUMBERS[0]
+OWN_WEIGHT: Final = "own_weight"
+"""Parameter of a payload: the share of the deflection under the machine's own weight that its control leaves; 1 if not given."""
 LOAD: Final = "load_kg"
 """Channel with the mass of a carried load, kg."""
 LOAD_NUMBERS: Final = ("mass_ratio", *NUMBERS[1:])
@@ -364,12 +376,22 @@ def side_of(axis: Axis) -> Side:
     return "tool" if axis.side == "tool" else "work"
 
 
-def max_payload_kg(machine: Machine) -> float:
-    """Return the largest payload considered, kg: ten times the mass of the moving parts in the URDF.
+SEARCHED: Final = 10.0
+"""Largest payload of the search as a multiple of the mass of the moving parts."""
 
-    Robots and tables carry about their own weight.
+
+def moving_mass_kg(machine: Machine) -> float:
+    """Return the mass of the moving parts in the URDF, kg: robots and tables carry no more than about their own weight."""
+    return float(sum(machine.model.inertias[joint].mass for joint in range(1, machine.model.njoints)))
+
+
+def max_payload_kg(machine: Machine) -> float:
+    """Return the largest payload of the search, kg.
+
+    Beyond the mass of the moving parts, it is no mass: the control corrects a part of the deflection under own weight (`OWN_WEIGHT`),
+    but not that of a load.
     """
-    return 10.0 * float(sum(machine.model.inertias[joint].mass for joint in range(1, machine.model.njoints)))
+    return SEARCHED * moving_mass_kg(machine)
 
 
 # --- Shifts of the whole tool side along a direction of the base frame ----------------------------

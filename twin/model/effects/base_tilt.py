@@ -132,7 +132,9 @@ BASE_TILT: Final = Specification(
         f"{EXTENDED}.",
         "Do not correct it in a single joint: the whole arm tilts.",
     ),
-    evidence=lambda fit: f"the whole arm tilts about its base ({fit.where}), by {fit.measure}",
+    evidence=lambda fit: Message(
+        "the whole arm tilts about its base ({where}), by {measure}", where=fit.where, measure=fit.measure
+    ),
     parameters=TURNING,
     required=lambda names: LOADED if set(names) == set(LOADED) else TURNING,
     # As for an inclined axis: a base that rocks by 5 mrad is loose. 100 µrad/kg is 20 mrad under 200 kg.

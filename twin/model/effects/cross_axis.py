@@ -74,7 +74,7 @@ CROSS_AXIS: Final = Specification(
         f"{EXTENDED}.",
         "Do not correct one axis by itself: the correction would be right at only one position of the other axis.",
     ),
-    evidence=lambda fit: f"{fit.where}: the error of one axis grows with the position of another",
+    evidence=lambda fit: Message("the error of one axis grows with the position of another"),
     parameters=("coefficient",),
     # 10 mrad per metre: a guideway that turns by more over the travel of another axis jams. For a translation, µm/m² is µrad/m.
     limits={"um/m2": 10_000.0, "urad/m": 10_000.0},

@@ -11,8 +11,9 @@ from typing import Any, Final, Literal, final
 import numpy as np
 
 from twin._common.errors import InputError
+from twin._common.records import APPROACH
 from twin.model.effects.base import Effect, Frame, Parameter, channel
-from twin.model.effects.harmonic import APPROACH, Waves, label, terms
+from twin.model.effects.harmonic import Waves, label, terms
 from twin.numerics.functions import cos, sin
 
 DIRECTIONS: Final = "xyz"

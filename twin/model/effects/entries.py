@@ -16,7 +16,7 @@ from typing import Any, Final
 from twin._common import families
 from twin._common.errors import InputError, closest_name
 from twin.machine.machine import Machine
-from twin.model.effects.base import Effect, Payload, Side, numbered
+from twin.model.effects.base import MASS, OWN_WEIGHT, Effect, Payload, Side, moving_mass_kg, numbered
 from twin.model.effects.gravity_compliance import CARRIED_LOAD, PAYLOAD, GravityCompliance
 from twin.model.effects.specification import Specification
 from twin.model.effects.table_load import TableLoad
@@ -65,12 +65,20 @@ def effect_named(
 
 
 def payload_named(specification: Specification, where: str, numbers: Mapping[str, float], machine: Machine) -> Payload:
-    """Create a payload or a carried load, whose specification is given, from its parameters."""
+    """Create a payload or a carried load, whose specification is given, from its parameters.
+
+    Relative to own weight, of which the control leaves only a share, a load acts as a mass that is larger by the inverse of it.
+    """
     side = next((name for name in ("tool", "work") if name == where), None)
     if side is None:
         raise specification.no_place(machine, where)
-    carried = specification is CARRIED_LOAD
-    return Payload.of(side, specification.numbers_of(where, numbers), carried=carried).checked()
+    carried, given = specification is CARRIED_LOAD, specification.numbers_of(where, numbers)
+    share = given.pop(OWN_WEIGHT, 1.0)
+    if not 0.0 < share <= 1.0:
+        raise InputError(f"{OWN_WEIGHT} of payload {side}", expected="above 0, at most 1", value=share)
+    if share != 1.0:
+        given[MASS] /= share
+    return Payload.of(side, given, carried=carried).checked()
 
 
 def payloads_on(effects: Sequence[Effect]) -> tuple[Payload, ...]:
@@ -83,16 +91,20 @@ def payloads_on(effects: Sequence[Effect]) -> tuple[Payload, ...]:
     return tuple(kinds.values())
 
 
-def payload_entries(effects: Sequence[Effect]) -> list[dict[str, Any]]:
-    """Return the entries of the payloads and carried loads that act on the given effects, as `payload_named` reads them."""
-    return [
-        {
-            "effect": (CARRIED_LOAD if payload.carried else PAYLOAD).name,
-            "where": payload.side,
-            "parameters": payload.numbers,
-        }
-        for payload in payloads_on(effects)
-    ]
+def payload_entries(effects: Sequence[Effect], machine: Machine) -> list[dict[str, Any]]:
+    """Return the entries of the payloads and carried loads that act on the given effects, as `payload_named` reads them.
+
+    A payload heavier than the moving parts is none that the machine could carry: only its ratio to the share of own weight that the
+    control leaves is known, and the entry has that share for a load as heavy as these parts.
+    """
+    entries = []
+    for payload in payloads_on(effects):
+        numbers, most = payload.numbers, moving_mass_kg(machine)
+        if not payload.carried and payload.mass_kg > most > 0.0:
+            numbers = numbers | {MASS: most, OWN_WEIGHT: most / payload.mass_kg}
+        name = (CARRIED_LOAD if payload.carried else PAYLOAD).name
+        entries.append({"effect": name, "where": payload.side, "parameters": numbers})
+    return entries
 
 
 def distinguished(

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, Final, final
 
+from twin._common.messages import Message
 from twin.machine.machine import Axis, Machine
 from twin.model.effects.base import Effect, Frame, Parameter, direction_of, split_name, unit_of
 from twin.model.effects.specification import EXTENDED, Advice, Specification
@@ -65,7 +66,8 @@ def _places(machine: Machine, name: str) -> tuple[str, ...]:
 
 
 _REMEASURE: Final = Advice(
-    "Check that the calibration still applies to this machine: its date, and what has been repaired, moved or levelled since. Then "
+    "Check that the calibration still applies to this machine: its date, and what has been repaired, moved or "
+    "levelled since. Then "
     "service: guideway and bearings of {axis}.",
     f"{EXTENDED}, or identify the errors again with this error motion included (twin identify).",
     "Do not correct it with a zero offset: the error changes along the travel, an offset does not.",
@@ -74,13 +76,13 @@ _REMEASURE: Final = Advice(
 POSITIONING: Final = Specification(
     name="positioning",
     kind="machine",
-    title=lambda where: f"positioning error of {split_name(where)[2]}",
+    title=lambda where: Message("positioning error of {axis}", axis=split_name(where)[2]),
     advice=Advice(
         _REMEASURE.look,
         _REMEASURE.do,
         "Do not also enter it in the control's pitch-error table: it would be corrected twice.",
     ),
-    evidence=lambda fit: f"{fit.where}: the positioning error of the axis differs from the model",
+    evidence=lambda fit: Message("the positioning error of the axis differs from the model"),
     # Those of a location: beyond 20 mm or 20 mrad the machine description is wrong, not the machine.
     limits={"um": 20_000.0, "urad": 20_000.0},
     places=lambda machine: _places(machine, "positioning"),
@@ -90,18 +92,22 @@ POSITIONING: Final = Specification(
 STRAIGHTNESS: Final = replace(
     POSITIONING,
     name="straightness",
-    title=lambda where: f"straightness error of {split_name(where)[2]} in {direction_of(where)}",
+    title=lambda where: Message(
+        "straightness error of {axis} in {direction}", axis=split_name(where)[2], direction=direction_of(where)
+    ),
     advice=_REMEASURE,
-    evidence=lambda fit: f"{fit.where}: the straightness error of the axis differs from the model",
+    evidence=lambda fit: Message("the straightness error of the axis differs from the model"),
     places=lambda machine: _places(machine, "straightness"),
 )
 
 ANGULAR_ERROR_MOTION: Final = replace(
     STRAIGHTNESS,
     name="angular_error_motion",
-    title=lambda where: f"tilt of {split_name(where)[2]} about {direction_of(where)} along its travel",
+    title=lambda where: Message(
+        "tilt of {axis} about {direction} along its travel", axis=split_name(where)[2], direction=direction_of(where)
+    ),
     family="tilts of axes along their travel",
-    evidence=lambda fit: f"{fit.where}: the tilt of the axis along its travel differs from the model",
+    evidence=lambda fit: Message("the tilt of the axis along its travel differs from the model"),
     places=lambda machine: _places(machine, "angular_error_motion"),
 )
 
@@ -109,8 +115,8 @@ ANGULAR_ERROR_MOTION: Final = replace(
 def _rotary_title(where: str) -> str:
     component, _, axis = split_name(where)
     if component < 3:
-        return f"shift of {axis} along {direction_of(where)} as it turns"
-    return f"tilt of {axis} about {direction_of(where)} as it turns"
+        return Message("shift of {axis} along {direction} as it turns", axis=axis, direction=direction_of(where))
+    return Message("tilt of {axis} about {direction} as it turns", axis=axis, direction=direction_of(where))
 
 
 ROTARY_ERROR_MOTION: Final = replace(
@@ -118,7 +124,7 @@ ROTARY_ERROR_MOTION: Final = replace(
     name="error_motion",
     title=_rotary_title,
     family="error motions of rotary axes",
-    evidence=lambda fit: f"{fit.where}: the error motion of the axis differs from the model",
+    evidence=lambda fit: Message("the error motion of the axis differs from the model"),
     places=lambda machine: _places(machine, "error_motion"),
     rare=True,
     plain_forms=0,

@@ -24,6 +24,7 @@ from twin.model.effects.base import (
     LOAD_NUMBERS,
     MASS,
     NUMBERS,
+    OWN_WEIGHT,
     SIDES,
     AlongAxis,
     Effect,
@@ -290,7 +291,7 @@ def _forms(machine: Machine, where: str, state: State, known: Sequence[Payload] 
     return Forms(names, build, units, tuple(trials), together=together)
 
 
-_SIDE: Final = {"tool": Message("tool"), "work": Message("work")}
+SIDE_NAMES: Final = {"tool": Message("tool"), "work": Message("work")}
 
 GRAVITY_COMPLIANCE: Final = Specification(
     name="gravity_compliance",
@@ -302,7 +303,7 @@ GRAVITY_COMPLIANCE: Final = Specification(
         f"{EXTENDED}, with this load or with the load that you give.",
         "Do not use that calibration with another load that is not given.",
     ),
-    evidence=lambda fit: f"{fit.where} deflects under gravity",
+    evidence=lambda fit: Message("{where} deflects under gravity", where=fit.where),
     parameters=("compliance",),
     # Upper limits of compliance: 5 kN·m/rad is the stiffness of the gear in a small robot's wrist, 1 N/µm that of a weak slide.
     limits={"urad/(N.m)": 200.0, "um/N": 1.0},
@@ -317,7 +318,7 @@ PAYLOAD: Final = Specification(
     name="payload",
     kind="machine",
     title=lambda where: Message(
-        "load on the {where} side that is missing from the machine description", where=_SIDE[where]
+        "load on the {where} side that is missing from the machine description", where=SIDE_NAMES[where]
     ),
     family="loads missing from the machine description",
     advice=Advice(
@@ -325,8 +326,12 @@ PAYLOAD: Final = Specification(
         f"{EXTENDED}, with this load only.",
         "Do not use that calibration with another load.",
     ),
-    evidence=lambda fit: f"the {fit.where} side carries a mass that is missing from the URDF; joints deflect under it",
+    evidence=lambda fit: Message(
+        "the {where} side carries a mass that is missing from the URDF; joints deflect under it",
+        where=SIDE_NAMES[fit.where],
+    ),
     parameters=NUMBERS,
+    required=lambda names: (*NUMBERS, *([OWN_WEIGHT] if OWN_WEIGHT in names else [])),
     limits={"kg": HEAVIEST_KG, "mm": FARTHEST_MM},
     non_negative=True,
     places=lambda machine: SIDES,
@@ -337,14 +342,18 @@ PAYLOAD: Final = Specification(
 CARRIED_LOAD: Final = replace(
     PAYLOAD,
     name="carried_load",
-    title=lambda where: Message("deflection under the load that the {where} side carries", where=_SIDE[where]),
+    title=lambda where: Message("deflection under the load that the {where} side carries", where=SIDE_NAMES[where]),
     family="deflection under the carried load",
     advice=Advice(
         "Set-up: the masses in the column load_kg, and how the load was held on the {where} side.",
         f"{EXTENDED} and give the mass that is carried.",
         "Do not hold a load at another place without entering its centre of gravity in the calibration.",
     ),
-    evidence=lambda fit: f"joints deflect under the mass in the column {LOAD}, carried on the {fit.where} side",
+    evidence=lambda fit: Message(
+        "joints deflect under the mass in the column {column}, carried on the {where} side",
+        column=LOAD,
+        where=SIDE_NAMES[fit.where],
+    ),
     parameters=LOAD_NUMBERS,
     required=lambda names: LOAD_NUMBERS if LOAD_NUMBERS[0] in names else NUMBERS[1:],
     limits={"1": LARGEST_RATIO, "mm": FARTHEST_MM},

@@ -10,6 +10,7 @@ from typing import Any, Final, Literal, final
 import numpy as np
 
 from twin._common.messages import Message
+from twin._common.units import TURN
 from twin.machine.error_names import DIRECTIONS
 from twin.machine.machine import Machine
 from twin.model.effects.base import Effect, Frame, Parameter, Payload, direction_of, split_name, unit_of
@@ -124,11 +125,12 @@ HARMONIC: Final = Specification(
     title=_title,
     family="errors that repeat with the rotation",
     advice=Advice(
-        "Service: parts that rotate with {axis}: bearing and encoder (once per turn), worm or gear teeth (many times per turn).",
+        "Service: parts that rotate with {axis}: bearing and encoder (once per turn), worm or gear teeth (many times "
+        "per turn).",
         f"{EXTENDED}, or identify the errors again with this error motion included (twin identify).",
         "Do not check {axis} in steps of this period or a multiple of it: the error would not show.",
     ),
-    evidence=lambda fit: f"{fit.where}: the error repeats with the rotation of the axis",
+    evidence=lambda fit: Message("the error repeats with the rotation of the axis"),
     parameters=("order", "cos", "sin"),
     fixed={"order": "1"},
     # As for the location of the axis: an eccentric or inclined part is the largest harmonic, once per turn.
@@ -145,10 +147,8 @@ HARMONIC: Final = Specification(
 
 # --- Smooth functions of the columns of a table, of which empirical effects and patterns of unknown cause are sums
 
-APPROACH: Final = "approach_"
 ROUNDING: Final = 1e-6
 """Tolerance for leaving a range, as a fraction of it."""
-TURN_DEG: Final = 360.0
 Kind = Literal["half_waves", "whole_turns", "direction"]
 
 
@@ -204,8 +204,8 @@ class Waves:
             raise ValueError(f"{self.column} has no range")
         low, high = self.range
         if self.wrapped:
-            first = 0.5 * (low + high - TURN_DEG)
-            x = x - TURN_DEG * floor((x - first) / TURN_DEG)
+            first = 0.5 * (low + high - TURN)
+            x = x - TURN * floor((x - first) / TURN)
         return (x - low) / (high - low)
 
     def outside(self, x: Any) -> Any:

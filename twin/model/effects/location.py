@@ -58,11 +58,12 @@ AXIS_LOCATION: Final = Specification(
     title=motion_in_words,
     family="locations of rotary axes",
     advice=Advice(
-        "Set-up: position and orientation of rotary axis {axis} in the control's kinematics, and how they were measured.",
+        "Set-up: position and orientation of rotary axis {axis} in the control's kinematics, and how they were "
+        "measured.",
         f"Enter the new values in the control, or {EXTENDING}.",
         NOT_TWICE,
     ),
-    evidence=lambda fit: f"{fit.where}: the axis average line differs from the model by {fit.measure}",
+    evidence=lambda fit: Message("the axis average line differs from the model by {measure}", measure=fit.measure),
     limits={"um": 20_000.0, "urad": 20_000.0},
     places=lambda machine: machine.location_names,
     forms=lambda machine, where, state, payloads: single_parameter_form(
@@ -115,11 +116,12 @@ SQUARENESS: Final = Specification(
     kind="machine",
     title=_title,
     advice=Advice(
-        "Service: levelling of the machine, fixing of column and guideways; ask whether the machine was moved or had a collision.",
+        "Service: levelling of the machine, fixing of column and guideways; ask whether the machine was moved or had "
+        "a collision.",
         f"{EXTENDED}. After levelling, measure again.",
         "Do not keep the present values after levelling the machine.",
     ),
-    evidence=lambda fit: f"{fit.where}: the squareness error differs from the model by {fit.measure}",
+    evidence=lambda fit: Message("the squareness error differs from the model by {measure}", measure=fit.measure),
     limits={"urad": 10_000.0},
     places=lambda machine: machine.squareness_names,
     forms=lambda machine, where, state, payloads: single_parameter_form(
@@ -153,7 +155,7 @@ ZERO_OFFSET: Final = Specification(
         f"Set the zero of {{axis}} in the control, or {EXTENDING}.",
         NOT_TWICE,
     ),
-    evidence=lambda fit: f"the zero of {fit.where} is off by {fit.measure}",
+    evidence=lambda fit: Message("the zero of {where} is off by {measure}", where=fit.where, measure=fit.measure),
     parameters=("offset",),
     limits={"um": 20_000.0, "urad": 50_000.0},
     places=all_axes,

@@ -127,7 +127,7 @@ PITCH_ERROR: Final = Specification(
         f"{EXTENDED}.",
         "Do not check {axis} in steps of this period or a multiple of it: the error would not show. " + NOT_TWICE,
     ),
-    evidence=lambda fit: f"{fit.where} has a periodic positioning error along its travel",
+    evidence=lambda fit: Message("{where} has a periodic positioning error along its travel", where=fit.where),
     parameters=("amplitude", "period", "phase"),
     # 10 m is half the travel of the longest gantry. A fit below half the shortest period sought has left the period that was found.
     limits={"um": 500.0, "mm": 10_000.0, "rad": pi},

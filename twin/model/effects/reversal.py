@@ -56,12 +56,16 @@ REVERSAL: Final = Specification(
     title=lambda where: Message("backlash of {where}", where=where),
     family="backlash",
     advice=Advice(
-        "Service: screw nut and preload of {axis} (rotary axis: worm or gear), thrust bearing, coupling, mounting of the scale.",
+        "Service: screw nut and preload of {axis} (rotary axis: worm or gear), thrust bearing, coupling, mounting of "
+        "the scale.",
         f"{EXTENDED}: it takes the direction of approach of {{axis}} into account. Or enter the value as backlash in the control.",
         f"{NOT_TWICE} Do not shift the zero of {{axis}}: that moves the error but does not reduce it.",
     ),
-    evidence=lambda fit: (
-        f"{fit.where} has {abs(fit.size):.3g} {fit.unit} of backlash: its position depends on the direction of approach"
+    evidence=lambda fit: Message(
+        "{where} has {size:.3g} {unit} of backlash: its position depends on the direction of approach",
+        where=fit.where,
+        size=abs(fit.size),
+        unit=fit.unit,
     ),
     parameters=("size",),
     limits={"um": 1000.0, "urad": 5000.0},
@@ -158,7 +162,13 @@ def _evidence(fit: FittedCause) -> str:
     if not isinstance(effect, ReversalCurve):
         return ""
     low, high = effect.reversal_range()
-    return f"the backlash of {fit.where} varies along its travel, from {low:.3g} {fit.unit} to {high:.3g} {fit.unit}"
+    return Message(
+        "the backlash of {where} varies along its travel, from {low:.3g} {unit} to {high:.3g} {unit}",
+        where=fit.where,
+        low=low,
+        unit=fit.unit,
+        high=high,
+    )
 
 
 REVERSAL_CURVE: Final = replace(
@@ -167,7 +177,8 @@ REVERSAL_CURVE: Final = replace(
     title=lambda where: Message("backlash of {where} that varies along its travel", where=where),
     family="backlash that varies along the travel",
     advice=Advice(
-        "Service: wear of the screw and nut of {axis} where it is used most, tension of the screw, friction of the guideway.",
+        "Service: wear of the screw and nut of {axis} where it is used most, tension of the screw, friction of the "
+        "guideway.",
         f"{EXTENDED}: it takes direction of approach and position of {{axis}} into account.",
         f"{NOT_TWICE} Do not enter a single backlash value in the control: it would be right at one position only.",
     ),

@@ -108,8 +108,13 @@ def _forms(machine: Machine, where: str, state: State, payloads: Sequence[Payloa
 
 def _evidence(fit: FittedCause) -> str:
     place, width = (fit.numbers.get(name, 0.0) for name in ("place", "width"))
-    between = f"{place - width / 2.0:.6g} and {place + width / 2.0:.6g} mm"
-    return f"the position of {fit.where} jumps by {fit.measure} between {between}"
+    between = Message("{place:.6g} and {place2:.6g} mm", place=place - width / 2.0, place2=place + width / 2.0)
+    return Message(
+        "the position of {where} jumps by {measure} between {between}",
+        where=fit.where,
+        measure=fit.measure,
+        between=between,
+    )
 
 
 SCALE_STEP: Final = Specification(
@@ -118,7 +123,8 @@ SCALE_STEP: Final = Specification(
     title=lambda where: Message("step in the scale or rack of {where}", where=where),
     family="steps in scales and racks",
     advice=Advice(
-        "Service: the scale or rack of {axis} at that position: a joint of two sections, dirt, a damaged place, a counting error.",
+        "Service: the scale or rack of {axis} at that position: a joint of two sections, dirt, a damaged place, a "
+        "counting error.",
         f"{EXTENDED}, and measure {{axis}} in small steps about that position.",
         "Do not correct it with a smooth curve: it would be wrong on both sides of the step. " + NOT_TWICE,
     ),

@@ -16,6 +16,7 @@ from typing import Any, Final, Literal, final
 import numpy as np
 
 from twin._common.errors import InputError, closest_name
+from twin._common.messages import Message, Number
 from twin.display.numbers import capital
 from twin.machine.machine import Machine
 from twin.model.effects.base import Effect, Frame, Payload, ToolSide, tool_side
@@ -35,7 +36,7 @@ REST: Final = "Use the other results: this error has been removed from the data.
 @final
 @dataclass(frozen=True)
 class Advice:
-    """Advice on a cause; ``{axis}`` and ``{where}`` are replaced by its axis and its place."""
+    """Advice on a cause: identifiers of messages with the places ``{axis}`` and ``{where}``, its axis and its place."""
 
     look: str  # where to look, and who should
     do: str  # what to do until it is repaired
@@ -56,7 +57,7 @@ class FittedCause:
     @property
     def measure(self) -> str:
         """Size with its unit."""
-        return f"{self.size:.3g} {self.unit}"
+        return Number(f"{self.size:.3g} {self.unit}")
 
 
 @final
@@ -170,7 +171,7 @@ class Specification:
     # largest number of causes of it at one place, of those that can imitate any curve together; 0: no limit
     most: int = 0
     flexible: bool = False  # whether its many parameters can absorb a part of any other effect
-    # of an error of the instrument, the measurement that separates it from errors of the machine
+    # of an error of the instrument, the measurement that separates it from errors of the machine; the identifier of a message
     decided_by: str = "repeat the first round without touching the instrument or the targets"
     # number of its forms that are used to estimate the noise; 0: other effects have the same forms; None: the widest
     plain_forms: int | None = None
@@ -178,8 +179,8 @@ class Specification:
 
     @property
     def plural(self) -> str:
-        """Plain name of the kind of effect."""
-        return self.family or self.name.replace("_", " ")
+        """Plain name of the kind of effect, a message."""
+        return Message(self.family or self.name.replace("_", " "))
 
     def bound(self, units: Sequence[str]) -> float:
         """Return the largest plausible magnitude of the linear parameters, all of one unit; infinite if unknown."""

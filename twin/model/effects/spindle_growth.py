@@ -116,9 +116,12 @@ SPINDLE_GROWTH: Final = Specification(
         f"Run the spindle at cutting speed until it has settled, or {EXTENDING} and give speed and time.",
         "Do not touch off the tool at a speed other than cutting speed.",
     ),
-    evidence=lambda fit: (
-        f"the tool side moves along {fit.where} by {fit.measure} at the highest speed and follows the speed with a time constant of "
-        f"{fit.numbers['time_constant']:.3g} s"
+    evidence=lambda fit: Message(
+        "the tool side moves along {where} by {measure} at the highest speed and follows the speed with a time "
+        "constant of {time_constant:.3g} s",
+        where=fit.where,
+        measure=fit.measure,
+        time_constant=fit.numbers["time_constant"],
     ),
     parameters=("amplitude", "exponent", "time_constant", "highest_rpm"),
     fixed={"highest_rpm": "rpm"},

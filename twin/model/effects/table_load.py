@@ -137,7 +137,7 @@ def _candidates(machine: Machine, state: State) -> tuple[list[str], list[tuple[s
     for axis in machine.axes:
         if not axis.linear and axis.side != "tool":
             upright = rest_orientation(machine, motion_joint(machine, axis.name)) @ np.array(axis.direction)
-            if abs(float(upright[2])) < 1.0 - 1e-9:
+            if abs(float(machine.upright[2] @ upright)) < 1.0 - 1e-9:
                 found.append(axis.name)
     return found, []
 
@@ -152,7 +152,9 @@ TABLE_LOAD: Final = Specification(
         f"{EXTENDED}, with this load only.",
         "Do not use that calibration with another load.",
     ),
-    evidence=lambda fit: f"the cradle on {fit.where} sags by {fit.measure} when turned by 90°",
+    evidence=lambda fit: Message(
+        "the cradle on {where} sags by {measure} when turned by 90°", where=fit.where, measure=fit.measure
+    ),
     parameters=("tilt",),
     fixed={MOMENT: "N.m"},
     limits={"urad": 2000.0},

@@ -9,7 +9,7 @@ import numpy as np
 
 from twin._common.messages import Message
 from twin.machine.machine import Axis, Machine
-from twin.model.effects.base import AlongAxis, Payload, ToolSide, ToolSideShift, along, channel, directions
+from twin.model.effects.base import AlongAxis, Payload, ToolSide, ToolSideShift, along, along_scale, channel, directions
 from twin.model.effects.specification import (
     EXTENDING,
     Advice,
@@ -92,10 +92,14 @@ def one_step(constant: float, wanted: float, longest: float) -> float:
 def drift_course(fit: FittedCause) -> str:
     """Describe the course of a drift in time, as the end of a sentence."""
     if "time_constant" in fit.numbers:
-        return f", slowing down (time constant {fit.numbers['time_constant']:.3g} s)"
+        return Message(
+            ", slowing down (time constant {time_constant:.3g} s)", time_constant=fit.numbers["time_constant"]
+        )
     if "rate" in fit.numbers:
-        return f", at {fit.numbers['rate']:.3g} µm/h throughout (its time constant is longer than the record)"
-    return ", at a constant rate"
+        return Message(
+            ", at {rate:.3g} µm/h throughout (its time constant is longer than the record)", rate=fit.numbers["rate"]
+        )
+    return Message(", at a constant rate")
 
 
 def _make(
@@ -130,7 +134,9 @@ THERMAL_DRIFT: Final = Specification(
         f"Warm the machine up before precise work, or {EXTENDING} and give the time since start-up.",
         "Do not set zero points in the first hours: they would be wrong once the machine is warm.",
     ),
-    evidence=lambda fit: f"the tool side drifts along {fit.where} as the machine warms up{drift_course(fit)}",
+    evidence=lambda fit: Message(
+        "the tool side drifts along {where} as the machine warms up{course}", where=fit.where, course=drift_course(fit)
+    ),
     parameters=("amplitude", "time_constant"),
     required=lambda names: (
         STEADY_PARAMETERS if set(names) == set(STEADY_PARAMETERS) else ("amplitude", "time_constant")
@@ -182,11 +188,7 @@ class ScaleDrift(AlongAxis):
         time = channel(positions, "time_s", self.name)
         decay = exp(-time / self.time_constant)
         by_constant = -self._size(positions) * decay * time / self.time_constant**2
-        return (
-            along(self.axis, 1e-3 * positions[self.axis.name] * (1.0 - decay)),
-            along(self.axis, 1.0 - decay),
-            along(self.axis, by_constant),
-        )
+        return *along_scale(self.axis, positions, 1.0 - decay), along(self.axis, by_constant)
 
     def _size(self, positions: Mapping[str, Any]) -> Any:
         return 1e-3 * self.amplitude * positions[self.axis.name] + self.offset
@@ -206,8 +208,7 @@ class SteadyScaleDrift(AlongAxis):
 
     def derivatives(self, positions: Mapping[str, Any]) -> tuple[Mapping[int, Any], ...]:
         """See `Effect.derivatives`; needs ``time_s``."""
-        hours = channel(positions, "time_s", self.name) / 3600.0
-        return along(self.axis, 1e-3 * positions[self.axis.name] * hours), along(self.axis, hours)
+        return along_scale(self.axis, positions, channel(positions, "time_s", self.name) / 3600.0)
 
 
 def _make_scale_drift(
@@ -255,12 +256,20 @@ def _constrain_scale(effect: ScaleDrift, values: Sequence[float], longest: float
 
 def _scale_evidence(fit: FittedCause) -> str:
     amplitude, offset = fit.numbers.get("amplitude", 0.0), fit.numbers.get("offset", 0.0)
-    at = f", fixed at {-1e3 * offset / amplitude:.0f} mm" if amplitude else ""
+    at = Message(", fixed at {at:.0f} mm", at=-1000.0 * offset / amplitude) if amplitude else ""
     if "time_constant" in fit.numbers:
-        course = f", slowing down (time constant {fit.numbers['time_constant']:.3g} s)"
+        course = Message(
+            ", slowing down (time constant {time_constant:.3g} s)", time_constant=fit.numbers["time_constant"]
+        )
     else:
-        course = ", at a constant rate (its time constant is longer than the record)"
-    return f"the scale of {fit.where} lengthens by {amplitude:.3g} µm/m during the measurement{at}{course}"
+        course = Message(", at a constant rate (its time constant is longer than the record)")
+    return Message(
+        "the scale of {where} lengthens by {amplitude:.3g} µm/m during the measurement{at}{course}",
+        where=fit.where,
+        amplitude=amplitude,
+        at=at,
+        course=course,
+    )
 
 
 SCALE_DRIFT: Final = Specification(
@@ -269,7 +278,8 @@ SCALE_DRIFT: Final = Specification(
     title=lambda where: Message("growth of the scale of {where} with time", where=where),
     family="growth of scales with time",
     advice=Advice(
-        "Service: the ball screw of {axis} (preload, cooling, where it is fixed), and whether a linear scale or the motor's encoder "
+        "Service: the ball screw of {axis} (preload, cooling, where it is fixed), and whether a linear scale or the "
+        "motor's encoder "
         "gives its position.",
         f"Move {{axis}} over its travel until it is warm before precise work, or {EXTENDING} and give the time since start-up.",
         "Do not correct the scale of {axis} while it is cold: it would be wrong once it is warm.",

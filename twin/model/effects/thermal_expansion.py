@@ -8,7 +8,7 @@ from typing import Any, Final, final
 
 from twin._common.messages import Message
 from twin.machine.machine import Axis, Machine
-from twin.model.effects.base import AlongAxis, Payload, along, channel
+from twin.model.effects.base import AlongAxis, Payload, along_scale, channel
 from twin.model.effects.specification import (
     EXTENDED,
     NOT_TWICE,
@@ -39,7 +39,7 @@ class ThermalExpansion(AlongAxis):
     def derivatives(self, positions: Mapping[str, Any]) -> tuple[Mapping[int, Any], ...]:
         """See `Effect.derivatives`; needs ``T_<axis>_degC``."""
         warm = channel(positions, f"T_{self.axis.name}_degC", self.name) - REFERENCE_DEGC
-        return (along(self.axis, 1e-3 * positions[self.axis.name] * warm),)
+        return along_scale(self.axis, positions, warm)[:1]
 
 
 THERMAL_EXPANSION: Final = Specification(
@@ -52,7 +52,9 @@ THERMAL_EXPANSION: Final = Specification(
         f"{EXTENDED} and give the temperature of {{axis}}.",
         "Do not reset zero or scale for one temperature: they would be wrong at the next. " + NOT_TWICE,
     ),
-    evidence=lambda fit: f"the scale of {fit.where} lengthens by {fit.measure} when it warms",
+    evidence=lambda fit: Message(
+        "the scale of {where} lengthens by {measure} when it warms", where=fit.where, measure=fit.measure
+    ),
     parameters=("coefficient",),
     limits={"um/(m.K)": 100.0},
     places=linear_axes,
@@ -78,7 +80,7 @@ class ScaleGrowth(AlongAxis):
     def derivatives(self, positions: Mapping[str, Any]) -> tuple[Mapping[int, Any], ...]:
         """See `Effect.derivatives`; needs ``T_<axis>_degC``."""
         warm = channel(positions, f"T_{self.axis.name}_degC", self.name) - REFERENCE_DEGC
-        return along(self.axis, 1e-3 * positions[self.axis.name] * warm), along(self.axis, warm)
+        return along_scale(self.axis, positions, warm)
 
 
 def _forms(machine: Machine, where: str, state: State, payloads: Sequence[Payload] | None) -> Forms:
@@ -88,8 +90,13 @@ def _forms(machine: Machine, where: str, state: State, payloads: Sequence[Payloa
 
 def _evidence(fit: FittedCause) -> str:
     coefficient, offset = fit.numbers.get("coefficient", 0.0), fit.numbers.get("offset", 0.0)
-    at = f", fixed at {-1e3 * offset / coefficient:.0f} mm" if coefficient else ""
-    return f"the scale of {fit.where} lengthens by {coefficient:.3g} µm/(m·K) when it warms{at}"
+    at = Message(", fixed at {at:.0f} mm", at=-1000.0 * offset / coefficient) if coefficient else ""
+    return Message(
+        "the scale of {where} lengthens by {coefficient:.3g} µm/(m·K) when it warms{at}",
+        where=fit.where,
+        coefficient=coefficient,
+        at=at,
+    )
 
 
 SCALE_GROWTH: Final = replace(

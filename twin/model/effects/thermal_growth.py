@@ -88,7 +88,7 @@ THERMAL_GROWTH: Final = Specification(
         f"Keep the temperature steady, or {EXTENDING} and give the temperature of that sensor.",
         "Do not correct it with a zero offset: it would be wrong at the next temperature.",
     ),
-    evidence=lambda fit: f"{fit.where}: the tool side moves with the temperature of that sensor",
+    evidence=lambda fit: Message("the tool side moves with the temperature of that sensor"),
     parameters=("coefficient",),
     limits={"um/K": 500.0},
     places=lambda machine: tuple(f"{way} by" for way in directions(machine)),
@@ -175,9 +175,12 @@ THERMAL_LAG: Final = replace(
         f"Keep the temperature steady, or {EXTENDING} and give the temperature of that sensor over time.",
         "Do not correct it with the present temperature alone: the structure follows later.",
     ),
-    evidence=lambda fit: (
-        f"{fit.where}: the tool side moves by {fit.measure} and follows the temperature of that sensor with a time constant of "
-        f"{fit.numbers['time_constant']:.3g} s"
+    evidence=lambda fit: Message(
+        "the tool side moves by {measure} and follows the temperature of that sensor with a time constant of "
+        "{time_constant:.3g} s",
+        where=fit.where,
+        measure=fit.measure,
+        time_constant=fit.numbers["time_constant"],
     ),
     parameters=("coefficient", "time_constant"),
     limits={"um/K": 500.0, "s": LONGEST_S},
@@ -250,11 +253,15 @@ THERMAL_TILT: Final = Specification(
     title=_tilt_title,
     family="tilts with temperature",
     advice=Advice(
-        "Shop floor and service: a heat source on one side of the part that tilts: coolant, drives, sunlight, a warm spindle.",
+        "Shop floor and service: a heat source on one side of the part that tilts: coolant, drives, sunlight, a warm "
+        "spindle.",
         f"Keep the temperature steady, or {EXTENDING} and give the temperature of that sensor.",
-        "Do not correct it with a zero offset or a tool offset: it depends on the position and on the length of the tool.",
+        "Do not correct it with a zero offset or a tool offset: it depends on the position and on the length of the "
+        "tool.",
     ),
-    evidence=lambda fit: f"{fit.where}: the axis tilts by {fit.measure} with the temperature of that sensor",
+    evidence=lambda fit: Message(
+        "the axis tilts by {measure} with the temperature of that sensor", measure=fit.measure
+    ),
     parameters=("coefficient",),
     limits={"urad/K": 500.0},
     places=lambda machine: tuple(f"{name} by" for name in _angles(machine)),

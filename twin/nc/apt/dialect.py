@@ -171,8 +171,8 @@ class _CompiledLocations:
             axes=job.positions.shape[1],
             said=ctypes.addressof(last),
             said_size=len(last.value),
-            **{name: values.ctypes.data for name, values in given.items()},
         )
+        compiler.point_to(passed, given)
         self.library.write_locations(ctypes.byref(passed))
         if passed.written < 0:
             return written(job, said)

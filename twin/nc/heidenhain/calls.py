@@ -19,12 +19,12 @@ from twin.nc.arithmetic import evaluate, key_of
 from twin.nc.blocks import Program, line_ends
 from twin.nc.dialect import as_comment
 from twin.nc.heidenhain.vocabulary import ASSIGNED, HEAD, SKIPPED_END
-from twin.nc.inline import Call, Flow, Inliner, Line, Scope, refused, with_ending
+from twin.nc.inline import MOST_LINES, Call, Flow, Inliner, Line, Scope, refused, with_ending
 from twin.nc.lines import LineCode, Scan
 
 _FLAGS: Final = re.ASCII | re.IGNORECASE
 _NAME: Final = r"(?:\"([^\"]*)\"|(\d+))"
-_CALL: Final = re.compile(rf"CALL[ \t]+LBL[ \t]+{_NAME}(?:[ \t]+REP[ \t]*(\d+)?(?:/\d+)?)?[ \t]*$", _FLAGS)
+_CALL: Final = re.compile(rf"CALL[ \t]+LBL[ \t]+{_NAME}(?:[ \t]+REP[ \t]*(\d+|Q[LR]?\d+)?(?:/\d+)?)?[ \t]*$", _FLAGS)
 _PROGRAM: Final = re.compile(r"CALL[ \t]+PGM[ \t]+\"?([^\"]*?)\"?[ \t]*$", _FLAGS)
 _ANY_CALL: Final = re.compile(r"CALL[ \t]+(?:LBL|PGM)\b", _FLAGS)
 _JUMP: Final = re.compile(
@@ -64,10 +64,19 @@ class HeidenhainInliner(Inliner):
             return Call(_name(label), own=False)
         if label is not None and label.group(3):
             # The part since the label has run once when the control comes to the call.
-            return Call(_name(label), int(label.group(3)), values=("repeats",), own=False)
+            return Call(_name(label), self._times(label.group(3), line), values=("repeats",), own=False)
         if program is not None:
             return Call(program.group(1), outside=True, own=False)
         raise refused("call", "CALL LBL with a number or name, REP with a number, or CALL PGM with a file", line)
+
+    def _times(self, text: str, line: Line) -> int:
+        """Return a number of repetitions; that of a Q parameter is 1 before the program runs."""
+        if text.isdigit():
+            return int(text)
+        value = self.known(text, line) if self._count else 1.0
+        if value != int(value) or not 0.0 <= value <= MOST_LINES:
+            raise refused("repetition of a part", "a whole number of times", line)
+        return int(value)
 
     def flow(self, line: Line) -> Flow | None:
         """See `Inliner.flow`."""

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from math import nan
 from pathlib import Path
+from types import MappingProxyType
 from typing import Final, final
 
 import numpy as np
@@ -60,6 +61,8 @@ _BARE: Final = re.compile(
     r"[ \t]*(?:L\b)?(?:[ \t]*(?:R0|F[ \t]*MAX))*[ \t]*(?:;[^\r\n]*)?[\r\n]*", re.ASCII | re.IGNORECASE
 )
 """A block without an effect of its own."""
+_LEADS_ABOUT_POLE: Final = re.compile(r"(?<=[ \t])[Pp](?=[A-Za-z])")
+_M_WORD: Final = re.compile(r"(?<![A-Z\d])M\d+", re.ASCII | re.IGNORECASE)
 
 
 @final
@@ -74,8 +77,8 @@ class HeidenhainWriter(WordWriter[PathBlock]):
     signed = True
     inserted = False
     own_calls = False
-    _defined: tuple[Cycle | None, str] = (None, "")
-    """The cycle defined last in the output, and its surface if that differs from the program's."""
+    _defined: tuple[Cycle | None, Mapping[str, str]] = (None, MappingProxyType({}))
+    """The cycle defined last in the output, and its heights where they differ from the program's."""
 
     def block(self, block: PathBlock, segments: Mapping[int, Segments]) -> str:
         """Return the output for one block; ``segments``: replacements of its moves, by the index of the move in the block."""
@@ -84,14 +87,17 @@ class HeidenhainWriter(WordWriter[PathBlock]):
         if block.tcp_switched:
             self._vector_text = None
         lines = self._positioned(block, segments.get(0)) if block.moves and block.positions else None
-        if block.call is not None:
-            called = self._called(block, block.call, segments)
+        if block.places:
+            called = self._called(block, segments)
             lines = [self._without_call(block)] if lines is None else lines
-            lines = [*lines, *called] if block.positions or block.calls else [*called, *lines]
+            after = block.positions or block.calls or block.pattern
+            lines = [*lines, *called] if after else [*called, *lines]
             if not ending(lines[0]) and len(lines) > 1:
                 lines[0] += self.newline
+        elif block.replaced and self.own_calls:
+            lines = [self._without_call(block)]
         lines = [block.text] if lines is None else lines
-        self.inserted |= block.numbered and len(lines) > 1
+        self.inserted |= bool(block.numbered or block.head.strip()) and len(lines) > 1
         return "".join(lines)
 
     def _positioned(self, block: PathBlock, segments: Segments | None) -> list[str]:
@@ -103,7 +109,8 @@ class HeidenhainWriter(WordWriter[PathBlock]):
             self.lower = block.text[block.words[-1].value_start - 1].islower()
         self._pole: list[str] = []
         if block.polar:  # both axes are written, also where the block moves nothing
-            self.said.mark_stale(range(self.linear))
+            arc = segments[0].move.arc
+            self.said.mark_stale(range(self.linear) if arc is None else arc.plane[:2])
         lines = self.rewritten(block, segments)
         if block.unknown_axes and not block.tcp_switched:
             self.said.mark_unknown(block.unknown_axes)
@@ -111,6 +118,8 @@ class HeidenhainWriter(WordWriter[PathBlock]):
 
     def _without_call(self, block: PathBlock) -> str:
         """Return a block without the words that call a cycle, if calls are written out; one with nothing else as a comment."""
+        if self.own_calls and block.replaced:
+            return self._as_remark(block)
         if not (self.own_calls and block.call_words):
             return block.text
         edits: list[Edit] = []
@@ -120,34 +129,55 @@ class HeidenhainWriter(WordWriter[PathBlock]):
             return text
         return f"{head}; {block.text[block.head_end :].strip()}{ending(text)}"
 
-    def _called(self, block: PathBlock, call: CycleCall, segments: Mapping[int, Segments]) -> list[str]:
-        """Return the approach of a call, its definition if the surface has a new correction, and the call; nothing if it stays."""
+    def _as_remark(self, block: PathBlock) -> str:
+        """Return a line whose calls are written out as a comment, followed by its M functions."""
+        head, body = block.text[: block.head_end], block.text[block.head_end :].strip()
+        end = ending(block.text) or self.newline
+        words = (
+            _M_WORD.findall(body.partition(";")[0])
+            if block.pattern and vocabulary.CYCLE_CALL.match(body.upper())
+            else []
+        )
+        lines = [f"{head}; {as_comment(body, '~')}", *([f"{block.indent}{' '.join(words)}"] if words else [])]
+        return end.join(lines) + ending(block.text)
+
+    def _called(self, block: PathBlock, segments: Mapping[int, Segments]) -> list[str]:
+        """Return for each call its approach, its definition if the surface has a new correction, and the call; nothing if they stay."""
+        last = block.places[-1]
         if not self.own_calls:
-            self.said.record(call.axis, call.level, False)
+            if block.pattern:
+                for axis, value in enumerate(block.moves[-1].position):
+                    self.said.record(axis, value, False)
+            self.said.record(last.axis, last.level, False)
             return []
         end = ending(block.text) or self.newline
         indent, lines = block.indent, list[str]()
         place = 1 if block.positions else 0
-        for move in block.moves[place:]:
-            for row in segments[place][1] if place in segments else [list(move.position)]:
-                # Rounding may have left no way to go.
-                words = self._missing(block, row, 0) or [self._added(block, call.axis, row[call.axis])]
-                lines.append(f"{indent}L {' '.join(words)} R0 FMAX{end}")
-        shift = self.said.value[call.axis] - call.top
-        if call.surface == call.surface:
-            lines += self._definition(block, call, shift, indent, end)
-        self.said.record(call.axis, call.level + shift, False)
-        return [*lines, f"{indent}CYCL CALL{end}"] if block.positions or block.calls else lines
+        for call in block.places:
+            for at in range(place, call.moves):
+                for row in segments[at][1] if at in segments else [list(block.moves[at].position)]:
+                    # Rounding may have left no way to go.
+                    words = self._missing(block, row, 0) or [self._added(block, call.axis, row[call.axis])]
+                    lines.append(f"{indent}L {' '.join(words)} R0 FMAX{end}")
+            place = max(place, call.moves)
+            shift = self.said.value[call.axis] - call.top
+            if call.surface == call.surface:
+                lines += self._definition(block, call, shift, indent, end)
+            self.said.record(call.axis, call.level + shift, False)
+            if block.positions or block.calls or block.pattern:
+                lines.append(f"{indent}CYCL CALL{end}")
+        return lines
 
     def _definition(self, block: PathBlock, call: CycleCall, shift: float, indent: str, end: str) -> list[str]:
         """Return the definition of a cycle with the surface shifted, none if it is in force."""
         number = self.said.number_for(call.axis, call.surface + shift, block.inch, False, self.style)
-        shifted = number if abs(shift) > 1e-9 else ""
+        new = {"Q203": number} if abs(call.surface + shift - call.defined) > 1e-9 else {}
+        values = {**dict(call.texts), **new}
         cycle, before = self._defined
-        if shifted == (before if cycle is call.cycle else ""):
+        if values == (before if cycle is call.cycle else {}):
             return []
-        self._defined = call.cycle, shifted
-        first, *others = call.cycle.lines(lambda text: shifted or text)
+        self._defined = call.cycle, values
+        first, *others = call.cycle.lines(values)
         return [f"{indent}{first}{end}", *(f"{UNNUMBERED}  {line}{end}" for line in others)]
 
     def _begin(self, block: PathBlock, rewrite: Rewrite, edits: list[Edit]) -> str:
@@ -155,7 +185,11 @@ class HeidenhainWriter(WordWriter[PathBlock]):
         if self.own_calls:
             drop(block, block.call_words, edits)
         drop(block, block.polar_words, edits)
-        if block.polar or (rewrite.move.kind is Kind.ARC and not rewrite.move.whole):
+        if block.polar and block.leads:
+            keyword = _LEADS_ABOUT_POLE.sub("", keyword)
+        elif block.polar and rewrite.move.kind is Kind.ARC and rewrite.move.whole:
+            keyword = "c" if keyword.islower() else "C"
+        elif block.polar or (rewrite.move.kind is Kind.ARC and not rewrite.move.whole):
             keyword = "l" if keyword.islower() else "L"
         return keyword
 
@@ -185,7 +219,7 @@ class HeidenhainWriter(WordWriter[PathBlock]):
                 self.said.record(axis, move.position[axis], False)
 
     def _bent(self, block: PathBlock, move: Move, start: list[float], end: list[float], edits: list[Edit]) -> list[str]:
-        """Give ``CR`` its new radius; write the new pole before ``C``."""
+        """Give ``CR`` its new radius; write the new pole before ``C``, and ``CP``, which becomes one."""
         a, b, _ = move.arc.plane  # type: ignore[union-attr]  # asked for arcs only
         centre = self._new_centre(block, move, start, end)
         if block.keyword == "CR":
@@ -363,6 +397,10 @@ class Heidenhain(Dialect):
     def is_comment(self, text: str) -> bool:
         """See `Dialect.is_comment`."""
         return _REMARK.fullmatch(text) is not None
+
+    def follows(self, text: str) -> bool:
+        """See `Dialect.follows`."""
+        return vocabulary.SHAPING.match(text) is not None or self.is_comment(text)
 
     def is_motion_only(self, text: str, names: tuple[str, ...]) -> bool:
         """See `Dialect.is_motion_only`."""

@@ -32,6 +32,7 @@ class HeidenhainInterpreter(HeidenhainFrame):
         super().__init__(source, axes, tcp=tcp, tcp_on=on, tcp_off=off)
         self._simple = vocabulary.simple_pattern(self.names)
         self._shortest_way: list[tuple[int, bool]] = [(-1, False)]
+        self._of_points, self._head = False, ""
 
     def step(self, line: int, text: str, known: Move | None = None) -> PathBlock:
         """Interpret one line; ``line``: its 0-based index, ``known``: its move, if it has been interpreted before."""
@@ -64,8 +65,8 @@ class HeidenhainInterpreter(HeidenhainFrame):
         return self.set_up and self.vector is None and not (self.continued or self.modal or beside or self.end.word)
 
     def may_end(self, tail: str) -> bool:
-        """See `Interpreter.may_end`: not while every positioning calls a cycle."""
-        return not self.modal
+        """See `Interpreter.may_end`: not while every positioning calls a cycle, or within a statement of several lines."""
+        return not (self.modal or self.continued)
 
     def moves(self, line: int, text: str) -> tuple[Move, ...]:
         """See `Interpreter.moves`; as `step` does, without the words that only a writer needs."""
@@ -96,14 +97,28 @@ class HeidenhainInterpreter(HeidenhainFrame):
         elif self.continued:
             block.numbered = False
             self.continued = body.endswith("~")
-            self.take_parameters(body)
-            self._assignments(body)
-            self.end_preset(block)
+            block.replaced, block.head = self.takes_pattern, self._head
+            self._continue(block, body)
         elif body and body[0] not in ";*%" and not self.is_listing(body):
             self._body(block, body)
             if vocabulary.ENDING.match(body):
                 self.end.reached("END PGM", self._line)
         return block
+
+    def _continue(self, block: PathBlock, body: str) -> None:
+        """Interpret a further line of a statement."""
+        if self._of_points:
+            self.take_points(body, begins=False)
+            return
+        self.take_parameters(body)
+        self._assignments(body)
+        self._complete(block)
+
+    def _complete(self, block: PathBlock) -> None:
+        """Execute what begins only with the last line of its definition: a preset, a pattern of holes."""
+        self.end_preset(block)
+        if not self.continued:
+            self.end_pattern(block)
 
     def _behind_end(self, block: PathBlock, body: str) -> None:
         """Interpret a line behind the end of the program: a comment, the rest, ``END PGM``, or another program."""
@@ -202,25 +217,25 @@ class HeidenhainInterpreter(HeidenhainFrame):
             raise self.error("unknown block", "a plain-language block such as L X+10 FMAX", body)
         elif keyword in ("L", "LN") or keyword in vocabulary.ARCS | vocabulary.POLAR:
             self._path(block, keyword, block.head_end + match.end())
-        elif keyword in ("APPR", "DEP") or (keyword in vocabulary.ON_CONTOUR and self.beside and self.on_contour):
+        elif keyword in ("APPR", "DEP") or keyword in vocabulary.ON_CONTOUR:
             self._left_to_control(block, keyword, body)
         elif keyword == "CC":
             self._pole(block, block.head_end + match.end())
         else:
             self.continued = body.endswith("~")
             self._block_text = body
+            self._of_points = keyword == "PATTERN"
             self._statement(block, keyword, body)
-            self.end_preset(block)
+            block.replaced |= self.takes_pattern
+            self._head = block.indent
+            self._complete(block)
 
     # ------------------------------------------------------------------ statements
 
     def _statement(self, block: PathBlock, keyword: str, body: str) -> None:
         upper = " ".join(body.split(";")[0].upper().split())
         if keyword in vocabulary.REFUSED_PATHS:
-            within = (
-                " or the same under RL or RR, between blocks of the contour" if keyword in vocabulary.ON_CONTOUR else ""
-            )
-            raise self.error(f"path function {keyword}", vocabulary.LINEAR + within)
+            raise self.error(f"path function {keyword}", vocabulary.LINEAR)
         if keyword in vocabulary.WITH_NUMBERS:
             exponent = vocabulary.EXPONENT.search(vocabulary.QUOTED.sub("", body.split(";")[0]))
             if exponent is not None:
@@ -248,7 +263,7 @@ class HeidenhainInterpreter(HeidenhainFrame):
             return
         axis = vocabulary.TOOL_AXIS.match(body)
         if axis is not None:
-            self.plane = PLANES[axis.group(1).upper()]
+            self.take_tool_axis(PLANES[axis.group(1).upper()])
         self.select_tool(block, body)
 
     def _call(self, block: PathBlock, body: str, upper: str) -> None:
@@ -259,6 +274,8 @@ class HeidenhainInterpreter(HeidenhainFrame):
             self.call_outside(name, short, re.sub(r"\.h$", "", short, flags=re.IGNORECASE))
         elif upper.startswith(("CALL", "IF")):
             raise self.error("subprogram call or repetition", vocabulary.NO_CALLS)
+        elif upper.startswith("SEL PATTERN"):
+            self.take_points(upper, begins=True)
 
     def _transform(self, block: PathBlock, body: str, upper: str) -> None:
         words = upper.split()
@@ -285,7 +302,7 @@ class HeidenhainInterpreter(HeidenhainFrame):
             raise self.error("cycle without a number", "CYCL DEF and a number")
         cycle, part, rest = int(match.group(1)), match.group(2), match.group(3).split(";")[0].strip(" \t\r\n~")
         self.define(cycle, part, body)
-        if cycle in vocabulary.RUN_AT_ONCE:
+        if cycle in vocabulary.RUN_AT_ONCE and not self.takes_pattern:
             raise self.error(f"cycle {cycle} is executed where it is defined", vocabulary.EXPANDED_CYCLE)
         if cycle in vocabulary.TRANSFORM_CYCLES and self.continued:
             what = f"CYCL DEF {cycle} over several lines"
@@ -296,7 +313,7 @@ class HeidenhainInterpreter(HeidenhainFrame):
             (self.shift if cycle == 7 else self.turn)(block, rest, f"CYCL DEF {cycle}")
         elif cycle == 19 and part not in (None, "0"):
             self.working_plane(block, rest)
-        elif cycle not in vocabulary.HARMLESS_CYCLES and cycle not in vocabulary.TRANSFORM_CYCLES:
+        elif cycle not in vocabulary.HARMLESS_CYCLES | vocabulary.TRANSFORM_CYCLES.keys() and not self.takes_pattern:
             self.lose(block, body)
         elif cycle in vocabulary.TRANSFORM_CYCLES and (
             part is None or (part != "0" and not vocabulary.cancels(cycle, rest))
@@ -306,11 +323,39 @@ class HeidenhainInterpreter(HeidenhainFrame):
         self._assignments(body)
 
     def _call_here(self, block: PathBlock, words: str) -> None:
-        """Execute the cycle in force at the present position: ``CYCL CALL``, with M functions (``words``), but not at other places."""
-        if any(not vocabulary.HARMLESS_CALL.fullmatch(word) for word in words.split()):
-            raise self.error("cycle call at other places", f"CYCL CALL, M99 or M89; or {vocabulary.EXPANDED_CYCLE}")
+        """Execute the cycle in force: ``CYCL CALL``, with M functions (``words``), ``CYCL CALL PAT``, or ``CYCL CALL POS``."""
+        kind, *others = words.replace("F MAX", "FMAX").split() or [""]
+        elsewhere = kind in ("PAT", "POS")
+        axes = [match for match in map(vocabulary.PARAXIAL.fullmatch, others) if match] if kind == "POS" else []
+        rest = [
+            word for word in others if not (elsewhere and word in ("FMAX", "R0")) and word not in {m[0] for m in axes}
+        ]
+        if any(
+            not vocabulary.HARMLESS_CALL.fullmatch(word) for word in (rest if elsewhere or not kind else [kind, *rest])
+        ):
+            raise self.error(
+                "cycle call with other words",
+                "CYCL CALL, PAT or POS X Y Z, FMAX and M functions of spindle and coolant",
+            )
+        if elsewhere and "FMAX" not in others:
+            raise self.error(f"CYCL CALL {kind} at a feed", "FMAX")
+        block.replaced = elsewhere
         block.positions = False
-        self.call_cycle(block)
+        if kind == "PAT":
+            self.call_pattern(block)
+        elif kind == "POS":
+            self._call_at_position(block, {match[0][0]: match[0][1:] for match in axes})
+        else:
+            self.call_cycle(block)
+
+    def _call_at_position(self, block: PathBlock, words: Mapping[str, str]) -> None:
+        """Execute the cycle in force at a position; its word of the tool axis shifts the surface."""
+        unit = MM_PER_INCH if self.inch else 1.0
+        x, y, z = (self.names[axis].upper() for axis in self.plane)
+        if words.keys() != {x, y, z}:
+            raise self.error("CYCL CALL POS with other words", f"{x}, {y} and {z}")
+        at = [self.known(name, words[name]) * unit for name in (x, y, z)]
+        self.call_at(block, [(at[0], at[1], at[2])], "CYCL CALL POS", ())
 
     def _fn(self, block: PathBlock, body: str, upper: str) -> None:
         match = vocabulary.FN.match(body)
@@ -346,7 +391,7 @@ class HeidenhainInterpreter(HeidenhainFrame):
         if keyword in ("APPR", "DEP"):
             self._lead(block, body)
             return
-        self.note(f"{keyword} is left to the control: the points beside it are corrected", once=True)
+        self.shape_corner(keyword, self._line, both=keyword != "CT")
         if keyword == "CT":
             block.leads = True
             self._path(block, "L", block.text.upper().index("CT", block.head_end) + 2)
@@ -355,16 +400,18 @@ class HeidenhainInterpreter(HeidenhainFrame):
         """Apply ``APPR`` or ``DEP``, whose path the control finds: its end is corrected, if the block gives it."""
         match = vocabulary.LEAD.match(body)
         if match is None:
-            raise self.error(f"path function {body.split()[0]}", "APPR or DEP with LT, LN, CT or LCT")
+            raise self.error(
+                f"path function {body.split()[0]}", "APPR or DEP with LT, LN, CT or LCT, or with PLT, PLN, PCT or PLCT"
+            )
         at = block.head_end + match.end()
         words = vocabulary.LEAD_WORD.sub(lambda word: " " * len(word[0]), block.text[at:].split(";")[0])
-        block.leads, arrives = True, match[1].upper() == "APPR"
+        block.leads, arrives = True, match[1] is not None
         if not arrives:
             self.beside = False
         self.note("APPR and DEP are left to the control: their end is corrected where the block gives it", once=True)
-        self._path(block, "L", at, block.text[:at] + words)
+        self._path(block, "LP" if match[2] or match[3] else "L", at, block.text[:at] + words)
         a, b, _ = self.plane
-        given = bool(block.axis_bits & (1 << a | 1 << b))
+        given = bool(block.polar or block.axis_bits & (1 << a | 1 << b))
         if given is not (arrives or "LCT" in match[0].upper()):
             what = f"{match[0]} with or without its end"
             raise self.error(what, "the end with APPR and DEP LCT, none with DEP LT, LN and CT")
@@ -521,16 +568,23 @@ class HeidenhainInterpreter(HeidenhainFrame):
                 raise self.unknown_axis(match.group().strip())
             word = self._axis_word(match)
             found[word.axis] = word.value + (self.position[word.axis] if word.incremental else 0.0)
-        if found:
-            self.centre = {**self.centre, **found}
-        else:
-            self.centre = dict(enumerate(self.position[: self.linear]))
+        self.set_pole(found)
 
     def _apply_words_of_path(self, block: PathBlock) -> None:
         """Set the position from the axis words of a path; raise `InputError` for a sense outside an arc."""
         if block.arc_words and block.keyword not in vocabulary.ARCS:
             raise self.error("DR outside a circular block", "C, CP or CR")
         self.apply_words(block)
+
+    def _check_helix(self, block: PathBlock, arc: Arc | None, start: list[float], *, whole: bool) -> None:
+        """Raise `InputError` for an arc by ``CP`` that must stay whole but cannot be written as ``C``: a helix, or several turns."""
+        if block.keyword != "CP" or arc is None:
+            return
+        axis = arc.plane[2]
+        if abs(arc.angle_rad) > 2.0 * math.pi + 1e-9 or not abs(self.position[axis] - start[axis]) <= 1e-9:
+            self.only_divided.add(self._line)
+            if whole:
+                raise self.error("cutter radius compensation on a helix by CP", "the tool centre path (R0)")
 
     def _only_places(self, block: PathBlock) -> bool:
         """Return whether a block is a rapid, or turns rotary axes alone without tool centre point control."""
@@ -566,15 +620,15 @@ class HeidenhainInterpreter(HeidenhainFrame):
         arc: Arc | None = None
         if block.keyword in vocabulary.ARCS:
             kind = Kind.ARC
-            if self.arc_from_unknown(block, start, self.plane[:2]):
+            plane = self.plane if block.keyword == "CR" else self.arc_plane
+            if self.arc_from_unknown(block, start, plane[:2]):
                 return
             arc = self.arc(block, start, sweep)
         self.use_set_up(kind)
         if block.polar:
-            names |= {self.names[axis] for axis in self.plane[:2]}
+            names |= {self.names[axis] for axis in self.arc_plane[:2]}
         whole = self.compensated(block, rotary)
-        if whole and block.keyword == "CP":
-            raise self.error("cutter radius compensation on an arc by CP", "CC and C, or the tool centre path (R0)")
+        self._check_helix(block, arc, start, whole=whole)
         position = tuple(self.position)
         move = Move(self._line, kind, self.tcp, position, names, False, self.vector, normal, arc, "", whole)
         block.moves += (move,)
@@ -601,6 +655,7 @@ _STATEMENTS: Final[Mapping[str, Callable[[HeidenhainInterpreter, PathBlock, str,
     "FN": HeidenhainInterpreter._fn,
     "FUNCTION": HeidenhainInterpreter._function,
     "IF": HeidenhainInterpreter._call,
+    "PATTERN": lambda state, block, body, upper: state.take_points(upper, begins=True),
     "PLANE": lambda state, block, body, upper: state.tilt(block, upper),
     "POLARKIN": HeidenhainInterpreter._transform,
     "SEL": HeidenhainInterpreter._call,

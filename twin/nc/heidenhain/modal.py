@@ -9,10 +9,11 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final, NamedTuple, final
 
+from twin.nc import patterns
 from twin.nc.arcs import MOST_TURNS, ArcMisfit, arc_by_centre, arc_by_radius
 from twin.nc.blocks import Arc, Kind, Move, Plane, Rows, product, rotation_about, rotation_along, rotation_through
 from twin.nc.heidenhain import vocabulary
@@ -22,7 +23,7 @@ from twin.nc.text import MM_PER_INCH
 # --- Data of one block ----------------------------------------------------------------------------
 
 _SURFACE: Final = "Q203"
-_VALUE: Final = re.compile(rf"({_SURFACE}[ \t]*=[ \t]*)([^;~\r\n]*?)([ \t]*(?:[;~].*)?)$", re.ASCII | re.IGNORECASE)
+_VALUE: Final = re.compile(r"(Q20[034])([ \t]*=[ \t]*)([^;~\r\n]*?)([ \t]*(?:[;~].*)?)$", re.ASCII | re.IGNORECASE)
 
 
 @final
@@ -43,11 +44,13 @@ class Cycle:
     open: bool = True
     changed: bool = False
 
-    def lines(self, surface: Callable[[str], str]) -> list[str]:
-        """Return the lines of the definition; ``surface``: the text of Q203 for the one that is given."""
-        texts = [
-            _VALUE.sub(lambda found: found[1] + surface(found[2]) + found[3], text).rstrip() for text in self.texts
-        ]
+    def lines(self, values: Mapping[str, str]) -> list[str]:
+        """Return the lines of the definition with other texts for Q200, Q203 and Q204."""
+
+        def replaced(found: re.Match[str]) -> str:
+            return found[1] + found[2] + values.get(found[1].upper(), found[3]) + found[4]
+
+        texts = [_VALUE.sub(replaced, text).rstrip() for text in self.texts]
         return [text if text.endswith("~") else f"{text} ~" for text in texts[:-1]] + [texts[-1].rstrip("~ \t")]
 
 
@@ -58,6 +61,9 @@ class CycleCall(NamedTuple):
         top: height at which it begins, mm.
         surface: height of the surface, mm; NaN: it begins and ends where the tool is.
         level: height at which it ends, mm.
+        moves: number of moves of the block up to its beginning.
+        defined: height of the surface in its definition, mm.
+        texts: clearances Q200 and Q204 of a pattern, in place of those of its definition.
     """
 
     cycle: Cycle
@@ -65,6 +71,9 @@ class CycleCall(NamedTuple):
     surface: float
     level: float
     axis: int
+    moves: int = 0
+    defined: float = math.nan
+    texts: tuple[tuple[str, str], ...] = ()
 
 
 @final
@@ -83,7 +92,10 @@ class PathBlock(Block):
         polar_words: the words that give them.
         calls: whether it calls the machining cycle in force behind its motion.
         call_words: its words that say so (``M99``, ``M89``).
-        call: what it calls.
+        places: its calls, in order.
+        pattern: whether these are elsewhere than where the tool is (``CYCL CALL POS``, ``PAT``, cycles 220 and 221).
+        replaced: whether it is part of a statement whose calls are written out in its place.
+        head: the text before the first line of a statement of several lines.
         positions: whether its first move is that of its own words.
         beside: words of auxiliary axes: name, value and whether it is an increment.
         leads: whether the control itself finds the path to its end: a lead-in or lead-out, a tangential arc.
@@ -105,7 +117,10 @@ class PathBlock(Block):
     polar_words: list[Span] = field(default_factory=list)
     calls: bool = False
     call_words: list[Span] = field(default_factory=list)
-    call: CycleCall | None = None
+    places: list[CycleCall] = field(default_factory=list)
+    pattern: bool = False
+    replaced: bool = False
+    head: str = ""
     positions: bool = True
     leads: bool = False
     beside: list[tuple[str, float, bool]] = field(default_factory=list)
@@ -113,7 +128,9 @@ class PathBlock(Block):
     @property
     def indent(self) -> str:
         """The text before a line inserted beside it: its number, or its blanks."""
-        return self.text[: self.head_end] if self.numbered or not self.text[: self.head_end].strip() else ""
+        return (
+            self.head or self.text[: self.head_end] if self.numbered or not self.text[: self.head_end].strip() else ""
+        )
 
 
 # --- Machining cycles that make holes: the control executes them at a corrected place --------------
@@ -129,13 +146,20 @@ class HeidenhainCycles(Interpreter):
 
     plane = (0, 1, 2)
     modal = False
+    pending: Plane | None = None
     _in_force: Cycle | None = None
+    _pattern: Cycle | None = None
+    """The pattern 220 or 221 whose definition is not complete."""
+    _points = ""
+    """The text of ``PATTERN DEF``."""
 
     def define(self, number: int, part: str | None, body: str) -> None:
         """Begin the definition of a machining cycle, or take a further line of an older one (``1.1``)."""
         if part not in (None, "0"):
             if self._in_force is not None and self._in_force.number == number:
                 self._in_force.texts.append(body)
+        elif number in patterns.CYCLES:
+            self._pattern = Cycle(number, [body])
         elif number in HOLES or number in AT_PRESENT_HEIGHT:
             self._in_force = Cycle(number, [body], {name.upper() for name, _ in vocabulary.ASSIGNED.findall(body)})
         elif number not in vocabulary.BESIDE_CYCLES:
@@ -145,7 +169,9 @@ class HeidenhainCycles(Interpreter):
         """Take a line that only sets parameters: it belongs to the definition of a cycle directly before it, else it may change it."""
         names = {name.upper() for name, _ in vocabulary.ASSIGNED.findall(body)}
         cycle = self._in_force
-        if cycle is not None and cycle.open and cycle.number in HOLES:
+        if self._pattern is not None:
+            self._pattern.texts.append(body)
+        elif cycle is not None and cycle.open and cycle.number in HOLES:
             cycle.texts.append(body)
             cycle.given |= names
         elif cycle is not None and cycle.given & names:
@@ -156,8 +182,90 @@ class HeidenhainCycles(Interpreter):
         if self._in_force is not None:
             self._in_force.open = False
 
-    def call_cycle(self, block: PathBlock) -> None:
-        """Add the approach of the cycle in force to the moves of a block."""
+    def take_points(self, body: str, *, begins: bool) -> None:
+        """Take a line of ``PATTERN DEF``."""
+        self._points = body.rstrip("~") if begins else f"{self._points} {body.rstrip('~')}"
+
+    @property
+    def takes_pattern(self) -> bool:
+        """Whether the definition of a pattern 220 or 221 is not complete."""
+        return self._pattern is not None
+
+    def end_pattern(self, block: PathBlock) -> None:
+        """Execute the cycle in force at the places of a pattern 220 or 221 that is complete."""
+        pattern, self._pattern = self._pattern, None
+        if pattern is None:
+            return
+        given = {
+            name.upper(): text.strip() for text in pattern.texts for name, text in vocabulary.ASSIGNED.findall(text)
+        }
+        what = f"pattern of cycle {pattern.number}"
+        unit = MM_PER_INCH if self.inch else 1.0
+        try:
+            places = patterns.of_cycle(
+                pattern.number, {name: self.value_of(text) for name, text in given.items()}, unit
+            )
+        except ValueError as error:
+            raise self.error(what, f"{error}; or {vocabulary.EXPANDED_CYCLE}") from None
+        self.call_at(block, places, what, tuple((name, given[name]) for name in ("Q200", "Q203", "Q204")))
+        if self._in_force is not None:
+            self._in_force.changed = True
+
+    def call_pattern(self, block: PathBlock) -> None:
+        """Execute the cycle in force at the places of ``PATTERN DEF``."""
+        try:
+            places = patterns.of_points(self._points, self.value_of, MM_PER_INCH if self.inch else 1.0)
+        except ValueError as error:
+            raise self.error("CYCL CALL PAT", f"{error}; or {vocabulary.EXPANDED_CYCLE}") from None
+        self.call_at(block, places, "CYCL CALL PAT", ())
+
+    def call_at(
+        self,
+        block: PathBlock,
+        places: Sequence[tuple[float, float, float]],
+        what: str,
+        texts: tuple[tuple[str, str], ...],
+    ) -> None:
+        """Call the cycle in force at places in the plane, each with its shift of the surface; ``texts``: Q200, Q203, Q204 of a pattern.
+
+        Between them the tool is at the height before or at the second set-up clearance, whichever is higher.
+        """
+        a, b, axis = self.plane
+        cycle, at = self._in_force, self.position[axis]
+        if cycle is None or cycle.number not in HOLES or at != at or self.tcp or self.unknown:
+            raise self.error(what, "a cycle 200 to 209, 240 or 241 and a position of the tool axis before it")
+        if self.beside or self.pending is not None:
+            raise self.error(
+                f"{what} under RL or RR, or between PLANE with STAY and its positioning", "R0, or a move before it"
+            )
+        self.check_plane(False)
+        block.positions, block.pattern = False, True
+        for x, y, shift in places:
+            surface, _, level = self._heights(what, shift, texts)
+            height = max(at, level) if len(places) > 1 or at < surface else at
+            for moved in ((axis, height),), ((a, x), (b, y)):
+                if any(not abs(self.position[one] - value) <= 1e-9 for one, value in moved):
+                    for one, value in moved:
+                        self.position[one] = value
+                    named = frozenset(self.names[one] for one, _ in moved)
+                    block.moves += (Move(self._line, Kind.RAPID, False, tuple(self.position), named),)
+            self.call_cycle(block, shift, texts)
+
+    def _heights(
+        self, what: str, shift: float = 0.0, texts: tuple[tuple[str, str], ...] = ()
+    ) -> tuple[float, float, float]:
+        """Return the heights of the surface, of the set-up clearance and of the end of a cycle from 200 on, mm."""
+        unit, cycle = MM_PER_INCH if self.inch else 1.0, self._in_force
+        given = {name: self.value_of(text) * unit for name, text in texts}
+        clearance, surface = (given.get(name) or self._parameter(what, name) * unit for name in ("Q200", _SURFACE))
+        second = clearance
+        if "Q204" in given or (cycle is not None and "Q204" in cycle.given):
+            second = given["Q204"] if given else self._parameter(what, "Q204") * unit
+        surface += shift
+        return surface, surface + clearance, surface + max(second, clearance)
+
+    def call_cycle(self, block: PathBlock, shift: float = 0.0, texts: tuple[tuple[str, str], ...] = ()) -> None:
+        """Add the approach of the cycle in force to the moves of a block; ``shift`` of the surface, ``texts``: those of a pattern."""
         cycle, axis = self._in_force, self.plane[2]
         if cycle is None:
             expected = f"cycle 200 to 209, 240, 241, 1, 2, 17 or 18 defined before it; or {vocabulary.EXPANDED_CYCLE}"
@@ -174,16 +282,17 @@ class HeidenhainCycles(Interpreter):
             raise self.error(f"{what} while the position of {name} is unknown", f"a position of {name} before it")
         surface, top, level = math.nan, at, at
         if cycle.number in HOLES:
-            unit = MM_PER_INCH if self.inch else 1.0
-            clearance, surface = (self._parameter(what, name) * unit for name in ("Q200", _SURFACE))
-            second = self._parameter(what, "Q204") * unit if "Q204" in cycle.given else clearance
-            top, level = surface + clearance, surface + max(second, clearance)
+            surface, top, level = self._heights(what, shift, texts)
         if abs(top - at) > 1e-9:
             self.position[axis] = top
             named = frozenset((name,))
             block.moves += (Move(self._line, Kind.RAPID, False, tuple(self.position), named),)
         self.use_set_up(Kind.LINEAR)
-        block.call = CycleCall(cycle, top, surface, level, axis)
+        own = {name: text for name, text in texts if name != _SURFACE}
+        defined = (
+            math.nan if surface != surface else self._parameter(what, _SURFACE) * (MM_PER_INCH if self.inch else 1.0)
+        )
+        block.places.append(CycleCall(cycle, top, surface, level, axis, len(block.moves), defined, tuple(own.items())))
         self.position[axis] = level
         self.drilled.append(range(self._line, self._line + 1))
         self.note(
@@ -215,6 +324,35 @@ class HeidenhainPaths(HeidenhainCycles):
 
     centre: Mapping[int, float] = {}
     on_contour = False
+    plane_of_pole: tuple[int, int, int] | None = None
+    """The plane of the pole, if ``CC`` names two axes; None: that of the tool."""
+    _in_space = False
+
+    @property
+    def arc_plane(self) -> tuple[int, int, int]:
+        """The plane of arcs about the pole, and of angles and radii; raise `InputError` for a pole in space."""
+        if self._in_space:
+            raise self.error("arc about a pole with three coordinates", "CC with the two axes of the plane of the arc")
+        return self.plane_of_pole or self.plane
+
+    def take_tool_axis(self, plane: tuple[int, int, int]) -> None:
+        """Set the plane of the tool; another one has no pole yet."""
+        if plane != self.plane:
+            self.centre, self.plane_of_pole, self._in_space = {}, None, False
+        self.plane = plane
+
+    def set_pole(self, found: Mapping[int, float]) -> None:
+        """Set the pole from the words of ``CC``: two axes name the plane, one keeps the others, none takes the position."""
+        planes = {frozenset(plane[:2]): plane for plane in PLANES.values()}
+        if len(found) == 2:
+            self.centre, self.plane_of_pole = dict(found), planes[frozenset(found)]
+        elif len(found) == 1:
+            self.centre = {**self.centre, **found}
+        else:
+            self.centre = found or dict(enumerate(self.position[: self.linear]))
+            self.plane_of_pole, self._in_space = None, bool(found)
+            return
+        self._in_space = False
 
     def leave_contour(self) -> None:
         """Raise `InputError` if radius compensation is selected where the control leaves the contour."""
@@ -239,7 +377,7 @@ class HeidenhainPaths(HeidenhainCycles):
 
     def polar_end(self, block: PathBlock, start: list[float]) -> float | None:
         """Set the end point of a block given about the pole, and return its sweep in radians if that is given."""
-        a, b, _ = self.plane
+        a, b, _ = self.arc_plane
         if not (a in self.centre and b in self.centre):
             raise self.error(f"{block.keyword} without a pole", "CC before it")
         if block.axis_bits & (1 << a | 1 << b) or (
@@ -273,17 +411,23 @@ class HeidenhainPaths(HeidenhainCycles):
         """Return the arc of a block; ``sweep``: in radians, if the block gives it."""
         if block.clockwise is None:
             raise self.error("circular block without its sense", "DR+ or DR-")
-        a, b, _ = self.plane
+        a, b, third = plane = self.plane if block.keyword == "CR" else self.arc_plane
         from_, to = (start[a], start[b]), (self.position[a], self.position[b])
         if block.keyword == "CR":
             if block.radius is None:
                 raise self.error("CR without a radius", "R+10 or R-10")
-            return self.valid_arc(arc_by_radius(self.plane, from_, to, block.radius, block.clockwise))
+            if block.axis_bits >> third & 1 and not block.axis_bits >> a & block.axis_bits >> b & 1:
+                what = "CR with a word of the tool axis and one of the plane"
+                raise self.error(what, "CC and C: the plane of the arc is that of CC")
+            return self.valid_arc(arc_by_radius(plane, from_, to, block.radius, block.clockwise))
+        if plane != self.plane and (self.beside or block.axis_bits >> third & 1):
+            what = "arc in another plane than that of the tool under cutter radius compensation, or as a helix"
+            raise self.error(what, "the tool centre path (R0), and CC with the axes of the words")
         if a in self.centre and b in self.centre:
             centre = (self.centre[a], self.centre[b])
             if sweep:
-                return Arc(self.plane, centre, sweep)
-            return self.valid_arc(arc_by_centre(self.plane, from_, to, centre, block.clockwise))
+                return Arc(plane, centre, sweep)
+            return self.valid_arc(arc_by_centre(plane, from_, to, centre, block.clockwise))
         return self.valid_arc(ArcMisfit("circular block without its centre", "CC before it"))
 
 
@@ -314,7 +458,6 @@ class HeidenhainFrame(HeidenhainPaths):
     variant = "HEIDENHAIN"
     continued = False
     plane = PLANES["Z"]
-    pending: Plane | None = None
     _selects_preset = False
     _shift_below: tuple[float, ...] = ()
     _stated: frozenset[int] = frozenset()
@@ -498,7 +641,8 @@ class HeidenhainFrame(HeidenhainPaths):
         shift = [*(self.frame.shift or (0.0,) * len(self.names))]
         found = list(vocabulary.SHIFT.finditer(words))
         if not found or vocabulary.SHIFT.sub("", words).strip():
-            raise self.error(f"{what} without axis words", "axis words such as X+10 or IX+10", words.strip() or None)
+            how = "by a row of a datum table" if "#" in words else "without axis words"
+            raise self.error(f"{what} {how}", "axis words such as X+10 or IX+10", words.strip() or None)
         for match in found:
             axis = self.index.get(match[2].upper(), -1)
             if axis < 0:

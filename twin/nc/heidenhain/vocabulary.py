@@ -84,22 +84,25 @@ INCHES = frozenset({"INCH", "IN"})
 HARMLESS_CALL = re.compile(r"M0*(?:[3-9]|1[34])", re.ASCII)
 """M functions of ``CYCL CALL``: spindle and coolant."""
 PARAMETER = re.compile(r"Q[LRS]?\d++[ \t]*+=", re.ASCII | re.IGNORECASE)
-ASSIGNED = re.compile(r"(Q[LR]?\d++)[ \t]*+=[ \t]*+([^;\r\n~]*+)", re.ASCII | re.IGNORECASE)
+ASSIGNED = re.compile(r"(?<![A-Z\d])(Q[LR]?\d++)[ \t]*+=[ \t]*+([^;\r\n~]*+)", re.ASCII | re.IGNORECASE)
 WITH_NUMBERS = frozenset({"CYCL", "CYCLE", "FN", "PLANE", "Q", "QL", "QR", "TOOL"})
 QUOTED = re.compile(r"\"[^\"]*+\"")
 EXPONENT = re.compile(r"(?<![\\/:.\d])[+-]?(?:\d++[.,]?+\d*+|[.,]\d++)E[+-]?\d+", re.ASCII | re.IGNORECASE)
 """A number with an exponent outside paths, in one of the statements `WITH_NUMBERS`; the control knows none."""
 NUMBERS = re.compile(r"[+-]?[\d.,]+", re.ASCII)
 
-REFUSED_PATHS = frozenset("CT CTP LT RND CHF FL FLT FC FCT FPOL FSELECT".split())
-LEAD = re.compile(r"(APPR|DEP)[ \t]+(?:LCT|CT|LT|LN)(?![A-Z])", re.ASCII | re.IGNORECASE)
-"""Beginning of a block that leads to the contour or away from it."""
+REFUSED_PATHS = frozenset("SPLINE CTP LT FL FLT FC FCT FPOL FSELECT".split())
+LEAD = re.compile(
+    r"(?:(APPR)[ \t]+(P?)(?:LCT|CT|LT|LN)|DEP[ \t]+(?:(P?)LCT|CT|LT|LN))(?![A-Z])", re.ASCII | re.IGNORECASE
+)
+"""Beginning of a block that leads to the contour or away from it; with P its end is given about the pole."""
 LEAD_WORD = re.compile(
     r"(?<![A-Z])(?:LEN|CCA|R(?!0(?![\d.,])))[ \t]*+[+-]?(?:Q[LR]?\d+|[\d.,]+)", re.ASCII | re.IGNORECASE
 )
 """A word of its form: length, angle, radius."""
 ON_CONTOUR = frozenset({"RND", "CHF", "CT"})
-"""Path functions that depend on the blocks beside them, which are written whole under cutter radius compensation only."""
+"""Path functions that depend on the blocks beside them, which stay whole."""
+SHAPING = re.compile(r"[ \t]*+(?:N?\d++[ \t]*+)?+(?:RND|CHF|CT)(?![A-Z])", re.ASCII | re.IGNORECASE)
 PASSED = frozenset("END BLK STOP LBL DECLARE PATTERN GLOBAL OPEN WAIT".split())
 HARMLESS_FUNCTIONS = tuple(
     f"FUNCTION {reset}{words}"

@@ -70,6 +70,9 @@ _FOR: Final = re.compile(r"FOR[ \t]+([A-Z_]\w*)[ \t]*=(.+?)(?<!\w)TO(?!\w)(.+)",
 _PART: Final = re.compile(r"REPEAT(B?)[ \t]+([A-Z_]\w*)(?:[ \t]+([A-Z_]\w*))?(?:[ \t]+P[ \t]*=?[ \t]*(\S+))?", _FLAGS)
 _CASE: Final = re.compile(r"CASE(?!\w)(.+?)(?<!\w)OF(?!\w)(.+)", _FLAGS)
 _WHEN: Final = re.compile(rf"[ \t]*(DEFAULT|\S+)[ \t]+{_TARGET}", _FLAGS)
+_UNIT: Final = re.compile(r"%_N_(\w+?)_([MS]PF)(?!\w)", _FLAGS)
+_OFF: Final = ("$P_SIM", "$P_ISTEST", "$P_SEARCH", "$P_DRYRUN")
+"""System variables of SINUMERIK that are 0 while a program runs: simulation, test, block search, dry run."""
 _LABEL: Final = re.compile(r"([ \t]*(?:N\d+[ \t]*)?)([A-Z_]{2}\w*)[ \t]*:(?!=)", _FLAGS)
 _NUMBERED: Final = re.compile(r"[ \t]*(?:N|:)[ \t]*0*(\d+)", _FLAGS)
 _TOWARDS: Final = {"F": 1, "B": -1}
@@ -84,6 +87,8 @@ _GIVEN: Final = re.compile(rf"{_LOCAL.pattern}|#<[^>]*>")
 _FANUC_JUMP: Final = re.compile(r"(?:GOTO|DO|WHILE[ \t]*\[)[ \t]*\d?", _FLAGS)
 _OWN: Final = "\0"
 """Mark of the scope of a subprogram that has variables of its own."""
+_SAVES: Final = re.compile(r"(?<![A-Z\d])M[ \t]*0*7[0-3](?![\d=])", _FLAGS)
+"""Words of LinuxCNC that save and restore modal words, which its subprograms have for themselves."""
 _SUFFIXES: Final = ("", ".spf", ".mpf", ".nc", ".ngc", ".txt", ".tap", ".iso", ".cnc", ".ptp", ".eia", ".min", ".sub")
 
 
@@ -105,6 +110,7 @@ class IsoInliner(Inliner):
 
     def __init__(self, program: Program, folders: Sequence[Path]) -> None:
         super().__init__(program, folders)
+        self.values |= dict.fromkeys(_OFF, 0.0)
         self._linuxcnc = False
         self._bodies: dict[tuple[str, bool], list[Line] | None] = {}
 
@@ -156,8 +162,8 @@ class IsoInliner(Inliner):
     def _macro(self, line: Line, bare: str) -> Call:
         words = [(letter.upper(), value) for letter, value in _WORD.findall(bare)]
         values = dict(words)
-        if len(values) < len(words) or not values.get("P", "").isdigit():
-            raise refused("macro call", "G65 with a program number P and each argument once", line)
+        if len(values) < len(words) or not values.get("P", "").isdigit() or not values.get("L", "1").isdigit():
+            raise refused("macro call", "G65 with a program number P, a whole number L, and each argument once", line)
         unknown = set(values) - set(_ARGUMENTS) - {"G", "P", "L"}
         if unknown:
             raise refused("macro call", f"arguments other than {' '.join(sorted(unknown))}", line)
@@ -326,7 +332,7 @@ class IsoInliner(Inliner):
 
     def _body(self, call: Call) -> list[Line] | None:
         """Return the lines of a subprogram as written; None if there is no such subprogram."""
-        lines = None if call.outside else self._inside(call.name)
+        lines = self._in_archive(call.name) if call.outside else self._inside(call.name)
         if lines is None:
             path = self._file(call.name)
             if path is None or str(path) == self.program.source:
@@ -334,6 +340,13 @@ class IsoInliner(Inliner):
             lines = self.read_file(path)
             if any(_O_WORD.match(_bare(line)) for line in lines):
                 lines = _between(lines, call.name)
+        saves = (
+            None if not call.own or call.outside else next((one for one in lines if _SAVES.search(_bare(one))), None)
+        )
+        if saves is not None:
+            raise refused(
+                "modal words saved in a subprogram", "M70 to M73 outside subprograms: each has its own", saves
+            )
         return _until_return(lines, any(self.likely(line.text) and self.flow(line) for line in lines))
 
     def _inside(self, name: str) -> list[Line] | None:
@@ -345,6 +358,16 @@ class IsoInliner(Inliner):
             number = _O_NUMBER.match(_bare(line))
             if number is not None and i and f"O{int(number.group(1))}" == name:
                 return self.lines[i + 1 :]
+        return None
+
+    def _in_archive(self, name: str) -> list[Line] | None:
+        """Return the lines of a subprogram of SINUMERIK in the main file: behind ``%_N_NAME_SPF``, up to the next such line."""
+        stem = re.split(r"[\\/:]", name)[-1].upper()
+        begins = [line.number for line in self.lines if line.text.startswith("%_N_")]
+        for begin, end in itertools.pairwise([*begins, len(self.lines) + 1]):
+            unit = _UNIT.match(self.lines[begin - 1].text)
+            if unit is not None and stem in (unit[1].upper(), f"_N_{unit[1].upper()}_{unit[2].upper()}"):
+                return self.lines[begin : end - 1]
         return None
 
     def _file(self, name: str) -> Path | None:

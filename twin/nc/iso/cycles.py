@@ -13,6 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Final, NamedTuple
 
 from twin.nc.blocks import Kind
+from twin.nc.patterns import Point, circle, grid, turned
 
 CLEARANCE_MM: Final = 0.5
 """Distance above the bottom of the hole at which a control begins to feed after a retract for chips (G73, G83, CYCLE83). Each control
@@ -65,10 +66,16 @@ class Drilling(NamedTuple):
 
 
 FANUC: Final = frozenset({"73", "81", "82", "83", "85", "89"})
-FANUC_TAPPING: Final = frozenset({"74", "84"})
-FANUC_KEPT: Final = FANUC_TAPPING | {"76", "86", "88"}
+FANUC_TAPPING: Final = frozenset({"74", "84", "84.2", "84.3"})
+FANUC_KEPT: Final = FANUC_TAPPING | {"76", "86", "87", "88"}
 """Cycles left to the control: threads, and boring with a spindle that is turned or stopped at the bottom."""
-FANUC_WORDS: Final[Mapping[str, str]] = {"76": "IJ"}
+FANUC_PECKING: Final = frozenset({"73", "83"})
+"""Cycles in steps of Q; with Q0, of which a parameter of the control decides, they are left to it."""
+FROM_INITIAL: Final = "87"
+"""Cycle left to the control from the initial level on: back boring (Fanuc), whose R lies below the hole, or boring with a retract by
+hand (Haas).
+"""
+FANUC_WORDS: Final[Mapping[str, str]] = {"76": "IJ", "87": "IJ"}
 """Words of a cycle beside Z, R, Q and P: the shift from the wall."""
 
 
@@ -100,18 +107,21 @@ def of_fanuc(code: str, height: Mapping[str, float], dwell: str, retract: float,
     top, depth = height.get("R", math.nan), height.get("Z", math.nan)
     if not (math.isfinite(top) and math.isfinite(depth)):
         raise ValueError("R and Z")
+    if code == FROM_INITIAL:
+        parts = (f"G98 G87 {words[0]}", depth, " R", top, f" {words[1]}" if words[1] else "")
+        return Drilling((Stroke(math.nan, Kind.LINEAR, kept=Kept(retract, parts)),))
     if depth >= top:
         raise ValueError("Z below R")
     step = height.get("Q", math.nan)
-    if code in ("73", "83"):
-        if not step > 0.0:
-            raise ValueError("Q, the depth of a step")
-        down = pecked(top, depth, step, full=code == "83")
-    elif code in FANUC_KEPT:
+    if code in FANUC_KEPT or (code in FANUC_PECKING and step == 0.0):
         head, tail = f"G99 G{code} {words[0]}", f" {words[1]}" if words[1] else ""
         relative = (f"{head}", depth - top, f" R0{tail}")
         kept = Kept(top, (head, depth, " R", top, tail), relative, code in FANUC_TAPPING)
         down = [Stroke(math.nan, Kind.LINEAR, kept=kept)]
+    elif code in FANUC_PECKING:
+        if not step > 0.0:
+            raise ValueError("Q, the depth of a step")
+        down = pecked(top, depth, step, full=code == "83")
     else:
         down = [Stroke(depth, Kind.LINEAR)]
     if code in ("82", "89") and dwell:
@@ -221,36 +231,22 @@ def _kept(name: str, texts: Sequence[str], values: Sequence[float], top: float, 
     return Stroke(math.nan, Kind.LINEAR, kept=Kept(top * unit_mm, (*parts, ")")))
 
 
-def _row(values: Sequence[float]) -> list[tuple[float, float]]:
+def _row(values: Sequence[float]) -> list[Point]:
     x, y, angle, first, step, count = values[:6]
-    steps = [(first + i * step, 0.0) for i in range(int(count))]
-    return _turned((x, y), angle, steps)
+    return turned((x, y), angle, [(first + i * step, 0.0) for i in range(int(count))])
 
 
-def _circle(values: Sequence[float]) -> list[tuple[float, float]]:
+def _circle(values: Sequence[float]) -> list[Point]:
     x, y, radius, first, step, count = values[:6]
-    angles = [first + i * (step or 360.0 / count) for i in range(int(count))]
-    return [point for angle in angles for point in _turned((x, y), angle, [(radius, 0.0)])]
+    return circle((x, y), radius, first, step or 360.0 / count, int(count))
 
 
-def _grid(values: Sequence[float]) -> list[tuple[float, float]]:
+def _grid(values: Sequence[float]) -> list[Point]:
     x, y, angle, step, line, columns, rows = values[:7]
-    steps = [
-        (column * step, row * line)
-        for row in range(int(rows))
-        for column in (range(int(columns)) if row % 2 == 0 else range(int(columns) - 1, -1, -1))
-    ]
-    return _turned((x, y), angle, steps)
+    return grid((x, y), angle, step, line, int(columns), int(rows))
 
 
-def _turned(
-    origin: tuple[float, float], angle_deg: float, points: Sequence[tuple[float, float]]
-) -> list[tuple[float, float]]:
-    c, s = math.cos(math.radians(angle_deg)), math.sin(math.radians(angle_deg))
-    return [(origin[0] + c * u - s * v, origin[1] + s * u + c * v) for u, v in points]
-
-
-_PATTERNS: Final[Mapping[str, tuple[int, Callable[[Sequence[float]], list[tuple[float, float]]]]]] = {
+_PATTERNS: Final[Mapping[str, tuple[int, Callable[[Sequence[float]], list[Point]]]]] = {
     "HOLES1": (6, _row),
     "HOLES2": (6, _circle),
     "CYCLE801": (7, _grid),

@@ -238,6 +238,10 @@ class Iso(Dialect):
         """See `Dialect.is_comment`."""
         return _REMARK.fullmatch(text) is not None
 
+    def follows(self, text: str) -> bool:
+        """See `Dialect.follows`."""
+        return vocabulary.SHAPING.match(text) is not None or self.is_comment(text)
+
     def is_motion_only(self, text: str, names: tuple[str, ...]) -> bool:
         """See `Dialect.is_motion_only`."""
         axes = frozenset(name.upper() for name in names)

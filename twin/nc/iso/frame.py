@@ -14,6 +14,7 @@ import numpy as np
 from twin._common.errors import InputError
 from twin.nc.arcs import FROM_START, CentreWords
 from twin.nc.blocks import (
+    STATED_LENGTH,
     AxisWords,
     Plane,
     Rows,
@@ -60,6 +61,7 @@ class IsoBlock(Block):
         positions: whether the block moves the axes to the place of the hole before.
         repeats: number of holes that it drills, each by the increments of its words further than the one before.
         pattern: places of the holes of a pattern of SINUMERIK, by axis.
+        path_words, polar: words in place of an end point: of SINUMERIK, and ``@`` and ``^`` (``polar_step``: what they add in G91).
     """
 
     skip: str = ""
@@ -83,6 +85,9 @@ class IsoBlock(Block):
     positions: bool = True
     repeats: int = 1
     pattern: list[dict[int, float]] = field(default_factory=list)
+    path_words: list[Span] = field(default_factory=list)
+    polar: list[Item] = field(default_factory=list)
+    polar_step: tuple[float, float] | None = None
 
     def own_of(self, word: str) -> str:
         """Return the letters of the words here that belong to an M word; an angle to M19 only without axis words (``G2 X5 R7 M19``)."""
@@ -147,7 +152,7 @@ class IsoFrame(Interpreter):
             self._next_tool = self._name_of(tools[-1]) if len(tools) > 1 else self._next_tool  # Mazak: T1 T2 M6
         elif "M61" in words:
             tool = changes["tool"] = self._in_spindle(block, tool)
-        changes |= self._length(said, codes, tool)
+        changes |= self._length(block, said, codes, tool)
         if changes and self.tools_known:
             self.select(block, **changes)
         elif changes:
@@ -161,8 +166,10 @@ class IsoFrame(Interpreter):
             self.take_auxiliary("M61")
         return tool if item is None else self._name_of(item)
 
-    def _length(self, said: dict[str, Item], codes: set[str], tool: str) -> dict[str, str]:
+    def _length(self, block: IsoBlock, said: dict[str, Item], codes: set[str], tool: str) -> dict[str, str]:
         """Return the change of the length in force, empty if there is none."""
+        if "43.1" in codes:
+            return {"length": self._stated_length(block)}
         if "44" in codes and self.tools_known:
             raise self.error("tool length by G44", "G43 with an H word, whose length is in the table of tools")
         height = self._name_of(said["H"]) if "H" in said else None
@@ -180,6 +187,16 @@ class IsoFrame(Interpreter):
             own = tool if edge == "1" and (tool or self.tools_known) else f"{tool} D{edge}"
             return {"length": "" if edge == "0" else own}
         return {}
+
+    def _stated_length(self, block: IsoBlock) -> str:
+        """Take the length that ``G43.1 Z`` of LinuxCNC states, and return its name."""
+        depth = self.names[self.linear - 1].upper()
+        moves = any(vocabulary.GROUP_OF.get(span.name) == "motion" for span in block.codes)
+        if moves or [item.name for item in block.items] != [depth] or any(item.name == "H" for item in block.others):
+            raise self.error("tool length by G43.1", f"G43.1 with {depth} alone (LinuxCNC), or G43 with an H word")
+        value = self.known_value(depth, block.items[0].value, vocabulary.KNOWN_VALUE)
+        block.items, self._length_by_h = [], True
+        return f"{STATED_LENGTH}{value * (MM_PER_INCH if self.inch else 1.0)!r}"
 
     def _name_of(self, item: Item) -> str:
         """Return the number or the name of a tool, an offset of its length, or an edge."""
@@ -436,9 +453,6 @@ _GROUPS: Final = frozenset({"shift", "distance", "units", "plane", "feed"})
 """Groups of G words that a block with a shift may have."""
 _OFFSETS: Final = ("G54", "G55", "G56", "G57", "G58", "G59", "G59.1", "G59.2", "G59.3")
 """The work offset of each P word of ``G10 L2``, from 1 on."""
-_OF_LINUXCNC: Final = frozenset({"53.3", "59.1", "59.2", "59.3", "92.2", "92.3", "38.2", "38.3", "38.4", "38.5"})
-_OF_FANUC: Final = frozenset({"54.1", "154", "68.2", "65", "268"})
-_NOT_OF_SINUMERIK: Final = frozenset({*_OF_LINUXCNC, *_OF_FANUC, "20", "21", "28", "43", "49", "80", "98", "99"})
 _BESIDE_OFFSET: Final = frozenset({"0", "1", "17", "18", "19", "20", "21", "40", "49", "69", "80", "90", "91", "94"})
 """G words without a P word of their own."""
 _TURNED: Final = {17: 2, 18: 1, 19: 0}
@@ -459,6 +473,7 @@ class IsoShift(IsoTilt):
     _present: tuple[float, ...] = ()
     _saved: tuple[float, ...] | None = None
     _shifted_by = ""
+    _declared_start = False
     _programmed: tuple[tuple[float, ...], Rows | None] = (), None
 
     def __init__(self, source: str, axes: AxisWords, **how: Any) -> None:
@@ -466,12 +481,14 @@ class IsoShift(IsoTilt):
         self._moved: dict[str, tuple[float, ...]] = {}
         self._turns: dict[str, Rows | None] = {}
 
-    def shift_words(self, block: IsoBlock, groups: frozenset[str]) -> None:
-        """Apply G10, G52, G92 and the end of the latter, and take their words from a block."""
+    def shift_words(self, block: IsoBlock, groups: frozenset[str]) -> bool:
+        """Apply G10, G52, G92 and the end of the latter, and take their words; return whether the block may have others."""
         code = next(span.name for span in block.codes if vocabulary.GROUP_OF[span.name] == "shift")
         what = f"G{code}"
+        if code in ("92.1", "92.2") and not (block.items or any(self._present) or self._saved or self._declared_start):
+            return True  # nothing to end
         if code == "92" and not block.items and {item.name for item in block.others} == {"S"}:
-            return  # highest spindle speed
+            return False  # highest spindle speed
         stray = [item for item in block.others if code != "10" or item.name not in "LPR"]
         if groups - _GROUPS or block.names or block.m_words or block.feed is not None or stray:
             raise self.error(f"{what} with other words", f"{what} and its axis words in a block of its own")
@@ -490,9 +507,16 @@ class IsoShift(IsoTilt):
                 raise self.error("G92.3 without a G92", "G92 with positions before it")
             self._present = self._saved
         else:
-            self._saved = () if code == "92.1" else self._saved
-            self._present = ()
+            self._end_shift(code)
         self._refresh(block)
+        return False
+
+    def _end_shift(self, code: str) -> None:
+        """End G92 (``G92.1``, ``G92.2``); the coordinates before a first one at the start of the program are not known."""
+        if self._declared_start:
+            self.doubtful = f"{code} ends the G92 at the start: the coordinates before it are not known"
+        self._saved = () if code == "92.1" else self._saved
+        self._present = ()
 
     def _check_shift(self, what: str) -> None:
         """Raise `InputError` where a shift cannot be followed."""
@@ -523,11 +547,26 @@ class IsoShift(IsoTilt):
         present = [*(self._present or self._zeros)]
         for word in words:
             if code == "92":
-                present[word.axis] += self._present_position(block, word) - word.value
+                present[word.axis] += self._start_position(block, word) - word.value
             else:
                 present[word.axis] = word.value
         self._present = self._saved = tuple(present)
         self._shifted_by = code
+
+    def _start_position(self, block: IsoBlock, word: AxisWord) -> float:
+        """Return the position that G92 declares anew: where nothing has moved an axis or selected a work offset, that of the program.
+
+        The operator has placed the machine there: the zero of the program is that of the set-up.
+        """
+        known = self.position[word.axis] == self.position[word.axis]
+        if known or self.offset is not None or self.unknown or self.lost_positions:
+            return self._present_position(block, word)
+        self.note(
+            "G92 states where the axes stand at the start: its zero is taken as that of the set-up (work offset)",
+            once=True,
+        )
+        self._declared_start, self.position[word.axis] = True, word.value
+        return word.value
 
     def _present_position(self, block: IsoBlock, word: AxisWord) -> float:
         """Return the position that a word declares anew; raise `InputError` if it is unknown."""
@@ -659,11 +698,3 @@ class IsoShift(IsoTilt):
         self._programmed = shift, turn
         if ended or shift or turn:
             self.reframe(block, carried=False, shift=shift, turn=turn)
-
-    def tell_control(self, code: str) -> None:
-        """Take a G code as a word of one control."""
-        self.without_frames = self.without_frames or code in _NOT_OF_SINUMERIK
-        if code in _OF_LINUXCNC:
-            self.control = "LinuxCNC"
-        elif code in _OF_FANUC:
-            self.control = "Fanuc"

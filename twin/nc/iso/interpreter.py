@@ -12,14 +12,16 @@ from twin.nc.arcs import ABSOLUTE, FROM_START
 from twin.nc.blocks import AxisWords, Kind, Move, MoveColumns, Notice
 from twin.nc.iso import vocabulary
 from twin.nc.iso.cycles import PATTERNS, SINUMERIK
+from twin.nc.iso.drilling import INCH_CODES, TAP
 from twin.nc.iso.frame import PROGRAMMED, TOOL_CHANGE, IsoBlock, Item
-from twin.nc.iso.motion import CENTRE, INCH_CODES, SPINDLE_VECTOR, IsoMotion
+from twin.nc.iso.motion import SPINDLE_VECTOR, IsoMotion
+from twin.nc.iso.paths import CENTRE
 from twin.nc.modal import SWITCHING_M, Block, Span
 from twin.nc.text import BLANK, BOM, number
 
 _AXIS_LETTERS: Final = frozenset("XYZABCUVW")
 _LENGTH_WORDS: Final = frozenset({"", "G43.4", "G43.5", "G234", "G169"})
-_ARC_WORDS: Final = frozenset({*CENTRE, *SPINDLE_VECTOR, "R", "CR", "TURN"})
+_ARC_WORDS: Final = frozenset({*CENTRE, *SPINDLE_VECTOR, "R", "CR", "TURN"}) | vocabulary.PATH_WORDS
 _NORMAL: Final = frozenset(f"{letter}{place}" for letter in "ABC" for place in "45")
 """Surface normal of SINUMERIK at the start and the end of a block: of effect with LEAD, TILT and G41 or G42 only, which are refused."""
 _NO_MOTION: Final = frozenset("STDHFPQM")
@@ -28,6 +30,12 @@ _WITHOUT_CYCLE: Final = frozenset({"still", "reference"})
 """Groups of G words whose block does not execute the drilling cycle in force; its words are theirs."""
 _RETURNS: Final = frozenset({"G28", "G30", "G30 P2", "G30 P3", "G30 P4", "G74"})
 """Words of reference returns whose positions a machine file may name."""
+_SAVED: Final = (
+    *("inch", "plane", "incremental", "feed_mode", "centres", "_to_initial", "_level_given"),
+    *("side", "offset", "frame", "_held_length", "tcp"),
+)
+_SAVED_MODES: Final = 7
+"""Attributes that hold the modal words which M70 saves; the first ones are restored by M72, the others must be the same."""
 _SOME_WORDS: Final = "words whose effect is known"
 _MODES: Final[Mapping[str, tuple[str, Callable[[str], Any]]]] = {
     "motion": ("motion", int),
@@ -60,6 +68,7 @@ class IsoInterpreter(IsoMotion):
         """Values of ``#`` variables that hold from the next block on: words of the same block have the values before (LinuxCNC)."""
         self._probes = self._siemens = self._begun = self._any = self._marked = False
         self._unit_line: int | None = None
+        self._saved_modes: dict[str, Any] | None = None
 
     @property
     def variant(self) -> str:
@@ -151,8 +160,8 @@ class IsoInterpreter(IsoMotion):
             self.behind_end(moves=any((match[2] or match[6] or "").upper() in self.index for match in words))
 
     def may_end(self, tail: str) -> bool:
-        """See `Interpreter.may_end`: not while a cycle is in force or between M29 and its thread, which are written together."""
-        return self.cycle is None and RIGID.search(tail) is None
+        """See `Interpreter.may_end`: not while a cycle is in force or before a thread, which is written with the move before."""
+        return self.cycle is None and RIGID.search(tail) is None and TAP not in tail
 
     def moves(self, line: int, text: str) -> tuple[Move, ...]:
         """See `Interpreter.moves`."""
@@ -167,7 +176,7 @@ class IsoInterpreter(IsoMotion):
         if block.skip and not _changes_nothing(block):
             self.note("block skip: assumed to be executed", once=True)
         self._machine_axes(block)
-        groups = self._g_words(block) if block.codes else frozenset()
+        groups = self._groups(block)
         if self._calls_outside(block) or (groups and self._frame_words(block, groups)):
             return block
         groups = self._with_probing(block, groups)
@@ -178,24 +187,56 @@ class IsoInterpreter(IsoMotion):
         centre = [item for item in block.others if item.name not in own and self._is_of_motion(block, item)]
         self._state_to(block)
         self.choose_tool(block, frozenset(block.m_words))
-        if "still" in groups:
-            if block.items and ("motion" in groups or any(item.name == "P" for item in block.others)):
-                raise self.error("a dwell in a block that moves axes", "G4 in a block of its own")
-            return block
-        if "reference" in groups:
-            self._reference(block)
+        if self._does_not_go(block, groups):
             return block
         machine = machine or "machine" in groups
         for item in block.items:
             self.add(block, self.axis_word(item, machine=machine))
         if block.items or centre:
             self.move(block, centre, machine=machine)
+            self.shape_paths(block)
         elif self.cycle is not None and (drills or block.calls or block.pattern):
             block.positions = False
             self.drill(block, self.cycle)
         if block.calls:
             self.cycle = None
         return block
+
+    def _groups(self, block: IsoBlock) -> frozenset[str]:
+        """Apply G words and M70 to M72, and take polar words; return the groups of the G words."""
+        if not vocabulary.SAVING_M.isdisjoint(block.m_words):
+            self._save_modes(block)
+        groups = self._g_words(block) if block.codes else frozenset[str]()
+        if block.polar:
+            self.polar_words(block)
+        return groups
+
+    def _does_not_go(self, block: IsoBlock, groups: frozenset[str]) -> bool:
+        """Apply a block that dwells, returns to a reference point or taps, and return whether it is one."""
+        taps = any(span.name == TAP for span in block.codes)
+        if taps:
+            self.tap(block)
+        elif "still" in groups:
+            if block.items and ("motion" in groups or any(item.name == "P" for item in block.others)):
+                raise self.error("a dwell in a block that moves axes", "G4 in a block of its own")
+        elif "reference" in groups:
+            self._reference(block)
+        return taps or not groups.isdisjoint(_WITHOUT_CYCLE)
+
+    def _save_modes(self, block: IsoBlock) -> None:
+        """Save, forget or restore modal words (LinuxCNC: M70, M71, M72); M70 of other controls saves nothing that is read again."""
+        word = next(word for word in block.m_words if word in vocabulary.SAVING_M)
+        if word != "M70" and (self._saved_modes is None or len(block.m_words) > 1 or block.codes or block.items):
+            raise self.error("modal words restored", "M70 before it, and M72 in a block of its own", word)
+        modes = {name: getattr(self, name) for name in _SAVED}
+        if word == "M72" and self._saved_modes is not None:
+            if any(modes[name] != self._saved_modes[name] for name in _SAVED[_SAVED_MODES:]):
+                what = "M72 that restores a work offset, a tool length or a radius compensation"
+                raise self.error(what, "that selected by its own words before M72")
+            for name in _SAVED[:_SAVED_MODES]:
+                setattr(self, name, self._saved_modes[name])
+            self.note("M72 restores feed and speed, too: times are stated with those of the words before it", once=True)
+        self._saved_modes = {"M70": modes, "M71": None}.get(word, self._saved_modes)
 
     def _calls_outside(self, block: IsoBlock) -> bool:
         """Return whether a block calls a program by its number that is not given, and may; its other words are arguments."""
@@ -215,8 +256,11 @@ class IsoInterpreter(IsoMotion):
             self.tilt_words(block)
         if "shift" in groups:
             self._state_to(block)
-            self.shift_words(block, groups)
-        return "shift" in groups
+            return not self.shift_words(block, groups)
+        if "pole" in groups:
+            self.set_pole(block)
+            return True
+        return False
 
     def _reference(self, block: IsoBlock) -> None:
         """Apply a reference return, an approach of a fixed point, or probing, which passes through."""
@@ -362,8 +406,11 @@ class IsoInterpreter(IsoMotion):
         self._started = True
         key, value = match.group(6).upper(), match.group(8)
         key = "H" if key == "HA" and self._okuma else key
+        bracket = match[7] or ""
+        if key == "R" and bracket:
+            key, bracket = f"R{self.value_of(bracket[1:-1]):.0f}", ""
         item = Item(key, match.start(6), match.end(), match.start(8), match.end(8), value)
-        if key in self.index or not self._assigned(block, item, match.group(7) or ""):
+        if key in self.index or not self._assigned(block, item, bracket):
             self._sort(block, item)
 
     def _name(self, block: IsoBlock, match: re.Match[str]) -> bool:
@@ -389,11 +436,20 @@ class IsoInterpreter(IsoMotion):
         letter, value = match.group(14, 15)
         self._sort(block, Item(letter.upper(), match.start(14), match.end(), match.start(15), match.end(), value))
 
+    def _polar_word(self, block: IsoBlock, match: re.Match[str]) -> None:
+        self._started = True
+        (start, end), text = match.span("polar"), match["polar"]
+        block.polar.append(Item(text[0], start, end, start + 1, end, text[1:].strip()))
+
     def _hash(self, block: IsoBlock, match: re.Match[str]) -> None:
         self._started = True
         name = match.group(17)
         if name[1] == "<":
             self.control = "LinuxCNC"
+        first, last = vocabulary.LINUXCNC_VARIABLES
+        if self.control == "LinuxCNC" and name[1:].isdigit() and first <= int(name[1:]) <= last:
+            self._assignments.append((name, self.value_of(match.group(18))))
+            return
         if name[1:].isdigit() and any(first <= int(name[1:]) <= last for first, last in vocabulary.OFFSET_VARIABLES):
             raise self.error("the program sets a work offset or a tool length", vocabulary.NO_TRANSFORMATION, name)
         self._assignments.append((name, self.value_of(match.group(18))))
@@ -434,8 +490,9 @@ class IsoInterpreter(IsoMotion):
         if letter == "O":
             only = vocabulary.O_SUB.match(rest) is not None
             raise self.error("control flow", vocabulary.MAIN_PROGRAM if only else vocabulary.NO_CALLS, rest)
-        if character in "@^":
-            raise self.error("polar words of LinuxCNC", "X and Y in place of @ and ^", rest)
+        if character == "*":
+            what = "block that ends in *: DIN/ISO of HEIDENHAIN, in which G words have other meanings"
+            raise self.error(what, "the program in plain language, converted at the control", rest)
         raise self.error("unexpected character", "words of a letter and a number", rest)
 
     # ------------------------------------------------------------------ words
@@ -453,12 +510,20 @@ class IsoInterpreter(IsoMotion):
         word = vocabulary.canonical(f"M{value}")
         if word in vocabulary.REFUSED_M:
             raise self.error("subprogram call", vocabulary.NO_CALLS, word)
-        if word in vocabulary.RESTORING_M:
-            raise self.error("modal words restored", "modal words written out (G20, G91, ...)", word)
+        if word == "M73":
+            raise self.error("modal words restored at a return", "M70 and M72, or modal words written out", word)
         if len(word) < 2:
             raise self.missing_number("M", value)
         block.m_words.append(word)
-        if word not in vocabulary.HARMLESS_M | vocabulary.CALLING_M | self.harmless | self.tcp_on | self.tcp_off:
+        if (
+            word
+            not in vocabulary.HARMLESS_M
+            | vocabulary.CALLING_M
+            | vocabulary.SAVING_M
+            | self.harmless
+            | self.tcp_on
+            | self.tcp_off
+        ):
             if not word[1:].isdigit() or int(word[1:]) in SWITCHING_M:
                 self.lose(block, word)
             else:
@@ -486,6 +551,7 @@ class IsoInterpreter(IsoMotion):
                 raise self.error(f"two G words of one modal group ({group})", "one G word per group in a block")
             self._modal(block, span, group)
             self.tell_control(code)
+            self.check_pole()
             self.switch_by(block, f"G{code}")
         self._unit_line = self._line if self._unit_line is None and "units" in seen else self._unit_line
         return frozenset(seen)
@@ -499,7 +565,7 @@ class IsoInterpreter(IsoMotion):
             name, state = _MODES[group]
             setattr(self, name, state(code))
         if group == "motion":
-            block.motion_word = span
+            block.motion_word, self.curve = span, ""
         elif group == "offset":
             self.choose_offset(block, code)
         elif group == "length" and code in ("169", "170"):
@@ -560,7 +626,7 @@ class IsoInterpreter(IsoMotion):
             elif name == "MCALL" or (place and names[place - 1].name == "MCALL"):
                 self.mcall(block, names[place], last=len(names) == place + 1)
             elif name in vocabulary.CURVES:
-                raise self.error(f"curve or rounding {name}", vocabulary.LINEAR)
+                self.select_curve(block, names[place])
             elif name in (SINUMERIK if self.cycle is None else PATTERNS) and len(names) == 1 and not block.items:
                 self.call_once(block, names[place])
             elif not self._passes(name):
@@ -590,12 +656,11 @@ class IsoInterpreter(IsoMotion):
         name, value = item.name, item.value
         shown = f"{name}={value}"
         turns = name == "RPL" and any(one.name in PROGRAMMED for one in block.names)
-        if len(name) == 1 or name in SPINDLE_VECTOR or name in ("CR", "TURN") or turns:
+        if len(name) == 1 or name in SPINDLE_VECTOR or name in ("CR", "TURN") or turns or name in vocabulary.PATH_WORDS:
             return False
-        if name in vocabulary.CORNERS and self.beside:
-            self.note(f"{name} is left to the control: the points beside it are corrected", once=True)
+        if self.shapes(block, name, value):
             return True
-        self._check_assigned(name, shown)
+        self.check_assigned(name, shown)
         if name[1:].isdigit() and name[0] in _AXIS_LETTERS:
             return False
         if name[0] == "M" and name[1:].isdigit():
@@ -608,15 +673,6 @@ class IsoInterpreter(IsoMotion):
         else:
             self.assign(name + bracket, self.value_of(value))
         return True
-
-    def _check_assigned(self, name: str, shown: str) -> None:
-        """Raise `InputError` for an assignment that changes the meaning of axis words in a way that is not followed."""
-        if name[0] in "ABCD" and name[1:] in ("2", "6", "7"):
-            raise self.error(f"tool orientation by {name}", "a tool vector A3= B3= C3=, or rotary axes", shown)
-        if name in vocabulary.CURVES or name in ("I1", "J1", "K1"):
-            raise self.error(f"curve or rounding {name}", vocabulary.LINEAR, shown)
-        if name in vocabulary.TRANSFORMS or name.startswith("$P_"):
-            raise self.error(f"coordinate transformation {name}", vocabulary.NO_TRANSFORMATION, shown)
 
 
 def _changes_nothing(block: IsoBlock) -> bool:
@@ -638,6 +694,7 @@ _TOKENS: Final[Mapping[str, Callable[[IsoInterpreter, IsoBlock, re.Match[str]], 
     "hash": IsoInterpreter._hash,
     "skip": IsoInterpreter._skip,
     "main": IsoInterpreter._main,
+    "polar": IsoInterpreter._polar_word,
     "bad": IsoInterpreter._bad,
 }
 """Handler of each kind of `vocabulary.TOKEN`; it returns True if the rest of the line is not words."""

@@ -35,12 +35,13 @@ TOKEN = re.compile(
     | (?P<hash>({_HASH})[ \t]*+=[ \t]*+({_EXPRESSION}))
     | (?P<skip>(?:/\d?+)++)
     | (?P<main>:\d*+)
+    | (?P<polar>[@^][ \t]*+(?:[+-]?+[ \t]*+[\d.]++|[+-]?+[ \t]*+(?:{_HASH}|{BRACKET})))
     | (?P<bad>\S)
     )""",
     re.VERBOSE | re.ASCII,
 )
 """One token with the spaces before it: ``X1.5``; a comment or line end; ``X=..``, ``R1=..``, ``_X_HOME=..``; a name, with or
-without arguments; ``X#100``, ``X[..]``; ``#100=..``; ``/``; ``:``; and any other character.
+without arguments; ``X#100``, ``X[..]``; ``#100=..``; ``/``; ``:``; ``@1.5``, ``^30``; and any other character.
 """
 
 LITERAL = re.compile(r"[+-]?[ \t]*+[\d.]++", re.ASCII)
@@ -49,7 +50,27 @@ ASSIGNED = re.compile(r"([A-Za-z_]\w*+)[ \t]*+=[ \t]*+([+-]?[\d.]++)", re.ASCII)
 
 # G codes by modal group. Two of one group in a block contradict each other; "" means no group.
 GROUPS: dict[str, tuple[str, ...]] = {
-    "motion": ("0", "1", "2", "3", "73", "74", "76", "81", "82", "83", "84", "85", "86", "88", "89"),
+    "motion": (
+        "0",
+        "1",
+        "2",
+        "3",
+        "33.1",
+        "73",
+        "74",
+        "76",
+        "81",
+        "82",
+        "83",
+        "84",
+        "84.2",
+        "84.3",
+        "85",
+        "86",
+        "87",
+        "88",
+        "89",
+    ),
     "plane": ("17", "18", "19"),
     "units": ("20", "21", "70", "71", "700", "710"),
     "distance": ("90", "91"),
@@ -57,7 +78,7 @@ GROUPS: dict[str, tuple[str, ...]] = {
     "feed": ("93", "94", "95"),
     "spindle": ("96", "97", "961", "962", "971", "972"),
     "radius": ("40", "41", "42"),
-    "length": ("43", "43.4", "43.5", "44", "49", "234", "169", "170"),
+    "length": ("43", "43.1", "43.4", "43.5", "44", "49", "234", "169", "170"),
     "return": ("98", "99"),
     "offset": (
         *("54", "55", "56", "57", "58", "59", "54.1", "59.1", "59.2", "59.3", "154", "500"),
@@ -67,6 +88,7 @@ GROUPS: dict[str, tuple[str, ...]] = {
     "plane tilt": ("68.2", "53.1", "53.3", "53.6", "69", "253", "254", "255", "268", "269"),
     "shift": ("10", "52", "92", "92.1", "92.2", "92.3"),
     "still": ("4", "22", "23", "25", "26"),
+    "pole": ("110", "111", "112"),
     "reference": ("28", "30", "30.1", "75", "27", "31", "38", "38.2", "38.3", "38.4", "38.5"),
     "mode": ("61", "61.1", "62", "64", "60", "641", "642", "643", "644", "645"),
     "": (
@@ -95,6 +117,8 @@ OWN_WORDS: Mapping[str, str] = {"5.1": "QR", "187": "PE"}
 """Words that belong to a G code of smoothing in its block: mode and level, smoothness and tolerance."""
 OWN_OF_M: Mapping[str, str] = {"M19": "R", "M61": "Q", "M66": "PLEQ", "M67": "EQ", "M68": "EQ"}
 """Words of an M word: angle of the spindle; of LinuxCNC the tool in the spindle, inputs, and analogue outputs."""
+LINUXCNC_VARIABLES = (31, 5000)
+"""Variables of a program of LinuxCNC without an effect of their own."""
 ENDED_BY_P0: frozenset[str] = frozenset({"54.2", "54.4"})
 """G codes of Fanuc and Mazak that shift coordinates by a table, and end that with P0."""
 SMOOTHING_BY_P: frozenset[str] = frozenset({"5.3"})
@@ -105,12 +129,7 @@ USER_VARIABLES = ((0, 999), (3000, 3012), (3901, 3902), (98000, 98499))
 """Variables without an effect of their own: local and common ones, messages, timers, counters of parts (Fanuc 30i, Haas, LinuxCNC)."""
 
 REFUSED_CODES: dict[str, tuple[str, str]] = {
-    **{code: (f"canned cycle G{code}", EXPANDED_CYCLE) for code in ("84.2", "84.3")},
-    "87": ("canned cycle G87: back boring (Fanuc) or boring with a retract by hand (Haas)", EXPANDED_CYCLE),
-    **{
-        code: (f"thread or tapping G{code}", LINEAR)
-        for code in ("33", "33.1", "34", "35", "63", "331", "332", "32", "92.5")
-    },
+    **{code: (f"thread or tapping G{code}", LINEAR) for code in ("33", "34", "35", "63", "331", "332", "32", "92.5")},
     **{
         code: (f"curve G{code}", LINEAR)
         for code in ("2.2", "2.3", "2.4", "3.2", "3.3", "3.4", "5.2", "5.3", "6.1", "6.2")
@@ -120,14 +139,13 @@ REFUSED_CODES: dict[str, tuple[str, str]] = {
         code: (f"coordinate transformation G{code}", NO_TRANSFORMATION)
         for code in (
             *("7", "7.1", "10.6", "10.9", "11", "12.1", "16", "51", "51.1", "54.2", "54.4"),
-            *("68", "68.1", "68.3", "68.4", "107", "110", "111", "112"),
+            *("68", "68.1", "68.3", "68.4", "107"),
         )
     },
     **{
         code: (f"cutter radius compensation G{code}", "the tool centre path from the CAM system (G40)")
         for code in ("41.1", "41.2", "42.1", "42.2", "43.2", "43.3")
     },
-    "43.1": ("tool length by G43.1, given by the block or along the tool axis", "G43 with an H word"),
     "29": ("return from the reference point G29", "a G0 block with the position"),
     **{code: (f"macro call G{code}", NO_CALLS) for code in ("66", "66.1", "72.1", "72.2")},
 }
@@ -151,8 +169,10 @@ O_CALL = re.compile(r"[Oo][ \t]*(\d+|<[^>]*>)[ \t]*(?:CALL)(?!\w)", re.ASCII | r
 O_SUB = re.compile(r"[Oo][ \t]*(?:\d+|<[^>]*>)[ \t]*SUB(?!\w)", re.ASCII | re.IGNORECASE)
 MAIN_PROGRAM = "the program that calls this subprogram, with this file beside it"
 CALLED_BY_NAME = re.compile(r"CALL[ \t]*+\(?+[ \t]*+\"([^\"]++)\"", re.ASCII | re.IGNORECASE)
-RESTORING_M: frozenset[str] = frozenset({"M72", "M73"})
-"""M codes of LinuxCNC that restore modal words saved before."""
+SAVING_M: frozenset[str] = frozenset({"M70", "M71", "M72"})
+"""M codes of LinuxCNC that save modal words, forget and restore them."""
+POLAR = "@"
+"""Form of the words of X and Y in place of polar words (LinuxCNC)."""
 HARMLESS_M: frozenset[str] = frozenset(
     f"M{code}"
     for code in (
@@ -190,7 +210,7 @@ PASSED: frozenset[str] = frozenset(
     DIAMOF DYNNORM DYNFINISH DYNROUGH DYNSEMIFIN DYNPOS DYNPREC TRAFOOF TRAORI SUPA CYCLE832 CYCLE_HSC CTOL OTOL OVR
     OVRRAP OVRA SVC FD FDA GROUP_BEGIN GROUP_END GROUP_ADDEND TOROTOF PAROTOF TOFRAMEOF ENDPROC MIRROROF EXTCLOSE
     SETPIECE GETT GETSELT SETAL STOLF CUTMOD CUTMODK TOWSTD CDOF CDON CDOF2 CPRECON CPRECOF BLSYNC FTOCOF TLIFT
-    FENDNORM NURBSOF""".split()
+    FENDNORM NURBSOF BNAT BTAN BAUTO ENAT ETAN EAUTO ORIC ORID WAITP SPCON SPCOF""".split()
 )
 CONTROL_FLOW: frozenset[str] = frozenset(
     """IF ELSE ELSEIF ENDIF WHILE ENDWHILE FOR ENDFOR LOOP ENDLOOP REPEAT REPEATB UNTIL GOTO GOTOB GOTOF GOTOC GOTOS
@@ -205,12 +225,20 @@ TRANSFORMS: frozenset[str] = frozenset(
 CANCELLING: frozenset[str] = frozenset("ROT TRANS MIRROR SCALE CYCLE800".split())
 """Transformations that cancel themselves if nothing follows them."""
 CURVES: frozenset[str] = frozenset(
-    """CIP CT BSPLINE ASPLINE CSPLINE POLY POLYPATH PW SD PL PO INVCW INVCCW RND RNDM CHF CHR ANG ANG1 ANG2 AR RP AP
+    """CIP CT ASPLINE BSPLINE CSPLINE POLY POLYPATH PW SD PL PO INVCW INVCCW RND CHF CHR ANG1 ANG2
     OEMIPO1 OEMIPO2 POS POSA POSP MOV OSCTRL FOCON FXS LEAD TILT THETA AN PHI PSI ORICURVE ORICONCW ORICONCCW ORICONIO
     ORICONTO ORIPATH ORIPATHS XH YH ZH NUT SPIF1 SPIF2 SPN SPP MEAS MEAW MEASA MEAWA MEAC PUNCHACC""".split()
 )
 CORNERS: frozenset[str] = frozenset({"RND", "CHF", "CHR"})
-"""Rounding and chamfer at the end of a block; beside a contour the blocks next to them are written whole."""
+"""Rounding and chamfer at the end of a block: the blocks next to them stay whole."""
+SPLINES: frozenset[str] = frozenset({"ASPLINE", "BSPLINE", "CSPLINE"})
+SHAPED: frozenset[str] = SPLINES | {"CT"}
+"""Paths that the control finds from the ends of blocks, and those before and after them; in force until the next motion word."""
+SPLINE_WORDS: frozenset[str] = frozenset({"PW", "SD", "PL"})
+"""Words of a spline that do not move its points: weight, degree, length of the parameter's interval."""
+PATH_WORDS: frozenset[str] = frozenset({"AP", "RP", "AR", "ANG", "I1", "J1", "K1"})
+"""Words in place of an end point or of a centre: polar angle and radius, opening angle, direction of a line, intermediate point."""
+SHAPING = re.compile(r"[^(;]*(?<!\w)(?:CT|[ABC]SPLINE)(?!\w)", re.ASCII | re.IGNORECASE)
 CYCLE = re.compile(r"CYCLE\d+|MCALL|HOLES\d|POCKET\d|SLOT\d|LONGHOLE|POLY_\w+|CONTPRON|CONTDCON", re.ASCII)
 
 EVIDENCE = line_pattern(

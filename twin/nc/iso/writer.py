@@ -12,7 +12,7 @@ from twin.nc.blocks import AxisWords, Kind, Move, Rewrite
 from twin.nc.dialect import as_comment
 from twin.nc.iso.cycles import Drilling, Kept
 from twin.nc.iso.frame import IsoBlock
-from twin.nc.iso.vocabulary import DIRECTION_FORMS
+from twin.nc.iso.vocabulary import DIRECTION_FORMS, POLAR, SHAPED
 from twin.nc.modal import AxisWord, Span
 from twin.nc.text import MM_PER_INCH, Style, apply_edits, ending, format_number, number, style_of
 from twin.nc.writer import SAME_NUMBER, Edit, Segments, WordWriter, drop, length_text, vector_texts
@@ -140,10 +140,11 @@ class IsoWriter(WordWriter[IsoBlock]):
         height = drilling.level if drilling.level == drilling.level or not last else last[block.drilling_axis]
         if height == height:
             self.said.record(block.drilling_axis, height, False)
-        for axis, value in (block.pattern[-1] if block.pattern else {}).items():
+        places = block.pattern[-1] if block.pattern else dict(enumerate(last[:2])) if block.polar_step else {}
+        for axis, value in places.items():
             self.said.record(axis, value, False)
         for word in block.words if block.repeats > 1 else ():
-            if word.incremental:
+            if word.incremental and not block.polar_step:
                 self.said.record(word.axis, (block.repeats - 1) * word.value, True)
         return text
 
@@ -156,8 +157,16 @@ class IsoWriter(WordWriter[IsoBlock]):
 
     def _unchanged_block(self, block: IsoBlock) -> str:
         """Return a block whose move is unchanged; its motion word is added if the modal state of the output differs."""
-        text, edits = block.text, list[Edit]()
+        text, edits, move = block.text, list[Edit](), block.moves[0]
+        polar = [word for word in block.words if word.form == POLAR and not move.passes]
+        if polar and block.repeats > 1 and block.polar_step and not self.expand_cycles:
+            self._check_polar_start(block, polar)
+        else:
+            edits += [self._replaced(block, word, move.position[word.axis]) for word in polar]
+        reached = {word.axis: self.said.value[word.axis] for word in polar}
         self.record(block)
+        for axis, value in reached.items():
+            self.said.record(axis, value, False)
         if self.expand_cycles:
             drop(block, block.cycle_words, edits)
         stale = self.motion is None and block.drilling is not None and not self.expand_cycles
@@ -169,6 +178,14 @@ class IsoWriter(WordWriter[IsoBlock]):
         if block.motion is not None:
             self.motion = block.motion
         return apply_edits(text, edits) if edits else text
+
+    def _check_polar_start(self, block: IsoBlock, polar: list[AxisWord]) -> None:
+        """Raise `InputError` for holes by angles from a place that has been corrected, in a cycle that is not expanded."""
+        for word in polar:
+            start = block.moves[0].position[word.axis] - word.value
+            if abs(self.said.value[word.axis] - start) > SAME_NUMBER:
+                raise self._error(block, "holes by polar increments from a corrected place", "polar words in G90")
+            self.said.record(word.axis, block.moves[0].position[word.axis], False)
 
     def _without_cycle(self, block: IsoBlock, text: str) -> str:
         """Return the positioning of a block that states a cycle, with the original block in a comment before it."""
@@ -229,7 +246,7 @@ class IsoWriter(WordWriter[IsoBlock]):
 
     def _observe_format(self, block: IsoBlock) -> None:
         """Record how the program separates words and whether its letters are small."""
-        words, text = block.words, block.text
+        words, text = [word for word in block.words if word.form != POLAR], block.text
         if words:
             first = words[0].start
             if len(words) > 1:
@@ -240,19 +257,32 @@ class IsoWriter(WordWriter[IsoBlock]):
         elif block.motion_word is not None:
             self.lower = text[block.motion_word.start] == "g"
 
+    def record(self, block: IsoBlock) -> None:
+        """See `WordWriter.record`: words in place of an end point, too, say where it ends."""
+        super().record(block)
+        move = block.moves[0]
+        for axis, name in enumerate(self.names if block.path_words and not move.passes else ()):
+            if name in move.named and not block.axis_bits >> axis & 1:
+                self.said.record(axis, move.position[axis], False)
+
     def _begin(self, block: IsoBlock, rewrite: Rewrite, edits: list[Edit]) -> str:
         """Change the motion word to a straight move; return the motion word to insert, if one is needed."""
         if self.expand_cycles:
             drop(block, block.cycle_words, edits)
+        drop(block, block.path_words, edits)
         code = CODE[rewrite.move.kind] if block.motion is not None else None
         if rewrite.move.arc is not None and rewrite.move.whole:
-            code = block.motion
+            code = 2 if rewrite.move.arc.angle_rad < 0.0 else 3
         before, self.motion = self.motion, self.motion if code is None else code
         span = block.motion_word
         if span is not None:
             self.motion = code
-            self.wide = len(block.text[span.start + 1 : span.end].strip()) > 1
-            if block.motion != code:
+            if span.name == "CIP":
+                edits.append((span.start, span.end, self.g(code or 0)))
+            elif span.name in SHAPED:
+                return ""
+            self.wide = span.name != "CIP" and len(block.text[span.start + 1 : span.end].strip()) > 1
+            if block.motion != code and span.name != "CIP":
                 repeated = [one for one in block.codes if one.name == str(block.motion)]
                 edits += ((one.end - 1, one.end, str(code)) for one in repeated or [span])
             return ""
@@ -274,6 +304,8 @@ class IsoWriter(WordWriter[IsoBlock]):
                 value = -radius if over else radius
             else:
                 axis = "IJK".index(span.name)
+                if axis not in centre:
+                    continue
                 written.add(axis)
                 wrapped = ABSOLUTE if (head["form"] or "").upper() == "AC" else FROM_START
                 value = (wrapped if head["form"] else block.centres).word(start[axis], centre[axis])
@@ -351,6 +383,9 @@ class IsoWriter(WordWriter[IsoBlock]):
         return format_number(turn, 9, self.style._replace(min_decimals=0)) if turn < 359.9999999995 else "0"
 
     def _replaced(self, block: IsoBlock, word: AxisWord, target: float) -> Edit:
+        if word.form == POLAR:
+            between = self.separator if word.start > block.head_end and block.text[word.start - 1] in "@^" else ""
+            return word.start, word.end, between + self._added(block, word.axis, target)
         head = self._head(block, word, target)
         start, end, new = super()._replaced(block, word, target)
         return (word.start, end, head + new) if head else (start, end, new)
@@ -369,7 +404,7 @@ class IsoWriter(WordWriter[IsoBlock]):
         return f"{head[:at]}{'DC' if head[at].isupper() else 'dc'}{head[at + 3 :]}"
 
     def _later(self, block: IsoBlock, row: list[float], vector: list[float] | None) -> list[str]:
-        forms = {word.axis: word for word in block.words if word.form}
+        forms = {word.axis: word for word in block.words if word.form not in ("", POLAR)}
         if not forms:
             return super()._later(block, row, vector)
         words = []

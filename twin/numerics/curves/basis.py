@@ -178,7 +178,7 @@ class CurveSpace:
         legendre = legendre_in_basis(self.basis, count)
         if legendre is not None:
             return np.asarray(legendre * _norms(count))
-        x, w = _rule()
+        x, w = gauss_legendre(NODES)
         lo, hi = self.domain
         values = self._raw((lo + hi) / 2.0 + x * (hi - lo) / 2.0, count)
         _, triangle = np.linalg.qr(values * np.sqrt(w / 2.0)[:, None])
@@ -195,7 +195,7 @@ class CurveSpace:
 
     def grid(self) -> tuple[np.ndarray, np.ndarray]:
         """Return positions and weights of a quadrature of the mean over the domain."""
-        x, w = _rule()
+        x, w = gauss_legendre(NODES)
         lo, hi = self.domain
         return (lo + hi) / 2.0 + x * (hi - lo) / 2.0, w / 2.0
 
@@ -215,9 +215,9 @@ class CurveSpace:
 
 
 @cache
-def _rule() -> tuple[np.ndarray, np.ndarray]:
-    """Return nodes and weights of the Gauss-Legendre rule; cached."""
-    x, w = np.polynomial.legendre.leggauss(NODES)
+def gauss_legendre(nodes: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return nodes and weights of the Gauss-Legendre rule from −1 to 1; cached."""
+    x, w = np.polynomial.legendre.leggauss(nodes)
     return read_only(x), read_only(w)
 
 

@@ -197,7 +197,13 @@ def scene_html(
     ]
     axes = [{"name": axis.name, "unit": "mm" if axis.linear else "°"} for axis in machine.axes]
     places = {"work": f"{FIRST_LINK}/{work}", "tool": f"{FIRST_LINK}/{tool}"}
-    data = {"outline": outline.tolist(), **places, "axes": axes, **_path_data(path, frames, factor)}
+    data = {
+        "outline": outline.tolist(),
+        "frame": machine.upright.T.tolist(),
+        **places,
+        "axes": axes,
+        **_path_data(path, frames, factor),
+    }
     return viewer_page(
         "scene",
         commands,
@@ -228,7 +234,10 @@ def _path_data(path: ScenePath, frames: Keyframes, factor: float) -> dict[str, A
 
 
 def link_poses(kinematics: Kinematics, positions: np.ndarray, links: tuple[str, ...]) -> np.ndarray:
-    """Return (n, links, 4, 4) poses of links of the URDF in the base frame of the machine with its errors, m, at (n, axes) commands."""
+    """Return (n, links, 4, 4) poses of links of the URDF for pictures, z up (`Machine.upright`), m, at (n, axes) commands.
+
+    The machine has its errors.
+    """
     machine = kinematics.machine
     model = machine.model
     data = model.createData()
@@ -238,6 +247,7 @@ def link_poses(kinematics: Kinematics, positions: np.ndarray, links: tuple[str, 
     for index, q in enumerate(positions * machine.scale):
         pin.framesForwardKinematics(model, data, machine.configuration(q, errors[index]))
         poses[index] = [data.oMf[number].homogeneous for number in numbers]
+    poses[:, :, :3] = machine.upright @ poses[:, :, :3]
     return poses
 
 

@@ -43,7 +43,6 @@ from twin.standards.artefacts.sheet import ArtefactSheet, SheetQuantity, SheetRo
 
 SETUPS: Final = ("normal", "reversed")
 POINTS: Final = 3
-LARGEST_SLOPE: Final = 0.1
 GAUGE: Final = SheetQuantity(
     "gauge per travel", "mm/m", 10.0, None, "limit of error of the gauge's scale; 1 %: 10 mm/m"
 )
