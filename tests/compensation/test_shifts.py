@@ -256,7 +256,6 @@ def test_shifts_and_tilted_planes(dmu50: Machine, name: str) -> None:
 
 
 NOT_FOLLOWED = [
-    ("G90 G21\nG92 X0 Y0 Z0\nG1 X1 F100\n", 2, "present position of X, which is unknown"),
     (f"{HEAD}G92 X7\nG52 X5\n", 4, "G52 after G92"),
     (f"{HEAD}G52 X5\nG92 X0\n", 4, "G92 after G52"),
     (f"{HEAD}G91 G52 X5\n", 3, "in G91"),
@@ -281,7 +280,7 @@ NOT_FOLLOWED = [
     (f"{HEAD}G52 X5\nTRANS X5\n", 4, "TRANS after G92"),
     (f"$A.MIN%\n{HEAD}G92 X5\n", 4, "G92 of Okuma"),
     (f"{HEAD_H}CYCL DEF 7.0 DATUM SHIFT ~\nX+10\n", 3, "over several lines"),
-    (f"{HEAD_H}CYCL DEF 7.1 #3\n", 3, "without axis words"),
+    (f"{HEAD_H}CYCL DEF 7.1 #3\n", 3, "by a row of a datum table"),
     (f"{HEAD_H}CYCL DEF 7.1 X+Q5\n", 3, "value of X is unknown"),
     (f"{HEAD_H}CYCL DEF 7 X+10\n", 3, "datum shift"),
     (f"{HEAD_H}CYCL DEF 10.1 ROT+10\nCYCL DEF 7.1 X+10\n", 4, "in turned coordinates"),

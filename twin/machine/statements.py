@@ -188,7 +188,7 @@ def _seen(machine: Machine, axis: Axis, command: Sequence[float] | np.ndarray) -
         sense = Message("counter-clockwise") if right_handed else Message("clockwise")
         part, place = (
             (Message("the head"), Message("the table"))[index],
-            (Message("the spindle"), Message("above"))[above],
+            (Message("the spindle"), Message("above"))[int(above)],
         )
         seen = Message("{part} turns {sense}, seen from {place}", part=part, sense=sense, place=place)
     if axis_in_work @ axis_at_rest > 1.0 - 1e-4:

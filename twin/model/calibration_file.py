@@ -289,7 +289,9 @@ class UnidentifiedEntry(FileEntry):
 
     name: str  # ISO 230-1 name
     why: Sentence  # the reason; text, or a format string `text` and the values of its places
-    remedy: Sentence = ""  # what to enter or to measure, the same; empty if that is unknown or part of `why`
+    remedy: Sentence | Literal[""] = (
+        ""  # what to enter or to measure, the same; empty if that is unknown or part of `why`
+    )
 
     @property
     def text(self) -> str:
