@@ -46,6 +46,8 @@ if TYPE_CHECKING:
     from twin.monitoring import WatchSettings, compare, confirm, watch, written_values
     from twin.monitoring.watch_page import watch_html
     from twin.nc import read_program
+    from twin.part.features import PartDrawing
+    from twin.part.forecast import forecast
     from twin.planning import (
         InstrumentSizes,
         Kit,
@@ -94,6 +96,7 @@ __all__ = [
     "MachineLog",
     "Measurements",
     "Options",
+    "PartDrawing",
     "Placement",
     "Scope",
     "Setup",
@@ -128,6 +131,7 @@ __all__ = [
     "execute_file",
     "find_program",
     "fit_thermal",
+    "forecast",
     "identification_plots",
     "identify",
     "identify_as_thesis",

@@ -16,8 +16,8 @@ import twin
 from tests.truth.machine import TruthMachine
 from twin.compensation.programs.prepared import Options
 from twin.nc import read_program
-from twin.part.features import Part
-from twin.part.forecast import Conformity, Forecast, Judge, forecast
+from twin.part.features import PartDrawing
+from twin.part.forecast import Conformity, Judge, PartForecast, forecast
 from twin.part.made import Maker
 
 LENGTH = 120.0
@@ -96,12 +96,12 @@ def write(folder: Path) -> tuple[Path, Path]:
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Forecast, TruthMachine, Path]:
+def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[PartForecast, TruthMachine, Path]:
     folder = tmp_path_factory.mktemp("part")
     path, features = write(folder)
     machine = twin.Machine.load("dmu50")
     calibration = twin.Calibration.default(machine)
-    found = forecast(Part(features), read_program(path), machine, calibration, Options(tool_length_mm=LENGTH))
+    found = forecast(PartDrawing(features), read_program(path), machine, calibration, Options(tool_length_mm=LENGTH))
     return found, TruthMachine(machine.path.parent / "dmu50.calibration.yaml", LENGTH), features
 
 
@@ -132,7 +132,7 @@ def smallest(columns: np.ndarray, values: np.ndarray) -> float:
     return float(found.fun)
 
 
-def of(found: Forecast, kind: str) -> Conformity:
+def of(found: PartForecast, kind: str) -> Conformity:
     return next(one.before for one in found.tolerances if one.tolerance.kind == kind)
 
 
@@ -158,7 +158,7 @@ def flatness_of(truth: TruthMachine, step: float = 2.0) -> float:
     return 2e3 * smallest(np.column_stack([np.ones(len(at)), at[:, :2]]), z - TOP)
 
 
-def test_flatness_is_that_of_the_cut_plane(made: tuple[Forecast, TruthMachine, Path]) -> None:
+def test_flatness_is_that_of_the_cut_plane(made: tuple[PartForecast, TruthMachine, Path]) -> None:
     found, truth, _ = made
     assert of(found, "flatness").value_um == pytest.approx(flatness_of(truth), rel=0.03)
 
@@ -179,12 +179,12 @@ def position_of(truth: TruthMachine) -> float:
     return 2e3 * min(minimize(largest, start + d, method="Nelder-Mead", options=exact).fun for d in np.eye(3))
 
 
-def test_position_of_a_pattern_is_that_of_the_drilled_holes(made: tuple[Forecast, TruthMachine, Path]) -> None:
+def test_position_of_a_pattern_is_that_of_the_drilled_holes(made: tuple[PartForecast, TruthMachine, Path]) -> None:
     found, truth, _ = made
     assert of(found, "position").value_um == pytest.approx(position_of(truth), rel=0.03)
 
 
-def test_perpendicularity_is_that_of_the_drilled_hole(made: tuple[Forecast, TruthMachine, Path]) -> None:
+def test_perpendicularity_is_that_of_the_drilled_hole(made: tuple[PartForecast, TruthMachine, Path]) -> None:
     found, truth, _ = made
     plane, axes = face_of(truth), holes_of(truth)[0]
     lateral = axes[:, :2] - HOLES[0] + (axes[:, 2:] - TOP) * plane[1:]
@@ -195,7 +195,7 @@ def test_perpendicularity_is_that_of_the_drilled_hole(made: tuple[Forecast, Trut
     assert of(found, "perpendicularity").value_um == pytest.approx(2e3 * best, rel=0.03, abs=0.05)
 
 
-def test_roundness_is_that_of_the_bore(made: tuple[Forecast, TruthMachine, Path]) -> None:
+def test_roundness_is_that_of_the_bore(made: tuple[PartForecast, TruthMachine, Path]) -> None:
     """The wall is the envelope of the tool's edge: for each direction the farthest point of a dense circle of the tool."""
     found, truth, _ = made
     worst = 0.0
@@ -209,7 +209,7 @@ def test_roundness_is_that_of_the_bore(made: tuple[Forecast, TruthMachine, Path]
     assert of(found, "roundness").value_um == pytest.approx(worst, rel=0.05, abs=0.05)
 
 
-def test_profile_of_a_sphere_is_that_of_the_ball(made: tuple[Forecast, TruthMachine, Path]) -> None:
+def test_profile_of_a_sphere_is_that_of_the_ball(made: tuple[PartForecast, TruthMachine, Path]) -> None:
     """From datums: A, the axis of one hole, and the direction to another; the tool's envelope by a dense half ball."""
     found, truth, _ = made
     at = between(hemisphere(), 0.3)
@@ -239,7 +239,7 @@ def test_profile_of_a_sphere_is_that_of_the_ball(made: tuple[Forecast, TruthMach
     assert of(found, "profile").value_um == pytest.approx(expected, rel=0.05)
 
 
-def test_the_compensated_program_makes_what_the_drawing_says(made: tuple[Forecast, TruthMachine, Path]) -> None:
+def test_the_compensated_program_makes_what_the_drawing_says(made: tuple[PartForecast, TruthMachine, Path]) -> None:
     found, _, _ = made
     after = [one.after.value_um for one in found.tolerances if one.after is not None]
     assert len(after) == len(found.tolerances)
@@ -250,7 +250,9 @@ def test_the_compensated_program_makes_what_the_drawing_says(made: tuple[Forecas
     assert json.loads(json.dumps(found.to_dict()))["tolerances"][0]["before"]["probability"] is None
 
 
-def test_each_error_counts_as_the_machine_without_it(made: tuple[Forecast, TruthMachine, Path], tmp_path: Path) -> None:
+def test_each_error_counts_as_the_machine_without_it(
+    made: tuple[PartForecast, TruthMachine, Path], tmp_path: Path
+) -> None:
     found, _, _ = made
     row = next(one for one in found.tolerances if one.tolerance.kind == "flatness")
     name, lost = row.by_error[0]
@@ -283,7 +285,7 @@ def test_what_the_file_cannot_mean_is_refused_with_its_line(
     machine = twin.Machine.load("dmu50")
     with pytest.raises(twin.InputError) as refused:
         forecast(
-            Part(features),
+            PartDrawing(features),
             read_program(path),
             machine,
             twin.Calibration.default(machine),
@@ -299,7 +301,7 @@ def test_yaml_of_the_part_is_plain() -> None:
 
 @pytest.mark.slow
 def test_machines_of_the_covariance_hold_a_tolerance_as_often_as_is_stated(tmp_path: Path) -> None:
-    """Machines drawn from a calibration's covariance cut the part in numpy: the values of flatness and position are distributed as stated.
+    """Machines drawn from a calibration's covariance cut the part in numpy: flatness and position are distributed as stated.
 
     Kolmogorov-Smirnov test of 200 machines against the 1000 of the forecast, and the share of machines within each of five zones within
     3 % and its own sampling error.
@@ -309,7 +311,7 @@ def test_machines_of_the_covariance_hold_a_tolerance_as_often_as_is_stated(tmp_p
     expected.save(tmp_path / "known.yaml")
     known = twin.Calibration.load(tmp_path / "known.yaml", machine)
     path, features = write(tmp_path)
-    part = Part(features)
+    part = PartDrawing(features)
     maker = Maker(part, machine, known, Options(tool_length_mm=LENGTH), (1000, 5))
     run = maker.run(*read_program(path))
     made = maker.made(run, compensated=False, zero_mm=np.zeros(3))

@@ -8,20 +8,22 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import linprog, minimize
 
-from twin.part.zones import Points, align, around_axis_um, band_um, both_sides_um, chebyshev, enclosing_radius
+from twin.part.zones import FeaturePoints, align, around_axis_um, band_um, both_sides_um, chebyshev, enclosing_radius
 
 SEEDS = st.integers(0, 10_000)
 
 
-def grid(normal: tuple[float, float, float], deviation: np.ndarray, *, offset: float = 0.0) -> Points:
+def grid(normal: tuple[float, float, float], deviation: np.ndarray, *, offset: float = 0.0) -> FeaturePoints:
     """Points of a square of 80 mm across a direction."""
     n = np.array(normal, dtype=float)
     e = np.linalg.svd(n[None])[2][1:]
     at = np.stack(np.meshgrid(*[np.linspace(-40.0, 40.0, 7)] * 2), axis=-1).reshape(-1, 2) @ e + offset * n
-    return Points(at, np.tile(n, (len(at), 1)), np.broadcast_to(deviation, (len(at), deviation.shape[-1])).copy())
+    return FeaturePoints(
+        at, np.tile(n, (len(at), 1)), np.broadcast_to(deviation, (len(at), deviation.shape[-1])).copy()
+    )
 
 
-def moved(points: Points, shift_um: np.ndarray, turn_mrad: np.ndarray) -> Points:
+def moved(points: FeaturePoints, shift_um: np.ndarray, turn_mrad: np.ndarray) -> FeaturePoints:
     """The same feature after a small rigid motion of the part."""
     displacement = shift_um + np.cross(turn_mrad, points.place_mm)
     return points.with_deviation(points.deviation_um + (displacement * points.normal).sum(axis=1)[:, None])
@@ -93,10 +95,10 @@ def test_the_datum_plane_touches_the_highest_points() -> None:
     assert align([datum], 1).seen(judged).deviation_um.mean() == pytest.approx(-6.0, abs=0.01)
 
 
-def axis_of(lateral: np.ndarray) -> Points:
+def axis_of(lateral: np.ndarray) -> FeaturePoints:
     """An axis along z with points every 10 mm."""
     place = np.repeat(np.column_stack([np.zeros((len(lateral), 2)), -10.0 * np.arange(len(lateral))]), 2, axis=0)
-    return Points(place, np.tile(np.eye(3)[:2], (len(lateral), 1)), lateral.reshape(-1, 1), axis=True)
+    return FeaturePoints(place, np.tile(np.eye(3)[:2], (len(lateral), 1)), lateral.reshape(-1, 1), axis=True)
 
 
 def test_position_is_twice_the_largest_distance_and_direction_ignores_place() -> None:
@@ -112,7 +114,7 @@ def test_a_pattern_that_may_move_is_placed_best(seed: int) -> None:
     rng = np.random.default_rng(seed)
     at = np.array([[-40.0, -30.0, 0.0], [40.0, -30.0, 0.0], [40.0, 30.0, 0.0], [-40.0, 30.0, 0.0]])
     off = 10.0 * rng.normal(size=(4, 2))
-    pattern = Points(np.repeat(at, 2, axis=0), np.tile(np.eye(3)[:2], (4, 1)), off.reshape(-1, 1), axis=True)
+    pattern = FeaturePoints(np.repeat(at, 2, axis=0), np.tile(np.eye(3)[:2], (4, 1)), off.reshape(-1, 1), axis=True)
     free = pattern.motion[:, [0, 1, 5]]
     scale = np.linalg.norm(free, axis=0)
     value = around_axis_um(pattern, free / scale, placed=True)[0]

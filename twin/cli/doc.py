@@ -17,6 +17,7 @@ PAGES: Final = (
     *(
         "machine",
         "programs",
+        "forecast",
         "import",
         "convert",
         "identify",

@@ -47,12 +47,12 @@ def forecast(
     """
     from twin.compensation.programs.prepared import Options
     from twin.nc import read_program
-    from twin.part.features import Part
+    from twin.part.features import PartDrawing
     from twin.part.forecast import forecast as run
 
     loaded = options.machine(machine)
     errors = options.calibration_of(calibration, loaded)
-    part = Part(features)
+    part = PartDrawing(features)
     with progress_bar() as bar:
         found = run(
             part,

@@ -13,7 +13,7 @@ from typing import Final, final
 
 import numpy as np
 
-from twin.part.features import Cylinder, Surface, ToolShape
+from twin.part.features import CylinderFeature, Surface, ToolShape
 
 ROUNDS: Final = 6
 """Steps from a point on the surface to the tool's contact and back; four are enough for a curved surface."""
@@ -27,7 +27,7 @@ CORE: Final = 0.75
 
 @final
 @dataclass(frozen=True, eq=False)
-class Contacts:
+class ToolContacts:
     """Points of a surface that samples of a program make.
 
     Attributes:
@@ -49,9 +49,9 @@ class Contacts:
     def __len__(self) -> int:
         return len(self.sample)
 
-    def part(self, rows: np.ndarray) -> Contacts:
+    def part(self, rows: np.ndarray) -> ToolContacts:
         """Return some of the rows."""
-        return Contacts(
+        return ToolContacts(
             self.sample[rows],
             self.place_mm[rows],
             self.normal[rows],
@@ -72,7 +72,7 @@ class Contacts:
         return feature.signed_mm(real)[0]
 
 
-def contacts(feature: Surface, tool: ToolShape, tip_mm: np.ndarray, axis: np.ndarray, touch_mm: float) -> Contacts:
+def contacts(feature: Surface, tool: ToolShape, tip_mm: np.ndarray, axis: np.ndarray, touch_mm: float) -> ToolContacts:
     """Return the points of a surface that a tool makes at tips and axes (n, 3) in the part's frame."""
     n = _normals(feature, tool, tip_mm, axis)
     lever = _lever(tool, axis, n)
@@ -83,14 +83,16 @@ def contacts(feature: Surface, tool: ToolShape, tip_mm: np.ndarray, axis: np.nda
         for height in np.linspace(0.0, max(tool.reach - tool.corner_radius, 0.0), FLANK_POINTS):
             found.append(_touching(feature, rows, tip_mm, n, lever + height * axis, touch_mm))
     walls = _joined(found)
-    if not isinstance(feature, Cylinder) or not feature.internal:
+    if not isinstance(feature, CylinderFeature) or not feature.internal:
         return walls
     # A tool on the axis has no side of the hole to touch; one that goes around it makes the hole, whatever drilled it before.
     walls = walls.part(np.flatnonzero(feature.radial(tip_mm[walls.sample])[0] > touch_mm))
     return walls if len(walls) else _drilled(feature, tool, tip_mm, axis, touch_mm)
 
 
-def _drilled(feature: Cylinder, tool: ToolShape, tip_mm: np.ndarray, axis: np.ndarray, touch_mm: float) -> Contacts:
+def _drilled(
+    feature: CylinderFeature, tool: ToolShape, tip_mm: np.ndarray, axis: np.ndarray, touch_mm: float
+) -> ToolContacts:
     """Return the points of a hole's axis where the tip of a tool of its diameter goes along it."""
     off, _ = feature.radial(tip_mm)
     along = feature.along_mm(tip_mm)
@@ -108,7 +110,9 @@ def _drilled(feature: Cylinder, tool: ToolShape, tip_mm: np.ndarray, axis: np.nd
     twice = np.repeat(rows, 2)
     place = feature.axis_point(along[twice])
     normal = np.tile(sides, (len(rows), 1))
-    return Contacts(twice, place, normal, np.zeros(place.shape), ((tip_mm[twice] - place) * normal).sum(axis=1), True)
+    return ToolContacts(
+        twice, place, normal, np.zeros(place.shape), ((tip_mm[twice] - place) * normal).sum(axis=1), True
+    )
 
 
 def _normals(feature: Surface, tool: ToolShape, tip_mm: np.ndarray, axis: np.ndarray) -> np.ndarray:
@@ -132,18 +136,18 @@ def _lever(tool: ToolShape, axis: np.ndarray, n: np.ndarray) -> np.ndarray:
 
 def _touching(
     feature: Surface, rows: np.ndarray, tip_mm: np.ndarray, n: np.ndarray, lever: np.ndarray, touch_mm: float
-) -> Contacts:
+) -> ToolContacts:
     point = tip_mm[rows] + lever[rows]
     off, normal = feature.signed_mm(point)
     foot = point - off[:, None] * normal
     kept = (np.abs(off) <= touch_mm) & feature.inside(foot)
-    return Contacts(rows[kept], foot[kept], normal[kept], lever[rows][kept], off[kept])
+    return ToolContacts(rows[kept], foot[kept], normal[kept], lever[rows][kept], off[kept])
 
 
-def _joined(parts: list[Contacts]) -> Contacts:
+def _joined(parts: list[ToolContacts]) -> ToolContacts:
     none = np.zeros((0, 3))
-    full = [one for one in parts if len(one)] or [Contacts(np.zeros(0, dtype=int), none, none, none, np.zeros(0))]
-    return Contacts(
+    full = [one for one in parts if len(one)] or [ToolContacts(np.zeros(0, dtype=int), none, none, none, np.zeros(0))]
+    return ToolContacts(
         np.concatenate([one.sample for one in full]),
         np.concatenate([one.place_mm for one in full]),
         np.concatenate([one.normal for one in full]),

@@ -111,7 +111,7 @@ def across(direction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 @final
-class Plane(_Feature):
+class PlaneFeature(_Feature):
     """A plane: a point, and the direction out of the material."""
 
     kind: Literal["plane"]
@@ -180,7 +180,7 @@ class Turned(_Feature):
 
 
 @final
-class Cylinder(Turned):
+class CylinderFeature(Turned):
     """A hole, bore or boss: a point of its axis, and the axis's direction into the material."""
 
     kind: Literal["hole", "cylinder"]
@@ -197,7 +197,7 @@ class Cylinder(Turned):
 
 
 @final
-class Cone(Turned):
+class ConeFeature(Turned):
     """A cone: its diameter at ``point``, and half its apex angle; it widens along its direction for a positive one."""
 
     kind: Literal["cone"]
@@ -217,7 +217,7 @@ class Cone(Turned):
 
 
 @final
-class Sphere(_Feature):
+class SphereFeature(_Feature):
     """A sphere, or a part of it."""
 
     kind: Literal["sphere"]
@@ -240,8 +240,8 @@ class Sphere(_Feature):
         return np.asarray(np.array(self.centre) + self.diameter / 2.0 * directions / length)
 
 
-Feature = Annotated[Plane | Cylinder | Cone | Sphere, Field(discriminator="kind")]
-Surface = Plane | Cylinder | Cone | Sphere
+Feature = Annotated[PlaneFeature | CylinderFeature | ConeFeature | SphereFeature, Field(discriminator="kind")]
+Surface = PlaneFeature | CylinderFeature | ConeFeature | SphereFeature
 
 
 @final
@@ -300,7 +300,7 @@ class _PartFile(_Entry):
 
 
 @final
-class Part:
+class PartDrawing:
     """A part as its file describes it.
 
     Attributes:
@@ -363,7 +363,7 @@ class Part:
                     )
         kind, datums = tolerance.kind, tolerance.datums
         surfaces = [self.features[name] for name in tolerance.features]
-        planes = [isinstance(one, Plane) for one in surfaces]
+        planes = [isinstance(one, PlaneFeature) for one in surfaces]
         turned = [isinstance(one, Turned) for one in surfaces]
         with_axes = all(turned) and all(isinstance(self.features[name], Turned) for name in datums)
         repeated = len(set(datums)) < len(datums) or bool(set(datums) & set(tolerance.features))

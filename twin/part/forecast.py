@@ -32,11 +32,11 @@ from twin.machine.machine import Machine
 from twin.model.calibration import Calibration
 from twin.nc.blocks import Program
 from twin.nc.dialect import Dialect
-from twin.part.features import LOCATED, ORIENTED, Part, Tolerance, Turned, across
+from twin.part.features import LOCATED, ORIENTED, PartDrawing, Tolerance, Turned, across
 from twin.part.made import SEED, Made, MadeFeature, Maker, axis_points, sections
 from twin.part.zones import (
     Aligned,
-    Points,
+    FeaturePoints,
     align,
     around_axis_um,
     band_um,
@@ -102,11 +102,11 @@ class ForecastTolerance:
 class Judge:
     """Evaluates the tolerances of a part on features that have been made."""
 
-    def __init__(self, part: Part) -> None:
+    def __init__(self, part: PartDrawing) -> None:
         self.part = part
 
     def values_um(
-        self, tolerance: Tolerance, surface: Mapping[str, Points], axis: Mapping[str, Points]
+        self, tolerance: Tolerance, surface: Mapping[str, FeaturePoints], axis: Mapping[str, FeaturePoints]
     ) -> Mapping[str, np.ndarray]:
         """Return the value of a tolerance on every machine, (machines,) µm, by feature."""
         made = {name: self._judged(tolerance, name, surface, axis) for name in tolerance.features}
@@ -119,8 +119,8 @@ class Judge:
         return {name: self._of_form_or_direction(tolerance, name, points, aligned) for name, points in seen.items()}
 
     def _judged(
-        self, tolerance: Tolerance, name: str, surface: Mapping[str, Points], axis: Mapping[str, Points]
-    ) -> Points:
+        self, tolerance: Tolerance, name: str, surface: Mapping[str, FeaturePoints], axis: Mapping[str, FeaturePoints]
+    ) -> FeaturePoints:
         """Return the points of a feature that a tolerance judges: its axis, or its surface."""
         turned = isinstance(self.part.features[name], Turned)
         if turned and tolerance.kind in (*LOCATED, *ORIENTED):
@@ -133,19 +133,23 @@ class Judge:
             )  # fmt: skip
         return points
 
-    def _axis(self, name: str, axis: Mapping[str, Points]) -> Points:
+    def _axis(self, name: str, axis: Mapping[str, FeaturePoints]) -> FeaturePoints:
         if name not in axis:
             raise self.part.refused(
                 ("features", name), f"no section of {name} is made all round", "a surface whose axis is determined"
             )
         return axis[name]
 
-    def _datum(self, name: str, surface: Mapping[str, Points], axis: Mapping[str, Points]) -> Points:
+    def _datum(
+        self, name: str, surface: Mapping[str, FeaturePoints], axis: Mapping[str, FeaturePoints]
+    ) -> FeaturePoints:
         return self._axis(name, axis) if isinstance(self.part.features[name], Turned) else surface[name]
 
-    def _located(self, tolerance: Tolerance, seen: Mapping[str, Points], aligned: Aligned) -> Mapping[str, np.ndarray]:
+    def _located(
+        self, tolerance: Tolerance, seen: Mapping[str, FeaturePoints], aligned: Aligned
+    ) -> Mapping[str, np.ndarray]:
         """Return values of location and profile: the pattern is placed as a whole where the datums leave it free."""
-        joined = Points.joined([*seen.values()])
+        joined = FeaturePoints.joined([*seen.values()])
         free = aligned.free_columns(joined)
         i = self.part.tolerances.index(tolerance)
         if tolerance.kind in LOCATED and free.shape[1] and _absorbs(free, [*seen.values()]):
@@ -168,7 +172,9 @@ class Judge:
             found[name] = around_axis_um(own, columns, placed=True) if own.axis else both_sides_um(own, columns)
         return found
 
-    def _of_form_or_direction(self, tolerance: Tolerance, name: str, points: Points, aligned: Aligned) -> np.ndarray:
+    def _of_form_or_direction(
+        self, tolerance: Tolerance, name: str, points: FeaturePoints, aligned: Aligned
+    ) -> np.ndarray:
         feature, association = self.part.features[name], self.part.association
         if tolerance.kind == "flatness":
             return band_um(points, independent(points.motion), association)
@@ -180,7 +186,7 @@ class Judge:
         shift = points.normal @ np.array(feature.normal) if hasattr(feature, "normal") else np.ones(len(points.normal))
         return band_um(points, independent(np.column_stack([shift, free])), "minimum-zone")
 
-    def _roundness(self, name: str, points: Points) -> np.ndarray:
+    def _roundness(self, name: str, points: FeaturePoints) -> np.ndarray:
         """Return the largest roundness of the sections of a surface of revolution, or that of a sphere as a whole."""
         feature = self.part.features[name]
         if not isinstance(feature, Turned):
@@ -195,12 +201,12 @@ class Judge:
         for rows in sections(feature.along_mm(points.place_mm)):
             if len(rows) > 3:
                 columns = np.column_stack([lateral[rows], np.ones(len(rows))])
-                one = Points(points.place_mm[rows], points.normal[rows], points.deviation_um[rows])
+                one = FeaturePoints(points.place_mm[rows], points.normal[rows], points.deviation_um[rows])
                 largest = np.maximum(largest, band_um(one, columns, self.part.association))
         return largest
 
 
-def _absorbs(free: np.ndarray, parts: Sequence[Points]) -> bool:
+def _absorbs(free: np.ndarray, parts: Sequence[FeaturePoints]) -> bool:
     """Return whether free motions can shift some feature to its place while the others of its pattern stay where they are."""
     begin = 0
     for one in parts:
@@ -239,7 +245,7 @@ def _as_json(found: Conformity) -> dict[str, Any]:
 
 @final
 @dataclass(frozen=True, eq=False, repr=False)
-class Forecast(Result):
+class PartForecast(Result):
     """What a program makes of the tolerances of a part, on a machine with the errors of a calibration.
 
     Attributes:
@@ -345,7 +351,7 @@ class Forecast(Result):
 
 
 def forecast(
-    part: Part,
+    part: PartDrawing,
     program: tuple[Program, Dialect],
     machine: Machine,
     calibration: Calibration,
@@ -354,11 +360,11 @@ def forecast(
     machines: int = MACHINES,
     seed: int = SEED,
     progress: Progress = silent,
-) -> Forecast:
+) -> PartForecast:
     """Return the forecast of a part's tolerances.
 
     Args:
-        part: features, tolerances and tools (`twin.Part`).
+        part: features, tolerances and tools (`twin.PartDrawing`).
         program: a program with its language (`twin.read_program`).
         machine: the machine it runs on.
         calibration: its errors, with their covariance.
@@ -387,7 +393,7 @@ def forecast(
             after = maker.made(again, compensated=True, zero_mm=zero_mm)
         rows = tuple(_forecast_of(judge, one, before, after) for one in part.tolerances)
     unknown = maker.kinematics(float(run.lengths_mm[0]))[1].without_uncertainty
-    return Forecast(
+    return PartForecast(
         part=part.name,
         program=read.source,
         machine=machine.name,

@@ -19,11 +19,11 @@ from twin.machine.machine import Machine
 from twin.model.calibration import Calibration
 from twin.nc.blocks import Program
 from twin.nc.dialect import Dialect
-from twin.part.contact import Contacts, contacts
-from twin.part.features import Part, Plane, Surface, ToolShape, Turned, across
+from twin.part.contact import ToolContacts, contacts
+from twin.part.features import PartDrawing, PlaneFeature, Surface, ToolShape, Turned, across
 from twin.part.zones import (
     MOST_CENTRES,
-    Points,
+    FeaturePoints,
 )
 from twin.tool.forward import Kinematics
 from twin.tool.uncertainty import ToolUncertainty, errors_in, state_at
@@ -60,9 +60,9 @@ class MadeFeature:
 class Made:
     """Points of the features under one program, on all machines, and by error of the machine as calibrated."""
 
-    surface: Mapping[str, Points]
-    axis: Mapping[str, Points]
-    by_error: Mapping[str, Mapping[str, Points]]  # feature to error to points, one column, of surface
+    surface: Mapping[str, FeaturePoints]
+    axis: Mapping[str, FeaturePoints]
+    by_error: Mapping[str, Mapping[str, FeaturePoints]]  # feature to error to points, one column, of surface
     described: Mapping[str, MadeFeature]
 
 
@@ -71,7 +71,7 @@ class Maker:
     """A machine with a calibration that makes a part, for one program after another."""
 
     def __init__(
-        self, part: Part, machine: Machine, calibration: Calibration, options: Options, draw: tuple[int, int]
+        self, part: PartDrawing, machine: Machine, calibration: Calibration, options: Options, draw: tuple[int, int]
     ) -> None:
         self.part, self.machine, self.calibration = part, machine, calibration
         self.options = self._with_tools(options)
@@ -159,14 +159,16 @@ class Maker:
                     del axis[name]
         return Made(surface, axis, by_error, described)
 
-    def _elsewhere(self, feature: Surface) -> Points:
+    def _elsewhere(self, feature: Surface) -> FeaturePoints:
         points = feature.samples()
         normal = feature.signed_mm(points)[1]
-        return Points(points, np.array(normal), np.zeros((len(points), self._machines)), isinstance(feature, Turned))
+        return FeaturePoints(
+            points, np.array(normal), np.zeros((len(points), self._machines)), isinstance(feature, Turned)
+        )
 
     def _feature(
         self, name: str, run: Execution, zero_mm: np.ndarray, *, compensated: bool
-    ) -> tuple[Points, MadeFeature, dict[str, Points]]:
+    ) -> tuple[FeaturePoints, MadeFeature, dict[str, FeaturePoints]]:
         """Return one feature's points on all machines."""
         feature = self.part.features[name]
         parts, off, used = [], 0.0, ""
@@ -221,8 +223,8 @@ class Maker:
             off * MM / UM,
             parts[0][0].drilled,
         )
-        joined = {key: Points.joined([each[key] for each in by_error]) for key in by_error[0]}
-        return Points.joined(points), described, joined
+        joined = {key: FeaturePoints.joined([each[key] for each in by_error]) for key in by_error[0]}
+        return FeaturePoints.joined(points), described, joined
 
     def _nominal(self, length: float) -> Kinematics:
         return Kinematics(self.machine, Calibration.zero(self.machine), tool_length_mm=length)
@@ -251,9 +253,9 @@ class Maker:
         return np.asarray(chosen)
 
     def _deviations(
-        self, feature: Surface, found: Contacts, at: tuple[np.ndarray, np.ndarray, Execution, np.ndarray], real: Kinematics,
+        self, feature: Surface, found: ToolContacts, at: tuple[np.ndarray, np.ndarray, Execution, np.ndarray], real: Kinematics,
         uncertainty: ToolUncertainty,
-    ) -> tuple[Points, dict[str, Points]]:  # fmt: skip
+    ) -> tuple[FeaturePoints, dict[str, FeaturePoints]]:  # fmt: skip
         """Return points with their deviations on all machines, and those that each error causes on the calibrated one."""
         some, axis, run, zero_mm = at
         rows = some[found.sample]
@@ -268,8 +270,8 @@ class Maker:
         root = np.einsum("ne,ner->nr", seen[:, components], spread)
         motion = np.hstack([found.normal, np.cross(found.place_mm, found.normal)])
         values = mean[:, None] + root @ self.draws + motion @ self.placed
-        sized = not (found.drilled or isinstance(feature, Plane))
-        points = Points(found.place_mm, found.normal, values, sized, found.drilled)
+        sized = not (found.drilled or isinstance(feature, PlaneFeature))
+        points = FeaturePoints(found.place_mm, found.normal, values, sized, found.drilled)
         state = state_at(self.machine, q, sides, self.options.conditions)
         each: dict[str, np.ndarray] = {}
         for effect in self.calibration.effects:
@@ -314,7 +316,7 @@ STRAIGHT: Final = 1e-5
 MOST_PARTS: Final = 1000
 
 
-def _along_surface(found: Contacts, tips: np.ndarray, ends: np.ndarray) -> np.ndarray:
+def _along_surface(found: ToolContacts, tips: np.ndarray, ends: np.ndarray) -> np.ndarray:
     """Return the rows at which the tool goes along the surface, or a block ends on it: others only pass through."""
     if found.drilled or len(tips) < 2:
         return np.arange(len(found))
@@ -329,7 +331,7 @@ PASSING: Final = 0.2
 """Component of the tool's way along the normal of a surface, from which on it passes through: 12°."""
 
 
-def _spread(found: Contacts, count: int) -> np.ndarray:
+def _spread(found: ToolContacts, count: int) -> np.ndarray:
     """Return rows spread over those found, in the program's order; both rows of a point of a drilled hole."""
     step = 2 if found.drilled else 1
     total = len(found) // step
@@ -339,7 +341,7 @@ def _spread(found: Contacts, count: int) -> np.ndarray:
     return np.asarray((chosen[:, None] * step + np.arange(step)).ravel())
 
 
-def axis_points(feature: Turned, surface: Points) -> Points:
+def axis_points(feature: Turned, surface: FeaturePoints) -> FeaturePoints:
     """Return the points of the axis of a surface of revolution: centres of least-squares circles of its sections."""
     if surface.axis:
         return surface
@@ -357,8 +359,10 @@ def axis_points(feature: Turned, surface: Points) -> Points:
         places += [feature.axis_point(along[rows].mean()[None])] * 2
         values.append(fit[:2])
     if not places:
-        return Points(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, surface.deviation_um.shape[1])), axis=True)
-    return Points(np.concatenate(places), np.tile(sides, (len(values), 1)), np.concatenate(values), axis=True)
+        return FeaturePoints(
+            np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, surface.deviation_um.shape[1])), axis=True
+        )
+    return FeaturePoints(np.concatenate(places), np.tile(sides, (len(values), 1)), np.concatenate(values), axis=True)
 
 
 def sections(along: np.ndarray) -> list[np.ndarray]:

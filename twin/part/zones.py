@@ -37,7 +37,7 @@ Association = Literal["least-squares", "minimum-zone"]
 
 @final
 @dataclass(frozen=True, eq=False)
-class Points:
+class FeaturePoints:
     """Points of a feature with their deviations.
 
     Attributes:
@@ -63,14 +63,14 @@ class Points:
         """Return `motion` with rotations about another point."""
         return np.hstack([self.normal, np.cross(self.place_mm - centre_mm, self.normal)])
 
-    def with_deviation(self, deviation_um: np.ndarray) -> Points:
+    def with_deviation(self, deviation_um: np.ndarray) -> FeaturePoints:
         """Return the same points with other deviations."""
-        return Points(self.place_mm, self.normal, deviation_um, self.sized, self.axis)
+        return FeaturePoints(self.place_mm, self.normal, deviation_um, self.sized, self.axis)
 
     @staticmethod
-    def joined(parts: Sequence[Points]) -> Points:
+    def joined(parts: Sequence[FeaturePoints]) -> FeaturePoints:
         """Return the points of several features of one kind."""
-        return Points(
+        return FeaturePoints(
             np.concatenate([one.place_mm for one in parts]),
             np.concatenate([one.normal for one in parts]),
             np.concatenate([one.deviation_um for one in parts]),
@@ -92,16 +92,16 @@ class Aligned:
     motion: np.ndarray
     free: np.ndarray
 
-    def seen(self, points: Points) -> Points:
+    def seen(self, points: FeaturePoints) -> FeaturePoints:
         """Return a feature with its deviations from the place that the datums give it."""
         return points.with_deviation(points.deviation_um - points.motion @ self.motion)
 
-    def free_columns(self, points: Points) -> np.ndarray:
+    def free_columns(self, points: FeaturePoints) -> np.ndarray:
         """Return (n, r) deviations of a feature that the free motions cause, as independent columns."""
         return independent(points.motion @ self.free)
 
 
-def align(datums: Sequence[Points], machines: int) -> Aligned:
+def align(datums: Sequence[FeaturePoints], machines: int) -> Aligned:
     """Return the alignment to datums in their order; each decides what those before it leave free.
 
     A datum is the least-squares feature in these freedoms; a plane is then shifted along its normal until it touches the material from
@@ -144,7 +144,7 @@ def independent(columns: np.ndarray) -> np.ndarray:
 # --- The size of the smallest zone ---------------------------------------------------------------------------------------
 
 
-def band_um(points: Points, columns: np.ndarray, association: Association = "minimum-zone") -> np.ndarray:
+def band_um(points: FeaturePoints, columns: np.ndarray, association: Association = "minimum-zone") -> np.ndarray:
     """Return (machines,) the width of the zone, between two parallel surfaces, that the deviations need; columns (n, k) are free."""
     if association == "minimum-zone":
         return 2.0 * chebyshev(columns, points.deviation_um)[1]
@@ -154,12 +154,12 @@ def band_um(points: Points, columns: np.ndarray, association: Association = "min
     return np.asarray(left.max(axis=0) - left.min(axis=0))
 
 
-def both_sides_um(points: Points, columns: np.ndarray) -> np.ndarray:
+def both_sides_um(points: FeaturePoints, columns: np.ndarray) -> np.ndarray:
     """Return (machines,) the width of the zone, equal on both sides of the nominal place: twice the largest deviation."""
     return np.asarray(2.0 * chebyshev(columns, points.deviation_um)[1])
 
 
-def around_axis_um(points: Points, columns: np.ndarray, *, placed: bool) -> np.ndarray:
+def around_axis_um(points: FeaturePoints, columns: np.ndarray, *, placed: bool) -> np.ndarray:
     """Return (machines,) the diameter of the cylinder that the points of axes need.
 
     ``placed``: it is about the nominal axis (location); otherwise it may be shifted (orientation). Columns (n, k) are free motions.
@@ -206,7 +206,7 @@ def enclosing_radius(across: np.ndarray) -> np.ndarray:
     return best
 
 
-def best_place(points: Points, free: np.ndarray) -> np.ndarray:
+def best_place(points: FeaturePoints, free: np.ndarray) -> np.ndarray:
     """Return (k, machines) the free motions, along columns (n, k), that make the largest deviation small."""
     return smallest_circle_steps(free, points.deviation_um) if points.axis else chebyshev(free, points.deviation_um)[0]
 
