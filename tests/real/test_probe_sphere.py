@@ -107,7 +107,7 @@ def test_the_rest_depends_on_nothing_but_the_rotary_axes_of_the_tool_side(data: 
     """Without any constant identified; a pattern of B and C beside the causes is 6 µm, and held-out poses do not confirm it."""
     found = diagnose(data, machine, empirical=True)
     assert found.verdict in ("unexplained", "ambiguous") and found.unexplained is not None
-    assert found.unexplained.depends_on in ((), ("B_deg", "C_deg"), ("C_deg", "B_deg"))
+    assert set(found.unexplained.depends_on) <= {"B_deg", "C_deg"}
     assert not found.unexplained.depends_on or found.unexplained.carrier == "tool"
     assert found.gain is not None and found.gain.held_out is not None
     assert found.gain.held_out.after_um < 0.85 * found.gain.held_out.before_um
