@@ -1,1 +1,1 @@
-"""The part: what a program on a machine with errors makes of it, and what a drawing's tolerances say of that."""
+"""The part cut by a program on a machine with errors, and the tolerances of its drawing."""

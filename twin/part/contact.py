@@ -1,4 +1,4 @@
-"""Where a tool touches a surface: the point of the part that a block makes, and how it moves when the tool does.
+"""Contact of a tool and a surface: the point of the part that a block makes, and how it moves when the tool does.
 
 A tool is a flat disc with a rounded edge below a cylinder: end mill, bull-nose and ball-nose (radius R, corner radius r). It
 touches a surface of outward normal n where its own surface has the normal −n: with the tip p and the axis a (tip to spindle),
@@ -93,7 +93,7 @@ def contacts(feature: Surface, tool: ToolShape, tip_mm: np.ndarray, axis: np.nda
 def _drilled(
     feature: CylinderFeature, tool: ToolShape, tip_mm: np.ndarray, axis: np.ndarray, touch_mm: float
 ) -> ToolContacts:
-    """Return the points of a hole's axis where the tip of a tool of its diameter goes along it."""
+    """Return the points of a hole's axis where the tip of a tool of its diameter moves on it."""
     off, _ = feature.radial(tip_mm)
     along = feature.along_mm(tip_mm)
     u = np.array(feature.direction) / np.linalg.norm(feature.direction)

@@ -1,4 +1,4 @@
-"""What a program makes of a part's tolerances on a machine with the errors of a calibration (`twin forecast`).
+"""Tolerances of a part as a program holds them on a machine with the errors of a calibration (`twin forecast`).
 
 The points that a program makes of each feature (`twin.part.contact`) are displaced by the machine's errors. Machines are drawn from the
 covariance of the calibration (JCGM 101:2008); on each of them every tolerance is evaluated as on a measured part
@@ -246,12 +246,12 @@ def _as_json(found: Conformity) -> dict[str, Any]:
 @final
 @dataclass(frozen=True, eq=False, repr=False)
 class PartForecast(Result):
-    """What a program makes of the tolerances of a part, on a machine with the errors of a calibration.
+    """Forecast of the tolerances of a part, for a program on a machine with the errors of a calibration.
 
     Attributes:
         part, program, machine: names.
         tolerances: the forecast of each, as in the part's file.
-        features: what the program makes of each feature that it cuts.
+        features: the points of each feature that the program cuts.
         omitted: parts of the program that could not be executed, in words.
         compensated: why there is no compensated program, in words; empty if there is one.
         machines: number of machines drawn.

@@ -38,7 +38,7 @@ LARGEST_GAP: Final = np.pi
 @final
 @dataclass(frozen=True)
 class MadeFeature:
-    """What a program makes of a feature.
+    """Feature as a program makes it.
 
     Attributes:
         points: number of its points that were evaluated.
@@ -317,7 +317,7 @@ MOST_PARTS: Final = 1000
 
 
 def _along_surface(found: ToolContacts, tips: np.ndarray, ends: np.ndarray) -> np.ndarray:
-    """Return the rows at which the tool goes along the surface, or a block ends on it: others only pass through."""
+    """Return the rows at which the tool moves on the surface, or a block ends on it: others only pass through."""
     if found.drilled or len(tips) < 2:
         return np.arange(len(found))
     way = np.gradient(tips, axis=0)
