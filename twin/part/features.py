@@ -369,7 +369,7 @@ class PartDrawing:
         repeated = len(set(datums)) < len(datums) or bool(set(datums) & set(tolerance.features))
         for wrong, key, what, expected in (
             (repeated, "datums", "a datum twice, or its own", "others"),
-            (kind == "flatness" and not all(planes), "kind", "flatness of a surface that is no plane", "a plane, or profile"),
+            (kind == "flatness" and not all(planes), "kind", "flatness without a plane", "a plane, or profile"),
             (kind == "roundness" and any(planes), "kind", "roundness of a plane", "a hole, cylinder, cone or sphere"),
             (kind == "coaxiality" and not with_axes, "kind", "coaxiality without axes", "holes, cylinders or cones"),
             (kind in OF_FORM and bool(datums), "datums", f"{kind} has no datums", "none"),
