@@ -269,6 +269,13 @@ def test_each_error_counts_as_the_machine_without_it(
         ("datums: [A]}", "datums: [Q]}", 19, "no such feature"),
         ("of: H0, zone: 0.1, datums: [A]", "of: H0, zone: 0.1, datums: []", 20, "without a datum"),
         ("kind: roundness, of: Bore", "kind: roundness, of: A", 21, "roundness of a plane"),
+        ("kind: perpendicularity, of: H0", "kind: parallelism, of: H0", 20, "not those of parallelism"),
+        (
+            "normal: [0, 0, 1], tool: 1",
+            "normal: [0, 0, 1], made: elsewhere, tool: 1",
+            18,
+            "that this program does not make",
+        ),
         ("units: mm", "units: inch", 3, "units"),
         ("corner_radius: 4", "corner_radius: 5", 8, "a corner radius larger than the tool's"),
         ("of: [H0, H1, H2, H3], zone", "of: H0, zone", 19, "do not fix the part"),

@@ -6,7 +6,7 @@ Features are nominal surfaces in the part's frame. Size is not judged: a diamete
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, final
 
@@ -81,6 +81,11 @@ class _Feature(_Entry, ABC):
     @abstractmethod
     def samples(self) -> np.ndarray:
         """Return (n, 3) points spread over the nominal surface, for a feature that is made elsewhere."""
+
+    def direction_of(self) -> np.ndarray | None:
+        """Return the unit vector (3,) of its normal or axis; None for a sphere."""
+        vector = getattr(self, "normal", None) or getattr(self, "direction", None)
+        return None if vector is None else _unit(vector)
 
     def inside(self, points: np.ndarray) -> np.ndarray:
         """Return (n,) whether points belong to the feature's extent."""
@@ -369,6 +374,18 @@ class PartDrawing:
         repeated = len(set(datums)) < len(datums) or bool(set(datums) & set(tolerance.features))
         for wrong, key, what, expected in (
             (repeated, "datums", "a datum twice, or its own", "others"),
+            (
+                any(one.made == "elsewhere" for one in surfaces),
+                "of",
+                "a feature that this program does not make",
+                "features made here",
+            ),
+            (
+                kind in ORIENTED and not self._is_so(kind, tolerance.features, datums[:1]),
+                "kind",
+                f"nominal directions that are not those of {kind}",
+                "planes or axes that are so on the drawing",
+            ),
             (kind == "flatness" and not all(planes), "kind", "flatness without a plane", "a plane, or profile"),
             (kind == "roundness" and any(planes), "kind", "roundness of a plane", "a hole, cylinder, cone or sphere"),
             (kind == "coaxiality" and not with_axes, "kind", "coaxiality without axes", "holes, cylinders or cones"),
@@ -378,3 +395,24 @@ class PartDrawing:
         ):
             if wrong:
                 raise self.refused(("tolerances", i, key), what, expected, getattr(tolerance, key))
+
+    def _is_so(self, kind: Kind, names: Sequence[str], datums: Sequence[str]) -> bool:
+        """Return whether features have a direction, and are nominally perpendicular or parallel to their first datum."""
+        of_features, of_datums = (
+            [(isinstance(one, Turned), one.direction_of()) for one in map(self.features.__getitem__, some)]
+            for some in (names, datums)
+        )
+        for axis, own in of_features:
+            for datum_axis, datum in of_datums:
+                if own is None or datum is None:
+                    return False
+                along = abs(float(own @ datum))
+                # The normal of a plane is across what is parallel to it.
+                across = along < DIRECTION if axis == datum_axis else along > 1.0 - DIRECTION
+                parallel = along > 1.0 - DIRECTION if axis == datum_axis else along < DIRECTION
+                if (kind == "perpendicularity" and not across) or (kind == "parallelism" and not parallel):
+                    return False
+        return True
+
+
+DIRECTION: Final = 1e-6

@@ -13,7 +13,7 @@ from twin._common.resources import Progress, silent
 from twin._common.units import MM, UM
 from twin.compensation.programs.execute import Execution, execute_program
 from twin.compensation.programs.prepared import Options
-from twin.compensation.programs.words import Setup, WordSpace
+from twin.compensation.programs.words import WordSpace
 from twin.controls.offsets import ToolTable
 from twin.machine.machine import Machine
 from twin.model.calibration import Calibration
@@ -134,8 +134,12 @@ class Maker:
             return np.zeros(3)
         setup = self.options.setup
         if setup.offsets is not None:
-            name = setup.offsets.assumed or next(iter(setup.offsets.rows))
-            setup = Setup(work_offset=setup.offsets.rows[name])
+            raise self.part.refused(
+                ("zero",),
+                "the program's zero is not one place: it selects work offsets from a table",
+                "zero: table, or its place in the work frame, mm",
+                self.part.zero,
+            )
         space = WordSpace(self.machine, setup, float(run.lengths_mm[0]))
         words = np.zeros((1, len(self.machine.names)))
         return np.array(space.nominal.forward(space.commands(words, np.array([self.options.tcp]))).point_mm[0])
