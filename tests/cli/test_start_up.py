@@ -88,6 +88,7 @@ WITH_MACHINE = {
     "compare": ["a.yaml", "a.yaml"],
     "confirm": ["a.csv", "a.csv"],
     "volume": [],
+    "forecast": ["cone_frustum.nc", "--features", "a.yaml"],
     "check": ["cone_frustum.nc"],
     "compensate": ["cone_frustum.nc", "-o", "x.nc"],
     "verify": ["cone_frustum.nc", "--control", "linuxcnc"],

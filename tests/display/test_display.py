@@ -46,6 +46,7 @@ from twin.model.calibration import Calibration
 from twin.model.effects.entries import effect_named
 from twin.model.motion_curve import Curve
 from twin.numerics.covariance import Covariance
+from twin.part.forecast import PartForecast
 from twin.planning import judge
 from twin.reporting.scene.draw import Scene
 from twin.samples import thesis_plan
@@ -422,6 +423,7 @@ def results(
             sizes=twin.InstrumentSizes(TOOL_MM),
         ),
         twin.confirm(readings, readings, dmu50),
+        PartForecast("plate", "plate.nc", "DMU 50", (), {}, "", "", 1000, (), ()),
     ]
     return {type(one).__name__: one for one in made}
 

@@ -320,6 +320,26 @@ class PartDrawing:
 
     Raises:
         InputError: with file, line and value.
+
+    Examples:
+        >>> import json
+        >>> from pathlib import Path
+        >>> hole = {"kind": "hole", "depth": 30, "diameter": 8}
+        >>> part = {
+        ...     "schema": "twin.part/1",
+        ...     "units": "mm",
+        ...     "zero": "table",
+        ...     "tools": [{"number": 1, "diameter": 8}],
+        ...     "features": {
+        ...         "A": {"kind": "plane", "point": [0, 0, 30], "normal": [0, 0, 1], "made": "elsewhere"},
+        ...         "H1": {**hole, "point": [-20, -25, 30]},
+        ...         "H2": {**hole, "point": [20, 25, 30]},
+        ...     },
+        ...     "tolerances": [{"kind": "position", "of": ["H1", "H2"], "zone": 0.05, "datums": ["A"]}],
+        ... }
+        >>> _ = Path("part.yaml").write_text(json.dumps(part))
+        >>> twin.PartDrawing(Path("part.yaml")).tolerances[0].title
+        'position 0.05 of H1, H2 | A'
     """
 
     def __init__(self, path: Path) -> None:

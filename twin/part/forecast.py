@@ -361,7 +361,7 @@ def forecast(
     seed: int = SEED,
     progress: Progress = silent,
 ) -> PartForecast:
-    """Return the forecast of a part's tolerances.
+    r"""Return the forecast of a part's tolerances.
 
     Args:
         part: features, tolerances and tools (`twin.PartDrawing`).
@@ -375,9 +375,45 @@ def forecast(
 
     Raises:
         InputError: the program cannot be executed; a feature that no block makes; datums that do not fix the part.
+
+    Examples:
+        >>> import json
+        >>> from pathlib import Path
+        >>> hole = {"kind": "hole", "depth": 30, "diameter": 8}
+        >>> part = {
+        ...     "schema": "twin.part/1",
+        ...     "units": "mm",
+        ...     "zero": "table",
+        ...     "tools": [{"number": 1, "diameter": 8}],
+        ...     "features": {
+        ...         "A": {"kind": "plane", "point": [0, 0, 30], "normal": [0, 0, 1], "made": "elsewhere"},
+        ...         "H1": {**hole, "point": [-20, -25, 30]},
+        ...         "H2": {**hole, "point": [20, 25, 30]},
+        ...     },
+        ...     "tolerances": [{"kind": "position", "of": ["H1", "H2"], "zone": 0.05, "datums": ["A"]}],
+        ... }
+        >>> _ = Path("part.yaml").write_text(json.dumps(part))
+        >>> _ = Path("part.nc").write_text("G0 X230 Y200 Z-150\nG81 Z-280 R-250 F200\nX270 Y250\nG80\n")
+        >>> machine = twin.Machine.load("dmu50")
+        >>> found = twin.forecast(
+        ...     twin.PartDrawing(Path("part.yaml")),
+        ...     twin.read_program("part.nc"),
+        ...     machine,
+        ...     twin.Calibration.default(machine),
+        ...     twin.Options(tool_length_mm=120),
+        ... )
+        >>> round(found.tolerances[0].before.value_um)
+        38
+        >>> found.tolerances[0].after.value_um < 1.5
+        True
     """
     maker = Maker(part, machine, calibration, Options() if options is None else options, (machines, seed))
-    judge, (read, dialect) = Judge(part), program
+    return _found(maker, *program, progress)
+
+
+def _found(maker: Maker, read: Program, dialect: Dialect, progress: Progress) -> PartForecast:
+    part, machine, calibration = maker.part, maker.machine, maker.calibration
+    judge = Judge(part)
     with one_blas_thread():
         run = maker.run(read, dialect)
         zero_mm = maker.zero_mm(run)
