@@ -71,7 +71,7 @@ tools:
   - {{number: 2, diameter: 8}}
   - {{number: 3, diameter: {2 * BALL:g}, corner_radius: {BALL:g}}}
 features:
-  A: {{kind: plane, point: [0, 0, {TOP:g}], normal: [0, 0, 1], tool: 1, lines: [3, 30]}}
+  A: {{kind: plane, point: [0, 0, {TOP:g}], normal: [0, 0, 1], within: [[-60, -45, 30], [60, 45, 50]], tool: 1, lines: [3, 30]}}
 HOLES
   Bore: {{kind: hole, point: [0, 0, {TOP:g}], depth: 20, diameter: {BORE:g}, tool: 1, lines: [31, 60]}}
   Ball: {{kind: sphere, centre: [0, 0, {TOP:g}], diameter: {SPHERE:g}, tool: 3, lines: [50, 900]}}

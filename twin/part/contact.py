@@ -20,6 +20,8 @@ ROUNDS: Final = 6
 FLANK: Final = 1e-4
 """Component of the normal along the tool's axis, up to which the flank touches in a line."""
 FLANK_POINTS: Final = 5
+BOTTOM: Final = 1e-3
+"""Sine of the angle between normal and axis, up to which a flat bottom touches: a compensated tool is not tilted back exactly."""
 PARALLEL: Final = 1e-3
 CORE: Final = 0.75
 """Smallest diameter of a drill, as a share of the hole's: the core hole of a thread."""
@@ -120,7 +122,9 @@ def _normals(feature: Surface, tool: ToolShape, tip_mm: np.ndarray, axis: np.nda
     at = tip_mm + tool.corner_radius * axis
     n = feature.signed_mm(at)[1]
     for _ in range(ROUNDS):
-        n = feature.signed_mm(tip_mm + _lever(tool, axis, n))[1]
+        before, n = n, feature.signed_mm(tip_mm + _lever(tool, axis, n))[1]
+        if np.array_equal(before, n):
+            break
     return np.asarray(n)
 
 
@@ -129,9 +133,9 @@ def _lever(tool: ToolShape, axis: np.ndarray, n: np.ndarray) -> np.ndarray:
     along = (n * axis).sum(axis=1, keepdims=True)
     side = n - along * axis
     length = np.linalg.norm(side, axis=1, keepdims=True)
-    e = np.where(length > 1e-6, -side / np.maximum(length, 1e-12), 0.0)
+    e = np.where(length > BOTTOM, -side / np.maximum(length, 1e-12), 0.0)
     r = tool.corner_radius
-    return np.asarray(r * axis + (tool.radius - r) * e - r * np.where(length > 1e-6, n, axis))
+    return np.asarray(r * axis + (tool.radius - r) * e - r * np.where(length > BOTTOM, n, axis))
 
 
 def _touching(

@@ -179,6 +179,10 @@ class Maker:
         lines: list[np.ndarray] = []
         nearest: tuple[float, int] = (np.inf, 0)
         depth = getattr(feature, "depth", None)
+        chosen = self._chosen(name, run)
+        within_reach = self._near(feature, (run.reached_mm if compensated else run.meant_mm) - zero_mm)
+        if np.any(chosen & within_reach):
+            run = part_of(run, within_reach)
         run = finely(run, self._chosen(name, run), STEP_MM if depth is None else min(STEP_MM, depth / DEPTH_STEPS))
         for number, tool, rows in self._samples(name, run):
             length = float(run.lengths_mm[rows[0]])
@@ -256,6 +260,16 @@ class Maker:
             chosen = chosen & (run.lines >= feature.lines[0]) & (run.lines <= feature.lines[1])
         return np.asarray(chosen)
 
+    def _near(self, feature: Surface, tips_mm: np.ndarray) -> np.ndarray:
+        """Return (n,) the samples on whose way a tool may reach a feature."""
+        way = np.linalg.norm(np.diff(tips_mm, axis=0, prepend=tips_mm[:1]), axis=1)
+        reach = way + max(tool.radius + tool.reach for tool in self.part.tools.values())
+        near = np.abs(feature.signed_mm(tips_mm)[0]) <= reach
+        if feature.within is not None:
+            low, high = np.sort(np.array(feature.within), axis=0)
+            near &= ((tips_mm >= low - reach[:, None]) & (tips_mm <= high + reach[:, None])).all(axis=1)
+        return np.asarray(near)
+
     def _deviations(
         self, feature: Surface, found: ToolContacts, at: tuple[np.ndarray, np.ndarray, Execution, np.ndarray], real: Kinematics,
         uncertainty: ToolUncertainty,
@@ -288,6 +302,24 @@ ROWS: Final = 100_000
 STEP_MM: Final = 1.0
 """Largest distance of two samples of the tool's way along a straight block."""
 DEPTH_STEPS: Final = 100
+
+
+def part_of(run: Execution, rows: np.ndarray) -> Execution:
+    """Return the samples ``rows`` (n,) of an execution; the way to the first after some that are left out is a gap."""
+    gaps = run.gaps | ~np.append(True, rows[:-1])
+    names = (
+        "positions",
+        "meant_mm",
+        "sides",
+        "reached_mm",
+        "tilt_urad",
+        "cutting",
+        "ends",
+        "lines",
+        "tools",
+        "lengths_mm",
+    )
+    return replace(run, gaps=gaps[rows], **{name: getattr(run, name)[rows] for name in names})
 
 
 def finely(run: Execution, chosen: np.ndarray, step_mm: float) -> Execution:
