@@ -16,7 +16,8 @@ import twin
 from tests.truth.machine import TruthMachine
 from twin.compensation.programs.prepared import Options
 from twin.nc import read_program
-from twin.part.features import PartDrawing
+from twin.part.contact import contacts
+from twin.part.features import PartDrawing, PlaneFeature, ToolShape
 from twin.part.forecast import Conformity, Judge, PartForecast, forecast
 from twin.part.made import Maker
 
@@ -271,8 +272,8 @@ def test_each_error_counts_as_the_machine_without_it(
         ("kind: roundness, of: Bore", "kind: roundness, of: A", 21, "roundness of a plane"),
         ("kind: perpendicularity, of: H0", "kind: parallelism, of: H0", 20, "not those of parallelism"),
         (
-            "normal: [0, 0, 1], tool: 1",
-            "normal: [0, 0, 1], made: elsewhere, tool: 1",
+            "normal: [0, 0, 1], within",
+            "normal: [0, 0, 1], made: elsewhere, within",
             18,
             "that this program does not make",
         ),
@@ -304,6 +305,16 @@ def test_what_the_file_cannot_mean_is_refused_with_its_line(
 
 def test_yaml_of_the_part_is_plain() -> None:
     assert yaml.safe_load(PART.replace("HOLES\n", ""))["schema"] == "twin.part/1"
+
+
+def test_a_flat_bottom_that_is_hardly_tilted_cuts_at_its_tip() -> None:
+    """A compensated tool is not tilted back exactly: its contact stays at the tip, and not at an edge 5 mm away."""
+    plane = PlaneFeature(kind="plane", point=(0.0, 0.0, 0.0), normal=(0.0, 0.0, 1.0))
+    tip, axis = np.array([[3.0, 4.0, 0.0]]), np.array([[2e-4, 0.0, np.sqrt(1.0 - 4e-8)]])
+    found = contacts(plane, ToolShape(number=1, diameter=10.0), tip, axis, 0.02)
+    assert found.place_mm == pytest.approx(tip, abs=1e-9)
+    found = contacts(plane, ToolShape(number=1, diameter=10.0), tip, axis * [100.0, 1.0, 1.0], 0.2)
+    assert found.place_mm[0, 0] == pytest.approx(8.0, abs=0.01)  # 20 mrad: its lowest point
 
 
 @pytest.mark.slow
