@@ -71,7 +71,7 @@ def scheduler(tmp_path_factory: pytest.TempPathFactory, certificates: Tls) -> It
 
     try:
         start("scheduler", "--host", "tls://127.0.0.1", "--port", "0", "--scheduler-file", str(written))
-        until(written.exists)
+        until(lambda: written.exists() and written.stat().st_size > 0)  # made first, then written
         address = json.loads(written.read_text())["address"]
         start("worker", address, "--nthreads", "1", "--local-directory", str(room))
         yield address
