@@ -72,7 +72,7 @@ def cluster(room: Path, workers: int) -> Iterator[tuple[str, list[subprocess.Pop
         )
     ]
     try:
-        until(file.exists)
+        until(lambda: file.exists() and file.stat().st_size > 0)
         address = json.loads(file.read_text())["address"]
         processes.append(worker(address, room, ROOT, "--nworkers", str(workers)))
         with Client(address) as client:
