@@ -13,7 +13,7 @@ from typing import Final, final
 
 import numpy as np
 
-from twin.part.features import CylinderFeature, Surface, ToolShape
+from twin.part.features import CylinderFeature, Surface, ToolShape, across
 
 ROUNDS: Final = 6
 """Steps from a point on the surface to the tool's contact and back; four are enough for a curved surface."""
@@ -98,17 +98,14 @@ def _drilled(
     """Return the points of a hole's axis where the tip of a tool of its diameter moves on it."""
     off, _ = feature.radial(tip_mm)
     along = feature.along_mm(tip_mm)
-    u = np.array(feature.direction) / np.linalg.norm(feature.direction)
-    on_axis = (off < touch_mm) & (np.linalg.norm(np.cross(axis, u), axis=1) < PARALLEL)
+    on_axis = (off < touch_mm) & (np.linalg.norm(np.cross(axis, feature.unit), axis=1) < PARALLEL)
     # A drill's nominal diameter may be that of the core hole of a thread: its place counts, not its size.
     on_axis &= feature.inside(tip_mm) & (tool.diameter <= feature.diameter + touch_mm)
     on_axis &= tool.diameter >= CORE * feature.diameter
     rows = np.flatnonzero(on_axis & (along >= 0.0))
     if len(rows) < 2 or np.ptp(along[rows]) < 1e-3:
         return _joined([])
-    first = np.cross(u, np.eye(3)[np.abs(u).argmin()])
-    first /= np.linalg.norm(first)
-    sides = np.array([first, np.cross(u, first)])
+    sides = np.array(across(feature.unit))
     twice = np.repeat(rows, 2)
     place = feature.axis_point(along[twice])
     normal = np.tile(sides, (len(rows), 1))

@@ -146,13 +146,18 @@ class Turned(_Feature):
     depth: Annotated[float, Field(gt=0.0)] | None = None
     internal: bool = True  # a hole; otherwise the material is inside
 
+    @property
+    def unit(self) -> np.ndarray:
+        """(3,) the axis's direction, of length one."""
+        return _unit(self.direction)
+
     def along_mm(self, points: np.ndarray) -> np.ndarray:
         """Return (n,) places along the axis, mm."""
-        return np.asarray((points - np.array(self.point)) @ _unit(self.direction))
+        return np.asarray((points - np.array(self.point)) @ self.unit)
 
     def radial(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return (n,) distances from the axis, and (n, 3) directions away from it."""
-        u = _unit(self.direction)
+        u = self.unit
         off = points - np.array(self.point)
         off = off - np.outer(off @ u, u)
         distance = np.linalg.norm(off, axis=1)
@@ -168,13 +173,13 @@ class Turned(_Feature):
 
     def axis_point(self, along: np.ndarray) -> np.ndarray:
         """Return (n, 3) points of the axis."""
-        return np.asarray(np.array(self.point) + np.outer(along, _unit(self.direction)))
+        return np.asarray(np.array(self.point) + np.outer(along, self.unit))
 
     def samples(self) -> np.ndarray:
         """Return points around the axis."""
         along = np.linspace(0.0, self.depth or 1.0, ALONG)
         angle = np.arange(AROUND) * (2.0 * np.pi / AROUND)
-        e = np.array(across(_unit(self.direction)))
+        e = np.array(across(self.unit))
         around = np.column_stack([np.cos(angle), np.sin(angle)]) @ e
         radii = self._radius_at(along)
         return np.concatenate([self.axis_point(along[i : i + 1]) + radii[i] * around for i in range(len(along))])
@@ -215,7 +220,7 @@ class ConeFeature(Turned):
         angle = self.half_angle_deg * DEG
         sign = -1.0 if self.internal else 1.0
         off = (distance - self._radius_at(self.along_mm(points))) * np.cos(angle)
-        return sign * off, sign * (np.cos(angle) * away - np.sin(angle) * _unit(self.direction))
+        return sign * off, sign * (np.cos(angle) * away - np.sin(angle) * self.unit)
 
     def _radius_at(self, along: np.ndarray) -> np.ndarray:
         return np.asarray(self.diameter / 2.0 + along * np.tan(self.half_angle_deg * DEG))
@@ -324,22 +329,16 @@ class PartDrawing:
     Examples:
         >>> import json
         >>> from pathlib import Path
-        >>> hole = {"kind": "hole", "depth": 30, "diameter": 8}
         >>> part = {
         ...     "schema": "twin.part/1",
         ...     "units": "mm",
-        ...     "zero": "table",
         ...     "tools": [{"number": 1, "diameter": 8}],
-        ...     "features": {
-        ...         "A": {"kind": "plane", "point": [0, 0, 30], "normal": [0, 0, 1], "made": "elsewhere"},
-        ...         "H1": {**hole, "point": [-20, -25, 30]},
-        ...         "H2": {**hole, "point": [20, 25, 30]},
-        ...     },
-        ...     "tolerances": [{"kind": "position", "of": ["H1", "H2"], "zone": 0.05, "datums": ["A"]}],
+        ...     "features": {"A": {"kind": "plane", "point": [0, 0, 30], "normal": [0, 0, 1]}},
+        ...     "tolerances": [{"kind": "flatness", "of": "A", "zone": 0.01}],
         ... }
         >>> _ = Path("part.yaml").write_text(json.dumps(part))
         >>> twin.PartDrawing(Path("part.yaml")).tolerances[0].title
-        'position 0.05 of H1, H2 | A'
+        'flatness 0.01 of A'
     """
 
     def __init__(self, path: Path) -> None:

@@ -164,11 +164,10 @@ class Judge:
         if free.shape[1]:
             joined = joined.with_deviation(joined.deviation_um - free @ best_place(joined, free))
         ends = np.cumsum([len(one.place_mm) for one in seen.values()])[:-1]
-        none = np.zeros((0, 0))
         found = {}
         for name, one, left in zip(seen, seen.values(), np.split(joined.deviation_um, ends), strict=True):
             own = one.with_deviation(left)
-            columns = np.zeros((len(left), none.shape[1]))
+            columns = np.zeros((len(left), 0))
             found[name] = around_axis_um(own, columns, placed=True) if own.axis else both_sides_um(own, columns)
         return found
 
@@ -195,8 +194,7 @@ class Judge:
                 independent(np.column_stack([points.normal, np.ones(len(points.normal))])),
                 self.part.association,
             )
-        u = np.array(feature.direction) / np.linalg.norm(feature.direction)
-        lateral = points.normal @ np.array(across(u)).T
+        lateral = points.normal @ np.array(across(feature.unit)).T
         largest = np.zeros(points.deviation_um.shape[1])
         for rows in sections(feature.along_mm(points.place_mm)):
             if len(rows) > 3:

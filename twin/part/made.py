@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Final, final
 
@@ -21,10 +21,7 @@ from twin.nc.blocks import Program
 from twin.nc.dialect import Dialect
 from twin.part.contact import ToolContacts, contacts
 from twin.part.features import PartDrawing, PlaneFeature, Surface, ToolShape, Turned, across
-from twin.part.zones import (
-    MOST_CENTRES,
-    FeaturePoints,
-)
+from twin.part.zones import MOST_CENTRES, FeaturePoints
 from twin.tool.forward import Kinematics
 from twin.tool.uncertainty import ToolUncertainty, errors_in, state_at
 
@@ -175,8 +172,7 @@ class Maker:
     ) -> tuple[FeaturePoints, MadeFeature, dict[str, FeaturePoints]]:
         """Return one feature's points on all machines."""
         feature = self.part.features[name]
-        parts, off, used = [], 0.0, ""
-        lines: list[np.ndarray] = []
+        parts = []
         nearest: tuple[float, int] = (np.inf, 0)
         depth = getattr(feature, "depth", None)
         chosen = self._chosen(name, run)
@@ -186,8 +182,7 @@ class Maker:
         run = finely(run, self._chosen(name, run), STEP_MM if depth is None else min(STEP_MM, depth / DEPTH_STEPS))
         for number, tool, rows in self._samples(name, run):
             length = float(run.lengths_mm[rows[0]])
-            real, uncertainty = self.kinematics(length)
-            meant = real if compensated else self._nominal(length)
+            meant = self.kinematics(length)[0] if compensated else self._nominal(length)
             for some in np.array_split(rows, max(1, len(rows) // ROWS)):
                 poses = (
                     meant.forward(run.positions[some], run.sides[some])
@@ -202,10 +197,7 @@ class Maker:
                     if len(distance) and distance.min() < nearest[0]:
                         nearest = float(distance.min()), int(run.lines[some[int(distance.argmin() % len(some))]])
                     continue
-                parts.append((found, some, poses.axis, real, uncertainty))
-                lines += [run.lines[some[found.sample]]]
-                off = max(off, float(np.abs(found.off_mm).max()))
-                used = number
+                parts.append((found, some, poses.axis, number))
         if not parts:
             near = (
                 f"; the nearest block, line {nearest[1]}, stays {nearest[0]:.3f} mm away"
@@ -216,19 +208,21 @@ class Maker:
                 ("features", name), f"no block of the program makes the feature {name}{near}",
                 "a surface that the program cuts, in the part's frame, and the tool that cuts it; else made: elsewhere",
             )  # fmt: skip
+        # What goes around in a hole makes it, whatever tool drilled it before.
+        parts = [one for one in parts if not one[0].drilled] or parts
         total = sum(len(found) for found, *_ in parts)
         points, by_error = [], []
-        for found, some, axis, real, uncertainty in parts:
+        for found, some, axis, _ in parts:
             kept = found.part(_spread(found, MOST_POINTS * len(found) // total + 1))
-            one, each = self._deviations(feature, kept, (some, axis, run, zero_mm), real, uncertainty)
+            one, each = self._deviations(feature, kept, (some, axis, run, zero_mm), by_error=not compensated)
             points.append(one)
             by_error.append(each)
-        all_lines = np.concatenate(lines)
+        lines = np.concatenate([run.lines[some[found.sample]] for found, some, *_ in parts])
         described = MadeFeature(
             sum(len(one.place_mm) for one in points),
-            (int(all_lines.min()), int(all_lines.max())),
-            used,
-            off * MM / UM,
+            (int(lines.min()), int(lines.max())),
+            parts[-1][3],
+            max(float(np.abs(found.off_mm).max()) for found, *_ in parts) * MM / UM,
             parts[0][0].drilled,
         )
         joined = {key: FeaturePoints.joined([each[key] for each in by_error]) for key in by_error[0]}
@@ -271,12 +265,17 @@ class Maker:
         return np.asarray(near)
 
     def _deviations(
-        self, feature: Surface, found: ToolContacts, at: tuple[np.ndarray, np.ndarray, Execution, np.ndarray], real: Kinematics,
-        uncertainty: ToolUncertainty,
-    ) -> tuple[FeaturePoints, dict[str, FeaturePoints]]:  # fmt: skip
-        """Return points with their deviations on all machines, and those that each error causes on the calibrated one."""
+        self,
+        feature: Surface,
+        found: ToolContacts,
+        at: tuple[np.ndarray, np.ndarray, Execution, np.ndarray],
+        *,
+        by_error: bool,
+    ) -> tuple[FeaturePoints, dict[str, FeaturePoints]]:
+        """Return points with their deviations on all machines and, ``by_error``, those of each error on the calibrated one."""
         some, axis, run, zero_mm = at
         rows = some[found.sample]
+        real, uncertainty = self.kinematics(float(run.lengths_mm[rows[0]]))
         q, sides = run.positions[rows], run.sides[rows]
         poses = real.forward(q, sides)
         mean = found.deviation_mm(feature, poses.point_mm - zero_mm, poses.axis, axis[found.sample]) * MM / UM
@@ -286,13 +285,12 @@ class Maker:
         lever = np.cross(found.lever_mm, found.normal) * 1e-3
         seen = np.einsum("nf,nfe->ne", np.hstack([found.normal, lever]), sensitive)
         root = np.einsum("ne,ner->nr", seen[:, components], spread)
-        motion = np.hstack([found.normal, np.cross(found.place_mm, found.normal)])
-        values = mean[:, None] + root @ self.draws + motion @ self.placed
         sized = not (found.drilled or isinstance(feature, PlaneFeature))
-        points = FeaturePoints(found.place_mm, found.normal, values, sized, found.drilled)
+        points = FeaturePoints(found.place_mm, found.normal, mean[:, None] + root @ self.draws, sized, found.drilled)
+        points = points.with_deviation(points.deviation_um + points.motion @ self.placed)
         state = state_at(self.machine, q, sides, self.options.conditions)
         each: dict[str, np.ndarray] = {}
-        for effect in self.calibration.effects:
+        for effect in self.calibration.effects if by_error else ():
             own = errors_in(state, [effect], self.machine, len(q))
             each[effect.name] = each.get(effect.name, 0.0) + (seen * own).sum(axis=1) / UM
         return points, {key: points.with_deviation(value[:, None]) for key, value in each.items()}
@@ -304,22 +302,17 @@ STEP_MM: Final = 1.0
 DEPTH_STEPS: Final = 100
 
 
+ARRAYS: Final = tuple(one.name for one in fields(Execution) if one.name not in ("left_out", "unknown"))
+
+
+def taken(run: Execution, rows: np.ndarray) -> Execution:
+    """Return some samples of an execution, or some of them several times: (n,) booleans or indices."""
+    return replace(run, **{name: getattr(run, name)[rows] for name in ARRAYS})
+
+
 def part_of(run: Execution, rows: np.ndarray) -> Execution:
     """Return the samples ``rows`` (n,) of an execution; the way to the first after some that are left out is a gap."""
-    gaps = run.gaps | ~np.append(True, rows[:-1])
-    names = (
-        "positions",
-        "meant_mm",
-        "sides",
-        "reached_mm",
-        "tilt_urad",
-        "cutting",
-        "ends",
-        "lines",
-        "tools",
-        "lengths_mm",
-    )
-    return replace(run, gaps=gaps[rows], **{name: getattr(run, name)[rows] for name in names})
+    return taken(replace(run, gaps=run.gaps | ~np.append(True, rows[:-1])), rows)
 
 
 def finely(run: Execution, chosen: np.ndarray, step_mm: float) -> Execution:
@@ -342,10 +335,8 @@ def finely(run: Execution, chosen: np.ndarray, step_mm: float) -> Execution:
     before = np.maximum(of - 1, 0)
     positions = run.positions[of]
     positions[~last] += (share[~last, None] - 1.0) * (run.positions[of] - run.positions[before])[~last]
-    names = ("meant_mm", "sides", "reached_mm", "tilt_urad", "cutting", "lines", "gaps", "tools", "lengths_mm")
-    return replace(
-        run, positions=positions, ends=run.ends[of] & last, **{name: getattr(run, name)[of] for name in names}
-    )
+    repeated = taken(run, of)
+    return replace(repeated, positions=positions, ends=repeated.ends & last)
 
 
 STRAIGHT: Final = 1e-5
@@ -381,8 +372,7 @@ def axis_points(feature: Turned, surface: FeaturePoints) -> FeaturePoints:
     """Return the points of the axis of a surface of revolution: centres of least-squares circles of its sections."""
     if surface.axis:
         return surface
-    u = np.array(feature.direction) / np.linalg.norm(feature.direction)
-    sides = np.array(across(u))
+    sides = np.array(across(feature.unit))
     along = feature.along_mm(surface.place_mm)
     places, values = [], []
     for rows in sections(along):

@@ -56,12 +56,8 @@ class FeaturePoints:
 
     @cached_property
     def motion(self) -> np.ndarray:
-        """(n, 6) deviations, µm, by a shift of the part (µm) and its rotation about the centre of the points (mrad)."""
-        return self.moved_about(np.zeros(3))
-
-    def moved_about(self, centre_mm: np.ndarray) -> np.ndarray:
-        """Return `motion` with rotations about another point."""
-        return np.hstack([self.normal, np.cross(self.place_mm - centre_mm, self.normal)])
+        """(n, 6) deviations, µm, by a shift of the part (µm) and its rotation about the origin (mrad)."""
+        return np.hstack([self.normal, np.cross(self.place_mm, self.normal)])
 
     def with_deviation(self, deviation_um: np.ndarray) -> FeaturePoints:
         """Return the same points with other deviations."""
