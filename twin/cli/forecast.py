@@ -8,12 +8,8 @@ from typing import Annotated
 import typer
 
 from twin._common.bundled import DEFAULT
-from twin.cli.shared import complete, options
-from twin.cli.shared.command import EXISTING, PROGRAM, CommandResult, JsonOption, command, progress_bar
-
-ProgramArgument = Annotated[
-    Path, typer.Argument(help="NC program, or the name of a bundled one.", autocompletion=complete.programs), PROGRAM
-]
+from twin.cli.shared import options
+from twin.cli.shared.command import EXISTING, CommandResult, JsonOption, command, progress_bar
 
 
 @command(
@@ -21,7 +17,7 @@ ProgramArgument = Annotated[
     "twin forecast part.nc --features part.yaml --calibration mine.yaml --json forecast.json",
 )
 def forecast(
-    program: ProgramArgument,
+    program: options.ProgramArgument,
     features: Annotated[
         Path, typer.Option("--features", help="Features, tolerances and tools of the part (.yaml)."), EXISTING
     ],

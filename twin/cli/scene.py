@@ -9,16 +9,13 @@ import typer
 
 from twin._common.bundled import DEFAULT
 from twin._common.provenance import warning_texts, warnings_to_json
-from twin.cli.shared import complete, options
-from twin.cli.shared.command import HTML, POSITIVE, PROGRAM, CommandResult, JsonOption, command, progress_bar
+from twin.cli.shared import options
+from twin.cli.shared.command import HTML, POSITIVE, CommandResult, JsonOption, command, progress_bar
 
 if TYPE_CHECKING:
     from twin.compensation.programs.execute import Execution
     from twin.model.calibration import Calibration
 
-ProgramArgument = Annotated[
-    Path, typer.Argument(help="NC program, or the name of a bundled one.", autocompletion=complete.programs), PROGRAM
-]
 ExaggerationOption = Annotated[
     float | None,
     typer.Option("--exaggeration", help="Exaggeration factor of the drawn deviation; default: chosen to fit."),
@@ -31,7 +28,7 @@ ExaggerationOption = Annotated[
     "twin scene part.nc -o scene.html --calibration mine.yaml --exaggeration 500 --json scene.json",
 )
 def scene(
-    program: ProgramArgument,
+    program: options.ProgramArgument,
     output: Annotated[Path, typer.Option("--output", "-o", help="HTML file to write."), HTML],
     machine: options.MachineOption = DEFAULT,
     calibration: options.CalibrationOption = None,

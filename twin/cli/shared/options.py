@@ -68,6 +68,9 @@ AuxiliaryOption = Annotated[
         help="Axes that the program names and the machine's model does not have (W, U): left as written, at rest in all feeds.",
     ),
 ]
+ProgramArgument = Annotated[
+    Path, typer.Argument(help="NC program, or the name of a bundled one.", autocompletion=complete.programs), PROGRAM
+]
 MachineOption = Annotated[
     str,
     typer.Option(
