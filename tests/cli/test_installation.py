@@ -10,6 +10,7 @@ import tomllib
 from importlib import import_module
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import twin
@@ -124,6 +125,30 @@ def test_a_path_instead_of_what_was_read_from_it() -> None:
         twin.compare("old.yaml", "new.yaml")
     with pytest.raises(TypeError, match="machine must be a Machine"):
         twin.Kinematics("dmu50")
+    for call in (
+        lambda: twin.Measurements.load("measured.csv", "dmu50"),
+        lambda: twin.Calibration.default("dmu50"),
+        lambda: twin.compensate("cone_frustum.nc", "dmu50"),
+        lambda: twin.plan("dmu50"),
+    ):
+        with pytest.raises(TypeError, match=r"machine must be a Machine, not str; Machine[.]load reads one"):
+            call()
+    with pytest.raises(TypeError, match=r"calibration must be a Calibration, not PosixPath; Calibration[.]load reads"):
+        twin.scene("cone_frustum.nc", machine, Path("mine.yaml"))
+
+
+def test_what_makes_a_table_of_a_frame_and_an_instrument_of_its_name() -> None:
+    machine = twin.Machine.load("dmu50")
+    plan = twin.thesis_plan.plan(machine)
+    with pytest.raises(TypeError, match=r"not DataFrame; twin[.]measurements_from_frame makes one"):
+        twin.diagnose(twin.to_frame(plan, machine), machine)
+    for call in (
+        lambda: twin.diagnose(plan, machine, instrument="tracker"),
+        lambda: twin.identify(plan, machine, instrument="tracker"),
+        lambda: twin.simulate(plan, machine, twin.Calibration.zero(machine), "tracker", np.random.default_rng(1)),
+    ):
+        with pytest.raises(TypeError, match=r"not str; twin[.]instruments[.]instrument_named gives one by its name"):
+            call()
 
 
 @pytest.mark.parametrize("code", ["import twin", "from twin.cli import main; main(['--help'])"], ids=["import", "help"])

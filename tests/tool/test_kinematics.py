@@ -6,6 +6,7 @@ from dataclasses import replace
 from types import MappingProxyType
 
 import numpy as np
+import pandas as pd
 import pinocchio as pin
 import pytest
 
@@ -256,3 +257,20 @@ def test_some_of_the_errors(dmu50: Machine, calibration: Calibration) -> None:
         found, expected = some.forward(q, sides), alone.forward(q, sides)
         assert np.array_equal(found.point_mm, expected.point_mm) and np.array_equal(found.rotation, expected.rotation)
     assert machine.where(lambda name: True) is machine
+
+
+def test_positions_by_axis() -> None:
+    machine = Machine.load("dmu50")
+    kinematics = Kinematics(machine, tool_length_mm=120)
+    rows = kinematics.forward([[250, 225, -200, 30, 45], [260, 225, -200, 30, 45]]).point_mm
+    by_axis = {"C": 45, "X": [250, 260], "Y": 225, "Z": -200, "B": 30}
+    np.testing.assert_array_equal(kinematics.forward(by_axis).point_mm, rows)
+    np.testing.assert_array_equal(kinematics.forward(pd.DataFrame(by_axis)).point_mm, rows)
+    for positions, why in (
+        ({"X": 250}, "an axis without position: 'Y, Z, B, C'; expected one number or column for each of X, Y, Z, B, C"),
+        ({**by_axis, "A": 1}, "positions of no axis of this machine: 'A'"),
+        ({**by_axis, "Y": [1, 2, 3]}, "positions by axis differ in number"),
+        ("X250", "positions are not rows of numbers: 'X250'"),
+    ):
+        with pytest.raises(InputError, match=why):
+            kinematics.forward(positions)

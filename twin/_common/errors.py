@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import unicodedata
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from difflib import SequenceMatcher, get_close_matches
 from functools import partial
 from os import PathLike
@@ -83,10 +83,19 @@ class InputError(ValueError):
 
 
 def require_type(name: str, value: object, kind: type) -> None:
-    """Raise `TypeError` if an argument is not of its type, and name the method that reads it from a file."""
+    """Raise `TypeError` if an argument is not of its type, and name what makes one of what was given."""
     if not isinstance(value, kind):
-        load = f"; {kind.__name__}.load reads one from a file" if isinstance(value, str | PathLike) else ""
-        raise TypeError(f"{name} must be a {kind.__name__}, not {type(value).__name__}{load}")
+        given = type(value).__name__
+        makes = f"{kind.__name__}.load reads one from a file" if isinstance(value, str | PathLike) else ""
+        makes = _MAKES.get((kind.__name__, given), makes)
+        raise TypeError(f"{name} must be a {kind.__name__}, not {given}{makes and '; '}{makes}")
+
+
+# What makes an argument of something else, where it is not the class's own ``load``: by the class that is needed and the one that came.
+_MAKES: Final[Mapping[tuple[str, str], str]] = {
+    ("Measurements", "DataFrame"): "twin.measurements_from_frame makes one from a frame",
+    ("Instrument", "str"): "twin.instruments.instrument_named gives one by its name",
+}
 
 
 def control_character(text: str) -> str | None:

@@ -68,8 +68,7 @@ def diagnose(
     """
     require_type("data", data, Measurements)
     require_type("machine", machine, Machine)
-    errors = Calibration.default(machine) if calibration is None else calibration
-    require_type("calibration", errors, Calibration)
+    errors = Calibration.given(machine, calibration)
     with one_blas_thread():
         progress("placing the stations", 0.0)
         placed = readings(data, machine, errors, instrument)

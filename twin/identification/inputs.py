@@ -9,7 +9,7 @@ import numpy as np
 
 from twin._common.arrays import read_only
 from twin._common.distributions import chi2_sf
-from twin._common.errors import InputError
+from twin._common.errors import InputError, require_type
 from twin._common.units import MM
 from twin.identification.network import Network, stated_covariance
 from twin.identification.solve import SIGNIFICANCE, Repeats, Spread, covariance_from_repeats, noise_text, repeats_of
@@ -261,6 +261,8 @@ def _instruments(
     A station has the instrument that the table names. If it names none, stations of the same kind (the side on which they ride, the
     coordinates that were read, and whether all readings are zero) have the same.
     """
+    if instrument is not None:
+        require_type("instrument", instrument, Instrument)
     kinds: dict[tuple[Any, ...], list[str]] = {}
     probed = at_origin(data)
     for station in dict.fromkeys(data.station.tolist()):

@@ -10,7 +10,7 @@ from typing import Final, final
 import numpy as np
 
 from twin._common.arrays import read_only
-from twin._common.errors import InputError
+from twin._common.errors import InputError, require_type
 from twin._common.units import DEG, HOUR, MM, UM
 from twin.display.results import Result
 from twin.machine.machine import Machine
@@ -214,6 +214,7 @@ def simulate(
         - K. P. Birch, M. J. Downs: Correction to the updated Edlén equation for the refractive index of air, Metrologia 31 (1994)
           315-316.
     """
+    require_type("instrument", instrument, Instrument)
     around = Environment() if surroundings is None else surroundings
     around.check(plan)
     placed = Placement.draw(plan, rng) if setting is None else setting

@@ -17,7 +17,7 @@ import numpy as np
 
 from twin._common.arrays import read_only
 from twin._common.csv_tables import Cells, read_table, unused_column_note
-from twin._common.errors import InputError, closest_name
+from twin._common.errors import InputError, closest_name, require_type
 from twin._common.files import write_atomic
 from twin._common.messages import Message, Number
 from twin._common.units import count_with_noun
@@ -251,6 +251,7 @@ class Measurements(DisplayedResult):
                 not a number, an unknown carrier, a target that changes sides or has two places, a station with two poses, an incomplete
                 place or pose, positions with a constant offset or in another unit.
         """
+        require_type("machine", machine, Machine)
         table, unknown_cells = cls._read(Path(path), machine, plan=plan)
         return without_unusable_rows(_with_known_places(table), machine, unknown_cells)
 

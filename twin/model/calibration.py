@@ -12,7 +12,7 @@ from typing import Any, final
 import numpy as np
 
 from twin._common.arrays import outside_bounds, read_only
-from twin._common.errors import InputError, closest_name
+from twin._common.errors import InputError, closest_name, require_type
 from twin._common.files import write_atomic
 from twin._common.provenance import (
     CORRECTED_IN_CONTROL,
@@ -133,6 +133,7 @@ class Calibration(DisplayedResult):
         Raises:
             InputError: the file is invalid; the error names file, line, value and what was expected.
         """
+        require_type("machine", machine, Machine)
         path = Path(path)
         entries, lines = load_yaml(path, CalibrationFile, SCHEMA)
         if entries.machine != machine.name:
@@ -180,9 +181,18 @@ class Calibration(DisplayedResult):
     @classmethod
     def default(cls, machine: Machine) -> Calibration:
         """Load the calibration named in the machine file, or return one without errors if it names none."""
+        require_type("machine", machine, Machine)
         return (
             cls.zero(machine) if machine.default_calibration is None else cls.load(machine.default_calibration, machine)
         )
+
+    @classmethod
+    def given(cls, machine: Machine, calibration: Calibration | None) -> Calibration:
+        """Return a caller's calibration, or the `default` where there is none. Raises `TypeError`: not a calibration."""
+        if calibration is None:
+            return cls.default(machine)
+        require_type("calibration", calibration, cls)
+        return calibration
 
     def save(self, path: str | Path) -> None:
         """Write the file atomically, after it was read back and its errors were evaluated.

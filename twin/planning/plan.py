@@ -593,5 +593,5 @@ def judge(
         place_mm=read_only(np.array([setting.places_mm[name] for name in table.target])),
     )
     reader = INSTRUMENTS[0] if instrument is None else instrument
-    sizes = Calibration.default(machine) if expected is None else expected
+    sizes = Calibration.given(machine, expected)
     return forecast(PlanModel.of(machine, placed, setting, reader, sizes, known), tool_length_mm)

@@ -16,7 +16,7 @@ from typing import Final, final
 
 import numpy as np
 
-from twin._common.errors import InputError, closest_name
+from twin._common.errors import InputError, closest_name, require_type
 from twin._common.resources import Progress
 from twin.machine.machine import Machine
 from twin.measurement.instruments import Instrument
@@ -64,6 +64,7 @@ class Task:
         reduce: str | Sequence[str] = "tool",
     ) -> Task:
         """Return the task, by default for `Kit.default` and the machine file's calibration, or raise `InputError`."""
+        require_type("machine", machine, Machine)
         names = _names_to_minimise(machine, reduce)
         own = Kit.default(machine) if kit is None else kit
         longest = MOST_READINGS * own.seconds.point / 60.0
@@ -73,7 +74,7 @@ class Task:
                 expected=f"at most {longest:.4g} minutes, or a kit with more time per reading",
                 value=minutes,
             )
-        sizes = Calibration.default(machine) if expected is None else expected
+        sizes = Calibration.given(machine, expected)
         return cls(machine, own, minutes, sizes, seed, progress, names)
 
     @cached_property

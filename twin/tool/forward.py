@@ -6,7 +6,7 @@ Positions are (poses, axes) arrays in mm and degrees, axes in command order. The
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Any, final
@@ -149,7 +149,7 @@ class Kinematics:
                 expected=f"a finite number of mm from the spindle nose to the tool tip, 0 to {LONGEST_TOOL_MM:g}",
                 value=tool_length_mm,
             )
-        given_errors = Calibration.default(machine) if calibration is None else calibration
+        given_errors = Calibration.given(machine, calibration)
         self.calibration = given_errors.with_tool(self.tool_length_mm)
         check_ranges(self.calibration.empirical, self.conditions.channels)
         self.chain = chain_function(machine)
@@ -273,7 +273,7 @@ class Kinematics:
         """Return the poses the machine really reaches.
 
         Args:
-            positions: (n, axes) or (axes,) commands, mm and degrees, command order.
+            positions: (n, axes) or (axes,) commands, mm and degrees, command order; or a mapping or pandas frame of numbers by axis.
             approach: as for `directed`.
 
         Raises:
@@ -338,8 +338,13 @@ class Kinematics:
         Raises:
             InputError: wrong shape, a value that is not a finite number, or a position outside the domain of a curve.
         """
-        q = np.atleast_2d(np.asarray(positions, dtype=float))
         axes = self.machine.axes
+        by_axis = self._in_order(positions) if hasattr(positions, "keys") else positions
+        try:
+            q = np.atleast_2d(np.asarray(by_axis, dtype=float))
+        except (TypeError, ValueError) as error:
+            expected = f"(n, {len(axes)}) numbers: {', '.join(self.machine.names)}"
+            raise InputError("positions are not rows of numbers", expected=expected, value=positions) from error
         if q.ndim != 2 or q.shape[1] != len(axes):
             raise InputError(
                 "positions have the wrong shape",
@@ -352,6 +357,24 @@ class Kinematics:
             )
         self.calibration.check(q)
         return q
+
+    def _in_order(self, positions: Mapping[str, Any]) -> list[list[Any]]:
+        """Return the positions of a mapping or frame by axis as rows in command order; errors as for `check`."""
+        names = self.machine.names
+        for what, wrong in (
+            ("positions of no axis of this machine", [name for name in positions if name not in names]),
+            ("an axis without position", [name for name in names if name not in positions]),
+        ):
+            if wrong:
+                expected = f"one number or column for each of {', '.join(names)}"
+                raise InputError(what, expected=expected, value=", ".join(map(str, wrong)))
+        try:
+            return np.stack(np.broadcast_arrays(*(positions[name] for name in names)), axis=-1).tolist()
+        except ValueError as error:
+            rows = ", ".join(f"{name} {np.shape(positions[name])}" for name in names)
+            raise InputError(
+                "positions by axis differ in number", expected="as many for each axis, or one", value=rows
+            ) from error
 
     def outside_domain(self, q: np.ndarray) -> np.ndarray:
         """Return (n, axes) where positions (mm, degrees) are outside the domains of the calibration (`Calibration.outside`)."""

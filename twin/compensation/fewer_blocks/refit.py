@@ -554,7 +554,7 @@ def refit(
         - L. Díaz Pérez et al.: Trajectory Definition with High Relative Accuracy (HRA) by Parametric Representation of Curves in
           Nano-Positioning Systems, 2019.
     """
-    errors = Calibration.default(machine) if calibration is None else calibration
+    errors = Calibration.given(machine, calibration)
     refitter = Refitter(machine, errors, options, compensated=compensated)
     language = None if options is None else options.language
     folders = () if options is None else options.subprograms

@@ -240,7 +240,7 @@ def compensate(
         load_kg=base.load_kg if load_kg is None else load_kg,
         speed_of_program=True,
     )
-    errors = Calibration.default(machine) if calibration is None else calibration
+    errors = Calibration.given(machine, calibration)
     read, dialect = read_program(program, chosen.language, chosen.subprograms)
     return Compensator(machine, errors, replace(chosen, conditions=conditions)).compensate(read, dialect)
 
@@ -275,7 +275,7 @@ def compensate_file(
         >>> report.complete
         True
     """
-    errors = Calibration.default(machine) if calibration is None else calibration
+    errors = Calibration.given(machine, calibration)
     source, target = find_program(program), Path(output)
     dialect = dialect_of(source, None if options is None else options.language)
     into = dialect_to_write(target, source, dialect) if dialect.cutter_locations else None

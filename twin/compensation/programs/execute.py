@@ -151,7 +151,7 @@ def execute_program(
     conditions: Conditions | None = None,
 ) -> Execution:
     """Execute a program that has been read; ``used``: set-up and tool length; otherwise as `execute_file`."""
-    errors = Calibration.default(machine) if calibration is None else calibration
+    errors = Calibration.given(machine, calibration)
     errors = errors.with_transformation() if tcp else errors
     at = Conditions() if conditions is None else conditions
     at.require(errors)

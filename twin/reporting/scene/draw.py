@@ -579,7 +579,7 @@ def draw_program(  # noqa: PLR0913
         >>> scene = twin.scene("cone_frustum.nc", machine, tool_length_mm=120)
         >>> scene.save("scene.html")  # open it in a browser
     """
-    errors = Calibration.default(machine) if calibration is None else calibration
+    errors = Calibration.given(machine, calibration)
     progress("running", 0.0)
     run = execute_file(
         program,
