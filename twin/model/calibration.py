@@ -182,9 +182,8 @@ class Calibration(DisplayedResult):
     def default(cls, machine: Machine) -> Calibration:
         """Load the calibration named in the machine file, or return one without errors if it names none."""
         require_type("machine", machine, Machine)
-        return (
-            cls.zero(machine) if machine.default_calibration is None else cls.load(machine.default_calibration, machine)
-        )
+        path = machine.default_calibration
+        return cls.zero(machine) if path is None else cls.load(path, machine)
 
     @classmethod
     def given(cls, machine: Machine, calibration: Calibration | None) -> Calibration:
@@ -577,9 +576,8 @@ class _Check:
             return
         known = next((datum for datum in DATUMS if datum == stated), None)
         if known is None:
-            raise self.fail(
-                ("datum",), "no such datum", f"one of {', '.join(DATUMS)}", stated, closest_name(stated, DATUMS)
-            )
+            one, meant = f"one of {', '.join(DATUMS)}", closest_name(stated, DATUMS)
+            raise self.fail(("datum",), "no such datum", one, stated, meant)
         found = violation(calibration._numbers, known)
         if found is not None:
             curve, what, amount = found
@@ -600,18 +598,16 @@ class _Check:
         if not lo < hi:
             raise self.fail((*place, "domain"), "an empty domain", "[lo, hi] with lo < hi", list(entry.domain))
         if axis.lower is None and abs(hi - lo - 360.0) > 1e-9:
-            raise self.fail(
-                (*place, "domain"), "not one turn", "360 degrees, for an unlimited axis", list(entry.domain)
-            )
+            turn = "360 degrees, for an unlimited axis"
+            raise self.fail((*place, "domain"), "not one turn", turn, list(entry.domain))
         basis = self.basis(place, entry)
         misfit = basis.count_problem(len(entry.coefficients), rotary=not axis.linear)
         if misfit is not None:
             raise self.fail((*place, "coefficients"), f"not a {basis.name} curve", misfit, entry.coefficients)
         peak = np.abs(basis.value(np.linspace(lo, hi, 201), entry.domain, entry.coefficients)).max()
         if unit == "urad" and peak > LARGEST_ANGLE_URAD:
-            raise self.fail(
-                (*place, "coefficients"), "implausibly large angle", f"at most {LARGEST_ANGLE_URAD:g} µrad", float(peak)
-            )
+            most = f"at most {LARGEST_ANGLE_URAD:g} µrad"
+            raise self.fail((*place, "coefficients"), "implausibly large angle", most, float(peak))
         return Curve(
             name=name,
             unit=entry.unit,
@@ -682,12 +678,8 @@ class _Check:
             if curve.covariance is not None and not (
                 whole and np.allclose(joint.of(names).matrix, curve.covariance, rtol=1e-9, atol=0.0)
             ):
-                raise self.fail(
-                    ("curves", curve.name, "covariance"),
-                    "differs from the joint covariance",
-                    "the same values",
-                    curve.name,
-                )
+                place: EntryPath = ("curves", curve.name, "covariance")
+                raise self.fail(place, "differs from the joint covariance", "the same values", curve.name)
         return joint
 
 
