@@ -123,8 +123,9 @@ def lines_that_predict(candidates: Candidates, kept: Sequence[Form], forms: Sequ
 def held_out_squares(
     candidates: Candidates, split: HeldOutFolds, predict: Callable[[Candidates], Sequence[np.ndarray]]
 ) -> np.ndarray | None:
-    """Return (groups, models + 1): sums of squared held-out residuals of each model, µm², and the number of values.
+    """Return (groups, models + 1): sums of squared held-out residuals of each model, µm², and the number of values; None for none.
 
+    Coordinates that the others do not place (`Problem.placed_held_out`) do not count.
     ``predict``: data without a fold → (3n,) prediction of each model fitted to them, whitened, for all readings.
     """
     problem = candidates.problem
@@ -132,16 +133,15 @@ def held_out_squares(
     for k in range(int(split.fold.max()) + 1):
         rows = split.fold == k
         part = problem.without(rows)
-        if part is None:
-            return None
         predicted = np.stack(predict(candidates.on_part(part)), axis=1)
         whitened_residual = part.refitted_at_held_out(problem.residual[:, None] - predicted)
-        squares = np.sum((unwhiten(problem.network, whitened_residual, rows) * 1e6) ** 2, axis=1)
-        values = np.count_nonzero(problem.network.read[rows], axis=1).astype(float)
+        placed = part.placed_held_out & problem.network.read[rows]
+        off = np.where(placed[:, :, None], unwhiten(problem.network, whitened_residual, rows) * 1e6, 0.0)
+        squares, values = np.sum(off**2, axis=1), np.count_nonzero(placed, axis=1).astype(float)
         counted = np.column_stack([squares, values])
         table = np.zeros((int(split.group.max()) + 1, counted.shape[1])) if table is None else table
         np.add.at(table, split.group[rows], counted)
-    return table
+    return table if table is not None and table[:, -1].any() else None
 
 
 FOLDS: Final = 8  # largest number of folds

@@ -28,6 +28,9 @@ from twin.numerics.functions import Rows, pieces
 
 UNDETERMINED_SHARE: Final = 1e-12  # share of a direction in the remaining points below which they do not determine it
 
+LOOSELY_PLACED: Final = 3.0
+"""Standard uncertainty of a reading's place from the other readings, in that of a reading, above which they do not predict it."""
+
 
 @final
 @dataclass(frozen=True)
@@ -80,22 +83,29 @@ class Problem:
         problem.residual = self.residual * scale
         problem._start()
         if len(self.held_out):
-            problem = problem.without(np.isin(np.arange(len(self.view.rows)), self.held_out)) or problem
+            problem = problem.without(np.isin(np.arange(len(self.view.rows)), self.held_out))
         return problem
 
-    def without(self, points: np.ndarray) -> Problem | None:
-        """Return the problem with some points (n,) held out; None if the rest does not determine every station and target."""
+    def without(self, points: np.ndarray) -> Problem:
+        """Return the problem with some points (n,) held out."""
         part = copy(self)
         part.held_out = np.flatnonzero(points)
         gone = self.nuisances.gram(part.held_out)
-        own = self.nuisances.coordinates[:, : len(self.setup)]
-        size = np.einsum("ij,ij->j", own, own)
-        left = size - np.einsum("ki,kl,li->i", own, gone, own)
-        if np.any((left <= UNDETERMINED_SHARE * size) & (size > 0.0)):
-            return None
         part.root = _root(np.eye(len(gone)) - gone)
         part.set_residual(self.residual)
         return part
+
+    @property
+    def placed_held_out(self) -> np.ndarray:
+        """(held out, 3): whether the other readings place a held-out one to `LOOSELY_PLACED` times its own standard uncertainty.
+
+        A station of which a few readings are left turns about them: an error of such a prediction says nothing about the machine.
+        """
+        setup = slice(self.nuisances.setup_count)
+        left, turned = np.linalg.eigh(np.eye(self.nuisances.setup_count) - self.nuisances.gram(self.held_out)[setup, setup])
+        along = self.nuisances.rows(self.held_out)[:, :, setup] @ turned
+        variance = np.sum(along**2 / np.maximum(left, UNDETERMINED_SHARE), axis=2)
+        return np.asarray(variance <= LOOSELY_PLACED**2)
 
     @property
     def nuisance(self) -> np.ndarray:

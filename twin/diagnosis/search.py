@@ -360,8 +360,6 @@ def _outlying(placed: Readings, candidates: Candidates, bad: np.ndarray) -> np.n
     """Return (n,) which rows are outliers after removing the causes that the other rows show."""
     problem = candidates.problem
     part = problem.without(bad) if np.any(bad) else problem
-    if part is None:
-        return placed.bad
     forms = largest_causes(candidates.on_part(part), MAX_OUTLIER_CAUSES)
     residual = problem.residual - estimate(part, forms).signature.sum(axis=1)
     return outliers(placed.network, part.refit_setup(residual).reshape(-1, 3))
