@@ -132,3 +132,12 @@ def test_a_message_is_kept_in_a_file() -> None:
 def test_what_is_no_message_is_refused(data: object) -> None:
     with pytest.raises(ValueError, match=r"expected text|in braces"):
         message_from(data)
+
+
+def test_few_digits_without_exponent() -> None:
+    """As `%g` counts digits, but as a person writes them; sizes that nobody reads keep their exponent."""
+    message = Message("{left:.3g} µm, {share:.2g} %", left=1010.4, share=99.7)
+    assert message == "1010 µm, 100 %"
+    with translated(Translation({message.identifier: "{share:.2g} % von {left:.3g} µm"})):
+        assert say(message) == "100 % von 1010 µm"
+    assert Message("{a:.2g} {b:.3g} {c:.3g}", a=-1234567, b=1.5e12, c=1e-6) == "-1200000 1.5e+12 1e-06"

@@ -18,6 +18,9 @@ from typing import Any, Final, final
 
 PLACE: Final = re.compile(r"\{[^}]*\}")
 GROUP: Final = re.compile(r"(?<=\d),(?=\d)")
+SHORT: Final = re.compile(r"[.]\dg")
+HUNDREDS: Final = re.compile(r"-?\d(?:[.]\d+)?e[+]0\d")
+"""A number below 10¹⁰ that a format of few digits writes with an exponent."""
 POINT: Final = re.compile(r"(?<=\d)\.(?=\d)")
 
 
@@ -49,7 +52,7 @@ class Message(str):
 
     def __new__(cls, identifier: str, /, **arguments: Any) -> Message:
         """Return the message, in English."""
-        return cls._made(identifier.format(**arguments), " ".join(identifier.split()), arguments)
+        return cls._made(_ENGLISH.vformat(identifier, (), arguments), " ".join(identifier.split()), arguments)
 
     @classmethod
     def _made(cls, english: str, identifier: str, arguments: Mapping[str, Any], capitalised: bool = False) -> Message:
@@ -145,14 +148,25 @@ class Translation:
         return filled[:1].upper() + filled[1:] if message.capitalised else filled
 
 
-class _Filler(Formatter):
+class _Digits(Formatter):
+    """Fills the places of a format string; ``.3g`` gives 1010, not 1.01e+03."""
+
+    def format_field(self, value: Any, format_spec: str) -> Any:
+        text = format(value, format_spec)
+        return f"{float(text):.0f}" if SHORT.fullmatch(format_spec) and HUNDREDS.fullmatch(text) else text
+
+
+_ENGLISH: Final = _Digits()
+
+
+class _Filler(_Digits):
     """Fills the places of a translated format string."""
 
     def __init__(self, translation: Translation, as_html: bool) -> None:
         self._translation, self._as_html = translation, as_html
 
     def format_field(self, value: Any, format_spec: str) -> str:
-        text = value if isinstance(value, str) else Number(format(value, format_spec))
+        text = value if isinstance(value, str) else Number(super().format_field(value, format_spec))
         return self._translation.text(text, as_html=self._as_html)
 
 

@@ -102,7 +102,9 @@ class Problem:
         A station of which a few readings are left turns about them: an error of such a prediction says nothing about the machine.
         """
         setup = slice(self.nuisances.setup_count)
-        left, turned = np.linalg.eigh(np.eye(self.nuisances.setup_count) - self.nuisances.gram(self.held_out)[setup, setup])
+        left, turned = np.linalg.eigh(
+            np.eye(self.nuisances.setup_count) - self.nuisances.gram(self.held_out)[setup, setup]
+        )
         along = self.nuisances.rows(self.held_out)[:, :, setup] @ turned
         variance = np.sum(along**2 / np.maximum(left, UNDETERMINED_SHARE), axis=2)
         return np.asarray(variance <= LOOSELY_PLACED**2)
