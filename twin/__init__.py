@@ -17,36 +17,61 @@ if TYPE_CHECKING:
     from twin._common.errors import InputError
     from twin.compensation import Compensator, Options, compensate, compensate_file
     from twin.compensation.fewer_blocks import refit
+
+    # What the functions return, for annotations and `isinstance`.
+    from twin.compensation.fewer_blocks.refit import Refit as Refit
+    from twin.compensation.programs.check import ProgramCheck as ProgramCheck
     from twin.compensation.programs.check import check_program
     from twin.compensation.programs.comparison import ThesisMethod
+    from twin.compensation.programs.compensator import Compensation as Compensation
+    from twin.compensation.programs.compensator import ProgramOutcome as ProgramOutcome
     from twin.compensation.programs.compensator import compensate_files
+    from twin.compensation.programs.execute import Execution as Execution
     from twin.compensation.programs.execute import execute_file
+    from twin.compensation.programs.report import Report as Report
     from twin.compensation.programs.words import Setup
     from twin.compute.parallel import Workers
+    from twin.controls.offsets import OffsetTable as OffsetTable
+    from twin.controls.offsets import ToolTable as ToolTable
     from twin.controls.offsets import load_offsets, load_tools
     from twin.diagnosis import diagnose
     from twin.diagnosis import plots as diagnosis_plots
+    from twin.diagnosis.answer import Diagnosis as Diagnosis
     from twin.diagnosis.page import diagnosis_html
+    from twin.diagnosis.result import Cause as Cause
     from twin.identification import identify
     from twin.identification import plots as identification_plots
+    from twin.identification.result import Identification as Identification
+    from twin.identification.thesis import ThesisIdentification as ThesisIdentification
     from twin.identification.thesis import identify_as_thesis
     from twin.machine.machine import Machine
     from twin.measurement import instruments
     from twin.measurement.certificate import Artefact
+    from twin.measurement.formats import ConvertedFiles as ConvertedFiles
     from twin.measurement.formats import convert
     from twin.measurement.importing import import_table
+    from twin.measurement.importing.importer import ImportedTable as ImportedTable
     from twin.measurement.simulate import Placement, simulate
     from twin.measurement.table import Measurements
+    from twin.model.calibrated_urdf import CalibratedUrdf as CalibratedUrdf
     from twin.model.calibrated_urdf import calibrated_urdf
     from twin.model.calibration import Calibration
     from twin.model.conditions import Conditions, MachineLog
+    from twin.model.effects.base import Effect as Effect
     from twin.model.effects.entries import effect_named
     from twin.model.iso16907 import Scope
     from twin.model.motion_curve import Curve
     from twin.monitoring import WatchSettings, compare, confirm, watch, written_values
+    from twin.monitoring.comparison import Changes as Changes
+    from twin.monitoring.confirmed import Confirmation as Confirmation
     from twin.monitoring.watch_page import watch_html
+    from twin.monitoring.watched import Watch as Watch
+    from twin.monitoring.written import WrittenValue as WrittenValue
     from twin.nc import read_program
+    from twin.nc.blocks import Program as Program
+    from twin.nc.dialect import Dialect as Dialect
     from twin.part.features import PartDrawing
+    from twin.part.forecast import PartForecast as PartForecast
     from twin.part.forecast import forecast
     from twin.planning import (
         InstrumentSizes,
@@ -59,7 +84,12 @@ if TYPE_CHECKING:
         separate,
     )
     from twin.planning import plots as planning_plots
+    from twin.planning.confirmation import ConfirmationPlan as ConfirmationPlan
+    from twin.planning.drift import DriftPlan as DriftPlan
     from twin.planning.drift import drift_plan
+    from twin.planning.measure import SequencePlan as SequencePlan
+    from twin.planning.plan import Forecast as Forecast
+    from twin.planning.plan import Plan as Plan
     from twin.reporting import machine_report as report
     from twin.reporting.notebook import (
         axis_sliders,
@@ -71,13 +101,18 @@ if TYPE_CHECKING:
         plot_machine,
         to_frame,
     )
+    from twin.reporting.result import MachineReport as MachineReport
+    from twin.reporting.scene.draw import Scene as Scene
     from twin.reporting.scene.draw import draw_program as scene
     from twin.samples import thesis_plan
     from twin.standards import evaluate, evaluate_drift
     from twin.standards.page import evaluation_html
+    from twin.standards.result import EvaluationResult as EvaluationResult
     from twin.thermal import ThermalRecord, fit_thermal
+    from twin.thermal.model import ThermalModel as ThermalModel
     from twin.tool.forward import Kinematics
     from twin.tool.inverse import Inverse, Status
+    from twin.tool.population import Population as Population
     from twin.tool.population import draw_machines
     from twin.tool.uncertainty import ToolUncertainty
 
@@ -184,7 +219,7 @@ def __getattr__(name: str) -> Any:
         from importlib.metadata import version
 
         value: Any = version("twin")
-    elif name in __all__:
+    elif name in _homes():
         module, attribute = _homes()[name]
         value = getattr(import_module(module), attribute, None) or import_module(f"{module}.{attribute}")
     else:
@@ -194,4 +229,4 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+    return sorted({"__version__", *_homes()})

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import os
 import re
 import subprocess
@@ -97,6 +98,16 @@ def test_an_import_error_of_twin_itself_is_not_hidden() -> None:
     with pytest.raises(ImportError) as caught:
         installation.exit_with_import_error(defect)
     assert caught.value is defect
+
+
+def test_what_a_public_function_returns_has_a_public_name() -> None:
+    assert "Any" not in dir(twin)
+    for name in twin.__all__:
+        of = getattr(twin, name)
+        if inspect.isfunction(of):
+            for result in re.findall(r"(?<![.\w])[A-Z]\w+", str(of.__annotations__["return"])):
+                foreign = result in ("None", "Generator", "Path", "Axes")
+                assert foreign or (result in dir(twin) and inspect.isclass(getattr(twin, result))), (name, result)
 
 
 @pytest.mark.parametrize("name", twin.__all__)
