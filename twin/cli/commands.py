@@ -52,6 +52,7 @@ COMMANDS: Final = {
     "plan": "Plan the next measurement.",
     "report": "Report the state of a machine, in one HTML file.",
     "control": "Write and read the compensation tables of a control.",
+    "demo": "Run a small example of everything, and write one page that shows it.",
     "doctor": "Check the installation.",
     "doc": "Show a page of the manual.",
 }
