@@ -135,7 +135,7 @@ def test_what_is_no_message_is_refused(data: object) -> None:
 
 
 def test_few_digits_without_exponent() -> None:
-    """As `%g` counts digits, but as a person writes them; sizes that nobody reads keep their exponent."""
+    """As `%g` counts digits, but as a person writes them; very large and very small numbers keep their exponent."""
     message = Message("{left:.3g} µm, {share:.2g} %", left=1010.4, share=99.7)
     assert message == "1010 µm, 100 %"
     with translated(Translation({message.identifier: "{share:.2g} % von {left:.3g} µm"})):

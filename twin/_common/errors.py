@@ -83,7 +83,7 @@ class InputError(ValueError):
 
 
 def require_type(name: str, value: object, kind: type) -> None:
-    """Raise `TypeError` if an argument is not of its type, and name what makes one of what was given."""
+    """Raise `TypeError` if an argument is not of its type, and name what makes the right one."""
     if not isinstance(value, kind):
         given = type(value).__name__
         makes = f"{kind.__name__}.load reads one from a file" if isinstance(value, str | PathLike) else ""
