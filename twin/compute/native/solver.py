@@ -18,6 +18,7 @@ import casadi as ca
 import numpy as np
 
 from twin._common.resources import builds_expressions
+from twin.compute.along import BatchFunction
 from twin.compute.native import compiler
 from twin.compute.native.compiler import LARGEST_ANGLE, routine, unused
 from twin.compute.native.tape import Tape
@@ -175,6 +176,12 @@ class _Routine:
         return getattr(self._problem.functions, self._name)
 
     @cached_property
+    def _few(self) -> tuple[BatchFunction, np.ndarray]:
+        """The function for few rows, and the inputs at which all but its first argument begin."""
+        widths = [self._function.numel_in(k) for k in range(self._function.n_in())]
+        return BatchFunction(self._function), np.cumsum(widths)[:-1]
+
+    @cached_property
     def tape(self) -> Tape | None:
         """The instructions; None if one is not supported."""
         return Tape.of(self._function)
@@ -183,9 +190,8 @@ class _Routine:
         """Return (outputs, rows) from (inputs, rows)."""
         if columns.shape[1] > FEW and self.tape is not None:
             return self.tape(list(columns))
-        ends = np.cumsum([self._function.numel_in(k) for k in range(self._function.n_in())])
-        found = self._function.call([ca.DM(part) for part in np.split(columns, ends[:-1])])
-        return np.concatenate([np.asarray(part) for part in found])
+        function, ends = self._few
+        return np.concatenate([part.T for part in function(*(part.T for part in np.split(columns, ends)))])
 
 
 @final
