@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from itertools import product
 from typing import Final
 
@@ -285,6 +286,10 @@ def _add_one_axis(found: Proposal, meanings: Mapping[str, Meaning]) -> bool:
     """
     layout, machine = found.layout, found.machine
     lettered = {one.name for one in meanings.values() if one.name in machine.by_name or one.name in ("x", "y", "z")}
+    series = [name for name, one in meanings.items() if one.kind in ("round", "approach")]
+    exact = any(one.kind == "exact" for one in meanings.values())
+    if len(lettered) > 1 or not series or found.has_readings or exact:
+        return False
     positions = [
         name
         for name, one in meanings.items()
@@ -298,15 +303,7 @@ def _add_one_axis(found: Proposal, meanings: Mapping[str, Meaning]) -> bool:
         for name, one in meanings.items()
         if one.kind in ("deviation", "measured") and is_number_column(found, name)
     ]
-    series = [name for name, one in meanings.items() if one.kind in ("round", "approach")]
-    if (
-        len(lettered) > 1
-        or not positions
-        or not readings
-        or not series
-        or found.has_readings
-        or any(one.kind == "exact" for one in meanings.values())
-    ):
+    if not positions or not readings:
         return False
     position, reading = positions[0], readings[0]
     axis = _axis_of(found, lettered, found.values(position))
@@ -402,15 +399,29 @@ def _axis_of(found: Proposal, lettered: set[str], targets: np.ndarray) -> Axis:
 # --- Sides of the targets, plan, positions -----------------------------------------------------------
 
 
+ROWS_OF_A_TARGET: Final = 2000
+"""Rows of a target, spread over all of its rows, from which its side is judged."""
+Row = tuple[int, tuple[str, ...]]
+
+
+def _spread(rows: Sequence[Row], of_row: Sequence[str]) -> tuple[Row, ...]:
+    """Return `ROWS_OF_A_TARGET` rows of each target at most, from the target of every row, in the same order."""
+    by_target: dict[str, list[int]] = {}
+    for i, name in enumerate(of_row):
+        by_target.setdefault(name, []).append(i)
+    kept = (i for own in by_target.values() for i in own[:: -(-len(own) // ROWS_OF_A_TARGET)])
+    return tuple(rows[i] for i in sorted(kept))
+
+
 def _choose_sides(found: Proposal) -> None:
     """Add the side on which each target follows the commands."""
-    sides = {}
-    if found.deviations is None:
-        cells = Applied(found.layout, found.mapping(), found.machine).table(None)
-        sides = sides_of_targets(found.machine, unchecked(cells, found.machine))
-    target = found.entries["target"]
+    target, sides = found.entries["target"], {}
     of_row = found.layout.column(target.sources[0]) if target.sources else [str(target.value)] * len(found.layout.rows)
     names = list(dict.fromkeys(of_row))
+    if found.deviations is None:
+        some = replace(found.layout, rows=_spread(found.layout.rows, of_row))
+        cells = Applied(some, found.mapping(), found.machine).table(None)
+        sides = sides_of_targets(found.machine, unchecked(cells, found.machine))
     shown = {name: sides[name].carrier for name in names if name in sides and sides[name].carrier}
     chosen = {name: shown.get(name) or _moving_side(found, np.array(of_row, dtype=object) == name) for name in names}
     if len(set(chosen.values())) == 1:

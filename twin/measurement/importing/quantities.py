@@ -148,6 +148,8 @@ _NUMBER: Final = {
     for sign, other in ((POINT, COMMA), (COMMA, POINT))
 }
 _EITHER: Final = re.compile(r"[-+]?[\d.,' ]*\d[\d.,' ]*(?:[eE][-+]?\d+)?", re.ASCII)
+_PLAIN: Final = re.compile(r"-?(?:0|[1-9]\d{0,11})(?:([.,])\d{1,12})?", re.ASCII)
+"""Most numbers: digits, at most one sign between them, which may be a decimal sign."""
 _GROUPED: Final = re.compile(r"[-+]?[1-9]\d{0,2}[.,]\d{3}", re.ASCII)
 """A number whose only sign may be a decimal sign or a sign of thousands."""
 _WITH_UNIT: Final = re.compile(
@@ -190,6 +192,8 @@ class DecimalSign(NamedTuple):
 
 def looks_like_number(cell: str) -> bool:
     """Return whether a cell is a number with whatever decimal sign, alone or with a unit behind it."""
+    if _PLAIN.fullmatch(cell):
+        return True
     if len(cell) >= 60 or not any(sign.isdigit() for sign in cell):
         return False
     return _looks_plain(cell.translate(MINUS)) or bool(split_unit(cell)[1])
@@ -221,7 +225,7 @@ def split_unit(cell: str) -> tuple[str, str]:
 
 def is_no_value(cell: str, words: Iterable[str] = ()) -> bool:
     """Return whether a cell states that there is no value: empty, signs alone, an error of a spreadsheet, or one of some words."""
-    if not words and cell[-1:].isdigit() and cell[:1].isdigit():  # most cells
+    if not words and cell[-1:].isdigit() and cell[0] != "#":  # most cells
         return False
     text = " ".join(cell.casefold().split())
     return not text or text in NO_VALUE or text in words or bool(_SIGNS_ALONE.fullmatch(text))
@@ -249,6 +253,9 @@ class CellNumber(NamedTuple):
 
 def quantity_in(cell: str, sign: str) -> CellNumber | None:
     """Return the number of a cell and its unit; None if it has none with this decimal sign."""
+    plain = _PLAIN.fullmatch(cell)
+    if plain is not None and plain[1] in (None, sign):
+        return CellNumber(Decimal(cell.replace(COMMA, POINT)), "")
     text, unit = split_unit(cell)
     if unit == SEXAGESIMAL:
         return _sexagesimal(text, sign)
@@ -291,15 +298,16 @@ def decimal_sign(cells: Iterable[str]) -> DecimalSign:
     clear: dict[str, str] = {}
     unclear: dict[str, str] = {}
     for cell in cells:
+        plain = _PLAIN.fullmatch(cell)
+        if plain is not None and (not plain[1] or plain[1] in clear):
+            continue
         text, unit = split_unit(cell)
         if unit == SEXAGESIMAL:  # of degrees, minutes and seconds, the seconds have the decimal sign
             match = _SEXAGESIMAL.fullmatch(text)
             text = "" if match is None else match[4] or ""
         text = text.translate(MINUS)
-        if not _EITHER.fullmatch(text) or len(text) > 60:
-            continue
         signs = [sign for sign in text if sign in SIGNS]
-        if not signs:
+        if not signs or len(text) > 60 or not _EITHER.fullmatch(text):
             continue
         last = signs[-1]
         if not _NUMBER[last].fullmatch(text):
