@@ -90,7 +90,6 @@ if TYPE_CHECKING:
     from twin.planning.measure import SequencePlan as SequencePlan
     from twin.planning.plan import Forecast as Forecast
     from twin.planning.plan import Plan as Plan
-    from twin.reporting import machine_report as report
     from twin.reporting.notebook import (
         axis_sliders,
         calibration_from_frame,
@@ -102,6 +101,7 @@ if TYPE_CHECKING:
         to_frame,
     )
     from twin.reporting.result import MachineReport as MachineReport
+    from twin.reporting.result import machine_report as report
     from twin.reporting.scene.draw import Scene as Scene
     from twin.reporting.scene.draw import draw_program as scene
     from twin.samples import thesis_plan

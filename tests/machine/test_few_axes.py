@@ -26,9 +26,9 @@ from twin.measurement.instruments import LaserTracker
 from twin.measurement.simulate import simulate
 from twin.model.calibration import Calibration
 from twin.planning import Kit, plan
-from twin.reporting import machine_report
 from twin.reporting.page import machine_html
 from twin.reporting.plots import plot_motion
+from twin.reporting.result import machine_report
 
 UM, URAD = 1e-3, 1e-6
 MADE = datetime(2026, 11, 22, tzinfo=UTC)

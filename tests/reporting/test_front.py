@@ -26,9 +26,9 @@ from twin.display.sheet import Job
 from twin.machine.machine import Machine
 from twin.model.calibration import Calibration
 from twin.numerics.covariance import Covariance
-from twin.reporting import machine_report
 from twin.reporting.front import TOOL, FrontPage, earlier_report, front_page
 from twin.reporting.page import machine_html, sheet_of
+from twin.reporting.result import machine_report
 
 MINE = """
 schema: twin.calibration/1

@@ -29,9 +29,9 @@ from twin.machine.machine import Machine
 from twin.measurement.table import Measurements
 from twin.model.calibration import Calibration
 from twin.model.conditions import Conditions
-from twin.reporting import MachineReport, machine_report
 from twin.reporting.compensation import compare_points
 from twin.reporting.page import machine_html
+from twin.reporting.result import MachineReport, machine_report
 from twin.tool.forward import Kinematics
 from twin.tool.uncertainty import ToolUncertainty
 

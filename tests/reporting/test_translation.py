@@ -29,9 +29,8 @@ from twin.machine.machine import Machine
 from twin.measurement.instruments import INSTRUMENTS
 from twin.model.calibration import Calibration
 from twin.model.conditions import Conditions
-from twin.reporting import machine_report
 from twin.reporting.page import machine_html, sheet_of
-from twin.reporting.result import MachineReport
+from twin.reporting.result import MachineReport, machine_report
 
 GERMAN = catalogue(Language.de)
 MADE = datetime(2026, 1, 2, tzinfo=UTC)

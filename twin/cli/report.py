@@ -24,8 +24,8 @@ from twin.cli.shared.terminal import tolerances
 if TYPE_CHECKING:
     from twin._common.distributions import Verdict
     from twin.display.sheet import Sheet
-    from twin.reporting import MachineReport
     from twin.reporting.front import FrontPage
+    from twin.reporting.result import MachineReport
 
 WORDS: Final[dict[Verdict, Message]] = {
     "fail": Message("fail"),
@@ -110,9 +110,9 @@ def report(
     The exit status is 3 if a value exceeds its tolerance or is unknown, or if something asked for could not be shown.
     """
     from twin.measurement.table import Measurements
-    from twin.reporting import machine_report
     from twin.reporting.certificate import calibration_certificate
     from twin.reporting.front import check_tolerances, earlier_report, front_page
+    from twin.reporting.result import machine_report
 
     page = paper(output, pdf_file, job, logo, lang)
     loaded = options.machine(machine)

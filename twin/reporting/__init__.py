@@ -1,8 +1,4 @@
 """Report of the state of a machine on one HTML page: largest errors, their effect at the tool, actions, uncertainty, sources.
 
-Manual: `twin doc report`.
+Manual: `twin doc report`. Nothing is imported here: the scene and the notebook need no report.
 """
-
-from twin.reporting.result import SCHEMA, MachineReport, machine_report
-
-__all__ = ["SCHEMA", "MachineReport", "machine_report"]
