@@ -22,7 +22,7 @@ from twin.compensation.fewer_blocks.fit import largest_distance, lengths
 from twin.compensation.fewer_blocks.runs import RunEndPoints
 from twin.compensation.programs.backlash import Backlash
 from twin.compensation.programs.follow import follow
-from twin.compensation.programs.motions import PathMotion
+from twin.compensation.programs.motions import MotionColumns, counted
 from twin.compensation.programs.prepared import PreparedMachine
 from twin.compensation.programs.words import WordSpace, turns_tool
 from twin.nc.blocks import AxisWords, Interpretation, Move, NewPositions, Program
@@ -170,20 +170,24 @@ def execute_words(
     """Execute a program as its control would, on straight lines in words; ``dense`` (moves,): which moves along their whole length."""
     path = follow(program, reading, space)
     moves = path.columns.move
-    motions = zip(path.motions, dense[moves].tolist(), strict=True)
-    words, of = path.dense([_fractions(motion) if looked_at else np.array([1.0]) for motion, looked_at in motions])
+    of, fractions = _fractions(path.columns, dense[moves])
+    words = path.dense(of, fractions)
     commands = space.commands(words, path.columns.tcp[of])
     sides = Backlash(real.calibration).sides(path, of, commands)
     point = real.reached(commands * space.machine.scale, sides)[1] * 1e3
     return Executed(moves[of], point)
 
 
-def _fractions(motion: PathMotion) -> np.ndarray:
-    if not motion.interpolated:
-        return np.array([1.0])
-    size = np.abs(motion.end - motion.start)
-    steps = max(size[:3].max() / LINEAR_STEP_MM, size[3:].max(initial=0.0) / TURN_STEP_DEG, POINTS_PER_BLOCK)
-    return np.arange(int(np.ceil(steps)) + 1) / np.ceil(steps)
+def _fractions(motions: MotionColumns, dense: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the motion of each sample and its fraction: only the end of rapids, of motions from unknown points, and of others."""
+    size = np.abs(motions.end - motions.start)
+    length, turn = size[:, :3].max(axis=1), size[:, 3:].max(axis=1, initial=0.0)
+    steps = np.ceil(
+        np.maximum.reduce([length / LINEAR_STEP_MM, turn / TURN_STEP_DEG, np.full(len(size), POINTS_PER_BLOCK)])
+    )
+    steps = np.where(dense & ~motions.rapid & motions.known, steps, 0.0).astype(int)
+    of, k = counted(steps + 1)
+    return of, np.where(steps[of] == 0, 1.0, k / np.maximum(steps[of], 1))
 
 
 def path_distance_mm(one: np.ndarray, other: np.ndarray, tolerance_mm: float) -> float:

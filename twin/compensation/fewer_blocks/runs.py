@@ -130,7 +130,7 @@ def _straight(motion: PathMotion) -> bool:
     """Return whether a block is one straight move from a known position and nothing else."""
     move = motion.move
     free = not (move.machine or move.whole) and move.normal is None
-    return move.kind is Kind.LINEAR and free and motion.interpolated
+    return move.kind is Kind.LINEAR and free and bool(np.isfinite(motion.start).all())
 
 
 def _follows(before: PathMotion, motion: PathMotion) -> bool:

@@ -17,11 +17,10 @@ from twin.compensation.programs.motions import (
     CHORD_MM,
     SAMPLES_A_PIECE,
     LostBlock,
-    PathMotion,
     ToolPath,
     by_reason,
+    counted,
     machine_hints,
-    spacings,
 )
 from twin.compensation.programs.pieces import check_one_mode
 from twin.compensation.programs.words import Setup, WordSpace, check_domains, outside_range
@@ -191,14 +190,14 @@ def execute(
     ``context``: number of first motions that belong to the section before. `InputError` for a position within the axis's range that its
     error motions do not cover.
     """
-    fractions = [_fractions(motion) for motion in path.motions]
-    words, of = path.dense(fractions)
     columns = path.columns
+    of, fractions = _fractions(path)
+    words = path.dense(of, fractions)
     ends, lines = np.append(of[1:] != of[:-1], True), columns.line[of] + 1
     positions = space.commands(words, columns.tcp[of])
     check_domains(real, program.source, lines[ends], positions[ends])
     sides = Backlash(real.calibration).sides(path, of, positions)
-    state = conditions.at(sides, of, np.concatenate(fractions))
+    state = conditions.at(sides, of, fractions)
     own = of >= context
     inside = ~outside_range(space.machine, positions) & ~real.outside_domain(positions).any(axis=1)
     gaps = _gaps(path, space, positions, ends) | ~np.append(True, inside[:-1])
@@ -240,10 +239,13 @@ def _joined(runs: Sequence[Execution]) -> Execution:
     return Execution(**arrays, left_out=sum(run.left_out for run in runs), unknown=())
 
 
-def _fractions(motion: PathMotion) -> np.ndarray:
-    """Return fractions of a motion at which to evaluate it, those of `CompensationAccount`; only the end if its start is unknown."""
-    if not np.isfinite(motion.start).all():
-        return np.array([1.0])
-    long = spacings(motion.start[None], motion.end[None])[0]
-    count = int(np.ceil(max(SAMPLES_A_PIECE, long, motion.chords(CHORD_MM))))
-    return np.append((np.arange(count) + 0.5) / count, 1.0)
+def _fractions(path: ToolPath) -> tuple[np.ndarray, np.ndarray]:
+    """Return the motion of each sample and its fraction, those of `CompensationAccount`; only the end if the start is unknown."""
+    columns = path.columns
+    long = np.where(columns.known, np.maximum(SAMPLES_A_PIECE, columns.spacings), 0.0)
+    for i, move in columns.special.items():
+        if move.arc is not None and columns.known[i]:
+            long[i] = max(long[i], path.motions[i].chords(CHORD_MM))
+    inside = np.ceil(long).astype(int)
+    of, k = counted(inside + 1)
+    return of, np.where(k == inside[of], 1.0, (k + 0.5) / np.maximum(inside[of], 1))

@@ -29,10 +29,10 @@ MOST_SAMPLES: Final = 100_000
 """Samples of one motion beyond which it is refused: 1 km, 833 turns of a rotary axis, an arc of as many chords."""
 
 
-def spacings(start: np.ndarray, end: np.ndarray) -> np.ndarray:
-    """Return (n,) the distance between (n, axes) words and others, in units of `SAMPLE_SPACING`."""
-    limits = np.repeat(SAMPLE_SPACING, [3, start.shape[1] - 3])
-    return np.maximum.reduce([np.abs(b - a) / limit for a, b, limit in zip(start.T, end.T, limits, strict=True)])
+def counted(counts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return (n,) the motion and the number within it, from 0, of the samples of motions that have (motions,) ``counts``."""
+    of = np.repeat(np.arange(len(counts)), counts)
+    return of, np.arange(len(of)) - (np.cumsum(counts) - counts)[of]
 
 
 # --- Numbers without a decimal point that may count least increments, as on Fanuc controls: ``X100500`` is X 100.5 there
@@ -88,11 +88,6 @@ class PathMotion:
     move: Move
     start: np.ndarray  # (axes,) words of the start point; NaN where the program has not given them
     end: np.ndarray  # (axes,) words of the end point; with rotary words also where the program gave a tool vector
-
-    @property
-    def interpolated(self) -> bool:
-        """Whether the control follows a line or arc from a known start; the path of a rapid move is not known."""
-        return self.move.kind is not Kind.RAPID and bool(np.isfinite(self.start).all())
 
     def along(self, fractions: np.ndarray) -> np.ndarray:
         """Return (k, axes) words at fractions (0…1]: on the line or arc, with rotary words and pitch in proportion."""
@@ -165,9 +160,16 @@ class MotionColumns(MadeOnAccess[PathMotion]):
         return MotionColumns(special=special, **{name: getattr(self, name)[begin:end] for name in COLUMNS})
 
     @cached_property
+    def known(self) -> np.ndarray:
+        """(motions,) whether the program has given the whole start point."""
+        return np.isfinite(self.start).all(axis=1)
+
+    @cached_property
     def spacings(self) -> np.ndarray:
         """(motions,) length of each motion in units of the largest distance between two samples."""
-        return spacings(self.start, self.end)
+        limits = np.repeat(SAMPLE_SPACING, [3, self.start.shape[1] - 3])
+        shares = [np.abs(b - a) / limit for a, b, limit in zip(self.start.T, self.end.T, limits, strict=True)]
+        return np.asarray(np.maximum.reduce(shares))
 
     def __len__(self) -> int:
         return len(self.line)
@@ -248,10 +250,15 @@ class ToolPath:
         )
         return ToolPath(columns, columns, (), passages)
 
-    def dense(self, fractions: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-        """Return (n, axes) words at fractions of all motions, only at the end if the start is unknown, and (n,) the motion of each."""
-        words = [
-            motion.along(share) if np.isfinite(motion.start).all() else motion.end[None]
-            for motion, share in zip(self.motions, fractions, strict=True)
-        ]
-        return np.concatenate(words), np.repeat(np.arange(len(words)), [len(word) for word in words])
+    def dense(self, of: np.ndarray, fractions: np.ndarray) -> np.ndarray:
+        """Return (n, axes) words at (n,) fractions of motions, their indices ascending; the end if the start is unknown."""
+        columns = self.columns
+        start, end = columns.start[of], columns.end[of]
+        words = start + fractions[:, None] * (end - start)
+        unknown = ~columns.known[of]
+        words[unknown] = end[unknown]
+        for i, move in columns.special.items():
+            if move.arc is not None and columns.known[i]:
+                rows = slice(*np.searchsorted(of, [i, i + 1]))
+                words[rows] = self.motions[i].along(fractions[rows])
+        return words
