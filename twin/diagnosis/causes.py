@@ -25,6 +25,7 @@ from twin._common.records import APPROACH
 from twin._common.units import MM, UM
 from twin.diagnosis.alternatives import (
     between_positions,
+    constants_of_curves,
     curve_flaw,
     equal_orders,
     equivalent,
@@ -34,6 +35,7 @@ from twin.diagnosis.alternatives import (
     rest_on_the_instrument,
     ruled_out,
     together,
+    where_measured,
 )
 from twin.diagnosis.candidates import SPECIFICATIONS
 from twin.diagnosis.candidates.instrument import ASSUMED_OF_INSTRUMENT, of_a_jumped_side
@@ -165,7 +167,7 @@ class SizedCauses:
 def estimate_sizes(findings: Findings) -> SizedCauses:
     """Estimate the sizes of the causes, and drop one by one those that groups of readings do not confirm or that tell nothing."""
     structure = findings.structure
-    forms = one_for_each_number(findings.candidates, structure.forms)
+    forms = constants_of_curves(findings.candidates, one_for_each_number(findings.candidates, structure.forms))
     dropped: list[Form] = []
     indistinct: list[Indistinct] = []
     while True:
@@ -387,7 +389,8 @@ def _cause(sized: SizedCauses, k: int, calibration: Calibration) -> Cause:
             "; the readings do not determine its centre of mass: the most likely one within ±{range:g} mm is taken",
             range=CENTRE_RANGE_MM,
         )
-    text += equal_orders(candidates, sized.forms, form) + lag_not_excluded(candidates, form, others) + doubt
+    text += equal_orders(candidates, sized.forms, form) + lag_not_excluded(candidates, form, others)
+    text += where_measured(candidates, sized.forms, form) + doubt
     if sized.temperatures[k]:
         text += Message(
             "; a smooth function of the temperature of {sensor}, not in proportion to it, fits as well: until it is measured in "
