@@ -5,6 +5,7 @@ Sizes and places are drawn. `python -m tests.diagnosis.test_hidden_kinds SEED…
 
 from __future__ import annotations
 
+import re
 import sys
 import tempfile
 from collections.abc import Callable
@@ -361,6 +362,17 @@ def test_a_growth_says_which_lag_is_not_excluded(size: float, longest: str, tmp_
     assert (cause.effect, cause.where) == ("thermal_growth", "Z by Z")
     assert (("thermal_lag", "Z by Z") in cause.equivalent) == ("cannot be excluded" in cause.evidence) == bool(longest)
     assert longest in cause.evidence and (result.verdict == "ambiguous") == bool(longest)
+
+
+def test_a_growth_is_one_and_what_no_position_separates_is_said_once(tmp_path: Path) -> None:
+    """The growth of a scale about a far point is the same growth: the second method shares its probability between the two."""
+    result = seen(tmp_path, lambda of: Errors(tool=np.outer(UM * 2.0 * (of.warm["Z"] - 20.0), [0.0, 0.0, 1.0])))
+    (cause,) = result.causes
+    assert (cause.effect, cause.where) == ("thermal_growth", "Z by Z")
+    assert len(cause.equivalent) > 1
+    assert cause.probability is not None and cause.probability > 0.95
+    words = result.to_text().replace("\n", " ")
+    assert re.sub(" +", " ", words).count("No position separates them") == 1
 
 
 def test_a_course_in_time_may_follow_a_temperature(tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from tests.diagnosis import battery
 from tests.diagnosis.battery import Searcher
 from tests.real import plates
 from tests.truth import hidden
@@ -247,3 +248,14 @@ def test_a_direction_that_was_not_read_is_not_tested(tmp_path: Path) -> None:
     assert not [one for one in found if one.directions == (2,)]
     # Along x, along y, and all three together.
     assert found[0].log_price == pytest.approx(np.log(3 * sum(len(p.levels) for p in tried)))
+
+
+def test_two_curves_of_one_axis_are_no_pattern_of_it() -> None:
+    """A function of Z alone has more parameters than two of its curves, which explain all: they are named."""
+    data = battery.DataSet(battery.Case("two60", 11, "isotropic", 100), 7)
+    draw = [data.draw() for _ in range(8)][-1]
+    data.problem.set_residual(draw.residual)
+    data.searcher.candidates.set_problem(data.problem)
+    structure = data.searcher.run().structure
+    assert {form.key for form in structure.forms} == {one[0] for one in draw.truth}
+    assert not structure.pattern_tests

@@ -243,6 +243,54 @@ def rest_on_the_instrument(problem: Problem, signature: np.ndarray, machine: np.
     return np.array([bool(machine[k]) and rest(every == k) for k in every], dtype=bool)
 
 
+def constants_of_curves(candidates: Candidates, forms: Sequence[Form]) -> list[Form]:
+    """Return the causes with those constants given back to a curve that are nothing over the measured positions.
+
+    The datum makes a squareness of the mean of a tilt and of the slope of a straightness, over the whole travel. Where a part of it was
+    not measured, the mean follows from the curve's course there: constant and curve are one number in the data, and what the readings
+    have of the constant without these curves is its size over the measured positions.
+    """
+    kept = list(forms)
+    for constant in [form for form in forms if form.candidate.specification.constant]:
+        holding, beside = _holding(candidates, kept, constant)
+        explained, dof = (float(values[constant.index]) for values in candidates.scan(beside))
+        if holding and explained < candidates.critical_value(constant, dof):
+            others = [form for form in kept if form is not constant]
+            left = {form: candidates.scan([o for o in others if o is not form])[0][constant.index] for form in holding}
+            curve = min(holding, key=lambda form: left[form])
+            kept = [holding[curve] if form is curve else form for form in others]
+    return kept
+
+
+def _holding(candidates: Candidates, forms: Sequence[Form], constant: Form) -> tuple[dict[Form, Form], list[Form]]:
+    """Return the curves that hold a constant, each with the same curve in which it is free, and the causes without both."""
+    others, holding = [form for form in forms if form is not constant], dict[Form, Form]()
+    for curve in others:
+        if first := round(curve.variant.fixed.get("first", 0.0)):
+            alike = [form for form in candidates.forms if form.key == curve.key]
+            whole = [form for form in alike if len(form.columns) == len(curve.columns) + first]
+            free = next((form for form in whole if form.variant.fixed.get("first") == 0.0), None)
+            rest = [form for form in others if form is not curve]
+            if free is not None and candidates.contains([*rest, free], others, constant):
+                holding[curve] = free
+    return holding, [form for form in others if form not in holding]
+
+
+def where_measured(candidates: Candidates, forms: Sequence[Form], constant: Form) -> str:
+    """Return the size of a constant over the measured positions, in words, if curves beside it make another of it over the travel."""
+    holding, beside = _holding(candidates, forms, constant) if constant.candidate.specification.constant else ({}, [])
+    whole, u = coefficient(candidates, constant, [*beside, *holding])
+    own, _ = coefficient(candidates, constant, beside) if holding else (whole, u)
+    if abs(own - whole) <= COVERAGE_FACTOR * u:
+        return ""
+    return Message(
+        "; over the measured positions alone {own}: the rest is the mean line of {curves} over the whole travel, a part of which was "
+        "not measured",
+        own=Number(f"{own:.3g} {readable_unit(constant.candidate.names[0][1])}".replace("-", "−")),
+        curves=listed([form.key[1] for form in holding]),
+    )
+
+
 def _margin(candidates: Candidates, form: Form, others: Sequence[Form]) -> float:
     """Return the χ² that a cause explains given others, less its correction for multiple testing."""
     explained, dof = (float(values[form.index]) for values in candidates.scan(others))

@@ -505,7 +505,7 @@ ABSORBED_RATIO: Final = 0.9  # of RMS residuals with and without the calibration
 HARD_SPACE: Final = "\u00a0"
 
 
-def diagnosis_text(diagnosis: DiagnosisResult) -> str:  # noqa: C901, PLR0912
+def diagnosis_text(diagnosis: DiagnosisResult) -> str:  # noqa: C901
     """Return the verdict, each cause, what to do, the gain and what to measure next, in lines of at most `WIDTH` characters."""
     lines = _wrapped(f"{say(words.VERDICTS[diagnosis.verdict])}. {say(words.headline(diagnosis)[0])}.")
     for text in (*warning_texts(diagnosis.warnings), *assumptions(diagnosis.data.notices)):
@@ -540,9 +540,10 @@ def diagnosis_text(diagnosis: DiagnosisResult) -> str:  # noqa: C901, PLR0912
         lines += _wrapped(Message("Unexplained: {evidence}.", evidence=diagnosis.unexplained.evidence), hang=2)
     lines += _wrapped(words.rest(diagnosis), hang=2)
     lines += _gain(diagnosis)
-    if diagnosis.next_measurement:
+    compared, beside = words.compared(diagnosis), [o for o in diagnosis.next_measurement if "separates" not in o]
+    if compared or beside:
         lines += ["", say("What to measure next")]
-    for separating_point in words.separating_points(diagnosis.next_measurement, diagnosis.expected_rms_um):
+    for separating_point in compared:
         lines += _wrapped(
             Message(
                 "To separate {names} from {names2}: {verdict}",
@@ -567,9 +568,8 @@ def diagnosis_text(diagnosis: DiagnosisResult) -> str:  # noqa: C901, PLR0912
                 start=4,
                 hang=8,
             )
-    for entry in diagnosis.next_measurement:
-        if "separates" not in entry:
-            lines += _wrapped(entry["text"], start=2, hang=4)
+    for entry in beside:
+        lines += _wrapped(entry["text"], start=2, hang=4)
     lines += _listing(
         Message("Not identifiable from these readings, whatever their size:"), words.grouped(diagnosis.unidentifiable)
     )

@@ -25,6 +25,7 @@ from twin._common.records import APPROACH
 from twin._common.units import MM, UM
 from twin.diagnosis.alternatives import (
     between_positions,
+    constants_of_curves,
     curve_flaw,
     equal_orders,
     equivalent,
@@ -34,6 +35,7 @@ from twin.diagnosis.alternatives import (
     rest_on_the_instrument,
     ruled_out,
     together,
+    where_measured,
 )
 from twin.diagnosis.candidates import SPECIFICATIONS
 from twin.diagnosis.candidates.instrument import ASSUMED_OF_INSTRUMENT, of_a_jumped_side
@@ -65,9 +67,7 @@ from twin.numerics.covariance import Covariance
 
 NEGLIGIBLE_EXCESS: Final = 0.01  # share of the excess below which residuals are no finding: real machines have some
 MOST_ALTERNATIVES: Final = 5  # number of alternatives up to which a negligible cause is named
-SMALL_EXCESS: Final = (
-    0.02  # share of the excess below which a cause is named only if the second method is certain of it
-)
+SMALL_EXCESS: Final = 0.02  # share of the excess below which a cause is named only if the second method is certain
 NEGLIGIBLE_LEFT, NEGLIGIBLE_CHI2 = 0.02, 36.0
 """Share of the χ² left by all causes, or χ², that all those together may add that are not named although they fit."""
 
@@ -165,7 +165,7 @@ class SizedCauses:
 def estimate_sizes(findings: Findings) -> SizedCauses:
     """Estimate the sizes of the causes, and drop one by one those that groups of readings do not confirm or that tell nothing."""
     structure = findings.structure
-    forms = one_for_each_number(findings.candidates, structure.forms)
+    forms = constants_of_curves(findings.candidates, one_for_each_number(findings.candidates, structure.forms))
     dropped: list[Form] = []
     indistinct: list[Indistinct] = []
     while True:
@@ -224,26 +224,38 @@ def _least_distinct(
         if added[form] >= min(SMALL_EXCESS * excess, allowed):
             break
         effects, negligible = findings.second_opinion, added[form] < NEGLIGIBLE_EXCESS * excess
-        certain = not effects or probability_of_any(effects, _itself(form)) >= CREDIBLE_PROBABILITY
+        own = _itself(findings, form, rest[form])
+        certain = not effects or probability_of_any(effects, own) >= CREDIBLE_PROBABILITY
         if certain and not negligible:
             continue
         form_beside, *others_beside = findings.beside_patterns([form, *rest[form]])
         keys = equivalent(findings, form_beside, others_beside)
         if negligible and len(keys) > MOST_ALTERNATIVES:
             return form, keys, None
-        probability = probability_of_any(effects, (*_itself(form), *keys))
+        probability = probability_of_any(effects, (*own, *keys))
         if not certain and probability < CREDIBLE_PROBABILITY:
             return form, keys, probability
     return None, (), None
 
 
-def _itself(form: Form) -> list[tuple[str, str]]:
-    """Return a cause and its variants with more parameters, such as ``reversal_curve`` of ``reversal``, which count as that cause."""
-    where = form.candidate.where
-    return [
-        form.key,
-        *((own.name, where) for own in SPECIFICATIONS.values() if own.variant_of == form.candidate.effect),
-    ]
+def _itself(findings: Findings, form: Form, others: Sequence[Form]) -> list[tuple[str, str]]:
+    """Return a cause and the causes that are this one and something more, which count as that cause for the second method.
+
+    Those are its variants, such as ``reversal_curve`` of ``reversal``, and causes of the same origin that make the same readings with
+    further parameters (the growth of a scale about a far point is a growth): the search names the smaller if no more is needed.
+    """
+    candidates, (effect, where) = findings.candidates, form.key
+    found = {key for one in findings.second_opinion for key in one.credible} - {other.key for other in others}
+    larger = (
+        other
+        for other in candidates.forms
+        if other.key in found
+        and other.candidate.origin == form.candidate.origin
+        and len(other.columns) > len(form.columns)
+        and candidates.contains([*others, other], others, form)
+    )
+    variants = [(own.name, where) for own in SPECIFICATIONS.values() if own.variant_of == effect]
+    return [form.key, *variants, *(other.key for other in larger)]
 
 
 def one_for_each_number(candidates: Candidates, forms: Sequence[Form]) -> list[Form]:
@@ -306,7 +318,10 @@ def causes_with_alternatives(sized: SizedCauses, calibration: Calibration) -> tu
     ]
     if structure.pattern_tests:
         return causes, Comparison()
-    groups = [(*_itself(form), *cause.equivalent) for form, cause in zip(sized.forms, causes, strict=True)]
+    groups = [
+        (*_itself(sized.findings, form, [other for other in sized.forms if other is not form]), *cause.equivalent)
+        for form, cause in zip(sized.forms, causes, strict=True)
+    ]
     comparison = compare_with_search(sized.findings.second_opinion, groups)
     small = {key for one in sized.indistinct for key in one.keys}
     comparison = replace(
@@ -387,7 +402,8 @@ def _cause(sized: SizedCauses, k: int, calibration: Calibration) -> Cause:
             "; the readings do not determine its centre of mass: the most likely one within ±{range:g} mm is taken",
             range=CENTRE_RANGE_MM,
         )
-    text += equal_orders(candidates, sized.forms, form) + lag_not_excluded(candidates, form, others) + doubt
+    text += equal_orders(candidates, sized.forms, form) + lag_not_excluded(candidates, form, others)
+    text += where_measured(candidates, sized.forms, form) + doubt
     if sized.temperatures[k]:
         text += Message(
             "; a smooth function of the temperature of {sensor}, not in proportion to it, fits as well: until it is measured in "

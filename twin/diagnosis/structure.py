@@ -191,13 +191,16 @@ def _replaces(other: Structure, forms: Sequence[Form]) -> bool:
     if len(other.forms) <= len(forms) - CAUSES_PER_PATTERN:
         return True
     likelihood, kept = other.likelihood, {form.key for form in other.forms}
+    lost = [form for form in forms if form.key not in kept]
     return (
         likelihood is not None
         and len(other.pattern_tests) == 1
+        # Two curves of one axis are less than any function of that axis.
+        and (len(other.pattern_tests[0].pattern.names) > 1 or any(form.candidate.space is None for form in lost))
         # A function of an axis and its approach direction is a reversal with an error of position: two errors of any axis.
         and not any(channel.direction for channel in other.pattern_tests[0].pattern.channels)
         and len(other.forms) <= len(forms) - PARTS_PER_PATTERN
-        and all(likelihood.can_imitate(form)[0] for form in forms if form.key not in kept)
+        and all(likelihood.can_imitate(form)[0] for form in lost)
     )
 
 

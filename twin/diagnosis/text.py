@@ -47,9 +47,7 @@ PARAMETERS: Final[Mapping[str, Message]] = {
 }
 """Names in words of the parameters that most causes have."""
 MOST_READINGS: Final = 1000.0  # number of readings at one position above which the measurement is not suggested
-MOST_IN_ONE_COURSE: Final = (
-    30.0  # the same, where another course of time and temperatures separates the causes without any
-)
+MOST_IN_ONE_COURSE: Final = 30.0  # the same, where another course of time and temperatures separates them
 
 
 def micrometres(value: float) -> str:
@@ -58,7 +56,7 @@ def micrometres(value: float) -> str:
 
 
 def kind(effect: str) -> Kind:
-    """Return whether the cause is an error of the machine, of the calibration file or of the instrument."""
+    """Return whether it is an error of the machine, of the calibration file or of the instrument."""
     return SPECIFICATIONS[effect].kind
 
 
@@ -145,71 +143,83 @@ def measured(value: float, u: float, unit: str) -> str:
     return Number(f"{round(value, decimals) + 0.0:.{decimals}f} ± {half:.{decimals}f}{sign}".replace("-", "−"))
 
 
+Row = tuple[str, str, str, str, str]
+"""Position, approach directions, target, station, and the difference between two predictions."""
+
+
 @final
 @dataclass(frozen=True)
 class SeparatingPoints:
-    """Two confounded causes and the points whose measurement separates them."""
+    """A cause, those it is confounded with, and the points whose measurement separates them."""
 
     names: tuple[str, str]  # in words with their symbols
-    # position, approach directions, target, station, and the difference between the two predictions
-    rows: tuple[tuple[str, str, str, str, str], ...]
+    rows: tuple[Row, ...]
     verdict: str  # whether and how they can be separated
 
 
+def compared(diagnosis: DiagnosisResult) -> list[SeparatingPoints]:
+    """Return the causes to separate; none if no position separates any: what to do has said so (`_when_ambiguous`)."""
+    pairs = separating_points(diagnosis.next_measurement, diagnosis.expected_rms_um)
+    return pairs if diagnosis.verdict != "ambiguous" or any(pair.rows for pair in pairs) else []
+
+
 def separating_points(wanted: Iterable[Mapping[str, Any]], sigma_um: float) -> list[SeparatingPoints]:
-    """Return the points of `Diagnosis.next_measurement` by the pair of causes they separate; ``sigma_um`` is the noise's."""
+    """Return the points of `Diagnosis.next_measurement` by the causes that they, or the same words, separate; ``sigma_um``: noise."""
     by_pair: dict[tuple[str, str], list[Mapping[str, Any]]] = {}
     for entry in wanted:
         if "separates" in entry:
             a, b = (str(name) for name in entry["separates"])
             by_pair.setdefault((a, b), []).append(entry)
-    separating_points = []
+    best = {pair: max(float(p.get("expected_chi2", 0.0)) for p in points) for pair, points in by_pair.items()}
+    nowhere = {pair: chi2 for pair, chi2 in best.items() if RULED_OUT_CHI2 > MOST_READINGS * chi2}
+    least = RULED_OUT_CHI2 / MOST_IN_ONE_COURSE
+    in_course = {pair: chi2 for pair, chi2 in best.items() if chi2 < least and _courses_decide(*pair)}
+    separated: dict[tuple[str, str, tuple[Row, ...]], list[str]] = {}
     for pair, points in by_pair.items():
-        keys = [(effect, where) for effect, _, where in (name.partition(" ") for name in pair)]
-        a, b = (named(*key) for key in keys)
-        with_pose = [point for point in points if "pose" in point]
-        best, rows = max((float(point["expected_chi2"]) for point in with_pose), default=0.0), []
-        if not with_pose:
+        rows: tuple[Row, ...] = ()
+        if "pose" not in points[0]:
             text = capital(points[0]["decided_by"]) + "."
-        elif RULED_OUT_CHI2 > MOST_IN_ONE_COURSE * best and _courses_decide(*keys):
+        elif pair in in_course:
             text = Message(
                 "No position separates them in the course of time and temperatures that was measured: their "
                 "predictions differ by at most {best:.1g} µm. Measure again in another course (after a pause, or "
                 "while the machine cools). Until then compensate only for work in the same course.",
-                best=best**0.5 * sigma_um,
+                best=max(in_course.values()) ** 0.5 * sigma_um,
             )
-        elif RULED_OUT_CHI2 > MOST_READINGS * best:
+        elif pair in nowhere:
             text = Message(
                 "No position that was tried separates them: their predictions differ by at most {best:.1g} µm. "
                 "Either can be used for compensation.",
-                best=best**0.5 * sigma_um,
+                best=max(nowhere.values()) ** 0.5 * sigma_um,
             )
         else:
-            for point in with_pose:
-                pose = " ".join(f"{axis}{value:g}" for axis, value in point["pose"].items())
-                sides = " ".join(f"{axis}{'+' if sign > 0 else '−'}" for axis, sign in point["approach"].items())
-                difference = Number(f"{float(point['expected_chi2']) ** 0.5 * sigma_um:.2g} µm")
-                rows.append((pose, sides, str(point["target"]), str(point["station"]), difference))
-            many = max(ceil(RULED_OUT_CHI2 / best), 1)
-            readings = (
-                Message("one reading is enough")
-                if many == 1
-                else Message("about {many} readings are enough", many=many)
-            )
-            text = Message(
-                "Their predictions differ most at these positions; at the first, {readings}.", readings=readings
-            )
-            if not any(name.startswith("misplaced") for name in pair):
-                plan = f'twin plan -o plan.csv --separate "{pair[0]}" "{pair[1]}" --after <this table>'
-                text += Message(" For a complete plan with new station positions: {plan}.", plan=plan)
-        separating_points.append(SeparatingPoints((a, b), tuple(rows), text))
-    return separating_points
+            rows, text = tuple(_row(point, sigma_um) for point in points), _most_different(pair, best[pair])
+        separated.setdefault((named(*pair[0].partition(" ")[::2]), text, rows), []).append(
+            named(*pair[1].partition(" ")[::2])
+        )
+    return [SeparatingPoints((a, either(names)), rows, text) for (a, text, rows), names in separated.items()]
 
 
-def _courses_decide(*keys: tuple[str, str]) -> bool:
+def _row(point: Mapping[str, Any], sigma_um: float) -> Row:
+    pose = " ".join(f"{axis}{value:g}" for axis, value in point["pose"].items())
+    sides = " ".join(f"{axis}{'+' if sign > 0 else '−'}" for axis, sign in point["approach"].items())
+    difference = Number(f"{float(point['expected_chi2']) ** 0.5 * sigma_um:.2g} µm")
+    return pose, sides, str(point["target"]), str(point["station"]), difference
+
+
+def _most_different(pair: tuple[str, str], best: float) -> str:
+    many = Message("about {many} readings are enough", many=ceil(RULED_OUT_CHI2 / best))
+    readings = many if best < RULED_OUT_CHI2 else Message("one reading is enough")
+    text = Message("Their predictions differ most at these positions; at the first, {readings}.", readings=readings)
+    plan = f'twin plan -o plan.csv --separate "{pair[0]}" "{pair[1]}" --after <this table>'
+    complete = Message(" For a complete plan with new station positions: {plan}.", plan=plan)
+    return text if any(name.startswith("misplaced") for name in pair) else text + complete
+
+
+def _courses_decide(*symbols: str) -> bool:
     """Return whether two causes follow different quantities: time, temperatures, speed, or none."""
     follow = []
-    for effect, where in keys:
+    for effect, _, where in (name.partition(" ") for name in symbols):
         specification = SPECIFICATIONS.get(effect)
         changes = specification is not None and specification.varies == "with time"
         follow.append((changes, set(specification.channels(where)) if specification is not None and changes else set()))

@@ -200,28 +200,28 @@ def shrunk_start(network: Network, start: RobustStart) -> ShrunkStart:
     machine = len(unknowns)
     noise = _noise(solution, readings)
     free = solution.free
+    inside = free[:machine, : free.shape[1] - len(solution.setup)]
     triangle = solution.triangle[:, :-1] * solution.spectrum.scale / noise
-    normal = free.T @ (triangle.T @ triangle) @ free
     here = np.concatenate([solution.theta / unknowns.plausible, np.zeros(len(solution.setup))])
-    right = free.T @ (triangle.T @ (solution.triangle[:, -1] / noise + triangle @ here))
+    normal, right = _normal_equations(triangle, solution.triangle[:, -1] / noise + triangle @ here, inside)
     groups = _tied_curves(unknowns, free)
-    precision, variance = np.full(len(here), FREE), np.zeros(len(here))
+    precision, variance = np.full(len(here), FREE), np.zeros(machine)
     for group in groups:
         precision[group.columns] = 1.0 / SIZES[len(SIZES) // 2] ** 2
     share_of_size = np.full(len(SIZES), 1.0 / len(SIZES))
     for _ in range(ITERATIONS):
-        spread = np.linalg.inv(normal + free.T @ (precision[:, None] * free))
-        mean = free @ (spread @ right)
+        spread = np.linalg.inv(normal + inside.T @ (precision[:machine, None] * inside))
+        mean = inside @ (spread @ right)
         # One curve's worth of equal shares is added: a size that no curve has so far remains possible.
         shares = np.full(len(SIZES), 1.0 / len(SIZES))
         for group in groups:
             columns = group.columns
-            covariance = free[columns] @ spread @ free[columns].T
+            covariance = inside[columns] @ spread @ inside[columns].T
             mixture = mixed_prior(mean[columns], covariance, precision[columns], share_of_size, group)
             precision[columns], variance[columns] = mixture.precision, mixture.variance
             shares += mixture.share_of_size
         share_of_size = shares / shares.sum()
-    variance, unit = variance[:machine], unknowns.plausible**2
+    unit = unknowns.plausible**2
     # Only curves have priors, and these have a variance.
     priors = Priors(np.where(variance > 0.0, precision[:machine] / unit * noise**2, 0.0), variance * unit / noise**2)
     # A step of orthogonal transformations: normal equations would lose half of the digits.
@@ -233,6 +233,22 @@ def shrunk_start(network: Network, start: RobustStart) -> ShrunkStart:
     )
     step *= solution.spectrum.scale
     return ShrunkStart(priors, solution.theta + step[:machine], solution.setup.moved(step[machine:]))
+
+
+def _normal_equations(triangle: np.ndarray, right: np.ndarray, inside: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the normal matrix (f, f) and right side (f,) of the machine's unknowns, the set-up eliminated.
+
+    By orthogonal transformations: where only the sum of a station's and a target's place is determined, normal equations of all
+    unknowns have no digit left for the machine's (`twin.identification.orders`).
+
+    ``triangle``: (k, p) derivatives by machine and set-up; ``right``: (k,); ``inside``: (m, f) directions that fulfil all conditions.
+    """
+    machine = len(inside)
+    setup = triangle.shape[1] - machine
+    rows = np.column_stack([triangle[:, machine:], triangle[:, :machine] @ inside, right])
+    prior = np.sqrt(FREE) * np.eye(setup, rows.shape[1])
+    left = np.asarray(np.linalg.qr(np.concatenate([rows, prior]), mode="r"))[setup:, setup:]
+    return left[:, :-1].T @ left[:, :-1], left[:, :-1].T @ left[:, -1]
 
 
 def _noise(solution: FitSolution, readings: int) -> float:

@@ -28,6 +28,10 @@ STATION_PLAUSIBLE: Final = 10.0
 """Prior standard deviation of a station's position, m."""
 TURN_PLAUSIBLE: Final = 1.0
 """Prior standard deviation of a station's rotation about its initial value, rad."""
+LEVEL_PLAUSIBLE: Final = 1e-3
+"""The same of a turn that no reading shows (`StationsAndTargets.level`), rad: 0.5 ppm of a length, 1 µrad of a right angle."""
+IN_PLANE_M: Final = 1e-4
+"""Largest distance from a plane, m, at which points are in it: times such a turn 0.1 µm."""
 
 
 class Slot(NamedTuple):
@@ -53,6 +57,8 @@ class StationsAndTargets:
         place: (targets, 3) on their carriers.
         station_known, target_known: whether the table gives the pose or place.
         lines: (targets,) whether a target is a line of 1 m that turns with a level; its unknowns are x and y of its end.
+        level: (stations, 3) turns out of a plane that the readings are in, where the coordinate across it was not read. They show to
+            second order only: two of them as a squareness, one as a scale. The plane is taken to be that of the points.
         shift: (unknowns,) change of each parameter by `moved` since its initial value, metres and radians; None for zero.
     """
 
@@ -66,6 +72,7 @@ class StationsAndTargets:
     target_known: np.ndarray
     reads: tuple[InstrumentSpecification, ...]
     lines: np.ndarray
+    level: np.ndarray
     shift: np.ndarray | None = None
 
     @classmethod
@@ -83,7 +90,8 @@ class StationsAndTargets:
         reads = tuple(instruments.by_station[name].specification for name in stations)
         lines = np.isin(targets, data.target[of_angles(data)].astype(str))
         place[lines & ~target_known] = VERTICAL_M
-        return cls(stations, rotation, origin, dead, targets, place, station_known, target_known, reads, lines)
+        level = np.zeros((len(stations), 3), dtype=bool)
+        return cls(stations, rotation, origin, dead, targets, place, station_known, target_known, reads, lines, level)
 
     def of(self, data: Measurements) -> StationsAndTargets:
         """Return the stations and targets of other data, with the values of this set-up.
@@ -103,6 +111,7 @@ class StationsAndTargets:
             dead=self.dead[stations],
             reads=tuple(self.reads[i] for i in stations),
             lines=self.lines[targets],
+            level=self.level[stations],
             targets=tuple(named[1]),
             place=self.place[targets],
             station_known=self.station_known[stations],
@@ -159,10 +168,14 @@ class StationsAndTargets:
         """Prior standard deviation of each unknown parameter, (unknowns,), metres and radians."""
         # The factor allows for a common shift of all targets of that size.
         place = PLACE_PLAUSIBLE * float(np.sqrt(max(int(np.count_nonzero(~self.target_known)), 1)))
-        kinds = {"place": place, "turn": TURN_PLAUSIBLE}
-        return np.array(
+        kinds = {"place": place}
+        plausible = np.array(
             [kinds.get(kind, STATION_PLAUSIBLE) for kind, _, at in self.slots for _ in range(at.stop - at.start)]
         )
+        for kind, i, at in self.slots:
+            if kind == "turn":
+                plausible[at] = np.where(self.level[i], LEVEL_PLAUSIBLE, TURN_PLAUSIBLE)
+        return plausible
 
     def moved(self, step: np.ndarray) -> StationsAndTargets:
         """Return the set-up after a step; rotations are rotation vectors in the station's own frame."""
@@ -271,7 +284,7 @@ def _by_kind(
     setup: StationsAndTargets,
     kinds: np.ndarray,
 ) -> tuple[StationsAndTargets, np.ndarray]:
-    rotation, origin = np.array(setup.rotation), np.array(setup.origin)
+    rotation, origin, level = np.array(setup.rotation), np.array(setup.origin), np.array(setup.level)
     dead, place = np.array(setup.dead), np.array(setup.place)
     miss, placed = np.zeros(len(data)), set()
     for kind in ("point", "length", "angle"):
@@ -281,12 +294,12 @@ def _by_kind(
         rows = np.flatnonzero(np.isin(data.station.astype(str), names))
         of_kind, miss[rows] = initial_setup(data.select(rows), instruments, carried.select(rows))
         at = [setup.stations.index(name) for name in of_kind.stations]
-        rotation[at], origin[at], dead[at] = of_kind.rotation, of_kind.origin, of_kind.dead
+        rotation[at], origin[at], dead[at], level[at] = of_kind.rotation, of_kind.origin, of_kind.dead, of_kind.level
         for target, name in enumerate(of_kind.targets):
             if name not in placed:
                 place[setup.targets.index(name)] = of_kind.place[target]
                 placed.add(name)
-    return replace(setup, rotation=rotation, origin=origin, dead=dead, place=place), miss
+    return replace(setup, rotation=rotation, origin=origin, dead=dead, place=place, level=level), miss
 
 
 def _by_angles(
@@ -438,7 +451,22 @@ def _by_points(
     equations = _Equations(setup, np.where(whole[:, None], point, 0.0) * MM, whole, carried, station, target)
     estimate, weight = equations.solve()
     rotation = _nearest_rotations(setup, estimate, data, station, mirrored=mirrored)
-    return equations.with_fitted_rotations(rotation, weight)
+    fitted, misfit = equations.with_fitted_rotations(rotation, weight)
+    return replace(fitted, level=_level(fitted, carried, data, station, target)), misfit
+
+
+def _level(
+    setup: StationsAndTargets, carried: CarriedTargets, data: Measurements, station: np.ndarray, target: np.ndarray
+) -> np.ndarray:
+    """Return (stations, 3) the turns out of the plane of a station that reads two coordinates of points in one plane."""
+    level, points = np.zeros((len(setup.stations), 3), dtype=bool), carried.at(setup.place[target])
+    for i in np.flatnonzero(~setup.station_known):
+        of = station == i
+        unread = ~np.isfinite(data.point_mm[of]).any(axis=0)
+        if np.count_nonzero(unread) == 1:
+            across = points[of] @ setup.rotation[i][:, unread]
+            level[i] = ~unread & bool(np.ptp(across) < IN_PLANE_M)
+    return level
 
 
 def _nearest_rotations(
