@@ -175,12 +175,12 @@ class Problem:
         keep[self.held_out] = False
         residual = self.residual.reshape(-1, 3)
 
-        def with_residual(block: PointBlock) -> np.ndarray:
-            return side_by_side(own.at(block), residual[block.rows, :, None])
+        def vectors(block: PointBlock) -> np.ndarray:
+            return side_by_side(own.at(block), self.nuisances.raw(block), residual[block.rows, :, None])
 
         points = None if keep.all() else np.flatnonzero(keep)
-        whole, by_nuisance = own.along(with_residual, points)[0], self.nuisances.along_signatures(own, points)
-        raw, slope = whole[:, :-1], whole[:, -1]
+        along = own.along(vectors, points)[0]
+        raw, by_nuisance, slope = along[:, : len(columns)], along[:, len(columns) : -1].T, along[:, -1]
         basis = self.nuisances.from_raw(by_nuisance)
         within = self.root.T @ basis
         gram, left = raw - within.T @ within, slope - within.T @ (self.root.T @ self.residual_on_basis)
@@ -285,6 +285,7 @@ class Products:
         self._beside: dict[Column, np.ndarray] = {}
         self._some_beside: dict[tuple[Column, ...], tuple[np.ndarray, np.ndarray]] = {}
         self._latest = np.zeros(0, dtype=int), np.zeros((len(self._residual), 0))
+        self._residual_along: dict[tuple[Column, ...], np.ndarray] = {}
         self._within = self.signatures.within(groups, points)
         self._by_raw, self._by_residual = self._with_problem(points)
         # (parts, all) for each requested column.
@@ -336,7 +337,7 @@ class Products:
     def _forget(self) -> None:
         """Start without cached inner products."""
         self._cross, self._changed, self._beside, self._some_beside = [], self._changed[:0], {}, {}
-        self._latest = self._latest[0][:0], self._latest[1][:, :0]
+        self._latest, self._residual_along = (self._latest[0][:0], self._latest[1][:, :0]), {}
         self._row = np.full_like(self._row, -1)
 
     def on_basis(self, root: np.ndarray) -> np.ndarray:
@@ -363,6 +364,7 @@ class Products:
             kept = self._kept(residual)
             self._by_residual = self.signatures.along(lambda block: kept[block.rows])[:, :, 0]
             self.by_residual = self._by_residual.sum(axis=0)
+            self._residual_along = {}
         self._residual = residual
 
     def cross(self, columns: np.ndarray) -> np.ndarray:
@@ -473,7 +475,9 @@ class Products:
                 other = slice(ends[k], ends[k + 1])
                 gram[at, other], gram[other, at] = block, block.T
             by_nuisance[:, at] = raw.T
-            by_residual[at] = Signatures(view, own).along(lambda block: residual[block.rows])[0, :, 0]
+            if own not in self._residual_along:
+                self._residual_along[own] = Signatures(view, own).along(lambda block: residual[block.rows])[0, :, 0]
+            by_residual[at] = self._residual_along[own]
         return gram, by_nuisance, by_residual
 
     def _parts_among(
