@@ -406,7 +406,7 @@ def alone(searcher: Searcher, key: Key, signature: np.ndarray) -> bool:
         key=lambda one: explained[one.index] - candidates.critical_value(one, float(dof[one.index])),
     )
     only = Structure((form,), problem)
-    found = Findings(replace(searcher.task, problem=problem), (), candidates, candidates, only, candidates)
+    found = Findings(replace(searcher.task, problem=problem), (), candidates, only, candidates)
     return not equivalent(found, form, []) and not together(candidates, form, [])
 
 

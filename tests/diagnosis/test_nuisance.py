@@ -133,8 +133,12 @@ def test_inner_products_with_other_columns_on_a_part(searched: Searcher, which: 
     other = problem.signature(columns)[rows]
     chosen = np.arange(0, len(products.columns), 401)
     whole = problem.signature([products.columns[i] for i in chosen])[rows]
-    close(part.with_columns(columns)[:, chosen], other.T @ whole)
-    gram, by_nuisance, slope = part.among(columns)
+    groups = [tuple(columns[:2]), tuple(columns[2:])]
+    for some in (chosen[:2], chosen):
+        close(part.with_groups(groups, some), other.T @ whole[:, : len(some)])
+    close(part.with_groups(groups, None)[:, chosen], other.T @ whole)
+    close(part.with_groups(groups, chosen), other.T @ whole)
+    gram, by_nuisance, slope = part.among(groups)
     close(gram, other.T @ other)
     close(problem.nuisances.from_raw(by_nuisance), basis_of(problem)[rows].T @ other)
     close(slope, other.T @ problem.residual[rows])

@@ -398,12 +398,15 @@ class Candidates:
         """Return the critical value (forms,) of every form at its degrees of freedom."""
         return np.asarray(self._critical[np.arange(len(dof)), dof])
 
-    def along(self, columns: Sequence[Column], basis: np.ndarray) -> np.ndarray:
-        """Return the projected inner products (columns, all) of any columns with those of the forms.
+    def along(
+        self, groups: Sequence[tuple[Column, ...]], basis: np.ndarray, which: np.ndarray | None = None
+    ) -> np.ndarray:
+        """Return the projected inner products (k, which) of the k columns of groups with some columns of the forms, or all.
 
-        ``basis``: their inner products (k, columns) with the nuisance basis, made orthonormal on these data (`Problem.root`).
+        ``basis``: their inner products (directions, k) with the nuisance basis, made orthonormal on these data (`Problem.root`).
         """
-        return self.products.with_columns(columns) - basis.T @ self._on_basis
+        on_basis = self._on_basis if which is None else self._on_basis[:, which]
+        return self.products.with_groups(groups, which) - basis.T @ on_basis
 
     def scores(self, forms: Sequence[Form], tried: Sequence[int]) -> np.ndarray:
         """Return (tried, 3) reduction of chi², degrees of freedom and corrected log p of some forms (indices), given others."""

@@ -203,26 +203,29 @@ class Likelihood:
         self.pattern_tests = tuple(pattern_tests)
         self._imitated: dict[int, np.ndarray] = {}
         self._roots: dict[int, tuple[np.ndarray, np.ndarray]] = {}
-        self.columns: list[Column] = []
-        group: list[int] = []
-        for k, pattern_test in enumerate(pattern_tests):
-            # All directions, each with its own variance: a cause may imitate the pattern along a direction other than the clearest.
-            for i in range(3):
-                own = pattern_test.pattern.columns(pattern_test.level, [i])
-                group += [3 * k + i] * len(own)
-                self.columns += own
-        self.group = np.array(group, dtype=int)
-        problem = candidates.problem
-        gram, by_nuisance, slope = candidates.products.among(self.columns)
-        basis = problem.root.T @ problem.nuisances.from_raw(by_nuisance)
-        gram, slope = gram - basis.T @ basis, slope - basis.T @ (problem.root.T @ problem.residual_on_basis)
+        # All directions, each with its own variance: a cause may imitate the pattern along a direction other than the clearest.
+        columns = [test.pattern.columns(test.level, range(3)) for test in pattern_tests]
+        self.columns = [column for own in columns for column in own]
+        self.group = np.repeat(np.arange(3 * len(columns)), [len(own) // 3 for own in columns for _ in range(3)])
+        self._families = [test.pattern.family(test.level) for test in pattern_tests]
+        own = set(self.columns)
+        self._in_families = np.array([column in own for family in self._families for column in family], dtype=bool)
+        problem, at = candidates.problem, self._in_families
+        gram, by_nuisance, slope = candidates.products.among(self._families)
+        self._basis = problem.root.T @ problem.nuisances.from_raw(by_nuisance)
+        gram = (gram - self._basis.T @ self._basis)[np.ix_(at, at)]
+        slope = (slope - self._basis.T @ (problem.root.T @ problem.residual_on_basis))[at]
         size = np.bincount(self.group, np.diag(gram), 3 * len(pattern_tests))
         self._size = np.where(size > UNREAD_SHARE * size.max(initial=0.0), size, 0.0)
         self._rotation, self._own = _orthogonal(gram, self.group, self._size)
         self._gram = self._rotation.T @ gram @ self._rotation
         self._slope = self._rotation.T @ slope
-        self._cross = self._rotation.T @ candidates.along(self.columns, basis)
         self._chi2, self._dof = problem.chi2, max(problem.dof, 1)
+
+    def _along(self, which: np.ndarray | None = None) -> np.ndarray:
+        """Return the projected inner products (k, which) of the rotated columns with some columns of the forms, or all."""
+        along = self.candidates.along(self._families, self._basis, which)
+        return np.asarray(self._rotation.T @ along[self._in_families])
 
     def fit(self, forms: Sequence[Form], start: Model | None = None, without: int | None = None) -> Model:
         """Return the model at the most likely variances for some causes, sought from those of ``start``; ``without`` one pattern."""
@@ -233,9 +236,9 @@ class Likelihood:
         if without is not None:
             variances = np.where(np.arange(len(variances)) // 3 == without, 0.0, variances)
         columns = columns_of(forms)
-        fixed = self.candidates.gram(forms)
+        fixed, cross = self.candidates.gram(forms), self._along(columns)
         for _ in range(STEPS):
-            model, moved = self._at(columns, fixed, variances, variance_factor)
+            model, moved = self._at(columns, fixed, cross, variances, variance_factor)
             with np.errstate(divide="ignore", invalid="ignore"):
                 change = np.abs(np.log(moved / variances))
             followed = variances * self._size > LEAST_NONCENTRALITY
@@ -246,7 +249,7 @@ class Likelihood:
             variances, variance_factor = moved, model.variance_factor
             if settled:
                 break
-        return self._at(columns, fixed, variances, variance_factor)[0]
+        return self._at(columns, fixed, cross, variances, variance_factor)[0]
 
     def _followed(self, variances: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the rotated columns with a relevant variance, their standard deviations, and 1 + D^½ΦᵀMΦD^½ of them."""
@@ -260,11 +263,11 @@ class Likelihood:
         return used, deviation, inner
 
     def _at(
-        self, columns: np.ndarray, fixed: np.ndarray, variances: np.ndarray, variance_factor: float
+        self, columns: np.ndarray, fixed: np.ndarray, cross: np.ndarray, variances: np.ndarray, variance_factor: float
     ) -> tuple[Model, np.ndarray]:
-        """Return the model at given variances, and updated variances."""
+        """Return the model at given variances, and updated variances; ``fixed`` and ``cross`` are inner products of the causes."""
         used, deviation, inner = self._followed(variances)
-        cross = self._cross[np.ix_(used, columns)] * deviation[:, None]
+        cross = cross[used] * deviation[:, None]
         slope = self._slope[used] * deviation
         inverse, log_det = _inverse_factor(inner)
         cross, slope_left = inverse @ cross, inverse @ slope
@@ -296,7 +299,7 @@ class Likelihood:
         """Return the χ² that every form explains given causes and patterns, in units of the noise, and its degrees of freedom."""
         used, deviation, inner = self._followed(model.variances)
         lower = np.linalg.cholesky(inner)
-        cross = scipy.linalg.solve_triangular(lower, self._cross[used] * deviation[:, None], lower=True)
+        cross = scipy.linalg.solve_triangular(lower, self._along()[used] * deviation[:, None], lower=True)
         slope = scipy.linalg.solve_triangular(lower, self._slope[used] * deviation, lower=True)
         explained, dof = self.candidates.scan(forms, (cross, slope))
         return explained / model.variance_factor, dof
@@ -316,11 +319,11 @@ class Likelihood:
             return self._imitated[form.index]
         columns = form.columns
         values = np.ones(1) if len(columns) == 1 else self.candidates.fitted([form])[1]
-        size = float(values @ self.candidates.gram([form]) @ values)
+        size, cross = float(values @ self.candidates.gram([form]) @ values), self._along(columns)
         can_imitate = np.zeros(len(self.pattern_tests))
         for k in range(len(self.pattern_tests)):
             of_pattern, root = self._root_of(k)
-            along = root.T @ (self._cross[np.ix_(of_pattern, columns)] @ values)
+            along = root.T @ (cross[of_pattern] @ values)
             can_imitate[k] = 1.0 if along @ along > IMITATED_SHARE * size else 0.0
         self._imitated[form.index] = can_imitate
         return can_imitate
@@ -341,7 +344,7 @@ class Likelihood:
     def slope_beside(self, forms: Sequence[Form]) -> np.ndarray:
         """Return inner products of the patterns' rotated columns with the residual of the causes, fitted without patterns."""
         columns, values, _ = self.candidates.fitted(forms)
-        return np.asarray(self._slope - self._cross[:, columns] @ values)
+        return np.asarray(self._slope - self._along(columns) @ values)
 
     def slope_with(self, residual: np.ndarray) -> np.ndarray:
         """Return inner products of the patterns' rotated columns with a (3n,) whitened residual, the set-up projected out."""
@@ -388,7 +391,7 @@ class Likelihood:
         if len(columns):
             back = pseudo_inverse(self.candidates.gram(forms))
             signature = problem.signature([self.candidates.products.columns[i] for i in columns])
-            effect -= signature @ (back @ (self._cross[:, columns].T @ model.random))
+            effect -= signature @ (back @ (self._along(columns).T @ model.random))
         return problem.project(effect)
 
     def problem_given(self, model: Model) -> Problem:

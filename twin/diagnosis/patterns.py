@@ -132,6 +132,10 @@ class Pattern:
         chosen = np.flatnonzero(self.order <= level).tolist()
         return [self._columns[i][k] for i in directions for k in chosen]
 
+    def family(self, level: int) -> tuple[Column, ...]:
+        """Return the columns to evaluate for those up to an order: for one column of the table all, since all its levels are tried."""
+        return tuple(self.columns(self.highest if len(self.channels) == 1 else level, range(3)))
+
     @cached_property
     def _columns(self) -> list[list[Column]]:
         """Columns by direction and function: always the same objects, so that their inner products are found again."""

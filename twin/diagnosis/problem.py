@@ -187,12 +187,12 @@ class Problem:
         keep[self.held_out] = False
         residual = self.residual.reshape(-1, 3)
 
-        def with_residual(block: PointBlock) -> np.ndarray:
-            return side_by_side(own.at(block), residual[block.rows, :, None])
+        def vectors(block: PointBlock) -> np.ndarray:
+            return side_by_side(own.at(block), self.nuisances.raw(block), residual[block.rows, :, None])
 
         points = None if keep.all() else np.flatnonzero(keep)
-        whole, by_nuisance = own.along(with_residual, points)[0], self.nuisances.along_signatures(own, points)
-        raw, slope = whole[:, :-1], whole[:, -1]
+        along = own.along(vectors, points)[0]
+        raw, by_nuisance, slope = along[:, : len(columns)], along[:, len(columns) : -1].T, along[:, -1]
         basis = self.nuisances.from_raw(by_nuisance)
         within = self.root.T @ basis
         gram, left = raw - within.T @ within, slope - within.T @ (self.root.T @ self.residual_on_basis)
@@ -295,7 +295,9 @@ class Products:
         # The products these are derived from, the part or the points that these lack, and the factor on them.
         self._parent: tuple[Products, np.ndarray | int | None, float] | None = None
         self._beside: dict[Column, np.ndarray] = {}
-        self._among: dict[tuple[Column, ...], tuple[np.ndarray, np.ndarray]] = {}
+        self._some_beside: dict[tuple[Column, ...], tuple[np.ndarray, np.ndarray]] = {}
+        self._latest = np.zeros(0, dtype=int), np.zeros((len(self._residual), 0))
+        self._residual_along: dict[tuple[Column, ...], np.ndarray] = {}
         self._within = self.signatures.within(groups, points)
         self._by_raw, self._by_residual = self._with_problem(points)
         # (parts, all) for each requested column.
@@ -346,7 +348,8 @@ class Products:
 
     def _forget(self) -> None:
         """Start without cached inner products."""
-        self._cross, self._changed, self._beside, self._among = [], self._changed[:0], {}, {}
+        self._cross, self._changed, self._beside, self._some_beside = [], self._changed[:0], {}, {}
+        self._latest, self._residual_along = (self._latest[0][:0], self._latest[1][:, :0]), {}
         self._row = np.full_like(self._row, -1)
 
     def on_basis(self, root: np.ndarray) -> np.ndarray:
@@ -373,6 +376,7 @@ class Products:
             kept = self._kept(residual)
             self._by_residual = self.signatures.along(lambda block: kept[block.rows])[:, :, 0]
             self.by_residual = self._by_residual.sum(axis=0)
+            self._residual_along = {}
         self._residual = residual
 
     def cross(self, columns: np.ndarray) -> np.ndarray:
@@ -406,6 +410,12 @@ class Products:
             self._cross += [np.ascontiguousarray(found[:, k]) for k in range(len(fresh))]
         return [self._cross[row] for row in self._row[columns].tolist()]
 
+    def with_groups(self, groups: Sequence[tuple[Column, ...]], which: np.ndarray | None) -> np.ndarray:
+        """Return the inner products (k, which) of the k columns of groups of any columns with some (their numbers) or all; cached."""
+        if which is None:
+            return self.with_columns([column for group in groups for column in group])
+        return np.concatenate([self._parts_with_some(group, which).sum(axis=0) for group in groups])
+
     def with_columns(self, columns: Sequence[Column]) -> np.ndarray:
         """Return the inner products (columns, all) of any columns with all; cached."""
         return _stacked([own.sum(axis=0) for own in self._parts_with_columns(columns)], len(self._row))
@@ -429,38 +439,97 @@ class Products:
             self._beside |= {column: np.array(along[:, :, k]) for k, column in enumerate(fresh)}
         return [self._beside[column] for column in columns]
 
-    def among(self, columns: Sequence[Column]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the inner products (k, k) of any k columns, (raw, k) with the nuisance derivatives and (k,) with the residual.
-
-        Those that depend on the columns alone are cached.
-        """
-        signatures, residual = Signatures(self._problem.view, columns), self._kept(self._residual)
-        gram, by_nuisance = (own.sum(axis=0) for own in self._parts_among(tuple(columns)))
-        return gram, by_nuisance, signatures.along(lambda block: residual[block.rows])[0, :, 0]
-
-    def _parts_among(self, columns: tuple[Column, ...]) -> tuple[np.ndarray, np.ndarray]:
-        """Return the inner products by part (parts, k, k) and (parts, raw, k); a single part where points are held out."""
+    def _parts_with_some(self, columns: tuple[Column, ...], which: np.ndarray) -> np.ndarray:
+        """Return the inner products by part (parts, columns, which); a single part where points are held out."""
         if self._parent is not None and self._parent[1] is not None:
             whole, gone, _ = self._parent
-            every = whole._parts_among(columns)
-            if isinstance(gone, int):
-                lost = [own[gone] for own in every]
-            else:
-                lost = [own[0] for own in whole._evaluated_among(columns, gone)]
-            return every[0].sum(axis=0)[None] - lost[0], every[1].sum(axis=0)[None] - lost[1]
-        if columns not in self._among:
-            self._among[columns] = self._evaluated_among(columns, None)
-        return self._among[columns]
+            every = whole._parts_with_some(columns, which)
+            lost = every[gone] if isinstance(gone, int) else self._evaluated_with_some(columns, which, gone)[0]
+            return np.asarray(every.sum(axis=0) - lost)[None]
+        if all(column in self._beside for column in columns):
+            return np.stack([self._beside[column][:, which] for column in columns], axis=1)
+        known, found = self._some_beside.get(columns, (which[:0], None))
+        fresh = np.setdiff1d(which, known)
+        if found is None or len(fresh):
+            made = self._evaluated_with_some(columns, fresh, None)
+            known, found = np.append(known, fresh), made if found is None else np.concatenate([found, made], axis=2)
+            self._some_beside[columns] = known, found
+        order = np.argsort(known)
+        return np.asarray(found[:, :, order[np.searchsorted(known, which, sorter=order)]])
 
-    def _evaluated_among(self, columns: Sequence[Column], points: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
-        """Return what `_parts_among` does, over all points by part or over some as one part."""
+    def _evaluated_with_some(
+        self, columns: Sequence[Column], which: np.ndarray, points: np.ndarray | None
+    ) -> np.ndarray:
+        """Return what `_parts_with_some` does, over all points by part or over some as one part.
+
+        The signatures of the latest numbers are kept: several patterns are tested beside the same causes.
+        """
+        if not np.isin(which, self._latest[0]).all():
+            self._latest = np.unique(which), self._problem.signature([self.columns[i] for i in np.unique(which)])
+        vectors = self._latest[1][:, np.searchsorted(self._latest[0], which)]
         own = Signatures(self._problem.view, columns, self._parts)
+        at_points = vectors.reshape(len(vectors) // 3, 3, len(which))
+        return own.along(lambda block: at_points[block.rows], points)
 
-        def vectors(block: PointBlock) -> np.ndarray:
-            return side_by_side(own.at(block), self._problem.nuisances.raw(block))
+    def among(self, groups: Sequence[tuple[Column, ...]]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the inner products (k, k) of the k columns of groups, (raw, k) with the nuisance derivatives, (k,) with the residual.
 
-        gram, by_nuisance = np.split(own.along(vectors, points), [len(columns)], axis=2)
-        return gram, by_nuisance.transpose(0, 2, 1)
+        Those of a group with another and with the nuisance derivatives are kept with the problem.
+        """
+        view, residual = self._problem.view, self._kept(self._residual)
+        ends = np.cumsum([0, *map(len, groups)])
+        gram, by_nuisance = np.zeros((ends[-1], ends[-1])), np.zeros((self._problem.nuisances.raw_count, ends[-1]))
+        by_residual = np.zeros(ends[-1])
+        for i, own in enumerate(groups):
+            at = slice(ends[i], ends[i + 1])
+            *inner, raw = (parts.sum(axis=0) for parts in self._parts_among(own, [*groups[: i + 1], None]))
+            for k, block in enumerate(inner):
+                other = slice(ends[k], ends[k + 1])
+                gram[at, other], gram[other, at] = block, block.T
+            by_nuisance[:, at] = raw.T
+            if own not in self._residual_along:
+                self._residual_along[own] = Signatures(view, own).along(lambda block: residual[block.rows])[0, :, 0]
+            by_residual[at] = self._residual_along[own]
+        return gram, by_nuisance, by_residual
+
+    def _parts_among(
+        self, own: tuple[Column, ...], others: Sequence[tuple[Column, ...] | None]
+    ) -> Sequence[np.ndarray]:
+        """Return the inner products by part (parts, own, other) of a group with others, or with the nuisance derivatives (None).
+
+        A single part where points are held out.
+        """
+        if self._parent is not None and self._parent[1] is not None:
+            whole, gone, _ = self._parent
+            every = whole._parts_among(own, others)
+            if isinstance(gone, int):
+                lost = [parts[gone] for parts in every]
+            else:
+                lost = [parts[0] for parts in whole._evaluated_among(own, others, gone)]
+            return [(parts.sum(axis=0) - less)[None] for parts, less in zip(every, lost, strict=True)]
+        known, parts = self._problem.nuisances.known, None if self._parts is None else self._parts.tobytes()
+        fresh = [other for other in others if ("among", parts, own, other) not in known]
+        if fresh:
+            for other, found in zip(fresh, self._evaluated_among(own, fresh, None), strict=True):
+                known["among", parts, own, other] = found
+        return [known["among", parts, own, other] for other in others]
+
+    def _evaluated_among(
+        self, own: tuple[Column, ...], others: Sequence[tuple[Column, ...] | None], points: np.ndarray | None
+    ) -> Sequence[np.ndarray]:
+        """Return what `_parts_among` does, over all points by part or over some as one part."""
+        nuisances, signatures = self._problem.nuisances, Signatures(self._problem.view, own, self._parts)
+        vectors = [
+            nuisances.raw
+            if other is None
+            else signatures.at
+            if other is own
+            else Signatures(self._problem.view, other).at
+            for other in others
+        ]
+        along = signatures.along(lambda block: side_by_side(*(of(block) for of in vectors)), points)
+        widths = [nuisances.raw_count if other is None else len(other) for other in others]
+        return np.split(along, np.cumsum(widths)[:-1], axis=2)
 
     def _kept(self, residual: np.ndarray) -> np.ndarray:
         """Return a residual as (n, 3, 1), zero at the points that are left out."""
@@ -488,7 +557,7 @@ class Products:
         )
         self.within[kind][k] = new.raw
         # Products with the other columns are updated in the next pass.
-        self._beside = {}
+        self._beside, self._some_beside, self._latest = {}, {}, (self._latest[0][:0], self._latest[1][:, :0])
         self._row[at] = -1
         self._changed = np.union1d(self._changed, at)
 

@@ -113,7 +113,6 @@ class Findings:
     task: DiagnosisTask
     patterns: Sequence[Pattern]  # those tested
     candidates: Candidates  # with the set-up projected out
-    given_patterns: Candidates  # with the patterns found projected out as well
     structure: Structure  # the selected causes and patterns
     by_noise: Candidates  # evaluated with the weights of the noise alone, as the first search left them
     refuted: tuple[Form, ...] = ()  # causes that fit the readings but do not predict held-out ones
@@ -122,6 +121,11 @@ class Findings:
     def problem(self) -> Problem:
         """Return the problem without outliers, whitened by noise and discrepancy."""
         return self.task.problem
+
+    @cached_property
+    def given_patterns(self) -> Candidates:
+        """The candidates with the patterns found projected out as well."""
+        return self.candidates.for_problem(self.structure.problem) if self.structure.pattern_tests else self.candidates
 
     @cached_property
     def second_opinion(self) -> tuple[SingleEffect, ...]:
@@ -544,11 +548,9 @@ def _with_alternatives(found: Findings, further: Candidates) -> Findings:
         rejected=same(structure.rejected),
         impossible=same(structure.impossible),
     )
-    given = candidates.for_problem(structure.problem) if structure.pattern_tests else candidates
     return replace(
         found,
         candidates=candidates,
-        given_patterns=given,
         structure=structure,
         by_noise=candidates,
         refuted=same(found.refuted),
@@ -629,8 +631,7 @@ def search(task: DiagnosisTask, candidates: Candidates, tried: Sequence[Pattern]
     if candidates.has_imitating_waves(structure.forms):
         candidates.exclude_forms([form for form in candidates.forms if candidates.is_short_wave(form)])
         structure, refuted = _predicting(candidates, tried)
-    given_patterns = candidates.for_problem(structure.problem) if structure.pattern_tests else candidates
-    return Findings(task, tried, candidates, given_patterns, structure, candidates, refuted)
+    return Findings(task, tried, candidates, structure, candidates, refuted)
 
 
 def _predicting(candidates: Candidates, tried: Sequence[Pattern]) -> tuple[Structure, tuple[Form, ...]]:
