@@ -532,7 +532,7 @@ def _reference(axis: str, machine: Machine) -> str:
     )
 
 
-def unknown_reference(solution: FitSolution, unknowns: Unknowns) -> list[str]:
+def unknown_reference(solution: FitSolution, unknowns: Unknowns) -> list[Message]:
     """Return a notice of the errors that refer to a point of the targets' carrier which the set-up does not determine."""
     if solution.spectrum.null_space.shape[1] == 0:
         return []
@@ -546,10 +546,14 @@ def unknown_reference(solution: FitSolution, unknowns: Unknowns) -> list[str]:
     )
     if not names:
         return []
-    places = " and ".join(dict.fromkeys(read.set_up.target_place for read in solution.setup.reads))
+    places = joined(", ", list(dict.fromkeys(read.set_up.target_place for read in solution.setup.reads)))
     return [
-        f"{', '.join(names)} refer to a point of the targets' carrier whose distance from the machine's own origin is not known; "
-        f"their uncertainty includes 0.2 m for it. Enter {places} to reduce it"
+        Message(
+            "{names} refer to a point of the targets' carrier whose distance from the machine's own origin is not "
+            "known; their uncertainty includes 0.2 m for it. Enter {places} to reduce it",
+            names=", ".join(names),
+            places=places,
+        )
     ]
 
 

@@ -30,6 +30,7 @@ from scipy.linalg import block_diag
 from twin._common.arrays import read_only
 from twin._common.errors import InputError
 from twin._common.files import read_text
+from twin._common.messages import Message
 from twin._common.units import MM, UM, count_with_noun
 from twin._common.xml_files import Element, parse_xml
 from twin._common.yaml_files import MAX_VALUE
@@ -148,27 +149,37 @@ class Artefact(Result):
         return _loaded(Path(path), tuple(dict.fromkeys(targets)))
 
     @property
-    def brief(self) -> str:
+    def brief(self) -> Message:
         """The certificate and what is used of it, in one line."""
-        what = count_with_noun(len(self.pairs), "distance") if len(self.pairs) else "coordinates"
+        what = Message("{count} distances", count=len(self.pairs)) if len(self.pairs) else Message("coordinates")
         correlation = (
-            "with the covariance that it states"
+            Message("with the covariance that it states")
             if self.enlarged == 1
-            else f"it states no correlation, so its variances are multiplied by {self.enlarged}, which covers any correlation"
+            else Message(
+                "it states no correlation, so its variances are multiplied by {factor}, which covers any correlation",
+                factor=self.enlarged,
+            )
         )
-        return (
-            f"certificate {self.number} ({self.item}): {what} of {count_with_noun(len(self.targets), 'target')} known, {correlation}; "
-            f"{self._temperature_text}"
+        return Message(
+            "certificate {number} ({item}): {what} of {count} targets known, {correlation}; {temperature}",
+            number=self.number,
+            item=self.item,
+            what=what,
+            count=len(self.targets),
+            correlation=correlation,
+            temperature=self._temperature_text,
         )
 
     @property
-    def _temperature_text(self) -> str:
+    def _temperature_text(self) -> Message:
         if self.temperature_degC == REFERENCE_DEGC or self.expansion is None:
-            return "its values are used as stated, without thermal expansion of the artefact"
+            return Message("its values are used as stated, without thermal expansion of the artefact")
         alpha, u = (1e6 * value for value in self.expansion)
-        return (
-            f"its values are those at {self.temperature_degC:.4g} °C, by its coefficient of thermal expansion of {alpha:.3g} µm/(m·K), "
-            f"u {u:.2g}"
+        return Message(
+            "its values are those at {temperature:.4g} °C, by its coefficient of thermal expansion of {alpha:.3g} µm/(m·K), u {u:.2g}",
+            temperature=self.temperature_degC,
+            alpha=alpha,
+            u=u,
         )
 
     def at(self, temperature_degC: float, u_K: float = TEMPERATURE_U_K) -> Artefact:

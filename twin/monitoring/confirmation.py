@@ -71,7 +71,7 @@ UNSEEN: Final = 0.01
 """Share of the prior variance from which the readings do not determine a change."""
 CARRIED: Final = 0.1
 FUNCTIONS: Final = 6  # of each error motion, where no calibration is given
-ACTIVE: Final = (
+ACTIVE: Final = Message(
     "kinematics act in tool centre point mode only: measure AFTER with the transformation active, at the programmed points for which "
     "the nominal kinematics give the axis positions of the table"
 )
@@ -142,7 +142,10 @@ def confirm(
             notices.append(ACTIVE)
         if calibration is not None and not known:
             notices.append(
-                "the calibration gives no uncertainty: its errors are uncertain by their plausible sizes, and no figures are given"
+                Message(
+                    "the calibration gives no uncertainty: its errors are uncertain by their plausible sizes, and no figures "
+                    "are given"
+                )
             )
         return task.confirmation(
             box,
@@ -153,12 +156,14 @@ def confirm(
         )
 
 
-def _errors_now(machine: Machine, calibration: Calibration | None) -> tuple[Calibration, list[str]]:
+def _errors_now(machine: Machine, calibration: Calibration | None) -> tuple[Calibration, list[Message]]:
     """Return the errors as the control leaves them, and a notice on its corrections."""
     if calibration is None or calibration.control is None:
         return Calibration.zero(machine) if calibration is None else calibration, []
     errors = errors_while_on(calibration) if calibration.corrected_in_control else calibration
-    return errors, ["the corrections of the control that the calibration lists are taken as active in these readings"]
+    return errors, [
+        Message("the corrections of the control that the calibration lists are taken as active in these readings")
+    ]
 
 
 def _plausible_errors(machine: Machine, tables: Sequence[Measurements]) -> Unknowns:
@@ -176,7 +181,7 @@ def _linearised(
     unknowns: Unknowns,
     written: Sequence[WrittenValue],
     prior: Unknowns | None,
-) -> tuple[LinearReadings, list[str]]:
+) -> tuple[LinearReadings, list[Message]]:
     """Return the linear model of a table, and what to know of its rows and its noise."""
     placed = prepared(machine, table, written)
     noise = reading_noise(machine, placed, "stated", named=False)
@@ -192,10 +197,10 @@ def _linearised(
     said = [
         *placed.data.notices,
         *noise.notices,
-        *(f"set aside, {text}" for text in grouped_notes(placed.data.set_aside)),
+        *(Message("set aside, {text}", text=text) for text in grouped_notes(placed.data.set_aside)),
     ]
     return linear_readings(network(unknowns), solution.setup, errors, written, prior), [
-        f"{name}{text}" for text in said
+        Message("{file}{text}", file=name, text=text) for text in said
     ]
 
 
@@ -221,7 +226,7 @@ class _Task:
         box: Mapping[str, tuple[float, float]],
         noise: float,
         readings: int,
-        notices: tuple[str, ...],
+        notices: tuple[Message, ...],
         warnings: tuple[SourceWarning, ...],
     ) -> Confirmation:
         """Return the verdict with everything that belongs to it."""
