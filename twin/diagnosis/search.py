@@ -36,7 +36,7 @@ ALL_OR_NOTHING_TOLERANCE: Final = 0.2
 """Deviation from one allowed for the parameter of an effect that is either completely present or absent."""
 LEAST_FLEXIBLE_SHARE: Final = 0.01
 """Smallest share of a pliable effect in the χ² explained by all causes: a smaller one only fits the residual of a larger cause."""
-FIT_ONLY_TOGETHER: Final = "they fit only together with another cause that cancels them"
+FIT_ONLY_TOGETHER: Final = Message("they fit only together with another cause that cancels them")
 PART_OF_ANOTHER: Final = Message("they only fit the residuals of a larger cause")
 TOO_LARGE: Final = Message("they fit only with a size that is physically impossible")
 FIT_ONLY_NEGATIVE: Final = Message("they fit only with a negative size, which is physically impossible")
