@@ -87,6 +87,9 @@ def confirm(
     known = before if is_calibration else calibration
     if compensated and known is None:
         raise InputError("no calibration", expected="--calibration that the program was compensated with")
+    if tool_length is None and written is not None:
+        control = Calibration.load(written / "calibration.yaml", loaded).control
+        tool_length = None if control is None else control.tool_length_mm
     entries = pairs("--adjusted", adjusted, "E_C0Y=0, each error once")
     errors, values = written_values(
         loaded,

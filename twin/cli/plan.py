@@ -473,7 +473,7 @@ class _SequenceRequest:
     ) -> CommandResult:
         """Plan the shortest measurement that shows what `twin control` wrote, and write it."""
         from twin.model.calibration import Calibration
-        from twin.monitoring.written import written_by
+        from twin.monitoring.written import active_tool_mm, written_by
         from twin.planning import SequencePlan
         from twin.planning.confirmation import plan_confirmation
         from twin.planning.sequences.specification import InstrumentSizes
@@ -481,7 +481,7 @@ class _SequenceRequest:
         if self.instrument not in (None, "probe"):
             raise InputError("no such instrument for --confirm", expected="probe, or a --kit", value=self.instrument)
         calibration = Calibration.load(folder / "calibration.yaml", machine)
-        length = machine.tool_length_mm if tool_length_mm is None else tool_length_mm
+        length = active_tool_mm(machine, calibration, tool_length_mm)
         with progress_bar() as bar:
             made = plan_confirmation(
                 calibration,
@@ -489,7 +489,7 @@ class _SequenceRequest:
                 kit,
                 probe=True if self.instrument or self.spheres or self.sizes or self.program else None,
                 spheres_mm=self._places("sphere"),
-                sizes=InstrumentSizes(tool_length_mm, **self.sizes),
+                sizes=InstrumentSizes(length or None, **self.sizes),
                 minutes=minutes,
                 seed=seed,
                 progress=bar,

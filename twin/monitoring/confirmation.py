@@ -71,6 +71,10 @@ UNSEEN: Final = 0.01
 """Share of the prior variance from which the readings do not determine a change."""
 CARRIED: Final = 0.1
 FUNCTIONS: Final = 6  # of each error motion, where no calibration is given
+AT_THE_NOSE: Final = Message(
+    "no tool length is given or stated with the tables, so the figures hold at the spindle nose (0 mm): angular errors act with the "
+    "length of the tool"
+)
 ACTIVE: Final = Message(
     "kinematics act in tool centre point mode only: measure AFTER with the transformation active, at the programmed points for which "
     "the nominal kinematics give the axis positions of the table"
@@ -95,7 +99,7 @@ def confirm(
         calibration: the errors of the machine without the written values, with their covariance; None: plausible errors. Corrections
             of its control are taken as active.
         written: what was written (`twin.written_values`).
-        tool_length_mm: length of the tool for the bound at the tool.
+        tool_length_mm: length of the tool for the figures at the tool; None: that of the machine file.
 
     Raises:
         InputError: neither readings before nor a calibration; written values without a calibration; readings that disagree with the
@@ -140,6 +144,8 @@ def confirm(
         notices = [text for _, said in found for text in said] + said_of_control
         if any(value.name.startswith("kinematics") for value in written):
             notices.append(ACTIVE)
+        if tool_length_mm is None and length == 0.0:
+            notices.append(AT_THE_NOSE)
         if calibration is not None and not known:
             notices.append(
                 Message(
