@@ -39,6 +39,7 @@ from twin.planning.separate import LAMBDA
 from twin.planning.sequences.contacts import reach
 from twin.planning.sequences.moves import grid, ordered
 from twin.planning.sequences.specification import (
+    CONTACTS,
     SET_UPS,
     InstrumentSizes,
     MeasuringSequence,
@@ -71,7 +72,7 @@ CONFIRM: Final = "whether every table and value of the kinematics is in effect, 
 PROBED: Final = MeasuringSequence(
     name="confirm",
     title=Message("the fewest poses that show what was written"),
-    source="exchange (Fedorov 1972) over a grid of the rotary axes",
+    source=Message("exchange (Fedorov 1972) over a grid of the rotary axes"),
     instruments=("probe",),
     unverified=Message(""),
     limits=Message("Three or more mistakes that compensate each other in these poses are not seen."),
@@ -161,6 +162,7 @@ class ConfirmationPlan(Result):
         """Return the text lines: how well each written value is shown, and by which minute."""
         lines = [
             "",
+            *self._contact_words(),
             Message(
                 "{minutes:.0f} minutes in all{twice}. What each minute shows, set-up included:",
                 minutes=self.minutes,
@@ -210,6 +212,22 @@ class ConfirmationPlan(Result):
         if any(name.startswith("kinematics") for name in (*self.u, *self.hidden)):
             lines.append(Message("note: {notice}", notice=ACTIVE))
         return lines
+
+    def _contact_words(self) -> list[Message]:
+        """Return what takes the time of a probe."""
+        if not isinstance(self.plan, SequencePlan):
+            return []
+        contact = self.plan.task.kit.seconds.contact
+        return [
+            Message(
+                "contacts take {minutes:.0f} minutes of each measurement: {poses} poses, {count} a pose, {seconds:g} s each. If your "
+                "probing cycle is quicker, state it in a kit (seconds: contact)",
+                minutes=len(self.plan.table) * CONTACTS * contact / 60.0,
+                poses=len(self.plan.table),
+                count=CONTACTS,
+                seconds=contact,
+            )
+        ]
 
     def _twice_words(self) -> str:
         if not self.twice:

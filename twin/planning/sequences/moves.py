@@ -169,7 +169,9 @@ def ordered(task: SequenceTask, points: SequencePoints) -> SequencePoints:
 BEST: Final = MeasuringSequence(
     name="best",
     title=Message("poses chosen for the smallest uncertainty of the constant errors in the time given"),
-    source="A-optimal design by exchange (Fedorov 1972; Atkinson, Donev and Tobias 2007) over a grid of the rotary axes",
+    source=Message(
+        "A-optimal design by exchange (Fedorov 1972; Atkinson, Donev and Tobias 2007) over a grid of the rotary axes"
+    ),
     instruments=("probe", "r-test"),
     unverified=Message(""),
     limits=Message("Error motions that depend on the position are not part of the criterion."),
@@ -212,7 +214,7 @@ def _points(task: SequenceTask) -> SequencePoints:
 CIRCLES: Final = MeasuringSequence(
     name="circles",
     title=Message("circles in XY and arcs of 220° in YZ and ZX, in both directions, rotary axes at rest"),
-    source="ISO 230-4:2022, circular tests",
+    source=Message("ISO 230-4:2022, circular tests"),
     instruments=("ball-bar",),
     unverified=Message(
         "The text of the standard was not available; the number of points is a choice. Arcs of 220° replace the circles of the "
@@ -226,8 +228,8 @@ CIRCLES: Final = MeasuringSequence(
 
 # --- Kinematic tests in the manner of ISO 10791-6: X, Y and Z follow one or both rotary axes ------
 
-DESCRIBED: Final = "the abstract of Florussen et al. 2020 (R-test on trunnion machines)"
-ANALOGY: Final = "the analogous test of trunnion machines"
+DESCRIBED: Final = Message("the abstract of Florussen et al. 2020 (R-test on trunnion machines)")
+ANALOGY: Final = Message("the analogous test of trunnion machines")
 NOT_DESCRIBED: Final[Mapping[str, str]] = MappingProxyType(
     {
         **dict.fromkeys(("ak3", "bk3"), "which axes move in test 3, and where the sensor is"),
@@ -284,7 +286,12 @@ def _test(side: Literal["tool", "work"], number: int) -> MeasuringSequence:
             moving=moving,
             where=where,
         ),
-        source=f"ISO 10791-6:2014, kinematic test {letter}K{number}, after {DESCRIBED if side == 'work' else ANALOGY}",
+        source=Message(
+            "ISO 10791-6:2014, kinematic test {letter}K{number}, after {source}",
+            letter=letter,
+            number=number,
+            source=DESCRIBED if side == "work" else ANALOGY,
+        ),
         instruments=("r-test",),
         unverified=Message(
             "The text of the standard was not available: which test has which axes, the ranges, the number of points, the place of the "
@@ -332,7 +339,9 @@ def _turns_points(task: SequenceTask) -> SequencePoints:
 TURNS: Final = MeasuringSequence(
     name="turns",
     title=Message("each rotary axis alone over its range, the other at zero and at one other angle"),
-    source="after the description of touch probe cycle 451 (MEASURE KINEMATICS) in the HEIDENHAIN TNC 640 and TNC7 manuals",
+    source=Message(
+        "after the description of touch probe cycle 451 (MEASURE KINEMATICS) in the HEIDENHAIN TNC 640 and TNC7 manuals"
+    ),
     instruments=("probe", "r-test"),
     unverified=Message(
         "The cycle chooses its own contacts and corrects the control's kinematics; this sequence only has such poses."

@@ -12,7 +12,7 @@ import numpy as np
 from twin._common.arrays import read_only
 from twin._common.errors import InputError
 from twin._common.families import SEQUENCE_INSTRUMENTS
-from twin._common.messages import Message, say
+from twin._common.messages import Message, joined, say
 from twin._common.records import json_form
 from twin._common.units import MM
 from twin.display import readable
@@ -168,7 +168,7 @@ class MeasuringSequence:
 
     name: str  # the name that selects it
     title: Message  # what it is
-    source: str  # standard and clause, or another source
+    source: Message  # standard and clause, or another source
     instruments: tuple[str, ...]  # names of the instruments that it is for
     unverified: Message  # what was not checked against the text of the standard; empty if it follows none
     limits: Message  # what it does not do or show, in words
@@ -180,8 +180,6 @@ class MeasuringSequence:
 
 CONTACTS: Final = 5
 """Contacts per sphere: four at the equator and one at the pole."""
-CONTACT_S: Final = 6.0
-"""Seconds for one contact: approach, touch and retraction."""
 POINT_S: Final = 3.0
 """Seconds for a reading of an R-test at rest."""
 RETRACT_MM: Final = 100.0
@@ -230,7 +228,7 @@ def seconds_of(machine: Machine, kit: Kit, table: Measurements) -> np.ndarray:
     if instrument != "probe":
         return np.asarray(travel + POINT_S)
     linear_speed = float(kit.speeds[list(machine.linear)].min())
-    return np.asarray(travel + 2.0 * RETRACT_MM / linear_speed + CONTACTS * CONTACT_S)
+    return np.asarray(travel + 2.0 * RETRACT_MM / linear_speed + CONTACTS * kit.seconds.contact)
 
 
 def minutes_of(machine: Machine, kit: Kit, table: Measurements) -> float:
@@ -267,7 +265,7 @@ class Expectation:
         ]
         lines.append(Message("what this sequence cannot tell:"))
         for title, constants in self.by_knowledge.items():
-            lost = "; ".join(constants.lost) or Message("nothing among the errors of the axes that it moves")
+            lost = joined("; ", constants.lost) or Message("nothing among the errors of the axes that it moves")
             lines.append(
                 Message(
                     "  {title}: {lost} ({determined} of {count} determined)",
