@@ -37,7 +37,7 @@ from twin.standards.iso230_1 import AngularError, Straightness
 from twin.standards.iso230_2 import Positioning, UnidirectionalPositioning
 from twin.standards.iso230_3 import DriftSeries
 from twin.standards.iso230_4 import CircularTest, RotaryMotion
-from twin.standards.result import SENTENCES, WORDS, EvaluationResult, StandardTest
+from twin.standards.result import FEW_TESTS, SENTENCES, WORDS, EvaluationResult, StandardTest, grouped_remarks
 
 BESIDE: Final[dict[str, Any]] = {"loc": "upper left", "frameon": False, "borderaxespad": 0.0, "fontsize": 9}
 """Options of a legend to the right of its plot."""
@@ -450,6 +450,8 @@ def evaluation_html(result: EvaluationResult, sheet: Sheet | None = None) -> str
         shown=figure,
         unit=readable,
         grouped_notes=grouped_notes,
+        grouped_remarks=grouped_remarks,
+        few=FEW_TESTS,
         targets=_targets,
     )
 

@@ -321,7 +321,7 @@ class EvaluationResult(DisplayedResult):
             for remark in test.remarks if count <= FEW_TESTS else ():
                 lines += wrap(say(remark), WIDTH, initial_indent="  ", subsequent_indent="    ")
         for heading, entries in (
-            (Message("Remarks:"), _grouped_remarks(self.tests) if count > FEW_TESTS else []),
+            (Message("Remarks:"), grouped_remarks(self.tests) if count > FEW_TESTS else []),
             (
                 Message("Not evaluated:"),
                 [Message("{test}: {why}", test=one.test, why=one.why) for one in self.not_evaluated],
@@ -389,7 +389,7 @@ def check_tolerances(tolerances: Mapping[str, float], tests: Sequence[StandardTe
     return tuple(checks)
 
 
-def _grouped_remarks(tests: Sequence[StandardTest]) -> list[Message]:
+def grouped_remarks(tests: Sequence[StandardTest]) -> list[Message]:
     """Return each remark once, with the tests to which it applies and their number."""
     grouped: dict[Message, dict[Message, int]] = {}
     for test in tests:
