@@ -20,6 +20,7 @@ from __future__ import annotations
 import re
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import combinations
 from pathlib import Path
 from typing import Any, Final, NamedTuple, final
@@ -66,6 +67,17 @@ LEAST_EIGENVALUE: Final = 1e-12
 SMALLEST_U_M: Final = 1e-12
 """Standard uncertainty, m, below which none is stated: no laboratory is that good, and weights stay finite."""
 REFERENCE_DEGC: Final = 20.0
+AT_TEMPERATURE: Final = partial(
+    Message,
+    "its values are those at {temperature:.4g} °C, by its coefficient of thermal expansion of {alpha:.3g} µm/(m·K), u {u:.2g}",
+)
+CERTIFICATE: Final = partial(
+    Message, "certificate {number} ({item}): {what} of {count} targets known, {correlation}; {temperature}"
+)
+STATED: Final = Message("with the covariance that it states")
+ENLARGED: Final = partial(
+    Message, "it states no correlation, so its variances are multiplied by {factor}, which covers any correlation"
+)
 TEMPERATURE_U_K: Final = 0.2
 """Standard uncertainty of an artefact's temperature: thermometer, and gradients inside the artefact."""
 MOST_EXPANSION: Final = 2e-4
@@ -152,35 +164,16 @@ class Artefact(Result):
     def brief(self) -> Message:
         """The certificate and what is used of it, in one line."""
         what = Message("{count} distances", count=len(self.pairs)) if len(self.pairs) else Message("coordinates")
-        correlation = (
-            Message("with the covariance that it states")
-            if self.enlarged == 1
-            else Message(
-                "it states no correlation, so its variances are multiplied by {factor}, which covers any correlation",
-                factor=self.enlarged,
-            )
-        )
-        return Message(
-            "certificate {number} ({item}): {what} of {count} targets known, {correlation}; {temperature}",
-            number=self.number,
-            item=self.item,
-            what=what,
-            count=len(self.targets),
-            correlation=correlation,
-            temperature=self._temperature_text,
-        )
+        correlation = STATED if self.enlarged == 1 else ENLARGED(factor=self.enlarged)
+        of = {"correlation": correlation, "temperature": self._temperature_text, "count": len(self.targets)}
+        return CERTIFICATE(number=self.number, item=self.item, what=what, **of)
 
     @property
     def _temperature_text(self) -> Message:
         if self.temperature_degC == REFERENCE_DEGC or self.expansion is None:
             return Message("its values are used as stated, without thermal expansion of the artefact")
         alpha, u = (1e6 * value for value in self.expansion)
-        return Message(
-            "its values are those at {temperature:.4g} °C, by its coefficient of thermal expansion of {alpha:.3g} µm/(m·K), u {u:.2g}",
-            temperature=self.temperature_degC,
-            alpha=alpha,
-            u=u,
-        )
+        return AT_TEMPERATURE(temperature=self.temperature_degC, alpha=alpha, u=u)
 
     def at(self, temperature_degC: float, u_K: float = TEMPERATURE_U_K) -> Artefact:
         """Return the artefact at a temperature, whose uncertainty and that of the coefficient are in the covariance.

@@ -142,17 +142,7 @@ def confirm(
             for i, name in enumerate(machine.names)
         }
         notices = [text for _, said in found for text in said] + said_of_control
-        if any(value.name.startswith("kinematics") for value in written):
-            notices.append(ACTIVE)
-        if tool_length_mm is None and length == 0.0:
-            notices.append(AT_THE_NOSE)
-        if calibration is not None and not known:
-            notices.append(
-                Message(
-                    "the calibration gives no uncertainty: its errors are uncertain by their plausible sizes, and no figures "
-                    "are given"
-                )
-            )
+        notices += _limits(written, tool_length_mm, length, unknown_u=calibration is not None and not known)
         return task.confirmation(
             box,
             np.sqrt(variance),
@@ -160,6 +150,22 @@ def confirm(
             tuple(dict.fromkeys(notices)),
             merge_warnings(errors.warnings, (SIMULATED,) if any(table.simulated for table in tables) else ()),
         )
+
+
+def _limits(
+    written: Sequence[WrittenValue], given_mm: float | None, length_mm: float, *, unknown_u: bool
+) -> list[Message]:
+    """Return what limits the figures; ``given_mm``: the tool length that was asked for; ``unknown_u``: errors without one."""
+    limits = [ACTIVE] if any(value.name.startswith("kinematics") for value in written) else []
+    if given_mm is None and length_mm == 0.0:
+        limits.append(AT_THE_NOSE)
+    if unknown_u:
+        limits.append(
+            Message(
+                "the calibration gives no uncertainty: its errors are uncertain by their plausible sizes, and no figures are given"
+            )
+        )
+    return limits
 
 
 def _errors_now(machine: Machine, calibration: Calibration | None) -> tuple[Calibration, list[Message]]:

@@ -108,21 +108,13 @@ def evaluate(
         _attempt(_title("circular", run, machine), tests, missing, circle_test, run, machine, uncertainty_mm(run))
     for run in runs.mixed:
         _attempt(_title("kinematic", run, machine), tests, missing, kinematic_test, run, machine, uncertainty_mm(run))
-    stated = bool(np.isfinite(data.u_mm).any())
-    source = (
-        Message("in the table")
-        if stated
-        else Message("of the instrument ({title})", title=instrument.specification.title)
-        if instrument
-        else None
-    )
     return EvaluationResult(
         data=data,
         machine=machine.name,
         tests=tuple(tests),
         not_evaluated=(*_without_duplicates(missing), *_absent(tests, missing, machine)),
         assumptions=_assumptions(runs, tests, machine),
-        uncertainty=Message("") if source is None else _budget(source),
+        uncertainty=_budget(data, instrument),
         checks=check_tolerances(tolerances or {}, tests),
         warnings=(SIMULATED,) if data.simulated else (),
     )
@@ -193,7 +185,14 @@ def _attempt(
         missing.append(NotEvaluated(title, reason.why))
 
 
-def _budget(source: Message) -> Message:
+def _budget(data: Measurements, instrument: Instrument | None) -> Message:
+    """Return where the uncertainty of the readings comes from; empty if it is unknown."""
+    if np.isfinite(data.u_mm).any():
+        source = Message("in the table")
+    elif instrument is not None:
+        source = Message("of the instrument ({title})", title=instrument.specification.title)
+    else:
+        return Message("")
     return Message(
         "U (95 %) is propagated from the standard uncertainties {source}, taken as independent. It does not contain the scale error of "
         "the instrument, temperature and set-up, which the standards' own budgets add.",
