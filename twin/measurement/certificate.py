@@ -11,7 +11,6 @@ result is never too confident, whatever the correlation. The same holds of n qua
 
 Values hold at 20 °C (ISO 1). At another temperature the artefact is larger by the coefficient of thermal expansion that the certificate
 states (`Artefact.at`); the uncertainties of coefficient and temperature act on all lengths alike.
-
 Checked is what is used, in D-SI 2.0 to 2.2: twin has no copy of the schema.
 """
 
